@@ -1,0 +1,68 @@
+# Every command of the project; CI (.ci/run) calls the same ones. `make` alone lists them.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.handctl-installed
+PYTEST ?= $(BIN)/python -m pytest
+PYTEST_FLAGS ?=
+# Tests with real deadlines run alone, after the others have left the cores.
+WORKERS ?= 2
+
+.DEFAULT_GOAL := help
+.PHONY: help env demo test lint unit realtime vcan nightly bench golden lock clean
+
+help: ## list these commands
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
+
+env: $(STAMP) ## create .venv with the locked, hashed dependencies and handctl in editable form
+
+$(STAMP): requirements-dev.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
+	  { echo "handctl needs Python 3.11 or later as '$(PYTHON)', which is $$($(PYTHON) -V 2>&1 | head -n 1); try: make env PYTHON=python3.11" >&2; exit 1; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip --disable-pip-version-check install --quiet --require-hashes --no-deps -r requirements-dev.lock
+	$(BIN)/python -m pip --disable-pip-version-check install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+demo: env ## the arrival scenario in simulation: arm, grasp, hold, release, log, picture
+	$(BIN)/handctl demo
+
+test: lint unit realtime ## all checks and tests, real SocketCAN included where it can be had
+
+lint: env ## ruff, mypy --strict and the import contracts
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+
+unit: env
+	$(PYTEST) -n $(WORKERS) -m "not realtime" $(PYTEST_FLAGS)
+
+realtime: env
+	$(PYTEST) -m realtime $(PYTEST_FLAGS)
+
+vcan: env ## the SocketCAN tests alone, on the kernel's vcan or in user-mode Linux
+	HANDCTL_REQUIRE_VCAN=1 $(PYTEST) tests/vcan $(PYTEST_FLAGS)
+
+nightly: export HANDCTL_NIGHTLY = 1
+nightly: lint ## the tests with full counts: long property runs, fault campaigns, soak
+	$(PYTEST) -n $(WORKERS) -m "not realtime" $(PYTEST_FLAGS)
+	$(PYTEST) -m realtime $(PYTEST_FLAGS)
+
+bench: env ## side by side with what a user would pick instead; prints ratios
+	@set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script"; done
+
+golden: env ## write the golden logs anew, after a change of the controller that is meant
+	$(BIN)/python tests/replay/runs.py logs/golden
+
+lock: env ## write both lock files anew; LOCK_FLAGS=--upgrade takes newer releases
+	$(LOCK) pyproject.toml --output-file requirements.lock
+	$(LOCK) pyproject.toml --group dev --constraint requirements.lock --output-file requirements-dev.lock
+
+# One version for all Pythons (fork-strategy fewest), so that numbers agree between them.
+LOCK = $(BIN)/uv pip compile --quiet --no-config --universal --python-version 3.11 --fork-strategy fewest \
+  --generate-hashes --custom-compile-command "make lock" $(LOCK_FLAGS)
+
+clean: ## remove the environment and everything that was generated, but no log
+	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find src firmware_sim tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
