@@ -1,0 +1,102 @@
+"""Files that a person writes beside the hand (task, gains, calibration): TOML as validated, frozen documents.
+
+Every mistake becomes one line with file, key path, the value and what would be right.
+"""
+
+import difflib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from handctl.errors import ConfigError
+from handctl.hand.description import read_toml
+from handctl.hand.messages import key_path, shown
+
+
+class Document(BaseModel):
+    """Base of a file's model: no unknown keys, no infinities, no bool or text for a number, frozen."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+        strict=True,
+        validate_by_name=True,
+        validate_by_alias=True,
+        use_attribute_docstrings=True,
+    )
+
+
+D = TypeVar("D", bound=Document)
+
+
+def load_document(path: Path, model: type[D]) -> D:
+    """Read and validate a TOML file.
+
+    Raises:
+        ConfigError: it cannot be read, is not TOML, or a key or value is wrong.
+    """
+    return validated(read_toml(path), model, str(path))
+
+
+def validated(content: Mapping[str, Any], model: type[D], source: str) -> D:
+    """Validate what was parsed from TOML.
+
+    The content goes through JSON, whose strict reading knows that a list may be a tuple and 1 a float, but not true.
+
+    Raises:
+        ConfigError: a key or value is wrong.
+    """
+    try:
+        return model.model_validate_json(json.dumps(content, default=str))
+    except ValidationError as error:
+        raise _line(error, model, content, source) from None
+
+
+def _line(error: ValidationError, model: type[BaseModel], content: Mapping[str, Any], source: str) -> ConfigError:
+    """The most telling of pydantic's findings: an unknown key before what it makes missing."""
+    details = error.errors(include_url=False)
+    detail = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
+    location = _without_tags(content, detail["loc"])
+    where = f"{source}: {key_path(content, location)}" if location else source
+    if detail["type"] == "extra_forbidden":
+        return ConfigError("unknown key", where, _nearest(str(location[-1]), model))
+    if detail["type"] == "missing":
+        return ConfigError("missing", where, "this key")
+    value = detail["input"]
+    what = "a table" if isinstance(value, Mapping) else shown(value)
+    return ConfigError(what, where, detail["msg"].removeprefix("Input should be ").removeprefix("Value error, "))
+
+
+def _without_tags(content: Any, location: Sequence[str | int]) -> tuple[str | int, ...]:
+    """A location without the names that pydantic adds for the alternatives of a union."""
+    path: list[str | int] = []
+    for position, part in enumerate(location):
+        last = position == len(location) - 1
+        known = isinstance(part, int) or (isinstance(content, Mapping) and part in content)
+        if not known and not (last and isinstance(content, Mapping)):
+            continue
+        path.append(part)
+        try:
+            content = content[part]
+        except (KeyError, IndexError, TypeError):
+            content = None
+    return tuple(path)
+
+
+def _nearest(key: str, model: type[BaseModel]) -> str:
+    valid = sorted(_all_keys(model))
+    near = difflib.get_close_matches(key, valid, n=1)
+    return f"{near[0]}?" if near else "one of the documented keys"
+
+
+def _all_keys(annotation: Any) -> set[str]:
+    """Every key that occurs anywhere in a document."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        fields = annotation.model_fields
+        nested = [_all_keys(field.annotation) for field in fields.values()]
+        return {field.alias or name for name, field in fields.items()}.union(*nested)
+    return set[str]().union(*(_all_keys(part) for part in getattr(annotation, "__args__", ())))

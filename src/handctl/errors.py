@@ -1,0 +1,38 @@
+"""The errors that reach a person: each says what, where, and what would be right, in one line."""
+
+
+class HandctlError(Exception):
+    """An error with a one-line message: ``what; where; expected right``.
+
+    Args:
+        what: what is wrong, with the offending value.
+        where: key path, node, file and offset; empty if there is no better place than the message.
+        right: what would be right; empty if nothing can be suggested.
+    """
+
+    def __init__(self, what: str, where: str = "", right: str = "") -> None:
+        self.what, self.where, self.right = what, where, right
+        parts = [f"{where}: {what}" if where else what]
+        if right:
+            parts.append(f"expected {right}")
+        super().__init__("; ".join(parts).replace("\n", " "))
+
+
+class ConfigError(HandctlError):
+    """A hand, task, gains, calibration or trajectory file, or a command line, that cannot be used."""
+
+
+class BusError(HandctlError):
+    """A bus that cannot be opened or that is gone."""
+
+
+class DriveError(HandctlError):
+    """A motor drive or sensor node that is missing, refuses, or is not what the hand file says."""
+
+
+class LogError(HandctlError):
+    """A log that cannot be read, or that does not belong to this hand."""
+
+
+class IncomparableError(LogError):
+    """Two logs, or a log and a hand, that do not belong together."""

@@ -1,0 +1,1 @@
+"""What a hand is: description, kinematics, dynamics, tendons, URDF; pure, but for reading hand files."""

@@ -1,0 +1,248 @@
+"""What must agree between the sections of a hand file: references, lengths, routing, limits, identifiers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from handctl.errors import ConfigError
+from handctl.hand.sections import Digit, Motor, Tendon
+
+if TYPE_CHECKING:
+    from handctl.hand.description import Hand
+
+PER_LINK = (
+    "link_com_m",
+    "link_mass_kg",
+    "link_inertia_kg_m2",
+    "joint_min_deg",
+    "joint_max_deg",
+    "joint_damping_N_m_s_per_rad",
+    "joint_armature_kg_m2",
+    "spring_stiffness_N_m_per_rad",
+    "spring_preload_rad",
+)
+"""Keys of a digit with one value per link."""
+STRENGTH = "rated_breaking_force_N"
+LIMITS = ("tension_floor_N", "tension_max_N", "tension_trip_N", "drive_limit_N", STRENGTH)
+"""Tension limits in ascending order."""
+MIT_REPLY_OFFSET = 0x10
+"""Usual distance of a MIT drive's reply from its command. Source: Damiao convention, MST_ID = ESC_ID + 0x10."""
+MIT_REGISTER_ID = 0x7FF
+"""Identifier of all MIT drives' register frames. Source: Damiao manual."""
+CANOPEN_SERVICES = (0x080, 0x180, 0x200, 0x580, 0x600, 0x700)
+"""Emergency, TPDO1, RPDO1, SDO both ways, heartbeat: plus the node number. Source: CiA 301."""
+SHARED_IDS = (
+    ("mit", MIT_REGISTER_ID, "the register frames of MIT drives"),
+    ("odrive", 0x7E2, "the broadcast emergency stop of ODrives"),
+    ("cia402", 0x000, "CANopen's NMT"),
+    ("cia402", 0x77F, "this host's heartbeat to CiA 402 drives"),
+)
+"""Protocol, identifier that all its motors on a bus have in common, and what it is."""
+CONDITION = 1e-6
+"""Smallest ratio of singular values that counts as full rank."""
+
+
+class Refused(Exception):  # noqa: N818 - never leaves this module
+    """What is wrong, its key path and what would be right."""
+
+
+def check_hand(hand: Hand, source: str) -> None:
+    """Check a hand as a whole.
+
+    Args:
+        hand: each section of which is valid by itself.
+        source: what to call it in messages.
+
+    Raises:
+        ConfigError: with key path, value and what would be right.
+    """
+    try:
+        for key in ("bus", "digit", "tendon", "motor"):
+            _unique([section.name for section in getattr(hand, key)], key + "[{}].name")
+        for digit in hand.digit:
+            _check_digit(digit)
+        _check_references(hand)
+        _check_order(hand)
+        for digit in hand.digit:
+            _check_routing(hand, digit)
+        for tendon in hand.tendon:
+            _check_limits(tendon)
+            _check_drive(tendon, hand.motor_of(tendon.name))
+        _check_identifiers(hand)
+    except Refused as refused:
+        what, where, right = refused.args
+        raise ConfigError(what, f"{source}: {where}", right) from None
+
+
+def _unique(names: Iterable[str], where: str) -> None:
+    """No name occurs twice; the name replaces {} in the key path."""
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise Refused(f'"{name}" twice', where.format(name), "every name once")
+        seen.add(name)
+
+
+def _check_digit(digit: Digit) -> None:
+    """Lengths of lists, order of joint limits, and mass distribution of a digit."""
+    where, links = f"digit[{digit.name}]", len(digit.link_length_m)
+    for key in PER_LINK:
+        if len(getattr(digit, key)) != links:
+            raise Refused(f"{len(getattr(digit, key))} values", f"{where}.{key}", f"{links}, one per link_length_m")
+    for i, (length, com) in enumerate(zip(digit.link_length_m, digit.link_com_m, strict=True)):
+        if com > length:
+            raise Refused(f"{com:g}", f"{where}.link_com_m[{i}]", f"at most the link's length, {length:g} m")
+        most = digit.link_mass_kg[i] * length**2
+        if digit.link_inertia_kg_m2[i] > most:
+            right = f"at most mass x length^2 = {most:.3g} kg m2"
+            raise Refused(f"{digit.link_inertia_kg_m2[i]:g}", f"{where}.link_inertia_kg_m2[{i}]", right)
+        if digit.joint_min_deg[i] >= digit.joint_max_deg[i]:
+            right = f"more than joint_min_deg[{i}] = {digit.joint_min_deg[i]:g}"
+            raise Refused(f"{digit.joint_max_deg[i]:g}", f"{where}.joint_max_deg[{i}]", right)
+    if digit.coupling is not None:
+        _check_coupling(digit.coupling, f"{where}.coupling", links)
+
+
+def _check_coupling(coupling: tuple[tuple[float, ...], ...], where: str, links: int) -> None:
+    if len(coupling) != links:
+        raise Refused(f"{len(coupling)} rows", where, f"{links}, one per joint")
+    widths = {len(row) for row in coupling}
+    if len(widths) != 1 or not 1 <= min(widths) <= links:
+        raise Refused(f"rows of {sorted(widths)} values", where, f"rows of equal length, 1 to {links}")
+
+
+def _check_references(hand: Hand) -> None:
+    """Everything that is named exists; a motor drives one tendon."""
+    node = hand.sensor_node
+    _known("sensor_node.bus", node.bus, hand.bus_names)
+    for key, names, known in (("tendons", node.tendons, hand.tendon_names), ("joints", node.joints, hand.joints)):
+        _unique(names, f"sensor_node.{key}")
+        for i, name in enumerate(names):
+            _known(f"sensor_node.{key}[{i}]", name, known)
+    for motor in hand.motor:
+        _known(f"motor[{motor.name}].bus", motor.bus, hand.bus_names)
+    driven: dict[str, str] = {}
+    for tendon in hand.tendon:
+        where = f"tendon[{tendon.name}].motor"
+        _known(where, tendon.motor, hand.motor_names)
+        if tendon.motor in driven:
+            raise Refused(f'"{tendon.motor}" drives {driven[tendon.motor]} already', where, "a motor of its own")
+        driven[tendon.motor] = tendon.name
+        for joint in tendon.moment_arm_m:
+            _known(f"tendon[{tendon.name}].moment_arm_m.{joint}", joint, hand.joints)
+    for motor in hand.motor:
+        if motor.name not in driven:
+            raise Refused("drives no tendon", f"motor[{motor.name}].name", "to be the motor of one tendon")
+
+
+def _known(where: str, name: str, known: tuple[str, ...]) -> None:
+    if name not in known:
+        raise Refused(f'"{name}" is not in this file', where, "one of " + ", ".join(known))
+
+
+def _check_order(hand: Hand) -> None:
+    """Each tendon moves joints of one digit, and tendons come digit by digit, as the digits do."""
+    latest = 0
+    for tendon in hand.tendon:
+        where = f"tendon[{tendon.name}].moment_arm_m"
+        crossed = {i for i, digit in enumerate(hand.digit) if not tendon.moment_arm_m.keys().isdisjoint(digit.joints)}
+        if len(crossed) != 1:
+            raise Refused(f"moves {len(crossed)} digits", where, "joints of one digit")
+        digit = crossed.pop()
+        if digit < latest:
+            what = f"a tendon of {hand.digit[digit].name} after one of {hand.digit[latest].name}"
+            raise Refused(what, where, "tendons digit by digit, in the order of the digits")
+        latest = digit
+        for joint, arm in tendon.moment_arm_m.items():
+            if abs(arm) < 1e-4:
+                raise Refused(f"{arm:g}", f"{where}.{joint}", "0.0001 to 0.05 m either way, or no such key")
+
+
+def _check_routing(hand: Hand, digit: Digit) -> None:
+    """Every coordinate of the digit is moved by its tendons: R B has full column rank."""
+    arms = hand.moment_arms[hand.digit_tendons[digit.name], hand.digit_joints[digit.name]]
+    coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
+    columns = coupling.shape[1]
+    values = np.linalg.svd(arms @ coupling, compute_uv=False)
+    rank = int((values > CONDITION * values.max(initial=0.0)).sum()) if values.size else 0
+    if rank < columns:
+        where = f"digit[{digit.name}].coupling"
+        right = f"a tendon for every coordinate, or a coupling that leaves {max(rank, 1)}"
+        raise Refused(f"its tendons (moment_arm_m) can move only {rank} of {columns} coordinates", where, right)
+
+
+def _check_limits(tendon: Tendon) -> None:
+    """Tension limits rise from the floor to the rope's strength."""
+    values = {key: getattr(tendon, key) for key in LIMITS}
+    strength = tendon.rated_breaking_force_N
+    for below, key, above in zip((None, *LIMITS), LIMITS[:-1], LIMITS[1:], strict=False):
+        value, next_value = values[key], values[above]
+        bounds = [] if below is None else [f"more than {below} = {values[below]:g} N"]
+        if above == STRENGTH or strength < next_value:
+            bounds.append(f"at most {STRENGTH} = {strength:g} N")
+            too_high = value > strength
+        else:
+            bounds.append(f"less than {above} = {next_value:g} N")
+            too_high = value >= next_value
+        if too_high or (below is not None and value <= values[below]):
+            breaks = f", and the rope breaks at {strength:g} N" if value > strength else ""
+            raise Refused(f"{value:g}{breaks}", f"tendon[{tendon.name}].{key}", " and ".join(bounds))
+
+
+def _check_drive(tendon: Tendon, motor: Motor) -> None:
+    """The drive's torque limit is its tension limit, and the motor can reach it."""
+    where, limit = f"motor[{motor.name}].torque_max_N_m", tendon.drive_limit_N * motor.spool_radius_m
+    if abs(motor.torque_max_N_m - limit) > 0.01 * limit:
+        right = f"drive_limit_N x spool_radius_m = {limit:.4g} N m, within 1 %"
+        raise Refused(f"{motor.torque_max_N_m:g}", where, right)
+    if motor.torque_max_N_m > motor.torque_peak_N_m:
+        raise Refused(f"{motor.torque_max_N_m:g}", where, f"at most torque_peak_N_m = {motor.torque_peak_N_m:g} N m")
+
+
+def _check_identifiers(hand: Hand) -> None:
+    """No identifier has two meanings on one bus."""
+    owner: dict[tuple[str, object], str] = {}
+    for bus, identifier, where in _identifiers(hand):
+        if (bus, identifier) in owner:
+            text = f"0x{identifier:X}" if isinstance(identifier, int) else str(identifier)
+            right = f"another identifier; {owner[bus, identifier]} has it"
+            raise Refused(f'{text} on bus "{bus}" is taken', where, right)
+        owner[bus, identifier] = where
+
+
+def _identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
+    """(bus, identifier, key path) of all that a hand uses; of a protocol that is not known here the node number."""
+    for protocol, identifier, what in SHARED_IDS:
+        for bus in {motor.bus for motor in hand.motor if motor.protocol == protocol}:
+            yield bus, identifier, what
+    node = hand.sensor_node
+    yield node.bus, node.sync_id, "sensor_node.sync_id"
+    for identifier in (*node.tension_ids, *node.joint_ids):
+        yield node.bus, identifier, "sensor_node.base_id"
+    for motor in hand.motor:
+        where = f"motor[{motor.name}].node_id"
+        if motor.protocol == "mit":
+            yield motor.bus, motor.node_id, where
+            yield motor.bus, *_mit_reply(motor, where)
+        elif motor.protocol == "odrive":
+            for message in range(32):
+                yield motor.bus, motor.node_id << 5 | message, where
+        elif motor.protocol == "cia402":
+            for service in CANOPEN_SERVICES:
+                yield motor.bus, service + motor.node_id, where
+        else:
+            yield motor.bus, f"{motor.protocol} node {motor.node_id}", where
+
+
+def _mit_reply(motor: Motor, where: str) -> tuple[int, str]:
+    """Identifier on which a MIT drive replies, and the key that says so."""
+    reply = motor.options.get("reply_id")
+    if reply is None:
+        return motor.node_id + MIT_REPLY_OFFSET, where
+    where = f"motor[{motor.name}].options.reply_id"
+    if isinstance(reply, bool) or not isinstance(reply, int) or not 1 <= reply <= 0x7FF:
+        raise Refused(f"{reply}", where, "a whole number from 1 to 2047")
+    return reply, where

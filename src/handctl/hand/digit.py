@@ -1,0 +1,210 @@
+"""One digit as numbers: all that kinematics, dynamics and statics need of it, built once from the description."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.hand.description import Hand
+from handctl.hand.sections import Digit
+
+Array = NDArray[np.float64]
+Values = Sequence[float] | Array
+"""One number per joint; lists and tuples are fastest."""
+
+
+class LinkConstants(NamedTuple):
+    """What the equations of motion keep of three links in a row; zero for links that are not there.
+
+    Attributes:
+        j1, j2, j3: diagonal of the mass matrix in absolute angles [kg m2].
+        a, b, e: coupling of links 1-2, 1-3, 2-3 [kg m2].
+        w1, w2, w3: first moment of mass that turns with each link [kg m].
+        r1, r2, r3: armature of the joints [kg m2].
+    """
+
+    j1: float
+    j2: float
+    j3: float
+    a: float
+    b: float
+    e: float
+    w1: float
+    w2: float
+    w3: float
+    r1: float
+    r2: float
+    r3: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DigitModel:
+    """A digit with n joints, n_t tendons and n_c reduced coordinates theta (q = B theta); arrays are read-only.
+
+    Attributes:
+        name: of the digit.
+        joint_names, tendon_names: in order.
+        joints, tendons: where they are in the hand's lists.
+        lengths: (n,) [m].
+        coms: (n,) distance of each link's centre of mass from its joint [m].
+        masses: (n,) [kg].
+        inertias: (n,) about the centre of mass [kg m2].
+        radius: of the links [m].
+        joint_min, joint_max: (n,) [rad].
+        joint_damping: (n,) [N m s/rad].
+        armature: (n,) inertia that turns with the joint alone [kg m2].
+        spring_stiffness: (n,) [N m/rad].
+        spring_preload: (n,) [rad].
+        mount_rotation: (3, 3) digit frame to palm frame.
+        mount_position: (3,) [m] in the palm frame.
+        gravity: (2,) in the digit's plane [m/s2].
+        links: constants of the equations of motion.
+        padding: zeros that make n values three.
+        moment_arms: R, (n_t, n) [m].
+        coupling: B, (n, n_c); the identity where every joint moves for itself.
+        reduced_moment_arms: R B, (n_t, n_c) [m].
+        excursion_to_joints: (n, n_t) [rad/m], B (R B)^+: joint angles that an excursion stands for.
+        torque_to_tension: (n_t, n) [1/m], (R B)^+^T B^T: smallest tensions that make a torque.
+        joints_to_coordinates: (n_c, n), B^+.
+        friction: (n_t,) capstan coefficient.
+        wrap: (n_t,) wrap angle before the first joint pulley [rad].
+        motor_mass: (n_t,) rotor inertia as seen by the cable, J_m / r_a^2 [kg].
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    tendon_names: tuple[str, ...]
+    joints: slice
+    tendons: slice
+    lengths: tuple[float, ...]
+    coms: tuple[float, ...]
+    masses: tuple[float, ...]
+    inertias: tuple[float, ...]
+    radius: float
+    joint_min: Array
+    joint_max: Array
+    joint_damping: tuple[float, ...]
+    armature: tuple[float, ...]
+    spring_stiffness: tuple[float, ...]
+    spring_preload: tuple[float, ...]
+    mount_rotation: Array
+    mount_position: Array
+    gravity: tuple[float, float]
+    links: LinkConstants
+    padding: tuple[float, ...]
+    moment_arms: Array
+    coupling: Array
+    reduced_moment_arms: Array
+    excursion_to_joints: Array
+    torque_to_tension: Array
+    joints_to_coordinates: Array
+    friction: Array
+    wrap: Array
+    motor_mass: Array
+
+    @staticmethod
+    def of(hand: Hand, name: str) -> "DigitModel":
+        """Build the model of one digit of a hand, by the digit's name."""
+        digit, joints, tendons = hand.digit_named(name), hand.digit_joints[name], hand.digit_tendons[name]
+        motors = [hand.motor_of(tendon.name) for tendon in hand.tendon[tendons]]
+        rotation = rotation_rpy(*np.radians(digit.mount_rpy_deg))
+        arms = hand.moment_arms[:, joints][tendons]
+        coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
+        to_coordinates = np.linalg.pinv(arms @ coupling)
+        return DigitModel(
+            name=name,
+            joint_names=digit.joints,
+            tendon_names=hand.tendon_names[tendons],
+            joints=joints,
+            tendons=tendons,
+            lengths=digit.link_length_m,
+            coms=digit.link_com_m,
+            masses=digit.link_mass_kg,
+            inertias=digit.link_inertia_kg_m2,
+            radius=digit.link_radius_m,
+            joint_min=_constant(np.radians(digit.joint_min_deg)),
+            joint_max=_constant(np.radians(digit.joint_max_deg)),
+            joint_damping=digit.joint_damping_N_m_s_per_rad,
+            armature=digit.joint_armature_kg_m2,
+            spring_stiffness=digit.spring_stiffness_N_m_per_rad,
+            spring_preload=digit.spring_preload_rad,
+            mount_rotation=_constant(rotation),
+            mount_position=_constant(digit.mount_position_m),
+            gravity=_in_plane(rotation, hand.mount.gravity_m_s2),
+            links=link_constants(digit),
+            padding=(0.0,) * (3 - len(digit.joints)),
+            moment_arms=_constant(arms),
+            coupling=_constant(coupling),
+            reduced_moment_arms=_constant(arms @ coupling),
+            excursion_to_joints=_constant(coupling @ to_coordinates),
+            torque_to_tension=_constant(to_coordinates.T @ coupling.T),
+            joints_to_coordinates=_constant(np.linalg.pinv(coupling)),
+            friction=_constant([tendon.friction_coefficient for tendon in hand.tendon[tendons]]),
+            wrap=_constant([tendon.wrap_angle_rad for tendon in hand.tendon[tendons]]),
+            motor_mass=_constant([motor.inertia_kg_m2 / motor.spool_radius_m**2 for motor in motors]),
+        )
+
+    @property
+    def joint_count(self) -> int:
+        """n."""
+        return len(self.lengths)
+
+    def under(self, gravity: Values) -> "DigitModel":
+        """The same digit under another gravity, (3,) in the palm frame [m/s2]."""
+        return replace(self, gravity=_in_plane(self.mount_rotation, gravity))
+
+
+def link_constants(digit: Digit) -> LinkConstants:
+    """Constants of the equations of motion.
+
+    Source: the closed form of section 7 of the paper, corrected; a link that is absent has no mass and no length.
+    """
+    absent = (0.0,) * (3 - len(digit.link_length_m))
+    l1, l2, _ = (*digit.link_length_m, *absent)
+    d1, d2, d3 = (*digit.link_com_m, *absent)
+    m1, m2, m3 = (*digit.link_mass_kg, *absent)
+    i1, i2, i3 = (*digit.link_inertia_kg_m2, *absent)
+    r1, r2, r3 = (*digit.joint_armature_kg_m2, *absent)
+    return LinkConstants(
+        j1=i1 + m1 * d1**2 + (m2 + m3) * l1**2,
+        j2=i2 + m2 * d2**2 + m3 * l2**2,
+        j3=i3 + m3 * d3**2,
+        a=(m2 * d2 + m3 * l2) * l1,
+        b=m3 * l1 * d3,
+        e=m3 * l2 * d3,
+        w1=m1 * d1 + (m2 + m3) * l1,
+        w2=m2 * d2 + m3 * l2,
+        w3=m3 * d3,
+        r1=r1,
+        r2=r2,
+        r3=r3,
+    )
+
+
+def rotation_rpy(roll: float, pitch: float, yaw: float) -> Array:
+    """(3, 3) rotation about the fixed axes x, y, z in turn [rad]: Rz(yaw) Ry(pitch) Rx(roll), as in URDF."""
+    cr, sr = math.cos(roll), math.sin(roll)
+    cp, sp = math.cos(pitch), math.sin(pitch)
+    cy, sy = math.cos(yaw), math.sin(yaw)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def _in_plane(rotation: Array, gravity: Values) -> tuple[float, float]:
+    """Gravity of the palm frame, as seen in the digit's plane."""
+    x, y, _ = (rotation.T @ np.asarray(gravity, dtype=float)).tolist()
+    return x, y
+
+
+def _constant(values: Values) -> Array:
+    array = np.array(values, dtype=float)
+    array.setflags(write=False)
+    return array

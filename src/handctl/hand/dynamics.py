@@ -1,0 +1,226 @@
+"""Equations of motion of a digit, in closed form.
+
+Written in absolute link angles, theta_i = q_1 + .. + q_i, where they are shortest, and mapped to joint angles by
+virtual work: tau = S^T T with theta = S q, S lower triangular of ones. Joint armature adds r_i q_i''.
+With c_ij = cos(theta_i - theta_j), s_ij = sin(theta_i - theta_j):
+
+    T_1 = j_1 th_1'' + a c_12 th_2'' + b c_13 th_3'' + a s_12 th_2'^2 + b s_13 th_3'^2 + gravity
+    T_2 = j_2 th_2'' + a c_12 th_1'' + e c_23 th_3'' - a s_12 th_1'^2 + e s_23 th_3'^2 + gravity
+    T_3 = j_3 th_3'' + b c_13 th_1'' + e c_23 th_2'' - b s_13 th_1'^2 - e s_23 th_2'^2 + gravity
+
+Source: Hussain & Suhaib, Eq. 7-12, corrected. Plain floats, since a control tick evaluates this for every digit.
+"""
+
+from collections.abc import Sequence
+from math import cos, sin
+
+import numpy as np
+
+from handctl.hand.digit import Array, DigitModel, Values
+
+__all__ = [
+    "DigitModel",
+    "bias_torque",
+    "damping_torque",
+    "forward_dynamics",
+    "gravity_torque",
+    "inverse_dynamics",
+    "kinetic_energy",
+    "mass_matrix",
+    "passive_torque",
+    "potential_energy",
+    "reduced_dynamics",
+    "required_torque",
+    "spring_energy",
+    "spring_torque",
+    "static_torque",
+]
+
+Torque = tuple[float, ...]
+NO_GRAVITY = (0.0, 0.0)
+
+
+def inverse_dynamics(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> Torque:
+    """Joint torque of the links' motion and weight: M q'' + C q' + g, springs and damping not included.
+
+    Args:
+        digit: the digit.
+        q: (n,) [rad].
+        dq: (n,) [rad/s].
+        ddq: (n,) [rad/s2].
+
+    Returns:
+        (n,) [N m].
+    """
+    return _newton(digit, digit.gravity, _three(digit, q), _three(digit, dq), _three(digit, ddq))
+
+
+def required_torque(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> Torque:
+    """Joint torque that tendons must make for a motion: inverse dynamics, springs and damping, (n,) [N m]."""
+    angles, rates = _three(digit, q), _three(digit, dq)
+    rigid = _newton(digit, digit.gravity, angles, rates, _three(digit, ddq))
+    passive = zip(digit.spring_stiffness, digit.spring_preload, digit.joint_damping, strict=True)
+    return tuple(
+        [
+            tau + stiffness * (angle + preload) + damping * rate
+            for tau, angle, rate, (stiffness, preload, damping) in zip(rigid, angles, rates, passive, strict=False)
+        ]
+    )
+
+
+def bias_torque(digit: DigitModel, q: Values, dq: Values) -> Torque:
+    """Coriolis and centrifugal torque C q', (n,) [N m]."""
+    return _newton(digit, NO_GRAVITY, _three(digit, q), _three(digit, dq), (0.0, 0.0, 0.0))
+
+
+def gravity_torque(digit: DigitModel, q: Values) -> Torque:
+    """Joint torque that holds the links up, (n,) [N m]."""
+    w1, w2, w3 = digit.links[6:9]
+    gx, gy = digit.gravity
+    q1, q2, q3 = _three(digit, q)
+    t2 = q1 + q2
+    t3 = t2 + q3
+    g3 = w3 * (gx * sin(t3) - gy * cos(t3))
+    g2 = w2 * (gx * sin(t2) - gy * cos(t2)) + g3
+    g1 = w1 * (gx * sin(q1) - gy * cos(q1)) + g2
+    return _own(digit, (g1, g2, g3))
+
+
+def spring_torque(digit: DigitModel, q: Values) -> Torque:
+    """Joint torque that the return springs ask for, k (q + preload), (n,) [N m]."""
+    return tuple(
+        stiffness * (angle + preload)
+        for stiffness, angle, preload in zip(digit.spring_stiffness, _plain(q), digit.spring_preload, strict=True)
+    )
+
+
+def damping_torque(digit: DigitModel, dq: Values) -> Torque:
+    """Joint torque that viscous damping asks for, (n,) [N m]."""
+    return tuple(damping * rate for damping, rate in zip(digit.joint_damping, _plain(dq), strict=True))
+
+
+def passive_torque(digit: DigitModel, q: Values, dq: Values) -> Torque:
+    """Joint torque that springs and damping ask for, (n,) [N m]."""
+    return tuple(a + b for a, b in zip(spring_torque(digit, q), damping_torque(digit, dq), strict=True))
+
+
+def static_torque(digit: DigitModel, q: Values) -> Torque:
+    """Joint torque that holds the digit where it is: gravity and springs, (n,) [N m]."""
+    return tuple(a + b for a, b in zip(gravity_torque(digit, q), spring_torque(digit, q), strict=True))
+
+
+def mass_matrix(digit: DigitModel, q: Values) -> Array:
+    """M in joint angles, armature included, (n, n) [kg m2]."""
+    j1, j2, j3, a, b, e = digit.links[:6]
+    _, q2, q3 = _three(digit, q)
+    a *= cos(q2)
+    b *= cos(q2 + q3)
+    e *= cos(q3)
+    m33 = j3
+    m23 = j3 + e
+    m13 = m23 + b
+    m22 = j2 + e + m23
+    m12 = j2 + a + e + m13
+    m11 = j1 + a + b + m12
+    n = len(digit.lengths)
+    r1, r2, r3 = digit.links[9:]
+    return np.array([[m11 + r1, m12, m13], [m12, m22 + r2, m23], [m13, m23, m33 + r3]])[:n, :n]
+
+
+def forward_dynamics(digit: DigitModel, q: Values, dq: Values, tau: Values) -> Array:
+    """Acceleration that a joint torque makes against inertia and weight, (n,) [rad/s2].
+
+    Args:
+        digit: the digit.
+        q: (n,) [rad].
+        dq: (n,) [rad/s].
+        tau: (n,) torque of tendons and contact, less ``passive_torque`` [N m].
+    """
+    standing = inverse_dynamics(digit, q, dq, (0.0,) * digit.joint_count)
+    return np.asarray(np.linalg.solve(mass_matrix(digit, q), np.subtract(tau, standing)))
+
+
+def reduced_dynamics(digit: DigitModel, theta: Values, dtheta: Values) -> tuple[Array, Array]:
+    """M_r = B^T M B and h_r = B^T (C q' + g + springs + damping): torque in coordinates is M_r theta'' + h_r.
+
+    Args:
+        digit: the digit.
+        theta: (n_c,) reduced coordinates [rad].
+        dtheta: (n_c,) [rad/s].
+
+    Returns:
+        M_r (n_c, n_c) [kg m2] and h_r (n_c,) [N m].
+    """
+    coupling = digit.coupling
+    q, dq = (coupling @ theta).tolist(), (coupling @ dtheta).tolist()
+    standing = required_torque(digit, q, dq, (0.0,) * len(q))
+    return coupling.T @ mass_matrix(digit, q) @ coupling, np.array(standing) @ coupling
+
+
+def kinetic_energy(digit: DigitModel, q: Values, dq: Values) -> float:
+    """Kinetic energy of links and armature [J]."""
+    rate = np.asarray(dq)
+    return float(0.5 * rate @ mass_matrix(digit, q) @ rate)
+
+
+def potential_energy(digit: DigitModel, q: Values) -> float:
+    """Potential energy of the links' weight, zero with all mass at the digit's mount [J]."""
+    gx, gy = digit.gravity
+    angles = np.cumsum(q).tolist()
+    moments = digit.links[6 : 6 + digit.joint_count]
+    return -sum(w * (gx * cos(t) + gy * sin(t)) for w, t in zip(moments, angles, strict=True))
+
+
+def spring_energy(digit: DigitModel, q: Values) -> float:
+    """Energy stored in the return springs [J]."""
+    stretched = np.asarray(q) + digit.spring_preload
+    return float(0.5 * np.asarray(digit.spring_stiffness) @ stretched**2)
+
+
+Three = tuple[float, float, float]
+
+
+def _newton(digit: DigitModel, gravity: tuple[float, float], q: Three, dq: Three, ddq: Three) -> Torque:
+    """The module's equations, by sums and differences of angles; three links of which some may be absent."""
+    j1, j2, j3, a, b, e, w1, w2, w3, r1, r2, r3 = digit.links
+    gx, gy = gravity
+    t1, q2, q3 = q
+    t2 = t1 + q2
+    t3 = t2 + q3
+    v1, v2, v3 = dq
+    v2 += v1
+    v3 += v2
+    a1, ddq2, ddq3 = ddq
+    a2 = a1 + ddq2
+    a3 = a2 + ddq3
+    q23 = q2 + q3
+    a_c, b_c, e_c = a * cos(q2), b * cos(q23), e * cos(q3)
+    a_s, b_s, e_s = a * sin(q2), b * sin(q23), e * sin(q3)
+    v1 *= v1
+    v2 *= v2
+    v3 *= v3
+    g1 = w1 * (gx * sin(t1) - gy * cos(t1))
+    g2 = w2 * (gx * sin(t2) - gy * cos(t2))
+    g3 = w3 * (gx * sin(t3) - gy * cos(t3))
+    tau3 = j3 * a3 + b_c * a1 + e_c * a2 + b_s * v1 + e_s * v2 + g3
+    tau2 = j2 * a2 + a_c * a1 + e_c * a3 + a_s * v1 - e_s * v3 + g2 + tau3
+    tau1 = j1 * a1 + a_c * a2 + b_c * a3 - a_s * v2 - b_s * v3 + g1 + tau2
+    return _own(digit, (tau1 + r1 * a1, tau2 + r2 * ddq2, tau3 + r3 * ddq3))
+
+
+def _three(digit: DigitModel, values: Values) -> Three:
+    """Values of the digit's joints as floats, zeros for joints that it lacks."""
+    if isinstance(values, np.ndarray):
+        values = values.tolist()
+    x, y, z = (*values, *digit.padding) if digit.padding else values
+    return x, y, z
+
+
+def _own(digit: DigitModel, values: Three) -> Torque:
+    """The values that belong to joints of the digit."""
+    return values[: len(digit.lengths)] if digit.padding else values
+
+
+def _plain(values: Values) -> Sequence[float]:
+    """Plain floats, which are several times faster than numpy's scalars."""
+    return values.tolist() if isinstance(values, np.ndarray) else values

@@ -1,0 +1,56 @@
+"""Frames of a digit's links in the palm frame, as viewers and ROS want them."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from handctl.hand.digit import Array, DigitModel, Values
+from handctl.hand.kinematics import points, to_palm
+
+
+class Transform(NamedTuple):
+    """A frame in the palm's frame, as ROS wants it: position [m] and unit quaternion."""
+
+    frame: str
+    position: tuple[float, float, float]
+    quaternion_xyzw: tuple[float, float, float, float]
+
+
+def link_transforms(digit: DigitModel, q: Values) -> tuple[Transform, ...]:
+    """Frames ``<digit>_link1``.. at each link's joint with x along the link, and ``<digit>_tip``, in the palm frame."""
+    angles = np.cumsum(q).tolist()
+    names = [*(f"{digit.name}_link{i + 1}" for i in range(digit.joint_count)), f"{digit.name}_tip"]
+    mount = quaternion(digit.mount_rotation)
+    return tuple(
+        Transform(name, (place[0], place[1], place[2]), _turned(mount, angle))
+        for name, place, angle in zip(
+            names, to_palm(digit, points(digit, q)).tolist(), [*angles, angles[-1]], strict=True
+        )
+    )
+
+
+def quaternion(rotation: Array) -> tuple[float, float, float, float]:
+    """Unit quaternion (x, y, z, w) of a rotation matrix (3, 3).
+
+    Taken from its largest component, so that no division is by a small number. Source: Shepperd (1978).
+    """
+    trace = float(np.trace(rotation))
+    squares = [*(1.0 - trace + 2.0 * np.diag(rotation)).tolist(), 1.0 + trace]
+    largest = max(range(4), key=squares.__getitem__)
+    (_, xy, xz), (yx, _, yz), (zx, zy, _) = rotation.tolist()
+    rows = (
+        (squares[0], xy + yx, xz + zx, zy - yz),
+        (xy + yx, squares[1], yz + zy, xz - zx),
+        (xz + zx, yz + zy, squares[2], yx - xy),
+        (zy - yz, xz - zx, yx - xy, squares[3]),
+    )
+    x, y, z, w = (entry / (2.0 * math.sqrt(squares[largest])) for entry in rows[largest])
+    return x, y, z, w
+
+
+def _turned(mount: tuple[float, float, float, float], angle: float) -> tuple[float, float, float, float]:
+    """Quaternion of the mount times a turn about z."""
+    x, y, z, w = mount
+    s, c = math.sin(angle / 2), math.cos(angle / 2)
+    return x * c + y * s, y * c - x * s, z * c + w * s, w * c - z * s

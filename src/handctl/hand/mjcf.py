@@ -1,0 +1,108 @@
+"""A hand as MJCF, for MuJoCo and its friends: links, springs, stops, and tendons that pull with a tension.
+
+The world frame is the palm frame. All joints at zero is the straight hand, positive angles flex. Each control is the
+tension of one tendon at the joint pulleys [N]; ropes, friction and rotors are not part of the model.
+"""
+
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from handctl.hand.description import Hand
+from handctl.hand.digit import rotation_rpy
+from handctl.hand.frames import quaternion
+from handctl.hand.sections import Digit
+from handctl.hand.urdf import PALM_MARGIN, PALM_THICKNESS
+
+STOPS = ("0.002 1", "0.99 0.9999 0.001")
+"""Stiff joint stops; MuJoCo's own let springs push these light links 16 degrees past them."""
+
+
+def mjcf(hand: Hand) -> str:
+    """MJCF of a hand with bodies ``palm`` and ``index_link1``.., joints ``index_j1``.., sites ``index_tip``.."""
+    root = ET.Element("mujoco", model=hand.name)
+    ET.SubElement(root, "compiler", angle="radian", autolimits="true")
+    gravity = _numbers(hand.mount.gravity_m_s2)
+    ET.SubElement(root, "option", gravity=gravity, timestep="0.0005", integrator="implicitfast", cone="elliptic")
+    palm = ET.SubElement(ET.SubElement(root, "worldbody"), "body", name="palm")
+    _palm(palm, hand)
+    for digit in hand.digit:
+        _digit(palm, digit)
+    _tendons(root, hand)
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _palm(palm: ET.Element, hand: Hand) -> None:
+    """A box behind all digits, which do not collide with it where they are mounted."""
+    mounts = np.array([digit.mount_position_m for digit in hand.digit])
+    low, high = mounts.min(axis=0) - PALM_MARGIN, mounts.max(axis=0) + PALM_MARGIN
+    low[0], high[0] = -PALM_THICKNESS, 0.0
+    size, centre = (high - low) / 2, (high + low) / 2
+    ET.SubElement(palm, "geom", name="palm", type="box", size=_numbers(size), pos=_numbers(centre))
+
+
+def _digit(palm: ET.Element, digit: Digit) -> None:
+    """Nested bodies: each link lies along its x axis, its hinge at its origin."""
+    parent = palm
+    for i, joint in enumerate(digit.joints):
+        place = digit.mount_position_m if i == 0 else (digit.link_length_m[i - 1], 0.0, 0.0)
+        link = ET.SubElement(parent, "body", name=f"{digit.name}_link{i + 1}", pos=_numbers(place))
+        if i == 0:
+            x, y, z, w = quaternion(rotation_rpy(*np.radians(digit.mount_rpy_deg)))
+            link.set("quat", _numbers((w, x, y, z)))
+        _hinge(link, digit, i, joint)
+        _bar(link, digit, i)
+        parent = link
+    ET.SubElement(parent, "site", name=f"{digit.name}_tip", pos=_numbers((digit.link_length_m[-1], 0.0, 0.0)))
+
+
+def _hinge(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
+    ET.SubElement(
+        link,
+        "joint",
+        name=joint,
+        axis="0 0 1",
+        range=_numbers(np.radians((digit.joint_min_deg[i], digit.joint_max_deg[i]))),
+        damping=_number(digit.joint_damping_N_m_s_per_rad[i]),
+        armature=_number(digit.joint_armature_kg_m2[i]),
+        stiffness=_number(digit.spring_stiffness_N_m_per_rad[i]),
+        springref=_number(-digit.spring_preload_rad[i]),
+        solreflimit=STOPS[0],
+        solimplimit=STOPS[1],
+    )
+
+
+def _bar(link: ET.Element, digit: Digit, i: int) -> None:
+    """Inertia about the hinge as described, about the bar's own axis that of a round bar; a capsule to touch with."""
+    length, radius, mass = digit.link_length_m[i], digit.link_radius_m, digit.link_mass_kg[i]
+    about_hinge = digit.link_inertia_kg_m2[i]
+    along = min(mass * radius**2 / 2, 2 * about_hinge)
+    ET.SubElement(
+        link,
+        "inertial",
+        pos=_numbers((digit.link_com_m[i], 0.0, 0.0)),
+        mass=_number(mass),
+        diaginertia=_numbers((along, about_hinge, about_hinge)),
+    )
+    ET.SubElement(link, "geom", type="capsule", fromto=_numbers((0, 0, 0, length, 0, 0)), size=_number(radius))
+
+
+def _tendons(root: ET.Element, hand: Hand) -> None:
+    """Fixed tendons by their moment arms, each pulled by a motor that cannot push."""
+    tendons, actuators = ET.SubElement(root, "tendon"), ET.SubElement(root, "actuator")
+    for tendon in hand.tendon:
+        fixed = ET.SubElement(tendons, "fixed", name=tendon.name)
+        for joint, arm in tendon.moment_arm_m.items():
+            ET.SubElement(fixed, "joint", joint=joint, coef=_number(arm))
+        limits = _numbers((0.0, tendon.tension_max_N))
+        ET.SubElement(actuators, "motor", name=tendon.motor, tendon=tendon.name, ctrlrange=limits)
+
+
+def _number(value: float) -> str:
+    """Shortest text that reads back as the same number."""
+    return repr(float(value))
+
+
+def _numbers(values: object) -> str:
+    return " ".join(_number(value) for value in np.asarray(values, dtype=float).tolist())

@@ -1,0 +1,120 @@
+"""The kinds of value that a hand file may hold, each with the band of values that is plausible for a robot hand.
+
+The bands are wide for hands and narrow against wrong units: a link given in millimetres is a thousand times out.
+"""
+
+import re
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator
+from pydantic_core import PydanticCustomError
+
+NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+
+
+def wrong(right: str) -> PydanticCustomError:
+    """Error that carries what would have been right; ``messages`` prints it after the offending value."""
+    return PydanticCustomError("hand", "expected {right}", {"right": right})
+
+
+def band(low: float, high: float, unit: str = "", hint: str = "") -> BeforeValidator:
+    """Validator of a finite real number within [low, high]; returns a float.
+
+    Args:
+        low: smallest plausible value.
+        high: largest plausible value.
+        unit: unit of the three.
+        hint: what to think of when the value is too large, e.g. "in metres?".
+    """
+    right = f"a number from {low:g} to {high:g} {unit}".rstrip()
+
+    def check(value: Any) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise wrong(right)
+        if not low <= value <= high:
+            raise wrong(f"{right} ({hint})" if hint and value > high else right)
+        return float(value)
+
+    return BeforeValidator(check)
+
+
+def whole(low: int, high: int) -> BeforeValidator:
+    """Validator of an integer within [low, high]."""
+
+    def check(value: Any) -> int:
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise wrong(f"a whole number from {low} to {high}")
+        return value
+
+    return BeforeValidator(check)
+
+
+def _direction(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or value not in (1, -1):
+        raise wrong("1 or -1")
+    return value
+
+
+def _identifier(value: Any) -> str:
+    if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value):
+        raise wrong("a name of letters, digits and _ that begins with a letter")
+    return value
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise wrong("a string")
+    return value
+
+
+def _options(value: Any) -> dict[str, bool | int | float | str]:
+    if not isinstance(value, dict):
+        raise wrong("a table")
+    for key, entry in value.items():
+        if not isinstance(entry, bool | int | float | str) or (isinstance(entry, float) and not abs(entry) < 1e300):
+            raise wrong(f"finite numbers, strings and booleans; {key} is none of them")
+    return value
+
+
+Name = Annotated[str, BeforeValidator(_identifier)]
+Text = Annotated[str, BeforeValidator(_text)]
+Direction = Annotated[int, BeforeValidator(_direction)]
+Options = Annotated[dict[str, bool | int | float | str], BeforeValidator(_options)]
+
+Length = Annotated[float, band(1e-3, 0.2, "m", "in metres?")]
+ComDistance = Annotated[float, band(0.0, 0.2, "m", "in metres?")]
+Radius = Annotated[float, band(5e-4, 0.05, "m", "in metres?")]
+MomentArm = Annotated[float, band(-0.05, 0.05, "m", "in metres?")]
+Position = Annotated[float, band(-0.5, 0.5, "m", "in metres?")]
+Mass = Annotated[float, band(1e-5, 0.5, "kg", "in kilograms?")]
+LinkInertia = Annotated[float, band(1e-12, 1e-3, "kg m2", "in kg m2?")]
+Armature = Annotated[float, band(0.0, 1e-3, "kg m2", "in kg m2?")]
+MotorInertia = Annotated[float, band(1e-8, 1e-1, "kg m2", "in kg m2, at the spool?")]
+JointAngle = Annotated[float, band(-180.0, 180.0, "deg")]
+MountAngle = Annotated[float, band(-360.0, 360.0, "deg")]
+Preload = Annotated[float, band(0.0, 6.3, "rad", "in radians?")]
+Wrap = Annotated[float, band(0.0, 20.0, "rad", "in radians?")]
+Zero = Annotated[float, band(-100.0, 100.0, "rad", "in radians?")]
+PositionRange = Annotated[float, band(0.1, 1000.0, "rad", "in radians?")]
+SpeedRange = Annotated[float, band(0.1, 1000.0, "rad/s", "in rad/s?")]
+Damping = Annotated[float, band(0.0, 0.1, "N m s/rad")]
+SpringStiffness = Annotated[float, band(0.0, 10.0, "N m/rad", "in N m per radian?")]
+Gravity = Annotated[float, band(-20.0, 20.0, "m/s2")]
+Coupling = Annotated[float, band(-10.0, 10.0)]
+Force = Annotated[float, band(0.0, 5000.0, "N", "in newtons?")]
+PositiveForce = Annotated[float, band(0.1, 5000.0, "N", "in newtons?")]
+RopeStiffness = Annotated[float, band(1e3, 1e7, "N/m", "in N/m?")]
+RopeDamping = Annotated[float, band(0.0, 1e4, "N s/m")]
+StiffnessRatio = Annotated[float, band(0.01, 10.0)]
+KneeWidth = Annotated[float, band(1e-6, 0.01, "m", "in metres?")]
+FrictionCoefficient = Annotated[float, band(0.0, 1.0)]
+Torque = Annotated[float, band(0.0, 50.0, "N m", "in N m?")]
+PositiveTorque = Annotated[float, band(1e-3, 50.0, "N m", "in N m?")]
+TorqueConstant = Annotated[float, band(1e-4, 50.0, "N m/A", "at the spool?")]
+JointNoise = Annotated[float, band(1e-7, 0.5, "rad", "in radians?")]
+Bitrate = Annotated[int, whole(10_000, 8_000_000)]
+NodeId = Annotated[int, whole(1, 0x7F)]
+CanId = Annotated[int, whole(1, 0x7FF)]
+Decimation = Annotated[int, whole(1, 256)]
+Watchdog = Annotated[int, whole(1, 10_000)]
+SchemaNumber = Annotated[int, whole(1, 1)]

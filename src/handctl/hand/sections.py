@@ -1,0 +1,138 @@
+"""The sections of a hand file as frozen pydantic models; the keys carry their units."""
+
+import math
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from handctl.hand import quantities as qty
+
+
+class Section(BaseModel):
+    """A table of the file: frozen, no unknown keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+class Mount(Section):
+    """How the palm stands in the world."""
+
+    gravity_m_s2: tuple[qty.Gravity, qty.Gravity, qty.Gravity]
+    """Gravity in the palm frame: x out of the palm, y from thumb to fingers, z along the hinges."""
+
+
+class Bus(Section):
+    """A CAN bus; what it is connected to is said on the command line."""
+
+    name: qty.Name
+    bitrate: qty.Bitrate
+    data_bitrate: qty.Bitrate | None = None
+    """Of CAN FD's data phase; absent: a classical bus."""
+
+
+class SensorNode(Section):
+    """Load cells between spool and first pulley, and joint encoders, on one node."""
+
+    bus: qty.Name
+    sync_id: qty.CanId
+    """One byte, the tick counter; the node samples when it sees it."""
+    base_id: qty.CanId
+    """Tension frames from here on, joint frames from ``base_id + 0x10`` on, five channels a frame."""
+    tendons: tuple[qty.Name, ...]
+    joints: tuple[qty.Name, ...]
+    joint_decimation: qty.Decimation
+    tension_noise_N: qty.Force
+    tension_bias_drift_N: qty.Force
+    """Random walk, per 100 s."""
+    joint_noise_rad: qty.JointNoise
+
+    @property
+    def tension_ids(self) -> tuple[int, ...]:
+        """Identifiers of the tension frames."""
+        return tuple(self.base_id + group for group in range(math.ceil(len(self.tendons) / CHANNELS_PER_FRAME)))
+
+    @property
+    def joint_ids(self) -> tuple[int, ...]:
+        """Identifiers of the joint frames."""
+        groups = math.ceil(len(self.joints) / CHANNELS_PER_FRAME)
+        return tuple(self.base_id + JOINT_FRAME_OFFSET + group for group in range(groups))
+
+
+CHANNELS_PER_FRAME = 5
+"""12 bit channels beside the 4 bit counter in 8 bytes. Source: sensor_node.dbc."""
+JOINT_FRAME_OFFSET = 0x10
+"""Distance of joint from tension frame identifiers. Source: sensor_node.dbc."""
+
+
+class Digit(Section):
+    """A finger or thumb: a planar chain; its frame has x along the straight digit, z the hinge, flexion positive."""
+
+    name: qty.Name
+    mount_position_m: tuple[qty.Position, qty.Position, qty.Position]
+    mount_rpy_deg: tuple[qty.MountAngle, qty.MountAngle, qty.MountAngle]
+    """Roll, pitch, yaw about the fixed axes of the palm: Rz(yaw) Ry(pitch) Rx(roll)."""
+    link_length_m: tuple[qty.Length, ...] = Field(min_length=1, max_length=3)
+    link_com_m: tuple[qty.ComDistance, ...]
+    """Distance of the centre of mass from the link's own joint."""
+    link_mass_kg: tuple[qty.Mass, ...]
+    link_inertia_kg_m2: tuple[qty.LinkInertia, ...]
+    """About the hinge direction through the centre of mass."""
+    link_radius_m: qty.Radius
+    joint_min_deg: tuple[qty.JointAngle, ...]
+    joint_max_deg: tuple[qty.JointAngle, ...]
+    joint_damping_N_m_s_per_rad: tuple[qty.Damping, ...]
+    joint_armature_kg_m2: tuple[qty.Armature, ...]
+    spring_stiffness_N_m_per_rad: tuple[qty.SpringStiffness, ...]
+    spring_preload_rad: tuple[qty.Preload, ...]
+    """Spring torque is k (q + preload), against flexion."""
+    coupling: tuple[tuple[qty.Coupling, ...], ...] | None = None
+    """B of q = B theta, a row per joint, for a digit with fewer tendons than joints; absent: every joint for itself."""
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Joint names from the palm outwards."""
+        return tuple(f"{self.name}_j{i + 1}" for i in range(len(self.link_length_m)))
+
+
+class Tendon(Section):
+    """A tendon: its path, its rope and its limits; tensions are at the load cell."""
+
+    name: qty.Name
+    motor: qty.Name
+    moment_arm_m: dict[str, qty.MomentArm]
+    """A row of R, by joint; a joint that is absent is not crossed; positive flexes."""
+    stiffness_N_per_m: qty.RopeStiffness
+    damping_N_s_per_m: qty.RopeDamping
+    knee_N: qty.PositiveForce
+    stiffness_beyond_ratio: qty.StiffnessRatio
+    knee_width_m: qty.KneeWidth
+    friction_coefficient: qty.FrictionCoefficient
+    wrap_angle_rad: qty.Wrap
+    rated_breaking_force_N: qty.PositiveForce
+    tension_floor_N: qty.Force
+    tension_max_N: qty.PositiveForce
+    tension_trip_N: qty.PositiveForce
+    drive_limit_N: qty.PositiveForce
+
+
+class Motor(Section):
+    """A motor with its drive; quantities are at the spool, after the gear."""
+
+    name: qty.Name
+    protocol: qty.Name
+    bus: qty.Name
+    node_id: qty.NodeId
+    spool_radius_m: qty.Radius
+    inertia_kg_m2: qty.MotorInertia
+    viscous_N_m_s_per_rad: qty.Damping
+    coulomb_N_m: qty.Torque
+    torque_constant_N_m_per_A: qty.TorqueConstant
+    torque_max_N_m: qty.PositiveTorque
+    torque_peak_N_m: qty.PositiveTorque
+    position_range_rad: qty.PositionRange
+    velocity_range_rad_s: qty.SpeedRange
+    direction: qty.Direction
+    """1 if positive torque of the drive winds the tendon, else -1."""
+    zero_rad: qty.Zero
+    watchdog_ms: qty.Watchdog
+    options: qty.Options = Field(default_factory=dict)
+    """What only this protocol knows, e.g. ``reply_id``."""

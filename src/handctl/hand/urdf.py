@@ -1,0 +1,117 @@
+"""A hand as URDF: primitives only, for viewers and for other people's dynamics libraries.
+
+All joints at zero is the straight hand, positive angles flex. Links are bars along their own x axis; a link's inertia
+about its hinge is that of the description, and about the other axes that of a slender round bar.
+"""
+
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from handctl.hand.description import Hand
+from handctl.hand.sections import Digit
+
+PALM_THICKNESS = 0.010
+"""Depth of the palm's box [m]; its face is x = 0."""
+PALM_MARGIN = 0.010
+"""How far the palm reaches beyond the outermost digits [m]."""
+
+
+def urdf(hand: Hand) -> str:
+    """URDF of a hand with root link ``palm``, links ``index_link1``.., joints ``index_j1``.. and tips ``index_tip``."""
+    robot = ET.Element("robot", name=hand.name)
+    _palm(robot, hand)
+    for digit in hand.digit:
+        for i in range(len(digit.link_length_m)):
+            _joint(robot, hand, digit, i)
+            _link(robot, digit, i)
+        _tip(robot, digit)
+    ET.indent(robot)
+    return ET.tostring(robot, encoding="unicode") + "\n"
+
+
+def _palm(robot: ET.Element, hand: Hand) -> None:
+    """Root link: a box behind all digits, without mass since it does not move."""
+    mounts = np.array([digit.mount_position_m for digit in hand.digit])
+    low, high = mounts.min(axis=0) - PALM_MARGIN, mounts.max(axis=0) + PALM_MARGIN
+    low[0], high[0] = -PALM_THICKNESS, 0.0
+    link = ET.SubElement(robot, "link", name="palm")
+    for kind in ("visual", "collision"):
+        part = ET.SubElement(link, kind)
+        ET.SubElement(part, "origin", xyz=_numbers((low + high) / 2), rpy="0 0 0")
+        ET.SubElement(ET.SubElement(part, "geometry"), "box", size=_numbers(high - low))
+
+
+def _joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
+    """Hinge before link i, with the limits that tendons and motors set."""
+    name = digit.joints[i]
+    joint = ET.SubElement(robot, "joint", name=name, type="revolute")
+    ET.SubElement(joint, "parent", link="palm" if i == 0 else f"{digit.name}_link{i}")
+    ET.SubElement(joint, "child", link=f"{digit.name}_link{i + 1}")
+    if i == 0:
+        ET.SubElement(
+            joint, "origin", xyz=_numbers(digit.mount_position_m), rpy=_numbers(np.radians(digit.mount_rpy_deg))
+        )
+    else:
+        ET.SubElement(joint, "origin", xyz=_numbers((digit.link_length_m[i - 1], 0.0, 0.0)), rpy="0 0 0")
+    ET.SubElement(joint, "axis", xyz="0 0 1")
+    crossing = [tendon for tendon in hand.tendon if name in tendon.moment_arm_m]
+    effort = sum(abs(tendon.moment_arm_m[name]) * tendon.tension_max_N for tendon in crossing)
+    motors = [(hand.motor_of(tendon.name), abs(tendon.moment_arm_m[name])) for tendon in crossing]
+    speed = min(motor.velocity_range_rad_s * motor.spool_radius_m / arm for motor, arm in motors)
+    ET.SubElement(
+        joint,
+        "limit",
+        lower=_number(np.radians(digit.joint_min_deg[i])),
+        upper=_number(np.radians(digit.joint_max_deg[i])),
+        effort=_number(effort),
+        velocity=_number(speed),
+    )
+    ET.SubElement(joint, "dynamics", damping=_number(digit.joint_damping_N_m_s_per_rad[i]), friction="0")
+
+
+def _link(robot: ET.Element, digit: Digit, i: int) -> None:
+    """Link i: inertia, and a cylinder that ends in a ball at the far end."""
+    length, radius, mass = digit.link_length_m[i], digit.link_radius_m, digit.link_mass_kg[i]
+    about_hinge = digit.link_inertia_kg_m2[i]
+    along = min(mass * radius**2 / 2, 2 * about_hinge)
+    link = ET.SubElement(robot, "link", name=f"{digit.name}_link{i + 1}")
+    inertial = ET.SubElement(link, "inertial")
+    ET.SubElement(inertial, "origin", xyz=_numbers((digit.link_com_m[i], 0.0, 0.0)), rpy="0 0 0")
+    ET.SubElement(inertial, "mass", value=_number(mass))
+    ET.SubElement(
+        inertial,
+        "inertia",
+        ixx=_number(along),
+        iyy=_number(about_hinge),
+        izz=_number(about_hinge),
+        ixy="0",
+        ixz="0",
+        iyz="0",
+    )
+    for kind in ("visual", "collision"):
+        bar = ET.SubElement(link, kind)
+        ET.SubElement(bar, "origin", xyz=_numbers((length / 2, 0.0, 0.0)), rpy=f"0 {_number(np.pi / 2)} 0")
+        ET.SubElement(ET.SubElement(bar, "geometry"), "cylinder", radius=_number(radius), length=_number(length))
+        ball = ET.SubElement(link, kind)
+        ET.SubElement(ball, "origin", xyz=_numbers((length, 0.0, 0.0)), rpy="0 0 0")
+        ET.SubElement(ET.SubElement(ball, "geometry"), "sphere", radius=_number(radius))
+
+
+def _tip(robot: ET.Element, digit: Digit) -> None:
+    """Frame at the end of the last link."""
+    last = len(digit.link_length_m)
+    ET.SubElement(robot, "link", name=f"{digit.name}_tip")
+    joint = ET.SubElement(robot, "joint", name=f"{digit.name}_tip_joint", type="fixed")
+    ET.SubElement(joint, "parent", link=f"{digit.name}_link{last}")
+    ET.SubElement(joint, "child", link=f"{digit.name}_tip")
+    ET.SubElement(joint, "origin", xyz=_numbers((digit.link_length_m[-1], 0.0, 0.0)), rpy="0 0 0")
+
+
+def _number(value: float) -> str:
+    """Shortest text that reads back as the same number."""
+    return repr(float(value))
+
+
+def _numbers(values: object) -> str:
+    return " ".join(_number(value) for value in np.asarray(values, dtype=float).tolist())

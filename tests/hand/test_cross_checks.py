@@ -1,0 +1,193 @@
+"""What must agree within a hand file: units, references, lengths, limits, identifiers, routing."""
+
+import copy
+import math
+import re
+import tomllib
+
+import pytest
+
+from handctl.hand.description import HANDS
+
+JAMIA = tomllib.loads((HANDS / "jamia.toml").read_text())
+
+
+@pytest.fixture
+def edited(refusal):
+    """Refusal of the packaged hand after an edit of its content, without the file's name."""
+
+    def refuse(edit):
+        content = copy.deepcopy(JAMIA)
+        edit(content)
+        return refusal(content).removeprefix("my/hand.toml: ")
+
+    return refuse
+
+
+def put(section, index, **values):
+    """An edit that sets values of one section."""
+    return lambda content: (content[section] if index is None else content[section][index]).update(values)
+
+
+UNITS = [
+    (
+        "digit",
+        {"link_length_m": [30, 15, 10]},
+        "digit[index].link_length_m[0]: 30; expected a number from 0.001 to 0.2 m",
+    ),
+    ("digit", {"link_mass_kg": [6.384, 3.192, 2.128]}, "digit[index].link_mass_kg[0]: 6.384; "),
+    ("digit", {"link_radius_m": 4}, "digit[index].link_radius_m: 4; "),
+    ("tendon", {"moment_arm_m": {"index_j1": 3}}, "tendon[index_tendon].moment_arm_m.index_j1: 3; "),
+    ("tendon", {"knee_width_m": 0.3}, "tendon[index_tendon].knee_width_m: 0.3; "),
+    ("tendon", {"wrap_angle_rad": 90}, "tendon[index_tendon].wrap_angle_rad: 90; "),
+    ("motor", {"spool_radius_m": 5}, "motor[index_motor].spool_radius_m: 5; "),
+    ("motor", {"torque_max_N_m": 800}, "motor[index_motor].torque_max_N_m: 800; "),
+]
+
+
+@pytest.mark.parametrize(("section", "values", "start"), UNITS)
+def test_wrong_units_are_guessed(edited, section, values, start):
+    line = edited(put(section, 0, **values))
+    assert line.startswith(start)
+    assert re.search(r"\(in .*\?\)$", line)
+
+
+def tension(**values):
+    return put("tendon", 0, **values)
+
+
+CASES = {
+    "tension limit above the wire's strength": (
+        tension(tension_max_N=700.0, tension_trip_N=800.0),
+        "tendon[index_tendon].tension_max_N: 700, and the rope breaks at 620 N; expected "
+        "more than tension_floor_N = 3 N and at most rated_breaking_force_N = 620 N",
+    ),
+    "tension limit above the wire's strength and the trip": (
+        tension(tension_max_N=700.0),
+        "tendon[index_tendon].tension_max_N: 700, and the rope breaks at 620 N; expected "
+        "more than tension_floor_N = 3 N and less than tension_trip_N = 140 N",
+    ),
+    "drive limit above the wire's strength": (
+        tension(drive_limit_N=650.0),
+        "tendon[index_tendon].drive_limit_N: 650, and the rope breaks at 620 N; expected "
+        "more than tension_trip_N = 140 N and at most rated_breaking_force_N = 620 N",
+    ),
+    "trip above drive limit": (
+        tension(tension_trip_N=160.0),
+        "tendon[index_tendon].tension_trip_N: 160; expected more than tension_max_N = 110 N and "
+        "less than drive_limit_N = 160 N",
+    ),
+    "floor above maximum": (
+        tension(tension_floor_N=120.0),
+        "tendon[index_tendon].tension_floor_N: 120; expected less than tension_max_N = 110 N",
+    ),
+    "drive torque is not the drive limit": (
+        put("motor", 0, torque_max_N_m=1.0),
+        "motor[index_motor].torque_max_N_m: 1; expected drive_limit_N x spool_radius_m = 0.8 N m",
+    ),
+    "drive torque beyond the motor": (
+        put("motor", 0, torque_peak_N_m=0.7),
+        "motor[index_motor].torque_max_N_m: 0.8; expected at most torque_peak_N_m = 0.7 N m",
+    ),
+    "same node id": (
+        put("motor", 1, node_id=1),
+        'motor[middle_motor].node_id: 0x1 on bus "main" is taken; expected another identifier; '
+        "motor[index_motor].node_id has it",
+    ),
+    "node id is another's reply": (put("motor", 1, node_id=0x11), 'motor[middle_motor].node_id: 0x11 on bus "main"'),
+    "reply id is another's node id": (
+        put("motor", 3, options={"reply_id": 2}),
+        'motor[thumb_motor].options.reply_id: 0x2 on bus "main" is taken',
+    ),
+    "reply id is its own node id": (
+        put("motor", 3, options={"reply_id": 4}),
+        "motor[thumb_motor].options.reply_id: 0x4",
+    ),
+    "reply id is no number": (put("motor", 3, options={"reply_id": "4"}), "motor[thumb_motor].options.reply_id: "),
+    "sensor frames on a drive's reply": (put("sensor_node", None, base_id=0x12), "motor[middle_motor].node_id: 0x12"),
+    "sensor frames on the sync": (put("sensor_node", None, base_id=0x80), "sensor_node.base_id: 0x80"),
+    "sync on the drives' register frames": (put("sensor_node", None, sync_id=0x7FF), "sensor_node.sync_id: 0x7FF"),
+    "two nodes of another protocol": (
+        lambda c: [c["motor"][i].update(protocol="odrive", node_id=9) for i in (0, 1)],
+        'motor[middle_motor].node_id: 0x120 on bus "main" is taken',
+    ),
+    "too few values": (put("digit", 0, link_com_m=[0.015, 0.0075]), "digit[index].link_com_m: 2 values; expected 3"),
+    "centre of mass beyond the link": (
+        put("digit", 0, link_com_m=[0.015, 0.0075, 0.02]),
+        "digit[index].link_com_m[2]: 0.02",
+    ),
+    "inertia beyond the link's mass": (
+        put("digit", 0, link_inertia_kg_m2=[5e-4, 7e-8, 2e-8]),
+        "digit[index].link_inertia_kg_m2[0]: 0.0005",
+    ),
+    "joint limits the wrong way round": (
+        put("digit", 3, joint_min_deg=[0.0, 100.0]),
+        "digit[thumb].joint_max_deg[1]: 100; expected more than joint_min_deg[1] = 100",
+    ),
+    "four links": (
+        put("digit", 0, link_length_m=[0.01] * 4),
+        "digit[index].link_length_m: [0.01, 0.01, 0.01, 0.01]; expected at most 3 values",
+    ),
+    "coupling of the wrong shape": (
+        put("digit", 0, coupling=[[1.0], [1.0]]),
+        "digit[index].coupling: 2 rows; expected 3",
+    ),
+    "ragged coupling": (put("digit", 0, coupling=[[1.0], [1.0, 0.0], [1.0]]), "digit[index].coupling: rows of [1, 2]"),
+    "coupling that the tendon cannot move": (
+        put("digit", 0, coupling=[[1.0], [-1.0], [0.0]]),
+        "digit[index].coupling: its tendons (moment_arm_m) can move only 0 of 1 coordinates",
+    ),
+    "more coordinates than tendons": (
+        put("digit", 0, coupling=[[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]]),
+        "digit[index].coupling: its tendons (moment_arm_m) can move only 1 of 2 coordinates",
+    ),
+    "unknown motor": (tension(motor="index_moter"), 'tendon[index_tendon].motor: "index_moter" is not in this file'),
+    "unknown joint": (tension(moment_arm_m={"index_j4": 0.003}), "tendon[index_tendon].moment_arm_m.index_j4: "),
+    "unknown bus": (
+        put("motor", 0, bus="can0"),
+        'motor[index_motor].bus: "can0" is not in this file; expected one of main',
+    ),
+    "unknown sensor bus": (put("sensor_node", None, bus="x"), 'sensor_node.bus: "x" is not in this file'),
+    "unknown load cell": (put("sensor_node", None, tendons=["x"]), 'sensor_node.tendons[0]: "x" is not in this file'),
+    "load cell twice": (
+        put("sensor_node", None, tendons=["index_tendon"] * 2),
+        'sensor_node.tendons: "index_tendon" twice',
+    ),
+    "motor shared": (
+        put("tendon", 1, motor="index_motor"),
+        'tendon[middle_tendon].motor: "index_motor" drives index_tendon already',
+    ),
+    "motor without tendon": (
+        lambda c: c["motor"].append({**c["motor"][0], "name": "spare", "node_id": 9}),
+        "motor[spare].name: drives no tendon",
+    ),
+    "tendon of two digits": (
+        tension(moment_arm_m={"index_j1": 0.003, "ring_j1": 0.003}),
+        "tendon[index_tendon].moment_arm_m: moves 2 digits",
+    ),
+    "tendon of no digit": (tension(moment_arm_m={}), "tendon[index_tendon].moment_arm_m: moves 0 digits"),
+    "tendon without lever": (
+        tension(moment_arm_m={"index_j1": 0.003, "index_j2": 0.0}),
+        "tendon[index_tendon].moment_arm_m.index_j2: 0; expected 0.0001",
+    ),
+    "tendons out of order": (
+        lambda c: c["tendon"].reverse(),
+        "tendon[ring_tendon].moment_arm_m: a tendon of ring after one of thumb",
+    ),
+    "digit twice": (put("digit", 1, name="index"), 'digit[index].name: "index" twice; expected every name once'),
+    "no digit": (lambda c: c.update(digit=[]), "digit: []; expected at least 1 values"),
+    "a name with a blank": (put("digit", 0, name="index finger"), "digit[index finger].name: "),
+    "direction": (put("motor", 0, direction=0), "motor[index_motor].direction: 0; expected 1 or -1"),
+    "schema of tomorrow": (lambda c: c.update(schema=2, novelty=1), "schema: 2; expected 1"),
+    "negative mass": (
+        put("digit", 0, link_mass_kg=[-6.384e-3, 3.192e-3, 2.128e-3]),
+        "digit[index].link_mass_kg[0]: -0.006384; expected a number from 1e-05 to 0.5 kg",
+    ),
+    "NaN in options": (put("motor", 0, options={"x": math.nan}), "motor[index_motor].options: "),
+    "list in options": (put("motor", 0, options={"x": [1]}), "motor[index_motor].options: "),
+}
+
+
+@pytest.mark.parametrize(("edit", "start"), CASES.values(), ids=CASES.keys())
+def test_what_does_not_fit_together(edited, edit, start):
+    assert edited(edit).startswith(start)

@@ -1,0 +1,154 @@
+"""What a right hand file becomes, and what is said of files that are none."""
+
+import copy
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.errors import ConfigError
+from handctl.hand.description import HANDS, hand_from, load_hand, packaged_hands
+
+CONTENT = {name: tomllib.loads((HANDS / f"{name}.toml").read_text()) for name in packaged_hands()}
+
+
+def changed(content, path, value):
+    """A copy of the content with one value replaced."""
+    content = copy.deepcopy(content)
+    node = content
+    for key in path[:-1]:
+        node = node[key]
+    node[path[-1]] = value
+    return content
+
+
+PACKAGED = "jamia, jamia11, jamia_bench"
+
+
+def test_packaged_hands_are_there():
+    assert packaged_hands() == ("jamia", "jamia11", "jamia_bench")
+
+
+def test_resolved_text_reads_back_as_the_same_hand(hand, tmp_path):
+    path = tmp_path / "copy.toml"
+    path.write_text(hand.to_toml())
+    again = load_hand(path)
+    assert again == hand
+    assert again.identity == hand.identity
+    assert again.to_toml() == hand.to_toml()
+
+
+def test_options_and_awkward_text_survive(tmp_path):
+    content = copy.deepcopy(CONTENT["jamia"])
+    content["description"] = 'a "quoted" \\ tab\t line\nµ \x7f'
+    content["motor"][0]["options"] = {"reply_id": 0x55, "fd": True, "gain": 1e-7, "odd key": "ü"}
+    hand = hand_from(content, "x")
+    path = tmp_path / "copy.toml"
+    path.write_text(hand.to_toml(), encoding="utf-8")
+    assert load_hand(path) == hand
+    assert load_hand(path).motor[0].options == content["motor"][0]["options"]
+
+
+def test_identity_is_of_the_content_and_not_of_its_spelling(hand):
+    plain = CONTENT[hand.name]
+    assert hand_from(dict(reversed(plain.items())), "x").identity == hand.identity
+    whole = changed(plain, ("tendon", 0, "knee_N"), 200)
+    assert hand_from(whole, "x").identity == hand.identity
+    assert re.fullmatch(r"[0-9a-f]{64}", hand.identity)
+    identities = {hand_from(changed(plain, path, value * 1.0001), "x").identity for path, value in tweakable(plain)}
+    assert len(identities | {hand.identity}) == 1 + len(list(tweakable(plain)))
+
+
+def tweakable(content):
+    """Values that may change a little without anything else having to."""
+    for key in ("stiffness_N_per_m", "damping_N_s_per_m", "friction_coefficient", "tension_max_N"):
+        yield ("tendon", 0, key), content["tendon"][0][key]
+    for i in range(3):
+        yield ("digit", 0, "link_mass_kg", i), content["digit"][0]["link_mass_kg"][i]
+
+
+def test_names_and_places(hand):
+    assert hand.joints[:3] == ("index_j1", "index_j2", "index_j3")
+    assert hand.joints[-2:] == ("thumb_j1", "thumb_j2")
+    assert hand.digit_names == ("index", "middle", "ring", "thumb")
+    assert hand.moment_arms.shape == (len(hand.tendon_names), 11)
+    for tendon, row in zip(hand.tendon, hand.moment_arms, strict=True):
+        assert {hand.joints[j]: row[j] for j in np.flatnonzero(row)} == tendon.moment_arm_m
+        assert hand.motor_of(tendon.name).name == tendon.motor
+    for name in hand.digit_names:
+        assert hand.joints[hand.digit_joints[name]] == hand.digit_named(name).joints
+        assert all(tendon.startswith(name) for tendon in hand.tendon_names[hand.digit_tendons[name]])
+    assert [hand.motor_names[i] for i in hand.motor_index] == [tendon.motor for tendon in hand.tendon]
+
+
+def test_a_hand_cannot_be_changed(hand):
+    with pytest.raises(ValueError, match="read-only"):
+        hand.moment_arms[0, 0] = 1.0
+    with pytest.raises(ValueError, match="frozen"):
+        hand.name = "other"
+    with pytest.raises(ValueError, match="frozen"):
+        hand.digit[0].link_radius_m = 1.0
+
+
+def test_sensor_frames(hand):
+    eleven = hand.name == "jamia11"
+    assert hand.sensor_node.tension_ids == ((0x1A0, 0x1A1, 0x1A2) if eleven else (0x1A0,))
+    assert hand.sensor_node.joint_ids == ((0x1B0, 0x1B1, 0x1B2) if eleven else ())
+
+
+def test_several_buses_may_use_the_same_node_ids():
+    content = copy.deepcopy(CONTENT["jamia"])
+    content["bus"].append({"name": "second", "bitrate": 1_000_000})
+    content["motor"][1].update(bus="second", node_id=1)
+    assert hand_from(content, "x").motor[1].node_id == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("jamai", f"jamai: no such hand or file; expected jamia? or one of {PACKAGED}, or the path of a hand file"),
+        ("no/such.toml", f"no/such.toml: no such hand or file; expected one of {PACKAGED}, or the path of a hand file"),
+    ],
+)
+def test_a_hand_that_is_not_there(name, message):
+    with pytest.raises(ConfigError) as caught:
+        load_hand(name)
+    assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"schema = ", "not TOML: "),
+        (b"schema = 1\nschema = 1", "not TOML: "),
+        (b"\xff\xfe", "byte 0 is not UTF-8"),
+        (b"a = " + b"[" * 100_000, "not TOML: "),
+        (b"", "schema: missing"),
+    ],
+)
+def test_a_file_that_is_not_a_hand(tmp_path, data, message):
+    path = tmp_path / "hand.toml"
+    path.write_bytes(data)
+    with pytest.raises(ConfigError) as caught:
+        load_hand(path)
+    assert message in str(caught.value)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_cut_short_anywhere_is_refused(tmp_path):
+    text = (HANDS / "jamia.toml").read_bytes()
+    path = tmp_path / "hand.toml"
+    end_of_content = text.rindex(b"watchdog_ms")
+    for end in range(0, end_of_content, 97):
+        path.write_bytes(text[:end])
+        with pytest.raises(ConfigError) as caught:
+            load_hand(path)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_directory_is_no_hand(tmp_path):
+    with pytest.raises(ConfigError, match="no such hand or file"):
+        load_hand(Path(tmp_path))

@@ -1,0 +1,233 @@
+"""Equations of motion against pinocchio and MuJoCo, and against the laws that any mechanical system obeys."""
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pinocchio
+import pytest
+
+from handctl.hand import dynamics
+from handctl.hand.description import Hand, load_hand
+from handctl.hand.digit import DigitModel
+from handctl.hand.urdf import urdf
+
+SAMPLES = 1000
+GRAVITIES = [(0.0, 0.0, -9.81), (0.0, -9.81, 0.0), (9.81, 0.0, 0.0), (3.1, -7.7, 5.2)]
+TOLERANCE = 1e-9
+
+
+def states(rng, n, samples=SAMPLES):
+    """Random (q, dq, ddq), fast enough that every term counts."""
+    return zip(*(scale * rng.normal(size=(samples, n)) for scale in (1.5, 15.0, 400.0)), strict=True)
+
+
+def agree(mine, reference):
+    """Relative to the largest entry."""
+    return np.abs(np.asarray(mine) - reference).max() <= TOLERANCE * np.abs(reference).max()
+
+
+def pinocchio_by_hand(digit: DigitModel, gravity) -> pinocchio.Model:
+    """The digit as a chain of hinges, not by way of URDF."""
+    model, parent = pinocchio.Model(), 0
+    place = pinocchio.SE3(np.array(digit.mount_rotation), np.array(digit.mount_position))
+    for i in range(digit.joint_count):
+        parent = model.addJoint(parent, pinocchio.JointModelRZ(), place, digit.joint_names[i])
+        inertia = np.diag([0.0, digit.inertias[i], digit.inertias[i]])
+        body = pinocchio.Inertia(digit.masses[i], np.array([digit.coms[i], 0.0, 0.0]), inertia)
+        model.appendBodyToJoint(parent, body, pinocchio.SE3.Identity())
+        place = pinocchio.SE3(np.eye(3), np.array([digit.lengths[i], 0.0, 0.0]))
+    model.gravity.linear = np.array(gravity)
+    model.armature = np.array(digit.armature)
+    return model
+
+
+@pytest.mark.parametrize("gravity", GRAVITIES)
+def test_agrees_with_pinocchio_built_by_hand(digits, rng, gravity):
+    for digit in digits:
+        digit = digit.under(gravity)
+        model = pinocchio_by_hand(digit, gravity)
+        data = model.createData()
+        for q, dq, ddq in states(rng, digit.joint_count):
+            tau = pinocchio.rnea(model, data, q, dq, ddq)
+            assert agree(dynamics.inverse_dynamics(digit, q, dq, ddq), tau)
+            standing = pinocchio.rnea(model, data, q, np.zeros_like(q), np.zeros_like(q))
+            assert np.allclose(dynamics.gravity_torque(digit, q), standing, rtol=0, atol=TOLERANCE * 1e-3)
+            upper = np.triu(pinocchio.crba(model, data, q))
+            assert agree(dynamics.mass_matrix(digit, q), upper + np.triu(upper, 1).T)
+            assert agree(dynamics.forward_dynamics(digit, q, dq, tau), ddq)
+
+
+@pytest.mark.parametrize("gravity", GRAVITIES)
+def test_agrees_with_pinocchio_reading_our_urdf(hand, digits, rng, gravity):
+    model = pinocchio.buildModelFromXML(urdf(hand))
+    model.gravity.linear = np.array(gravity)
+    order = [model.joints[model.getJointId(joint)].idx_v for joint in hand.joints]
+    armature = np.zeros(model.nv)
+    armature[order] = np.concatenate([digit.armature for digit in digits])
+    model.armature = armature
+    data = model.createData()
+    digits = [digit.under(gravity) for digit in digits]
+    for q, dq, ddq in states(rng, len(hand.joints)):
+        theirs = [np.zeros(model.nv) for _ in range(3)]
+        for vector, mine in zip(theirs, (q, dq, ddq), strict=True):
+            vector[order] = mine
+        assert agree(whole_hand(digits, q, dq, ddq), pinocchio.rnea(model, data, *theirs)[order])
+
+
+@pytest.mark.parametrize("gravity", GRAVITIES)
+def test_agrees_with_mujoco_reading_our_urdf(hand, digits, rng, gravity):
+    model = mujoco.MjModel.from_xml_string(urdf(hand))
+    assert [model.joint(i).name for i in range(model.nv)] == list(hand.joints)
+    model.opt.gravity[:] = gravity
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    model.dof_damping[:] = 0.0
+    model.dof_armature[:] = np.concatenate([digit.armature for digit in digits])
+    data = mujoco.MjData(model)
+    digits = [digit.under(gravity) for digit in digits]
+    full = np.zeros((model.nv, model.nv))
+    for q, dq, ddq in states(rng, model.nv):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q, dq, ddq
+        mujoco.mj_inverse(model, data)
+        assert agree(whole_hand(digits, q, dq, ddq), data.qfrc_inverse)
+        mujoco.mj_fullM(model, data, full)
+        for digit in digits:
+            block = full[digit.joints, digit.joints]
+            assert agree(dynamics.mass_matrix(digit, q[digit.joints]), block)
+
+
+def whole_hand(digits, q, dq, ddq):
+    """Inverse dynamics of all digits in a row."""
+    return np.concatenate([dynamics.inverse_dynamics(d, q[d.joints], dq[d.joints], ddq[d.joints]) for d in digits])
+
+
+def test_a_wrong_link_constant_would_be_noticed(digits, rng):
+    """Each constant of the closed form matters far beyond the tolerance of the comparisons above."""
+    for digit in digits:
+        used = [i for i, value in enumerate(digit.links) if value != 0.0]
+        assert len(used) >= 6
+        for i in used:
+            links = digit.links._replace(**{digit.links._fields[i]: digit.links[i] * 1.001})
+            changed = replace(digit, links=links).under((1.0, -9.0, 2.0))
+            q, dq, ddq = next(iter(states(rng, digit.joint_count, 1)))
+            right = np.array(dynamics.inverse_dynamics(digit.under((1.0, -9.0, 2.0)), q, dq, ddq))
+            assert not agree(dynamics.inverse_dynamics(changed, q, dq, ddq), right)
+
+
+def test_one_joint_is_a_pendulum(rng):
+    content = load_hand("jamia").content
+    thumb = dict(content["digit"][3])
+    for key, value in thumb.items():
+        if isinstance(value, tuple) and key not in ("mount_position_m", "mount_rpy_deg"):
+            thumb[key] = value[:1]
+    thumb["coupling"] = None
+    tendon = {**content["tendon"][3], "moment_arm_m": {"thumb_j1": 0.003}}
+    node = {**content["sensor_node"], "tendons": ["thumb_tendon"], "joints": []}
+    alone = {**content, "digit": [thumb], "tendon": [tendon], "motor": [content["motor"][3]], "sensor_node": node}
+    digit = DigitModel.of(Hand.model_validate(alone), "thumb").under((0.0, -9.81, 0.0))
+    inertia = digit.inertias[0] + digit.masses[0] * digit.coms[0] ** 2 + digit.armature[0]
+    for q, dq, ddq in states(rng, 1, 50):
+        weight = digit.masses[0] * digit.coms[0] * 9.81 * np.cos(q)
+        assert np.allclose(dynamics.inverse_dynamics(digit, q, dq, ddq), inertia * ddq + weight, rtol=1e-12)
+
+
+def test_mass_matrix_is_symmetric_and_positive(digits, rng):
+    for digit in digits:
+        for q, _, _ in states(rng, digit.joint_count, 200):
+            mass = dynamics.mass_matrix(digit, q)
+            assert np.array_equal(mass, mass.T)
+            assert np.linalg.eigvalsh(mass).min() > 0.0
+
+
+def test_coriolis_forces_do_no_work_of_their_own(digits, rng):
+    """M' - 2 C is skew, so that q'. C q' = q'. M' q' / 2."""
+    for digit in digits:
+        for q, dq, _ in states(rng, digit.joint_count, 200):
+            step = 1e-6 * dq / np.linalg.norm(dq)
+            change = dynamics.mass_matrix(digit, q + step) - dynamics.mass_matrix(digit, q - step)
+            rate = change / 2e-6 * np.linalg.norm(dq)
+            power = np.dot(dynamics.bias_torque(digit, q, dq), dq)
+            scale = np.abs(dq) @ np.abs(rate) @ np.abs(dq)
+            assert abs(power - 0.5 * dq @ rate @ dq) <= 1e-7 * scale
+
+
+def test_gravity_and_springs_are_gradients_of_their_energies(digits, rng):
+    for digit in digits:
+        digit = digit.under(rng.normal(size=3) * 6)
+        for q, _, _ in states(rng, digit.joint_count, 100):
+            for energy, torque in (
+                (dynamics.potential_energy, dynamics.gravity_torque),
+                (dynamics.spring_energy, dynamics.spring_torque),
+            ):
+                steps = 1e-5 * np.eye(digit.joint_count)
+                slope = [(energy(digit, q + h) - energy(digit, q - h)) / 2e-5 for h in steps]
+                assert np.allclose(torque(digit, q), slope, rtol=1e-6, atol=1e-9)
+
+
+def test_energy_is_conserved(digits):
+    """Swing with springs and weight, undamped, by Runge-Kutta of fourth order."""
+    for digit in digits[::3]:
+        digit = digit.under((4.0, -8.0, 3.0))
+        n, dt = digit.joint_count, 2e-5
+
+        def rate(state, digit=digit, n=n):
+            torque = -np.array(dynamics.spring_torque(digit, state[:n]))
+            return np.concatenate((state[n:], dynamics.forward_dynamics(digit, state[:n], state[n:], torque)))
+
+        def energy(state, digit=digit, n=n):
+            q, dq = state[:n], state[n:]
+            stored = dynamics.potential_energy(digit, q) + dynamics.spring_energy(digit, q)
+            return dynamics.kinetic_energy(digit, q, dq) + stored
+
+        state = np.concatenate((np.linspace(0.3, 0.9, n), np.linspace(25.0, -20.0, n)))
+        start, kinetic = energy(state), []
+        for _ in range(2500):
+            k1 = rate(state)
+            k2 = rate(state + dt / 2 * k1)
+            k3 = rate(state + dt / 2 * k2)
+            k4 = rate(state + dt * k3)
+            state = state + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+            kinetic.append(dynamics.kinetic_energy(digit, state[:n], state[n:]))
+        assert np.ptp(kinetic) > 0.3 * start
+        assert abs(energy(state) - start) < 1e-6 * start
+
+
+def test_sums_are_sums_of_their_parts(digits, rng):
+    for digit in digits:
+        for q, dq, ddq in states(rng, digit.joint_count, 100):
+            rigid = np.array(dynamics.inverse_dynamics(digit, q, dq, ddq))
+            passive = np.array(digit.spring_stiffness) * (q + digit.spring_preload) + np.array(digit.joint_damping) * dq
+            assert agree(dynamics.required_torque(digit, q, dq, ddq), rigid + passive)
+            assert agree(dynamics.passive_torque(digit, q, dq), passive)
+            weight = np.array(dynamics.gravity_torque(digit, q))
+            assert np.allclose(dynamics.static_torque(digit, q), weight + dynamics.spring_torque(digit, q), rtol=1e-12)
+            parts = dynamics.mass_matrix(digit, q) @ ddq + dynamics.bias_torque(digit, q, dq) + weight
+            assert agree(rigid, parts)
+
+
+def test_reduced_dynamics_is_the_projection(digits, rng):
+    for digit in digits:
+        coupling = digit.coupling
+        for theta, dtheta, ddtheta in states(rng, coupling.shape[1], 100):
+            mass, rest = dynamics.reduced_dynamics(digit, theta, dtheta)
+            full = dynamics.required_torque(digit, coupling @ theta, coupling @ dtheta, coupling @ ddtheta)
+            assert agree(mass @ ddtheta + rest, coupling.T @ np.array(full))
+
+
+def test_lists_tuples_and_arrays_give_the_same(digits, rng):
+    for digit in digits:
+        q, dq, ddq = next(iter(states(rng, digit.joint_count, 1)))
+        as_array = dynamics.required_torque(digit, q, dq, ddq)
+        assert as_array == dynamics.required_torque(digit, q.tolist(), tuple(dq.tolist()), ddq.tolist())
+        assert all(type(value) is float for value in as_array)
+
+
+def test_known_numbers_of_the_paper_s_finger():
+    """Weight of the straight finger at joint 1 and its reduced inertia, worked out by hand from lengths and masses."""
+    digit = DigitModel.of(load_hand("jamia"), "index").under((0.0, 9.81, 0.0))  # down is the digit's -y
+    m1, m2, m3 = digit.masses
+    weight = 9.81 * (m1 * 0.015 + m2 * 0.0375 + m3 * 0.050)
+    assert np.isclose(dynamics.gravity_torque(digit, (0.0, 0.0, 0.0))[0], weight, rtol=1e-12)
+    assert np.isclose(weight, 3.16e-3, rtol=2e-3)
+    mass, _ = dynamics.reduced_dynamics(digit, np.array([np.pi / 6]), np.zeros(1))
+    assert np.isclose(mass[0, 0], 2.1e-5, rtol=0.2)

@@ -1,0 +1,187 @@
+"""Kinematics against pinocchio reading our URDF, against finite differences, and there and back again."""
+
+import math
+
+import numpy as np
+import pinocchio
+import pytest
+
+from handctl.hand.description import Hand, load_hand
+from handctl.hand.digit import DigitModel, rotation_rpy
+from handctl.hand.frames import link_transforms, quaternion
+from handctl.hand.inverse_kinematics import coordinate_limits, inverse, inverse_coupled
+from handctl.hand.kinematics import (
+    forward,
+    from_palm,
+    palm_jacobian,
+    point_jacobian,
+    points,
+    tip_jacobian,
+    to_palm,
+)
+from handctl.hand.urdf import urdf
+
+
+def angles(rng, digit, count=100):
+    """Random joint angles beyond the limits both ways."""
+    return rng.uniform(-2.5, 2.5, (count, digit.joint_count))
+
+
+def moved_hand() -> Hand:
+    """A hand whose digits are mounted askew, so that no rotation is the identity or a half turn."""
+    content = load_hand("jamia").content
+    tilts = ((25.0, -40.0, 70.0), (-160.0, 15.0, 5.0), (90.0, 0.0, 90.0), (10.0, 85.0, -120.0))
+    digits = [{**digit, "mount_rpy_deg": tilt} for digit, tilt in zip(content["digit"], tilts, strict=True)]
+    return Hand.model_validate({**content, "digit": digits})
+
+
+@pytest.mark.parametrize(
+    "hand", [load_hand("jamia"), load_hand("jamia11"), moved_hand()], ids=["jamia", "jamia11", "moved"]
+)
+def test_frames_and_jacobians_agree_with_pinocchio(hand, rng):
+    model = pinocchio.buildModelFromXML(urdf(hand))
+    data = model.createData()
+    for digit in (DigitModel.of(hand, name) for name in hand.digit_names):
+        columns = [model.joints[model.getJointId(joint)].idx_v for joint in digit.joint_names]
+        tip = model.getFrameId(f"{digit.name}_tip")
+        for q in angles(rng, digit):
+            configuration = np.zeros(model.nq)
+            configuration[columns] = q
+            pinocchio.framesForwardKinematics(model, data, configuration)
+            for transform in link_transforms(digit, q):
+                place = data.oMf[model.getFrameId(transform.frame)]
+                assert np.allclose(transform.position, place.translation, atol=1e-14)
+                turned = pinocchio.Quaternion(np.array(transform.quaternion_xyzw)).toRotationMatrix()
+                assert np.allclose(turned, place.rotation, atol=1e-13)
+            world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
+            theirs = pinocchio.computeFrameJacobian(model, data, configuration, tip, world)[:3, columns]
+            assert np.allclose(palm_jacobian(digit, q), theirs, atol=1e-14)
+
+
+def test_straight_fingers_point_out_of_the_palm_and_flex_towards_each_other(digits):
+    for digit in digits:
+        straight = to_palm(digit, points(digit, np.zeros(digit.joint_count)))
+        assert np.allclose(straight[-1] - straight[0], [sum(digit.lengths), 0.0, 0.0])
+        bent = to_palm(digit, points(digit, np.full(digit.joint_count, 0.3)))[-1] - straight[-1]
+        assert bent[1] * digit.mount_position[1] < 0.0
+        assert abs(bent[2]) < 1e-12
+
+
+def test_jacobians_are_derivatives(digits, rng):
+    h = 1e-6
+    for digit in digits:
+        for q in angles(rng, digit, 30):
+            steps = h * np.eye(digit.joint_count)
+            slope = [(points(digit, q + s)[-1] - points(digit, q - s)[-1]) / (2 * h) for s in steps]
+            assert np.allclose(tip_jacobian(digit, q), np.transpose(slope), atol=1e-10)
+            for link in range(digit.joint_count):
+                middle = [
+                    sum(sign * points(digit, q + sign * s)[link : link + 2].mean(axis=0) for sign in (1, -1)) / (2 * h)
+                    for s in steps
+                ]
+                jacobian = point_jacobian(digit, q, link, digit.lengths[link] / 2)
+                assert np.allclose(jacobian, np.transpose(middle), atol=1e-10)
+
+
+def test_tip_pose_is_the_last_point_and_the_sum_of_angles(digits, rng):
+    for digit in digits:
+        q = angles(rng, digit, 1)[0]
+        pose = forward(digit, q)
+        assert np.allclose(pose, [*points(digit, q)[-1], q.sum()])
+        lengths = np.linalg.norm(np.diff(points(digit, q), axis=0), axis=1)
+        assert np.allclose(lengths, digit.lengths, rtol=1e-12)
+
+
+def test_the_paper_s_finger_at_thirty_degrees():
+    """Eq. 1-2 with q1 = q2 = q3 = theta: X = 30 c(t) + 15 c(2t) + 10 c(3t)."""
+    t = math.radians(30.0)
+    pose = forward(DigitModel.of(load_hand("jamia"), "index"), (t, t, t))
+    x = 0.030 * math.cos(t) + 0.015 * math.cos(2 * t) + 0.010 * math.cos(3 * t)
+    y = 0.030 * math.sin(t) + 0.015 * math.sin(2 * t) + 0.010 * math.sin(3 * t)
+    assert np.allclose(pose, (x, y, 3 * t), rtol=1e-14)
+
+
+def test_palm_frame_and_back(digits, rng):
+    for digit in digits:
+        planar = rng.normal(size=(20, 2))
+        assert np.allclose(from_palm(digit, to_palm(digit, planar)), planar, atol=1e-14)
+
+
+def test_quaternions_of_all_rotations(rng):
+    for roll, pitch, yaw in [
+        *rng.uniform(-4, 4, (200, 3)),
+        (math.pi, 0, 0),
+        (0, math.pi, 0),
+        (0, 0, math.pi),
+        (0, 0, 0),
+    ]:
+        q = quaternion(rotation_rpy(roll, pitch, yaw))
+        assert math.isclose(sum(part * part for part in q), 1.0, rel_tol=1e-12)
+        by_axes = pinocchio.rpy.rpyToMatrix(roll, pitch, yaw)
+        assert np.allclose(pinocchio.Quaternion(np.array(q)).toRotationMatrix(), by_axes, atol=1e-13)
+
+
+def test_inverse_finds_the_angles_that_were_given(digits, rng):
+    for digit in digits:
+        for q in angles(rng, digit):
+            x, y, angle = forward(digit, q)
+            solutions = inverse(digit, x, y, angle)
+            assert len(solutions) == 2
+            assert solutions[0][1] > 0.0 > solutions[1][1]
+            gaps = [np.abs(np.remainder(np.subtract(s, q) + np.pi, 2 * np.pi) - np.pi).max() for s in solutions]
+            assert min(gaps) < 1e-9
+            for solution in solutions:
+                assert np.allclose(forward(digit, solution)[:2], (x, y), atol=1e-15)
+
+
+def test_inverse_near_the_edge_of_reach(digits):
+    for digit in digits:
+        reach = sum(digit.lengths)
+        assert np.allclose(inverse(digit, reach, 0.0, 0.0), 0.0, atol=1e-6)
+        assert inverse(digit, reach + 1e-6, 0.0, 0.0) == ()
+        for bend in (1e-3, 1e-5):
+            q = (0.2, bend, 0.1)[: digit.joint_count]
+            x, y, angle = forward(digit, q)
+            assert np.allclose(inverse(digit, x, y, angle)[0], q, atol=1e-15 / bend)
+
+
+def test_inverse_within_the_fold():
+    thumb = DigitModel.of(load_hand("jamia"), "thumb")
+    assert inverse(thumb, 0.004, 0.0) == ()
+    assert np.allclose(np.abs(inverse(thumb, 0.005, 0.0)[0]), (0.0, math.pi), atol=1e-6)
+
+
+def test_inverse_says_what_it_needs():
+    with pytest.raises(ValueError, match="a direction"):
+        inverse(DigitModel.of(load_hand("jamia"), "index"), 0.03, 0.01)
+    with pytest.raises(ValueError, match="needed: one"):
+        inverse_coupled(DigitModel.of(load_hand("jamia11"), "index"), 0.03, 0.01)
+
+
+def test_coupled_inverse_finds_the_coordinate_that_was_given(rng):
+    hand = load_hand("jamia")
+    for digit in (DigitModel.of(hand, name) for name in hand.digit_names):
+        low, high = coordinate_limits(digit)
+        assert (low, high) == (digit.joint_min[0], digit.joint_max[0])
+        for theta in [low, high, *rng.uniform(low, high, 50)]:
+            x, y, _ = forward(digit, digit.coupling[:, 0] * theta)
+            found, gap = inverse_coupled(digit, x, y)
+            assert abs(found - theta) < 1e-7
+            assert gap < 1e-9
+
+
+def test_coupled_inverse_comes_as_near_as_a_fine_scan(rng):
+    digit = DigitModel.of(load_hand("jamia"), "index")
+    scan = np.linspace(*coordinate_limits(digit), 4001)
+    curve = np.array([points(digit, digit.coupling[:, 0] * theta)[-1] for theta in scan])
+    for x, y in rng.uniform(-0.06, 0.06, (100, 2)):
+        _, gap = inverse_coupled(digit, x, y)
+        nearest = np.linalg.norm(curve - (x, y), axis=1).min()
+        assert nearest - 1e-6 < gap < nearest + 1e-12
+
+
+def test_coordinate_limits_respect_the_tightest_joint():
+    content = load_hand("jamia").content
+    digit = {**content["digit"][0], "coupling": [[1.0], [2.0], [-0.5]], "joint_min_deg": [-10.0, -60.0, -20.0]}
+    model = DigitModel.of(Hand.model_validate({**content, "digit": [digit, *content["digit"][1:]]}), "index")
+    assert np.allclose(np.degrees(coordinate_limits(model)), (-10.0, 40.0))

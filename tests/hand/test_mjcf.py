@@ -1,0 +1,53 @@
+"""The MJCF export, read by MuJoCo and compared with the model."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from handctl.hand import dynamics
+from handctl.hand.kinematics import points, to_palm
+from handctl.hand.mjcf import mjcf
+
+
+@pytest.fixture
+def model(hand):
+    return mujoco.MjModel.from_xml_string(mjcf(hand))
+
+
+def random_angles(hand, rng):
+    low = np.radians(np.concatenate([digit.joint_min_deg for digit in hand.digit]))
+    high = np.radians(np.concatenate([digit.joint_max_deg for digit in hand.digit]))
+    return rng.uniform(low, high)
+
+
+def test_names_and_limits_are_the_hand_s(hand, model):
+    assert [model.joint(i).name for i in range(model.njnt)] == list(hand.joints)
+    assert [model.tendon(i).name for i in range(model.ntendon)] == list(hand.tendon_names)
+    assert [model.actuator(i).name for i in range(model.nu)] == [tendon.motor for tendon in hand.tendon]
+    limits = [(low, high) for d in hand.digit for low, high in zip(d.joint_min_deg, d.joint_max_deg, strict=True)]
+    assert np.degrees(model.jnt_range) == pytest.approx(np.array(limits))
+
+
+def test_tips_masses_and_torques_are_the_model_s(hand, digits, model, rng):
+    data, full = mujoco.MjData(model), np.zeros((model.nv, model.nv))
+    for _ in range(20):
+        data.qpos[:] = q = random_angles(hand, rng)
+        data.ctrl[:] = tension = rng.uniform(0.0, [tendon.tension_max_N for tendon in hand.tendon])
+        mujoco.mj_forward(model, data)
+        mujoco.mj_fullM(model, data, full)
+        for digit in digits:
+            own = q[digit.joints]
+            tip = to_palm(digit, points(digit, own))[-1]
+            assert data.site(f"{digit.name}_tip").xpos == pytest.approx(tip, abs=1e-12)
+            assert full[digit.joints, digit.joints] == pytest.approx(dynamics.mass_matrix(digit, own), rel=1e-9)
+            spring = -np.array(dynamics.spring_torque(digit, own))
+            assert data.qfrc_spring[digit.joints] == pytest.approx(spring, rel=1e-9)
+            assert data.qfrc_bias[digit.joints] == pytest.approx(dynamics.gravity_torque(digit, own), abs=1e-12)
+        assert data.qfrc_actuator == pytest.approx(hand.moment_arms.T @ tension, rel=1e-9)
+
+
+def test_the_springs_hold_the_free_hand_open(hand, model):
+    data = mujoco.MjData(model)
+    for _ in range(1000):
+        mujoco.mj_step(model, data)
+    assert np.degrees(np.abs(data.qpos)).max() < 0.5

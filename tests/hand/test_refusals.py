@@ -1,0 +1,159 @@
+"""Every way to get a hand file wrong gives one line that names the key, the value and what would be right."""
+
+import copy
+import math
+import re
+import tomllib
+
+import pytest
+
+from handctl.errors import ConfigError
+from handctl.hand.description import HANDS, hand_from, packaged_hands
+from handctl.hand.digit import DigitModel
+from handctl.hand.urdf import urdf
+
+CONTENT = {name: tomllib.loads((HANDS / f"{name}.toml").read_text()) for name in packaged_hands()}
+SIGNED = re.compile(r"gravity|mount_|joint_m(in|ax)_deg|moment_arm|zero_rad|coupling|direction")
+OPTIONAL = {"coupling"}
+
+
+def leaves(node, path=()):
+    """(path, value) of everything in a file that is not a table or a list."""
+    entries = node.items() if isinstance(node, dict) else enumerate(node) if isinstance(node, list) else None
+    if entries is None:
+        yield path, node
+        return
+    for key, value in entries:
+        yield from leaves(value, (*path, key))
+
+
+def tables(node, path=()):
+    """Paths of all tables whose keys the schema gives."""
+    if isinstance(node, dict):
+        yield path, node
+    for key, value in node.items() if isinstance(node, dict) else enumerate(node):
+        if isinstance(value, dict | list) and key != "moment_arm_m":
+            yield from tables(value, (*path, key))
+
+
+def is_number(value):
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def changed(content, path, value):
+    """A copy of the content with one value replaced."""
+    content = copy.deepcopy(content)
+    node = content
+    for key in path[:-1]:
+        node = node[key]
+    node[path[-1]] = value
+    return content
+
+
+def said(content, path):
+    """The path as the message should say it."""
+    text, node = "", content
+    for key in path:
+        node = node[key]
+        if isinstance(key, int):
+            text += f"[{node.get('name', key) if isinstance(node, dict) else key}]"
+        else:
+            text += f".{key}" if text else key
+    return text
+
+
+NUMBERS = [
+    pytest.param(CONTENT[name], path, value, id=f"{name}-{said(CONTENT[name], path)}")
+    for name in packaged_hands()
+    for path, value in leaves(CONTENT[name])
+    if is_number(value)
+    and path != ("schema",)
+    and not (len(path) > 1 and isinstance(path[1], int) and path[1] in (1, 2))
+]
+"""Numeric values of the packaged files, the repeated middle and ring entries left out."""
+
+
+@pytest.mark.parametrize(("content", "path", "value"), NUMBERS)
+def test_a_number_that_is_none_or_not_finite_or_of_the_wrong_sign(refusal, content, path, value):
+    wrong = [
+        (math.nan, "nan"),
+        (math.inf, "inf"),
+        (-math.inf, "-inf"),
+        (True, "true"),
+        ("12", '"12"'),
+        ([1.0], "[1.0]"),
+    ]
+    if value != 0 and not SIGNED.search(str(path)):
+        wrong.append((-value, str(-value)))
+    for bad, shown in wrong:
+        line = refusal(changed(content, path, bad))
+        assert line.startswith(f"my/hand.toml: {said(content, path)}: {shown};")
+
+
+@pytest.mark.parametrize(("content", "path", "value"), NUMBERS)
+def test_no_number_may_be_absurdly_large(refusal, content, path, value):
+    for absurd in (1e9, 10**400):
+        assert f"my/hand.toml: {said(content, path)}: " in refusal(changed(content, path, absurd))
+
+
+@pytest.mark.parametrize("name", packaged_hands())
+def test_a_missing_key(refusal, name):
+    for path, table in tables(CONTENT[name]):
+        for key in table:
+            if key == "schema":
+                continue
+            content = changed(CONTENT[name], (*path, key), None)
+            node = content
+            for part in path:
+                node = node[part]
+            del node[key]
+            line = refusal(content)
+            place = said(content, path)
+            if key in OPTIONAL:
+                assert "index_tendon" in line or f"{place}.{key}: its tendons" in line
+            else:
+                assert line.startswith(f"my/hand.toml: {place}{'.' if place else ''}{key}: missing;")
+
+
+@pytest.mark.parametrize("name", packaged_hands())
+def test_an_unknown_key(refusal, name):
+    for path, _ in tables(CONTENT[name]):
+        line = refusal(changed(CONTENT[name], (*path, "colour"), 1.0))
+        place = said(CONTENT[name], path)
+        assert line.startswith(f"my/hand.toml: {place}{'.' if place else ''}colour: unknown key; expected one of ")
+
+
+@pytest.mark.parametrize("name", packaged_hands())
+def test_a_misspelt_key_is_told_with_the_right_one(refusal, name):
+    for path, table in tables(CONTENT[name]):
+        for key in table:
+            if key == "schema" and path == ():
+                continue
+            content = changed(CONTENT[name], (*path, key + "s"), table[key])
+            node = content
+            for part in path:
+                node = node[part]
+            del node[key]
+            line = refusal(content)
+            assert f"{key}s: unknown key; expected {key}" in line
+
+
+def test_anything_anywhere_is_read_or_refused_in_one_line():
+    """No value of any kind at any place escapes as another exception."""
+    content = CONTENT["jamia"]
+    for path, _ in [*leaves(content), *tables(content)]:
+        if len(path) > 1 and path[1] in (1, 2):
+            continue
+        for odd in ("", "x\ny", 0, -1, 1.5, False, [], {}, [[]], [{}], {"name": 3}, [None], 2**70):
+            for depth in range(1, len(path) + 1):
+                assert usable_or_refused(changed(content, path[:depth], odd))
+
+
+def usable_or_refused(content):
+    """Whether a hand comes of it that everything can be made of, or one line."""
+    try:
+        hand = hand_from(content, "f")
+    except ConfigError as error:
+        return "\n" not in str(error)
+    digits = [DigitModel.of(hand, name) for name in hand.digit_names]
+    return len(hand.identity) == 64 and len(digits) > 0 and urdf(hand).startswith("<robot")
