@@ -1,0 +1,262 @@
+"""A CiA 402 drive in cyclic synchronous torque mode over CANopen: from silence by SDO to torque, and back.
+
+A tick is one RPDO (control word, target torque) and one TPDO (status word, position, torque) that the drive sends at
+SYNC. SYNC is the sensor node's, which has the same identifier 0x080; on a bus without it one drive has the option
+``sync``. This host's heartbeat is the drive's watchdog. Only a status word counts as enabled or disabled.
+"""
+
+import math
+from dataclasses import dataclass
+
+from handctl.drives import cia402_codec as codec
+from handctl.drives import cia402_setup as setup
+from handctl.drives.cia402_progress import (
+    CLEAR_TRIES,
+    MISMATCH,
+    REPEAT_NS,
+    Progress,
+    fault,
+    judge,
+    lose,
+    progress_of,
+    take_heartbeat,
+)
+from handctl.drives.contract import DriveState, Phase, Want
+from handctl.drives.description import MotorDescription
+from handctl.drives.frame import Frame
+from handctl.errors import ConfigError
+
+LISTEN, POLL, ENABLE, DISABLE = Want
+SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+
+HEARTBEATS_MISSED = 3.5
+UNITS = {"uN_m": 1e6, "mN_m": 1e3}
+"""Of object 0x6076, per newton metre; makers differ."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cia402Drive:
+    """One motor; implements ``contract.Drive``.
+
+    Attributes:
+        name: the motor's name.
+        bus: index of its bus.
+        node_id: 1 to 0x7e.
+        torque_limit: at the spool [N m].
+        ratio: turns of the motor's shaft per turn of the spool, negative if positive torque of the motor unwinds.
+        zero: angle at the shaft of the spool's zero [rad].
+        rated: rated torque at the shaft [N m].
+        counts: position counts per turn of the shaft.
+        steps: objects that it must hold.
+        sync: whether SYNC goes out with its command.
+        beat_every_ns: period of this host's heartbeat [ns].
+        patience_ns: longest time without a sign of life [ns].
+    """
+
+    name: str
+    bus: int
+    node_id: int
+    torque_limit: float
+    ratio: float
+    zero: float
+    rated: float
+    counts: int
+    steps: tuple[setup.Step, ...]
+    sync: bool
+    beat_every_ns: int
+    patience_ns: int
+
+    @staticmethod
+    def of(motor: MotorDescription, bus: int) -> "Cia402Drive":
+        """The drive of a motor description.
+
+        Raises:
+            ConfigError: an option that CiA 402 does not have, a node number that is ours, or too large a torque.
+        """
+        options, where = dict(motor.options), f"motor[{motor.name}].options"
+        if not 0 < motor.node_id < setup.MASTER:
+            raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {setup.MASTER - 1}")
+        ratio = _number(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", 1000)
+        rated = _number(options.pop("rated_torque_N_m", None), f"{where}.rated_torque_N_m", 1000)
+        counts = _number(options.pop("counts_per_turn", None), f"{where}.counts_per_turn", 1 << 24)
+        heartbeat = _number(options.pop("heartbeat_ms", 50), f"{where}.heartbeat_ms", 1000)
+        unit, sync = options.pop("rated_torque_unit", "mN_m"), options.pop("sync", False)
+        if unit not in UNITS:
+            raise ConfigError(repr(unit), f"{where}.rated_torque_unit", " or ".join(UNITS))
+        if type(sync) is not bool:
+            raise ConfigError(repr(sync), f"{where}.sync", "true or false")
+        if options:
+            known = "rated_torque_N_m, rated_torque_unit, counts_per_turn, gear_ratio, heartbeat_ms or sync"
+            raise ConfigError("unknown key", f"{where}.{next(iter(options))}", known)
+        most = math.ceil(motor.torque_max_N_m / ratio / rated * 1000)
+        if most > codec.TORQUE_TOP:
+            raise ConfigError(f"{motor.torque_max_N_m:g}", f"motor[{motor.name}].torque_max_N_m", "32 x rated at most")
+        watchdog, beat = round(motor.watchdog_ms), round(heartbeat)
+        return Cia402Drive(
+            name=motor.name,
+            bus=bus,
+            node_id=motor.node_id,
+            torque_limit=motor.torque_max_N_m,
+            ratio=motor.direction * ratio,
+            zero=motor.zero_rad,
+            rated=rated,
+            counts=round(counts),
+            steps=setup.steps(motor.node_id, round(rated * UNITS[unit]), most, watchdog, beat),
+            sync=sync,
+            beat_every_ns=watchdog * 1_000_000 // 3,
+            patience_ns=round(beat * HEARTBEATS_MISSED * 1e6),
+        )
+
+    @property
+    def exchange(self) -> tuple[tuple[int, bool], ...]:
+        """RPDO, TPDO, perhaps SYNC; heartbeats are rare enough to leave out."""
+        return ((4, False), (8, False), *(((0, False),) if self.sync else ()))
+
+    @property
+    def host_ids(self) -> frozenset[int]:
+        """NMT, RPDO, SDO requests, the master's heartbeat."""
+        return frozenset((codec.NMT, codec.RPDO + self.node_id, codec.SDO_REQUEST + self.node_id, _MASTER_BEAT))
+
+    @property
+    def node_ids(self) -> frozenset[int]:
+        """TPDO, SDO replies, emergency, heartbeat."""
+        bases = (codec.TPDO, codec.SDO_REPLY, codec.EMERGENCY, codec.HEARTBEAT)
+        return frozenset(base + self.node_id for base in bases)
+
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """All that is asked of it is read back."""
+        return ()
+
+    def initial(self) -> DriveState:
+        """Silent."""
+        return DriveState(private=Progress())
+
+    def receive(self, state: DriveState, frame: Frame) -> DriveState:
+        """See ``contract.Drive``."""
+        if frame.bus != self.bus or frame.can_id not in self.node_ids:
+            return state
+        service = frame.can_id - self.node_id
+        if len(frame.data) != (1 if service == codec.HEARTBEAT else 8):
+            return state._replace(misread=state.misread + 1)
+        if service == codec.TPDO:
+            return self._take_feedback(state, frame)
+        if service == codec.HEARTBEAT:
+            return take_heartbeat(state, frame)
+        if service == codec.SDO_REPLY:
+            return self._take_object(state, frame.data)
+        code = int.from_bytes(frame.data[:2], "little")
+        return state._replace(private=progress_of(state)._replace(code=code)) if code else state
+
+    def _take_object(self, state: DriveState, data: bytes) -> DriveState:
+        progress, reply = progress_of(state), codec.sdo_reply(data)
+        if reply is None or progress.walk.step >= len(self.steps) or state.phase not in (SILENT, CONFIGURING):
+            return state
+        walk, problem = setup.take(progress.walk, self.steps, reply)
+        known = state._replace(phase=CONFIGURING, private=progress._replace(walk=walk))
+        return fault(known, MISMATCH, problem) if problem else known
+
+    def _take_feedback(self, state: DriveState, frame: Frame) -> DriveState:
+        """Values and power state; before its objects are known a TPDO may hold anything."""
+        progress = progress_of(state)
+        if progress.walk.step < len(self.steps):
+            return state
+        seen = codec.feedback(frame.data)
+        known = state._replace(
+            position=(seen.position / self.counts * math.tau - self.zero) / self.ratio,
+            torque=seen.torque * self.rated / 1000 * self.ratio,
+            feedback_t_ns=frame.t_ns,
+            feedback_count=state.feedback_count + 1,
+        )
+        power = codec.state_of(seen.status)
+        return judge(known, progress._replace(power=power or "unknown", heard_ns=frame.t_ns))
+
+    def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
+        """See ``contract.Drive``."""
+        if want == LISTEN:
+            return state, ()
+        if 0 <= progress_of(state).heard_ns < t_ns - self.patience_ns:
+            state = lose(state)
+        state, frames = self._command(state, t_ns, want, torque)
+        progress = progress_of(state)
+        if t_ns - progress.beat_ns >= self.beat_every_ns:
+            frames = (*frames, Frame(_MASTER_BEAT, bytes((codec.OPERATIONAL,)), 0, self.bus))
+            state = state._replace(private=progress._replace(beat_ns=t_ns))
+        return state, (*frames, Frame(codec.SYNC, b"", 0, self.bus)) if self.sync else frames
+
+    def _command(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
+        progress = progress_of(state)
+        if want == DISABLE or (state.phase == ENABLED and (want != ENABLE or progress.disabling_ns >= 0)):
+            return self._disable(state, progress, t_ns)
+        if state.phase == ENABLED:
+            return state, (self._rpdo(codec.ENABLE_OPERATION, torque),)
+        if state.phase == FAULT:
+            return state, self.cut() if progress.may_be_enabled else ()
+        progress = progress._replace(disabling_ns=-1)
+        if progress.walk.step < len(self.steps):
+            return self._configure(state, progress, t_ns)
+        if state.phase != READY:
+            return self._start(state, progress, t_ns)
+        if want == ENABLE:
+            word = codec.NEXT.get(progress.power, codec.DISABLE_VOLTAGE)
+            return state._replace(private=progress._replace(asked=True)), (self._rpdo(word, 0.0),)
+        return state._replace(private=progress), ()
+
+    def _disable(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Until a status word says otherwise, what may be enabled counts as enabled; it must be operational to say."""
+        phase = ENABLED if progress.may_be_enabled else state.phase
+        since = progress.disabling_ns if progress.disabling_ns >= 0 else t_ns
+        progress = progress._replace(disabling_ns=since)
+        start: tuple[Frame, ...] = ()
+        if t_ns - max(state.feedback_t_ns, progress.started_ns) > REPEAT_NS:
+            progress, start = progress._replace(started_ns=t_ns), (self._nmt(codec.START),)
+        return state._replace(phase=phase, private=progress), (*start, self._rpdo(codec.DISABLE_VOLTAGE, 0.0))
+
+    def _configure(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+        """The next SDO; before the first one the node is made pre-operational."""
+        walk, data, problem = setup.ask(progress.walk, self.steps, t_ns)
+        known = state._replace(private=progress._replace(walk=walk))
+        if problem:
+            return fault(known, MISMATCH, problem), ()
+        frames = (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),) if data else ()
+        return known, (self._nmt(codec.PRE_OPERATIONAL), *frames) if walk.step == 0 and data else frames
+
+    def _start(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Operational, and a status word wanted; a fault that a person has cleared is reset by the edge of a bit."""
+        if progress.clearing and progress.power == codec.FAULT:
+            word = codec.FAULT_RESET if progress.clearing % 2 else codec.DISABLE_VOLTAGE
+            return state._replace(private=progress), (self._rpdo(word, 0.0),)
+        if t_ns - progress.started_ns < REPEAT_NS:
+            return state._replace(private=progress), ()
+        text = "no TPDO yet: is somebody sending SYNC (0x080) on its bus?" if progress.started_ns >= 0 else ""
+        told = progress._replace(started_ns=t_ns)
+        return state._replace(error_text=text, private=told), (self._nmt(codec.START),)
+
+    def _rpdo(self, control: int, torque: float) -> Frame:
+        if not abs(torque) <= self.torque_limit:
+            raise ValueError(f"{self.name}: torque {torque} N m, expected at most {self.torque_limit:g}")
+        data = codec.command(control, torque / self.ratio / self.rated * 1000)
+        return Frame(codec.RPDO + self.node_id, data, 0, self.bus)
+
+    def _nmt(self, order: int) -> Frame:
+        return Frame(codec.NMT, bytes((order, self.node_id)), 0, self.bus)
+
+    def cut(self) -> tuple[Frame, ...]:
+        """Disable voltage, and out of operational with the highest priority of the bus: a fault by 0x6007."""
+        return (self._nmt(codec.PRE_OPERATIONAL), self._rpdo(codec.DISABLE_VOLTAGE, 0.0))
+
+    def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Begin with the inventory again, and reset the fault at its end."""
+        power = progress_of(state).power
+        fresh = Progress(power="" if power == codec.FAULT else power, clearing=CLEAR_TRIES)
+        known = state._replace(phase=SILENT, error=0, error_text="", private=fresh)
+        return known, (self._rpdo(codec.DISABLE_VOLTAGE, 0.0), self._rpdo(codec.FAULT_RESET, 0.0))
+
+
+_MASTER_BEAT = codec.HEARTBEAT + setup.MASTER
+
+
+def _number(value: object, where: str, most: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= most:
+        raise ConfigError("missing" if value is None else repr(value), where, f"a number above 0, at most {most:g}")
+    return float(value)

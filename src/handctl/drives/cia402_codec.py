@@ -1,0 +1,134 @@
+"""CANopen frames that CiA 402 needs: identifiers, SDO of up to four bytes, PDO of torque mode, states and errors.
+
+Source: facts, cia402; CiA 301, CiA 402-2.
+"""
+
+import struct
+from typing import NamedTuple
+
+NMT, SYNC, EMERGENCY, TPDO, RPDO, SDO_REPLY, SDO_REQUEST, HEARTBEAT = (
+    0x000,
+    0x080,
+    0x080,
+    0x180,
+    0x200,
+    0x580,
+    0x600,
+    0x700,
+)
+"""Identifiers; all but NMT and SYNC plus the node number."""
+START, PRE_OPERATIONAL = 0x01, 0x80
+"""NMT commands."""
+BOOT_UP, STOPPED, OPERATIONAL = 0x00, 0x04, 0x05
+"""NMT states in a heartbeat."""
+SHUTDOWN, SWITCH_ON, ENABLE_OPERATION, DISABLE_VOLTAGE, FAULT_RESET = 0x06, 0x07, 0x0F, 0x00, 0x80
+"""Control words."""
+TORQUE_TOP = 0x7FFF
+"""Largest target torque [1/1000 of rated]."""
+ABSENT = 0x06020000
+"""SDO abort: no such object."""
+
+OFF, READY_TO_SWITCH_ON, SWITCHED_ON, OPERATION_ENABLED = "switch on disabled", "ready", "switched on", "enabled"
+NOT_READY, QUICK_STOP, FAULT_REACTION, FAULT = "not ready", "quick stop active", "fault reaction", "fault"
+_STATES = (
+    (0x4F, 0x00, NOT_READY), (0x4F, 0x40, OFF), (0x6F, 0x21, READY_TO_SWITCH_ON), (0x6F, 0x23, SWITCHED_ON),
+    (0x6F, 0x27, OPERATION_ENABLED), (0x6F, 0x07, QUICK_STOP), (0x4F, 0x0F, FAULT_REACTION), (0x4F, 0x08, FAULT),
+)  # fmt: skip
+WITHOUT_TORQUE = frozenset((NOT_READY, OFF, READY_TO_SWITCH_ON, FAULT))
+"""States in which the power stage is off."""
+NEXT = {
+    OFF: SHUTDOWN,
+    READY_TO_SWITCH_ON: SWITCH_ON,
+    SWITCHED_ON: ENABLE_OPERATION,
+    OPERATION_ENABLED: ENABLE_OPERATION,
+}
+"""Control word that leads from a state towards operation enabled; DISABLE_VOLTAGE from all others."""
+
+ERRORS = {
+    0x2310: "over-current", 0x3210: "DC bus over-voltage", 0x3220: "DC bus under-voltage",
+    0x4210: "drive over-temperature", 0x4310: "motor over-temperature", 0x5441: "external stop 1",
+    0x5442: "external stop 2", 0x6100: "firmware error", 0x7320: "position sensor error",
+    0x8120: "CAN error passive", 0x8130: "heartbeat of the master lost: the drive's watchdog fired",
+    0x8140: "recovered from bus-off", 0x8210: "PDO too short", 0x8250: "RPDO time-out",
+    0x8611: "following error",
+}  # fmt: skip
+ABORTS = {
+    0x05030000: "toggle bit", 0x05040000: "time-out", 0x06010001: "write-only", 0x06010002: "read-only",
+    ABSENT: "no such object", 0x06040041: "cannot be mapped", 0x06040042: "mapping too long",
+    0x06070010: "wrong length", 0x06090011: "no such sub-index", 0x06090030: "out of range",
+    0x08000022: "not in this state",
+}  # fmt: skip
+
+
+class Feedback(NamedTuple):
+    """TPDO1: status word, position [count], torque [1/1000 of rated]."""
+
+    status: int
+    position: int
+    torque: int
+
+
+def state_of(status: int) -> str:
+    """The power state in a status word; empty for one that the standard does not know."""
+    return next((state for mask, value, state in _STATES if status & mask == value), "")
+
+
+def feedback(data: bytes) -> Feedback:
+    """Values of 8 bytes of TPDO1."""
+    return Feedback(*struct.unpack("<Hih", data))
+
+
+def command(control: int, torque: float) -> bytes:
+    """Payload of RPDO1.
+
+    Args:
+        control: word.
+        torque: target [1/1000 of rated].
+
+    Raises:
+        ValueError: not finite, or beyond what the type can hold.
+    """
+    if not abs(torque) <= TORQUE_TOP:
+        raise ValueError(f"torque of {torque} thousandths of the rated one, expected at most {TORQUE_TOP}")
+    return struct.pack("<Hh", control, round(torque))
+
+
+def error_text(code: int) -> str:
+    """An emergency's error code in words."""
+    return ERRORS.get(code, f"error {code:#06x}")
+
+
+def abort_text(code: int) -> str:
+    """An SDO abort in words."""
+    return ABORTS.get(code, f"abort {code:#010x}")
+
+
+def upload(index: int, sub: int) -> bytes:
+    """Request to read an object."""
+    return struct.pack("<BHB4x", 0x40, index, sub)
+
+
+def download(index: int, sub: int, raw: bytes) -> bytes:
+    """Request to write an object of one to four bytes."""
+    return struct.pack("<BHB4s", 0x23 | (4 - len(raw)) << 2, index, sub, raw)
+
+
+class SdoReply(NamedTuple):
+    """Object, what was read (empty if it was written), and the abort code, 0 if there is none."""
+
+    number: int
+    sub: int
+    raw: bytes
+    abort: int
+
+
+def sdo_reply(data: bytes) -> SdoReply | None:
+    """The reply in 8 bytes; None if it is none of those that can come here."""
+    specifier, index, sub = struct.unpack_from("<BHB", data)
+    if specifier == 0x80:
+        return SdoReply(index, sub, b"", int.from_bytes(data[4:], "little"))
+    if specifier == 0x60:
+        return SdoReply(index, sub, b"", 0)
+    if specifier & 0xF3 == 0x43:
+        return SdoReply(index, sub, data[4 : 8 - (specifier >> 2 & 3)], 0)
+    return None

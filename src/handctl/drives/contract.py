@@ -1,0 +1,119 @@
+"""What every motor drive protocol must offer: bytes <-> values, and its state machine with time passed in.
+
+A protocol is one class; the object is the immutable description of one motor on one bus, and all that changes lives in
+an immutable ``DriveState``. The tick calls, for each motor and in this order: ``receive`` for every frame that arrived,
+then ``advance`` once with what it wants of the drive. Nothing here reads a clock or a socket.
+"""
+
+import enum
+import math
+from typing import NamedTuple, Protocol
+
+from handctl.drives.frame import Frame
+
+
+class Want(enum.IntEnum):
+    """What the controller wants of a drive; the drive walks there by itself, one step a tick."""
+
+    LISTEN = 0
+    """Send nothing."""
+    POLL = 1
+    """Discover, configure and read back limits and watchdog, then keep polling feedback; never any torque."""
+    ENABLE = 2
+    """As POLL, then enable; torque commands are sent once the drive says that it is enabled."""
+    DISABLE = 3
+    """Disable and ask until the drive says that it is disabled."""
+
+
+class Phase(enum.IntEnum):
+    """Where a drive stands."""
+
+    SILENT = 0
+    """Nothing heard of it yet (or nothing for so long that it counts as gone)."""
+    CONFIGURING = 1
+    READY = 2
+    """Configured and read back, disabled: no torque."""
+    ENABLED = 3
+    """Confirmed by the drive's own feedback; torque commands act."""
+    FAULT = 4
+    """The drive reports an error, or a read-back did not agree; ``DriveState.error`` says which."""
+
+
+class DriveState(NamedTuple):
+    """What is known of one drive; values are at the spool, with the hand's sign (positive winds).
+
+    Attributes:
+        phase: where the drive stands.
+        position: [rad]; NaN before the first feedback.
+        velocity: [rad/s].
+        torque: measured or estimated by the drive [N m].
+        temperature: hottest of the drive's sensors [degC]; NaN where there is none.
+        feedback_t_ns: reception of the latest feedback [ns]; -1 before the first.
+        feedback_count: number of feedback frames so far.
+        error: the drive's error code; 0 none.
+        error_text: the error in words; empty if none.
+        misread: frames on the drive's own identifiers that could not be decoded.
+        private: the protocol's own progress (which register was asked, deadlines, ranges read); opaque to others.
+    """
+
+    phase: Phase = Phase.SILENT
+    position: float = math.nan
+    velocity: float = math.nan
+    torque: float = math.nan
+    temperature: float = math.nan
+    feedback_t_ns: int = -1
+    feedback_count: int = 0
+    error: int = 0
+    error_text: str = ""
+    misread: int = 0
+    private: tuple[object, ...] = ()
+
+
+class Drive(Protocol):
+    """One motor as its protocol speaks; immutable.
+
+    Attributes:
+        name: the motor's name in the hand file.
+        bus: index of its bus.
+        torque_limit: largest torque that can be commanded [N m at the spool].
+        exchange: worst-case frames of one control tick, both ways, as (payload bytes, CAN FD?) for the bus load.
+        host_ids: identifiers that only the host sends for this drive; from elsewhere they mean a second controller.
+        node_ids: identifiers that the drive answers on.
+    """
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def bus(self) -> int: ...
+    @property
+    def torque_limit(self) -> float: ...
+    @property
+    def exchange(self) -> tuple[tuple[int, bool], ...]: ...
+    @property
+    def host_ids(self) -> frozenset[int]: ...
+    @property
+    def node_ids(self) -> frozenset[int]: ...
+
+    def initial(self) -> DriveState:
+        """State before anything was heard."""
+        ...
+
+    def receive(self, state: DriveState, frame: Frame) -> DriveState:
+        """Take in one frame; a frame of somebody else leaves the state as it is. Never raises on wire data."""
+        ...
+
+    def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Next frames for this drive at time t_ns [ns]; torque [N m at the spool] counts only when ENABLED.
+
+        Raises:
+            ValueError: torque is not finite or beyond ``torque_limit``.
+        """
+        ...
+
+    def cut(self) -> tuple[Frame, ...]:
+        """Frames that take the torque away at once, whatever the state; constant, so that they can be built early."""
+        ...
+
+    def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Clear the drive's latched error on a person's order; the drive stays disabled."""
+        ...

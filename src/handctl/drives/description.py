@@ -1,0 +1,29 @@
+"""What the drives need of a motor's section in the hand file."""
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+
+class MotorDescription(Protocol):
+    """A ``[[motor]]`` section; the attributes are the file's keys."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def protocol(self) -> str: ...
+    @property
+    def node_id(self) -> int: ...
+    @property
+    def position_range_rad(self) -> float: ...
+    @property
+    def velocity_range_rad_s(self) -> float: ...
+    @property
+    def torque_max_N_m(self) -> float: ...  # noqa: N802 - the file's key
+    @property
+    def direction(self) -> int: ...
+    @property
+    def zero_rad(self) -> float: ...
+    @property
+    def watchdog_ms(self) -> float: ...
+    @property
+    def options(self) -> Mapping[str, Any]: ...

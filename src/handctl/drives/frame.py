@@ -1,0 +1,31 @@
+"""The CAN frame as every room sees it."""
+
+from typing import NamedTuple
+
+EXTENDED = 1 << 31
+"""29-bit identifier. Source: Linux ``can.h``, CAN_EFF_FLAG."""
+REMOTE = 1 << 30
+"""Remote transmission request. Source: Linux ``can.h``, CAN_RTR_FLAG."""
+ERROR = 1 << 29
+"""Error message frame. Source: Linux ``can.h``, CAN_ERR_FLAG."""
+
+BRS, ESI, FDF = 1, 2, 4
+"""CAN FD flags: bit rate switch, error state indicator, FD format. Source: Linux ``can.h``, CANFD_*."""
+
+
+class Frame(NamedTuple):
+    """One CAN frame, classical or FD.
+
+    Attributes:
+        can_id: 11- or 29-bit identifier with the flag bits EXTENDED, REMOTE, ERROR, as in SocketCAN.
+        data: payload, at most 8 bytes (classical) or 64 (FD).
+        flags: BRS | ESI | FDF; 0 for a classical frame.
+        bus: index into the hand's list of buses.
+        t_ns: time of reception on the run's clock [ns]; 0 for a frame to be sent.
+    """
+
+    can_id: int
+    data: bytes
+    flags: int = 0
+    bus: int = 0
+    t_ns: int = 0

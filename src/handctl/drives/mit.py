@@ -1,0 +1,292 @@
+"""A Damiao motor in MIT mode: from silence by its registers to torque, and back to a confirmed standstill.
+
+A motor speaks only when spoken to, so there is one question a tick and one register request open at a time. Angle,
+speed and torque are not known before the motor's ranges are: until then they are NaN. Angle beyond PMAX is not
+unwrapped: the hand's travel is far inside. Nothing but feedback of state 0, or of an error, counts as disabled.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple, cast
+
+from handctl.drives import mit_codec as codec
+from handctl.drives import mit_registers as registers
+from handctl.drives.contract import DriveState, Phase, Want
+from handctl.drives.description import MotorDescription
+from handctl.drives.frame import BRS, FDF, Frame
+from handctl.drives.mit_registers import Walk
+from handctl.errors import ConfigError
+
+LISTEN, POLL, ENABLE, DISABLE = Want
+SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+"""As names of this module: looking a member up in its enumeration costs more than comparing it."""
+
+DROPPED_OUT, MISMATCH, UNKNOWN, ENABLED_BY_OTHERS = 0x100, 0x101, 0x102, 0x103
+"""Error codes of our own: disabled by itself, a register that does not read back, an unknown state, and that."""
+CLEAR_TRIES = 3
+GONE_NS = 250_000_000
+"""After this silence a motor may have lost power, and with it what was written into its registers [ns]."""
+
+
+class Progress(NamedTuple):
+    """What MIT mode keeps in ``DriveState.private``.
+
+    Attributes:
+        walk: how far its registers are known.
+        configured: whether all registers read as wanted, so that feedback can be decoded.
+        found_enabled: whether it says that it is enabled although it was not told to.
+        asked: whether it was told to enable, and has not said since that it is disabled.
+        disabling: whether it is being told to disable.
+        disabling_ns: since when [ns].
+        clearing: how many answers may still carry the error that is being cleared.
+        ready_ns: when its registers were known [ns].
+    """
+
+    walk: Walk = Walk()
+    configured: bool = False
+    found_enabled: bool = False
+    asked: bool = False
+    disabling: bool = False
+    disabling_ns: int = 0
+    clearing: int = 0
+    ready_ns: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class MitDrive:
+    """One motor; implements ``contract.Drive``.
+
+    Attributes:
+        name: the motor's name.
+        bus: index of its bus.
+        node_id: ESC_ID, commands go to it.
+        reply_id: MST_ID, answers come on it.
+        ranges: PMAX, VMAX, TMAX; TMAX is the drive's own torque limit too.
+        direction: 1 if positive torque of the motor winds.
+        zero: motor angle of the spool's zero [rad].
+        timeout: watchdog [50 us].
+        flags: of the frames it is sent, 0 for classical CAN.
+    """
+
+    name: str
+    bus: int
+    node_id: int
+    reply_id: int
+    ranges: codec.Ranges
+    direction: int
+    zero: float
+    timeout: int
+    flags: int = 0
+
+    @staticmethod
+    def of(motor: MotorDescription, bus: int) -> "MitDrive":
+        """The drive of a motor description.
+
+        Raises:
+            ConfigError: an option that MIT mode does not have.
+        """
+        options, where = dict(motor.options), f"motor[{motor.name}].options"
+        reply, fd = options.pop("reply_id", motor.node_id + 0x10), options.pop("fd", False)
+        if options:
+            raise ConfigError("unknown key", f"{where}.{next(iter(options))}", "reply_id or fd")
+        if type(reply) is not int or not 0 < reply < codec.BROADCAST_ID:
+            raise ConfigError(repr(reply), f"{where}.reply_id", "an identifier from 1 to 0x7fe")
+        if type(fd) is not bool:
+            raise ConfigError(repr(fd), f"{where}.fd", "true for a motor set to CAN FD, or false")
+        return MitDrive(
+            name=motor.name,
+            bus=bus,
+            node_id=motor.node_id,
+            reply_id=reply,
+            ranges=codec.Ranges(motor.position_range_rad, motor.velocity_range_rad_s, motor.torque_max_N_m),
+            direction=motor.direction,
+            zero=motor.zero_rad,
+            timeout=round(motor.watchdog_ms * codec.TIMEOUT_UNITS_PER_MS),
+            flags=FDF | BRS if fd else 0,
+        )
+
+    @property
+    def torque_limit(self) -> float:
+        """TMAX [N m]."""
+        return self.ranges.torque
+
+    @property
+    def exchange(self) -> tuple[tuple[int, bool], ...]:
+        """Command and answer."""
+        return ((8, bool(self.flags)), (8, bool(self.flags)))
+
+    @property
+    def host_ids(self) -> frozenset[int]:
+        """Command identifiers of all modes, and the register identifier."""
+        return frozenset(mode + self.node_id for mode in (0x000, 0x100, 0x200, 0x300)) | {codec.BROADCAST_ID}
+
+    @property
+    def node_ids(self) -> frozenset[int]:
+        """Everything comes on MST_ID."""
+        return frozenset((self.reply_id,))
+
+    @property
+    def wanted(self) -> tuple[tuple[int, float], ...]:
+        """(register, value) that the motor must have before it is armed."""
+        return (
+            (codec.CTRL_MODE, codec.MIT_MODE),
+            (codec.PMAX, self.ranges.position),
+            (codec.VMAX, self.ranges.velocity),
+            (codec.TMAX, self.ranges.torque),
+            (codec.TIMEOUT, self.timeout),
+        )
+
+    def initial(self) -> DriveState:
+        """Silent."""
+        return DriveState(private=Progress())
+
+    def receive(self, state: DriveState, frame: Frame) -> DriveState:
+        """See ``contract.Drive``."""
+        if frame.can_id != self.reply_id or frame.bus != self.bus:
+            return state
+        if len(frame.data) != 8:
+            return state._replace(misread=state.misread + 1)
+        if state.phase != ENABLED or self.node_id >> 4 != codec.ENABLED:
+            reply = codec.register_reply(frame.data, self.node_id)
+            if reply is not None:
+                return self._take_register(state, reply, frame.t_ns)
+        if frame.data[0] & 0xF != self.node_id & 0xF:
+            return state._replace(misread=state.misread + 1)
+        return self._take_feedback(state, frame)
+
+    def _take_register(self, state: DriveState, reply: codec.RegisterReply, t_ns: int) -> DriveState:
+        if state.phase != CONFIGURING:
+            return state
+        progress = _progress(state)
+        walk, problem = registers.take(progress.walk, self.wanted, reply)
+        if problem:
+            return _fault(state, MISMATCH, problem)
+        if walk.step < len(self.wanted):
+            return state._replace(private=progress._replace(walk=walk))
+        ready = progress._replace(walk=Walk(), configured=True, ready_ns=t_ns)
+        return state._replace(phase=READY, private=ready)
+
+    def _take_feedback(self, state: DriveState, frame: Frame) -> DriveState:
+        """Values of a feedback frame, and what its state nibble means."""
+        progress = _progress(state)
+        nibble, position, velocity, torque, temperature = codec.decode_feedback(frame.data, self.ranges)
+        sign = self.direction if progress.configured else math.nan
+        motion = (sign * (position - self.zero), sign * velocity, sign * torque, temperature)
+        t_ns, count = frame.t_ns, state.feedback_count + 1
+        known = DriveState(state.phase, *motion, t_ns, count, state.error, state.error_text, state.misread, progress)
+        if nibble == codec.DISABLED:
+            return self._is_disabled(known, progress)
+        if nibble == codec.ENABLED:
+            return self._is_enabled(known, progress)
+        return self._is_wrong(known, progress, nibble)
+
+    def _is_disabled(self, state: DriveState, progress: Progress) -> DriveState:
+        off = progress._replace(asked=False, found_enabled=False, clearing=0)
+        if progress.disabling:
+            if state.feedback_t_ns < progress.disabling_ns:
+                return state._replace(private=progress)
+            return state._replace(phase=FAULT if state.error else READY, private=off)
+        if state.phase == ENABLED:
+            return _fault(state._replace(private=off), DROPPED_OUT, "disabled by itself")
+        off = off._replace(asked=progress.asked)
+        return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
+
+    def _is_enabled(self, state: DriveState, progress: Progress) -> DriveState:
+        if progress.asked and state.phase != FAULT:
+            return state if state.phase == ENABLED else state._replace(phase=ENABLED)
+        found = state._replace(private=progress._replace(found_enabled=True))
+        if progress.disabling:
+            return found._replace(phase=ENABLED)
+        if state.phase == READY:
+            return _fault(found, ENABLED_BY_OTHERS, "enabled, but not by this host")
+        return found._replace(phase=CONFIGURING) if state.phase == SILENT else found
+
+    def _is_wrong(self, state: DriveState, progress: Progress, nibble: int) -> DriveState:
+        """An error takes the torque away; a state that nobody knows may leave it there."""
+        if nibble in codec.ERRORS and progress.clearing:
+            return state._replace(private=progress._replace(clearing=progress.clearing - 1))
+        if nibble in codec.ERRORS:
+            off = state._replace(private=progress._replace(asked=False, found_enabled=False))
+            return _fault(off, nibble, codec.ERRORS[nibble])
+        unknown = state._replace(private=progress._replace(found_enabled=True))
+        unknown = _fault(unknown, UNKNOWN, f"unknown state {nibble:#x}")
+        return unknown._replace(phase=ENABLED) if progress.disabling else unknown
+
+    def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
+        """See ``contract.Drive``."""
+        progress = _progress(state)
+        if state.phase == ENABLED and want == ENABLE and not progress.disabling:
+            return state, (Frame(self.node_id, self.command(torque), self.flags, self.bus),)
+        if want == LISTEN:
+            return state, ()
+        if want == DISABLE or state.phase == ENABLED:
+            return self._disable(state, progress, t_ns), self.cut()
+        if state.phase == FAULT and progress.found_enabled:
+            return state, self.cut()
+        progress = progress._replace(disabling=False)
+        if state.phase == READY and not progress.asked and t_ns - max(state.feedback_t_ns, progress.ready_ns) > GONE_NS:
+            return state._replace(phase=SILENT, private=Progress()), (self._refresh(),)
+        if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
+            return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
+        if state.phase == READY and want == ENABLE:
+            asked = state._replace(private=progress._replace(asked=True))
+            return asked, (self._frame(codec.special(codec.ENABLE)),)
+        question = self._frame(codec.special(codec.CLEAR)) if progress.clearing else self._refresh()
+        return state._replace(private=progress), (question,)
+
+    def _disable(self, state: DriveState, progress: Progress, t_ns: int) -> DriveState:
+        """From here on state 0 is what is wanted; until it comes, what may be enabled counts as enabled."""
+        phase = ENABLED if progress.asked or progress.found_enabled else state.phase
+        since = progress.disabling_ns if progress.disabling else t_ns
+        return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
+
+    def _configure(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+        """The next register request; a motor that is enabled is disabled first."""
+        if progress.found_enabled:
+            told = state._replace(error_text="enabled, and does not disable", private=progress)
+            return told, self.cut()
+        walk, data, problem = registers.ask(progress.walk, self.wanted, self.node_id, t_ns)
+        if problem:
+            return _fault(state._replace(private=progress), MISMATCH, problem), ()
+        known = state._replace(error_text="", private=progress._replace(walk=walk))
+        return known, (self._broadcast(data),) if data else ()
+
+    def command(self, torque: float) -> bytes:
+        """Payload of a pure torque command.
+
+        Args:
+            torque: at the spool [N m].
+
+        Raises:
+            ValueError: not finite, or beyond TMAX.
+        """
+        try:
+            return codec.encode_torque(self.direction * torque, self.ranges.torque)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from None
+
+    def cut(self) -> tuple[Frame, ...]:
+        """Disable at once."""
+        return (self._frame(codec.special(codec.DISABLE)),)
+
+    def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Clear the latched error and begin with the inventory again."""
+        fresh = state._replace(phase=SILENT, error=0, error_text="", private=Progress(clearing=CLEAR_TRIES))
+        return fresh, (self._frame(codec.special(codec.CLEAR)),)
+
+    def _frame(self, data: bytes) -> Frame:
+        return Frame(self.node_id, data, self.flags, self.bus)
+
+    def _broadcast(self, data: bytes) -> Frame:
+        return Frame(codec.BROADCAST_ID, data, self.flags, self.bus)
+
+    def _refresh(self) -> Frame:
+        return self._broadcast(codec.register_request(self.node_id, codec.REFRESH))
+
+
+def _progress(state: DriveState) -> Progress:
+    return cast(Progress, state.private)
+
+
+def _fault(state: DriveState, error: int, text: str) -> DriveState:
+    return state._replace(phase=FAULT, error=error, error_text=text)

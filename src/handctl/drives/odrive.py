@@ -1,0 +1,300 @@
+"""An ODrive (firmware 0.6.x) on CANSimple: from its heartbeat to torque, and back to a confirmed standstill.
+
+Position is asked for in every tick by a remote frame, so that it is as old as the command and not as old as the drive's
+own cycle; with ``encoder_period_ms`` the drive's cyclic messages are trusted instead. Mode and limits cannot be read
+back on CANSimple, and the watchdog not even be set: with the endpoints of ``odrive_endpoints`` they are, by SDO.
+Only a heartbeat tells what the drive does: nothing else counts as enabled or disabled.
+"""
+
+import math
+from dataclasses import dataclass
+
+from handctl.drives import odrive_codec as codec
+from handctl.drives import odrive_endpoints as endpoints
+from handctl.drives.contract import DriveState, Phase, Want
+from handctl.drives.description import MotorDescription
+from handctl.drives.frame import REMOTE, Frame
+from handctl.drives.odrive_progress import (
+    CLEAR_TRIES,
+    HEARTBEATS_MISSED,
+    LOST,
+    MISMATCH,
+    REPEAT_NS,
+    TEMPERATURE_NS,
+    VERSION_TRIES,
+    Progress,
+    begin_disabling,
+    fault,
+    progress_of,
+    take_heartbeat,
+)
+from handctl.errors import ConfigError
+
+LISTEN, POLL, ENABLE, DISABLE = Want
+SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+
+
+@dataclass(frozen=True, slots=True)
+class OdriveDrive:
+    """One motor; implements ``contract.Drive``.
+
+    Attributes:
+        name: the motor's name.
+        bus: index of its bus.
+        node_id: 1 to 0x3e.
+        torque_limit: at the spool [N m].
+        ratio: turns of the motor's shaft per turn of the spool, negative if positive torque of the motor unwinds.
+        zero: angle at the shaft of the spool's zero [rad].
+        limits: payload of Set_Limits: velocity [turn/s], current [A].
+        settings: to be verified by SDO.
+        polled: whether position is asked for in every tick.
+        torque_feedback: whether torque is asked for in every tick.
+        patience_ns: longest time without a heartbeat [ns].
+    """
+
+    name: str
+    bus: int
+    node_id: int
+    torque_limit: float
+    ratio: float
+    zero: float
+    limits: bytes
+    settings: tuple[endpoints.Setting, ...]
+    polled: bool
+    torque_feedback: bool
+    patience_ns: int
+
+    @staticmethod
+    def of(motor: MotorDescription, bus: int) -> "OdriveDrive":
+        """The drive of a motor description.
+
+        Raises:
+            ConfigError: an option that CANSimple does not have, or a node number beyond 0x3e.
+        """
+        options, where = dict(motor.options), f"motor[{motor.name}].options"
+        if not 0 < motor.node_id <= codec.LAST_NODE:
+            raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}")
+        ratio = _positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", 1000)
+        current = _positive(options.pop("current_limit_A", 10.0), f"{where}.current_limit_A", 1000)
+        heartbeat = _positive(options.pop("heartbeat_ms", 100), f"{where}.heartbeat_ms", 1000)
+        feedback = options.pop("torque_feedback", False)
+        if type(feedback) is not bool:
+            raise ConfigError(repr(feedback), f"{where}.torque_feedback", "true or false")
+        cyclic = options.pop("encoder_period_ms", None)
+        if cyclic is not None:
+            _positive(cyclic, f"{where}.encoder_period_ms", 1000)
+        settings = endpoints.take_settings(options, where, motor.watchdog_ms / 1e3, motor.torque_max_N_m / ratio)
+        if options:
+            known = "gear_ratio, current_limit_A, heartbeat_ms, encoder_period_ms, torque_feedback or endpoint_..."
+            raise ConfigError("unknown key", f"{where}.{next(iter(options))}", known)
+        return OdriveDrive(
+            name=motor.name,
+            bus=bus,
+            node_id=motor.node_id,
+            torque_limit=motor.torque_max_N_m,
+            ratio=motor.direction * ratio,
+            zero=motor.zero_rad,
+            limits=codec.floats(motor.velocity_range_rad_s * ratio / math.tau, current),
+            settings=settings,
+            polled=cyclic is None,
+            torque_feedback=feedback,
+            patience_ns=round(heartbeat * HEARTBEATS_MISSED * 1e6),
+        )
+
+    @property
+    def exchange(self) -> tuple[tuple[int, bool], ...]:
+        """Torque, position, what is asked for by remote frames; heartbeats are rare enough to leave out."""
+        asked = ((0, False),) if self.polled else ()
+        return ((4, False), *asked, (8, False), *(((0, False), (8, False)) if self.torque_feedback else ()))
+
+    @property
+    def host_ids(self) -> frozenset[int]:
+        """Commands of any host, and its questions."""
+        commands = frozenset(self._id(command) for command in codec.COMMANDS)
+        return commands | {self._id(command) | REMOTE for command in codec.ASKED}
+
+    @property
+    def node_ids(self) -> frozenset[int]:
+        """Answers, heartbeat and cyclic messages."""
+        return frozenset(self._id(command) for command in codec.ANSWERS)
+
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """What cannot be promised with this configuration, for a person to read before arming."""
+        names = {setting.name for setting in self.settings}
+        told = []
+        if "watchdog_timeout" not in names:
+            told.append("watchdog not verified: CANSimple cannot read it; a dead host may leave torque on")
+        if not {"torque_max", "torque_min"} <= names:
+            told.append("the drive's own torque limit is not verified: CANSimple cannot read it")
+        return tuple(told)
+
+    def initial(self) -> DriveState:
+        """Silent."""
+        return DriveState(private=Progress())
+
+    def receive(self, state: DriveState, frame: Frame) -> DriveState:
+        """See ``contract.Drive``."""
+        if frame.bus != self.bus or frame.can_id >> 5 != self.node_id:
+            return state
+        command = frame.can_id & 0x1F
+        if command not in codec.ANSWERS:
+            return state
+        if len(frame.data) != 8 and not (command == codec.TX_SDO and 4 < len(frame.data) < 8):
+            return state._replace(misread=state.misread + 1)
+        if command == codec.HEARTBEAT:
+            return take_heartbeat(state, frame)
+        if command == codec.GET_VERSION:
+            return self._take_version(state, frame.data)
+        if command == codec.TX_SDO:
+            return self._take_setting(state, frame.data)
+        return self._take_values(state, command, frame)
+
+    def _take_values(self, state: DriveState, command: int, frame: Frame) -> DriveState:
+        """Position and velocity, torque, or temperatures."""
+        values = codec.pair(frame.data)
+        if values is None:
+            return state._replace(misread=state.misread + 1)
+        if command == codec.TEMPERATURE:
+            return state._replace(temperature=max(values))
+        if command == codec.TORQUES:
+            return state._replace(torque=values[1] * self.ratio)
+        return state._replace(
+            position=(values[0] * math.tau - self.zero) / self.ratio,
+            velocity=values[1] * math.tau / self.ratio,
+            feedback_t_ns=frame.t_ns,
+            feedback_count=state.feedback_count + 1,
+        )
+
+    def _take_version(self, state: DriveState, data: bytes) -> DriveState:
+        if state.phase not in (SILENT, CONFIGURING):
+            return state
+        if data[0] != codec.PROTOCOL:
+            return fault(state, MISMATCH, f"speaks CANSimple version {data[0]}, expected {codec.PROTOCOL}")
+        return state._replace(phase=CONFIGURING, private=progress_of(state)._replace(version=True, tries=0))
+
+    def _take_setting(self, state: DriveState, data: bytes) -> DriveState:
+        progress = progress_of(state)
+        if state.phase != CONFIGURING or progress.walk.step >= len(self.settings):
+            return state
+        walk, write, problem = endpoints.take(progress.walk, self.settings, data)
+        known = state._replace(private=progress._replace(walk=walk, write=write or progress.write))
+        return fault(known, MISMATCH, problem) if problem else known
+
+    def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
+        """See ``contract.Drive``."""
+        progress = progress_of(state)
+        if want == LISTEN:
+            return state, ()
+        if 0 <= progress.heard_ns < t_ns - self.patience_ns and state.phase != FAULT and progress.disabling_ns < 0:
+            state = self._lose(state, progress)
+            progress = progress_of(state)
+        if want == DISABLE or (state.phase == ENABLED and (want != ENABLE or progress.disabling_ns >= 0)):
+            return begin_disabling(state, progress, t_ns), (
+                self._frame(codec.SET_AXIS_STATE, codec.integers(codec.IDLE)),
+            )
+        if state.phase == ENABLED:
+            state, asked = self._questions(state, t_ns)
+            return state, (self._torque(torque), *asked)
+        if state.phase == FAULT:
+            return state, self.cut() if progress.may_be_enabled else ()
+        state = state._replace(private=progress._replace(disabling_ns=-1))
+        if state.phase == READY and progress.configured:
+            return self._ready(state, t_ns, want)
+        return self._configure(state._replace(phase=SILENT if progress.heard_ns < 0 else CONFIGURING), t_ns)
+
+    def _lose(self, state: DriveState, progress: Progress) -> DriveState:
+        """No heartbeat: enabled, that is an error; else it may have lost power and with it its mode."""
+        if state.phase == ENABLED or progress.asked_ns >= 0:
+            return fault(state, LOST, "no heartbeat")
+        return state._replace(phase=SILENT, private=Progress(clearing=progress.clearing))
+
+    def _ready(self, state: DriveState, t_ns: int, want: Want) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Poll; told to enable, send 0 N m as well: the drive's watchdog runs from the moment it is enabled."""
+        state, asked = self._questions(state, t_ns)
+        if want != ENABLE:
+            return state, asked
+        progress = progress_of(state)
+        if progress.asked_ns >= 0 and t_ns - progress.sent_ns < REPEAT_NS:
+            return state, (self._torque(0.0), *asked)
+        since = progress.asked_ns if progress.asked_ns >= 0 else t_ns
+        told = state._replace(private=progress._replace(asked_ns=since, sent_ns=t_ns))
+        enable = self._frame(codec.SET_AXIS_STATE, codec.integers(codec.CLOSED_LOOP))
+        return told, (self._torque(0.0), enable, *asked)
+
+    def _configure(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+        """One step: idle, version, endpoints, mode and limits."""
+        progress = progress_of(state)
+        if progress.axis > codec.IDLE:
+            text = f"in axis state {progress.axis} although nobody asked, and does not go idle"
+            return state._replace(error_text=text), (self._frame(codec.SET_AXIS_STATE, codec.integers(codec.IDLE)),)
+        if not progress.version:
+            return self._ask_version(state, progress, t_ns)
+        if progress.write:
+            wrote = state._replace(private=progress._replace(write=b""))
+            return wrote, (self._frame(codec.RX_SDO, progress.write),)
+        if progress.walk.step < len(self.settings):
+            walk, data, problem = endpoints.ask(progress.walk, self.settings, t_ns)
+            known = state._replace(private=progress._replace(walk=walk))
+            return (fault(known, MISMATCH, problem), ()) if problem else self._with(known, codec.RX_SDO, data)
+        if progress.heard_ns < 0:
+            return state, ()
+        frames = (
+            self._frame(codec.SET_MODE, codec.integers(codec.TORQUE_MODE, codec.PASSTHROUGH)),
+            self._frame(codec.SET_LIMITS, self.limits),
+        )
+        return state._replace(phase=READY, error_text="", private=progress._replace(configured=True)), frames
+
+    def _ask_version(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+        if t_ns - progress.sent_ns < REPEAT_NS:
+            return state, ()
+        if progress.heard_ns >= 0 and progress.tries >= VERSION_TRIES:
+            return fault(state, MISMATCH, "beats, but does not tell its version"), ()
+        question = codec.CLEAR_ERRORS if progress.clearing else codec.GET_VERSION
+        asked = progress._replace(sent_ns=t_ns, tries=progress.tries + 1 if progress.heard_ns >= 0 else 0)
+        frame = self._frame(question, b"") if progress.clearing else self._ask(question)
+        return state._replace(private=asked), (frame,)
+
+    def _questions(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+        """What is asked for in a tick."""
+        frames = [self._ask(codec.ENCODER)] if self.polled else []
+        if self.torque_feedback:
+            frames.append(self._ask(codec.TORQUES))
+        progress = progress_of(state)
+        if t_ns - progress.warmed_ns >= TEMPERATURE_NS:
+            frames.append(self._ask(codec.TEMPERATURE))
+            state = state._replace(private=progress._replace(warmed_ns=t_ns))
+        return state, tuple(frames)
+
+    def _torque(self, torque: float) -> Frame:
+        if not abs(torque) <= self.torque_limit:
+            raise ValueError(f"{self.name}: torque {torque} N m, expected at most {self.torque_limit:g}")
+        return self._frame(codec.SET_TORQUE, codec.floats(torque / self.ratio))
+
+    def cut(self) -> tuple[Frame, ...]:
+        """Estop: disarm and latch."""
+        return (self._frame(codec.ESTOP, b""),)
+
+    def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Clear the latched error and begin with the inventory again."""
+        fresh = Progress(axis=progress_of(state).axis, clearing=CLEAR_TRIES)
+        known = state._replace(phase=SILENT, error=0, error_text="", private=fresh)
+        return known, (self._frame(codec.CLEAR_ERRORS, b""),)
+
+    def _with(self, state: DriveState, command: int, data: bytes) -> tuple[DriveState, tuple[Frame, ...]]:
+        return state, (self._frame(command, data),) if data else ()
+
+    def _frame(self, command: int, data: bytes) -> Frame:
+        return Frame(self._id(command), data, 0, self.bus)
+
+    def _ask(self, command: int) -> Frame:
+        return Frame(self._id(command) | REMOTE, b"", 0, self.bus)
+
+    def _id(self, command: int) -> int:
+        return codec.can_id(self.node_id, command)
+
+
+def _positive(value: object, where: str, most: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= most:
+        raise ConfigError(repr(value), where, f"a number above 0, at most {most:g}")
+    return float(value)

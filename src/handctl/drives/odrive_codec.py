@@ -1,0 +1,101 @@
+"""Frames of ODrive CANSimple, firmware 0.6.x: identifiers, bytes <-> values, errors in words.
+
+Source: facts, odrive_cansimple; the vendor's DBC ``odrive-cansimple`` 0.6.10.
+"""
+
+import math
+import struct
+from typing import NamedTuple
+
+GET_VERSION, HEARTBEAT, ESTOP, RX_SDO, TX_SDO = 0x00, 0x01, 0x02, 0x04, 0x05
+SET_AXIS_STATE, ENCODER, SET_MODE, SET_TORQUE, SET_LIMITS = 0x07, 0x09, 0x0B, 0x0E, 0x0F
+TEMPERATURE, CLEAR_ERRORS, TORQUES = 0x15, 0x18, 0x1C
+COMMANDS = frozenset((ESTOP, RX_SDO, SET_AXIS_STATE, SET_MODE, 0x0C, 0x0D, SET_TORQUE, SET_LIMITS, 0x16, CLEAR_ERRORS))
+"""Messages that only a host sends."""
+ASKED = frozenset((GET_VERSION, ENCODER, TEMPERATURE, TORQUES))
+"""Messages that are asked for by a remote frame."""
+ANSWERS = ASKED | {HEARTBEAT, TX_SDO}
+LAST_NODE = 0x3E
+PROTOCOL = 2
+IDLE, CLOSED_LOOP = 1, 8
+TORQUE_MODE, PASSTHROUGH = 1, 1
+SUCCESS, BUSY = 0, 1
+SDO_READ, SDO_WRITE = 0, 1
+FLOAT_TOP = 3.4028234663852886e38
+"""Largest float32."""
+
+ERRORS = {
+    0: "initializing", 1: "system level", 2: "timing", 3: "missing estimate", 4: "bad configuration",
+    5: "gate driver fault", 6: "missing input", 8: "DC bus over-voltage", 9: "DC bus under-voltage",
+    10: "DC bus over-current", 11: "DC bus over-regeneration", 12: "current limit violation",
+    13: "motor over-temperature", 14: "inverter over-temperature", 15: "velocity limit violation",
+    16: "position limit violation", 24: "watchdog expired", 25: "emergency stop requested", 26: "spin-out",
+    27: "brake resistor disarmed", 28: "thermistor disconnected", 30: "calibration error",
+}  # fmt: skip
+RESULTS = {
+    2: "cancelled", 3: "disarmed", 4: "no response", 5: "pole pairs or counts per turn do not match",
+    6: "phase resistance out of range", 7: "phase inductance out of range", 8: "unbalanced phases",
+    9: "invalid motor type", 10: "illegal hall state", 11: "timeout", 12: "homing without end stop",
+    13: "invalid state", 14: "not calibrated", 15: "not converging",
+}  # fmt: skip
+
+
+class Heartbeat(NamedTuple):
+    """Errors as bits, axis state, result of the last procedure."""
+
+    errors: int
+    state: int
+    result: int
+
+
+def can_id(node_id: int, command: int) -> int:
+    """Identifier of a message."""
+    return node_id << 5 | command
+
+
+def error_text(errors: int) -> str:
+    """All errors in words; a bit that nobody knows keeps its number."""
+    return ", ".join(ERRORS.get(bit, f"unknown error bit {bit}") for bit in range(32) if errors >> bit & 1)
+
+
+def result_text(result: int) -> str:
+    """The result of a procedure in words."""
+    return RESULTS.get(result, f"unknown result {result}")
+
+
+def heartbeat(data: bytes) -> Heartbeat:
+    """Values of 8 bytes of Heartbeat."""
+    return Heartbeat(*struct.unpack_from("<IBB", data))
+
+
+def pair(data: bytes) -> tuple[float, float] | None:
+    """Two float32; None unless both are finite."""
+    first, second = struct.unpack("<ff", data)
+    return (first, second) if math.isfinite(first) and math.isfinite(second) else None
+
+
+def floats(*values: float) -> bytes:
+    """Payload of float32.
+
+    Raises:
+        ValueError: not finite, or too large for a float32.
+    """
+    for value in values:
+        if not abs(value) <= FLOAT_TOP:
+            raise ValueError(f"{value} cannot be sent, expected a finite number")
+    return struct.pack(f"<{len(values)}f", *values)
+
+
+def integers(*values: int) -> bytes:
+    """Payload of uint32."""
+    return struct.pack(f"<{len(values)}I", *values)
+
+
+def sdo_request(operation: int, endpoint: int, value: bytes = b"") -> bytes:
+    """Payload of RxSdo."""
+    return struct.pack("<BHB", operation, endpoint, 0) + value
+
+
+def sdo_reply(data: bytes) -> tuple[int, bytes]:
+    """Endpoint and value of TxSdo."""
+    return int.from_bytes(data[1:3], "little"), data[4:]

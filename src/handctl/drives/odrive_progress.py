@@ -1,0 +1,117 @@
+"""What is known of an ODrive between two frames, and what its heartbeat changes: nothing else tells what it does."""
+
+from typing import NamedTuple, cast
+
+from handctl.drives import odrive_codec as codec
+from handctl.drives import odrive_endpoints as endpoints
+from handctl.drives.contract import DriveState, Phase
+from handctl.drives.frame import Frame
+
+SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+DROPPED_OUT, MISMATCH, REFUSED, ENABLED_BY_OTHERS, LOST = (1 << 32 | number for number in range(5))
+"""Error codes of our own, above the drive's 32 bits."""
+REPEAT_NS, TEMPERATURE_NS = 20_000_000, 200_000_000
+VERSION_TRIES, CLEAR_TRIES = 10, 3
+HEARTBEATS_MISSED = 3.5
+"""So many periods without a heartbeat and the drive counts as lost."""
+SETTLE_NS = 5_000_000
+"""A heartbeat that comes sooner than this after an order may have been sent before it [ns]."""
+
+
+class Progress(NamedTuple):
+    """What CANSimple keeps in ``DriveState.private``.
+
+    Attributes:
+        version: whether the protocol version is the one spoken here.
+        walk: how far the endpoints are known.
+        write: payload of RxSdo that is to be sent next; empty if none.
+        configured: whether mode and limits were sent.
+        axis: last axis state.
+        heard_ns: last heartbeat [ns]; -1 before the first.
+        asked_ns: since when it is told to enable [ns]; -1 if it is not.
+        disabling_ns: since when it is told to disable [ns]; -1 if it is not.
+        sent_ns: when the last request was sent that is repeated now and then [ns].
+        tries: how often.
+        warmed_ns: when the temperature was asked for last [ns].
+        clearing: how many heartbeats may still carry the error that is being cleared.
+    """
+
+    version: bool = False
+    walk: endpoints.Walk = endpoints.Walk()
+    write: bytes = b""
+    configured: bool = False
+    axis: int = 0
+    heard_ns: int = -1
+    asked_ns: int = -1
+    disabling_ns: int = -1
+    sent_ns: int = -REPEAT_NS
+    tries: int = 0
+    warmed_ns: int = -TEMPERATURE_NS
+    clearing: int = 0
+
+    @property
+    def may_be_enabled(self) -> bool:
+        """Whether it was told to enable, or is in a state that is not idle."""
+        return self.asked_ns >= 0 or self.axis > codec.IDLE
+
+
+def progress_of(state: DriveState) -> Progress:
+    """The private part of a state."""
+    return cast(Progress, state.private)
+
+
+def fault(state: DriveState, error: int, text: str) -> DriveState:
+    """The state in error."""
+    return state._replace(phase=FAULT, error=error, error_text=text)
+
+
+def take_heartbeat(state: DriveState, frame: Frame) -> DriveState:
+    """Take in a heartbeat of 8 bytes."""
+    beat = codec.heartbeat(frame.data)
+    progress = progress_of(state)._replace(axis=beat.state, heard_ns=frame.t_ns)
+    if beat.errors and progress.clearing:
+        return state._replace(private=progress._replace(clearing=progress.clearing - 1))
+    known = state._replace(private=progress._replace(clearing=0))
+    if beat.errors:
+        return _is_wrong(known, progress, beat)
+    if beat.state == codec.CLOSED_LOOP:
+        return _is_enabled(known, progress)
+    return _is_disabled(known, progress, beat) if beat.state == codec.IDLE else known
+
+
+def _is_wrong(state: DriveState, progress: Progress, beat: codec.Heartbeat) -> DriveState:
+    """An error disarms; a drive that reports one and is not idle may still make torque."""
+    wrong = fault(state, beat.errors, codec.error_text(beat.errors))
+    if beat.state == codec.IDLE:
+        return wrong._replace(private=progress._replace(asked_ns=-1, disabling_ns=-1, clearing=0))
+    return wrong._replace(phase=ENABLED) if progress.disabling_ns >= 0 else wrong
+
+
+def _is_enabled(state: DriveState, progress: Progress) -> DriveState:
+    """It says that it is in closed loop."""
+    if progress.disabling_ns >= 0 or (progress.asked_ns >= 0 and state.phase != FAULT):
+        return state._replace(phase=ENABLED)
+    if state.phase == READY:
+        return fault(state, ENABLED_BY_OTHERS, "in closed loop, but not by this host")
+    return state
+
+
+def _is_disabled(state: DriveState, progress: Progress, beat: codec.Heartbeat) -> DriveState:
+    """It says that it is idle; too soon after an order that says nothing yet."""
+    off = state._replace(private=progress._replace(asked_ns=-1, disabling_ns=-1))
+    if progress.disabling_ns >= 0:
+        if progress.heard_ns < progress.disabling_ns + SETTLE_NS:
+            return state
+        return off._replace(phase=FAULT if state.error else READY)
+    if state.phase == ENABLED:
+        return fault(off, DROPPED_OUT, f"disabled by itself: {codec.result_text(beat.result)}")
+    if 0 <= progress.asked_ns < progress.heard_ns - SETTLE_NS and beat.result not in (codec.SUCCESS, codec.BUSY):
+        return fault(off, REFUSED, f"refuses to enable: {codec.result_text(beat.result)}")
+    return state._replace(phase=CONFIGURING) if state.phase == SILENT else state
+
+
+def begin_disabling(state: DriveState, progress: Progress, t_ns: int) -> DriveState:
+    """From here on idle is what is wanted: until a heartbeat says idle, what may be enabled counts as enabled."""
+    phase = ENABLED if progress.may_be_enabled else state.phase
+    since = progress.disabling_ns if progress.disabling_ns >= 0 else t_ns
+    return state._replace(phase=phase, private=progress._replace(disabling_ns=since))

@@ -1,0 +1,218 @@
+"""The sensor node: load cells and joint encoders, in frames of our own (``sensor_node.dbc``).
+
+The host sends SYNC with the low byte of the tick number; the node samples at once and answers with the low four bits
+of that byte in every frame, so that a stale frame cannot pass for a fresh one. Up to five channels of 12 bits a frame,
+after a counter of four bits, packed from the lowest bit. Tension: 62.5 mN a count from -6 N. Joint angle: 1/4096 turn
+a count from -180 degrees; joint frames come on every ``joint_decimation``-th SYNC.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol, Self
+
+from handctl.drives.frame import Frame
+
+CHANNELS = 5
+CHANNEL_BITS = 12
+COUNTER_BITS = 4
+SHIFTS = tuple(range(COUNTER_BITS, COUNTER_BITS + CHANNELS * CHANNEL_BITS, CHANNEL_BITS))
+FULL = (1 << CHANNEL_BITS) - 1
+TENSION_STEP_N = 0.0625
+TENSION_ZERO_N = -6.0
+LOW_MARGIN_N = 2.0
+TARE_MOST_N = 6.0
+"""Largest tare: a load cell that is further off cannot be read down to zero tension any more."""
+JOINT_STEP_RAD = 2 * math.pi / 4096
+JOINT_ZERO = 2048
+JOINT_FRAMES = 0x10
+"""Joint frames begin this far above the tension frames."""
+
+
+class SensorDescription(Protocol):
+    """What is needed of the hand file's section ``sensor_node``."""
+
+    @property
+    def sync_id(self) -> int: ...
+    @property
+    def base_id(self) -> int: ...
+    @property
+    def tendons(self) -> tuple[str, ...]: ...
+    @property
+    def joints(self) -> tuple[str, ...]: ...
+    @property
+    def joint_decimation(self) -> int: ...
+
+
+class Group(NamedTuple):
+    """The latest frame of one identifier.
+
+    Attributes:
+        counter: its four bits; -1 before the first.
+        t_ns: reception [ns]; -1 before the first.
+        frames: accepted so far.
+        raw: channel values.
+    """
+
+    counter: int = -1
+    t_ns: int = -1
+    frames: int = 0
+    raw: tuple[int, ...] = ()
+
+
+class SensorState(NamedTuple):
+    """What is known of the node.
+
+    Attributes:
+        groups: one per frame identifier, tension frames first.
+        asked: low four bits of the last SYNC; -1 before the first.
+        stale: frames whose counter was not the one asked for.
+        misread: frames of a wrong shape on the node's identifiers.
+    """
+
+    groups: tuple[Group, ...]
+    asked: int = -1
+    stale: int = 0
+    misread: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SensorNode:
+    """The node as the host sees it; immutable.
+
+    Attributes:
+        bus: index of its bus.
+        sync_id: identifier of SYNC.
+        ids: identifier of each frame, tension frames first.
+        sizes: channels in each frame.
+        tension_frames: how many of them carry tensions.
+        tendons: number of tendons of the hand.
+        tendon_index: tendon of each tension channel, in the hand's order.
+        joint_index: joint of each joint channel.
+        decimation: joint frames come on every such SYNC.
+    """
+
+    bus: int
+    sync_id: int
+    ids: tuple[int, ...]
+    sizes: tuple[int, ...]
+    tension_frames: int
+    tendons: int
+    tendon_index: tuple[int, ...]
+    joint_index: tuple[int, ...]
+    decimation: int
+
+    @classmethod
+    def of(cls, node: SensorDescription, bus: int, tendons: tuple[str, ...], joints: tuple[str, ...]) -> Self:
+        """The node of a hand.
+
+        Args:
+            node: its description.
+            bus: index of its bus.
+            tendons, joints: all names of the hand, in order.
+        """
+        tension, angle = _sizes(len(node.tendons)), _sizes(len(node.joints))
+        ids = [node.base_id + g for g in range(len(tension))]
+        ids += [node.base_id + JOINT_FRAMES + g for g in range(len(angle))]
+        return cls(
+            bus=bus,
+            sync_id=node.sync_id,
+            ids=tuple(ids),
+            sizes=(*tension, *angle),
+            tension_frames=len(tension),
+            tendons=len(tendons),
+            tendon_index=tuple(tendons.index(name) for name in node.tendons),
+            joint_index=tuple(joints.index(name) for name in node.joints),
+            decimation=node.joint_decimation,
+        )
+
+    @property
+    def node_ids(self) -> frozenset[int]:
+        """Identifiers that the node answers on."""
+        return frozenset(self.ids)
+
+    @property
+    def host_ids(self) -> frozenset[int]:
+        """Identifiers that only the host sends."""
+        return frozenset((self.sync_id,))
+
+    @property
+    def tension_rail(self) -> float:
+        """Tension, after any tare, from which on a load cell may be saturated [N]."""
+        return TENSION_ZERO_N + FULL * TENSION_STEP_N - TARE_MOST_N
+
+    @property
+    def tension_low(self) -> float:
+        """Tared reading below which a cell or its wire is broken [N]: near the lower rail, far from any noise."""
+        return TENSION_ZERO_N + LOW_MARGIN_N
+
+    @property
+    def exchange(self) -> tuple[tuple[int, float], ...]:
+        """Frames of a tick as (payload bytes, how many a tick): SYNC, tension frames, and a share of joint frames."""
+        rates = [1.0] * self.tension_frames + [1.0 / self.decimation] * (len(self.ids) - self.tension_frames)
+        return ((1, 1.0), *((_length(size), rate) for size, rate in zip(self.sizes, rates, strict=True)))
+
+    def initial(self) -> SensorState:
+        """State before anything was heard."""
+        return SensorState((Group(),) * len(self.ids))
+
+    def sync(self, state: SensorState, k: int) -> tuple[SensorState, Frame]:
+        """SYNC of tick k; answers to it will carry its counter."""
+        return state._replace(asked=k & 0xF), Frame(self.sync_id, bytes((k & 0xFF,)), bus=self.bus)
+
+    def receive(self, state: SensorState, frame: Frame) -> SensorState:
+        """Take in a frame; what is not the node's leaves the state as it is. Never raises on wire data."""
+        if frame.bus != self.bus or frame.can_id not in self.ids:
+            return state
+        index = self.ids.index(frame.can_id)
+        size = self.sizes[index]
+        if len(frame.data) != _length(size):
+            return state._replace(misread=state.misread + 1)
+        bits = int.from_bytes(frame.data, "little")
+        counter, old = bits & 0xF, state.groups[index]
+        if counter != state.asked:
+            return state._replace(stale=state.stale + 1)
+        raw = tuple([bits >> shift & FULL for shift in SHIFTS[:size]])
+        new = Group(counter, frame.t_ns, old.frames + 1, raw)
+        return state._replace(groups=(*state.groups[:index], new, *state.groups[index + 1 :]))
+
+    def new_tensions(self, before: SensorState, now: SensorState) -> Iterator[tuple[int, float]]:
+        """(tendon index, tension [N]) of every channel that was read since ``before``."""
+        fresh = self._fresh(before, now, 0, self.tension_frames)
+        pairs = zip(self.tendon_index, fresh, strict=True)
+        return ((i, TENSION_ZERO_N + raw * TENSION_STEP_N) for i, raw in pairs if raw >= 0)
+
+    def new_joints(self, before: SensorState, now: SensorState) -> Iterator[tuple[int, float]]:
+        """(joint index, angle [rad]) of every channel that was read since ``before``."""
+        fresh = self._fresh(before, now, self.tension_frames, len(self.ids))
+        pairs = zip(self.joint_index, fresh, strict=True)
+        return ((i, (raw - JOINT_ZERO) * JOINT_STEP_RAD) for i, raw in pairs if raw >= 0)
+
+    def tension_times(self, state: SensorState) -> tuple[int, ...]:
+        """Reception of each tendon's latest reading [ns], -1 before the first; (N,) in the hand's order.
+
+        A tendon without a load cell has the node's latest one, so that it is never missed alone.
+        """
+        groups = state.groups[: self.tension_frames]
+        channels = (group.t_ns for group, size in zip(groups, self.sizes, strict=False) for _ in range(size))
+        times = [max((group.t_ns for group in groups), default=-1)] * self.tendons
+        for index, t_ns in zip(self.tendon_index, channels, strict=True):
+            times[index] = t_ns
+        return tuple(times)
+
+    def _fresh(self, before: SensorState, now: SensorState, start: int, end: int) -> list[int]:
+        """Raw values of the channels of some frames, -1 where no new frame came."""
+        values: list[int] = []
+        for old, new, size in zip(before.groups[start:end], now.groups[start:end], self.sizes[start:end], strict=True):
+            values += new.raw if new.frames != old.frames else (-1,) * size
+        return values
+
+
+def _sizes(channels: int) -> list[int]:
+    """Channels of each frame."""
+    return [min(CHANNELS, channels - first) for first in range(0, channels, CHANNELS)]
+
+
+def _length(channels: int) -> int:
+    """Payload of a frame [bytes]."""
+    return math.ceil((COUNTER_BITS + CHANNEL_BITS * channels) / 8)

@@ -1,0 +1,69 @@
+"""A drive beside a motor, walked tick by tick as the controller does it."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import pytest
+
+from handctl.drives.contract import DriveState, Phase, Want
+from handctl.drives.frame import Frame
+from handctl.drives.mit import MitDrive
+from tests.drives.motor import ScriptedMotor
+
+PERIOD_NS = 2_000_000
+
+
+@dataclass(frozen=True)
+class Section:
+    """A ``[[motor]]`` section."""
+
+    name: str = "index_motor"
+    protocol: str = "mit"
+    node_id: int = 1
+    position_range_rad: float = 12.5
+    velocity_range_rad_s: float = 50.0
+    torque_max_N_m: float = 0.8
+    direction: int = 1
+    zero_rad: float = 0.0
+    watchdog_ms: float = 50
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class Walk:
+    """The drive, what it knows, and the motor; time goes on by one period a tick."""
+
+    drive: MitDrive
+    motor: ScriptedMotor
+    state: DriveState
+    t_ns: int = 0
+    sent: list[Frame] = field(default_factory=list)
+    pending: list[Frame] = field(default_factory=list)
+
+    def tick(self, want: Want, torque: float = 0.0) -> DriveState:
+        """Receive what was answered, advance, let the motor answer for the next tick."""
+        for frame in self.pending:
+            self.state = self.drive.receive(self.state, frame)
+        self.state, frames = self.drive.advance(self.state, self.t_ns, want, torque)
+        self.sent += frames
+        self.pending = [reply for frame in frames for reply in self.motor.answer(frame, self.t_ns + 300_000)]
+        self.t_ns += PERIOD_NS
+        return self.state
+
+    def until(self, want: Want, *phases: Phase, ticks: int = 300) -> DriveState:
+        """Go on until the drive is in one of the phases."""
+        for _ in range(ticks):
+            if self.tick(want).phase in phases:
+                return self.state
+        pytest.fail(f"{self.state.phase.name} after {ticks} ticks, expected {[phase.name for phase in phases]}")
+
+
+@pytest.fixture
+def walk() -> Walk:
+    drive = MitDrive.of(Section(), 0)
+    return Walk(drive, ScriptedMotor(), drive.initial())
+
+
+def drive_of(**changes: object) -> MitDrive:
+    return MitDrive.of(replace(Section(), **changes), 0)  # type: ignore[arg-type]

@@ -1,0 +1,82 @@
+"""A motor as the manual describes it, written for these tests alone: bytes in, bytes out, everything can go wrong."""
+
+import struct
+from dataclasses import dataclass, field
+
+from handctl.drives.frame import Frame
+
+FLOATS = {21: 12.5, 22: 50.0, 23: 0.8}
+INTEGERS = {9: 0, 10: 1}
+
+
+@dataclass
+class ScriptedMotor:
+    """State nibble, raw codes of position, velocity and torque, registers by number, and faults to play.
+
+    Attributes:
+        mute: registers that are not answered.
+        stuck: registers that keep their value when written.
+        deaf: special commands that have no effect.
+        silent: nothing is answered.
+    """
+
+    node_id: int = 1
+    reply_id: int = 0x11
+    nibble: int = 0
+    codes: tuple[int, int, int] = (0x8000, 0x800, 0x800)
+    temperatures: tuple[int, int] = (30, 35)
+    registers: dict[int, float] = field(default_factory=lambda: {**FLOATS, **INTEGERS})
+    mute: set[int] = field(default_factory=set)
+    stuck: set[int] = field(default_factory=set)
+    deaf: set[int] = field(default_factory=set)
+    silent: bool = False
+    torques: list[int] = field(default_factory=list)
+    written: list[int] = field(default_factory=list)
+
+    def answer(self, frame: Frame, t_ns: int) -> list[Frame]:
+        """Its answer to a frame of the host, none or one."""
+        data = self._data(frame)
+        if data is None or self.silent:
+            return []
+        return [Frame(self.reply_id, data, frame.flags, frame.bus, t_ns)]
+
+    def _data(self, frame: Frame) -> bytes | None:
+        if frame.can_id == 0x7FF and frame.data[0] | frame.data[1] << 8 == self.node_id:
+            return self._register(frame.data)
+        if frame.can_id != self.node_id:
+            return None
+        if frame.data[:7] == b"\xff" * 7:
+            self._special(frame.data[7])
+        elif self.nibble == 1:
+            self.torques.append(frame.data[6] << 8 & 0xF00 | frame.data[7])
+        return self.feedback()
+
+    def _special(self, code: int) -> None:
+        if code in self.deaf:
+            return
+        if code == 0xFC and self.nibble == 0:
+            self.nibble = 1
+        elif (code == 0xFD and self.nibble == 1) or (code == 0xFB and self.nibble > 1):
+            self.nibble = 0
+
+    def _register(self, data: bytes) -> bytes | None:
+        operation, register = data[2], data[3]
+        if operation == 0xCC:
+            return self.feedback()
+        if register in self.mute:
+            return None
+        layout = "<I" if register in INTEGERS else "<f"
+        if operation == 0x55:
+            self.written.append(register)
+            assert self.nibble != 1, "a register was written while torque was on"
+            if register not in self.stuck:
+                (self.registers[register],) = struct.unpack(layout, data[4:])
+        return data[:4] + struct.pack(layout, self.registers[register])
+
+    def feedback(self) -> bytes:
+        """8 bytes, put together bit by bit from the manual's table."""
+        position, velocity, torque = (
+            format(code, f"0{bits}b") for code, bits in zip(self.codes, (16, 12, 12), strict=True)
+        )
+        bits = format(self.nibble, "04b") + format(self.node_id & 0xF, "04b") + position + velocity + torque
+        return int(bits, 2).to_bytes(6, "big") + bytes(self.temperatures)

@@ -1,0 +1,89 @@
+"""A hand file in any protocol, and its drives walked tick by tick against the simulated firmware."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from firmware_sim.rig import Rig
+from handctl.drives.contract import Drive, DriveState, Phase, Want
+from handctl.drives.frame import Frame
+from handctl.drives.registry import make_drive
+from handctl.drives.sensor_node import SensorNode
+from handctl.hand.description import hand_path, load_hand
+
+PERIOD_NS = 2_000_000
+FIRST_NODE = 0x10
+ENDPOINTS = "endpoint_enable_watchdog = 201\nendpoint_watchdog_timeout = 202\n"
+ENDPOINTS += "endpoint_torque_max = 203\nendpoint_torque_min = 204\n"
+OPTIONS = {
+    "mit": "",
+    "odrive": "[motor.options]\n" + ENDPOINTS,
+    "cia402": "[motor.options]\nrated_torque_N_m = 0.4\ncounts_per_turn = 65536\n",
+}
+
+
+def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
+    """The packaged hand with the motors' protocols replaced, one after the other.
+
+    Args:
+        folder: to write into.
+        protocols: of each motor; the last one for the rest.
+        extra: more options of every motor.
+    """
+    head, *motors = hand_path("jamia").read_text().split("[[motor]]")
+    for i, text in enumerate(motors):
+        protocol = protocols[min(i, len(protocols) - 1)]
+        text = text.replace('"mit"', f'"{protocol}"')
+        text = re.sub(r"node_id = \d+", f"node_id = {FIRST_NODE + i}", text)
+        options = OPTIONS[protocol] + extra
+        motors[i] = text.rstrip() + "\n" + options + "\n" if options else text
+    path = folder / "hand.toml"
+    path.write_text("[[motor]]".join([head, *motors]))
+    return path
+
+
+class Bench:
+    """All drives and the sensor node of a hand, ticked together against the simulator."""
+
+    def __init__(self, path: Path) -> None:
+        self.hand = load_hand(str(path))
+        self.rig = Rig(str(path), seed=3, period_ns=PERIOD_NS)
+        buses = self.hand.bus_names
+        motors = [self.hand.motor_of(name) for name in self.hand.tendon_names]
+        self.drives: list[Drive] = [make_drive(motor, buses.index(motor.bus)) for motor in motors]
+        self.states: list[DriveState] = [drive.initial() for drive in self.drives]
+        node = self.hand.sensor_node
+        self.node = SensorNode.of(node, buses.index(node.bus), self.hand.tendon_names, self.hand.joints)
+        self.sensors = self.node.initial()
+        self.incoming: list[Frame] = []
+        self.sent: list[Frame] = []
+        self.k = 0
+
+    def tick(self, want: Want, torque: float = 0.0, extra: Sequence[Frame] = ()) -> None:
+        for frame in self.incoming:
+            self.states = [d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)]
+        self.sensors, sync = self.node.sync(self.sensors, self.k)
+        outgoing = [sync, *extra]
+        for i, drive in enumerate(self.drives):
+            self.states[i], frames = drive.advance(self.states[i], self.k * PERIOD_NS, want, torque)
+            outgoing += frames
+        self.sent = outgoing
+        self.incoming = [Frame(*reply) for reply in self.rig.step(self.k * PERIOD_NS, list(outgoing))]
+        self.k += 1
+
+    def until(self, want: Want, phase: Phase, ticks: int = 400) -> None:
+        for _ in range(ticks):
+            self.tick(want)
+            if all(state.phase == phase for state in self.states):
+                return
+        pytest.fail(f"{[(state.phase.name, state.error_text) for state in self.states]}, expected {phase.name}")
+
+    def clear(self) -> None:
+        """As a person's order does it."""
+        frames: list[Frame] = []
+        for i, drive in enumerate(self.drives):
+            self.states[i], more = drive.clear(self.states[i])
+            frames += more
+        self.tick(Want.POLL, extra=frames)

@@ -1,0 +1,87 @@
+"""Drives and sensor node of the packaged hand against the simulated firmware, which shares no code with them."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from firmware_sim.rig import Rig
+from handctl.drives.contract import Drive, DriveState, Phase, Want
+from handctl.drives.frame import Frame
+from handctl.drives.registry import make_drive
+from handctl.drives.sensor_node import SensorNode
+from handctl.hand.description import load_hand
+
+PERIOD_NS = 2_000_000
+HAND = load_hand("jamia")
+
+
+class Bench:
+    """All drives and the sensor node of a hand, ticked together against the simulator."""
+
+    def __init__(self) -> None:
+        self.rig = Rig("jamia", seed=3, period_ns=PERIOD_NS)
+        self.drives: list[Drive] = [make_drive(HAND.motor_of(name), 0) for name in HAND.tendon_names]
+        self.states: list[DriveState] = [drive.initial() for drive in self.drives]
+        self.node = SensorNode.of(HAND.sensor_node, 0, HAND.tendon_names, HAND.joints)
+        self.sensors = self.node.initial()
+        self.tensions: dict[int, float] = {}
+        self.incoming: list[Frame] = []
+        self.k = 0
+
+    def tick(self, want: Want, torque: float = 0.0) -> None:
+        before = self.sensors
+        for frame in self.incoming:
+            self.sensors = self.node.receive(self.sensors, frame)
+            self.states = [d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)]
+        self.tensions = dict(self.node.new_tensions(before, self.sensors))
+        self.sensors, sync = self.node.sync(self.sensors, self.k)
+        outgoing = [sync]
+        for i, drive in enumerate(self.drives):
+            self.states[i], frames = drive.advance(self.states[i], self.k * PERIOD_NS, want, torque)
+            outgoing += frames
+        self.incoming = [Frame(*reply) for reply in self.rig.step(self.k * PERIOD_NS, list(outgoing))]
+        self.k += 1
+
+    def until(self, want: Want, phase: Phase, ticks: int = 200) -> None:
+        for _ in range(ticks):
+            self.tick(want)
+            if all(state.phase == phase for state in self.states):
+                return
+        pytest.fail(f"{[(state.phase.name, state.error_text) for state in self.states]}, expected {phase.name}")
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    made = Bench()
+    yield made
+    made.rig.close()
+
+
+def test_from_silence_to_torque_and_back(bench: Bench) -> None:
+    bench.until(Want.POLL, Phase.READY)
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    for _ in range(200):
+        bench.tick(Want.ENABLE, 0.05)
+    assert sorted(bench.tensions) == [0, 1, 2, 3]
+    for i, state in enumerate(bench.states):
+        assert state.torque == pytest.approx(0.05, abs=0.002)
+        assert state.feedback_t_ns >= (bench.k - 2) * PERIOD_NS
+        assert 5.0 < bench.tensions[i] < 15.0, "0.05 N m on a spool of 5 mm is 10 N, friction aside"
+    bench.tick(Want.DISABLE)
+    bench.tick(Want.DISABLE)
+    assert [state.phase for state in bench.states] == [Phase.READY] * 4
+    assert (bench.sensors.stale, bench.sensors.misread) == (0, 0)
+    assert [state.misread for state in bench.states] == [0] * 4
+
+
+def test_silence_lets_the_watchdog_fire_and_clearing_leads_back_to_ready(bench: Bench) -> None:
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    for _ in range(40):  # 80 ms, and the watchdog is set to 50 ms
+        bench.tick(Want.LISTEN)
+    bench.until(Want.ENABLE, Phase.FAULT, ticks=3)
+    assert {state.error_text for state in bench.states} == {"communication lost: the drive's watchdog fired"}
+    for i, drive in enumerate(bench.drives):
+        bench.states[i], frames = drive.clear(bench.states[i])
+        assert len(frames) == 1
+    bench.until(Want.POLL, Phase.READY)
+    assert [state.error for state in bench.states] == [0] * 4

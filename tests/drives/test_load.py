@@ -1,0 +1,82 @@
+"""Bus load against the worst-case table that was made by counting bits, and against a bit-exact stuffer."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handctl.drives.load import bus_time_s, frame_time_s, highest_rate
+
+NOMINAL, DATA = 1_000_000, 5_000_000
+
+
+@pytest.mark.parametrize(("size", "microseconds"), [(0, 55), (4, 95), (8, 135)])
+def test_classical_frames(size: int, microseconds: float) -> None:
+    assert frame_time_s(size, False, NOMINAL) * 1e6 == pytest.approx(microseconds)
+
+
+@pytest.mark.parametrize(("size", "microseconds"), [(4, 48.6), (8, 56.6), (16, 72.6), (32, 105.6), (64, 169.6)])
+def test_fd_frames(size: int, microseconds: float) -> None:
+    assert frame_time_s(size, True, NOMINAL, DATA) * 1e6 == pytest.approx(microseconds, rel=0.001)
+
+
+@pytest.mark.parametrize(
+    ("fd", "motors", "tensions", "microseconds"),
+    [(False, 4, [8], 1215), (False, 11, [8, 8, 8], 3375), (True, 4, [12], 517), (True, 11, [32], 1351)],
+)
+def test_a_tick_of_mit_motors_and_their_load_cells(
+    fd: bool, motors: int, tensions: list[int], microseconds: float
+) -> None:
+    frames = [(8, fd, 2.0 * motors), *((size, fd, 1.0) for size in tensions)]
+    assert bus_time_s(frames, NOMINAL, DATA) * 1e6 == pytest.approx(microseconds, rel=0.001)
+
+
+PAYLOADS = st.lists(st.one_of(st.integers(0, 255), st.sampled_from([0x00, 0x0F, 0xF0, 0xFF])), max_size=8).map(bytes)
+"""Payloads of all kinds, and often of those that need many stuff bits."""
+
+
+def stuffed(bits: str) -> str:
+    """Bits as on the wire: after five equal ones, stuff bits among them, comes their opposite."""
+    out = ""
+    for bit in bits:
+        out += bit
+        if len(out) >= 5 and len(set(out[-5:])) == 1:
+            out += "10"[int(bit)]
+    return out
+
+
+def crc15(bits: str) -> str:
+    """Source: ISO 11898-1, the polynomial 0x4599."""
+    register = 0
+    for bit in bits:
+        top = register >> 14 & 1
+        register = register << 1 & 0x7FFF
+        if top ^ int(bit):
+            register ^= 0x4599
+    return format(register, "015b")
+
+
+@given(st.integers(0, 0x7FF), PAYLOADS)
+def test_no_classical_frame_takes_longer_than_its_worst_case(can_id: int, data: bytes) -> None:
+    head = "0" + format(can_id, "011b") + "000" + format(len(data), "04b")
+    body = head + "".join(format(byte, "08b") for byte in data)
+    bits = len(stuffed(body + crc15(body))) + 13
+    assert bits / NOMINAL <= frame_time_s(len(data), False, NOMINAL) + 1e-12
+
+
+def test_the_worst_case_can_nearly_happen() -> None:
+    """All zeros: the classical bound is not a bound for show."""
+    body = "0" * 19 + "0" * 64
+    bits = len(stuffed(body + crc15(body))) + 13
+    assert bits > 0.85 * 135
+
+
+@pytest.mark.parametrize("size", range(65))
+def test_fd_lengths_round_up(size: int) -> None:
+    at_once = frame_time_s(size, True, NOMINAL, DATA)
+    assert at_once <= frame_time_s(min(64, size + 1), True, NOMINAL, DATA)
+    assert at_once < frame_time_s(size, True, NOMINAL)
+
+
+@pytest.mark.parametrize(("times_us", "rate"), [([1350.0], 500.0), ([1000.0, 1420.0], 400.0), ([600.0], 1000.0)])
+def test_the_highest_rate_leaves_three_tenths_of_every_bus(times_us: list[float], rate: float) -> None:
+    assert highest_rate(time * 1e-6 for time in times_us) == rate

@@ -1,0 +1,224 @@
+"""MIT frames against bytes made by hand from the manual's tables, and against everything that can be encoded."""
+
+import math
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handctl.drives import mit_codec as codec
+from handctl.drives.contract import DriveState, Phase, Want
+from handctl.drives.frame import FDF, Frame
+from handctl.drives.mit import MitDrive, Progress
+from handctl.drives.mit_registers import Walk
+from handctl.drives.registry import make_drive
+from handctl.errors import ConfigError
+from tests.drives.conftest import Section, drive_of
+
+TMAX = 0.8
+RANGES = codec.Ranges(12.5, 50.0, TMAX)
+TORQUES = st.floats(-TMAX, TMAX)
+
+
+@pytest.mark.parametrize(
+    ("torque", "payload"),
+    [  # p = 0x7FFF, v = 0x7FF, kp = kd = 0, and the torque in the last twelve bits
+        (-0.8, "7fff7ff000000000"),
+        (0.8, "7fff7ff000000fff"),
+        (0.0, "7fff7ff000000800"),
+        (0.4, "7fff7ff000000bff"),
+        (-0.4, "7fff7ff000000400"),
+    ],
+)
+def test_golden_commands(torque: float, payload: str) -> None:
+    assert codec.encode_torque(torque, TMAX) == bytes.fromhex(payload)
+
+
+@pytest.mark.parametrize(
+    ("payload", "values"),
+    [  # nibble and id, 16 bits of position, 12 of velocity, 12 of torque, two temperatures
+        ("01000000000000ff", (0, -12.5, -50.0, -0.8, 255.0)),
+        ("11ffffffffff2a19", (1, 12.5, 50.0, 0.8, 42.0)),
+        ("d17fff7ff7ff1e1f", (13, -12.5 / 65535, -50 / 4095, -0.8 / 4095, 31.0)),
+        ("018000800bff2020", (0, 12.5 / 65535, 50 / 4095, 0.8 * (2 * 3071 / 4095 - 1), 32.0)),
+    ],
+)
+def test_golden_feedback(payload: str, values: tuple[float, ...]) -> None:
+    assert codec.decode_feedback(bytes.fromhex(payload), RANGES) == pytest.approx(values, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("request_", "payload"),
+    [
+        (codec.register_request(1, codec.REFRESH), "0100cc0000000000"),
+        (codec.register_request(11, codec.READ, 23), "0b00331700000000"),
+        (codec.register_request(2, codec.WRITE, 9, 1000), "02005509e8030000"),
+        (codec.register_request(2, codec.WRITE, 9, 1000.0), "02005509e8030000"),
+        (codec.register_request(0x123, codec.WRITE, 23, 0.5), "230155170000003f"),
+        (codec.special(codec.ENABLE), "fffffffffffffffc"),
+        (codec.special(codec.DISABLE), "fffffffffffffffd"),
+        (codec.special(codec.CLEAR), "fffffffffffffffb"),
+    ],
+)
+def test_golden_requests(request_: bytes, payload: str) -> None:
+    assert request_ == bytes.fromhex(payload)
+
+
+def test_golden_register_replies() -> None:
+    told = codec.register_reply(bytes.fromhex("0100330900040000"), 1)
+    assert told is not None
+    assert (told.operation, told.register, told.value) == (0x33, 9, 1024)
+    told = codec.register_reply(bytes.fromhex("0100551700008040"), 1)
+    assert told is not None
+    assert (told.operation, told.register, told.value) == (0x55, 23, 4.0)
+    assert codec.register_reply(bytes.fromhex("0100aa0100000000"), 1) == (0xAA, 1, bytes(4))
+    assert codec.register_reply(bytes.fromhex("0200330900040000"), 1) is None
+    assert codec.register_reply(bytes.fromhex("018000800bff2020"), 1) is None
+
+
+@given(TORQUES)
+def test_a_torque_arrives_within_half_a_step(torque: float) -> None:
+    code = int.from_bytes(codec.encode_torque(torque, TMAX), "big") & 0xFFF
+    assert code * 2 * TMAX / 4095 - TMAX == pytest.approx(torque, abs=TMAX / 4095 + 1e-12)
+
+
+@given(TORQUES)
+def test_a_command_never_looks_like_a_special_one_and_has_no_gains(torque: float) -> None:
+    data = codec.encode_torque(torque, TMAX)
+    assert data[:3] == b"\x7f\xff\x7f"
+    assert int.from_bytes(data, "big") >> 12 & 0xFFFFFF == 0
+
+
+@given(TORQUES, TORQUES)
+def test_more_torque_is_never_a_smaller_code(one: float, other: float) -> None:
+    less, more = sorted((one, other))
+    assert codec.encode_torque(less, TMAX) <= codec.encode_torque(more, TMAX)
+
+
+@given(st.one_of(st.floats(max_value=-TMAX, exclude_max=True), st.floats(min_value=TMAX, exclude_min=True)))
+def test_what_is_out_of_range_cannot_be_encoded(torque: float) -> None:
+    with pytest.raises(ValueError, match="index_motor: torque"):
+        drive_of().command(torque)
+
+
+@pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number_cannot_be_encoded(torque: float) -> None:
+    with pytest.raises(ValueError, match=r"expected at most 0\.8$"):
+        drive_of().command(torque)
+
+
+@given(TORQUES, st.sampled_from([-1, 1]))
+def test_direction_turns_every_sign(torque: float, direction: int) -> None:
+    drive = drive_of(direction=direction, zero_rad=0.25)
+    assert drive.command(torque) == codec.encode_torque(direction * torque, TMAX)
+    state = DriveState(phase=Phase.READY, private=Progress(configured=True))
+    seen = drive.receive(state, Frame(0x11, bytes.fromhex("01c000c00c002020")))
+    assert seen.position == pytest.approx(direction * (12.5 * (2 * 0xC000 / 65535 - 1) - 0.25))
+    assert seen.velocity == pytest.approx(direction * 50 * (2 * 0xC00 / 4095 - 1))
+    assert seen.torque == pytest.approx(direction * 0.8 * (2 * 0xC00 / 4095 - 1))
+
+
+@given(st.integers(0, 15), st.integers(0, 0xFFFF), st.integers(0, 0xFFF), st.integers(0, 0xFFF))
+def test_feedback_of_the_simulated_firmware_reads_back(nibble: int, position: int, velocity: int, torque: int) -> None:
+    from firmware_sim.nodes import mit_codec as firmware
+
+    ranges = firmware.Ranges(*RANGES)
+    motion = (
+        firmware.from_code(position, 12.5, 16),
+        firmware.from_code(velocity, 50.0, 12),
+        firmware.from_code(torque, TMAX, 12),
+    )
+    data = firmware.encode_feedback(nibble, 3, motion, ranges, (30.0, 40.0))
+    seen = codec.decode_feedback(data, RANGES)
+    assert seen.nibble == nibble
+    steps = (25.0 / 65535, 100.0 / 4095, 1.6 / 4095)
+    for value, true, step in zip(seen[1:4], motion, steps, strict=True):
+        assert abs(value - true) <= step * 1.001
+
+
+@given(TORQUES)
+def test_the_simulated_firmware_reads_commands(torque: float) -> None:
+    from firmware_sim.nodes import mit_codec as firmware
+
+    told = firmware.decode_command(codec.encode_torque(torque, TMAX), firmware.Ranges(*RANGES))
+    assert (told.kp, told.kd) == (0.0, 0.0)
+    assert told.torque == pytest.approx(torque, abs=TMAX / 4095 + 1e-12)
+
+
+STATES = st.builds(
+    DriveState,
+    phase=st.sampled_from(Phase),
+    error=st.sampled_from([0, 0xA, 0x102]),
+    private=st.builds(
+        Progress,
+        walk=st.builds(Walk, st.integers(0, 4), st.booleans(), st.booleans(), st.integers(-1, 9), st.integers(0, 10)),
+        configured=st.booleans(),
+        found_enabled=st.booleans(),
+        asked=st.booleans(),
+        disabling=st.booleans(),
+        disabling_ns=st.integers(0, 10),
+        clearing=st.integers(0, 3),
+    ),
+)
+IDENTIFIERS = st.one_of(st.just(0x11), st.integers(0, 2047))
+DATA = st.one_of(
+    st.binary(max_size=64),
+    st.builds(bytes.__add__, st.just(b"\x01\x00\x33"), st.binary(min_size=5, max_size=5)),
+)
+
+
+@given(STATES, IDENTIFIERS, DATA, st.sampled_from(Want), st.integers(0, 2))
+def test_any_frame_may_come_in_any_state(state: DriveState, can_id: int, data: bytes, want: Want, bus: int) -> None:
+    drive = drive_of()
+    after = drive.receive(state, Frame(can_id, data, FDF, bus, 5))
+    if can_id != 0x11 or bus != 0:
+        assert after is state
+    _, frames = drive.advance(after, 10, want, 0.0)
+    acting = [frame for frame in frames if frame.can_id == 1 and frame.data[:7] != b"\xff" * 7]
+    assert not acting or (want == Want.ENABLE and after.phase == Phase.ENABLED)
+
+
+def test_every_identifier_and_length() -> None:
+    drive, state = drive_of(), drive_of().initial()
+    for can_id in range(2048):
+        for length in range(65):
+            after = drive.receive(state, Frame(can_id, b"\x01" * length))
+            assert (after is state) == (can_id != 0x11), (can_id, length)
+
+
+def test_options() -> None:
+    drive = drive_of(options={"reply_id": 0x55, "fd": True})
+    assert drive.node_ids == {0x55}
+    assert drive.cut()[0].flags & FDF
+    assert drive.exchange == ((8, True), (8, True))
+    assert drive_of().exchange == ((8, False), (8, False))
+    assert drive_of().host_ids == {0x001, 0x101, 0x201, 0x301, 0x7FF}
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"speed": 1}, "motor[index_motor].options.speed: unknown key; expected reply_id or fd"),
+        ({"reply_id": 0}, "motor[index_motor].options.reply_id: 0; expected an identifier from 1 to 0x7fe"),
+        ({"reply_id": 0x7FF}, "motor[index_motor].options.reply_id: 2047; expected"),
+        ({"reply_id": True}, "motor[index_motor].options.reply_id: True; expected"),
+        ({"fd": 1}, "motor[index_motor].options.fd: 1; expected true for a motor set to CAN FD, or false"),
+    ],
+)
+def test_wrong_options_are_refused(options: dict[str, object], text: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        drive_of(options=options)
+    assert str(caught.value).startswith(text)
+
+
+def test_the_registry_knows_mit_and_says_what_it_knows() -> None:
+    assert isinstance(make_drive(Section(), 0), MitDrive)
+    with pytest.raises(ConfigError, match=r"motor\[index_motor\].protocol: 'mlt'; expected one of .*mit"):
+        make_drive(Section(protocol="mlt"), 0)
+
+
+def test_watchdog_and_torque_limit_become_registers() -> None:
+    wanted = dict(drive_of(watchdog_ms=50, torque_max_N_m=1.5).wanted)
+    assert wanted == {10: 1, 21: 12.5, 22: 50.0, 23: 1.5, 9: 1000}
+    assert codec.register_bytes(23, 1.5) == struct.pack("<f", 1.5)

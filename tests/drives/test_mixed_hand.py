@@ -1,0 +1,110 @@
+"""One hand over two buses, three protocols in it, and what a hand file may not say about them."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from handctl.cli.plan import tick_times_s
+from handctl.drives.contract import Phase, Want
+from handctl.drives.load import bus_time_s
+from handctl.errors import ConfigError
+from handctl.hand.description import load_hand
+from tests.drives.protocol_bench import Bench, hand_file
+
+SECOND = '[[bus]]\nname = "second"\nbitrate = 1_000_000\n\n[sensor_node]'
+
+
+def mixed(folder: Path) -> Path:
+    """MIT and ODrive beside the load cells; two CiA 402 drives on a bus of their own, one of which sends SYNC."""
+    path = hand_file(folder, ["mit", "odrive", "cia402"])
+    head, *motors = path.read_text().replace("[sensor_node]", SECOND).split("[[motor]]")
+    for i in (2, 3):
+        motors[i] = motors[i].replace('bus = "main"', 'bus = "second"')
+    motors[2] = motors[2].replace("counts_per_turn", "sync = true\ncounts_per_turn")
+    path.write_text("[[motor]]".join([head, *motors]))
+    return path
+
+
+def test_two_buses_and_three_protocols_work_as_one_hand(tmp_path: Path) -> None:
+    bench = Bench(mixed(tmp_path))
+    assert [drive.bus for drive in bench.drives] == [0, 0, 1, 1]
+    bench.until(Want.POLL, Phase.READY)
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    for _ in range(100):
+        bench.tick(Want.ENABLE, 0.05)
+    motors = bench.rig.world.plant.motors.values()
+    assert [motor.servo.torque for motor in motors] == pytest.approx([0.05] * 4, abs=0.001)
+    assert min(state.feedback_t_ns for state in bench.states) >= (bench.k - 2) * 2_000_000
+    bench.until(Want.DISABLE, Phase.READY, ticks=100)
+    bench.rig.close()
+
+
+def test_a_mirrored_geared_motor_winds_too(tmp_path: Path) -> None:
+    for protocol in ("odrive", "cia402"):
+        path = hand_file(tmp_path, [protocol], "gear_ratio = 4.0\n")
+        path.write_text(re.sub(r"\ndirection = 1", "\ndirection = -1", path.read_text()))
+        bench = Bench(path)
+        bench.until(Want.ENABLE, Phase.ENABLED)
+        before = [state.position for state in bench.states]
+        for _ in range(100):
+            bench.tick(Want.ENABLE, 0.05)
+        motors = bench.rig.world.plant.motors
+        for drive, state, start in zip(bench.drives, bench.states, before, strict=True):
+            assert motors[drive.name].servo.torque == pytest.approx(0.05, abs=0.002), "in the hand's sign, at the spool"
+            assert state.position > start
+        bench.rig.close()
+
+
+def test_identifiers_of_different_protocols_may_not_meet(tmp_path: Path) -> None:
+    path = hand_file(tmp_path, ["odrive"])
+    path.write_text(path.read_text().replace("node_id = 16", "node_id = 4"))
+    with pytest.raises(ConfigError, match=r"0x80 on bus \"main\" is taken.*sensor_node.sync_id"):
+        load_hand(str(path))
+
+
+@pytest.mark.parametrize(
+    ("protocol", "option", "wrong"),
+    [
+        ("odrive", "gear_ratio = 0.0", "gear_ratio"),
+        ("odrive", "colour = 1", "colour"),
+        ("odrive", "endpoint_torque_max = 1.5", "endpoint_torque_max"),
+        ("cia402", 'rated_torque_unit = "Nm"', "rated_torque_unit"),
+        ("cia402", 'sync = "yes"', "sync"),
+        ("cia402", "colour = 1", "colour"),
+    ],
+)
+def test_wrong_options_are_refused_by_their_path(tmp_path: Path, protocol: str, option: str, wrong: str) -> None:
+    path = hand_file(tmp_path, [protocol])
+    text = path.read_text()
+    if f"\n{wrong} = " in text:
+        text = re.sub(rf"\n{wrong} = .*", "\n" + option, text)
+    else:
+        text = text.replace("[motor.options]\n", f"[motor.options]\n{option}\n")
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=rf"motor\[index_motor\].options.{wrong}"):
+        tick_times_s(load_hand(str(path)))
+
+
+def test_can_fd_needs_its_data_bit_rate(tmp_path: Path) -> None:
+    path = hand_file(tmp_path, ["mit"])
+    text = path.read_text().replace("watchdog_ms = 50", "watchdog_ms = 50\noptions = { fd = true }")
+    path.write_text(text)
+    with pytest.raises(ConfigError, match=r"bus\[main\].data_bitrate"):
+        tick_times_s(load_hand(str(path)))
+    path.write_text(text.replace("bitrate = 1_000_000", "bitrate = 1_000_000\ndata_bitrate = 5_000_000"))
+    busy = tick_times_s(load_hand(str(path)))[0]
+    sensors = bus_time_s([(1, False, 1), (7, False, 1)], 1e6)
+    assert busy - sensors == pytest.approx(8 * 56.6e-6, rel=0.001)
+
+
+@pytest.mark.parametrize(
+    ("protocol", "extra", "microseconds"),
+    [("mit", "", 1215), ("cia402", "", 1110), ("odrive", "encoder_period_ms = 2\n", 1055)],
+)
+def test_the_load_is_that_of_the_table(tmp_path: Path, protocol: str, extra: str, microseconds: float) -> None:
+    """Of the table the motors' frames; it counts 8 bytes of tensions, and SYNC (empty) with CiA 402 alone."""
+    bench = Bench(hand_file(tmp_path, [protocol], extra))
+    frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.exchange] + [(8, False, 1.0)]
+    frames += [(0, False, 1.0)] if protocol == "cia402" else []
+    assert bus_time_s(frames, 1e6) * 1e6 == pytest.approx(microseconds, rel=0.02)

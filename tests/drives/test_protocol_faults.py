@@ -1,0 +1,132 @@
+"""What goes wrong with ODrive and CiA 402 drives, played by the simulated firmware, and how it is told."""
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from firmware_sim.nodes.cia402 import Cia402Node
+from firmware_sim.nodes.odrive import OdriveNode
+from handctl.drives.cia402 import Cia402Drive
+from handctl.drives.contract import Phase, Want
+from handctl.drives.frame import Frame
+from handctl.drives.odrive import OdriveDrive
+from tests.drives.protocol_bench import OPTIONS, Bench, hand_file
+
+
+@pytest.fixture
+def odrive(tmp_path: Path) -> Iterator[Bench]:
+    made = Bench(hand_file(tmp_path, ["odrive"]))
+    yield made
+    made.rig.close()
+
+
+@pytest.fixture
+def cia402(tmp_path: Path) -> Iterator[Bench]:
+    made = Bench(hand_file(tmp_path, ["cia402"]))
+    yield made
+    made.rig.close()
+
+
+def first_odrive(bench: Bench) -> OdriveNode:
+    node = bench.rig.world.nodes[0][0]
+    assert isinstance(node, OdriveNode)
+    return node
+
+
+def first_cia402(bench: Bench) -> Cia402Node:
+    node = bench.rig.world.nodes[0][0]
+    assert isinstance(node, Cia402Node)
+    return node
+
+
+def first_in(bench: Bench, phase: Phase, want: Want, ticks: int) -> str:
+    """Go on until the first drive is in a phase; its error in words."""
+    for _ in range(ticks):
+        bench.tick(want)
+        if bench.states[0].phase == phase:
+            return bench.states[0].error_text
+    raise AssertionError(bench.states[0])
+
+
+@pytest.mark.parametrize(
+    ("bit", "words"), [(25, "emergency stop"), (13, "motor over-temperature"), (6, "missing input")]
+)
+def test_an_odrive_says_what_disarmed_it(odrive: Bench, bit: int, words: str) -> None:
+    odrive.until(Want.ENABLE, Phase.ENABLED)
+    first_odrive(odrive).disarm(1 << bit)
+    assert words in first_in(odrive, Phase.FAULT, Want.ENABLE, 60)
+
+
+def test_an_odrive_that_is_left_enabled_is_made_idle_first(odrive: Bench) -> None:
+    first_odrive(odrive).state = 8
+    odrive.until(Want.POLL, Phase.READY)
+    assert first_odrive(odrive).state == 1
+
+
+def test_an_odrive_without_a_heartbeat_is_lost(odrive: Bench) -> None:
+    odrive.until(Want.ENABLE, Phase.ENABLED)
+    for _ in range(200):
+        odrive.incoming = [frame for frame in odrive.incoming if frame.can_id & 0x1F != 1]
+        odrive.tick(Want.ENABLE)
+    assert odrive.states[0].error_text == "no heartbeat"
+    assert first_odrive(odrive).state == 1, "and what may be enabled is told to stop"
+
+
+def test_endpoints_hold_what_the_hand_file_says(odrive: Bench) -> None:
+    node = first_odrive(odrive)
+    assert node.endpoints[201] == b"\0"
+    odrive.until(Want.POLL, Phase.READY)
+    assert node.endpoints[201] == b"\1"
+    assert struct.unpack("<f", node.endpoints[202])[0] == pytest.approx(0.05)
+    assert struct.unpack("<f", node.endpoints[203])[0] == pytest.approx(0.8)
+
+
+def test_a_watchdog_that_cannot_be_verified_is_said(tmp_path: Path) -> None:
+    path = hand_file(tmp_path, ["odrive"])
+    bench = Bench(path)
+    assert isinstance(bench.drives[0], OdriveDrive)
+    assert bench.drives[0].caveats == ()
+    path.write_text(path.read_text().replace(OPTIONS["odrive"], ""))
+    bare = Bench(path).drives[0]
+    assert isinstance(bare, OdriveDrive)
+    assert "watchdog not verified" in bare.caveats[0]
+
+
+def test_another_protocol_version_is_refused(odrive: Bench) -> None:
+    drive, state = odrive.drives[0], odrive.states[0]
+    assert isinstance(drive, OdriveDrive)
+    state = drive.receive(state, Frame(drive.node_id << 5, bytes((1, 0, 0, 0, 0, 5, 6, 0))))
+    assert (state.phase, state.error_text) == (Phase.FAULT, "speaks CANSimple version 1, expected 2")
+
+
+@pytest.mark.parametrize(
+    ("code", "words"), [(0x8130, "watchdog"), (0x4310, "motor over-temperature"), (0xFF01, "0xff01")]
+)
+def test_a_cia402_drive_says_what_its_fault_is(cia402: Bench, code: int, words: str) -> None:
+    cia402.until(Want.ENABLE, Phase.ENABLED)
+    first_cia402(cia402).trip(code)
+    cia402.incoming += first_cia402(cia402).wake(cia402.rig.world.t_ns)  # type: ignore[arg-type]
+    assert words in first_in(cia402, Phase.FAULT, Want.ENABLE, 10)
+
+
+def test_another_rated_torque_is_refused(cia402: Bench) -> None:
+    first_cia402(cia402).objects[0x6076, 0] = 300
+    assert first_in(cia402, Phase.FAULT, Want.POLL, 100) == "object 0x6076:0 reads 0x12c, expected 0x190"
+
+
+def test_a_drive_that_restarts_in_motion_is_a_fault(cia402: Bench) -> None:
+    cia402.until(Want.ENABLE, Phase.ENABLED)
+    cia402.tick(Want.ENABLE, extra=[Frame(0x000, bytes((0x81, 0x10)))])
+    assert first_in(cia402, Phase.FAULT, Want.ENABLE, 30) == "restarted"
+    assert cia402.rig.world.plant.motors["index_motor"].servo.torque == 0.0
+
+
+def test_a_bus_without_sync_is_said(cia402: Bench) -> None:
+    drive = cia402.drives[0]
+    assert isinstance(drive, Cia402Drive)
+    for _ in range(200):
+        cia402.tick(Want.POLL)
+        cia402.incoming = [frame for frame in cia402.incoming if frame.can_id & ~0x7F != 0x180]
+    assert "SYNC" in cia402.states[0].error_text

@@ -1,0 +1,21 @@
+"""The whole job in lockstep, commissioning and grasp, with each protocol."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from handctl.cli.main import main
+from tests.drives.protocol_bench import hand_file
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("protocol", ["odrive", "cia402"])
+def test_a_hand_grasps(protocol: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, log = hand_file(tmp_path, [protocol]), tmp_path / "run.mcap"
+    assert main(["demo", "--lockstep", "--hand", str(path), "--log", str(log), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["failure"] == ""
+    assert result["tracking_rmse_rad"] < 0.01
+    assert result["tension_hold_error_n"] < 2.0
+    assert min(result["contact_force_n"].values()) > 1.0, "it holds something"

@@ -1,0 +1,130 @@
+"""What every protocol must do, against its simulated firmware, which shares no code with it."""
+
+import math
+import random
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from handctl.drives.contract import Phase, Want
+from handctl.drives.frame import EXTENDED, FDF, REMOTE, Frame
+from handctl.drives.registry import PROTOCOLS
+from tests.drives.protocol_bench import Bench, hand_file
+
+
+@pytest.fixture(params=sorted(PROTOCOLS))
+def protocol(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def bench(protocol: str, tmp_path: Path) -> Iterator[Bench]:
+    made = Bench(hand_file(tmp_path, [protocol]))
+    yield made
+    made.rig.close()
+
+
+def servo_torques(bench: Bench) -> list[float]:
+    """What the simulated drives are really told to do."""
+    return [motor.servo.torque for motor in bench.rig.world.plant.motors.values()]
+
+
+def test_from_silence_to_torque_and_a_confirmed_standstill(bench: Bench) -> None:
+    bench.until(Want.POLL, Phase.READY)
+    assert servo_torques(bench) == [0.0] * 4
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    for _ in range(200):
+        bench.tick(Want.ENABLE, 0.05)
+    world = bench.rig.world
+    for drive, state in zip(bench.drives, bench.states, strict=True):
+        truth = world.plant.motors[drive.name].theta + world.encoder_offset[drive.name]
+        assert state.position == pytest.approx(truth, abs=0.01)
+        assert state.feedback_t_ns >= (bench.k - 2) * 2_000_000
+    assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=0.001)
+    bench.until(Want.DISABLE, Phase.READY, ticks=100)
+    assert servo_torques(bench) == [0.0] * 4
+    assert [state.misread for state in bench.states] == [0] * 4
+    assert bench.rig.world.malformed == 0
+
+
+def test_a_dead_host_loses_its_torque_and_only_a_person_gets_it_back(bench: Bench) -> None:
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.tick(Want.ENABLE, 0.05)
+    for _ in range(15):
+        bench.tick(Want.LISTEN)
+    assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=0.001), "30 ms: not yet"
+    for _ in range(35):
+        bench.tick(Want.LISTEN)
+    assert servo_torques(bench) == [0.0] * 4, "100 ms, and the watchdogs are set to 50 ms"
+    bench.until(Want.ENABLE, Phase.FAULT, ticks=100)
+    for state in bench.states:
+        assert "watchdog" in state.error_text
+    bench.until(Want.DISABLE, Phase.FAULT, ticks=100)
+    bench.clear()
+    bench.until(Want.POLL, Phase.READY)
+    assert [state.error for state in bench.states] == [0] * 4
+    bench.until(Want.ENABLE, Phase.ENABLED)
+
+
+def test_a_cut_takes_the_torque_away_in_the_same_tick_and_disarms(bench: Bench) -> None:
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.tick(Want.ENABLE, 0.05)
+    assert 0.0 not in servo_torques(bench)
+    bench.tick(Want.LISTEN, extra=[frame for drive in bench.drives for frame in drive.cut()])
+    assert servo_torques(bench) == [0.0] * 4
+    for _ in range(200):
+        bench.tick(Want.DISABLE)
+    assert {state.phase for state in bench.states} <= {Phase.READY, Phase.FAULT}
+
+
+def test_disabling_is_not_confirmed_by_silence(bench: Bench) -> None:
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    for _ in range(400):
+        bench.incoming = []
+        bench.tick(Want.DISABLE)
+    bench.incoming = []
+    assert [state.phase for state in bench.states] == [Phase.ENABLED] * 4
+
+
+@pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf, 0.801, -1e9])
+def test_what_is_no_torque_cannot_be_encoded(bench: Bench, torque: float) -> None:
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    for drive, state in zip(bench.drives, bench.states, strict=True):
+        with pytest.raises(ValueError, match=drive.name):
+            drive.advance(state, bench.k * 2_000_000, Want.ENABLE, torque)
+
+
+@pytest.mark.parametrize("phase", [Phase.SILENT, Phase.ENABLED])
+def test_any_bytes_on_any_identifier_are_survived(bench: Bench, phase: Phase) -> None:
+    if phase == Phase.ENABLED:
+        bench.until(Want.ENABLE, phase)
+    chance, drive, known = random.Random(7), bench.drives[0], bench.states[0]
+    for can_id in range(0x800):
+        for length in range(65) if can_id in drive.node_ids else (0, 8, 64):
+            frame = Frame(can_id, chance.randbytes(length), FDF if length > 8 else 0, 0, bench.k * 2_000_000)
+            after = drive.receive(known, frame)
+            if can_id not in drive.node_ids:
+                assert after is known
+            drive.advance(after, bench.k * 2_000_000, Want.POLL, 0.0)
+            for other in (frame._replace(bus=1), frame._replace(can_id=can_id | EXTENDED)):
+                assert drive.receive(known, other) is known
+            assert drive.receive(known, frame._replace(can_id=can_id | REMOTE)) is known
+
+
+def test_simulated_nodes_survive_any_bytes(bench: Bench) -> None:
+    chance = random.Random(8)
+    for can_id in range(0x800):
+        for length in (0, 1, 3, 4, 8, 64):
+            flags = FDF if length > 8 else 0
+            bench.rig.world.receive(Frame(can_id, chance.randbytes(length), flags))  # type: ignore[arg-type]
+        bench.rig.world.receive(Frame(can_id | REMOTE, b""))  # type: ignore[arg-type]
+    bench.rig.world.advance(bench.rig.world.t_ns + 100_000_000)
+
+
+def test_what_the_host_sends_and_what_the_node_sends_are_told_apart(bench: Bench) -> None:
+    drive = bench.drives[0]
+    assert not drive.host_ids & drive.node_ids
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    ours = {can_id for drive in bench.drives for can_id in drive.host_ids} | bench.node.host_ids
+    assert {frame.can_id for frame in bench.sent} <= ours
