@@ -1,0 +1,87 @@
+"""A plant that differs from its hand file: factors on its parameters."""
+
+import math
+from dataclasses import replace
+
+from firmware_sim.description import Digit, Hand, MotorSpec, SensorSpec, SimulatorError, TendonSpec
+
+KEYS = {
+    "stiffness": "rope stiffness",
+    "damping": "damping of ropes, joints and rotors",
+    "friction": "capstan coefficient of the ropes and Coulomb friction of the motors",
+    "mass": "mass and inertia of the links",
+    "spring": "stiffness of the return springs",
+    "motor_inertia": "rotor inertia",
+    "torque_constant": "real torque over the torque the drive believes",
+    "bias": "newtons added to every load cell (not a factor)",
+    "noise": "noise of load cells and joint encoders",
+}
+
+
+def perturbed(hand: Hand, factors: dict[str, float]) -> Hand:
+    """Return the hand with its plant parameters multiplied by the factors.
+
+    Args:
+        hand: as described by its file.
+        factors: key of ``KEYS`` to factor (``bias``: to newtons).
+
+    Raises:
+        SimulatorError: an unknown key, or a factor that is not finite or is negative.
+    """
+    for key, value in factors.items():
+        if key not in KEYS:
+            raise SimulatorError(f"no such parameter to perturb: {key}; expected one of {', '.join(KEYS)}")
+        if not math.isfinite(value) or (value < 0 and key != "bias"):
+            raise SimulatorError(f"perturb {key}={value}: expected a finite factor >= 0")
+        if value == 0 and key in ("mass", "motor_inertia"):
+            raise SimulatorError(f"perturb {key}=0: expected a factor > 0")
+    f = {key: factors.get(key, 1.0) for key in KEYS}
+    return replace(
+        hand,
+        digits=[_digit(digit, f) for digit in hand.digits],
+        tendons=[_tendon(tendon, f) for tendon in hand.tendons],
+        motors=[_motor(motor, f) for motor in hand.motors],
+        sensors=_sensors(hand.sensors, f["noise"], factors.get("bias", 0.0)) if hand.sensors else None,
+    )
+
+
+def _scaled(values: tuple[float, ...], factor: float) -> tuple[float, ...]:
+    return tuple(value * factor for value in values)
+
+
+def _digit(digit: Digit, f: dict[str, float]) -> Digit:
+    return replace(
+        digit,
+        mass=_scaled(digit.mass, f["mass"]),
+        inertia=_scaled(digit.inertia, f["mass"]),
+        damping=_scaled(digit.damping, f["damping"]),
+        spring=_scaled(digit.spring, f["spring"]),
+    )
+
+
+def _tendon(tendon: TendonSpec, f: dict[str, float]) -> TendonSpec:
+    return replace(
+        tendon,
+        stiffness=tendon.stiffness * f["stiffness"],
+        damping=tendon.damping * f["damping"],
+        friction=tendon.friction * f["friction"],
+    )
+
+
+def _motor(motor: MotorSpec, f: dict[str, float]) -> MotorSpec:
+    return replace(
+        motor,
+        inertia=motor.inertia * f["motor_inertia"],
+        viscous=motor.viscous * f["damping"],
+        coulomb=motor.coulomb * f["friction"],
+        torque_gain=f["torque_constant"],
+    )
+
+
+def _sensors(sensors: SensorSpec, noise: float, bias: float) -> SensorSpec:
+    return replace(
+        sensors,
+        tension_noise=sensors.tension_noise * noise,
+        joint_noise=sensors.joint_noise * noise,
+        tension_bias=bias,
+    )

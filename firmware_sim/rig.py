@@ -1,0 +1,98 @@
+"""The simulator in lockstep: the caller's ticks are its clock, and nobody sleeps."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from firmware_sim.description import load_hand
+from firmware_sim.frame import FDF, Frame
+from firmware_sim.perturb import perturbed
+from firmware_sim.scene import load_scene
+from firmware_sim.truth import TruthWriter
+from firmware_sim.world import World
+
+FRAME_NS = 135_000
+"""Worst case of a classical frame of 8 bytes at 1 Mbit/s [ns], by which answers follow one another. Source: VCAN."""
+FD_FRAME_NS = 57_000
+"""Worst case of an FD frame of 8 bytes at 1/5 Mbit/s [ns]. Source: VCAN."""
+
+
+class Rig:
+    """One simulated hand; the same seed and the same frames give the same answers and the same truth, byte for byte.
+
+    Attributes:
+        world: plant and nodes, for tests that look behind the wire.
+    """
+
+    def __init__(
+        self,
+        hand_path: str,
+        *,
+        scene: str | None = None,
+        seed: int = 0,
+        truth_path: str | None = None,
+        perturb: dict[str, float] | None = None,
+        period_ns: int = 2_000_000,
+        homed: bool = False,
+    ) -> None:
+        """Build the hand.
+
+        Args:
+            hand_path: file or packaged name.
+            scene: packaged name, file or shorthand such as ``cylinder:35``; None for a free hand.
+            seed: of noise, initial slack and encoder offsets.
+            truth_path: file to record the truth in; None for none.
+            perturb: factors on plant parameters, see ``perturb.KEYS``.
+            period_ns: length of a tick [ns].
+            homed: start with taut ropes and encoders at zero.
+
+        Raises:
+            SimulatorError: hand, scene or factors are wrong.
+        """
+        hand = perturbed(load_hand(hand_path), perturb or {})
+        self.world = World(hand, load_scene(scene), seed, homed)
+        self._period_ns = period_ns
+        self._truth: TruthWriter | None = None
+        if truth_path is not None:
+            header = {**self.world.header("virtual"), "perturb": perturb or {}}
+            self._truth = TruthWriter(Path(truth_path), self.world.plant, header)
+            self.world.record(self._truth)
+
+    def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
+        """Answer the host's frames of the tick that begins at t_ns, then advance to the next tick.
+
+        Args:
+            t_ns: beginning of the tick [ns]; must not run backwards.
+            frames: can_id, data, flags, bus, t_ns of each frame.
+
+        Returns:
+            The answers, stamped as if they followed one another on each bus, all within the tick.
+        """
+        self.world.advance(t_ns)
+        busy_ns = [0] * len(self.world.nodes)
+        answers = []
+        for frame in frames:
+            question = Frame(*frame)
+            busy_ns[question.bus] += _duration_ns(question)
+            answers += self.world.receive(question)
+        stamped = []
+        for answer in answers:
+            busy_ns[answer.bus] += _duration_ns(answer)
+            arrival_ns = t_ns + min(busy_ns[answer.bus], self._period_ns - 1)
+            stamped.append(answer._replace(t_ns=arrival_ns))
+        self.world.advance(t_ns + self._period_ns)
+        return sorted(stamped + self.world.take_spoken(), key=_arrival_ns)
+
+    def close(self) -> None:
+        """Complete the truth file."""
+        if self._truth is not None:
+            self._truth.close({"foreign_frames": self.world.foreign, "malformed_frames": self.world.malformed})
+            self._truth = None
+
+
+def _arrival_ns(frame: Frame) -> int:
+    return frame.t_ns
+
+
+def _duration_ns(frame: Frame) -> int:
+    return FD_FRAME_NS if frame.flags & FDF else FRAME_NS

@@ -1,0 +1,122 @@
+"""The simulator in real time: one thread that reads frames, lets the plant follow the clock, and answers at once."""
+
+import select
+import socket
+import sys
+import time
+from dataclasses import dataclass
+from typing import Protocol
+
+from firmware_sim.frame import Frame
+from firmware_sim.ports import Port
+from firmware_sim.world import World
+
+TURN_NS = 1_000_000
+"""The plant follows the clock at least this often [ns of plant time]."""
+LATE_NS = 5 * TURN_NS
+"""A turn that finds the plant this far behind counts as an overrun [ns of plant time]."""
+SLIP_NS = 50_000_000
+"""Further behind than this the plant's clock gives up the time that is lost [ns of plant time]."""
+STRIDE_NS = 10_000_000
+"""At most this much plant time is caught up before frames are looked at again [ns]."""
+
+
+class Clock(Protocol):
+    """What the server asks of time."""
+
+    @property
+    def scale(self) -> float:
+        """Plant time per wall time."""
+        ...
+
+    def now_ns(self) -> int:
+        """Return the present plant time, were the plant never late [ns]."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class ScaledClock:
+    """CLOCK_MONOTONIC times a factor; both sides of the wire compute it alike.
+
+    Attributes:
+        scale: plant time per wall time.
+    """
+
+    scale: float = 1.0
+
+    def now_ns(self) -> int:
+        """Return the present time [ns]."""
+        return int(time.monotonic_ns() * self.scale)
+
+
+class Server:
+    """Drives a world by a clock and the ports of its buses.
+
+    Attributes:
+        overruns: turns that found the plant late. slips: how often it gave up lost time.
+        running: set to False, from a signal handler too, and ``run`` returns.
+    """
+
+    def __init__(self, world: World, ports: list[Port], clock: Clock) -> None:
+        """Args: world, whose clock is at the present time; ports in the order of the hand's buses; clock."""
+        self._world, self._ports, self._clock = world, ports, clock
+        self.overruns = self.slips = 0
+        self.running = True
+
+    def run(self) -> None:
+        """Serve until ``running`` is False."""
+        while self.running:
+            self.turn()
+
+    def turn(self) -> None:
+        """Wait for frames or for the next millisecond, let the plant catch up, answer."""
+        ready = self._wait()
+        frames = [frame for port in self._ports for frame in port.receive(ready)]
+        self._catch_up()
+        self._answer(frames)
+
+    def _wait(self) -> list[socket.socket]:
+        """Return the sockets that are ready by the time the plant is due."""
+        due_ns = self._world.t_ns + self._world.slip_ns + TURN_NS
+        timeout = max(0.0, (due_ns - self._clock.now_ns()) / self._clock.scale * 1e-9)
+        readers = [link for port in self._ports for link in port.readers()]
+        writers = [link for port in self._ports for link in port.writers()]
+        readable, _, _ = select.select(readers, writers, [], timeout)
+        return readable
+
+    def _catch_up(self) -> None:
+        world = self._world
+        goal_ns = self._clock.now_ns() - world.slip_ns
+        behind_ns = goal_ns - world.t_ns
+        if behind_ns > SLIP_NS:
+            self._slip(behind_ns)
+            return
+        self.overruns += behind_ns > LATE_NS
+        world.advance(min(goal_ns, world.t_ns + STRIDE_NS))
+
+    def _slip(self, behind_ns: int) -> None:
+        """Give up lost time: plant and watchdogs stood still while this process did not run."""
+        self._world.slip_ns += behind_ns
+        self.slips += 1
+        print(f"firmware_sim: {behind_ns / 1e6:.0f} ms behind, clock slipped", file=sys.stderr, flush=True)
+
+    def _answer(self, frames: list[Frame]) -> None:
+        answers: list[list[Frame]] = [[] for _ in self._ports]
+        for frame in frames:
+            answers[frame.bus] += self._world.receive(frame)
+        for frame in self._world.take_spoken():
+            answers[frame.bus].append(frame)
+        for port, share in zip(self._ports, answers, strict=True):
+            if share:
+                port.send(share)
+
+    def summary(self) -> dict[str, object]:
+        """Return what the run came to, for the truth file and for a person."""
+        return {
+            "overruns": self.overruns,
+            "slips": self.slips,
+            "slipped_ns": self._world.slip_ns,
+            "foreign_frames": self._world.foreign,
+            "malformed_frames": self._world.malformed,
+            "lost_frames": sum(port.lost for port in self._ports),
+        }

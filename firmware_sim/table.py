@@ -1,0 +1,44 @@
+"""The table under the object, which sinks once the object is held."""
+
+import math
+
+from firmware_sim.scene import Support
+
+
+class Table:
+    """Decides when the table sinks and how far it has sunk.
+
+    Attributes:
+        depth: how far below its first place [m].
+        dropped_at: plant time at which it began to sink [s]; None before.
+    """
+
+    def __init__(self, support: Support, opposed: list[bool]) -> None:
+        """Args: the scene's support; for each digit, whether it closes against the first one."""
+        self._support, self._opposed = support, opposed
+        self._held_since: float | None = None
+        self.depth = 0.0
+        self.dropped_at: float | None = None
+
+    def update(self, time: float, forces: list[float]) -> float:
+        """Return the depth [m] at a time [s], given x, y, z of the contact force on each digit [N] in one list."""
+        if self.dropped_at is None:
+            self._watch(time, forces)
+        if self.dropped_at is not None:
+            self.depth = min(self._support.sink_depth, self._support.sink_speed * (time - self.dropped_at))
+        return self.depth
+
+    def _watch(self, time: float, forces: list[float]) -> None:
+        if self._support.drop_when != "grasped" or not self._grasped(forces):
+            self._held_since = None
+            return
+        if self._held_since is None:
+            self._held_since = time
+        if time - self._held_since >= self._support.drop_hold:
+            self.dropped_at = time
+
+    def _grasped(self, forces: list[float]) -> bool:
+        """Whether two digits press from one side and at least one from the other."""
+        sizes = [math.hypot(*forces[i : i + 3]) for i in range(0, len(forces), 3)]
+        pressing = [side for side, size in zip(self._opposed, sizes, strict=True) if size > self._support.drop_force]
+        return len(pressing) >= 3 and any(pressing) and not all(pressing)

@@ -1,0 +1,133 @@
+"""The truth file: what really happened in the plant, every millisecond, for those who judge a controller.
+
+One line of JSON (padded with spaces, completed when the file is closed), then rows: int64 t_ns and a float64 a column.
+"""
+
+import json
+import struct
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from firmware_sim.plant import Plant
+
+PERIOD_NS = 1_000_000
+_HEAD_SIZE = 8192
+_ROWS_HELD = 256
+"""Rows kept in memory before they are written."""
+
+
+class Truth(NamedTuple):
+    """A truth file in memory.
+
+    Attributes:
+        header: the first line.
+        t_ns: shape (rows,) [ns].
+        values: shape (rows, columns); units in ``header["units"]``.
+    """
+
+    header: dict[str, Any]
+    t_ns: npt.NDArray[np.int64]
+    values: npt.NDArray[np.float64]
+
+    def column(self, name: str) -> npt.NDArray[np.float64]:
+        """Return one column by its name, shape (rows,)."""
+        return self.values[:, self.header["columns"].index(name)]
+
+
+def columns(plant: Plant) -> list[tuple[str, str]]:
+    """Return name and unit of every column."""
+    hand = plant.hand
+    named = [(f"tension/{tendon.name}", "N") for tendon in hand.tendons]
+    named += [(f"q/{joint}", "rad") for joint in hand.joints]
+    named += [(f"dq/{joint}", "rad/s") for joint in hand.joints]
+    named += [(f"motor/{motor.name}", "rad") for motor in hand.motors]
+    named += [(f"contact_force/{digit.name}/{axis}", "N") for digit in hand.digits for axis in "xyz"]
+    named += [(f"object/{axis}", "m") for axis in "xyz"]
+    named += [(f"object/{part}", "1") for part in ("qw", "qx", "qy", "qz")]
+    named += [("slip", "m/s")]
+    if plant.load:
+        named += [("load", "N"), *[(f"normal/{digit.name}", "N") for digit in hand.digits]]
+    return named
+
+
+class TruthWriter:
+    """Writes rows in blocks.
+
+    Values of a row are those of its time, except contact forces, which belong to the step before (0.5 ms).
+
+    Attributes:
+        due_ns: plant time of the next row [ns].
+    """
+
+    def __init__(self, path: Path, plant: Plant, header: dict[str, object]) -> None:
+        """Args: file to create; plant; what the header says besides the columns."""
+        named = columns(plant)
+        self._header = {
+            "columns": [name for name, _ in named],
+            "units": [unit for _, unit in named],
+            "period_ns": PERIOD_NS,
+            **header,
+        }
+        self._row = struct.Struct(f"<q{len(named)}d")
+        self._held: list[bytes] = []
+        self._motors = list(plant.motors.values())
+        self._file = path.open("wb")
+        self.due_ns = 0
+        self._file.write(self._head(_HEAD_SIZE))
+
+    def _head(self, size: int) -> bytes:
+        return json.dumps(self._header).encode().ljust(size - 1) + b"\n"
+
+    def write(self, t_ns: int, plant: Plant) -> None:
+        """Take down the present state."""
+        self.due_ns += PERIOD_NS
+        engine = plant.engine
+        self._held.append(
+            self._row.pack(
+                t_ns,
+                *plant.tensions(),
+                *engine.q.tolist(),
+                *engine.dq.tolist(),
+                *[motor.theta for motor in self._motors],
+                *plant.contact_forces(),
+                *engine.object_pose(),
+                engine.object_speed(),
+                *plant.measured_grip(),
+            )
+        )
+        if len(self._held) >= _ROWS_HELD:
+            self.flush()
+
+    def flush(self) -> None:
+        """Write what is held in memory."""
+        self._file.write(b"".join(self._held))
+        self._file.flush()
+        self._held.clear()
+
+    def close(self, summary: dict[str, object]) -> None:
+        """Write the rest, complete the header with a summary of the run, and close the file."""
+        self.flush()
+        self._header.update(summary)
+        head = self._head(_HEAD_SIZE)
+        if len(head) == _HEAD_SIZE:
+            self._file.seek(0)
+            self._file.write(head)
+        self._file.close()
+
+
+def read_truth(path: str | Path) -> Truth:
+    """Read a truth file; a last row that was cut off is left out.
+
+    Raises:
+        ValueError: the file does not begin with a header.
+    """
+    head, newline, body = Path(path).read_bytes().partition(b"\n")
+    if not newline:
+        raise ValueError(f"{path}: not a truth file")
+    header = json.loads(head)
+    row = np.dtype([("t_ns", "<i8"), ("v", "<f8", (len(header["columns"]),))])
+    rows = np.frombuffer(body, row, count=len(body) // row.itemsize)
+    return Truth(header, rows["t_ns"], rows["v"])

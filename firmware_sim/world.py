@@ -1,0 +1,133 @@
+"""Plant and nodes together, driven by time and frames; knows neither sockets nor clocks.
+
+Faults enter between ``receive`` and the nodes (wire), in a node (``trip``, registers) or in the plant.
+"""
+
+import random
+
+from firmware_sim.description import Hand, MotorSpec, SensorSpec, SimulatorError
+from firmware_sim.frame import Frame
+from firmware_sim.nodes import PROTOCOLS, Node
+from firmware_sim.nodes.sensors import SensorNode
+from firmware_sim.plant import STEP_NS, Plant
+from firmware_sim.scene import Scene
+from firmware_sim.truth import TruthWriter
+
+MAX_ENCODER_OFFSET_RAD = 0.5
+"""Angle that an encoder may show at theta = 0 when not homed; small against PMAX and the 3 rad of a grasp."""
+
+
+class World:
+    """The other side of the wire.
+
+    Power-up, unless homed: each rope hangs slack by 1 to 3 mm (the motors were limp) and each encoder shows an angle
+    within 0.5 rad of its ``zero_rad`` at the point where the rope is just taut at q = 0 (a spool clamped by hand). Both
+    are seeded. A homed world starts with taut ropes and the encoders at ``zero_rad``.
+
+    Attributes:
+        plant: the mechanics.
+        nodes: for each bus of the hand, what sits on it.
+        t_ns: the clock of plant and nodes [ns]; a multiple of the step from the origin.
+        foreign: frames that no node knew.
+        encoder_offset: angle each encoder shows at theta = 0, by motor [rad].
+    """
+
+    def __init__(self, hand: Hand, scene: Scene, seed: int = 0, homed: bool = False, origin_ns: int = 0) -> None:
+        """Args: hand; scene; seed of everything random; whether it starts homed; the clock at the start [ns]."""
+        self.hand, self.seed, self.homed = hand, seed, homed
+        self.plant = Plant(hand, scene, seed, homed)
+        self.t_ns = self._origin_ns = origin_ns
+        self.foreign = 0
+        chance = random.Random(f"encoders {seed}")
+        spread = 0.0 if homed else MAX_ENCODER_OFFSET_RAD
+        self.encoder_offset = {motor.name: motor.zero + chance.uniform(-spread, spread) for motor in hand.motors}
+        self.nodes: list[list[Node]] = [[] for _ in hand.buses]
+        for motor in hand.motors:
+            self.nodes[self._bus(motor.bus)].append(self._motor_node(motor))
+        if hand.sensors:
+            self.nodes[self._bus(hand.sensors.bus)].append(self._sensor_node(hand.sensors))
+        self._all = [(index, node) for index, bus in enumerate(self.nodes) for node in bus]
+        self._spoken: list[Frame] = []
+        self._truth: TruthWriter | None = None
+        self.slip_ns = 0
+
+    def _bus(self, name: str) -> int:
+        if name not in self.hand.buses:
+            raise SimulatorError(f"{self.hand.name}: no bus {name}; expected one of {', '.join(self.hand.buses)}")
+        return self.hand.buses.index(name)
+
+    def _motor_node(self, motor: MotorSpec) -> Node:
+        if motor.protocol not in PROTOCOLS:
+            known = ", ".join(PROTOCOLS)
+            raise SimulatorError(f"{motor.name}: protocol {motor.protocol} is not simulated; expected one of {known}")
+        return PROTOCOLS[motor.protocol](motor, self.plant.motors[motor.name], self.encoder_offset[motor.name])
+
+    def _sensor_node(self, spec: SensorSpec) -> Node:
+        plant, joints = self.plant, self.hand.joints
+        names = [tendon.name for tendon in self.hand.tendons]
+        tendon_order = [names.index(name) for name in spec.tendons]
+        joint_order = [joints.index(name) for name in spec.joints]
+
+        def tensions() -> list[float]:
+            values = plant.tensions()
+            return [values[i] for i in tendon_order]
+
+        def angles() -> list[float]:
+            values = plant.engine.q.tolist()
+            return [values[i] for i in joint_order]
+
+        return SensorNode(spec, tensions, angles, self.seed)
+
+    def record(self, truth: TruthWriter) -> None:
+        """Have every millisecond of plant time written down."""
+        self._truth = truth
+
+    def receive(self, frame: Frame) -> list[Frame]:
+        """Hand a frame to the nodes of its bus and return their answers, stamped with the present time."""
+        answers: list[Frame] = []
+        known = False
+        for node in self.nodes[frame.bus]:
+            replies = node.receive(frame, self.t_ns)
+            if replies is not None:
+                known = True
+                answers += [reply._replace(bus=frame.bus, t_ns=self.t_ns) for reply in replies]
+        if not known:
+            self.foreign += 1
+        return answers
+
+    def advance(self, t_ns: int) -> None:
+        """Let time pass until t_ns, in whole steps; what is left over waits for the next call."""
+        plant, nodes, truth = self.plant, self._all, self._truth
+        now_ns = self.t_ns
+        while now_ns + STEP_NS <= t_ns:
+            if truth is not None and plant.t_ns >= truth.due_ns:
+                truth.write(now_ns + self.slip_ns, plant)
+            plant.step()
+            now_ns += STEP_NS
+            for bus, node in nodes:
+                if now_ns >= node.wake_ns:
+                    spoken = node.wake(now_ns)
+                    if spoken:
+                        self._spoken += [frame._replace(bus=bus, t_ns=now_ns) for frame in spoken]
+        self.t_ns = now_ns
+
+    def take_spoken(self) -> list[Frame]:
+        """Return what nodes have sent of their own accord since the last call."""
+        spoken, self._spoken = self._spoken, []
+        return spoken
+
+    @property
+    def malformed(self) -> int:
+        """Frames that a node could not read."""
+        return sum(node.malformed for _, node in self._all)
+
+    def header(self, clock: str) -> dict[str, object]:
+        """Return what the head of a truth file says about this world."""
+        return {
+            "clock": clock,
+            "seed": self.seed,
+            "hand": self.hand.name,
+            "scene": self.plant.scene.name,
+            "homed": self.homed,
+            "encoder_offset_rad": self.encoder_offset,
+        }

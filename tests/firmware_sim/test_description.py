@@ -1,0 +1,133 @@
+"""The hand as the simulator reads it, perturbed hands, and the record of a frame."""
+
+import struct
+import tomllib
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_sim.description import SimulatorError, find_hand, load_hand
+from firmware_sim.frame import BRS, ESI, EXTENDED, FDF, RECORD_SIZE, Frame, pack_record, unpack_record
+from firmware_sim.perturb import KEYS, perturbed
+from firmware_sim.rig import Rig
+
+
+def edited(tmp_path: Path, old: str, new: str) -> str:
+    """A copy of jamia with the first occurrence of a text replaced."""
+    text = find_hand("jamia").read_text()
+    assert old in text
+    path = tmp_path / "edited.toml"
+    path.write_text(text.replace(old, new, 1))
+    return str(path)
+
+
+@pytest.mark.parametrize("name", ["jamia", "jamia11"])
+def test_every_number_comes_from_the_file(name: str) -> None:
+    raw = tomllib.loads(find_hand(name).read_text())
+    hand = load_hand(name)
+    assert [tendon.arms for tendon in hand.tendons] == [tendon["moment_arm_m"] for tendon in raw["tendon"]]
+    for tendon, entry in zip(hand.tendons, raw["tendon"], strict=True):
+        assert (tendon.stiffness, tendon.friction) == (entry["stiffness_N_per_m"], entry["friction_coefficient"])
+        assert (tendon.damping, tendon.wrap) == (entry["damping_N_s_per_m"], entry["wrap_angle_rad"])
+    for motor, entry in zip(hand.motors, raw["motor"], strict=True):
+        assert (motor.node_id, motor.spool_radius) == (entry["node_id"], entry["spool_radius_m"])
+        assert (motor.torque_max, motor.torque_peak) == (entry["torque_max_N_m"], entry["torque_peak_N_m"])
+    for digit, entry in zip(hand.digits, raw["digit"], strict=True):
+        assert list(digit.mass) == entry["link_mass_kg"]
+        assert list(digit.spring) == entry["spring_stiffness_N_m_per_rad"]
+    assert hand.sensors is not None
+    assert hand.sensors.base_id == raw["sensor_node"]["base_id"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("spool_radius_m = 0.005", "", "spool_radius_m"),
+        ("[[motor]]", "[[motor", "not TOML"),
+        ("index_j1 = 0.003", "index_j9 = 0.003", "index_j9"),
+        ('motor = "index_motor"', 'motor = "lost_motor"', "lost_motor"),
+        ('protocol = "mit"', 'protocol = "morse"', "morse"),
+        ('bus = "main"', 'bus = "side"', "side"),
+    ],
+)
+def test_incomplete_hands_are_refused_in_one_line(old: str, new: str, said: str, tmp_path: Path) -> None:
+    with pytest.raises(SimulatorError, match=said) as caught:
+        Rig(edited(tmp_path, old, new))
+    assert "\n" not in str(caught.value)
+
+
+def test_motors_on_two_buses(tmp_path: Path) -> None:
+    """The first motor moves to a second bus; it answers there and is deaf on the first."""
+    first = edited(tmp_path, "[sensor_node]", '[[bus]]\nname = "side"\nbitrate = 1_000_000\n\n[sensor_node]')
+    text = Path(first).read_text()
+    head, _, tail = text.partition('name = "index_motor"')
+    Path(first).write_text(head + 'name = "index_motor"' + tail.replace('bus = "main"', 'bus = "side"', 1))
+    rig = Rig(first)
+    zero = bytes.fromhex("7fff7ff0000007ff")
+    answers = rig.step(0, [(1, zero, 0, 0, 0), (1, zero, 0, 1, 0), (2, zero, 0, 0, 0)])
+    assert [(answer.can_id, answer.bus) for answer in answers] == [(0x11, 1), (0x12, 0)]
+
+
+def changed(before: Any, after: Any) -> set[str]:
+    """Names of the fields that differ."""
+    return {field.name for field in fields(before) if getattr(before, field.name) != getattr(after, field.name)}
+
+
+@pytest.mark.parametrize(
+    ("key", "digit", "tendon", "motor", "sensors"),
+    [
+        ("stiffness", set(), {"stiffness"}, set(), set()),
+        ("damping", {"damping"}, {"damping"}, {"viscous"}, set()),
+        ("friction", set(), {"friction"}, {"coulomb"}, set()),
+        ("mass", {"mass", "inertia"}, set(), set(), set()),
+        ("spring", {"spring"}, set(), set(), set()),
+        ("motor_inertia", set(), set(), {"inertia"}, set()),
+        ("torque_constant", set(), set(), {"torque_gain"}, set()),
+        ("bias", set(), set(), set(), {"tension_bias"}),
+        ("noise", set(), set(), set(), {"tension_noise", "joint_noise"}),
+    ],
+)
+def test_each_factor_changes_what_it_says(
+    key: str, digit: set[str], tendon: set[str], motor: set[str], sensors: set[str]
+) -> None:
+    hand = load_hand("jamia11")
+    other = perturbed(hand, {key: 1.2})
+    assert changed(hand.digits[0], other.digits[0]) == digit
+    assert changed(hand.tendons[0], other.tendons[0]) == tendon
+    assert changed(hand.motors[0], other.motors[0]) == motor
+    assert changed(hand.sensors, other.sensors) == sensors
+
+
+def test_the_table_above_has_every_key() -> None:
+    (mark,) = test_each_factor_changes_what_it_says.pytestmark  # type: ignore[attr-defined]
+    assert {row[0] for row in mark.args[1]} == set(KEYS)
+
+
+def test_no_factors_no_change() -> None:
+    assert perturbed(load_hand("jamia"), {}) == load_hand("jamia")
+
+
+@given(
+    st.integers(0, (1 << 29) - 1),
+    st.binary(max_size=64),
+    st.sampled_from([0, EXTENDED]),
+    st.sampled_from([FDF, FDF | BRS, FDF | BRS | ESI]),
+)
+def test_a_record_is_a_canfd_frame(number: int, data: bytes, extended: int, flags: int) -> None:
+    frame = Frame(number | extended, data, flags if len(data) > 8 else 0)
+    record = pack_record(frame)
+    assert len(record) == RECORD_SIZE == 72
+    assert struct.unpack_from("<I", record)[0] == frame.can_id
+    assert (record[4], record[5]) == (len(data), frame.flags)
+    assert record[8 : 8 + len(data)] == data
+    assert unpack_record(record) == frame
+
+
+@pytest.mark.parametrize(("length", "flags"), [(9, 0), (65, FDF)])
+def test_a_record_of_an_impossible_length_is_no_frame(length: int, flags: int) -> None:
+    record = struct.pack("<IBBBB64s", 1, length, flags, 0, 0, b"")
+    assert unpack_record(record) is None

@@ -1,0 +1,225 @@
+"""The hub gives every client the records of all others, keeps records whole, and never waits for anybody."""
+
+import os
+import select
+import socket
+import stat
+import struct
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from firmware_sim.description import SimulatorError
+from firmware_sim.hub import Hub
+from firmware_sim.places import bus_path, run_dir, truth_path
+
+SIZE = 72
+CLASSICAL, FD = 0, 4
+
+
+def record(can_id: int, data: bytes, flags: int = CLASSICAL, dropped: int = 0) -> bytes:
+    """A ``struct canfd_frame`` written out by hand."""
+    head = can_id.to_bytes(4, "little") + bytes((len(data), flags)) + dropped.to_bytes(2, "little")
+    return head + data + bytes(64 - len(data))
+
+
+@pytest.fixture(autouse=True)
+def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / "run"))
+
+
+@pytest.fixture
+def hub() -> Iterator[Hub]:
+    served = Hub("test")
+    yield served
+    served.close()
+
+
+def settle(hub: Hub) -> bytes:
+    """Serve until nothing happens any more; what the owner heard."""
+    heard = b""
+    while ready := select.select(hub.readers(), [], [], 0.0)[0]:
+        heard += hub.serve(ready)
+    return heard
+
+
+@pytest.fixture
+def client(hub: Hub) -> Iterator[Callable[[], socket.socket]]:
+    links = []
+
+    def connect() -> socket.socket:
+        link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        link.connect(str(bus_path("test")))
+        link.setblocking(False)
+        links.append(link)
+        settle(hub)
+        return link
+
+    yield connect
+    for link in links:
+        link.close()
+
+
+def everything(link: socket.socket) -> bytes:
+    data = b""
+    try:
+        while piece := link.recv(1 << 20):
+            data += piece
+    except BlockingIOError:
+        pass
+    return data
+
+
+def test_all_but_the_sender_get_every_record_in_order(hub: Hub, client: Callable[[], socket.socket]) -> None:
+    a, b, c = client(), client(), client()
+    batch = record(0x123, b"\x01\x02") + record(1 << 31 | 0x1ABCDE, bytes(range(64)), FD | 1) + record(0x7FF, b"")
+    a.sendall(batch)
+    assert settle(hub) == batch
+    assert (everything(a), everything(b), everything(c)) == (b"", batch, batch)
+
+
+def test_the_owners_records_reach_every_client(hub: Hub, client: Callable[[], socket.socket]) -> None:
+    a, b = client(), client()
+    hub.send(record(0x11, b"answer"))
+    assert everything(a) == everything(b) == record(0x11, b"answer")
+
+
+@pytest.mark.parametrize("cut", [1, 71, 73, 100, 143])
+def test_a_record_cut_in_two_arrives_whole(hub: Hub, client: Callable[[], socket.socket], cut: int) -> None:
+    a, b = client(), client()
+    batch = record(1, b"one") + record(2, b"two")
+    a.sendall(batch[:cut])
+    settle(hub)
+    assert everything(b) == batch[: cut - cut % SIZE]
+    a.sendall(batch[cut:])
+    settle(hub)
+    assert everything(b) == batch[cut - cut % SIZE :]
+
+
+def test_the_senders_reserved_bytes_do_not_look_like_drops(hub: Hub, client: Callable[[], socket.socket]) -> None:
+    a, b = client(), client()
+    a.sendall(record(1, b"x", dropped=0x1234))
+    settle(hub)
+    assert everything(b) == record(1, b"x", dropped=0)
+
+
+def numbers(data: bytes) -> list[tuple[int, int]]:
+    """Sequence number and drop count of each record."""
+    assert len(data) % SIZE == 0
+    rows = struct.iter_unpack("<4xBBHI60x", data)
+    return [(number, dropped) for _, _, dropped, number in rows]
+
+
+def test_who_never_reads_is_not_waited_for_and_his_losses_are_counted(
+    hub: Hub, client: Callable[[], socket.socket]
+) -> None:
+    reader, deaf = client(), client()
+    total, batch = 0, 1000
+    heard: list[tuple[int, int]] = []
+    while hub.dropped < 70_000:  # more than the counter in a record can hold
+        hub.send(b"".join(record(5, number.to_bytes(4, "little")) for number in range(total, total + batch)))
+        total += batch
+        heard += numbers(everything(reader))
+    assert heard == [(number, 0) for number in range(total)]
+
+    kept = everything(deaf)
+    hub.serve([])  # completes a record that was begun
+    kept += everything(deaf)
+    rows = numbers(kept)
+    assert rows == [(number, 0) for number in range(len(rows))], "what was kept is the beginning, whole and in order"
+    assert len(rows) + hub.dropped == total
+    hub.send(record(5, total.to_bytes(4, "little")))
+    assert numbers(everything(deaf)) == [(total, hub.dropped % 65536)]
+
+
+def test_half_a_record_is_finished_before_the_next(hub: Hub, client: Callable[[], socket.socket]) -> None:
+    deaf = client()
+    batch = b"".join(record(number, number.to_bytes(4, "little")) for number in range(2000))
+    while not hub.writers():
+        hub.send(batch)
+        assert hub.dropped < 1_000_000, "the kernel never took a part of a record"
+        batch += record(0, b"")  # another length, another place to be cut
+    dropped = hub.dropped
+    hub.send(record(1, b"while one is half sent"))
+    assert hub.dropped == dropped + 1
+    everything_before = everything(deaf)
+    assert len(everything_before) % SIZE
+    hub.serve([])
+    assert hub.writers() == []
+    hub.send(record(0x7FF, b"next"))
+    data = everything_before + everything(deaf)
+    assert len(data) % SIZE == 0
+    assert data[-SIZE:] == record(0x7FF, b"next", dropped=hub.dropped % 65536)
+
+
+def test_a_client_that_leaves_is_forgotten_but_not_its_drops(hub: Hub, client: Callable[[], socket.socket]) -> None:
+    stays, leaves = client(), client()
+    while not hub.dropped:
+        hub.send(record(1, b"") * 100)
+        everything(stays)
+    before = hub.dropped
+    leaves.close()
+    settle(hub)
+    assert hub.clients == 1
+    assert hub.dropped == before
+    hub.send(record(2, b"still here"))
+    assert everything(stays) == record(2, b"still here")
+
+
+def test_a_second_hub_is_refused_and_the_first_goes_on(hub: Hub, client: Callable[[], socket.socket]) -> None:
+    a, b = client(), client()
+    with pytest.raises(SimulatorError, match=r"local:test is served already"):
+        Hub("test")
+    settle(hub)
+    a.sendall(record(3, b"alive"))
+    settle(hub)
+    assert everything(b) == record(3, b"alive")
+
+
+def test_a_stale_socket_is_replaced() -> None:
+    code = "import os\nfrom firmware_sim.hub import Hub\nhub = Hub('stale')\nos._exit(0)"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    assert stat.S_ISSOCK(bus_path("stale").stat().st_mode)
+    hub = Hub("stale")
+    link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    link.connect(str(bus_path("stale")))
+    settle(hub)
+    assert hub.clients == 1
+    link.close()
+    hub.close()
+
+
+def test_closing_removes_the_socket_but_not_a_successors(hub: Hub) -> None:
+    path = bus_path("test")
+    path.unlink()
+    successor = Hub("test")
+    hub.close()
+    assert path.exists()
+    successor.close()
+    assert not path.exists()
+
+
+def test_the_run_directory_is_closed_to_others(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert stat.S_IMODE(run_dir().stat().st_mode) == 0o700
+    monkeypatch.delenv("HANDCTL_RUN_DIR")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "xdg"))
+    assert bus_path("demo") == tmp_path / "xdg" / "handctl" / "demo.bus"
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert run_dir() == tmp_path / f"handctl-{os.getuid()}" / "handctl"
+    assert stat.S_IMODE(run_dir().parent.stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize("name", ["", "a/b", ".hidden", "x" * 120])
+def test_names_that_are_no_bus(name: str) -> None:
+    with pytest.raises(SimulatorError):
+        bus_path(name)
+
+
+def test_the_truth_lies_beside_the_bus() -> None:
+    assert truth_path("local:demo").name == "local_demo.truth"
+    assert truth_path("join:demo").name == "local_demo.truth"
+    assert truth_path("socketcan:vcan0").name == "socketcan_vcan0.truth"

@@ -1,0 +1,87 @@
+"""A load on the object, and the grip that is measured while it grows."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from firmware_sim.description import SimulatorError, load_hand
+from firmware_sim.plant import Plant
+from firmware_sim.rig import Rig
+from firmware_sim.scene import load_scene
+from firmware_sim.truth import read_truth
+
+SCENE = """
+name = "loaded"
+[object]
+shape = "cylinder"
+diameter_m = 0.035
+length_m = 0.093
+mass_kg = 0.2
+friction = 0.5
+position_m = [{x}, 0.0, 0.0]
+{support}
+[load]
+direction = {direction}
+start_s = {start}
+rate_N_per_s = 10.0
+"""
+TABLE = '[support]\ndrop_when = "never"'
+
+
+def scene(folder: Path, x: float = 0.0195, direction: str = "[0, 0, 2]", start: float = 0.1, support: str = "") -> str:
+    path = folder / "loaded.toml"
+    path.write_text(SCENE.format(x=x, direction=direction, start=start, support=support))
+    return str(path)
+
+
+def test_a_free_object_gains_the_impulse_of_its_load_and_weight(tmp_path: Path) -> None:
+    plant = Plant(load_hand("jamia"), load_scene(scene(tmp_path, x=0.5)), homed=True)
+    for _ in range(800):
+        plant.step()
+    impulse = 0.5 * 10.0 * (0.4 - 0.1) ** 2 - 0.2 * 9.81 * 0.4
+    assert plant.engine.object_speed() == pytest.approx(abs(impulse) / 0.2, rel=0.01)
+
+
+def test_the_load_stands_in_the_truth_and_begins_when_it_should(tmp_path: Path) -> None:
+    truth = tmp_path / "truth"
+    rig = Rig("jamia", scene=scene(tmp_path, support=TABLE), truth_path=str(truth), homed=True)
+    for k in range(100):
+        rig.step(k * 2_000_000, [])
+    rig.close()
+    record = read_truth(truth)
+    expected = 10.0 * np.maximum(0.0, record.t_ns * 1e-9 - 0.1)
+    assert record.column("load") == pytest.approx(expected, abs=1e-9)
+    assert {f"normal/{digit}" for digit in ("index", "middle", "ring", "thumb")} <= set(record.header["columns"])
+
+
+def test_normal_forces_carry_the_object_between_fingers_and_thumb(tmp_path: Path) -> None:
+    hand = load_hand("jamia")
+    plant = Plant(hand, load_scene(scene(tmp_path, start=100.0, support=TABLE)), homed=True)
+    assert plant.measured_grip() == [0.0] * 5
+    for motor in plant.motors.values():
+        motor.servo.limit, motor.servo.torque = 0.8, 0.17
+    for _ in range(4000):
+        plant.step()
+    normals = plant.measured_grip()[1:]
+    net = np.reshape(plant.contact_forces(), (4, 3))
+    assert min(normals) > 1.0
+    for normal, force in zip(normals, net, strict=True):
+        assert np.linalg.norm(force) <= normal * math.hypot(1.0, 0.5) * 1.01
+    palm = net[:, 0].sum()
+    assert palm > 1.0, "the digits press the object against the palm"
+    assert abs(net[:, 1].sum()) <= 0.5 * (palm + 0.2 * 9.81), "what fingers and thumb do not balance, friction does"
+
+
+@pytest.mark.parametrize("direction", ["[0, 0, 0]", "[0, 0]", '["x", 0, 0]', "[nan, 0, 1]"])
+def test_wrong_loads_are_refused(direction: str, tmp_path: Path) -> None:
+    with pytest.raises(SimulatorError, match=r"loaded\.toml"):
+        load_scene(scene(tmp_path, direction=direction))
+
+
+def test_a_load_needs_an_object(tmp_path: Path) -> None:
+    path = tmp_path / "empty.toml"
+    path.write_text('name = "empty"\n[load]\ndirection = [0, 0, 1]\nstart_s = 0\nrate_N_per_s = 1\n')
+    with pytest.raises(SimulatorError, match="a load without an object"):
+        load_scene(str(path))

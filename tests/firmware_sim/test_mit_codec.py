@@ -1,0 +1,69 @@
+"""MIT frames against bit strings written down from the fact sheet, not from the code."""
+
+from fractions import Fraction
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_sim.nodes.mit_codec import Ranges, decode_command, encode_feedback, from_code, to_code
+
+RANGES = Ranges(12.5, 50.0, 0.8)
+
+
+def bits(*fields: tuple[int, int]) -> bytes:
+    """Pack (value, width) fields, the first into the highest bits, as a string of binary digits."""
+    text = "".join(format(value, f"0{width}b") for value, width in fields)
+    return bytes(int(text[i : i + 8], 2) for i in range(0, len(text), 8))
+
+
+def test_the_command_of_zeros_that_every_client_sends() -> None:
+    command = decode_command(bytes.fromhex("7fff7ff0000007ff"), RANGES)
+    assert command.kp == 0.0
+    assert command.kd == 0.0
+    # zero has no code: half a step below
+    assert command.position == pytest.approx(-12.5 / 65535)
+    assert command.velocity == pytest.approx(-50.0 / 4095)
+    assert command.torque == pytest.approx(-0.8 / 4095)
+
+
+def test_each_field_lies_where_the_fact_sheet_says() -> None:
+    data = bits((0xFFFF, 16), (0, 12), (0xFFF, 12), (0, 12), (0xFFF, 12))
+    command = decode_command(data, RANGES)
+    assert command == pytest.approx((12.5, -50.0, 500.0, 0.0, 0.8))
+    data = bits((0, 16), (0xFFF, 12), (0, 12), (0xFFF, 12), (0, 12))
+    assert decode_command(data, RANGES) == pytest.approx((-12.5, 50.0, 0.0, 5.0, -0.8))
+
+
+@given(st.tuples(*[st.integers(0, 4095)] * 4), st.integers(0, 65535))
+def test_a_command_is_read_exactly(codes: tuple[int, int, int, int], position: int) -> None:
+    v, kp, kd, torque = codes
+    command = decode_command(bits((position, 16), (v, 12), (kp, 12), (kd, 12), (torque, 12)), RANGES)
+    exact = (
+        Fraction(position) * 25 / 65535 - Fraction(25, 2),
+        Fraction(v) * 100 / 4095 - 50,
+        Fraction(kp) * 500 / 4095,
+        Fraction(kd) * 5 / 4095,
+        Fraction(torque) * Fraction(8, 5) / 4095 - Fraction(4, 5),
+    )
+    assert command == pytest.approx([float(value) for value in exact], abs=1e-12)
+
+
+def test_feedback_byte_by_byte() -> None:
+    data = encode_feedback(0xD, 0x13, (12.5, -50.0, 0.8), RANGES, (25.9, 300.0))
+    assert data == bytes([0xD3, 0xFF, 0xFF, 0x00, 0x0F, 0xFF, 25, 255])
+    assert encode_feedback(1, 4, (0.0, 0.0, 0.0), RANGES, (-3.0, 0.0)) == bytes.fromhex("147fff7ff7ff0000")
+
+
+@given(st.floats(-15.0, 15.0))
+def test_codes_are_truncated_and_saturate(value: float) -> None:
+    code = to_code(value, 12.5, 16)
+    assert 0 <= code <= 65535
+    below = from_code(code, 12.5, 16)
+    assert below <= max(value, -12.5) + 1e-9
+    assert value >= 12.5 or below > min(value, 12.5) - 25.0 / 65535 - 1e-9
+
+
+@given(st.integers(0, 65535))
+def test_the_middle_of_a_code_comes_back(code: int) -> None:
+    assert to_code(from_code(code, 12.5, 16) + 0.5 * 25.0 / 65535, 12.5, 16) == code

@@ -1,0 +1,126 @@
+"""The rotor against closed forms."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from firmware_sim.description import load_hand
+from firmware_sim.motor import COULOMB_SPEED, CURRENT_LAG_S, ENCODER_STEP, Motor
+
+SPEC = load_hand("jamia").motors[0]
+SMOOTH = replace(SPEC, coulomb=0.0, viscous=0.0)
+STEP = 0.5e-3
+
+
+def spin(motor: Motor, seconds: float, load: float = 0.0) -> None:
+    for _ in range(round(seconds / STEP)):
+        motor.advance(load)
+
+
+def test_constant_torque_gives_constant_acceleration_after_the_current_lag() -> None:
+    motor = Motor(SMOOTH, STEP)
+    motor.servo.torque, motor.servo.limit = 0.02, 1.0
+    spin(motor, 0.5)
+    exact = 0.02 / SPEC.inertia * (0.5 - CURRENT_LAG_S)
+    assert motor.omega == pytest.approx(exact, rel=1e-3)
+    assert motor.theta == pytest.approx(exact * 0.5 / 2, rel=2e-3)
+
+
+def test_viscous_friction_sets_the_final_speed() -> None:
+    motor = Motor(replace(SPEC, coulomb=0.0), STEP)
+    motor.servo.torque, motor.servo.limit = 0.02, 1.0
+    spin(motor, 2.0)
+    assert motor.omega == pytest.approx(0.02 / SPEC.viscous, rel=1e-5)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_coulomb_friction_lets_it_creep_below_and_run_above(sign: float) -> None:
+    motor = Motor(replace(SPEC, viscous=0.0), STEP)
+    motor.servo.torque, motor.servo.limit = sign * 0.5 * SPEC.coulomb, 1.0
+    spin(motor, 0.5)
+    assert motor.omega == pytest.approx(sign * COULOMB_SPEED * math.atanh(0.5), rel=1e-6)
+    motor = Motor(replace(SPEC, viscous=0.0), STEP)
+    motor.servo.torque, motor.servo.limit = sign * 2.0 * SPEC.coulomb, 1.0
+    spin(motor, 0.5)
+    assert motor.omega == pytest.approx(sign * SPEC.coulomb / SPEC.inertia * 0.5, rel=0.01)
+
+
+def test_friction_brings_it_to_rest_and_never_turns_it_round() -> None:
+    motor = Motor(SPEC, STEP)
+    motor.omega = 10.0
+    speeds = []
+    for _ in range(2000):
+        motor.advance(0.0)
+        speeds.append(motor.omega)
+    assert min(speeds) >= 0.0
+    assert speeds[-1] < 1e-6
+    # Coulomb and viscous: t = J/b ln(1 + b w / tau_c)
+    exact = SPEC.inertia / SPEC.viscous * math.log(1 + SPEC.viscous * 10.0 / SPEC.coulomb)
+    assert np.argmax(np.array(speeds) < COULOMB_SPEED) * STEP == pytest.approx(exact, rel=0.05)
+
+
+def test_the_current_follows_with_its_lag() -> None:
+    motor = Motor(SPEC, STEP)
+    motor.servo.torque, motor.servo.limit = 0.5, 1.0
+    motor.advance(0.0)
+    assert motor.torque == pytest.approx(0.5 * (1 - math.exp(-STEP / CURRENT_LAG_S)))
+
+
+def test_the_limit_bounds_the_torque_whatever_is_asked() -> None:
+    motor = Motor(SPEC, STEP)
+    motor.servo.kp, motor.servo.position, motor.servo.limit = 500.0, 100.0, 0.8
+    for _ in range(200):
+        motor.advance(0.0)
+        assert abs(motor.torque) <= 0.8
+    motor.servo.position = -100.0
+    for _ in range(200):
+        motor.advance(0.0)
+        assert abs(motor.torque) <= 0.8
+
+
+@pytest.mark.parametrize(("kp", "kd"), [(5.0, 0.05), (500.0, 5.0), (0.5, 5.0)])
+def test_gains_of_the_whole_range_do_not_run_away(kp: float, kd: float) -> None:
+    motor = Motor(SPEC, STEP)
+    servo = motor.servo
+    servo.kp, servo.kd, servo.position, servo.limit = kp, kd, 0.5, 1.25
+    spin(motor, 2.0)
+    before = motor.theta
+    spin(motor, 0.05)
+    assert abs(motor.omega) < 2.0
+    assert abs(motor.theta - before) < 0.02
+
+
+def test_released_it_makes_no_torque() -> None:
+    motor = Motor(SPEC, STEP)
+    servo = motor.servo
+    servo.kp, servo.kd, servo.position, servo.torque, servo.limit = 5.0, 0.1, 1.0, 0.3, 1.0
+    spin(motor, 0.1)
+    servo.release()
+    spin(motor, 0.02)
+    assert abs(motor.torque) < 1e-12
+
+
+def test_the_torque_gain_changes_what_appears_not_what_the_drive_believes() -> None:
+    strong, plain = Motor(replace(SMOOTH, torque_gain=1.2), STEP), Motor(SMOOTH, STEP)
+    for motor in (strong, plain):
+        motor.servo.torque, motor.servo.limit = 0.05, 1.0
+        spin(motor, 0.1)
+    assert strong.torque == plain.torque
+    assert strong.omega == pytest.approx(1.2 * plain.omega)
+
+
+def test_heat_is_torque_squared_over_time() -> None:
+    motor = Motor(SPEC, STEP)
+    motor.servo.torque, motor.servo.limit = 0.5, 1.0
+    spin(motor, 1.0, load=0.5)
+    assert motor.heat == pytest.approx(0.25, rel=2e-3)
+
+
+def test_the_encoder_has_fourteen_bits() -> None:
+    motor = Motor(SPEC, STEP)
+    for theta in np.linspace(-3, 3, 1000):
+        motor.theta = float(theta)
+        assert 0.0 <= motor.theta - motor.encoder() < ENCODER_STEP
+    assert pytest.approx(2 * math.pi / 16384) == ENCODER_STEP

@@ -1,0 +1,200 @@
+"""The plant against statics and kinematics worked out by hand."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_sim.description import Hand, SimulatorError, load_hand
+from firmware_sim.mjcf import STEP_S, model_text, opposed_digits
+from firmware_sim.perturb import perturbed
+from firmware_sim.plant import Plant
+from firmware_sim.scene import load_scene
+
+JAMIA = load_hand("jamia")
+
+
+def free(factors: dict[str, float] | None = None, hand: Hand = JAMIA, homed: bool = True) -> Plant:
+    plant = Plant(perturbed(hand, factors or {}), load_scene(None), seed=1, homed=homed)
+    for motor in plant.motors.values():
+        motor.servo.limit = 1.25
+    return plant
+
+
+def locked() -> Hand:
+    """The hand with all joints between two stops a hundredth of a degree apart."""
+    digits = [replace(digit, joint_max_deg=(0.01,) * len(digit.length)) for digit in JAMIA.digits]
+    return replace(JAMIA, digits=digits)
+
+
+def pull(plant: Plant, torque: float, seconds: float, ramp: float = 0.3) -> None:
+    """Ramp all motors to a torque [N m] and hold it."""
+    start = [motor.servo.torque for motor in plant.motors.values()]
+    steps = round(seconds * 2000)
+    for i in range(steps):
+        share = min(1.0, (i + 1) / (ramp * 2000))
+        for motor, first in zip(plant.motors.values(), start, strict=True):
+            motor.servo.torque = first + share * (torque - first)
+        plant.step()
+
+
+def test_the_springs_hold_the_free_hand_open() -> None:
+    plant = free()
+    pull(plant, 0.0, 0.3)
+    assert np.abs(plant.engine.q).max() < math.radians(0.5)
+    assert max(plant.tensions()) < 0.5
+
+
+@pytest.mark.parametrize("tension", [8.0, 10.0, 12.0])
+def test_spring_and_tendon_balance_at_every_joint(tension: float) -> None:
+    """Without friction r f = k (q + q0), so all joints stand at the same angle; gravity is along the hinges."""
+    plant = free({"friction": 0.0})
+    pull(plant, tension * 0.005, 2.0)
+    assert plant.tensions() == pytest.approx([tension] * 4, rel=1e-3)
+    angle = 0.003 * tension / 0.03 - 0.6
+    assert plant.engine.q == pytest.approx([angle] * 11, abs=2e-3)
+
+
+def test_excursion_and_stretch_add_up() -> None:
+    """r_a theta = sum r q + f/k, without friction and at rest."""
+    plant = free({"friction": 0.0})
+    pull(plant, 14.0 * 0.005, 2.0)
+    index = plant.motors["index_motor"].theta
+    assert 0.005 * index == pytest.approx(0.003 * sum(plant.engine.q[:3]) + 14.0 / 1e5, abs=2e-6)
+
+
+def test_friction_leaves_the_far_joints_behind() -> None:
+    plant = free()
+    for k in range(600):
+        for motor in plant.motors.values():
+            motor.servo.torque = 0.09 * k / 600
+        plant.step()
+    first, second, third = plant.engine.q[:3]
+    assert first > second > third > 0.0
+
+
+def test_a_slack_rope_makes_no_force() -> None:
+    plant = free(homed=False)
+    before = [motor.theta for motor in plant.motors.values()]
+    assert all(-0.6 <= theta <= -0.2 for theta in before), "slack of 1 to 3 mm on a 5 mm spool"
+    assert len(set(before)) == 4
+    for motor in plant.motors.values():
+        motor.omega = 2.0
+    for _ in range(100):
+        plant.step()
+        if max(motor.theta for motor in plant.motors.values()) < 0.0:
+            assert plant.tensions() == [0.0] * 4
+
+
+def test_a_blocked_finger_is_as_stiff_as_its_rope() -> None:
+    """Joints locked by their stops: the tension follows the spool by k r."""
+    plant = free({"friction": 0.0}, locked())
+    pull(plant, 0.25, 2.0)
+    low, theta_low = plant.tensions()[0], plant.motors["index_motor"].theta
+    pull(plant, 0.75, 2.0)
+    high, theta_high = plant.tensions()[0], plant.motors["index_motor"].theta
+    assert (low, high) == pytest.approx((50.0, 150.0), rel=1e-3)
+    assert (high - low) / (0.005 * (theta_high - theta_low)) == pytest.approx(1e5, rel=0.01)
+    pull(plant, 1.2, 2.0)
+    assert plant.tensions()[0] == pytest.approx(240.0, rel=1e-3)
+    assert plant.tensions()[0] < 1e5 * 0.005 * plant.motors["index_motor"].theta - 5.0, "no softening beyond the knee"
+
+
+def test_a_blocked_rotor_rings_at_the_frequency_of_rope_and_rotor() -> None:
+    """sqrt(k r^2 / J) = 139 rad/s. Source: MODEL, section 4."""
+    plant = free({"friction": 0.0, "damping": 0.1}, locked())
+    pull(plant, 0.25, 0.6)
+    motor = plant.motors["index_motor"]
+    motor.omega += 0.5
+    speeds = []
+    for _ in range(1000):
+        plant.step()
+        speeds.append(motor.omega)
+    crossings = np.flatnonzero(np.diff(np.sign(speeds)) != 0)
+    period = 2 * float(np.diff(crossings).mean()) * 0.5e-3
+    assert 2 * math.pi / period == pytest.approx(math.sqrt(1e5 * 0.005**2 / 1.3e-4), rel=0.02)
+
+
+def test_the_stops_hold() -> None:
+    plant = free()
+    pull(plant, 0.55, 1.0)
+    degrees = np.degrees(plant.engine.q)
+    assert degrees.max() < 102.0
+    assert degrees.min() > -1.0
+
+
+def link_frames(plant: Plant) -> Any:
+    return {name: np.array(plant.engine._data.body(name).xpos) for name in ("index_link3", "ring_link2", "thumb_link2")}
+
+
+def test_where_the_links_are() -> None:
+    """Fingers flex towards -y, the thumb towards +y, all in planes of constant z."""
+    plant = free()
+    q = [0.3, 0.4, 0.1] * 3 + [0.5, 0.2]
+    plant.engine.set_joints(q, [0.0] * 11)
+    places = link_frames(plant)
+    x = 0.030 * math.cos(0.3) + 0.015 * math.cos(0.7)
+    y = 0.025 - 0.030 * math.sin(0.3) - 0.015 * math.sin(0.7)
+    assert places["index_link3"] == pytest.approx([x, y, 0.020], abs=1e-9)
+    assert places["ring_link2"] == pytest.approx(
+        [0.030 * math.cos(0.3), 0.025 - 0.030 * math.sin(0.3), -0.020], abs=1e-9
+    )
+    assert places["thumb_link2"] == pytest.approx(
+        [0.015 * math.cos(0.5), -0.025 + 0.015 * math.sin(0.5), 0.0], abs=1e-9
+    )
+
+
+def test_the_thumb_alone_is_opposed() -> None:
+    assert opposed_digits(JAMIA) == [False, False, False, True]
+
+
+def test_eleven_motors_move_joints_one_by_one() -> None:
+    """jamia11: winding the last tendon of a finger alone closes all its joints, its first tendon the first only."""
+    hand = load_hand("jamia11")
+    plant = free({"friction": 0.0}, hand)
+    motors = [motor.name for motor in hand.motors]
+    first = hand.tendons[0]
+    assert list(first.arms) == ["index_j1"]
+    for name in motors:
+        plant.motors[name].servo.torque = 0.0
+    plant.motors[first.motor].servo.torque = 0.005 * 32.0
+    for _ in range(2000):
+        plant.step()
+    q = plant.engine.q
+    stiffness, preload = hand.digits[0].spring[0], hand.digits[0].preload[0]
+    assert q[0] == pytest.approx(min(0.003 * 32.0 / stiffness - preload, math.radians(100)), abs=5e-3)
+    assert np.abs(q[1:]).max() < 0.02
+
+
+def test_a_plant_that_diverges_says_so() -> None:
+    plant = free({"spring": 1e6})
+    with pytest.raises(SimulatorError, match="diverged"):
+        pull(plant, 0.3, 0.5)
+
+
+def closing(monkeypatch: pytest.MonkeyPatch, step_s: float) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    """Joint angles every 5 ms while the free hand closes to 12 N in 0.4 s, with a plant step [s]."""
+    monkeypatch.setattr("firmware_sim.plant.STEP_S", step_s)
+    monkeypatch.setattr(
+        "firmware_sim.plant.model_text",
+        lambda hand, scene: model_text(hand, scene).replace(f'timestep="{STEP_S}"', f'timestep="{step_s}"'),
+    )
+    plant, rows = free(), []
+    for i in range(round(0.8 / step_s)):
+        for motor in plant.motors.values():
+            motor.servo.torque = 0.06 * min(1.0, i * step_s / 0.4)
+        plant.step()
+        if (i + 1) % round(5e-3 / step_s) == 0:
+            rows.append(plant.engine.q.tolist())
+    return np.array(rows)
+
+
+def test_the_step_is_short_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ropes, friction and rotors are integrated to first order: the error is small and falls with the step."""
+    exact = closing(monkeypatch, 0.05e-3)
+    errors = [np.degrees(np.sqrt(((closing(monkeypatch, step) - exact) ** 2).mean())) for step in (0.5e-3, 0.1e-3)]
+    assert np.degrees(exact[-1].min()) > 12.0, "it did close"
+    assert errors[0] < 0.2
+    assert errors[1] < 0.3 * errors[0]

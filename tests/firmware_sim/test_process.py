@@ -1,0 +1,184 @@
+"""The simulator as others start it: a process with a ready line, a bus, a truth file and an orderly end."""
+
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from firmware_sim.__main__ import main
+from firmware_sim.truth import read_truth
+
+ENABLE = bytes.fromhex("fffffffffffffffc")
+READY_S = 60.0
+Start = Callable[..., "subprocess.Popen[str]"]
+
+
+@pytest.fixture
+def run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
+    return tmp_path
+
+
+@pytest.fixture
+def start(run_folder: Path) -> Iterator[Start]:
+    """Start ``python -m firmware_sim`` and wait for its ready line."""
+    processes = []
+
+    def launch(*words: str) -> "subprocess.Popen[str]":
+        process = subprocess.Popen(
+            [sys.executable, "-m", "firmware_sim", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        processes.append(process)
+        assert process.stdout
+        assert select.select([process.stdout], [], [], READY_S)[0], "no ready line"
+        assert process.stdout.readline().startswith("firmware_sim: ready"), process.communicate()[1]
+        return process
+
+    yield launch
+    for process in processes:
+        process.kill()
+        process.communicate()
+
+
+def record(can_id: int, data: bytes, flags: int = 0) -> bytes:
+    return can_id.to_bytes(4, "little") + bytes((len(data), flags, 0, 0)) + data + bytes(64 - len(data))
+
+
+def attach(path: Path) -> socket.socket:
+    link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    link.settimeout(20.0)
+    link.connect(str(path))
+    return link
+
+
+def ask(link: socket.socket, can_id: int, data: bytes, flags: int = 0) -> bytes:
+    """Send one frame and return the one record that answers it."""
+    link.sendall(record(can_id, data, flags))
+    answer = link.recv(72, socket.MSG_WAITALL)
+    assert len(answer) == 72
+    return answer
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_it_serves_and_ends_with_its_truth_complete(start: Start, run_folder: Path, number: signal.Signals) -> None:
+    process = start("--hand", "jamia", "--bus", "local:t", "--scene", "sphere", "--seed", "4")
+    link = attach(run_folder / "t.bus")
+    answer = ask(link, 3, ENABLE)
+    assert (answer[0], answer[4], answer[5], answer[8]) == (0x13, 8, 0, 0x13)
+    assert ask(link, 3, ENABLE, flags=5)[5] == 5, "an FD question gets an FD answer"
+    time.sleep(0.3)
+    before_ns = time.monotonic_ns()
+    process.send_signal(number)
+    _, words = process.communicate(timeout=20.0)
+    assert process.returncode == 0
+    assert "firmware_sim: ended" in words
+    assert not (run_folder / "t.bus").exists()
+    truth = read_truth(run_folder / "local_t.truth")
+    assert truth.header["clock"] == "monotonic"
+    assert (truth.header["scene"], truth.header["seed"]) == ("sphere", 4)
+    assert truth.header["foreign_frames"] == 0, "the summary of the run is in the header"
+    assert len(truth.t_ns) > 50
+    assert set((truth.t_ns[1:] - truth.t_ns[:-1]).tolist()) == {1_000_000} or truth.header["slips"] > 0
+    assert abs(int(truth.t_ns[-1]) - before_ns) < 2e9, "rows bear the clock of the machine"
+
+
+def test_slowed_time_slows_the_plant_and_its_clock(start: Start, run_folder: Path) -> None:
+    process = start("--hand", "jamia", "--bus", "local:slow", "--time-scale", "0.05")
+    began = time.monotonic_ns()
+    time.sleep(1.0)
+    process.terminate()
+    process.communicate(timeout=20.0)
+    wall_ns = time.monotonic_ns() - began
+    truth = read_truth(run_folder / "local_slow.truth")
+    assert 20 <= len(truth.t_ns) <= 0.05 * wall_ns / 1e6 + 100
+    assert abs(int(truth.t_ns[-1]) - 0.05 * time.monotonic_ns()) < 0.05 * 5e9
+
+
+def test_a_hub_alone_and_a_simulator_that_joins_it(start: Start, run_folder: Path) -> None:
+    hub = start("bus", "shared")
+    hand = start("--hand", "jamia", "--bus", "main=join:shared")
+    link = attach(run_folder / "shared.bus")
+    assert ask(link, 1, ENABLE)[0] == 0x11
+    hand.terminate()
+    hand.communicate(timeout=20.0)
+    hub.terminate()
+    hub.communicate(timeout=20.0)
+    assert (hand.returncode, hub.returncode) == (0, 0)
+    assert (run_folder / "local_shared.truth").exists()
+    assert not (run_folder / "shared.bus").exists()
+
+
+def test_a_second_simulator_on_the_same_bus_is_refused(
+    start: Start, run_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    start("bus", "taken")
+    assert main(["--hand", "jamia", "--bus", "local:taken"]) == 2
+    assert "served already" in capsys.readouterr().err
+    assert not (run_folder / "local_taken.truth").exists()
+
+
+HAND = ["--hand", "jamia", "--bus", "local:x"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        [],
+        ["--hand", "nobody", "--bus", "local:x"],
+        ["--hand", "jamia"],
+        [*HAND, "--bogus"],
+        [*HAND, "--scene", "volcano"],
+        [*HAND, "--perturb", "colour=2"],
+        [*HAND, "--perturb", "mass=heavy"],
+        [*HAND, "--time-scale", "0"],
+        [*HAND, "--time-scale", "nan"],
+        [*HAND, "--seed", "x"],
+        [*HAND, "--truth", "/no/such/folder/truth"],
+        ["--hand", "jamia", "--bus", "wire:x"],
+        ["bus"],
+        ["bus", "a/b"],
+    ],
+)
+def test_wrong_arguments_get_one_line_and_exit_code_2(
+    words: list[str], run_folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("firmware_sim: ")
+    assert said.err.count("\n") == 1
+    assert not (run_folder / "x.bus").exists()
+
+
+def test_help_names_every_option(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as end:
+        main(["--help"])
+    assert end.value.code == 0
+    text = capsys.readouterr().out
+    for word in (
+        "--hand",
+        "--bus",
+        "--scene",
+        "--seed",
+        "--homed",
+        "--time-scale",
+        "--truth",
+        "--perturb",
+        "stiffness",
+        "join:",
+    ):
+        assert word in text
+
+
+def test_it_is_one_process(start: Start) -> None:
+    process = start("--hand", "jamia", "--bus", "local:alone")
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    if not children.exists():
+        pytest.skip("needs /proc")
+    assert children.read_text() == ""

@@ -1,0 +1,204 @@
+"""A whole simulated hand in lockstep, moved by frames written byte by byte."""
+
+import math
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from firmware_sim.description import SimulatorError
+from firmware_sim.frame import Frame
+from firmware_sim.rig import Rig
+from firmware_sim.truth import read_truth
+
+TICK_NS = 2_000_000
+MOTORS = (1, 2, 3, 4)
+ENABLE, DISABLE = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
+Sent = tuple[int, bytes, int, int, int]
+
+
+def frame(can_id: int, data: bytes) -> Sent:
+    return (can_id, data, 0, 0, 0)
+
+
+def command(torque: float) -> bytes:
+    """A pure torque command for TMAX = 0.8 N m."""
+    return (0x7FFF << 48 | 0x7FF << 36 | round((torque + 0.8) * 4095 / 1.6)).to_bytes(8, "big")
+
+
+def sync(k: int) -> Sent:
+    return frame(0x080, bytes([k & 0xFF]))
+
+
+def tick(rig: Rig, k: int, torque: float) -> list[Frame]:
+    return rig.step(k * TICK_NS, [sync(k), *[frame(motor, command(torque)) for motor in MOTORS]])
+
+
+def close(rig: Rig, tension: float, seconds: float, ramp: float = 0.8) -> list[list[Frame]]:
+    """Enable, then ramp all motors to a tension [N] and hold it, open loop."""
+    answers = [rig.step(0, [frame(motor, ENABLE) for motor in MOTORS])]
+    for k in range(1, round(seconds * 500)):
+        answers.append(tick(rig, k, 0.005 * tension * min(1.0, k / 500 / ramp)))
+    return answers
+
+
+def test_who_answers_and_when() -> None:
+    rig = Rig("jamia")
+    answers = tick(rig, 0, 0.0)
+    assert [answer.can_id for answer in answers] == [0x1A0, 0x11, 0x12, 0x13, 0x14]
+    times = [answer.t_ns for answer in answers]
+    assert times == sorted(times)
+    assert times[0] > 0
+    assert times[-1] < TICK_NS
+    assert rig.step(TICK_NS, [frame(0x123, b"hello")]) == []
+    assert rig.world.foreign == 1
+
+
+def test_a_measurement_is_taken_before_the_command_of_its_tick_acts() -> None:
+    rigs = [Rig("jamia", seed=3), Rig("jamia", seed=3)]
+    for rig in rigs:
+        rig.step(0, [frame(motor, ENABLE) for motor in MOTORS])
+    first = [tick(rig, 1, torque) for rig, torque in zip(rigs, (0.0, 0.5), strict=True)]
+    assert first[0] == first[1]
+    second = [tick(rig, 2, torque) for rig, torque in zip(rigs, (0.0, 0.5), strict=True)]
+    assert second[0] != second[1]
+
+
+def test_equal_seeds_give_equal_bytes_and_others_do_not(tmp_path: Path) -> None:
+    outcomes = []
+    for name, seed in (("a", 7), ("b", 7), ("c", 8)):
+        rig = Rig("jamia", scene="cylinder", seed=seed, truth_path=str(tmp_path / name))
+        answers = close(rig, 30.0, 1.0)
+        rig.close()
+        outcomes.append((answers, (tmp_path / name).read_bytes()))
+    assert outcomes[0] == outcomes[1]
+    assert outcomes[0][0] != outcomes[2][0]
+    assert outcomes[0][1] != outcomes[2][1]
+
+
+def test_silence_takes_the_torque_away_after_the_watchdogs_time() -> None:
+    rig = Rig("jamia")
+    writes = [frame(0x7FF, struct.pack("<HBBI", motor, 0x55, 9, 1000)) for motor in MOTORS]
+    rig.step(0, [*writes, *[frame(motor, ENABLE) for motor in MOTORS]])
+    for k in range(1, 200):
+        tick(rig, k, 0.1)
+    held = rig.world.plant.tensions()[0]
+    assert held == pytest.approx(20.0, abs=3.5)
+    torque = []
+    for k in range(200, 240):
+        rig.step(k * TICK_NS, [sync(k)])
+        torque.append(rig.world.plant.motors["index_motor"].torque)
+    # the last command came at tick 199: 50 ms are over at tick 224
+    assert all(value == pytest.approx(torque[0], rel=1e-6) for value in torque[:24])
+    assert abs(torque[26]) < 1e-3
+    answers = tick(rig, 240, 0.1)
+    assert [answer.data[0] >> 4 for answer in answers[1:]] == [0xD] * 4
+
+
+def test_disable_lets_the_finger_open() -> None:
+    rig = Rig("jamia")
+    close(rig, 15.0, 1.0)
+    assert rig.world.plant.engine.q[0] > 0.3
+    for k in range(500, 1000):
+        rig.step(k * TICK_NS, [frame(motor, DISABLE) for motor in MOTORS])
+    assert max(rig.world.plant.tensions()) < 10.0
+    assert rig.world.plant.engine.q[0] < 0.3
+
+
+@pytest.mark.parametrize("tension", [30.0, 40.0])
+def test_friction_alone_carries_the_cylinder_when_the_table_is_gone(tension: float, tmp_path: Path) -> None:
+    path = tmp_path / "grasp.truth"
+    rig = Rig("jamia", scene="cylinder", truth_path=str(path))
+    close(rig, tension, 8.0)
+    rig.close()
+    table = rig.world.plant.table
+    assert table is not None
+    assert table.dropped_at is not None
+    assert table.depth == pytest.approx(0.2)
+    truth = read_truth(path)
+    after = truth.t_ns > (table.dropped_at + 1.0) * 1e9
+    place = np.stack([truth.column(f"object/{axis}") for axis in "xyz"], axis=1)[after] * 1e3
+    fall = place[0, 2] - place[-1, 2]
+    drift = float(np.linalg.norm(place[-1, :2] - place[0, :2]))
+    print(f"{tension:.0f} N: falls {fall:.3f} mm, creeps {drift:.3f} mm sideways in {after.sum() / 1000:.1f} s")
+    assert abs(fall) < 0.2
+    assert drift < 1.5
+    forces = [truth.column(f"contact_force/{digit}/y")[-1] for digit in ("index", "middle", "ring", "thumb")]
+    assert min(forces[:3]) > 0.3, "the object pushes fingers towards +y"
+    assert forces[3] < -1.0, "and the thumb towards -y"
+
+
+def test_an_object_too_heavy_for_friction_falls(tmp_path: Path) -> None:
+    scene = tmp_path / "heavy.toml"
+    scene.write_text(
+        'name = "heavy"\n[object]\nshape = "cylinder"\ndiameter_m = 0.035\nlength_m = 0.093\nmass_kg = 3.0\n'
+        'friction = 0.5\nposition_m = [0.0195, 0.0, 0.0]\n[support]\ndrop_when = "grasped"\n'
+    )
+    rig = Rig("jamia", scene=str(scene))
+    close(rig, 30.0, 5.0)
+    assert rig.world.plant.engine.object_pose()[2] < -0.05
+
+
+def test_the_truth_file_keeps_its_promises(tmp_path: Path) -> None:
+    path = tmp_path / "t.truth"
+    rig = Rig("jamia", scene="cylinder:35", seed=5, truth_path=str(path))
+    close(rig, 20.0, 0.5, ramp=0.2)
+    rig.close()
+    truth = read_truth(path)
+    names = truth.header["columns"]
+    for name in ("tension/index_tendon", "q/thumb_j2", "dq/ring_j3", "motor/thumb_motor", "contact_force/middle/z",
+                 "object/x", "object/qw", "slip"):  # fmt: skip
+        assert name in names
+    assert len(names) == len(truth.header["units"]) == 4 + 11 + 11 + 4 + 12 + 7 + 1
+    assert (truth.header["clock"], truth.header["seed"], truth.header["period_ns"]) == ("virtual", 5, 1_000_000)
+    assert truth.header["scene"] == "cylinder:35"
+    assert np.array_equal(np.diff(truth.t_ns), np.full(len(truth.t_ns) - 1, 1_000_000))
+    assert len(truth.t_ns) == 500
+    assert np.isfinite(truth.values).all()
+    # a row holds the state of its own time: dq is the slope of q
+    q, dq = truth.column("q/index_j1"), truth.column("dq/index_j1")
+    assert q[-1] - q[0] == pytest.approx(float(np.sum(dq[1:] + dq[:-1]) / 2 * 1e-3), abs=5e-3)
+    # what the load cell said is the truth, give or take noise
+    assert truth.column("tension/index_tendon")[-1] == pytest.approx(20.0, abs=4.0)
+
+
+def test_the_load_cell_reads_the_truth_of_its_moment(tmp_path: Path) -> None:
+    path = tmp_path / "t.truth"
+    rig = Rig("jamia", truth_path=str(path), perturb={"noise": 0.0})
+    answers = close(rig, 15.0, 1.0)
+    rig.close()
+    tension = read_truth(path).column("tension/index_tendon")
+    read = [(int.from_bytes(tick[0].data, "little") >> 4 & 0xFFF) * 0.0625 - 6.0 for tick in answers[1:]]
+    error = np.array(read) - tension[2::2][: len(read)]
+    # half a count, and the drift of one second
+    assert np.abs(error).max() < 0.03125 + 0.6
+    assert np.std(np.diff(error)) < 0.05
+
+
+def test_perturbations_change_the_plant_not_the_wire() -> None:
+    soft, stiff = (Rig("jamia", perturb={"stiffness": factor}) for factor in (0.7, 1.3))
+    angles = []
+    for rig in (soft, stiff):
+        close(rig, 100.0, 1.5)
+        plant = rig.world.plant
+        stretch = 0.005 * plant.motors["index_motor"].theta - 0.003 * sum(plant.engine.q[:3])
+        angles.append(plant.tensions()[0] / stretch)
+    assert angles == pytest.approx([0.7e5, 1.3e5], rel=5e-3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"hand_path": "nohand"}, "no such hand"),
+        ({"hand_path": "jamia", "scene": "cone"}, "no such scene"),
+        ({"hand_path": "jamia", "scene": "cylinder:wide"}, "diameter"),
+        ({"hand_path": "jamia", "perturb": {"colour": 1.0}}, "perturb"),
+        ({"hand_path": "jamia", "perturb": {"mass": 0.0}}, "factor > 0"),
+        ({"hand_path": "jamia", "perturb": {"friction": math.nan}}, "finite"),
+    ],
+)
+def test_wrong_arguments_are_refused_in_one_line(arguments: dict[str, object], said: str) -> None:
+    with pytest.raises(SimulatorError, match=said) as caught:
+        Rig(**arguments)  # type: ignore[arg-type]
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,88 @@
+"""Scenes: packaged, shorthand, files, and what is wrong with them."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from firmware_sim.description import SimulatorError, load_hand
+from firmware_sim.plant import Plant
+from firmware_sim.scene import load_scene, packaged
+
+GOOD = """
+name = "good"
+[object]
+shape = "sphere"
+diameter_m = 0.03
+mass_kg = 0.1
+friction = 0.5
+position_m = [0.02, 0.0, 0.0]
+[support]
+drop_when = "never"
+"""
+
+
+def test_the_cylinder_is_the_one_of_the_demonstration() -> None:
+    scene = load_scene("cylinder")
+    assert scene.thing is not None
+    assert scene.support is not None
+    assert scene.thing.size == (0.035, 0.035, 0.093)
+    assert (scene.thing.mass, scene.thing.friction) == (0.15, 0.5)
+    assert scene.thing.position == pytest.approx((0.035 / 2 + 0.002, 0.0, 0.0))
+    assert (scene.support.drop_when, scene.support.drop_force, scene.support.drop_hold) == ("grasped", 1.0, 1.5)
+
+
+@pytest.mark.parametrize("millimetres", [30.0, 35.0, 40.0])
+def test_shorthand_keeps_the_gap_to_the_palm(millimetres: float) -> None:
+    thing = load_scene(f"cylinder:{millimetres:g}").thing
+    assert thing is not None
+    assert thing.size == pytest.approx((millimetres * 1e-3, millimetres * 1e-3, 0.093))
+    assert thing.position[0] == pytest.approx(millimetres * 0.5e-3 + 0.002)
+
+
+def test_no_scene_is_a_free_hand() -> None:
+    assert load_scene(None).thing is None
+    assert load_scene("none").thing is None
+
+
+@pytest.mark.parametrize("name", packaged())
+def test_objects_rest_on_their_table_until_somebody_grasps(name: str) -> None:
+    plant = Plant(load_hand("jamia"), load_scene(name))
+    before = plant.engine.object_pose()
+    for _ in range(1000):
+        plant.step()
+    assert np.abs(np.subtract(plant.engine.object_pose(), before)).max() < 2e-4
+    assert plant.contact_forces() == [0.0] * 12
+    assert plant.table is None or plant.table.depth == 0.0
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('shape = "sphere"', 'shape = "cone"'),
+        ("mass_kg = 0.1", "mass_kg = -0.1"),
+        ("mass_kg = 0.1", ""),
+        ("position_m = [0.02, 0.0, 0.0]", "position_m = [0.02, 0.0]"),
+        ('drop_when = "never"', 'drop_when = "often"'),
+        ('drop_when = "never"', 'drop_when = "never"\ncolour = 1'),
+        ("[object]", "[object"),
+        ("diameter_m = 0.03", 'diameter_m = "wide"'),
+        ("friction = 0.5", "friction = -0.5"),
+        ("friction = 0.5", "friction = nan"),
+    ],
+)
+def test_wrong_scenes_are_refused_in_one_line(old: str, new: str, tmp_path: Path) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text(GOOD.replace(old, new))
+    with pytest.raises(SimulatorError, match=r"wrong\.toml") as caught:
+        load_scene(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_good_scene_file_is_taken(tmp_path: Path) -> None:
+    path = tmp_path / "good.toml"
+    path.write_text(GOOD)
+    scene = load_scene(str(path))
+    assert scene.name == "good"
+    assert scene.thing is not None
+    assert scene.thing.size == (0.03, 0.03, 0.03)

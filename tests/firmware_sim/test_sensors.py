@@ -1,0 +1,118 @@
+"""The sensor node: packing against bit strings, noise against statistics."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_sim.description import SensorSpec, load_hand
+from firmware_sim.frame import Frame
+from firmware_sim.nodes.sensors import SensorNode, joint_code, pack, tension_code
+
+LOADED = load_hand("jamia11").sensors
+assert LOADED is not None
+ELEVEN: SensorSpec = LOADED
+SYNC = ELEVEN.sync_id
+
+
+def node(spec: SensorSpec = ELEVEN, tension: float = 20.0, angle: float = 0.5, seed: int = 0) -> SensorNode:
+    tendons, joints = len(spec.tendons), len(spec.joints)
+    return SensorNode(spec, lambda: [tension] * tendons, lambda: [angle] * joints, seed)
+
+
+def channels(data: bytes) -> tuple[int, list[int]]:
+    """Counter and 12-bit channels, read from a string of binary digits, lowest first."""
+    text = "".join(format(byte, "08b")[::-1] for byte in data)
+    count = (len(text) - 4) // 12
+    return int(text[:4][::-1], 2), [int(text[4 + 12 * i : 16 + 12 * i][::-1], 2) for i in range(count)]
+
+
+@given(st.integers(0, 255), st.lists(st.integers(0, 4095), min_size=1, max_size=5))
+def test_packing(counter: int, codes: list[int]) -> None:
+    data = pack(counter, codes)
+    assert len(data) == math.ceil((4 + 12 * len(codes)) / 8)
+    got, values = channels(data)
+    assert got == counter % 16
+    assert values[: len(codes)] == codes
+
+
+def test_golden_frame() -> None:
+    # counter 5; 0 N = 96, 110 N = 1856, saturated 4095
+    # nibbles from the lowest: 5, 060, 740, fff
+    assert pack(0x35, [96, 1856, 4095]) == bytes.fromhex("050640f7ff")
+
+
+@pytest.mark.parametrize(
+    ("newton", "code"), [(0.0, 96), (110.0, 1856), (-6.0, 0), (-50.0, 0), (249.9, 4094), (500.0, 4095)]
+)
+def test_tension_codes(newton: float, code: int) -> None:
+    assert tension_code(newton) == code
+
+
+@pytest.mark.parametrize(("degrees", "code"), [(0.0, 2048), (90.0, 3072), (-90.0, 1024), (-400.0, 0), (400.0, 4095)])
+def test_joint_codes(degrees: float, code: int) -> None:
+    assert joint_code(math.radians(degrees)) == code
+
+
+def test_it_answers_sync_and_nothing_else() -> None:
+    sensors = node()
+    assert sensors.receive(Frame(SYNC + 1, b"\0"), 0) is None
+    assert sensors.receive(Frame(SYNC, b""), 0) == []
+    assert sensors.malformed == 1
+
+
+def test_which_frames_come_and_with_which_counter() -> None:
+    sensors = node()
+    for counter in range(32):
+        frames = sensors.receive(Frame(SYNC, bytes([counter]), bus=0), counter) or []
+        ids = [frame.can_id for frame in frames]
+        tension = [ELEVEN.base_id + g for g in range(3)]
+        joints = [ELEVEN.base_id + 0x10 + g for g in range(3)] if counter % 4 == 0 else []
+        assert ids == tension + joints
+        assert all(channels(frame.data)[0] == counter % 16 for frame in frames)
+    assert [len(frame.data) for frame in frames[:3]] == [8, 8, 2]
+
+
+def test_noise_has_the_size_of_the_hand_file_and_is_white() -> None:
+    sensors = node(replace(ELEVEN, bias_drift=0.0))
+    values = []
+    for k in range(2000):
+        frames = sensors.receive(Frame(SYNC, bytes([k & 255])), k * 1_000_000) or []
+        values.append([code * 0.0625 - 6.0 for frame in frames[:3] for code in channels(frame.data)[1]])
+    noise = np.array(values) - 20.0
+    assert noise.std() == pytest.approx(ELEVEN.tension_noise, rel=0.03)
+    assert abs(noise.mean()) < 0.02
+    assert abs(np.mean(noise[1:] * noise[:-1])) < 0.01
+    assert abs(np.mean(noise[:, 0] * noise[:, 1])) < 0.03, "channels share their noise"
+
+
+def test_drift_is_a_random_walk_of_the_given_size() -> None:
+    ends = []
+    for seed in range(30):
+        sensors = node(seed=seed)
+        for k in range(101):
+            sensors.receive(Frame(SYNC, b"\1"), k * 1_000_000_000)
+        ends += sensors.bias
+    assert np.std(ends) == pytest.approx(ELEVEN.bias_drift, rel=0.15)
+
+
+def test_drift_does_not_depend_on_how_often_it_is_asked() -> None:
+    spread = {}
+    for step_ms in (10, 1000):
+        ends = []
+        for seed in range(20):
+            sensors = node(seed=seed)
+            for k in range(10_000 // step_ms + 1):
+                sensors.receive(Frame(SYNC, b"\1"), k * step_ms * 1_000_000)
+            ends += sensors.bias
+        spread[step_ms] = float(np.std(ends))
+    assert spread[10] == pytest.approx(spread[1000], rel=0.2)
+
+
+def test_seeds() -> None:
+    answers = [[node(seed=seed).receive(Frame(SYNC, bytes([k])), k) for k in range(3)] for seed in (1, 1, 2)]
+    assert answers[0] == answers[1]
+    assert answers[0] != answers[2]

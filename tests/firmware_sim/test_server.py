@@ -1,0 +1,202 @@
+"""The real-time server against a clock of our own: it answers at once, follows, falls behind gracefully."""
+
+import socket
+from collections.abc import Collection
+from pathlib import Path
+
+import pytest
+
+from firmware_sim.description import SimulatorError, load_hand
+from firmware_sim.frame import FDF, Frame, pack_record
+from firmware_sim.local import HubPort, JoinedPort
+from firmware_sim.ports import assign, open_port
+from firmware_sim.scene import load_scene
+from firmware_sim.server import SLIP_NS, STRIDE_NS, ScaledClock, Server
+from firmware_sim.world import World
+
+MS = 1_000_000
+START = 7_000 * MS
+ENABLE, COMMAND = bytes.fromhex("fffffffffffffffc"), bytes.fromhex("7fff7ff0000007ff")
+STATE_ENABLED, STATE_LOST = 1, 0xD
+
+
+class ByHand:
+    """A clock that is set, not read."""
+
+    scale = 1.0
+
+    def __init__(self) -> None:
+        self.t_ns = START
+
+    def now_ns(self) -> int:
+        return self.t_ns
+
+
+class Wire:
+    """A port whose frames the test puts in and takes out."""
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self.coming: list[Frame] = []
+        self.sent: list[Frame] = []
+
+    def readers(self) -> list[socket.socket]:
+        return []
+
+    writers = readers
+
+    def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
+        frames, self.coming = self.coming, []
+        return frames
+
+    def send(self, frames: list[Frame]) -> None:
+        self.sent += frames
+
+    def close(self) -> None: ...
+
+
+class Bench:
+    def __init__(self) -> None:
+        self.clock, self.wire = ByHand(), Wire()
+        self.world = World(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START)
+        self.server = Server(self.world, [self.wire], self.clock)
+
+    def turn(self, t_ms: float, *frames: Frame) -> list[Frame]:
+        """Set the clock, make one turn, return what was sent."""
+        self.clock.t_ns = START + round(t_ms * MS)
+        self.wire.coming, self.wire.sent = list(frames), []
+        self.server.turn()
+        return self.wire.sent
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def state(frame: Frame) -> int:
+    return frame.data[0] >> 4
+
+
+def test_the_plant_follows_the_clock_in_whole_steps(bench: Bench) -> None:
+    bench.turn(3.7)
+    assert bench.world.t_ns == START + round(3.5 * MS)
+    bench.turn(4.0)
+    assert bench.world.t_ns == START + 4 * MS
+
+
+def test_answers_go_out_in_the_same_turn_in_the_order_of_the_questions(bench: Bench) -> None:
+    sent = bench.turn(1, Frame(0x80, b"\x05"), Frame(2, ENABLE), Frame(1, ENABLE), Frame(0x333, b"foreign"))
+    assert [frame.can_id for frame in sent] == [0x1A0, 0x12, 0x11]
+    assert [state(frame) for frame in sent[1:]] == [STATE_ENABLED] * 2
+    assert sent[0].data[0] & 0xF == 5
+    assert bench.server.summary()["foreign_frames"] == 1
+
+
+def test_a_late_turn_catches_up_in_strides_and_is_counted(bench: Bench) -> None:
+    bench.turn(30)
+    assert bench.world.t_ns == START + STRIDE_NS
+    bench.turn(30)
+    bench.turn(30)
+    assert bench.world.t_ns == START + 30 * MS
+    assert bench.server.overruns == 3
+    assert bench.world.slip_ns == 0
+
+
+def test_far_behind_it_gives_up_the_time_and_says_so(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+    bench.turn(1, Frame(1, ENABLE))
+    lost_ms = SLIP_NS // MS + 200
+    bench.turn(1 + lost_ms)
+    assert bench.world.t_ns == START + MS
+    assert bench.world.slip_ns == lost_ms * MS
+    assert capsys.readouterr().err == f"firmware_sim: {lost_ms} ms behind, clock slipped\n"
+    bench.turn(1 + lost_ms + 2)
+    assert bench.world.t_ns == START + 3 * MS
+    assert (bench.server.slips, bench.server.overruns) == (1, 0)
+
+
+def write_timeout(milliseconds: int) -> Frame:
+    """Register 9 of motor 1, in units of 50 us."""
+    return Frame(0x7FF, bytes((1, 0, 0x55, 9)) + (milliseconds * 20).to_bytes(4, "little"))
+
+
+def test_a_slip_does_not_trip_a_watchdog_but_real_silence_does(bench: Bench) -> None:
+    bench.turn(1, write_timeout(40), Frame(1, ENABLE))
+    bench.turn(1 + 500)
+    assert [state(frame) for frame in bench.turn(502, Frame(1, COMMAND))] == [STATE_ENABLED]
+    for t_ms in range(503, 560, 5):
+        bench.turn(t_ms)
+    assert [state(frame) for frame in bench.turn(560, Frame(1, COMMAND))] == [STATE_LOST]
+
+
+def test_the_scaled_clock_is_monotonic_time_times_scale(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("time.monotonic_ns", lambda: 123_456_789_019)
+    assert ScaledClock(0.1).now_ns() == 12_345_678_901
+    assert ScaledClock().now_ns() == 123_456_789_019
+
+
+@pytest.mark.parametrize(
+    ("specs", "buses", "expected"),
+    [
+        (["local:x"], ["main"], ["local:x"]),
+        (["main=local:x"], ["main"], ["local:x"]),
+        (["b=socketcan:can1", "a=local:x"], ["a", "b"], ["local:x", "socketcan:can1"]),
+    ],
+)
+def test_each_bus_gets_its_spec(specs: list[str], buses: list[str], expected: list[str]) -> None:
+    assert assign(specs, buses) == expected
+
+
+@pytest.mark.parametrize(
+    ("specs", "buses", "says"),
+    [
+        (["local:x"], ["a", "b"], "this hand has 2"),
+        (["a=local:x"], ["a", "b"], "no --bus for b"),
+        (["c=local:x"], ["a"], "unknown"),
+        (["a=local:x", "a=local:y"], ["a"], "given twice"),
+    ],
+)
+def test_specs_that_do_not_fit_the_hand(specs: list[str], buses: list[str], says: str) -> None:
+    with pytest.raises(SimulatorError, match=says):
+        assign(specs, buses)
+
+
+@pytest.mark.parametrize(
+    "spec", ["", "vcan0", "serial:x", "socketcan:", "local:", "socketcan:no-such-if", "join:nobody"]
+)
+def test_buses_that_cannot_be_opened(spec: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
+    with pytest.raises(SimulatorError):
+        open_port(spec, 0)
+
+
+def test_a_simulator_can_join_a_bus_that_runs_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
+    owner = HubPort("shared", 3)
+    guest = JoinedPort("shared", 5)
+    owner.receive(owner.readers())
+    question, answer = Frame(1, ENABLE), Frame(0x11, bytes(range(48)), FDF)
+    owner.send([question])
+    assert guest.receive(guest.readers()) == [question._replace(bus=5)]
+    guest.send([answer])
+    assert owner.receive(owner.readers()) == [answer._replace(bus=3)]
+    owner.close()
+    with pytest.raises(SimulatorError, match="hub has gone"):
+        guest.receive(guest.readers())
+    guest.close()
+
+
+def test_a_record_that_is_no_frame_is_counted_and_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
+    port = HubPort("odd", 0)
+    link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    link.connect(str(tmp_path / "odd.bus"))
+    good = pack_record(Frame(1, b"12345678"))
+    too_long = bytearray(good)
+    too_long[4] = 9  # a classical frame of nine bytes
+    link.sendall(good + too_long + good)
+    port.receive(port.readers())
+    assert [frame.data for frame in port.receive(port.readers())] == [b"12345678"] * 2
+    assert port.lost == 1
+    link.close()
+    port.close()

@@ -1,0 +1,106 @@
+"""Frames on a Linux CAN socket, byte for byte, and an interface that refuses; on vcan itself: tests/vcan."""
+
+import errno
+import os
+import socket
+
+import pytest
+
+from firmware_sim.description import SimulatorError
+from firmware_sim.frame import BRS, FDF, Frame
+from firmware_sim.socketcan import SocketCanPort
+
+CLASSICAL = bytes.fromhex("23010000 03 000000 0102030000000000")
+FD_BYTES = bytes.fromhex("debc1a80 0c 05 0000") + bytes(range(12)) + bytes(52)
+FD_FRAME = Frame(1 << 31 | 0x1ABCDE, bytes(range(12)), FDF | BRS)
+
+
+class Interface:
+    """Stands for the kernel's end of a raw CAN socket."""
+
+    def __init__(self) -> None:
+        self.waiting: list[bytes | OSError] = []
+        self.sent: list[bytes] = []
+        self.refusal: OSError | None = None
+        self.bound: object = None
+
+    def setsockopt(self, *_: int) -> None: ...
+
+    def setblocking(self, flag: bool) -> None:
+        assert not flag
+
+    def bind(self, address: tuple[str]) -> None:
+        if self.refusal:
+            raise self.refusal
+        self.bound = address
+
+    def recv(self, size: int) -> bytes:
+        assert size >= 72
+        if not self.waiting:
+            raise BlockingIOError
+        item = self.waiting.pop(0)
+        if isinstance(item, OSError):
+            raise item
+        return item
+
+    def send(self, raw: bytes) -> int:
+        if self.refusal:
+            raise self.refusal
+        self.sent.append(raw)
+        return len(raw)
+
+    def close(self) -> None:
+        self.bound = None
+
+
+def error(number: int) -> OSError:
+    return OSError(number, os.strerror(number))
+
+
+@pytest.fixture
+def interface(monkeypatch: pytest.MonkeyPatch) -> Interface:
+    kernel = Interface()
+    for name in ("AF_CAN", "CAN_RAW", "SOL_CAN_RAW", "CAN_RAW_FD_FRAMES"):
+        monkeypatch.setattr(socket, name, getattr(socket, name, 0), raising=False)
+    monkeypatch.setattr(socket, "socket", lambda *_: kernel)
+    return kernel
+
+
+def test_classical_and_fd_frames_from_the_kernel(interface: Interface) -> None:
+    port = SocketCanPort("vcan7", 2)
+    assert interface.bound == ("vcan7",)
+    interface.waiting = [CLASSICAL, FD_BYTES]
+    assert port.receive(port.readers()) == [Frame(0x123, b"\x01\x02\x03", 0, 2), FD_FRAME._replace(bus=2)]
+
+
+def test_an_fd_frame_is_known_by_its_size_even_if_the_kernel_sets_no_flag(interface: Interface) -> None:
+    port = SocketCanPort("vcan7", 0)
+    interface.waiting = [FD_BYTES[:5] + b"\x00" + FD_BYTES[6:]]
+    assert port.receive(port.readers())[0].flags == FDF
+
+
+def test_classical_and_fd_frames_to_the_kernel(interface: Interface) -> None:
+    SocketCanPort("vcan7", 0).send([Frame(0x123, b"\x01\x02\x03"), FD_FRAME])
+    assert interface.sent == [CLASSICAL, FD_BYTES]
+
+
+def test_nothing_is_read_from_a_socket_that_is_not_ready(interface: Interface) -> None:
+    interface.waiting = [CLASSICAL]
+    assert SocketCanPort("vcan7", 0).receive([]) == []
+
+
+def test_a_full_queue_loses_a_frame_and_an_interface_that_went_down_is_survived(interface: Interface) -> None:
+    port = SocketCanPort("vcan7", 0)
+    interface.refusal = error(errno.ENOBUFS)
+    port.send([FD_FRAME])
+    assert port.lost == 1
+    interface.refusal, interface.waiting = None, [error(errno.ENETDOWN), CLASSICAL]
+    assert port.receive(port.readers()) == []
+    assert len(port.receive(port.readers())) == 1
+    assert port.lost == 2
+
+
+def test_an_interface_that_is_not_there(interface: Interface) -> None:
+    interface.refusal = error(errno.ENODEV)
+    with pytest.raises(SimulatorError, match="ip link add dev can9 type vcan"):
+        SocketCanPort("can9", 0)

@@ -1,0 +1,100 @@
+"""The rope and its pulleys against the formulas of the model, computed here in another way."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_sim.description import TendonSpec, load_hand
+from firmware_sim.tendon import Tendon
+
+HAND = load_hand("jamia")
+SPEC = HAND.tendons[0]
+JOINTS = ["index_j1", "index_j2", "index_j3"]
+REST = [0.0, 0.0, 0.0]
+
+
+def rope(spec: TendonSpec = SPEC) -> Tendon:
+    return Tendon(spec, JOINTS, 0.005)
+
+
+def test_linear_up_to_the_knee_then_softer_without_a_kink() -> None:
+    law = rope().elastic
+    assert law(1e-3) == pytest.approx(100.0)
+    assert law(2e-3) == pytest.approx(200.0)
+    x = np.linspace(0.1e-3, 5e-3, 20001)
+    stiffness = np.gradient([law(float(value)) for value in x], x)
+    assert stiffness[:7000].max() == pytest.approx(1e5, rel=1e-6)
+    assert np.abs(np.diff(stiffness)).max() < 200.0, "the stiffness jumps"
+    assert stiffness[-1] == pytest.approx(0.4e5, rel=1e-3)
+    # closed form: 200 + k2 x + (k - k2) w (1 - exp(-x/w)) at x = 1 mm
+    assert law(3e-3) == pytest.approx(200.0 + 40.0 + 6e4 * 0.3e-3 * (1 - math.exp(-1 / 0.3)))
+
+
+@given(st.floats(-3.0, 3.0), st.floats(-60.0, 60.0), st.lists(st.floats(-0.2, 1.8), min_size=3, max_size=3))
+def test_it_never_pushes(theta: float, omega: float, q: list[float]) -> None:
+    torque = [0.0] * 3
+    tendon = rope()
+    tension = tendon.pull(q, REST, theta, omega, torque)
+    assert tension >= 0.0
+    assert tension == tendon.tension_at(q, REST, theta, omega)
+    assert min(torque) >= 0.0
+    if 0.005 * theta < 0.003 * sum(q):
+        assert tension == 0.0
+        assert torque == [0.0] * 3
+
+
+def test_a_rope_that_goes_slack_quickly_does_not_push_through_its_damping() -> None:
+    torque = [0.0] * 3
+    assert rope().pull(REST, REST, 0.01, -50.0, torque) == 0.0
+    assert torque == [0.0] * 3
+
+
+def test_at_rest_every_pulley_has_the_tension_of_the_load_cell() -> None:
+    torque = [0.0] * 3
+    tension = rope().pull([0.3, 0.2, 0.1], REST, 0.5, 0.0, torque)
+    stretch = 0.005 * 0.5 - 0.003 * 0.6
+    assert tension == pytest.approx(1e5 * stretch)
+    assert torque == pytest.approx([0.003 * tension] * 3)
+
+
+@pytest.mark.parametrize(("speed", "sign"), [(10.0, 1.0), (-10.0, -1.0)])
+def test_capstan_ratio_from_pulley_to_pulley(speed: float, sign: float) -> None:
+    q, torque = [0.4, 0.5, 0.6], [0.0] * 3
+    tendon = rope()
+    tension = tendon.pull(q, [speed, 0.0, 0.0], 1.0, 6.0 * sign, torque)
+    angles = math.pi / 2 + np.cumsum(q)
+    assert np.array(torque) / 0.003 / tension == pytest.approx(np.exp(-sign * 0.08 * angles), rel=1e-5)
+    loads = [torque[1] / torque[0], torque[2] / torque[1]]
+    assert loads == pytest.approx([math.exp(-sign * 0.08 * 0.5), math.exp(-sign * 0.08 * 0.6)], rel=1e-5)
+
+
+def test_friction_grows_with_speed_as_tanh() -> None:
+    q, torque = [0.0, 0.0, 0.0], [0.0] * 3
+    tension = rope().pull(q, [0.5e-3 / 0.003, 0.0, 0.0], 0.2, 0.0, torque)
+    assert torque[0] / 0.003 == pytest.approx(tension * math.exp(-0.08 * math.pi / 2 * math.tanh(0.5)), rel=1e-3)
+
+
+@given(st.floats(-0.2, 0.2), st.lists(st.floats(0.0, 1.7), min_size=3, max_size=3))
+def test_friction_takes_energy_and_the_integrator_knows_how_much(speed: float, q: list[float]) -> None:
+    """The rope's friction power is never positive, and ``slope`` covers the loss at every pulley."""
+    dq = [speed / 0.009] * 3
+    torque = [0.0] * 3
+    tendon = rope()
+    theta = (0.003 * sum(q) + 0.3e-3) / 0.005
+    tension = tendon.pull(q, dq, theta, speed / 0.005, torque)
+    power = sum(t * v for t, v in zip(torque, dq, strict=True)) - tension * speed
+    assert power <= 1e-9
+    worst = max(abs(0.003 * tension - t) / 0.003 for t in torque)
+    assert tendon.slope * abs(speed) >= worst - 1e-6
+
+
+def test_slope_is_continuous_where_the_rope_stands_still() -> None:
+    slopes = []
+    for speed in (0.99e-6, 1.01e-6):
+        tendon = rope()
+        tendon.pull([0.2] * 3, [speed / 0.009] * 3, 0.6, 0.0, [0.0] * 3)
+        slopes.append(tendon.slope)
+    assert slopes[0] == pytest.approx(slopes[1], rel=2e-3)
