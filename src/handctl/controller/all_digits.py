@@ -1,0 +1,80 @@
+"""All digits of a hand at once: the formulas of ``hand.dynamics`` and ``tip`` as arrays over its joints.
+
+A tick needs them for every digit, and numpy takes as long for eleven numbers as for three.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from handctl.controller.types import Vector
+from handctl.hand.dynamics import DigitModel
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AllDigits:
+    """Constants of J joints, N tendons, C coordinates and D digits, in the hand's order.
+
+    Attributes:
+        inward: (J, J), 1 in row i for link i's own joint and those between it and the palm.
+        weight_x, weight_y: (J,), first moment of mass that turns with a link times gravity in its plane [N m].
+        spring, preload: (J,), return springs [N m/rad], [rad].
+        length: (J,), of the links [m].
+        last: (J,), index of the last joint of the same digit.
+        coupling: (J, C), joints of coordinates.
+        arms: (N, C), tendons of coordinates [m].
+        members: (D, C), 1 where a coordinate is the digit's.
+    """
+
+    inward: Vector
+    weight_x: Vector
+    weight_y: Vector
+    spring: Vector
+    preload: Vector
+    length: Vector
+    last: NDArray[np.intp]
+    coupling: Vector
+    arms: Vector
+    members: Vector
+
+    @staticmethod
+    def of(digits: tuple[DigitModel, ...]) -> "AllDigits":
+        """Stack the digits."""
+        moments = [np.array(digit.links[6 : 6 + digit.joint_count]) for digit in digits]
+        gravity = [digit.gravity for digit in digits]
+        sizes = [digit.joint_count for digit in digits]
+        return AllDigits(
+            inward=block_diag(*(np.tri(size) for size in sizes)),
+            weight_x=np.concatenate([w * gx for w, (gx, _) in zip(moments, gravity, strict=True)]),
+            weight_y=np.concatenate([w * gy for w, (_, gy) in zip(moments, gravity, strict=True)]),
+            spring=np.concatenate([digit.spring_stiffness for digit in digits]),
+            preload=np.concatenate([digit.spring_preload for digit in digits]),
+            length=np.concatenate([digit.lengths for digit in digits]),
+            last=np.repeat(np.cumsum(sizes) - 1, sizes),
+            coupling=block_diag(*(digit.coupling for digit in digits)),
+            arms=block_diag(*(digit.reduced_moment_arms for digit in digits)),
+            members=block_diag(*(np.ones((1, digit.coupling.shape[1])) for digit in digits)),
+        )
+
+    def static_torque(self, q: Vector) -> Vector:
+        """Joint torques that hold the digits where they are: gravity and springs, (J,) [N m].
+
+        Args:
+            q: (J,) [rad].
+        """
+        angle = self.inward @ q
+        weight = self.weight_x * np.sin(angle) - self.weight_y * np.cos(angle)
+        return np.asarray(weight @ self.inward + self.spring * (q + self.preload))
+
+    def tip_force(self, q: Vector, external: Vector) -> Vector:
+        """Tip-equivalent forces of the tensions that contact explains, (D,) [N]; see ``tip.tip_force``.
+
+        Args:
+            q: (J,) [rad].
+            external: (N,) [N].
+        """
+        angle = self.inward @ q
+        lever = ((self.length * np.cos(angle[self.last] - angle)) @ self.inward) @ self.coupling
+        return np.asarray((self.members @ (lever * (external @ self.arms))) / (self.members @ (lever * lever)))

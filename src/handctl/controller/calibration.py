@@ -1,0 +1,69 @@
+"""What commissioning found out about one hand: tares, zeros, and that every tendon pulls what it should."""
+
+import datetime
+from pathlib import Path
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from handctl.controller.types import Vector
+from handctl.document import Document, load_document
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+
+
+class TendonCalibration(Document):
+    """One tendon's result of the sign test."""
+
+    tare_N: float = Field(ge=-20, le=20)
+    """Load-cell reading without tension."""
+    zero_rad: float = Field(ge=-1000, le=1000)
+    """Motor position at which the rope is just taut and the digit open."""
+    answer_N: float
+    """How much its own load cell answered to the pull."""
+    crosstalk_N: float
+    """The most that any other load cell answered."""
+
+
+class Calibration(Document):
+    """A hand's calibration file."""
+
+    schema_: int = Field(1, alias="schema", ge=1, le=1)
+    hand: str
+    identity: str
+    """Hash of the hand description it was made with."""
+    made: str
+    """Date and time, ISO 8601, UTC."""
+    tendon: dict[str, TendonCalibration]
+
+    @field_validator("made")
+    @classmethod
+    def _date(cls, made: str) -> str:
+        datetime.datetime.fromisoformat(made)
+        return made
+
+    def tare(self, hand: Hand) -> Vector:
+        """(N,) load-cell tare [N]."""
+        return np.array([self.tendon[name].tare_N for name in hand.tendon_names])
+
+    def zero(self, hand: Hand) -> Vector:
+        """(N,) motor zero [rad]."""
+        return np.array([self.tendon[name].zero_rad for name in hand.tendon_names])
+
+
+def load_calibration(path: Path, hand: Hand) -> Calibration:
+    """Read a calibration and check that it belongs to this hand.
+
+    Raises:
+        ConfigError: it cannot be read, is for another hand or another version of its description, or lacks a tendon.
+    """
+    calibration = load_document(path, Calibration)
+    if calibration.identity != hand.identity:
+        raise ConfigError(
+            f"is for hand {calibration.hand!r} with description {calibration.identity[:12]}",
+            str(path),
+            f"one of {hand.name!r} with {hand.identity[:12]}: run handctl commission again",
+        )
+    for name in set(hand.tendon_names) - calibration.tendon.keys():
+        raise ConfigError("missing", f"{path}: tendon.{name}", "an entry for every tendon")
+    return calibration

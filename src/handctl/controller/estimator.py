@@ -1,0 +1,244 @@
+"""The tension filter in motion: load cell and encoder (and joint encoders) to tension, excursion and contact force.
+
+All tendons are one linear filter, run with filterpy's steady-state ``predict``/``update``. Friction, gravity, springs
+beyond the linear part and the digit's stops enter as known load forces. A missing measurement has no innovation, so
+the tick is a prediction. The result is the prediction to the present instant: the measurements of a tick were taken
+one period earlier, just before the previous command acted.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from filterpy.kalman import predict_steadystate, update_steadystate
+
+from handctl.controller.filter_design import MEASUREMENTS, STATES, D, E, O, Regime, S, V, W, X
+from handctl.controller.model import HandModel
+from handctl.controller.statics import LoadStatics, load_statics
+from handctl.controller.types import Vector
+
+FREE, HELD, SLACK = (int(regime) for regime in Regime)
+SLACK_BELOW_N = 1.0
+"""Estimated and measured tension below this is slack (two standard deviations of the load cell)."""
+TAUT_ABOVE_N = 2.5
+"""A load-cell sample above this ends slack (five standard deviations)."""
+SLACK_TICKS, TAUT_TICKS = 3, 1
+"""Consecutive ticks before the rope counts as slack, and as taut: at five standard deviations one is enough."""
+STOP_BAND_M = (2e-5, 1e-4)
+"""Excursion below which a digit may be on its open stop: to come to rest there, and to stay [m]."""
+STOP_PULL = (1.0, 1.05)
+"""Pull, as a share of what the springs ask, below which it is: to come to rest, and to stay."""
+
+
+@dataclass(frozen=True, slots=True)
+class FilterState:
+    """What the filter carries from tick to tick.
+
+    Attributes:
+        x: (7N,) stacked state, the prediction for the coming measurement's instant.
+        regimes: per tendon, a ``Regime``.
+        stopped: per tendon, whether springs hold its digit on the open stop.
+        turning: per tendon, consecutive ticks that spoke for leaving (or entering) slack.
+        started: False until encoder and load cell of every tendon were read once.
+    """
+
+    x: Vector
+    regimes: tuple[int, ...]
+    stopped: tuple[bool, ...]
+    turning: tuple[int, ...]
+    started: bool = False
+
+    @staticmethod
+    def initial(tendons: int) -> "FilterState":
+        """Nothing known: slack, hand open."""
+        zero = (0,) * tendons
+        return FilterState(np.zeros(STATES * tendons), (int(Regime.SLACK),) * tendons, (True,) * tendons, zero)
+
+    @property
+    def free(self) -> Vector:
+        """(N,) whether each tendon's digit moves freely."""
+        return np.asarray(np.array(self.regimes) == Regime.FREE)
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Measurements of one tick, (N,) each; NaN where missing.
+
+    Attributes:
+        travel: encoder, cable travel at the spool [m].
+        tension: load cell, tared [N].
+        excursion: from joint encoders [m].
+        joints: (J,) the joint encoders themselves [rad].
+    """
+
+    travel: Vector
+    tension: Vector
+    excursion: Vector
+    joints: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """The present instant, (N,) each unless said otherwise.
+
+    Attributes:
+        tension: at the load cell [N]; 0 in slack.
+        sigma: its standard deviation [N].
+        travel, speed: cable at the spool [m], [m/s].
+        excursion, rate: at the joints [m], [m/s].
+        motor_disturbance: force on the motor that the model lacks [N].
+        external: load force that the model lacks, positive against closing: contact [N].
+        offset: stretch offset [m].
+        innovation: load cell minus prediction [N]; NaN if missing.
+        nis: normalised innovation squared of encoder and load cell; NaN if missing.
+        slack: boolean.
+        q, dq: (J,) joint angles [rad] and rates [rad/s].
+    """
+
+    tension: Vector
+    sigma: Vector
+    travel: Vector
+    speed: Vector
+    excursion: Vector
+    rate: Vector
+    motor_disturbance: Vector
+    external: Vector
+    offset: Vector
+    innovation: Vector
+    nis: Vector
+    slack: Vector
+    q: Vector
+    dq: Vector
+
+
+def step(
+    model: HandModel, state: FilterState, measured: Measured, force: Vector, contact: tuple[bool, ...]
+) -> tuple[FilterState, Estimate]:
+    """Take in the measurements of one tick and predict to the present.
+
+    Args:
+        model: the hand.
+        state: from the last tick.
+        measured: taken at the last tick's instant.
+        force: (N,) motor force at the cable that acted since, without what friction takes [N].
+        contact: per digit, whether it is known to touch.
+
+    Returns:
+        state for the next tick, and the estimate now.
+    """
+    if not state.started:
+        state = _start(model, state, measured)
+    if not state.started:
+        nothing = np.full((model.tendon_count, 2), np.nan)
+        return state, _estimate(model, state, state.x, nothing, np.zeros(model.tendon_count))
+    filters = model.filter.stacked(state.regimes)
+    z = np.column_stack((measured.travel, measured.tension, measured.excursion)).ravel()
+    expected = filters.H @ state.x
+    x = update_steadystate(state.x, np.where(np.isnan(z), expected, z), filters.K, filters.H)
+    statics = load_statics(model, x.reshape(-1, STATES), filters.tension @ x)
+    state = _regimes(model, replace(state, x=x), statics, measured, contact)
+    if state.x is not x:
+        x, filters = state.x, model.filter.stacked(state.regimes)
+        statics = load_statics(model, x.reshape(-1, STATES), filters.tension @ x)
+    known = _known_load(model, x, statics, filters.tension @ x)
+    unexplained = np.where(state.free, -x[E::STATES], statics.pull - statics.resistance)
+    x = predict_steadystate(x, filters.F, np.column_stack((force, known)).ravel(), filters.B)
+    innovation = (z - expected).reshape(-1, MEASUREMENTS)[:, :2]
+    return replace(state, x=x), _estimate(model, state, x, innovation, np.where(state.stopped, 0.0, unexplained))
+
+
+def _start(model: HandModel, state: FilterState, measured: Measured) -> FilterState:
+    """Begin at the first complete measurement: hand open, rope slack."""
+    if np.isnan(measured.travel).any() or np.isnan(measured.tension).any():
+        return state
+    x = np.zeros((model.tendon_count, STATES))
+    x[:, X] = measured.travel
+    return replace(state, x=x.ravel(), started=True)
+
+
+def _regimes(
+    model: HandModel, state: FilterState, statics: LoadStatics, measured: Measured, contact: tuple[bool, ...]
+) -> FilterState:
+    """Judge slack, stops and contact, and set the offset when a rope becomes taut.
+
+    The state's vector is a new one only if something in it or its regime has changed.
+    """
+    x = state.x.reshape(-1, STATES).copy()
+    tension, cell = (model.filter.stacked(state.regimes).tension @ state.x).tolist(), measured.tension.tolist()
+    pull, resistance = statics.pull.tolist(), statics.resistance.tolist()
+    regimes, stopped, turning = list(state.regimes), list(state.stopped), list(state.turning)
+    for d, tendons in enumerate(model.digit_tendons):
+        for i in range(tendons.start, tendons.stop):
+            turning[i] = _turning(regimes[i], turning[i], tension[i], cell[i])
+            if turning[i] >= (TAUT_TICKS if regimes[i] == SLACK else SLACK_TICKS):
+                turning[i] = 0
+                if regimes[i] == SLACK:
+                    _take_up(model, x[i], i, cell[i], stopped[i])
+                regimes[i] = FREE if regimes[i] == SLACK else SLACK
+            was, stopped[i] = stopped[i], _at_stop(stopped[i], float(x[i, S]), pull[i], resistance[i])
+            if regimes[i] == SLACK:
+                continue
+            if stopped[i] and not was:
+                _on_stop(x[i])
+            regimes[i] = HELD if contact[d] or stopped[i] else FREE
+    changed = tuple(regimes) != state.regimes or not np.array_equal(x.ravel(), state.x)
+    vector = x.ravel() if changed else state.x
+    return replace(state, x=vector, regimes=tuple(regimes), stopped=tuple(stopped), turning=tuple(turning))
+
+
+def _turning(regime: int, ticks: int, tension: float, cell: float) -> int:
+    """Consecutive ticks that speak for becoming taut (if slack) or slack (if taut); a missing sample for neither."""
+    if regime == SLACK:
+        return ticks + 1 if cell > TAUT_ABOVE_N else 0
+    return ticks + 1 if tension < SLACK_BELOW_N and cell < SLACK_BELOW_N else 0
+
+
+def _take_up(model: HandModel, x: Vector, i: int, cell: float, stopped: bool) -> None:
+    """The rope has become taut: the offset is what makes stretch and load cell agree."""
+    if stopped:
+        x[S] = 0.0
+    x[O] = x[X] - x[S] - cell / model.space.stiffness[i]
+    x[W] = x[D] = x[E] = 0.0
+
+
+def _on_stop(x: Vector) -> None:
+    """The digit has come to rest on its open stop: its excursion is known to be zero, the rest was offset."""
+    x[O] += x[S]
+    x[S] = x[W] = x[E] = 0.0
+
+
+def _at_stop(was: bool, excursion: float, pull: float, resistance: float) -> bool:
+    """Whether springs hold the digit on its open stop against the tendon."""
+    return bool(excursion < STOP_BAND_M[was] and pull < resistance * STOP_PULL[was])
+
+
+def _known_load(model: HandModel, x: Vector, statics: LoadStatics, tension: Vector) -> Vector:
+    """(N,) load force that the linear model lacks: springs' preload, gravity, capstan loss [N]."""
+    excursion = x.reshape(-1, STATES)[:, S]
+    return np.asarray(statics.pull - tension - (statics.resistance - model.space.load_stiffness * excursion))
+
+
+def _estimate(model: HandModel, state: FilterState, x: Vector, innovation: Vector, external: Vector) -> Estimate:
+    filters = model.filter.stacked(state.regimes)
+    table = x.reshape(-1, STATES)
+    q, dq = joint_angles(model, table[:, S], table[:, W])
+    return Estimate(
+        tension=np.maximum(filters.tension @ x, 0.0),
+        sigma=filters.sigma,
+        travel=table[:, X],
+        speed=table[:, V],
+        excursion=table[:, S],
+        rate=table[:, W],
+        motor_disturbance=table[:, D],
+        external=external,
+        offset=table[:, O],
+        innovation=innovation[:, 1],
+        nis=np.einsum("ni,nij,nj->n", innovation, filters.information, innovation),
+        slack=np.array(state.regimes) == Regime.SLACK,
+        q=q,
+        dq=dq,
+    )
+
+
+def joint_angles(model: HandModel, excursion: Vector, rate: Vector) -> tuple[Vector, Vector]:
+    """Joint angles (J,) [rad] and rates (J,) [rad/s] of excursions (N,) [m] and rates (N,) [m/s], q = B R_r^+ s."""
+    return np.asarray(model.excursion_to_joints @ excursion), np.asarray(model.excursion_to_joints @ rate)

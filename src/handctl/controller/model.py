@@ -1,0 +1,119 @@
+"""Everything about one hand that a tick needs and that never changes during a run."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from handctl.controller.all_digits import AllDigits
+from handctl.controller.filter_design import FilterDesign, design_filter
+from handctl.controller.gains import Gains
+from handctl.controller.motion_design import MotionDesign, design_motion
+from handctl.controller.tendon_space import TendonSpace, tendon_space
+from handctl.controller.types import Vector
+from handctl.hand.description import Hand
+from handctl.hand.dynamics import DigitModel
+
+
+@dataclass(frozen=True, slots=True)
+class HandModel:
+    """A hand, its gains, and what is derived from both.
+
+    Attributes:
+        hand: description.
+        gains: as tuned.
+        period: control period [s].
+        digits: digit models, file order.
+        all_digits: the same, stacked.
+        digit_tendons: for each digit, the slice of its tendons in the hand's order.
+        space: the hand along its tendons.
+        filter: steady-state filter of each tendon.
+        motion: feedback gains of each tendon.
+        excursion_to_joints: (J, N), joint angles that excursions stand for [rad/m].
+        torque_to_tension: (N, J), smallest tensions that make a torque [1/m].
+        pulleys: (N, J), 1 where a tendon passes a joint's pulley.
+        pulley_weights: (N, J), share of each pulley in a tendon's moment arms.
+        friction: (N,), capstan coefficient.
+        wrap: (N,), wrap angle before the first joint pulley [rad].
+        floor, ceiling: (N,) tension limits at the load cell [N].
+        torque_limit: (N,) largest motor torque the host may ask [N m].
+    """
+
+    hand: Hand
+    gains: Gains
+    period: float
+    digits: tuple[DigitModel, ...]
+    all_digits: AllDigits
+    digit_tendons: tuple[slice, ...]
+    space: TendonSpace
+    filter: FilterDesign
+    motion: MotionDesign
+    excursion_to_joints: Vector
+    torque_to_tension: Vector
+    pulleys: Vector
+    pulley_weights: Vector
+    friction: Vector
+    wrap: Vector
+    floor: Vector
+    ceiling: Vector
+    torque_limit: Vector
+
+    @staticmethod
+    def of(hand: Hand, gains: Gains, rate_hz: float) -> "HandModel":
+        """Derive the model; designs all gains, which takes a second (``control`` is imported here).
+
+        Args:
+            hand: description.
+            gains: weights and noise assumptions.
+            rate_hz: control rate [Hz].
+        """
+        digits = tuple(DigitModel.of(hand, digit.name) for digit in hand.digit)
+        space = tendon_space(hand, digits)
+        tendons = hand.tendon
+        arms = np.abs(hand.moment_arms)
+        return HandModel(
+            hand=hand,
+            gains=gains,
+            period=1.0 / rate_hz,
+            digits=digits,
+            all_digits=AllDigits.of(digits),
+            digit_tendons=tuple(digit.tendons for digit in digits),
+            space=space,
+            filter=design_filter(space, gains.filter, 1.0 / rate_hz, _excursion_noise(hand)),
+            motion=design_motion(space, gains, 1.0 / rate_hz),
+            excursion_to_joints=block_diag(*(digit.excursion_to_joints for digit in digits)),
+            torque_to_tension=block_diag(*(digit.torque_to_tension for digit in digits)),
+            pulleys=(arms > 0.0).astype(np.float64),
+            pulley_weights=arms / arms.sum(axis=1, keepdims=True),
+            friction=np.array([tendon.friction_coefficient for tendon in tendons]),
+            wrap=np.array([tendon.wrap_angle_rad for tendon in tendons]),
+            floor=np.array([tendon.tension_floor_N for tendon in tendons]),
+            ceiling=np.array([tendon.tension_max_N for tendon in tendons]),
+            torque_limit=np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in tendons]),
+        )
+
+    def excursion_of(self, joints: Vector) -> Vector:
+        """(N,) excursion of joint readings (J,) [rad]; NaN where a joint of the tendon was not read."""
+        unread = np.isnan(joints)
+        if unread.all():
+            return np.full(self.tendon_count, np.nan)
+        excursion = self.hand.moment_arms @ np.where(unread, 0.0, joints)
+        return np.where(self.pulleys @ unread > 0.0, np.nan, excursion)
+
+    @property
+    def tendon_count(self) -> int:
+        """N."""
+        return len(self.floor)
+
+
+def _excursion_noise(hand: Hand) -> Vector:
+    """(N,) standard deviation of a tendon's excursion by joint encoders [m]; inf if a joint of it has none.
+
+    A decimated joint frame is there on every d-th tick only; the steady gain is that of d times the variance.
+    """
+    sensors = hand.sensor_node
+    measured = np.array([joint in sensors.joints for joint in hand.joints])
+    arms = np.abs(hand.moment_arms)
+    noise = np.sqrt((arms**2).sum(axis=1) * sensors.joint_decimation) * sensors.joint_noise_rad
+    covered = ~((arms > 0) & ~measured).any(axis=1)
+    return np.where(covered, noise, np.inf)

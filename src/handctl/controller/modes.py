@@ -1,0 +1,251 @@
+"""The hand's mode: from silence by inventory and arming to action, and back to a confirmed standstill.
+
+SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE, with CUT from anywhere that torque acts.
+Each mode is one small function that says which mode comes next, and why if that is a failure.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handctl.controller.goal import DigitGoal, Kind
+from handctl.controller.model import HandModel
+from handctl.controller.state import State
+from handctl.controller.types import Event, Mode
+from handctl.drives.contract import Drive, DriveState, Phase, Want
+from handctl.safety.action import Action
+
+LISTEN_S = 0.5
+"""Silence before the first frame: a second controller would be heard in it."""
+INVENTORY_TIMEOUT_S = 3.0
+LOOK_FIRST = " (when you have looked why: --clear)"
+"""What a person may do about a drive that has latched an error."""
+STILL_LATCHED = " (or an error that does not clear)"
+READY_S = 0.1
+"""Time for the filter to see a few measurements before arming."""
+ARMING_TIMEOUT_S = 1.0
+RELAX_FLOOR_N = 5.0
+RELAX_RATE_N_PER_S = 500.0
+RELAX_TIMEOUT_S = 1.0
+RELAXED_WITHIN_N = 3.0
+DISARM_TIMEOUT_S = 1.0
+CUT_S = 0.1
+"""Cut frames are repeated for this long."""
+
+BEFORE_ARMING = (Mode.SILENT, Mode.INVENTORY, Mode.READY)
+"""Modes in which no drive has been enabled."""
+ACTING = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX)
+"""Modes in which torque may act."""
+
+
+@dataclass(frozen=True, slots=True)
+class Wishes:
+    """What people asked in this tick."""
+
+    stop: bool = False
+    cut: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Circumstances:
+    """What a mode may look at besides the state.
+
+    Attributes:
+        model: the hand.
+        names: of the motors.
+        elapsed: time in the present mode [s].
+        action: what safety demands.
+        wishes: what people asked.
+        foreign: frames that only a second controller can have sent.
+        tension: largest tension estimate [N].
+    """
+
+    model: HandModel
+    names: tuple[str, ...]
+    elapsed: float
+    action: Action
+    wishes: Wishes
+    foreign: tuple[str, ...]
+    tension: float
+
+
+Next = tuple[Mode, str]
+"""The next mode, and why if the run has failed."""
+
+
+def wanted_of_drives(mode: Mode) -> Want:
+    """What a mode wants of every drive."""
+    return {
+        Mode.SILENT: Want.LISTEN,
+        Mode.INVENTORY: Want.POLL,
+        Mode.READY: Want.POLL,
+        Mode.ARMING: Want.ENABLE,
+        Mode.ACTIVE: Want.ENABLE,
+        Mode.RELAX: Want.ENABLE,
+        Mode.DISARM: Want.DISABLE,
+        Mode.CUT: Want.DISABLE,
+        Mode.DONE: Want.LISTEN,
+    }[mode]
+
+
+def next_mode(
+    model: HandModel,
+    drives: tuple[Drive, ...],
+    state: State,
+    action: Action,
+    wishes: Wishes,
+    foreign: tuple[str, ...],
+    t: float,
+) -> tuple[State, tuple[Event, ...]]:
+    """Decide the mode of this tick.
+
+    Args:
+        model: the hand.
+        drives: one per motor.
+        state: with this tick's drive and filter states.
+        action: what safety demands.
+        wishes: what people asked.
+        foreign: frames that only a second controller can have sent, as text.
+        t: time of the tick [s].
+    """
+    highest = float(np.max(model.filter.stacked(state.filter.regimes).tension @ state.filter.x))
+    names = tuple(drive.name for drive in drives)
+    seen = Circumstances(model, names, t - state.mode_since, action, wishes, foreign, highest)
+    mode, failure = _demanded(state, seen) or _MODES[state.mode](state, seen)
+    if mode == state.mode:
+        return state, ()
+    level = "error" if failure else "info"
+    text = f"{state.mode.name} -> {mode.name}" + (f": {failure}" if failure else "")
+    unconfirmed = _may_pull(state, names) if mode == Mode.DONE else ()
+    told = f"{state.failure}; {failure}" if state.failure and unconfirmed else state.failure or failure
+    entered = replace(state, mode=mode, mode_since=t, failure=told, unconfirmed=unconfirmed)
+    return _on_entry(model, entered), (Event(level, "mode", "", text),)
+
+
+def _demanded(state: State, seen: Circumstances) -> Next | None:
+    """What safety or a person demands, whatever the mode."""
+    acting = state.mode in ACTING
+    if acting and (seen.wishes.cut or seen.action == Action.CUT):
+        return Mode.CUT, "" if seen.wishes.cut else _latched(state)
+    if state.mode in (Mode.ARMING, Mode.ACTIVE) and seen.action == Action.RELAX:
+        return Mode.RELAX, _latched(state)
+    if state.mode == Mode.ACTIVE and seen.wishes.stop:
+        return Mode.RELAX, ""
+    if state.mode == Mode.ARMING and seen.wishes.stop:
+        return Mode.DISARM, ""
+    return _before_arming(state, seen) if state.mode in BEFORE_ARMING else None
+
+
+def _before_arming(state: State, seen: Circumstances) -> Next | None:
+    """What ends a run before any torque."""
+    if seen.wishes.stop or seen.wishes.cut:
+        return Mode.DONE, ""
+    if seen.foreign:
+        return Mode.DONE, f"another controller is on the bus (it sent {', '.join(seen.foreign)})"
+    return (Mode.DONE, _latched(state)) if seen.action >= Action.RELAX else None
+
+
+def _latched(state: State) -> str:
+    return "fault " + ", ".join(f"{mark.id} {mark.instance}" for mark in state.safety.latched)
+
+
+def _silent(state: State, seen: Circumstances) -> Next:
+    return (Mode.INVENTORY if seen.elapsed >= LISTEN_S else Mode.SILENT), ""
+
+
+def _inventory(state: State, seen: Circumstances) -> Next:
+    wrong = [f"{name}: {drive.error_text}" for name, drive in _named(state, seen) if drive.phase == Phase.FAULT]
+    if wrong and not (state.clearing and seen.elapsed < INVENTORY_TIMEOUT_S):
+        return Mode.DONE, "; ".join(wrong) + LOOK_FIRST
+    unheard = not all(group.frames for group in state.sensors.groups)
+    if all(drive.phase == Phase.READY for drive in state.drives) and state.filter.started and not unheard:
+        return Mode.READY, ""
+    if seen.elapsed < INVENTORY_TIMEOUT_S:
+        return Mode.INVENTORY, ""
+    behind = [(name, drive) for name, drive in _named(state, seen) if drive.phase != Phase.READY]
+    silent = [name for name, drive in behind if drive.phase == Phase.SILENT and not drive.error_text]
+    silent += ["the sensor node"] if unheard else []
+    stuck = [f"{name}: {drive.error_text or 'not configured in time'}" for name, drive in behind if name not in silent]
+    unheard_of = [f"no answer from {', '.join(silent)}{STILL_LATCHED if state.clearing else ''}"] if silent else []
+    return Mode.DONE, "; ".join([*stuck, *unheard_of])
+
+
+def _ready(state: State, seen: Circumstances) -> Next:
+    return (Mode.ARMING if state.armed and seen.elapsed >= READY_S else Mode.READY), ""
+
+
+def _arming(state: State, seen: Circumstances) -> Next:
+    if all(drive.phase == Phase.ENABLED for drive in state.drives):
+        return Mode.ACTIVE, ""
+    if seen.elapsed < ARMING_TIMEOUT_S:
+        return Mode.ARMING, ""
+    late = [name for name, drive in _named(state, seen) if drive.phase != Phase.ENABLED]
+    return Mode.DISARM, f"not enabled: {', '.join(late)}"
+
+
+def _active(state: State, seen: Circumstances) -> Next:
+    return (Mode.RELAX if state.progress.finished else Mode.ACTIVE), state.progress.failure
+
+
+def _relax(state: State, seen: Circumstances) -> Next:
+    settled = seen.tension < RELAX_FLOOR_N + RELAXED_WITHIN_N or seen.elapsed >= RELAX_TIMEOUT_S
+    return (Mode.DISARM if settled else Mode.RELAX), ""
+
+
+def _disarm(state: State, seen: Circumstances) -> Next:
+    enabled = _enabled(state, seen.names)
+    if not enabled:
+        return Mode.DONE, ""
+    if seen.elapsed < DISARM_TIMEOUT_S:
+        return Mode.DISARM, ""
+    return Mode.DONE, f"REMOVE POWER: not confirmed disabled: {', '.join(enabled)}"
+
+
+def _cut(state: State, seen: Circumstances) -> Next:
+    return (Mode.DISARM if seen.elapsed >= CUT_S else Mode.CUT), ""
+
+
+def _done(state: State, seen: Circumstances) -> Next:
+    return Mode.DONE, ""
+
+
+_MODES: dict[Mode, Callable[[State, Circumstances], Next]] = {
+    Mode.SILENT: _silent,
+    Mode.INVENTORY: _inventory,
+    Mode.READY: _ready,
+    Mode.ARMING: _arming,
+    Mode.ACTIVE: _active,
+    Mode.RELAX: _relax,
+    Mode.DISARM: _disarm,
+    Mode.CUT: _cut,
+    Mode.DONE: _done,
+}
+
+
+def _named(state: State, seen: Circumstances) -> Iterator[tuple[str, DriveState]]:
+    return zip(seen.names, state.drives, strict=True)
+
+
+def _enabled(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Motors that have not said that they are disabled."""
+    disabled = (Phase.READY, Phase.FAULT)
+    return tuple(name for name, drive in zip(names, state.drives, strict=True) if drive.phase not in disabled)
+
+
+def _on_entry(model: HandModel, state: State) -> State:
+    """Goals that belong to a mode."""
+    if state.mode != Mode.RELAX:
+        return state
+    goals = tuple(
+        DigitGoal(Kind.TENSION, tension=np.minimum(state.law.setpoint[s], RELAX_FLOOR_N), rate=RELAX_RATE_N_PER_S)
+        for s in model.digit_tendons
+    )
+    return replace(state, progress=replace(state.progress, goals=goals))
+
+
+def _may_pull(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Motors that may have torque at the end of a run; one that was never enabled by it only if it says so."""
+    if state.mode not in BEFORE_ARMING:
+        return _enabled(state, names)
+    return tuple(name for name, drive in zip(names, state.drives, strict=True) if drive.phase == Phase.ENABLED)

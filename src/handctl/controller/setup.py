@@ -1,0 +1,150 @@
+"""Putting a controller together from data, so that a log can put the same one together again."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from handctl.controller.calibration import Calibration
+from handctl.controller.commission import CommissionProgram
+from handctl.controller.gains import Gains
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.live import JogProgram, LiveProgram
+from handctl.controller.model import HandModel
+from handctl.controller.playback import PlaybackProgram, Recording
+from handctl.controller.program import Program
+from handctl.controller.requests import HoldTension, MoveDigits
+from handctl.controller.task import Task
+from handctl.controller.tick import Controller
+from handctl.document import Document
+from handctl.drives.contract import Drive
+from handctl.drives.registry import make_drive
+from handctl.drives.sensor_node import SensorNode
+from handctl.hand.description import Hand
+
+ATTACHMENT = "setup.json"
+"""Name under which a log keeps its ``Setup``."""
+
+
+class TaskSetup(Document):
+    """A task file's program."""
+
+    program: Literal["task"] = "task"
+    task: Task
+
+
+class LiveSetup(Document):
+    """Waits for requests."""
+
+    program: Literal["live"] = "live"
+
+
+class JogSetup(Document):
+    """One goal for a while."""
+
+    program: Literal["jog"] = "jog"
+    request: Annotated[MoveDigits | HoldTension, Field(discriminator="do")]
+    duration_s: float
+
+
+class CommissionSetup(Document):
+    """Commissioning."""
+
+    program: Literal["commission"] = "commission"
+
+
+class PlaybackSetup(Document):
+    """A recorded run done again; ``rows`` is ``Recording.text``."""
+
+    program: Literal["playback"] = "playback"
+    raw: bool
+    rows: str
+
+
+ProgramSetup = Annotated[
+    TaskSetup | LiveSetup | JogSetup | CommissionSetup | PlaybackSetup, Field(discriminator="program")
+]
+
+
+class Setup(Document):
+    """What a controller was made from besides the hand and the gains; floats read back bit for bit."""
+
+    schema_: int = Field(1, alias="schema", ge=1, le=1)
+    rate_hz: float = Field(gt=0, le=100_000)
+    arm_at_once: bool
+    tare_N: tuple[float, ...]
+    """(N,) load-cell tare, in the order of the tendons."""
+    zero_rad: tuple[float, ...]
+    """(N,) motor zero."""
+    program: ProgramSetup
+
+    @staticmethod
+    def of(controller: Controller, rate_hz: float) -> "Setup":
+        """Setup of a controller that runs at ``rate_hz`` [Hz]."""
+        return Setup(
+            rate_hz=rate_hz,
+            arm_at_once=controller.arm_at_once,
+            tare_N=tuple(controller.tare.tolist()),
+            zero_rad=tuple(controller.zero.tolist()),
+            program=_described(controller.program),
+        )
+
+    def controller(self, hand: Hand, gains: Gains) -> Controller:
+        """The controller again; designs all gains."""
+        model = HandModel.of(hand, gains, self.rate_hz)
+        tare, zero = np.array(self.tare_N), np.array(self.zero_rad)
+        drives, sensors = make_drives(hand), make_sensors(hand)
+        return Controller.of(model, drives, sensors, _made(self.program, hand), tare, zero, self.arm_at_once)
+
+
+def make_drives(hand: Hand) -> tuple[Drive, ...]:
+    """The motor of each tendon, in the order of the tendons."""
+    buses = hand.bus_names
+    motors = [hand.motor_of(name) for name in hand.tendon_names]
+    return tuple(make_drive(motor, buses.index(motor.bus)) for motor in motors)
+
+
+def make_sensors(hand: Hand) -> SensorNode:
+    """The hand's sensor node."""
+    return SensorNode.of(hand.sensor_node, hand.bus_names.index(hand.sensor_node.bus), hand.tendon_names, hand.joints)
+
+
+def make_controller(
+    hand: Hand, gains: Gains, rate_hz: float, program: Program, calibration: Calibration | None, arm_at_once: bool
+) -> Controller:
+    """Design the gains and put the controller together; without a calibration nothing is tared."""
+    n = len(hand.tendon)
+    tare = calibration.tare(hand) if calibration else np.zeros(n)
+    zero = calibration.zero(hand) if calibration else np.zeros(n)
+    model = HandModel.of(hand, gains, rate_hz)
+    return Controller.of(model, make_drives(hand), make_sensors(hand), program, tare, zero, arm_at_once)
+
+
+def _described(program: Program) -> TaskSetup | LiveSetup | JogSetup | CommissionSetup | PlaybackSetup:
+    match program:
+        case TaskProgram(task):
+            return TaskSetup(task=task)
+        case JogProgram(request, duration):
+            return JogSetup(request=request, duration_s=duration)
+        case PlaybackProgram(recording, raw):
+            return PlaybackSetup(raw=raw, rows=recording.text())
+        case CommissionProgram():
+            return CommissionSetup()
+        case LiveProgram():
+            return LiveSetup()
+    raise TypeError(f"{type(program).__name__} cannot be written into a log")
+
+
+def _made(setup: TaskSetup | LiveSetup | JogSetup | CommissionSetup | PlaybackSetup, hand: Hand) -> Program:
+    match setup:
+        case TaskSetup():
+            return TaskProgram(setup.task)
+        case JogSetup():
+            return JogProgram(setup.request, setup.duration_s)
+        case PlaybackSetup():
+            recording = Recording.read(setup.rows, len(hand.joints), len(hand.tendon))
+            return PlaybackProgram(recording, setup.raw)
+        case CommissionSetup():
+            return CommissionProgram()
+        case LiveSetup():
+            return LiveProgram()

@@ -1,0 +1,62 @@
+"""The whole state of a controller: small, frozen, and hashed into the log each tick."""
+
+import hashlib
+from dataclasses import dataclass
+
+from handctl.controller.computed_torque import LawState
+from handctl.controller.estimator import FilterState
+from handctl.controller.program import Progress
+from handctl.controller.types import Mode
+from handctl.drives.contract import DriveState
+from handctl.drives.sensor_node import SensorState
+from handctl.safety.judge import SafetyState
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """Everything that one tick hands to the next.
+
+    Attributes:
+        k: number of the last tick; -1 before the first.
+        mode: of the hand.
+        mode_since: when it began [s].
+        goal_time: time that the program has been given [s]; stands still while safety holds.
+        armed: a person (or the run's own task) has asked to arm.
+        clearing: a person has ordered that what the drives have latched be cleared, before they are armed.
+        drives: per motor.
+        sensors: the sensor node.
+        filter: the tension filter.
+        law: the controller.
+        progress: of the program.
+        safety: debounce and latches.
+        commanded: (motor torques of the last tick are in ``law.force``); frames cut so far, for mode CUT.
+        failure: why the run ends early, one line; empty if it does not.
+        unconfirmed: motors that have not confirmed that they are disabled.
+    """
+
+    k: int
+    mode: Mode
+    mode_since: float
+    goal_time: float
+    armed: bool
+    drives: tuple[DriveState, ...]
+    sensors: SensorState
+    filter: FilterState
+    law: LawState
+    progress: Progress
+    safety: SafetyState
+    failure: str = ""
+    unconfirmed: tuple[str, ...] = ()
+    clearing: bool = False
+
+    def digest(self) -> bytes:
+        """8 bytes that change with every part of the state."""
+        h = hashlib.blake2b(digest_size=8)
+        for array in (self.filter.x, self.law.setpoint, self.law.integral, self.law.force):
+            h.update(array.tobytes())
+        plain = (self.k, int(self.mode), self.mode_since, self.goal_time, self.armed, self.clearing)
+        h.update(repr((plain, self.failure, self.unconfirmed)).encode())
+        h.update(repr((self.drives, self.sensors, self.safety)).encode())
+        h.update(repr((self.filter.regimes, self.filter.stopped, self.filter.turning, self.filter.started)).encode())
+        h.update(self.progress.key())
+        return h.digest()

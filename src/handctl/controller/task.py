@@ -1,0 +1,169 @@
+"""Task files: the phases of a grasp as a person writes them."""
+
+import math
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from handctl.controller.trajectory import Curve
+from handctl.document import Document, load_document, validated
+from handctl.errors import ConfigError
+
+Angle = Annotated[float, Field(ge=-30, le=150)]
+Tension = Annotated[float, Field(ge=0, le=1000)]
+Force = Annotated[float, Field(ge=0, le=200)]
+Duration = Annotated[float, Field(gt=0, le=3600)]
+
+
+FOLLOW_SPEED_DEG_S = 700.0
+"""Fastest joint speed of a curve: a rotor that is stopped dead adds tension in proportion to its speed."""
+
+
+class Move(Document):
+    """Move to joint angles along a minimum-jerk path; digits not named stay where they are."""
+
+    kind: Literal["move"]
+    name: str = "move"
+    angle_deg: Angle | dict[str, Angle]
+    """One angle for all joints, or one per digit; of a one-tendon digit the mean joint angle."""
+    duration_s: Duration = 1.0
+
+
+class Close(Document):
+    """Close until contact: each digit that touches goes over to holding its tension, the others go on."""
+
+    kind: Literal["close"]
+    name: str = "close"
+    angle_deg: Angle | dict[str, Angle] = 90.0
+    """How far to close where there is nothing to touch."""
+    speed_deg_s: float = Field(60.0, gt=0, le=2000)
+    contact_tension_N: Tension = 8.0
+    """Tension that a digit holds from its contact on, if it is not more already."""
+    timeout_s: Duration = 10.0
+
+
+class Hold(Document):
+    """Hold a tension, or a tip-equivalent force, with the digits that are in contact; the others stay."""
+
+    kind: Literal["hold"]
+    name: str = "hold"
+    tension_N: Tension | dict[str, Tension] | None = None
+    tip_force_N: Force | dict[str, Force] | None = None
+    rate_N_per_s: float = Field(60.0, gt=0, le=5000)
+    duration_s: Duration = 3.0
+
+    @model_validator(mode="after")
+    def _one_of(self) -> "Hold":
+        if (self.tension_N is None) == (self.tip_force_N is None):
+            raise ValueError("give either tension_N or tip_force_N")
+        return self
+
+
+class Release(Document):
+    """Let the tension go down, then count as free again."""
+
+    kind: Literal["release"]
+    name: str = "release"
+    tension_N: Tension = 8.0
+    rate_N_per_s: float = Field(100.0, gt=0, le=5000)
+    settle_s: float = Field(0.3, ge=0, le=60)
+
+
+class Follow(Document):
+    """Follow a curve through given angles, from rest to rest; the digits must already be where it begins."""
+
+    kind: Literal["follow"]
+    name: str = "follow"
+    time_s: tuple[Annotated[float, Field(ge=0, le=3600)], ...] = Field(min_length=2, max_length=100_000)
+    """Rising from 0."""
+    angle_deg: dict[str, tuple[Angle, ...]] = Field(min_length=1)
+    """Per digit an angle for each time; digits not named stay where they are."""
+
+    @model_validator(mode="after")
+    def _rising(self) -> "Follow":
+        if self.time_s[0] != 0.0 or any(b <= a for a, b in pairwise(self.time_s)):
+            raise ValueError("time_s must rise from 0")
+        for digit, angles in self.angle_deg.items():
+            if len(angles) != len(self.time_s):
+                raise ValueError(f"{digit} must have an angle for each of the {len(self.time_s)} times")
+            peak = math.degrees(Curve.through(self.time_s, tuple(map(math.radians, angles)), 1).peak_speed())
+            if peak > FOLLOW_SPEED_DEG_S:
+                raise ValueError(f"at most {FOLLOW_SPEED_DEG_S:g} deg/s on the way; {digit} reaches {peak:.0f}")
+        return self
+
+
+Phase = Annotated[Move | Close | Hold | Release | Follow, Field(discriminator="kind")]
+
+
+class Task(Document):
+    """A grasp as a list of phases; the hand arms before the first and relaxes after the last."""
+
+    schema_: int = Field(alias="schema", ge=1, le=1)
+    name: str
+    description: str = ""
+    phase: tuple[Phase, ...] = Field(min_length=1)
+
+
+class TrajectoryFile(Document):
+    """A motion as points in time, from another program."""
+
+    schema_: int = Field(alias="schema", ge=1, le=1)
+    name: str
+    time_s: tuple[float, ...]
+    angle_deg: dict[str, tuple[float, ...]]
+
+
+def load_trajectory(path: Path) -> Task:
+    """Read a trajectory file as a task: go slowly to its first pose, then follow it.
+
+    Raises:
+        ConfigError: it cannot be read, time does not rise, an angle or a speed is out of range.
+    """
+    file = load_document(path, TrajectoryFile)
+    begin = {digit: angles[0] for digit, angles in file.angle_deg.items() if angles}
+    follow = {"kind": "follow", "time_s": file.time_s, "angle_deg": file.angle_deg}
+    phases = [{"kind": "move", "name": "to the start", "angle_deg": begin, "duration_s": 1.5}, follow]
+    return validated({"schema": 1, "name": file.name, "phase": phases}, Task, str(path))
+
+
+def load_task(path: Path) -> Task:
+    """Read a task file.
+
+    Raises:
+        ConfigError: it cannot be read, or a key or value is wrong.
+    """
+    return load_document(path, Task)
+
+
+def check_task(task: Task, digits: tuple[str, ...], ceiling: float, where: str) -> None:
+    """Check a task against a hand.
+
+    Args:
+        task: the task.
+        digits: the hand's digit names.
+        ceiling: the hand's smallest tension limit [N].
+        where: the file's name, for the message.
+
+    Raises:
+        ConfigError: it names a digit that is not there, or asks for more tension than the limit.
+    """
+    for i, phase in enumerate(task.phase):
+        for key in ("angle_deg", "tension_N", "tip_force_N", "contact_tension_N"):
+            value = getattr(phase, key, None)
+            per_digit = value if isinstance(value, dict) else {}
+            for digit in per_digit.keys() - set(digits):
+                raise ConfigError(f"no digit {digit!r}", f"{where}: phase[{i}].{key}", "one of " + ", ".join(digits))
+            if key not in ("tension_N", "contact_tension_N"):
+                continue
+            largest = max(per_digit.values(), default=value if isinstance(value, float | int) else 0.0)
+            if largest > ceiling:
+                raise ConfigError(
+                    f"{largest:g} N", f"{where}: phase[{i}].{key}", f"at most tension_max_N = {ceiling:g} N"
+                )
+
+
+def for_digit(value: float | dict[str, float], digit: str) -> float | None:
+    """The value that a phase gives a digit; None if it names others only."""
+    return value.get(digit) if isinstance(value, dict) else float(value)

@@ -1,0 +1,285 @@
+"""One tick: frames in, frames out, and nothing else. Every fact that can change a decision enters by ``TickIn``.
+
+receive   frames -> drive and sensor states
+measure   what is new in this tick
+estimate  measurements -> tension, excursion, contact
+decide    requests, safety, mode, program -> goals
+command   goals -> tension -> motor torque
+encode    what each drive shall do -> frames
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handctl.controller import computed_torque, estimator
+from handctl.controller.computed_torque import Command, LawState
+from handctl.controller.estimator import Estimate, FilterState, Measured
+from handctl.controller.live import apply_goal
+from handctl.controller.model import HandModel
+from handctl.controller.modes import ACTING, Wishes, next_mode, wanted_of_drives
+from handctl.controller.program import Program
+from handctl.controller.requests import Arm, Clear, Cut, HoldTension, MoveDigits, Stop, parse_request
+from handctl.controller.state import State
+from handctl.controller.telemetry import telemetry
+from handctl.controller.types import Event, Mode, TickIn, TickOut, Vector
+from handctl.drives.contract import Drive, DriveState, Phase
+from handctl.drives.frame import ERROR, Frame
+from handctl.drives.sensor_node import SensorNode, SensorState
+from handctl.safety import judge as safety
+from handctl.safety.action import Action
+from handctl.safety.table import LEAST_SILENT, LEAST_STALLED, SILENT_S, STALLED_S, Limits, Signals, ticks_for
+
+BEFORE_ARMING = (Mode.SILENT, Mode.INVENTORY)
+"""Modes in which an order to clear also clears the drives."""
+SENSORS = -1
+"""Owner of the sensor node's frames, where drives are owners by index."""
+
+
+@dataclass(frozen=True, slots=True)
+class Controller:
+    """All that is constant in a run; ``tick`` is a pure function of it, a state and a ``TickIn``.
+
+    Attributes:
+        model: the hand, its gains and designs.
+        drives: the motor of each tendon, in the order of the tendons.
+        sensors: the sensor node.
+        program: what decides the goals.
+        limits: thresholds of safety.
+        tare: (N,) load-cell tare [N].
+        zero: (N,) motor zero [rad].
+        owners: (bus, identifier) to the index of the drive that sends it, or SENSORS.
+        ours: (bus, identifier) of frames that only this host may send.
+        arm_at_once: arm as soon as everything has answered, without a request.
+    """
+
+    model: HandModel
+    drives: tuple[Drive, ...]
+    sensors: SensorNode
+    program: Program
+    limits: Limits
+    tare: Vector
+    zero: Vector
+    owners: dict[tuple[int, int], int]
+    ours: frozenset[tuple[int, int]]
+    arm_at_once: bool = True
+
+    @staticmethod
+    def of(
+        model: HandModel,
+        drives: tuple[Drive, ...],
+        sensors: SensorNode,
+        program: Program,
+        tare: Vector,
+        zero: Vector,
+        arm_at_once: bool = True,
+    ) -> "Controller":
+        """Put a controller together; see the attributes."""
+        tendons = model.hand.tendon
+        limits = Limits(
+            tendons=model.hand.tendon_names,
+            tension_trip=tuple(tendon.tension_trip_N for tendon in tendons),
+            tension_rail=sensors.tension_rail,
+            tension_low=sensors.tension_low,
+            motors=tuple(drive.name for drive in drives),
+            silent_ticks=ticks_for(SILENT_S, model.period, LEAST_SILENT),
+            stalled_ticks=ticks_for(STALLED_S, model.period, LEAST_STALLED),
+        )
+        owners = {(drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids}
+        owners |= {(sensors.bus, can_id): SENSORS for can_id in sensors.node_ids}
+        ours = {(drive.bus, can_id) for drive in drives for can_id in drive.host_ids}
+        ours |= {(sensors.bus, can_id) for can_id in sensors.host_ids}
+        return Controller(model, drives, sensors, program, limits, tare, zero, owners, frozenset(ours), arm_at_once)
+
+    def initial(self) -> State:
+        """State before the first tick; the same for the same configuration, so that a log can be executed again."""
+        n = self.model.tendon_count
+        return State(
+            k=-1,
+            mode=Mode.SILENT,
+            mode_since=0.0,
+            goal_time=0.0,
+            armed=self.arm_at_once,
+            drives=tuple(drive.initial() for drive in self.drives),
+            sensors=self.sensors.initial(),
+            filter=FilterState.initial(n),
+            law=LawState.initial(n),
+            progress=self.program.begin(self.model),
+            safety=safety.SafetyState(),
+        )
+
+    def cut_frames(self) -> tuple[Frame, ...]:
+        """Frames that take the torque of every motor away."""
+        return tuple(frame for drive in self.drives for frame in drive.cut())
+
+    def tick(self, state: State, entry: TickIn) -> tuple[State, TickOut]:
+        """One tick.
+
+        Args:
+            state: from the tick before.
+            entry: everything that is new.
+
+        Raises:
+            ValueError: a command that cannot be encoded; it never reaches a wire.
+        """
+        missed = entry.k - state.k - 1
+        drives, sensors, foreign = self._receive(state, entry)
+        measured = self._measured(state, drives, sensors)
+        filters, estimate = self._estimate(state, measured)
+        state = replace(state, k=entry.k, drives=drives, sensors=sensors, filter=filters)
+        state, wishes, asked = self._requests(state, estimate, entry)
+        signals = self._signals(state, entry, measured, foreign, missed)
+        judged, verdict = safety.judge(state.safety, self.limits, signals)
+        state = replace(state, safety=judged)
+        state, moved = next_mode(self.model, self.drives, state, verdict.action, wishes, foreign, entry.t_ns / 1e9)
+        state, stepped = self._program(state, verdict.action, estimate, measured)
+        state, command = self._command(state, estimate)
+        state, frames = self._encode(state, entry, command)
+        events = asked + tuple(_told(finding) for finding in verdict.findings) + moved + stepped
+        numbers = telemetry(self.model, state, measured, estimate, command, entry.t_ns)
+        phase = state.progress.phase if state.mode == Mode.ACTIVE else state.mode.name.lower()
+        return state, TickOut(frames, state.mode, phase, verdict.action, numbers, events, state.digest())
+
+    def signals(self, state: State, entry: TickIn) -> Signals:
+        """What safety judges in a tick, from the state before it; for judging a recorded run by other limits."""
+        drives, sensors, foreign = self._receive(state, entry)
+        measured = self._measured(state, drives, sensors)
+        missed = entry.k - state.k - 1
+        return self._signals(replace(state, drives=drives, sensors=sensors), entry, measured, foreign, missed)
+
+    def _receive(self, state: State, entry: TickIn) -> tuple[tuple[DriveState, ...], SensorState, tuple[str, ...]]:
+        """Give each frame to the drive or sensor it belongs to; identifiers that only we may send are foreign."""
+        drives, sensors, foreign = list(state.drives), state.sensors, []
+        for frame in entry.frames:
+            owner = self.owners.get((frame.bus, frame.can_id & ~ERROR))
+            if owner is None:
+                if (frame.bus, frame.can_id) in self.ours:
+                    foreign.append(f"{frame.can_id:#05x}")
+            elif owner == SENSORS:
+                sensors = self.sensors.receive(sensors, frame)
+            else:
+                drives[owner] = self.drives[owner].receive(drives[owner], frame)
+        return tuple(drives), sensors, tuple(dict.fromkeys(foreign))
+
+    def _measured(self, state: State, drives: tuple[DriveState, ...], sensors: SensorState) -> Measured:
+        """Measurements that are new in this tick; NaN for the rest."""
+        position = np.array(
+            [
+                new.position if new.feedback_count != old.feedback_count else math.nan
+                for new, old in zip(drives, state.drives, strict=True)
+            ]
+        )
+        joints = np.full(len(self.model.hand.joints), math.nan)
+        for index, value in self.sensors.new_joints(state.sensors, sensors):
+            joints[index] = value
+        tension = np.full(self.model.tendon_count, math.nan)
+        for index, value in self.sensors.new_tensions(state.sensors, sensors):
+            tension[index] = value
+        return Measured(
+            travel=(position - self.zero) * self.model.space.spool,
+            tension=tension - self.tare - (state.progress.tare or 0.0),
+            excursion=self.model.excursion_of(joints),
+            joints=joints,
+        )
+
+    def _estimate(self, state: State, measured: Measured) -> tuple[FilterState, Estimate]:
+        model = self.model
+        held = tuple(c and state.mode in ACTING for c in state.progress.contact)
+        return estimator.step(model, state.filter, measured, state.law.force, held)
+
+    def _requests(self, state: State, estimate: Estimate, entry: TickIn) -> tuple[State, Wishes, tuple[Event, ...]]:
+        """What people and programs asked, in order."""
+        wishes, events = Wishes(), []
+        for text in entry.requests:
+            request = parse_request(text)
+            if isinstance(request, str):
+                events.append(Event("warn", "request", "", request))
+                continue
+            events.append(Event("info", "request", "", f"asked: {request.do}"))
+            if isinstance(request, Stop):
+                wishes = replace(wishes, stop=True)
+            elif isinstance(request, Cut):
+                wishes = replace(wishes, cut=True)
+            elif isinstance(request, Arm):
+                state = replace(state, armed=True)
+            elif isinstance(request, Clear):
+                state = replace(state, safety=safety.clear(state.safety), clearing=state.mode in BEFORE_ARMING)
+            elif isinstance(request, MoveDigits | HoldTension):
+                progress, told = apply_goal(self.model, state.progress, request, estimate, state.goal_time)
+                state = replace(state, progress=progress)
+                events += told
+        return state, wishes, tuple(events)
+
+    def _signals(
+        self, state: State, entry: TickIn, measured: Measured, foreign: tuple[str, ...], missed: int
+    ) -> Signals:
+        """Facts of this tick for safety."""
+        period_ns = round(self.model.period * 1e9)
+        return Signals(
+            armed=state.mode in ACTING,
+            missed=missed,
+            late=entry.late_ns / period_ns,
+            motor_age=tuple(_ticks_since(drive.feedback_t_ns, entry.t_ns, period_ns) for drive in state.drives),
+            sensor_age=tuple(
+                _ticks_since(t_ns, entry.t_ns, period_ns) for t_ns in self.sensors.tension_times(state.sensors)
+            ),
+            tension=tuple(measured.tension.tolist()),
+            drive_errors=tuple(
+                (drive.name, known.error)
+                for drive, known in zip(self.drives, state.drives, strict=True)
+                if known.phase == Phase.FAULT
+            ),
+            temperature=tuple(drive.temperature for drive in state.drives),
+            foreign=foreign,
+            io=tuple((event.kind, event.where, event.number) for event in entry.io_events),
+        )
+
+    def _program(
+        self, state: State, action: Action, estimate: Estimate, measured: Measured
+    ) -> tuple[State, tuple[Event, ...]]:
+        """Let the program go on while the hand is active; when safety holds, its time stands still."""
+        if state.mode != Mode.ACTIVE or action >= Action.HOLD:
+            return state, ()
+        t = state.goal_time + self.model.period
+        progress, events = self.program.advance(self.model, state.progress, estimate, measured, t)
+        return replace(state, progress=progress, goal_time=t), events
+
+    def _command(self, state: State, estimate: Estimate) -> tuple[State, Command]:
+        """Motor torques of this tick; none unless active or relaxing, and then from the tension that is there."""
+        n, joints = self.model.tendon_count, len(self.model.hand.joints)
+        if state.mode not in (Mode.ACTIVE, Mode.RELAX):
+            nothing = np.full(joints, math.nan)
+            idle = Command(np.zeros(n), np.full(n, math.nan), np.zeros(joints), nothing, nothing)
+            return replace(state, law=LawState(estimate.tension, np.zeros(n), np.zeros(n))), idle
+        law, command = computed_torque.step(self.model, state.law, estimate, state.progress.goals, state.goal_time)
+        return replace(state, law=law), command
+
+    def _encode(self, state: State, entry: TickIn, command: Command) -> tuple[State, tuple[Frame, ...]]:
+        """SYNC for the sensors, then what each drive shall do; a cut goes before everything else, every tick anew."""
+        if state.mode in (Mode.SILENT, Mode.DONE):
+            return state, ()
+        sensors, sync = self.sensors.sync(state.sensors, entry.k)
+        frames = [sync]
+        want, drives = wanted_of_drives(state.mode), []
+        for drive, known, torque in zip(self.drives, state.drives, command.torque.tolist(), strict=True):
+            if state.clearing and known.phase == Phase.FAULT and state.mode == Mode.INVENTORY:
+                known, sent = drive.clear(known)
+            else:
+                known, sent = drive.advance(known, entry.t_ns, want, torque)
+            drives.append(known)
+            frames += sent
+        state = replace(state, sensors=sensors, drives=tuple(drives))
+        return state, (*self.cut_frames(), sync) if state.mode == Mode.CUT else tuple(frames)
+
+
+def _ticks_since(t_ns: int, now_ns: int, period_ns: int) -> int:
+    """Whole ticks by which a reading is overdue; one that came within the last period is on time."""
+    return max(0, (now_ns - t_ns) // period_ns) if t_ns >= 0 else 1_000_000
+
+
+def _told(finding: safety.Finding) -> Event:
+    fault = finding.fault
+    level = "error" if fault.action >= Action.RELAX else "warn"
+    text = f"{fault.id} {fault.title}: {finding.instance} ({finding.value:g}): {fault.action.name}"
+    return Event(level if fault.action > Action.PASS else "info", "fault", finding.instance, text)

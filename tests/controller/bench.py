@@ -1,0 +1,202 @@
+"""A hand made of scripted motors, ropes and load cells, and a bench that lets a controller tick against it.
+
+Much less than the simulator, and therefore fast: every digit stands on its open stop, a rotor winds an elastic rope
+against it. Everything that comes and goes can be lost, changed or invented on the way.
+"""
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from handctl.controller.model import HandModel
+from handctl.controller.program import Program
+from handctl.controller.state import State
+from handctl.controller.tick import Controller
+from handctl.controller.types import Event, IoEvent, Mode, TickIn, TickOut
+from handctl.drives.frame import Frame
+from handctl.drives.mit import MitDrive
+from handctl.drives.sensor_node import SensorNode
+from handctl.hand.description import Hand
+from tests.drives.motor import ScriptedMotor
+
+SUBSTEPS = 4
+SLACK_M = 0.3e-3
+"""Rope that must be wound before a tendon is taut."""
+
+
+class ToyHand:
+    """The other side of the wire; ``step`` is that of a lockstep peer.
+
+    Attributes:
+        motors: one per tendon.
+        tension: (N,) what the load cells feel [N].
+        bias: (N,) what they say too much [N].
+        order: which load-cell channel shows which tendon.
+        silent_sensors: the sensor node says nothing.
+        braked: a rotor that is not enabled stands still.
+    """
+
+    def __init__(self, hand: Hand, period_ns: int) -> None:
+        self.hand, self.period_s = hand, period_ns * 1e-9
+        motors = [hand.motor_of(name) for name in hand.tendon_names]
+        self.motors = [ScriptedMotor(m.node_id, m.options.get("reply_id", m.node_id + 0x10)) for m in motors]
+        self.spool = np.array([m.spool_radius_m for m in motors])
+        self.mass = np.array([m.inertia_kg_m2 for m in motors]) / self.spool**2
+        self.coulomb = np.array([m.coulomb_N_m for m in motors]) / self.spool
+        self.stiffness = np.array([t.stiffness_N_per_m for t in hand.tendon])
+        self.damping = 150.0
+        n = len(motors)
+        self.x, self.v, self.tension, self.bias = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+        self.order, self.silent_sensors, self.braked = list(range(n)), False, False
+        self.force_of = [0.0] * n
+
+    def step(self, t_ns: int, frames: list[Frame]) -> list[Frame]:
+        """Answers to the frames of a tick; then the ropes move on to the next."""
+        answers: list[Frame] = []
+        for raw in frames:
+            frame = Frame(*raw)
+            if frame.can_id == self.hand.sensor_node.sync_id:
+                answers += [] if self.silent_sensors else self._sensors(frame.data[0])
+            for i, motor in enumerate(self.motors):
+                motor.codes = self._codes(i)
+                answers += motor.answer(frame, t_ns)
+                if motor.torques:
+                    self.force_of[i] = (motor.torques.pop() / 4095.0 * 1.6 - 0.8) / self.spool[i]
+                if motor.nibble != 1:
+                    self.force_of[i] = 0.0
+        self._move()
+        return [answer._replace(t_ns=t_ns + 100_000 + i) for i, answer in enumerate(answers)]
+
+    def close(self) -> None:
+        """Nothing is kept."""
+
+    def _codes(self, i: int) -> tuple[int, int, int]:
+        angle, speed = self.x[i] / self.spool[i], self.v[i] / self.spool[i]
+        torque = self.force_of[i] * self.spool[i]
+        scaled = ((angle / 12.5, 65535), (speed / 50.0, 4095), (torque / 0.8, 4095))
+        position, velocity, effort = (round((min(max(v, -1.0), 1.0) + 1) / 2 * top) for v, top in scaled)
+        return position, velocity, effort
+
+    def _move(self) -> None:
+        dt = self.period_s / SUBSTEPS
+        force = np.array(self.force_of)
+        free = np.array([motor.nibble == 1 for motor in self.motors]) | (not self.braked)
+        for _ in range(SUBSTEPS):
+            stretch = self.x - SLACK_M
+            self.tension = np.where(stretch > 0, np.maximum(self.stiffness * stretch + self.damping * self.v, 0.0), 0.0)
+            friction = self.coulomb * np.tanh(self.v / 2e-3)
+            self.v = np.where(free, self.v + dt * (force - self.tension - friction) / self.mass, 0.0)
+            self.x = self.x + dt * self.v
+
+    def _sensors(self, counter: int) -> list[Frame]:
+        node = self.hand.sensor_node
+        cells = (self.tension + self.bias)[self.order]
+        raw = [int(np.clip(round((f + 6.0) / 0.0625), 0, 4095)) for f in cells]
+        frames = [(node.base_id, raw)]
+        if node.joints and counter % node.joint_decimation == 0:
+            flicker = counter // node.joint_decimation % 2
+            frames.append((node.base_id + 0x10, [2048 + flicker] * len(node.joints)))
+        return [frame for base, values in frames for frame in _packed(base, counter & 0xF, values)]
+
+
+def _packed(base: int, counter: int, values: list[int]) -> list[Frame]:
+    """Up to five channels of 12 bits a frame, after a counter of four, from the lowest bit."""
+    frames = []
+    for group, start in enumerate(range(0, len(values), 5)):
+        part = values[start : start + 5]
+        bits = counter | sum(value << (4 + 12 * i) for i, value in enumerate(part))
+        frames.append(Frame(base + group, bits.to_bytes((4 + 12 * len(part) + 7) // 8, "little")))
+    return frames
+
+
+def register(value: float) -> bytes:
+    """A register's float as it is on the wire."""
+    return struct.pack("<f", value)
+
+
+def controller(model: HandModel, program: Program, arm: bool = True) -> Controller:
+    """A controller of the whole hand, not commissioned."""
+    hand, n = model.hand, model.tendon_count
+    buses = hand.bus_names
+    motors = [hand.motor_of(name) for name in hand.tendon_names]
+    drives = tuple(MitDrive.of(motor, buses.index(motor.bus)) for motor in motors)
+    sensors = SensorNode.of(hand.sensor_node, 0, hand.tendon_names, hand.joints)
+    return Controller.of(model, drives, sensors, program, np.zeros(n), np.zeros(n), arm_at_once=arm)
+
+
+@dataclass
+class Bench:
+    """A controller and the other side, tick after tick.
+
+    Attributes:
+        controller: under test.
+        peer: the other side.
+        to_host, to_nodes: what the wire does to the frames of a tick.
+        history: every tick so far, with the state before it.
+    """
+
+    controller: Controller
+    peer: ToyHand
+    to_host: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
+    to_nodes: Callable[[list[Frame]], list[Frame]] = lambda frames: frames
+    history: list[tuple[State, TickIn, TickOut]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.state, self.k, self.waiting = self.controller.initial(), 0, list[Frame]()
+        self.period_ns = round(self.controller.model.period * 1e9)
+
+    def tick(
+        self,
+        *requests: str,
+        io: tuple[IoEvent, ...] = (),
+        late_ns: int = 0,
+        skip: int = 0,
+        extra: tuple[Frame, ...] = (),
+    ) -> TickOut:
+        """One tick; ``skip`` deadlines are missed before it."""
+        for _ in range(skip):
+            self.waiting += self.peer.step(self.k * self.period_ns, [])
+            self.k += 1
+        t_ns = self.k * self.period_ns
+        entry = TickIn(self.k, t_ns, late_ns, (*self.to_host(self.waiting), *extra), io, requests)
+        before = self.state
+        self.state, out = self.controller.tick(before, entry)
+        self.history.append((before, entry, out))
+        self.waiting = self.peer.step(t_ns, self.to_nodes(list(out.frames)))
+        self.k += 1
+        return out
+
+    def until(self, mode: Mode, timeout: float = 12.0) -> TickOut:
+        """Ticks until a mode is entered."""
+        for _ in range(round(timeout / self.controller.model.period)):
+            out = self.tick()
+            if out.mode == mode:
+                return out
+        raise AssertionError(f"{mode.name} is not reached: {self.state.mode.name}, {self.events[-3:]}")
+
+    def run(self, seconds: float) -> TickOut:
+        """Ticks for a while."""
+        for _ in range(round(seconds / self.controller.model.period)):
+            out = self.tick()
+        return out
+
+    @property
+    def modes(self) -> list[Mode]:
+        """Modes met, in order."""
+        seen: list[Mode] = []
+        for _, _, out in self.history:
+            if not seen or seen[-1] != out.mode:
+                seen.append(out.mode)
+        return seen
+
+    @property
+    def events(self) -> list[Event]:
+        """All events so far."""
+        return [event for _, _, out in self.history for event in out.events]
+
+
+def bench(model: HandModel, program: Program, arm: bool = True) -> Bench:
+    """A bench with a good hand."""
+    return Bench(controller(model, program, arm), ToyHand(model.hand, round(model.period * 1e9)))

@@ -1,0 +1,29 @@
+"""Hands with everything that follows from them, made once: the design of the gains takes a while."""
+
+import pytest
+
+from handctl.controller.gains import Gains
+from handctl.controller.model import HandModel
+from handctl.hand.description import load_hand
+
+DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}
+"""Control rates that the bus load allows [Hz]."""
+
+
+@pytest.fixture(scope="session")
+def jamia() -> HandModel:
+    """One tendon a digit, at its default rate."""
+    return HandModel.of(load_hand("jamia"), Gains(), DEFAULT_RATES["jamia"])
+
+
+@pytest.fixture(scope="session")
+def jamia11() -> HandModel:
+    """One tendon a joint, with joint encoders, at its default rate."""
+    return HandModel.of(load_hand("jamia11"), Gains(), DEFAULT_RATES["jamia11"])
+
+
+@pytest.fixture(params=["jamia", "jamia11"])
+def model(request: pytest.FixtureRequest) -> HandModel:
+    """Every packaged hand."""
+    found: HandModel = request.getfixturevalue(request.param)
+    return found

@@ -1,0 +1,94 @@
+"""The tendon's differential equations written out once more, and a second way to a steady-state Kalman gain."""
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from handctl.controller.filter_design import STATES, D, E, O, Regime, V, W
+from handctl.controller.model import HandModel, _excursion_noise
+
+SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
+"""Units in which the states are of the order of one."""
+
+
+def rates_of_change(
+    model: HandModel, i: int, regime: Regime, state: np.ndarray, force: float, load: float
+) -> np.ndarray:
+    """The equations of tendon i, state by state."""
+    space, gains = model.space, model.gains.filter
+    x, v, s, w, d, e, o = state
+    f = 0.0
+    if regime != Regime.SLACK:
+        f = space.stiffness[i] * (x - s - o) + space.damping[i] * (v - w)
+    dv = (force + d - f - space.motor_damping[i] * v) / space.motor_mass[i]
+    if regime == Regime.FREE:
+        ds = w
+        dw = (f + load + e - space.load_stiffness[i] * s - space.load_damping[i] * w) / space.load_mass[i]
+    else:
+        ds, dw = w - s / 1e4, -w / gains.held_time_s
+    decay = (d / gains.motor_disturbance_time_s, e / gains.load_disturbance_time_s, o / 1e4)
+    return np.array([v, dv, ds, dw, -decay[0], -decay[1], -decay[2]])
+
+
+def jacobians(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarray, np.ndarray]:
+    """A and B column by column; the equations are linear."""
+    zero = np.zeros(STATES)
+    A = np.column_stack([rates_of_change(model, i, regime, one, 0.0, 0.0) for one in np.eye(STATES)])
+    return A, np.column_stack([rates_of_change(model, i, regime, zero, *u) for u in ((1.0, 0.0), (0.0, 1.0))])
+
+
+def intensity(model: HandModel, i: int, regime: Regime) -> np.ndarray:
+    """Spectral density of the noise on each state: a Gauss-Markov state of sigma and tau has 2 sigma^2 / tau, and the
+    offset is as restless, but not drawn back."""
+    space, gains = model.space, model.gains.filter
+    q = np.zeros(STATES)
+    q[V] = (gains.motor_acceleration_noise_N / space.motor_mass[i]) ** 2
+    q[W] = (gains.load_acceleration_noise_N / space.load_mass[i]) ** 2
+    if regime != Regime.FREE:
+        q[W] = 2 * gains.held_speed_m_s**2 / gains.held_time_s
+    q[D] = 2 * gains.motor_disturbance_N**2 / gains.motor_disturbance_time_s
+    q[E] = 2 * gains.load_disturbance_N**2 / gains.load_disturbance_time_s
+    q[O] = 2 * gains.offset_m**2 / gains.offset_time_s
+    return np.diag(q)
+
+
+def over_one_period(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """F, B and noise covariance of one period in scaled units, by a Runge-Kutta method."""
+    A, B = jacobians(model, i, regime)
+    A, B = A * SCALE / SCALE[:, None], B / SCALE[:, None]
+    Q = intensity(model, i, regime) / np.outer(SCALE, SCALE)
+    n, m = B.shape
+
+    def slope(t: float, y: np.ndarray) -> np.ndarray:
+        F, G, P = y[: n * n].reshape(n, n), y[n * n : n * (n + m)].reshape(n, m), y[n * (n + m) :].reshape(n, n)
+        return np.concatenate([(A @ F).ravel(), (A @ G + B).ravel(), (A @ P + P @ A.T + Q).ravel()])
+
+    start = np.concatenate([np.eye(n).ravel(), np.zeros(n * m), np.zeros(n * n)])
+    end = solve_ivp(slope, (0.0, model.period), start, method="DOP853", rtol=1e-11, atol=1e-13).y[:, -1]
+    return end[: n * n].reshape(n, n), end[n * n : n * (n + m)].reshape(n, m), end[n * (n + m) :].reshape(n, n)
+
+
+def measurement_noise(model: HandModel, i: int) -> np.ndarray:
+    """Standard deviation of encoder, load cell and excursion that the gains are for; inf where there is none."""
+    space, gains = model.space, model.gains.filter
+    excursion = _excursion_noise(model.hand)[i]
+    return np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i], excursion])
+
+
+def by_doubling(F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.ndarray) -> np.ndarray:
+    """Covariance of the prediction in steady state, by the structured doubling algorithm (Anderson 1978)."""
+    A, G, P = F.T, H.T @ np.linalg.solve(R, H), Q
+    for _ in range(60):
+        middle = np.linalg.inv(np.eye(len(A)) + G @ P)
+        A, G, after = A @ middle @ A, G + A @ middle @ G @ A.T, P + A.T @ P @ middle @ A
+        if np.abs(after - P).max() <= 1e-14 * np.abs(after).max():
+            return after
+        P = after
+    raise AssertionError("the Riccati equation did not converge")
+
+
+def steady_covariance(model: HandModel, i: int, regime: Regime) -> np.ndarray:
+    """Covariance of the prediction of tendon i in scaled units."""
+    F, _, Q = over_one_period(model, i, regime)
+    H, sigma = model.filter.blocks[i][regime].H, measurement_noise(model, i)
+    seen = np.isfinite(sigma) & np.any(H != 0.0, axis=1)
+    return by_doubling(F, H[seen] * SCALE, Q, np.diag(sigma[seen] ** 2))

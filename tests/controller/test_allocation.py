@@ -1,0 +1,107 @@
+"""Allocation against a bounded least-squares solver, and its promises about bounds and feasible torques."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
+
+from handctl.controller.allocation import REGULARISATION, allocate
+from handctl.hand.description import load_hand
+from handctl.hand.digit import DigitModel
+
+DIGITS = {
+    f"{name} {digit}": (load_hand(name), digit)
+    for name, digit in (("jamia", "index"), ("jamia11", "index"), ("jamia11", "thumb"))
+}
+EXTENSOR = np.array([[9e-3, 0.0, 0.0], [3e-3, 6e-3, 0.0], [3e-3, 3e-3, 3e-3], [-9e-3, -6e-3, -3e-3]])
+"""Four tendons on three joints, the last one opens all of them: radii 3:2:1 (N + 1 class)."""
+
+
+def arms_of(case: str) -> np.ndarray:
+    if case == "N + 1":
+        return EXTENSOR
+    hand, digit = DIGITS[case]
+    return DigitModel.of(hand, digit).reduced_moment_arms
+
+
+CASES = [*DIGITS, "N + 1"]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_feasible_torques_are_made_exactly(case: str) -> None:
+    arms, rng = arms_of(case), np.random.default_rng(1)
+    floor, ceiling = np.full(len(arms), 3.0), np.full(len(arms), 110.0)
+    for _ in range(200):
+        wanted = rng.uniform(3.5, 105.0, len(arms))
+        torque = arms.T @ wanted
+        tension, missing = allocate(arms, torque, floor, ceiling)
+        np.testing.assert_allclose(arms.T @ tension, torque, rtol=1e-4, atol=2e-5)
+        np.testing.assert_allclose(missing, torque - arms.T @ tension, atol=1e-15)
+        assert (tension >= floor).all()
+        assert (tension <= ceiling).all()
+        if len(arms) == arms.shape[1]:
+            np.testing.assert_allclose(tension, wanted, rtol=1e-9, err_msg="one tendon a coordinate: no choice")
+        else:
+            assert tension.sum() <= wanted.sum() * 1.001, "no more co-contraction than needed"
+
+
+def cost(arms: np.ndarray, torque: np.ndarray, floor: np.ndarray, tension: np.ndarray) -> float:
+    """What the module says that it minimises."""
+    r = np.abs(arms).mean()
+    return float(((arms.T @ tension - torque) ** 2).sum() / r**2 + REGULARISATION * ((tension - floor) ** 2).sum())
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_best_within_the_bounds(case: str) -> None:
+    """scipy's bounded least squares finds no tension that costs less, whatever the torque."""
+    arms, rng = arms_of(case), np.random.default_rng(2)
+    n, r = len(arms), np.abs(arms).mean()
+    outside = 0
+    for _ in range(200):
+        floor = rng.uniform(0.0, 10.0, n)
+        ceiling = floor + rng.uniform(5.0, 120.0, n)
+        torque = rng.normal(size=arms.shape[1]) * r * rng.choice([10.0, 100.0, 500.0])
+        tension, missing = allocate(arms, torque, floor, ceiling)
+        assert (tension >= floor).all()
+        assert (tension <= ceiling).all()
+        np.testing.assert_allclose(missing, torque - arms.T @ tension, atol=1e-15)
+        weight = np.sqrt(REGULARISATION)
+        rows, right = np.vstack([arms.T / r, weight * np.eye(n)]), np.concatenate([torque / r, weight * floor])
+        best = lsq_linear(rows, right, (floor, ceiling), method="bvls", tol=1e-12).x
+        assert cost(arms, torque, floor, tension) <= cost(arms, torque, floor, best) * (1 + 1e-6) + 1e-6
+        outside += bool(np.abs(missing).max() > 1e-6)
+    assert outside > 20, "torques that the bounds forbid were among them"
+
+
+finite = st.floats(-1e6, 1e6, allow_nan=False)
+
+
+@given(torque=st.lists(finite, min_size=3, max_size=3), case=st.sampled_from(["jamia11 index", "N + 1"]))
+def test_bounds_hold_for_any_torque(torque: list[float], case: str) -> None:
+    arms = arms_of(case)
+    floor, ceiling = np.full(len(arms), 3.0), np.full(len(arms), 110.0)
+    tension, missing = allocate(arms, np.array(torque), floor, ceiling)
+    assert np.isfinite(tension).all()
+    assert (tension >= floor).all()
+    assert (tension <= ceiling).all()
+    assert np.isfinite(missing).all()
+
+
+@given(torque=finite)
+def test_one_tendon_pulls_between_its_bounds(torque: float) -> None:
+    arms = arms_of("jamia index")
+    tension, missing = allocate(arms, np.array([torque]), np.array([3.0]), np.array([110.0]))
+    expected = min(max(torque / arms[0, 0], 3.0), 110.0)
+    np.testing.assert_allclose(tension, [expected], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(missing, [torque - arms[0, 0] * expected], rtol=1e-6, atol=1e-6)
+
+
+def test_arguments_are_left_alone() -> None:
+    arms = EXTENSOR.copy()
+    torque, floor, ceiling = np.array([5.0, -5.0, 5.0]), np.full(4, 3.0), np.full(4, 110.0)
+    allocate(arms, torque, floor, ceiling)
+    np.testing.assert_array_equal(arms, EXTENSOR)
+    np.testing.assert_array_equal(torque, [5.0, -5.0, 5.0])
+    assert (floor == 3.0).all()
+    assert (ceiling == 110.0).all()

@@ -1,0 +1,55 @@
+"""A controller died, the drives' watchdogs fired and latched: only a person's order gets them going again."""
+
+import pytest
+
+from handctl.controller.gains import Gains
+from handctl.controller.live import LiveProgram
+from handctl.controller.model import HandModel
+from handctl.controller.types import Mode
+from handctl.hand.description import load_hand
+from tests.controller.bench import Bench, bench
+
+COMMUNICATION_LOST = 0xD
+CLEAR = '{"do": "clear"}'
+
+
+@pytest.fixture
+def orphaned() -> Bench:
+    """A hand whose last controller died while it was armed."""
+    run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    for motor in run.peer.motors:
+        motor.nibble = COMMUNICATION_LOST
+    return run
+
+
+def test_without_an_order_the_hand_is_refused_and_the_line_says_what_to_do(orphaned: Bench) -> None:
+    orphaned.until(Mode.DONE)
+    assert Mode.ARMING not in orphaned.modes
+    assert "communication lost" in orphaned.state.failure
+    assert "--clear" in orphaned.state.failure
+    assert [motor.nibble for motor in orphaned.peer.motors] == [COMMUNICATION_LOST] * 4
+
+
+def test_with_the_order_the_drives_are_cleared_configured_and_armed(orphaned: Bench) -> None:
+    orphaned.tick(CLEAR)
+    orphaned.until(Mode.ACTIVE)
+    assert orphaned.modes == [Mode.SILENT, Mode.INVENTORY, Mode.READY, Mode.ARMING, Mode.ACTIVE]
+    assert orphaned.state.failure == ""
+
+
+def test_the_order_holds_for_what_was_latched_before_not_for_what_comes_later(orphaned: Bench) -> None:
+    orphaned.tick(CLEAR)
+    orphaned.until(Mode.ACTIVE)
+    orphaned.run(0.5)
+    orphaned.peer.motors[1].nibble = COMMUNICATION_LOST
+    orphaned.until(Mode.DONE)
+    assert "N11" in orphaned.state.failure
+    assert orphaned.peer.motors[1].nibble == COMMUNICATION_LOST
+
+
+def test_a_drive_that_does_not_clear_is_refused_in_time(orphaned: Bench) -> None:
+    orphaned.peer.motors[2].deaf = {0xFB}
+    orphaned.tick(CLEAR)
+    orphaned.until(Mode.DONE)
+    assert orphaned.state.failure == "no answer from ring_motor (or an error that does not clear)"
+    assert Mode.ARMING not in orphaned.modes

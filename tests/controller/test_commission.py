@@ -1,0 +1,213 @@
+"""Commissioning on a hand made up by the test: results, and every way in which a tendon can be wrong."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handctl.controller.calibration import Calibration, load_calibration
+from handctl.controller.commission import PULL_FORCE_LIMIT_N, PULL_N, CommissionProgram, result
+from handctl.controller.estimator import Measured
+from handctl.controller.gains import Gains
+from handctl.controller.goal import Kind
+from handctl.controller.model import HandModel
+from handctl.controller.program import Progress
+from handctl.controller.types import Mode
+from handctl.drives.frame import Frame
+from handctl.errors import ConfigError
+from handctl.hand.description import load_hand
+from tests.controller.bench import Bench, bench
+from tests.controller.synthetic import nothing_read, slack, under
+
+
+@pytest.fixture(scope="module")
+def jamia() -> HandModel:
+    """At a slow rate, for speed: all times are in seconds."""
+    return HandModel.of(load_hand("jamia"), Gains(), 50.0)
+
+
+@pytest.fixture(scope="module")
+def jamia11() -> HandModel:
+    return HandModel.of(load_hand("jamia11"), Gains(), 50.0)
+
+
+BIAS_N, JUST_TAUT_M = 0.7, 1.2e-3
+
+Cells = Callable[[int], np.ndarray]
+"""Tensions at all load cells while tendon i is pulled; -1: while all are limp."""
+
+
+def good(model: HandModel) -> Cells:
+    return lambda i: np.where(np.arange(model.tendon_count) == i, PULL_N, 0.0)
+
+
+def commissioned(model: HandModel, cells: Cells, noise: float = 0.2, loss: float = 0.0, never: int = -9) -> Progress:
+    """Run the program; tendon ``never`` never becomes taut, a share ``loss`` of the ticks brings nothing."""
+    rng, program = np.random.default_rng(7), CommissionProgram()
+    progress, n = program.begin(model), model.tendon_count
+    for k in range(round(60.0 / model.period)):
+        i = progress.step - 1
+        pulled = progress.step > 0
+        tension = cells(i if pulled else -1) + BIAS_N + noise * rng.normal(size=n)
+        travel = np.full(n, JUST_TAUT_M) + (tension - BIAS_N) / model.space.stiffness
+        shown = tension - (progress.tare or 0.0)
+        measured: Measured = replace(nothing_read(model), travel=travel, tension=shown)
+        if rng.random() < loss:
+            measured = nothing_read(model)
+        estimate = slack(model)
+        if pulled and i != never and k * model.period - progress.since > 0.2:
+            estimate = under(model, PULL_N)
+        progress, _ = program.advance(model, progress, estimate, measured, k * model.period)
+        if pulled and not progress.finished and progress.step == i + 1:
+            pulls = [d for d, goal in enumerate(progress.goals) if goal.kind != Kind.LIMP]
+            assert pulls == [next(d for d, s in enumerate(model.digit_tendons) if s.start <= i < s.stop)]
+            goal = progress.goals[pulls[0]]
+            assert goal.force_limit == PULL_FORCE_LIMIT_N
+            assert goal.tension is not None
+            assert goal.tension.sum() == goal.tension.max() == PULL_N, "one tendon at a time"
+        if progress.finished:
+            return progress
+    raise AssertionError("commissioning does not end")
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_tares_and_zeros_are_found(model: HandModel, loss: float) -> None:
+    progress = commissioned(model, good(model), loss=loss)
+    assert not progress.failure
+    found = result(model, progress, "2024-01-01T00:00:00+00:00")
+    np.testing.assert_allclose(found.tare(model.hand), BIAS_N, atol=0.15)
+    np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, JUST_TAUT_M, atol=5e-6)
+    for row in found.tendon.values():
+        assert row.answer_N == pytest.approx(PULL_N, abs=0.25)
+        assert row.crosstalk_N < 0.3, "noise is no crosstalk"
+    assert (found.hand, found.identity) == (model.hand.name, model.hand.identity)
+
+
+def test_a_tendon_that_stays_slack_is_named(model: HandModel) -> None:
+    progress = commissioned(model, good(model), never=1)
+    assert progress.failure.startswith(model.hand.tendon_names[1])
+    assert "taut" in progress.failure
+    assert {goal.kind for goal in progress.goals} == {Kind.LIMP}, "let go"
+
+
+def test_a_load_cell_that_does_not_answer_is_named(model: HandModel) -> None:
+    last = model.tendon_count - 1
+    cells = good(model)
+    progress = commissioned(model, lambda i: cells(i) * (i != last))
+    assert progress.failure.startswith(model.hand.tendon_names[last])
+    assert "answers" in progress.failure
+
+
+def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> None:
+    """Pulling the second moves the first too: tendons that touch, or a cell wired to two channels."""
+
+    def cells(i: int) -> np.ndarray:
+        tension = good(model)(i)
+        if i == 1:
+            tension[0] = 0.5 * PULL_N
+        return tension
+
+    progress = commissioned(model, cells)
+    assert progress.failure.startswith(model.hand.tendon_names[1])
+    assert "another load cell" in progress.failure
+
+
+def test_an_inverted_load_cell_is_refused(model: HandModel) -> None:
+    progress = commissioned(model, lambda i: -good(model)(i))
+    assert progress.failure.startswith(model.hand.tendon_names[0])
+
+
+@pytest.fixture(scope="module")
+def faster() -> HandModel:
+    """Fast enough for the tension loop to be calm."""
+    return HandModel.of(load_hand("jamia"), Gains(), 200.0)
+
+
+@pytest.fixture
+def whole(faster: HandModel) -> Bench:
+    """The program in a controller, against a hand of scripted motors."""
+    return bench(faster, CommissionProgram())
+
+
+@pytest.mark.parametrize("bias", [-2.0, 0.0, 2.0, 15.0])
+def test_load_cells_that_were_never_tared_are_no_hindrance(whole: Bench, bias: float) -> None:
+    """From the tare on the tension loop works with tared readings, or it would pull with the bias as well."""
+    whole.peer.bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
+    whole.until(Mode.DONE, 30.0)
+    assert not whole.state.failure
+    model = whole.controller.model
+    found = result(model, whole.state.progress, "2024-01-01T00:00:00+00:00")
+    np.testing.assert_allclose(found.tare(model.hand), whole.peer.bias, atol=0.05)
+    np.testing.assert_allclose(found.zero(model.hand) * model.space.spool, 0.3e-3, atol=1e-5)
+
+
+def test_a_load_cell_beyond_taring_is_named(whole: Bench) -> None:
+    whole.peer.bias[2] = 25.0
+    whole.until(Mode.DONE, 30.0)
+    assert whole.state.failure == "ring_tendon: load cell reads 25.0 N without tension"
+
+
+def test_swapped_load_cells_are_found_and_both_named(whole: Bench) -> None:
+    whole.peer.order = [1, 0, 2, 3]
+    whole.until(Mode.DONE, 30.0)
+    assert whole.state.failure.startswith("index_tendon")
+    assert "middle_tendon" in whole.state.failure
+    assert "swapped" in whole.state.failure
+    asked = (
+        np.array([out.telemetry.motor_torque_goal for _, _, out in whole.history]) / whole.controller.model.space.spool
+    )
+    assert asked.max() <= PULL_FORCE_LIMIT_N * 1.001, "a cell that does not answer does not unleash the motor"
+
+
+def test_a_motor_that_turns_the_other_way_is_found(whole: Bench) -> None:
+    real = whole.peer.step
+
+    def reversed_motor(t_ns: int, frames: list[Frame]) -> list[Frame]:
+        turned = []
+        for frame in frames:
+            word = int.from_bytes(frame.data, "big")
+            if frame.can_id == 1 and frame.data[:7] != b"\xff" * 7:
+                word = word & ~0xFFF | 0xFFF - (word & 0xFFF)
+            turned.append(frame._replace(data=word.to_bytes(len(frame.data), "big")))
+        return real(t_ns, turned)
+
+    whole.peer.step = reversed_motor  # type: ignore[method-assign]
+    whole.until(Mode.DONE, 30.0)
+    assert whole.state.failure == "index_tendon: does not become taut"
+
+
+@pytest.fixture
+def calibration(model: HandModel) -> Calibration:
+    return result(model, commissioned(model, good(model)), "2024-01-01T00:00:00+00:00")
+
+
+def test_the_file_is_read_back_as_it_was_written(model: HandModel, calibration: Calibration, tmp_path) -> None:  # type: ignore[no-untyped-def]
+    from handctl.cli.commission import write_calibration
+
+    path = tmp_path / "c.toml"
+    write_calibration(path, calibration)
+    again = load_calibration(path, model.hand)
+    np.testing.assert_allclose(again.tare(model.hand), calibration.tare(model.hand), rtol=1e-12)
+    np.testing.assert_allclose(again.zero(model.hand), calibration.zero(model.hand), rtol=1e-12)
+    assert again.made == calibration.made
+
+
+def test_a_calibration_of_another_hand_or_with_a_tendon_missing_is_refused(
+    jamia: HandModel, jamia11: HandModel, tmp_path
+) -> None:  # type: ignore[no-untyped-def]
+    from handctl.cli.commission import write_calibration
+
+    path = tmp_path / "c.toml"
+    found = result(jamia, commissioned(jamia, good(jamia)), "2024-01-01T00:00:00+00:00")
+    write_calibration(path, found)
+    with pytest.raises(ConfigError, match="handctl commission again"):
+        load_calibration(path, jamia11.hand)
+    write_calibration(
+        path, found.model_copy(update={"tendon": {k: v for k, v in found.tendon.items() if "ring" not in k}})
+    )
+    with pytest.raises(ConfigError, match="ring_tendon"):
+        load_calibration(path, jamia.hand)
+    path.write_text(path.read_text().replace("tare_N = ", "tare_N = 2"))
+    with pytest.raises(ConfigError, match="tare_N"):
+        load_calibration(path, jamia.hand)

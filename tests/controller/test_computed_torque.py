@@ -1,0 +1,235 @@
+"""The law: bounded whatever it is told, bumpless between its two loops, and right where the model is right."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handctl.controller.computed_torque import INTEGRAL_LIMIT_N, UNWIND_SHARE, LawState, step
+from handctl.controller.estimator import Estimate
+from handctl.controller.filter_design import STATES, S, V, W, X
+from handctl.controller.goal import DigitGoal, Kind
+from handctl.controller.model import HandModel
+from handctl.controller.statics import load_statics
+from handctl.controller.trajectory import MinimumJerk
+from tests.controller.synthetic import at_rest, known
+
+
+def moving(model: HandModel, start: float, end: float, duration: float) -> tuple[DigitGoal, ...]:
+    sizes = [digit.coupling.shape[1] for digit in model.digits]
+    return tuple(
+        DigitGoal(Kind.MOTION, MinimumJerk(np.full(n, start), np.full(n, end), duration), since=0.0) for n in sizes
+    )
+
+
+def holding(model: HandModel, tension: float, rate: float = 200.0, limit: float = math.inf) -> tuple[DigitGoal, ...]:
+    return tuple(
+        DigitGoal(Kind.TENSION, tension=np.full(s.stop - s.start, tension), rate=rate, force_limit=limit)
+        for s in model.digit_tendons
+    )
+
+
+number = st.floats(-1e4, 1e4, allow_nan=False)
+
+
+@given(data=st.data())
+def test_torque_is_within_its_limits_for_any_finite_input(data: st.DataObject, jamia: HandModel) -> None:
+    n = jamia.tendon_count
+    column = st.lists(number, min_size=n, max_size=n).map(np.array)
+    names = ("tension", "travel", "speed", "excursion", "rate", "motor_disturbance", "external", "offset")
+    estimate = replace(known(jamia, np.zeros((n, STATES))), **{name: data.draw(column) for name in names})
+    estimate = replace(estimate, slack=np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n))))
+    state = LawState(data.draw(column), data.draw(column), data.draw(column))
+    angle = st.floats(-0.5, 2.6)
+    kinds = {
+        Kind.LIMP: st.just(DigitGoal()),
+        Kind.MOTION: st.builds(
+            lambda a, b, d: DigitGoal(Kind.MOTION, MinimumJerk(np.array([a]), np.array([b]), d)),
+            angle, angle, st.floats(1e-3, 10.0),
+        ),
+        Kind.TENSION: st.builds(
+            lambda f, r: DigitGoal(Kind.TENSION, tension=np.array([f]), rate=r), number, st.floats(0.0, 5000.0)
+        ),
+    }  # fmt: skip
+    goals = tuple(data.draw(kinds[data.draw(st.sampled_from(Kind))]) for _ in jamia.digits)
+    law, command = step(jamia, state, estimate, goals, data.draw(st.floats(0.0, 100.0)))
+    assert np.isfinite(command.torque).all()
+    assert (command.torque <= jamia.torque_limit * (1 + 1e-12)).all()
+    assert (command.torque >= -UNWIND_SHARE * jamia.torque_limit * (1 + 1e-12)).all()
+    held = np.array([goal.kind == Kind.TENSION for goal in goals])
+    assert (np.abs(law.integral) <= INTEGRAL_LIMIT_N).all()
+    assert (law.integral[~held] == 0.0).all()
+    assert np.isnan(command.q[: jamia.digits[0].joint_count]).all() == (goals[0].kind != Kind.MOTION)
+    for d, goal in enumerate(goals):
+        if goal.kind == Kind.LIMP:
+            assert command.torque[d] == 0.0
+            assert np.isnan(command.tension[d])
+        if goal.kind == Kind.MOTION:
+            assert jamia.floor[d] <= command.tension[d] <= jamia.ceiling[d]
+        if goal.kind == Kind.TENSION:
+            target = np.clip(goal.tension, 0.0, jamia.ceiling[d])
+            before, now = state.setpoint[d], law.setpoint[d]
+            assert abs(now - before) <= goal.rate * jamia.period + 1e-9
+            assert abs(target - now) <= abs(target - before) + 1e-9, "towards the target, never past it"
+
+
+def test_from_motion_to_tension_without_a_bump(model: HandModel) -> None:
+    x = at_rest(model, 0.8)
+    estimate = known(model, x)
+    law, moved = step(model, LawState.initial(len(x)), estimate, moving(model, 0.2, 0.8, 1.0), 2.0)
+    np.testing.assert_allclose(law.setpoint, estimate.tension, err_msg="ready to hold what is there")
+    for tension in (0.0, 30.0):
+        _, held = step(model, law, estimate, holding(model, tension), 2.0 + model.period)
+        force = (held.torque - moved.torque) / model.space.spool
+        assert np.abs(force).max() < 2.5 * 200.0 * model.period + 0.2, "one step of the ramp, times the gain"
+
+
+def test_from_limp_to_tension_the_present_tension_is_the_first_setpoint(model: HandModel) -> None:
+    x = at_rest(model, 0.8)
+    estimate = known(model, x)
+    law, command = step(model, LawState.initial(len(x)), estimate, (DigitGoal(),) * len(model.digits), 0.0)
+    assert not command.torque.any()
+    after, _ = step(model, law, estimate, holding(model, 0.0, rate=10.0), model.period)
+    np.testing.assert_allclose(after.setpoint, estimate.tension - 10.0 * model.period)
+
+
+def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
+    """A load cell that does not answer must not let the loop wind up."""
+    law = LawState.initial(model.tendon_count)
+    silent = known(model, np.zeros((model.tendon_count, STATES)))
+    for k in range(300):
+        law, command = step(model, law, silent, holding(model, 50.0, limit=12.0), k * model.period)
+        assert (np.abs(command.torque) <= 12.0 * model.space.spool * (1 + 1e-12)).all()
+    np.testing.assert_allclose(command.torque, 12.0 * model.space.spool)
+
+
+def test_no_integral_while_the_rope_is_slack(model: HandModel) -> None:
+    law = LawState.initial(model.tendon_count)
+    slack = replace(known(model, np.zeros((model.tendon_count, STATES))), slack=np.ones(model.tendon_count, dtype=bool))
+    for k in range(50):
+        law, _ = step(model, law, slack, holding(model, 20.0), k * model.period)
+    assert not law.integral.any()
+    law, _ = step(model, law, replace(slack, slack=~slack.slack), holding(model, 20.0), 0.0)
+    assert (law.integral > 0).all()
+
+
+def test_tension_goals_stay_below_the_ceiling(model: HandModel) -> None:
+    law, estimate = LawState.initial(model.tendon_count), known(model, at_rest(model, 0.5))
+    for k in range(3000):
+        law, command = step(model, law, estimate, holding(model, 5000.0, rate=5000.0), k * model.period)
+    np.testing.assert_array_equal(law.setpoint, model.ceiling)
+    np.testing.assert_array_equal(command.tension, model.ceiling)
+    assert (law.integral == INTEGRAL_LIMIT_N).all()
+
+
+class Plant:
+    """Rotors, ropes and digits by small steps, and a controller that knows their state exactly.
+
+    Attributes:
+        x: (N, 7) state.
+        held: whether something holds the digits where they are.
+    """
+
+    STEPS = 40
+    """Of integration in a tick: capstan friction turns around within a millimetre per second."""
+
+    def __init__(self, model: HandModel, x: np.ndarray, held: bool) -> None:
+        self.model, self.x, self.held = model, x.copy(), held
+        self.law = LawState.initial(model.tendon_count)
+
+    def tick(self, goals: tuple[DigitGoal, ...], k: int) -> None:
+        model, space = self.model, self.model.space
+        self.law, self.command = step(model, self.law, known(model, self.x), goals, k * model.period)
+        force, dt = self.command.torque / space.spool, model.period / self.STEPS
+        sliding = self.x.copy()
+        sliding[:, V] = 1.0
+        statics = load_statics(model, sliding, np.zeros(len(sliding)))
+        loss, base = -np.log(statics.efficiency), self.x[:, S].copy()
+        x, v, s, w = (self.x[:, one].copy() for one in (X, V, S, W))
+        for _ in range(self.STEPS):
+            tension = np.maximum(space.stiffness * (x - s) + space.damping * (v - w), 0.0)
+            friction = space.coulomb * np.tanh(v / 2.5e-3) + space.motor_damping * v
+            v += dt * (force - tension - friction) / space.motor_mass
+            x += dt * v
+            if self.held:
+                continue
+            pull = tension * np.exp(-loss * np.tanh(w / 1e-3))
+            resistance = statics.resistance + space.load_stiffness * (s - base)
+            w += dt * (pull - resistance - space.load_damping * w) / space.load_mass
+            s += dt * w
+        for one, value in zip((X, V, S, W), (x, v, s, w), strict=True):
+            self.x[:, one] = value
+
+    def angles(self) -> np.ndarray:
+        return known(self.model, self.x).q
+
+
+def test_the_input_of_the_filter_is_the_force_that_acts(model: HandModel) -> None:
+    """What friction takes on average over the period, found by integrating the rotor in small steps; at a slow rate
+    friction stops the rotor within a period, and a prediction that only looks at its beginning sends it back."""
+    rng, n, steps = np.random.default_rng(8), model.tendon_count, 400
+    space, dt = model.space, model.period / 400
+    errors, naive = [], []
+    for _ in range(50):
+        x = at_rest(model, 0.5)
+        x[:, V] = rng.uniform(-0.01, 0.01, n)
+        estimate = known(model, x)
+        goals = holding(model, float(estimate.tension.max()) + rng.uniform(-2.0, 2.0), rate=1e6)
+        law, command = step(model, LawState.initial(n), estimate, goals, 0.0)
+        asked, v, taken = command.torque / space.spool, x[:, V].copy(), np.zeros(n)
+        for _ in range(steps):
+            friction = space.coulomb * np.tanh(v / 2.5e-3)
+            v += dt * (asked - estimate.tension - friction) / space.motor_mass
+            taken += friction / steps
+        errors.append((law.force - (asked - taken)) / space.coulomb)
+        naive.append((taken - space.coulomb * np.tanh(x[:, V] / 2.5e-3)) / space.coulomb)
+    assert np.abs(errors).max() < 0.5
+    assert np.sqrt(np.mean(np.square(errors))) < 0.2
+    assert np.sqrt(np.mean(np.square(errors))) < 0.5 * np.sqrt(np.mean(np.square(naive)))
+
+
+def test_with_perfect_knowledge_the_digit_follows(jamia: HandModel) -> None:
+    plant, goals, worst = Plant(jamia, at_rest(jamia, 0.1), held=False), moving(jamia, 0.1, 1.0, 0.8), 0.0
+    for k in range(round(1.2 / jamia.period)):
+        plant.tick(goals, k)
+        wanted = goals[0].trajectory.at((k + 1) * jamia.period)[0][0]  # type: ignore[union-attr]
+        worst = max(worst, float(np.abs(plant.angles() - wanted).max()))
+        assert (plant.command.tension >= jamia.floor).all()
+    assert math.degrees(worst) < 1.0
+    assert np.degrees(np.abs(plant.angles() - 1.0)).max() < 0.5, "and stays"
+
+
+def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
+    """On a digit that does not move; in spite of friction of the motor that is modelled wrongly by 2 N."""
+    x = np.zeros((model.tendon_count, STATES))
+    x[:, X] = 10.0 / model.space.stiffness
+    plant = Plant(model, x, held=True)
+    plant.law = LawState(np.full(len(x), 10.0), np.zeros(len(x)), np.zeros(len(x)))
+    peak = 0.0
+    for k in range(round(2.0 / model.period)):
+        plant.tick(holding(model, 30.0, rate=60.0), k)
+        tension = known(model, plant.x).tension
+        peak = max(peak, float(tension.max()))
+    np.testing.assert_allclose(tension, 30.0, atol=0.3)
+    assert peak < 32.0
+
+
+def test_arguments_are_left_alone(model: HandModel) -> None:
+    estimate, state = known(model, at_rest(model, 0.5)), LawState.initial(model.tendon_count)
+    before = [getattr(estimate, name).copy() for name in Estimate.__slots__]
+    first = step(model, state, estimate, holding(model, 20.0), 0.0)
+    second = step(model, state, estimate, holding(model, 20.0), 0.0)
+    for name, copy in zip(Estimate.__slots__, before, strict=True):
+        np.testing.assert_array_equal(getattr(estimate, name), copy)
+    assert not state.setpoint.any()
+    np.testing.assert_array_equal(first[1].torque, second[1].torque)
+
+
+@pytest.mark.parametrize("kind", [Kind.MOTION, Kind.TENSION])
+def test_a_goal_without_its_numbers_is_limp(jamia: HandModel, kind: Kind) -> None:
+    estimate = known(jamia, at_rest(jamia, 0.5))
+    _, command = step(jamia, LawState.initial(4), estimate, (DigitGoal(kind),) * 4, 0.0)
+    assert not command.torque.any()

@@ -1,0 +1,128 @@
+"""The filter's discrete model against the differential equations, its gains against a second Riccati solver."""
+
+import numpy as np
+import pytest
+
+from handctl.controller.filter_design import MEASUREMENTS, STATES, FilterDesign, Regime, S, X, design_filter
+from handctl.controller.gains import FilterGains, Gains
+from handctl.controller.model import HandModel, _excursion_noise
+from handctl.hand.description import load_hand
+from tests.controller.oracle import SCALE, by_doubling, measurement_noise, over_one_period
+
+
+class Parts:
+    """Filter designs of the packaged hands at other rates."""
+
+    def __init__(self, models: dict[str, HandModel]) -> None:
+        self.models = models
+
+    def design(self, name: str, rate_hz: float) -> FilterDesign:
+        model = self.models[name]
+        return design_filter(model.space, FilterGains(), 1.0 / rate_hz, _excursion_noise(model.hand))
+
+
+@pytest.fixture
+def model_parts(jamia: HandModel, jamia11: HandModel) -> Parts:
+    return Parts({"jamia": jamia, "jamia11": jamia11})
+
+
+def one_of_each(model: HandModel) -> list[int]:
+    """First tendon of the first finger, and the last tendon: the thumb's."""
+    return [0, model.tendon_count - 1]
+
+
+@pytest.mark.parametrize("regime", Regime)
+def test_discrete_model_and_gains_agree_with_the_differential_equations(model: HandModel, regime: Regime) -> None:
+    for i in one_of_each(model):
+        block = model.filter.blocks[i][regime]
+        F, G, Q = over_one_period(model, i, regime)
+        np.testing.assert_allclose(block.F * SCALE / SCALE[:, None], F, rtol=1e-7, atol=1e-8)
+        np.testing.assert_allclose(block.B / SCALE[:, None], G, rtol=1e-7, atol=1e-8)
+        seen = np.isfinite(measurement_noise(model, i)) & np.any(block.H != 0.0, axis=1)
+        H, R = block.H[seen] * SCALE, np.diag(measurement_noise(model, i)[seen] ** 2)
+        P = by_doubling(F, H, Q, R)
+        innovation = H @ P @ H.T + R
+        gain = np.linalg.solve(innovation, H @ P).T
+        np.testing.assert_allclose(block.K[:, seen] / SCALE[:, None], gain, rtol=1e-5, atol=1e-7 * np.abs(gain).max())
+        assert not block.K[:, ~seen].any(), "a measurement that does not exist has no weight"
+        row = block.tension_row * SCALE
+        np.testing.assert_allclose(block.tension_variance, row @ P @ row, rtol=1e-6)
+        both = [0, 1] if seen[1] else [0]
+        expected = np.zeros((2, 2))
+        expected[np.ix_(both, both)] = np.linalg.inv(innovation[: len(both), : len(both)])
+        np.testing.assert_allclose(block.innovation_information, expected, rtol=1e-5)
+
+
+@pytest.mark.parametrize("regime", Regime)
+def test_rows_of_the_measurements(model: HandModel, regime: Regime) -> None:
+    for i, blocks in enumerate(model.filter.blocks):
+        H, row = blocks[regime].H, blocks[regime].tension_row
+        state = np.array([3e-4, 0.01, 1e-4, 0.002, 5.0, 7.0, 4e-5])
+        taut = regime != Regime.SLACK
+        tension = (model.space.stiffness[i] * 1.6e-4 + model.space.damping[i] * 0.008) if taut else 0.0
+        np.testing.assert_allclose(row @ state, tension, rtol=1e-12)
+        np.testing.assert_allclose(H @ state, [state[X], tension, state[S]], rtol=1e-12)
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0, 250.0, 400.0, 500.0, 1000.0])
+@pytest.mark.parametrize("name", ["jamia", "jamia11"])
+def test_every_regime_is_stable_at_every_rate(name: str, rate_hz: float, model_parts: Parts) -> None:
+    design = model_parts.design(name, rate_hz)
+    for blocks in design.blocks:
+        for block in blocks:
+            error = block.F @ (np.eye(STATES) - block.K @ block.H)
+            assert np.abs(np.linalg.eigvals(error)).max() < 1.0
+            without = block.K.copy()
+            without[:, 2] = 0.0
+            assert np.abs(np.linalg.eigvals(block.F @ (np.eye(STATES) - without @ block.H))).max() < 1.0, (
+                "no joint frame"
+            )
+
+
+def test_real_error_of_the_decimated_joint_encoder_is_the_one_claimed(jamia11: HandModel) -> None:
+    """Joint frames come on every fourth tick; the constant gain is for four times the variance on every tick."""
+    cycle = jamia11.hand.sensor_node.joint_decimation
+    assert cycle == 4
+    for i in one_of_each(jamia11):
+        block = jamia11.filter.blocks[i][Regime.FREE]
+        _, _, Q = over_one_period(jamia11, i, Regime.FREE)
+        sigma = measurement_noise(jamia11, i)
+        sigma[2] /= np.sqrt(cycle)  # of one reading
+        F, H, K = block.F * SCALE / SCALE[:, None], block.H * SCALE, block.K / SCALE[:, None]
+        P, row, worst = np.zeros((STATES, STATES)), block.tension_row * SCALE, []
+        for k in range(15_000):
+            gain = K.copy()
+            if k % cycle:
+                gain[:, 2] = 0.0
+            left = np.eye(STATES) - gain @ H
+            P = F @ (left @ P @ left.T + gain @ np.diag(sigma**2) @ gain.T) @ F.T + Q
+            worst.append(row @ P @ row)
+        assert 0.9 < max(worst[-cycle:]) / block.tension_variance < 1.1
+
+
+def test_stacked_filter_is_its_blocks(model: HandModel, rng: np.random.Generator) -> None:
+    n = model.tendon_count
+    regimes = tuple(int(r) for r in rng.integers(0, 3, n))
+    stacked = model.filter.stacked(regimes)
+    x, u, y = rng.normal(size=(n, STATES)), rng.normal(size=(n, 2)), rng.normal(size=(n, MEASUREMENTS))
+    for i, regime in enumerate(regimes):
+        block = model.filter.blocks[i][regime]
+        np.testing.assert_allclose((stacked.F @ x.ravel()).reshape(n, -1)[i], block.F @ x[i], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose((stacked.B @ u.ravel()).reshape(n, -1)[i], block.B @ u[i], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose((stacked.H @ x.ravel()).reshape(n, -1)[i], block.H @ x[i], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose((stacked.K @ y.ravel()).reshape(n, -1)[i], block.K @ y[i], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose((stacked.tension @ x.ravel())[i], block.tension_row @ x[i], rtol=1e-9, atol=1e-9)
+        assert stacked.sigma[i] == np.sqrt(block.tension_variance)
+
+
+def test_asking_for_other_gains_gives_other_filters() -> None:
+    hand = load_hand("jamia")
+    calm = HandModel.of(hand, Gains(), 500.0)
+    wild = HandModel.of(hand, Gains(filter=FilterGains(load_disturbance_N=30.0)), 500.0)
+    free = [m.filter.blocks[0][Regime.FREE].tension_variance for m in (calm, wild)]
+    assert free[1] > free[0], "who trusts the model less knows the tension less"
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(11)

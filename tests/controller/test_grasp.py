@@ -1,0 +1,261 @@
+"""The grasp program: its phases in their order, contact that is meant, and what it hands to the law."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handctl.controller.estimator import Estimate
+from handctl.controller.goal import Kind
+from handctl.controller.grasp import SETTLE_AFTER_CLOSE_S, TaskProgram
+from handctl.controller.model import HandModel
+from handctl.controller.program import TIGHTEN_TIMEOUT_S, Progress
+from handctl.controller.task import Task
+from handctl.controller.tip import tip_force
+from handctl.controller.types import Event
+from handctl.hand.dynamics import static_torque
+from tests.controller.synthetic import nothing_read, slack, under
+
+TASK = {
+    "schema": 1,
+    "name": "test",
+    "phase": [
+        {"kind": "move", "name": "home", "angle_deg": 0.0, "duration_s": 0.2},
+        {"kind": "move", "name": "preshape", "angle_deg": {"index": 20.0, "thumb": 5.0}, "duration_s": 0.3},
+        {"kind": "close", "name": "close", "angle_deg": 80.0, "speed_deg_s": 100.0, "contact_tension_N": 12.0},
+        {"kind": "hold", "name": "hold", "tension_N": {"index": 30.0, "thumb": 25.0}, "duration_s": 0.4},
+        {"kind": "release", "name": "release", "tension_N": 8.0, "settle_s": 0.1},
+        {"kind": "move", "name": "open", "angle_deg": 0.0, "duration_s": 0.2},
+    ],
+}
+
+
+class Run:
+    """A program that is advanced tick by tick on estimates made up by the test.
+
+    Attributes:
+        progress: of the program.
+        events: all so far.
+        t: time of the last tick [s].
+    """
+
+    def __init__(self, model: HandModel, task: dict[str, object] = TASK) -> None:
+        self.model, self.program = model, TaskProgram(Task.model_validate_json(json.dumps(task)))
+        self.progress: Progress = self.program.begin(model)
+        self.events: list[Event] = []
+        self.t = 0.0
+
+    def tick(self, estimate: Estimate) -> tuple[Event, ...]:
+        self.t += self.model.period
+        self.progress, events = self.program.advance(
+            self.model, self.progress, estimate, nothing_read(self.model), self.t
+        )
+        self.events += events
+        return events
+
+    def until(self, phase: str, estimate: Estimate, timeout: float = 20.0) -> float:
+        """Ticks until a phase begins; how long it took [s]."""
+        began = self.t
+        while self.progress.phase != phase:
+            assert self.t - began < timeout, f"{phase} does not begin: {self.progress}"
+            self.tick(estimate)
+        return self.t - began
+
+    @property
+    def phases(self) -> list[str]:
+        return [event.text for event in self.events if event.name == "phase" and event.level == "info"]
+
+
+@pytest.fixture
+def taut(model: HandModel) -> Estimate:
+    return under(model, 5.0)
+
+
+def touching(model: HandModel, external: dict[str, float], tension: float = 15.0) -> Estimate:
+    """A taut hand some of whose digits feel something."""
+    estimate = under(model, tension, 0.5)
+    force = np.zeros(model.tendon_count)
+    for name, value in external.items():
+        force[model.digit_tendons[model.hand.digit_names.index(name)]] = value
+    return replace(estimate, external=force)
+
+
+def test_phases_come_in_the_order_of_the_task_and_last_as_long(model: HandModel, taut: Estimate) -> None:
+    run = Run(model)
+    assert {goal.kind for goal in run.progress.goals} == {Kind.LIMP}, "limp until active"
+    assert run.until("tighten", taut) <= 2 * model.period
+    assert {goal.kind for goal in run.progress.goals} == {Kind.TENSION}
+    assert run.until("home", taut) == pytest.approx(0.3, abs=2.1 * model.period)
+    assert {goal.kind for goal in run.progress.goals} == {Kind.MOTION}
+    assert run.until("preshape", taut) == pytest.approx(0.2, abs=1.1 * model.period)
+    assert run.until("close", taut) == pytest.approx(0.3, abs=1.1 * model.period)
+    everything = touching(model, dict.fromkeys(model.hand.digit_names, 9.0))
+    assert run.until("hold", everything) == pytest.approx(5 * model.period, abs=1.1 * model.period), "all touch: go on"
+    assert run.until("release", everything) == pytest.approx(0.4, abs=1.1 * model.period)
+    assert run.until("open", taut) == pytest.approx(0.1, abs=1.1 * model.period)
+    assert run.until("end", taut) == pytest.approx(0.2, abs=1.1 * model.period)
+    assert run.progress.finished
+    assert not run.progress.failure
+    names = ["home", "preshape", "close", "hold", "release", "open", "task complete"]
+    assert run.phases == ["tighten: taking up slack", *names]
+    after = run.progress
+    run.tick(taut)
+    assert run.progress is after, "nothing comes after the end"
+
+
+def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) -> None:
+    loose = under(model, 5.0)
+    loose.slack[1] = True
+    run = Run(model)
+    while not run.progress.finished:
+        run.tick(loose)
+    assert run.t == pytest.approx(TIGHTEN_TIMEOUT_S, abs=3 * model.period)
+    assert model.hand.tendon_names[1] in run.progress.failure
+    assert model.hand.tendon_names[0] not in run.progress.failure
+    assert run.events[-1].level == "error"
+
+
+def test_tightening_must_last(model: HandModel, taut: Estimate) -> None:
+    """Slack again in between begins anew."""
+    run = Run(model)
+    run.until("tighten", taut)
+    for _ in range(round(0.2 / model.period)):
+        run.tick(taut)
+    run.tick(slack(model))
+    assert run.until("home", taut) == pytest.approx(0.3, abs=2.1 * model.period)
+
+
+def test_motions_begin_where_the_digit_is(model: HandModel, taut: Estimate) -> None:
+    run = Run(model)
+    run.until("home", taut)
+    bent = under(model, 5.0, 0.4)
+    run.until("preshape", bent)
+    names = model.hand.digit_names
+    for d, name in enumerate(names):
+        goal = run.progress.goals[d]
+        assert goal.trajectory is not None
+        if name in ("index", "thumb"):
+            np.testing.assert_allclose(goal.trajectory.start, 0.4, atol=1e-9)
+            np.testing.assert_allclose(goal.trajectory.end, math.radians({"index": 20.0, "thumb": 5.0}[name]))
+            assert goal.since == run.t
+        else:
+            np.testing.assert_allclose(goal.trajectory.end, 0.0, err_msg="not named: as before")
+
+
+def closing(model: HandModel, taut: Estimate) -> Run:
+    run = Run(model)
+    run.until("close", taut)
+    return run
+
+
+def test_contact_takes_as_many_ticks_in_a_row_as_the_gains_say(model: HandModel, taut: Estimate) -> None:
+    run, ticks = closing(model, taut), model.gains.contact.ticks
+    touch, threshold = touching(model, {"index": 9.0}), model.gains.contact.threshold_N
+    for _ in range(3):
+        for _ in range(ticks - 1):
+            run.tick(touch)
+        run.tick(touching(model, {"index": threshold - 0.01}))
+    assert not any(run.progress.contact), "never long enough"
+    for _ in range(ticks):
+        assert not any(run.progress.contact)
+        events = run.tick(touch)
+    index = model.hand.digit_names.index("index")
+    assert [i for i, c in enumerate(run.progress.contact) if c] == [index], "only the digit that touches"
+    assert [(event.name, event.where) for event in events] == [("contact", "index")]
+    goal = run.progress.goals[index]
+    assert goal.kind == Kind.TENSION
+    np.testing.assert_allclose(goal.tension, 15.0, err_msg="holds what it has, as that is more than it shall")
+    assert {g.kind for i, g in enumerate(run.progress.goals) if i != index} == {Kind.MOTION}
+
+
+def test_two_digits_in_one_tick_and_a_third_later(model: HandModel, taut: Estimate) -> None:
+    run = closing(model, taut)
+    for _ in range(model.gains.contact.ticks):
+        events = run.tick(touching(model, {"index": 9.0, "thumb": 6.0}, tension=5.0))
+    assert {event.where for event in events} == {"index", "thumb"}
+    held = [model.hand.digit_names.index(name) for name in ("index", "thumb")]
+    for d in held:
+        np.testing.assert_allclose(run.progress.goals[d].tension, 12.0, err_msg="at least the contact tension")
+    before = run.progress.goals[held[0]]
+    for _ in range(model.gains.contact.ticks):
+        run.tick(touching(model, {"ring": 9.0}))
+    assert sum(run.progress.contact) == 3
+    assert run.progress.goals[held[0]] is before, "contact lost is not contact undone"
+
+
+def test_closing_on_nothing_ends_and_says_so(model: HandModel, taut: Estimate) -> None:
+    run = closing(model, taut)
+    took = run.until("hold", taut)
+    way = math.radians(80.0)
+    longest = 15 / 8 * way / math.radians(100.0)
+    assert took == pytest.approx(longest + SETTLE_AFTER_CLOSE_S, abs=2 * model.period)
+    assert not any(run.progress.contact)
+    warnings = [event.text for event in run.events if event.level == "warn"]
+    assert warnings == ["hold: no digit is in contact"]
+    assert {goal.kind for goal in run.progress.goals} == {Kind.MOTION}
+
+
+def test_only_what_touches_and_is_named_holds(model: HandModel, taut: Estimate) -> None:
+    run = closing(model, taut)
+    touch = touching(model, {"index": 9.0, "ring": 9.0})
+    for _ in range(model.gains.contact.ticks):
+        run.tick(touch)
+    names = model.hand.digit_names
+    before = run.progress.goals[names.index("ring")]
+    run.until("hold", touch)
+    np.testing.assert_allclose(run.progress.goals[names.index("index")].tension, 30.0)
+    assert run.progress.goals[names.index("ring")] is before, "the task says nothing about it"
+    assert run.progress.goals[names.index("thumb")].kind == Kind.MOTION, "it met nothing"
+
+
+def test_release_waits_for_the_tension_to_fall(model: HandModel, taut: Estimate) -> None:
+    run = closing(model, taut)
+    touch = touching(model, {"index": 9.0})
+    for _ in range(model.gains.contact.ticks):
+        run.tick(touch)
+    run.until("release", touch)
+    for _ in range(round(1.0 / model.period)):
+        run.tick(under(model, 20.0))
+    assert run.progress.phase == "release"
+    run.until("open", under(model, 9.0))
+    assert not any(run.progress.contact), "free again"
+    stuck = closing(model, taut)
+    for _ in range(model.gains.contact.ticks):
+        stuck.tick(touch)
+    stuck.until("release", touch)
+    assert stuck.until("open", under(model, 50.0)) == pytest.approx(10.0, abs=0.1), "but not for ever"
+
+
+def test_a_tip_force_becomes_the_tension_that_stands_for_it(model: HandModel, taut: Estimate) -> None:
+    phases = [{"kind": "close"}, {"kind": "hold", "tip_force_N": {"index": 4.0}}]
+    run = Run(model, {**TASK, "phase": phases})
+    run.until("close", taut)
+    touch = touching(model, {"index": 9.0})
+    for _ in range(model.gains.contact.ticks):
+        run.tick(touch)
+    run.until("hold", touch)
+    d = model.hand.digit_names.index("index")
+    digit, tension = model.digits[d], run.progress.goals[d].tension
+    assert tension is not None
+    q = touch.q[digit.joints]
+    static = digit.torque_to_tension @ np.asarray(static_torque(digit, q))
+    assert tip_force(digit, q, tension - static) == pytest.approx(4.0, rel=1e-3)
+
+
+def test_contact_ends_with_the_next_move(model: HandModel, taut: Estimate) -> None:
+    phases = [
+        {"kind": "close"},
+        {"kind": "move", "angle_deg": 0.0, "duration_s": 0.1},
+        {"kind": "close", "name": "again"},
+    ]
+    run = Run(model, {**TASK, "phase": phases})
+    run.until("close", taut)
+    for _ in range(model.gains.contact.ticks):
+        run.tick(touching(model, {"index": 9.0}))
+    run.until("move", taut)
+    assert not any(run.progress.contact)
+    assert {goal.kind for goal in run.progress.goals} == {Kind.MOTION}
+    run.until("again", taut)
+    assert not any(run.progress.touching)

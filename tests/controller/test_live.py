@@ -1,0 +1,128 @@
+"""Live goals and jogging: what is accepted, what is refused whole, and when it ends."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handctl.controller.estimator import Estimate
+from handctl.controller.goal import Kind
+from handctl.controller.live import JogProgram, LiveProgram, apply_goal
+from handctl.controller.model import HandModel
+from handctl.controller.program import TIGHTEN_TIMEOUT_S, Progress
+from handctl.controller.requests import HoldTension, MoveDigits, parse_request
+from tests.controller.synthetic import nothing_read, slack, under
+
+
+def asked(text: str) -> MoveDigits | HoldTension:
+    request = parse_request(text)
+    assert isinstance(request, MoveDigits | HoldTension)
+    return request
+
+
+def live(model: HandModel, estimate: Estimate) -> tuple[LiveProgram, Progress]:
+    """A live session that waits for requests."""
+    program = LiveProgram()
+    progress, t = program.begin(model), 0.0
+    while progress.phase != "live":
+        t += model.period
+        assert t < TIGHTEN_TIMEOUT_S
+        progress, _ = program.advance(model, progress, estimate, nothing_read(model), t)
+    return program, progress
+
+
+def test_a_move_and_a_hold(model: HandModel) -> None:
+    estimate = under(model, 5.0, 0.3)
+    _, progress = live(model, estimate)
+    names = model.hand.digit_names
+    request = asked('{"do": "move", "angle_deg": {"index": 40, "thumb": 10}, "duration_s": 2}')
+    moved, events = apply_goal(model, progress, request, estimate, 7.0)
+    assert [event.level for event in events] == ["info"]
+    for d, name in enumerate(names):
+        if name not in ("index", "thumb"):
+            assert moved.goals[d] is progress.goals[d]
+            continue
+        goal = moved.goals[d]
+        assert goal.kind == Kind.MOTION
+        assert goal.trajectory is not None
+        np.testing.assert_allclose(goal.trajectory.start, 0.3, atol=1e-9)
+        np.testing.assert_allclose(goal.trajectory.end, math.radians(40 if name == "index" else 10))
+        assert (goal.since, goal.trajectory.duration) == (7.0, 2.0)
+    held, _ = apply_goal(
+        model, moved, asked('{"do": "hold", "tension_N": {"index": 25}, "rate_N_per_s": 9}'), estimate, 8.0
+    )
+    goal = held.goals[0]
+    assert (goal.kind, goal.rate) == (Kind.TENSION, 9.0)
+    np.testing.assert_array_equal(goal.tension, np.full(model.digit_tendons[0].stop, 25.0))
+    assert held.goals[-1] is moved.goals[-1]
+
+
+def test_a_move_frees_a_digit_that_was_in_contact(model: HandModel) -> None:
+    estimate = under(model, 5.0)
+    _, progress = live(model, estimate)
+    progress = replace(progress, contact=(True,) * len(model.digits))
+    moved, _ = apply_goal(model, progress, asked('{"do": "move", "angle_deg": {"index": 0}}'), estimate, 1.0)
+    assert moved.contact == (False, *[True] * (len(model.digits) - 1))
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"do": "move", "angle_deg": {"index": 10, "pinky": 10}}', "pinky"),
+        ('{"do": "hold", "tension_N": {"pinky": 10}}', "pinky"),
+        ('{"do": "hold", "tension_N": {"index": 10, "thumb": 110.1}}', "110"),
+    ],
+)
+def test_a_request_with_one_mistake_changes_nothing(model: HandModel, text: str, said: str) -> None:
+    estimate = under(model, 5.0)
+    _, progress = live(model, estimate)
+    after, events = apply_goal(model, progress, asked(text), estimate, 1.0)
+    assert after is progress
+    assert [event.level for event in events] == ["warn"]
+    assert said in events[0].text
+
+
+def test_nothing_is_accepted_before_the_tendons_are_taut(model: HandModel) -> None:
+    estimate, program = slack(model), LiveProgram()
+    progress = program.begin(model)
+    for t in (0.0, 0.1):
+        after, events = apply_goal(model, progress, asked('{"do": "move", "angle_deg": {"index": 0}}'), estimate, t)
+        assert after is progress
+        assert "not ready" in events[0].text
+        progress, _ = program.advance(model, progress, estimate, nothing_read(model), t)
+    assert progress.phase == "tighten"
+
+
+def test_a_live_session_with_a_loose_tendon_gives_up(model: HandModel) -> None:
+    loose, program, t = under(model, 5.0), LiveProgram(), 0.0
+    loose.slack[2] = True
+    progress = program.begin(model)
+    while not progress.finished:
+        t += model.period
+        assert t < 2 * TIGHTEN_TIMEOUT_S
+        progress, events = program.advance(model, progress, loose, nothing_read(model), t)
+    assert model.hand.tendon_names[2] in progress.failure
+    assert [event.level for event in events] == ["error"]
+
+
+def test_a_live_session_never_ends_by_itself(model: HandModel) -> None:
+    estimate = under(model, 5.0)
+    program, progress = live(model, estimate)
+    for t in (10.0, 1e3, 1e6):
+        after, events = program.advance(model, progress, estimate, nothing_read(model), t)
+        assert (after, events) == (progress, ())
+
+
+def test_a_jog_keeps_its_goal_for_its_time(model: HandModel) -> None:
+    estimate, jog, t = under(model, 5.0), JogProgram(asked('{"do": "hold", "tension_N": {"thumb": 8}}'), 0.5), 0.0  # type: ignore[arg-type]
+    progress, began = jog.begin(model), -1.0
+    while not progress.finished:
+        t += model.period
+        assert t < 10.0
+        progress, _ = jog.advance(model, progress, estimate, nothing_read(model), t)
+        if progress.phase == "jog" and began < 0:
+            began = t
+            np.testing.assert_array_equal(progress.goals[-1].tension, [8.0] * len(progress.goals[-1].tension))
+    assert t - began == pytest.approx(0.5, abs=1.5 * model.period)
+    assert not progress.failure

@@ -1,0 +1,365 @@
+"""Modes from silence to action and back to a confirmed standstill, against a hand of scripted motors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handctl.controller.gains import Gains
+from handctl.controller.live import LiveProgram
+from handctl.controller.model import HandModel
+from handctl.controller.modes import ARMING_TIMEOUT_S, CUT_S, DISARM_TIMEOUT_S, INVENTORY_TIMEOUT_S, LISTEN_S, READY_S
+from handctl.controller.types import IoEvent, Mode
+from handctl.drives.frame import Frame
+from handctl.hand.description import load_hand
+from handctl.safety.action import Action
+from tests.controller.bench import Bench, bench
+
+STOP, CUT, ARM = '{"do": "stop"}', '{"do": "cut"}', '{"do": "arm"}'
+HAPPY = [Mode.SILENT, Mode.INVENTORY, Mode.READY, Mode.ARMING, Mode.ACTIVE]
+HOME = [Mode.RELAX, Mode.DISARM, Mode.DONE]
+ENABLE, DISABLE = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
+
+
+@pytest.fixture(scope="module")
+def quick() -> HandModel:
+    """A slow rate makes short tests; all times are in seconds."""
+    return HandModel.of(load_hand("jamia"), Gains(), 200.0)
+
+
+@pytest.fixture
+def hand(quick: HandModel) -> Bench:
+    return bench(quick, LiveProgram())
+
+
+def lasted(run: Bench, mode: Mode) -> float:
+    return sum(out.mode == mode for _, _, out in run.history) * run.controller.model.period
+
+
+def sent(run: Bench, data: bytes) -> list[int]:
+    """Identifiers that were sent these bytes, in order."""
+    return [frame.can_id for _, _, out in run.history for frame in out.frames if frame.data == data]
+
+
+def disabled(run: Bench) -> bool:
+    return all(motor.nibble != 1 for motor in run.peer.motors)
+
+
+def test_from_silence_to_action_and_home(model: HandModel) -> None:
+    run = bench(model, LiveProgram())
+    run.until(Mode.ACTIVE)
+    assert run.modes == HAPPY
+    assert lasted(run, Mode.SILENT) == pytest.approx(LISTEN_S, abs=1.5 * model.period)
+    assert lasted(run, Mode.READY) == pytest.approx(READY_S, abs=1.5 * model.period)
+    for _, _, out in run.history:
+        if out.mode == Mode.SILENT:
+            assert out.frames == (), "silent means silent"
+    assert sent(run, ENABLE) == [motor.node_id for motor in run.peer.motors], "each drive is enabled once"
+    assert [motor.nibble for motor in run.peer.motors] == [1] * model.tendon_count
+    run.run(2.0)
+    assert run.state.progress.phase == "live"
+    run.tick(STOP)
+    run.until(Mode.DONE)
+    assert run.modes == HAPPY + HOME
+    assert disabled(run)
+    assert (run.state.failure, run.state.unconfirmed) == ("", ())
+    assert run.tick().frames == (), "done means silent"
+
+
+def test_registers_are_written_before_any_torque(hand: Bench) -> None:
+    for motor in hand.peer.motors:
+        motor.registers[23] = 1.0
+    hand.until(Mode.ACTIVE)
+    assert all(motor.written for motor in hand.peer.motors)
+    assert all(motor.registers[9] == 1000 for motor in hand.peer.motors), "watchdog of 50 ms, in units of 50 us"
+    assert all(motor.registers[23] == pytest.approx(0.8) for motor in hand.peer.motors), "torque limit"
+
+
+def test_without_a_wish_to_arm_it_waits(quick: HandModel) -> None:
+    run = bench(quick, LiveProgram(), arm=False)
+    run.until(Mode.READY)
+    run.run(2.0)
+    assert run.state.mode == Mode.READY
+    assert sent(run, ENABLE) == []
+    run.tick(ARM)
+    run.until(Mode.ACTIVE, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("mode", "way"),
+    [
+        (Mode.SILENT, [Mode.DONE]),
+        (Mode.INVENTORY, [Mode.DONE]),
+        (Mode.READY, [Mode.DONE]),
+        (Mode.ARMING, [Mode.DISARM, Mode.DONE]),
+        (Mode.ACTIVE, HOME),
+    ],
+)
+def test_stop_from_every_mode(hand: Bench, mode: Mode, way: list[Mode]) -> None:
+    hand.until(mode)
+    hand.tick(STOP)
+    hand.until(Mode.DONE)
+    assert hand.modes == HAPPY[: HAPPY.index(mode) + 1] + way
+    assert disabled(hand)
+    assert not hand.state.failure
+    if mode < Mode.ARMING:
+        assert sent(hand, ENABLE) == []
+
+
+@pytest.mark.parametrize("mode", [Mode.SILENT, Mode.INVENTORY, Mode.READY, Mode.ARMING, Mode.ACTIVE, Mode.RELAX])
+def test_cut_from_every_mode(hand: Bench, mode: Mode) -> None:
+    if mode == Mode.RELAX:
+        hand.until(Mode.ACTIVE)
+        hand.run(2.0)
+        hand.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
+        hand.run(0.5)
+        hand.tick(STOP)
+        assert hand.state.mode == Mode.RELAX
+    else:
+        hand.until(mode)
+    first = hand.tick(CUT)
+    if mode < Mode.ARMING:
+        assert first.mode == Mode.DONE
+        return
+    assert first.mode == Mode.CUT
+    ids = [motor.node_id for motor in hand.peer.motors]
+    assert [(f.can_id, f.data) for f in first.frames[: len(ids)]] == [(i, DISABLE) for i in ids], "before all else"
+    assert disabled(hand), "without a ramp, in the same tick"
+    hand.until(Mode.DONE)
+    assert hand.modes[-3:] == [Mode.CUT, Mode.DISARM, Mode.DONE]
+    assert lasted(hand, Mode.CUT) == pytest.approx(CUT_S, abs=1.5 * hand.controller.model.period)
+    assert not hand.state.failure, "a person wanted it"
+
+
+def test_a_second_stop_does_not_lengthen_the_first(hand: Bench) -> None:
+    hand.until(Mode.ACTIVE)
+    hand.run(0.5)
+    hand.tick(STOP)
+    hand.tick(STOP)
+    hand.until(Mode.DONE, 2.0)
+
+
+def foreign(hand: Bench) -> Frame:
+    """What only a second controller can have sent: a torque command to the first motor."""
+    return Frame(hand.peer.motors[0].node_id, bytes(8), t_ns=hand.k * hand.period_ns)
+
+
+def test_a_second_controller_that_is_heard_first_is_left_alone(hand: Bench) -> None:
+    hand.run(0.2)
+    hand.tick(extra=(foreign(hand),))
+    hand.until(Mode.DONE, 1.0)
+    assert "another controller" in hand.state.failure
+    assert "0x001" in hand.state.failure
+    assert all(out.frames == () for _, _, out in hand.history)
+
+
+@pytest.mark.parametrize("mode", [Mode.INVENTORY, Mode.READY])
+def test_a_second_controller_that_comes_before_arming_prevents_it(hand: Bench, mode: Mode) -> None:
+    hand.until(mode)
+    hand.tick(extra=(foreign(hand),))
+    assert hand.state.mode == Mode.DONE
+    assert "another controller" in hand.state.failure
+    assert sent(hand, ENABLE) == []
+
+
+def test_a_second_controller_in_action_means_relax(hand: Bench) -> None:
+    hand.until(Mode.ACTIVE)
+    hand.run(1.0)
+    assert hand.tick(extra=(foreign(hand),)).action == Action.RELAX
+    hand.until(Mode.DONE)
+    assert hand.modes == HAPPY + HOME
+    assert "H13" in hand.state.failure
+    assert disabled(hand)
+
+
+def test_the_sync_of_somebody_else_is_foreign_too(hand: Bench) -> None:
+    hand.run(0.1)
+    hand.tick(extra=(Frame(0x080, b"\0"),))
+    hand.until(Mode.DONE, 1.0)
+    assert "0x080" in hand.state.failure
+
+
+def test_strange_identifiers_are_nobodys_business(hand: Bench) -> None:
+    hand.run(0.1)
+    for can_id in (0x555, 0x1A0 | 1 << 31, 0x001 | 1 << 31):
+        hand.tick(extra=(Frame(can_id, bytes(8)),))
+    hand.until(Mode.ACTIVE)
+
+
+def test_a_missing_motor_is_named(hand: Bench) -> None:
+    hand.peer.motors[2].silent = True
+    hand.until(Mode.DONE)
+    assert hand.state.failure == "no answer from ring_motor"
+    assert sent(hand, ENABLE) == []
+    assert lasted(hand, Mode.INVENTORY) == pytest.approx(INVENTORY_TIMEOUT_S, abs=0.05)
+
+
+def test_two_missing_motors_and_a_missing_sensor_node_are_all_named(hand: Bench) -> None:
+    hand.peer.motors[0].silent = hand.peer.motors[3].silent = True
+    hand.peer.silent_sensors = True
+    hand.until(Mode.DONE)
+    for name in ("index_motor", "thumb_motor", "sensor node"):
+        assert name in hand.state.failure
+    assert "ring_motor" not in hand.state.failure
+
+
+def test_joint_encoders_that_say_nothing_are_missed_too(jamia11: HandModel) -> None:
+    run = bench(jamia11, LiveProgram())
+    joint_ids = {0x1B0, 0x1B1, 0x1B2}
+    run.to_host = lambda frames: [frame for frame in frames if frame.can_id not in joint_ids]
+    run.until(Mode.DONE)
+    assert run.state.failure == "no answer from the sensor node"
+
+
+def test_a_motor_that_reports_an_error_is_named_with_it(hand: Bench) -> None:
+    hand.peer.motors[1].nibble = 0xB
+    hand.until(Mode.DONE)
+    assert "middle_motor" in hand.state.failure
+    assert sent(hand, ENABLE) == []
+
+
+def test_a_register_that_does_not_read_back_is_named(hand: Bench) -> None:
+    hand.peer.motors[1].registers[23] = 1.25
+    hand.peer.motors[1].stuck.add(23)
+    hand.until(Mode.DONE)
+    assert "middle_motor" in hand.state.failure
+    assert "1.25" in hand.state.failure
+
+
+def test_a_motor_that_does_not_enable_is_named_and_all_are_disabled_again(hand: Bench) -> None:
+    hand.peer.motors[1].deaf.add(0xFC)
+    hand.until(Mode.DONE)
+    assert hand.state.failure == "not enabled: middle_motor"
+    assert hand.modes == [*HAPPY[:4], Mode.DISARM, Mode.DONE]
+    assert lasted(hand, Mode.ARMING) == pytest.approx(ARMING_TIMEOUT_S, abs=0.05)
+    assert disabled(hand)
+
+
+def test_a_motor_that_does_not_confirm_means_remove_power(hand: Bench) -> None:
+    hand.until(Mode.ACTIVE)
+    hand.peer.motors[3].deaf.add(0xFD)
+    hand.tick(STOP)
+    hand.until(Mode.DONE)
+    assert hand.state.unconfirmed == ("thumb_motor",)
+    assert hand.state.failure == "REMOVE POWER: not confirmed disabled: thumb_motor"
+    assert lasted(hand, Mode.DISARM) == pytest.approx(DISARM_TIMEOUT_S, abs=0.05)
+
+
+def test_a_motor_that_falls_silent_relaxes_the_others_and_both_troubles_are_told(hand: Bench) -> None:
+    hand.until(Mode.ACTIVE)
+    hand.run(1.0)
+    hand.peer.motors[0].silent = True
+    hand.until(Mode.DONE)
+    assert hand.modes == HAPPY + HOME
+    assert hand.state.unconfirmed == ("index_motor",)
+    assert "B02 index_motor" in hand.state.failure
+    assert "REMOVE POWER" in hand.state.failure
+    assert all(motor.nibble != 1 for motor in hand.peer.motors[1:])
+
+
+def test_a_drive_error_in_action(hand: Bench) -> None:
+    hand.until(Mode.ACTIVE)
+    hand.run(1.0)
+    hand.peer.motors[2].nibble = 0xC
+    hand.until(Mode.DONE)
+    assert "N11 ring_motor" in hand.state.failure
+    assert hand.modes == HAPPY + HOME
+    assert hand.state.unconfirmed == ()
+
+
+def test_a_lost_bus_cuts(hand: Bench) -> None:
+    hand.until(Mode.ACTIVE)
+    out = hand.tick(io=(IoEvent("enodev", "local:x"),))
+    assert (out.mode, out.action) == (Mode.CUT, Action.CUT)
+    hand.until(Mode.DONE)
+    assert "B14" in hand.state.failure
+
+
+@pytest.mark.parametrize("mode", [Mode.SILENT, Mode.INVENTORY, Mode.READY])
+def test_a_lost_bus_before_arming_ends_the_run(hand: Bench, mode: Mode) -> None:
+    hand.until(mode)
+    assert hand.tick(io=(IoEvent("enodev", "local:x"),)).mode == Mode.DONE
+    assert "B14" in hand.state.failure
+    assert sent(hand, ENABLE) == []
+
+
+def test_a_fault_while_arming_disarms(hand: Bench) -> None:
+    hand.until(Mode.ARMING)
+    hand.tick(extra=(foreign(hand),))
+    hand.until(Mode.DONE)
+    assert "H13" in hand.state.failure
+    assert disabled(hand)
+
+
+def test_a_cut_during_relax_wins(hand: Bench) -> None:
+    hand.until(Mode.ACTIVE)
+    hand.run(2.0)
+    hand.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
+    hand.run(0.5)
+    assert hand.tick(extra=(foreign(hand),)).mode == Mode.RELAX
+    assert hand.tick(io=(IoEvent("bus_off", "local:x"),)).mode == Mode.CUT
+    hand.until(Mode.DONE)
+    assert "H13" in hand.state.failure, "what began it"
+
+
+def test_relax_lets_go_gently_and_in_time(hand: Bench) -> None:
+    hand.until(Mode.ACTIVE)
+    hand.run(2.0)
+    hand.tick('{"do": "hold", "tension_N": {"index": 60, "thumb": 50}, "rate_N_per_s": 1000}')
+    hand.run(1.0)
+    held = hand.peer.tension.copy()
+    assert held[0] > 55.0
+    hand.tick(STOP)
+    while hand.state.mode == Mode.RELAX:
+        hand.tick()
+    assert 0.05 < lasted(hand, Mode.RELAX) < 0.5, "500 N/s from 60 N"
+    goals = np.array([out.telemetry.tension_goal for _, _, out in hand.history if out.mode == Mode.RELAX])
+    assert (np.diff(goals, axis=0) <= 1e-9).all(), "no tension rises"
+    assert np.abs(np.diff(goals, axis=0)).max() <= 500.0 * hand.controller.model.period + 1e-9
+    assert (goals[-1] <= 5.0 + 500.0 * hand.controller.model.period + 1e-6).all()
+
+
+def test_a_program_that_gives_up_relaxes_and_tells_why(quick: HandModel) -> None:
+    run = bench(quick, LiveProgram())
+    run.peer.order = [1, 0, 2, 3]
+    run.peer.stiffness[0] = 0.0  # a rope that tore: its load cell stays at zero
+    run.until(Mode.DONE, 20.0)
+    assert "not taut" in run.state.failure
+    assert run.modes == HAPPY + HOME
+
+
+def test_clear_drops_latches_but_arms_nothing(hand: Bench) -> None:
+    hand.until(Mode.ACTIVE)
+    hand.tick(extra=(foreign(hand),))
+    assert hand.state.safety.latched
+    hand.tick('{"do": "clear"}')
+    assert not hand.state.safety.latched
+    hand.until(Mode.DONE)
+    assert hand.modes == HAPPY + HOME
+
+
+def test_every_mode_change_is_told_once(hand: Bench) -> None:
+    hand.until(Mode.ACTIVE)
+    hand.tick(STOP)
+    hand.until(Mode.DONE)
+    told = [event.text.partition(":")[0] for event in hand.events if event.name == "mode"]
+    assert told == [f"{a.name} -> {b.name}" for a, b in zip(hand.modes, hand.modes[1:], strict=False)]
+
+
+def test_while_safety_holds_the_programs_time_stands_still(hand: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    from handctl.controller import tick as module
+
+    hand.until(Mode.ACTIVE)
+    hand.run(1.0)
+    before = hand.state
+    real = module.safety.judge
+    monkeypatch.setattr(
+        module.safety, "judge", lambda *args: (real(*args)[0], replace(real(*args)[1], action=Action.HOLD))
+    )
+    hand.run(0.5)
+    assert hand.state.mode == Mode.ACTIVE
+    assert hand.state.goal_time == before.goal_time
+    assert hand.state.progress == before.progress
+    monkeypatch.undo()
+    hand.tick()
+    assert hand.state.goal_time > before.goal_time

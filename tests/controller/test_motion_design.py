@@ -1,0 +1,105 @@
+"""The LQR gains close stable loops, with the margins that an LQR promises and a sampled one may lose."""
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete
+
+from handctl.controller.gains import Gains, MotionGains, TensionGains
+from handctl.controller.model import HandModel
+from handctl.controller.motion_design import design_motion
+
+RATES = [200.0, 500.0, 1000.0]
+
+
+def motion_plant(mass: float, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Excursion [m] and its rate of one mass pushed by a force."""
+    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0 / mass]])
+    F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), period)
+    return F, G
+
+
+def tension_plant(model: HandModel, i: int, period: float) -> tuple[np.ndarray, np.ndarray]:
+    """Tension [N] and cable speed of a rotor on a rope whose end is held."""
+    space = model.space
+    m, k, c = space.motor_mass[i], space.stiffness[i], space.damping[i] + space.motor_damping[i]
+    A, B = np.array([[0.0, k], [-1.0 / m, -c / m]]), np.array([[0.0], [1.0 / m]])
+    F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), period)
+    return F, G
+
+
+def loops(model: HandModel, gains: Gains, period: float) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """(F, G, K) of both loops of a finger's and the thumb's last tendon; force = -K state."""
+    design, found = design_motion(model.space, gains, period), []
+    for i in (0, model.tendon_count - 1):
+        mass = model.space.motor_mass[i] + model.space.load_mass[i]
+        K = np.array([[design.stiffness[i] * mass, design.damping[i] * mass]])
+        found.append((*motion_plant(mass, period), K))
+        found.append((*tension_plant(model, i, period), np.array([[design.tension[i], design.tension_speed[i]]])))
+    return found
+
+
+def radius(matrix: np.ndarray) -> float:
+    return float(np.abs(np.linalg.eigvals(matrix)).max())
+
+
+@pytest.mark.parametrize("rate_hz", RATES)
+def test_both_loops_are_stable_with_margins(model: HandModel, rate_hz: float) -> None:
+    """Half and one and a half times the gain, and 30 degrees of lag at every frequency where the gain crosses one."""
+    for F, G, K in loops(model, Gains(), 1.0 / rate_hz):
+        for factor in (0.5, 1.0, 1.5):
+            assert radius(F - factor * G @ K) < 1.0
+        w = np.linspace(1e-3, np.pi, 4000)
+        z = np.exp(1j * w)
+        turn = np.array([(K @ np.linalg.solve(one * np.eye(2) - F, G))[0, 0] for one in z])
+        assert np.abs(1.0 + turn).min() > 0.4, "distance of the open loop from -1"
+        crossing = np.flatnonzero(np.diff(np.sign(np.abs(turn) - 1.0)))
+        lag = np.degrees(np.pi - np.abs(np.angle(turn[crossing])))
+        assert len(crossing)
+        assert lag.min() > 30.0
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0])
+def test_slow_rates_are_stable_too(model: HandModel, rate_hz: float) -> None:
+    """At half the rope's own frequency a sample the margins of an LQR are gone; the loops still hold."""
+    for F, G, K in loops(model, Gains(), 1.0 / rate_hz):
+        assert radius(F - G @ K) < 1.0
+
+
+@pytest.mark.parametrize("rate_hz", RATES)
+def test_the_gains_are_optimal(model: HandModel, rate_hz: float) -> None:
+    """No other gain in the neighbourhood costs less from any of several starts: cost by summing the series."""
+    gains = Gains()
+    weights = [
+        (gains.motion.position_error_m, gains.motion.speed_error_m_s, gains.motion.force_N),
+        (gains.tension.tension_error_N, gains.tension.speed_error_m_s, gains.tension.force_N),
+    ]
+
+    def cost(F: np.ndarray, G: np.ndarray, K: np.ndarray, weight: tuple[float, float, float]) -> float:
+        closed = F - G @ K
+        stage = np.diag([1 / weight[0] ** 2, 1 / weight[1] ** 2]) + K.T @ K / weight[2] ** 2
+        total, power = np.zeros((2, 2)), np.eye(2)
+        for _ in range(6000):
+            total += power.T @ stage @ power
+            power = closed @ power
+            if np.abs(power).max() < 1e-9:
+                break
+        scale = np.diag(weight[:2])
+        return float(np.trace(scale @ total @ scale))
+
+    for which, (F, G, K) in enumerate(loops(model, gains, 1.0 / rate_hz)[:2]):
+        best = cost(F, G, K, weights[which])
+        for change in ((1.02, 1.0), (0.98, 1.0), (1.0, 1.02), (1.0, 0.98)):
+            assert cost(F, G, K * np.array(change), weights[which]) > best
+
+
+def test_weights_do_what_their_names_say(jamia: HandModel) -> None:
+    period = jamia.period
+    usual = design_motion(jamia.space, Gains(), period)
+    precise = design_motion(jamia.space, Gains(motion=MotionGains(position_error_m=2e-4)), period)
+    gentle = design_motion(jamia.space, Gains(motion=MotionGains(force_N=5.0)), period)
+    assert (precise.stiffness > usual.stiffness).all()
+    assert (gentle.stiffness < usual.stiffness).all()
+    firm = design_motion(jamia.space, Gains(tension=TensionGains(tension_error_N=1.0)), period)
+    assert (firm.tension > usual.tension).all()
+    assert (usual.damping > 0).all()
+    assert (usual.tension_speed > 0).all()

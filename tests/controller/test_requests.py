@@ -1,0 +1,111 @@
+"""Requests: what is one, what is none, and that nothing a stranger sends can stop the loop."""
+
+import json
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handctl.controller.requests import (
+    LARGEST_REQUEST,
+    Arm,
+    Clear,
+    Cut,
+    HoldTension,
+    MoveDigits,
+    Stop,
+    parse_request,
+)
+
+GOOD = [
+    ('{"do": "arm"}', Arm),
+    ('{"do": "stop"}', Stop),
+    ('{"do": "cut"}', Cut),
+    ('{"do": "clear"}', Clear),
+    ('{"do": "move", "angle_deg": {"index": 30}}', MoveDigits),
+    ('{"do": "hold", "tension_N": {"index": 20.5, "thumb": 0}, "rate_N_per_s": 10}', HoldTension),
+]
+
+
+@pytest.mark.parametrize(("text", "kind"), GOOD)
+def test_good_requests(text: str, kind: type) -> None:
+    assert isinstance(parse_request(text), kind)
+
+
+def test_numbers_arrive_as_they_were_sent() -> None:
+    request = parse_request('{"do": "move", "angle_deg": {"index": 30, "x": -1.5}, "duration_s": 2.5}')
+    assert isinstance(request, MoveDigits)
+    assert request.angle_deg == {"index": 30.0, "x": -1.5}
+    assert request.duration_s == 2.5
+
+
+BAD = [
+    "",
+    "stop",
+    "[]",
+    "null",
+    "3",
+    '"stop"',
+    '{"do": "dance"}',
+    '{"do": "stop", "now": true}',
+    '{"do": "Stop"}',
+    '{"do": null}',
+    "{}",
+    '{"do": "move"}',
+    '{"do": "move", "angle_deg": {"index": 1e999}}',
+    '{"do": "move", "angle_deg": {"index": NaN}}',
+    '{"do": "move", "angle_deg": {"index": -Infinity}}',
+    '{"do": "move", "angle_deg": {"index": true}}',
+    '{"do": "move", "angle_deg": {"index": "30"}}',
+    '{"do": "move", "angle_deg": {"index": 151}}',
+    '{"do": "move", "angle_deg": {"index": 30}, "duration_s": 0}',
+    '{"do": "move", "angle_deg": 30}',
+    '{"do": "hold", "tension_N": {"index": -0.1}}',
+    '{"do": "hold", "tension_N": {"index": 1001}}',
+    '{"do": "hold", "tension_N": {"index": 5}, "rate_N_per_s": 0}',
+    '{"do": "stop"} {"do": "stop"}',
+    '{"do": "move", "angle_deg": {"\\ud800": "x"}}',
+    '{"do": "move", "angle_deg": {"\\u001b[2J\\n": "x"}}',
+    "[" * LARGEST_REQUEST,
+    '{"a":' * (LARGEST_REQUEST // 5),
+    '{"do": "move", "angle_deg": {"' + "x" * 4000 + '": "x"}}',
+    "9" * LARGEST_REQUEST,
+]
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_bad_requests_become_one_printable_line(text: str) -> None:
+    line = parse_request(text)
+    assert isinstance(line, str)
+    assert line.startswith("request")
+    assert line.isprintable(), "it goes into the log and to a terminal"
+    assert len(line) < 300
+    line.encode()
+
+
+json_value = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(),
+    lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner),
+    max_leaves=8,
+)
+likely = st.fixed_dictionaries(
+    {"do": st.sampled_from(["arm", "stop", "cut", "clear", "move", "hold"])},
+    optional={"angle_deg": json_value, "tension_N": json_value, "duration_s": json_value, "rate_N_per_s": json_value},
+)
+
+
+@given(
+    st.text()
+    | json_value.map(json.dumps)
+    | likely.map(json.dumps)
+    | st.binary().map(lambda b: b.decode("utf-8", "replace"))
+)
+def test_nothing_raises_and_every_number_is_finite(text: str) -> None:
+    request = parse_request(text)
+    if isinstance(request, str):
+        assert request.isprintable()
+    elif isinstance(request, MoveDigits):
+        assert all(math.isfinite(value) for value in (*request.angle_deg.values(), request.duration_s))
+    elif isinstance(request, HoldTension):
+        assert all(math.isfinite(value) for value in (*request.tension_N.values(), request.rate_N_per_s))

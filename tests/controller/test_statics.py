@@ -1,0 +1,100 @@
+"""Known forces along the tendons against energy, and the tip-equivalent force against virtual work."""
+
+import math
+
+import numpy as np
+import pytest
+
+from handctl.controller.filter_design import STATES, S, V
+from handctl.controller.model import HandModel
+from handctl.controller.statics import load_statics, tendon_efficiency
+from handctl.controller.tip import tip_force, tip_lever
+from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
+from handctl.hand.kinematics import points, tip_jacobian
+from handctl.hand.tendons import FRICTION_SPEED
+
+
+def stood(model: HandModel, theta: list[np.ndarray], speed: float = 0.0) -> np.ndarray:
+    """Filter table (N, 7) of a hand whose digits are at coordinates."""
+    table = np.zeros((model.tendon_count, STATES))
+    for digit, tendons, one in zip(model.digits, model.digit_tendons, theta, strict=True):
+        table[tendons, S] = digit.reduced_moment_arms @ one
+    table[:, V] = speed
+    return table
+
+
+def test_resistance_is_the_slope_of_the_stored_energy(model: HandModel) -> None:
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        theta = [rng.uniform(0.1, 1.4, digit.coupling.shape[1]) for digit in model.digits]
+        found = load_statics(model, stood(model, theta), np.zeros(model.tendon_count)).resistance
+        for digit, tendons, one in zip(model.digits, model.digit_tendons, theta, strict=True):
+            h = 1e-6
+
+            def energy(at: np.ndarray, digit=digit) -> float:  # type: ignore[no-untyped-def]
+                q = digit.coupling @ at
+                return potential_energy(digit, q) + spring_energy(digit, q)
+
+            slope = np.array([(energy(one + h * e) - energy(one - h * e)) / (2 * h) for e in np.eye(len(one))])
+            np.testing.assert_allclose(digit.reduced_moment_arms.T @ found[tendons], slope, rtol=1e-6, atol=1e-9)
+
+
+def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model: HandModel) -> None:
+    theta = [np.full(digit.coupling.shape[1], 0.6) for digit in model.digits]
+    tension = np.full(model.tendon_count, 20.0)
+    still, closing, opening = (load_statics(model, stood(model, theta, v), tension) for v in (0.0, 0.05, -0.05))
+    np.testing.assert_allclose(still.pull, tension)
+    assert (closing.pull < tension).all()
+    assert (opening.pull > tension).all()
+    np.testing.assert_allclose(closing.efficiency * opening.efficiency, 1.0, rtol=0.02)
+    np.testing.assert_array_equal(still.resistance, closing.resistance)
+
+
+def test_efficiency_is_the_mean_of_the_capstan_over_the_pulleys(model: HandModel) -> None:
+    rng = np.random.default_rng(7)
+    q, speed = rng.uniform(0.0, 1.4, len(model.hand.joints)), rng.normal(size=model.tendon_count) * FRICTION_SPEED
+    found = tendon_efficiency(model, q, speed)
+    for i, tendon in enumerate(model.hand.tendon):
+        passed, shares, arms = tendon.wrap_angle_rad, 0.0, 0.0
+        for joint, angle in zip(model.hand.joints, q, strict=True):
+            arm = abs(tendon.moment_arm_m.get(joint, 0.0))
+            passed += angle if arm else 0.0
+            shares += arm * math.exp(-tendon.friction_coefficient * passed * math.tanh(speed[i] / FRICTION_SPEED))
+            arms += arm
+        assert found[i] == pytest.approx(shares / arms, rel=1e-12)
+
+
+def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
+    rng = np.random.default_rng(8)
+    for _ in range(50):
+        q, external = rng.uniform(-0.2, 1.8, len(model.hand.joints)), rng.normal(size=model.tendon_count) * 20.0
+        torque, force = model.all_digits.static_torque(q), model.all_digits.tip_force(q, external)
+        for d, digit in enumerate(model.digits):
+            np.testing.assert_allclose(
+                torque[digit.joints], static_torque(digit, q[digit.joints]), rtol=1e-12, atol=1e-15
+            )
+            alone = tip_force(digit, q[digit.joints], external[digit.tendons])
+            assert force[d] == pytest.approx(alone, rel=1e-10, abs=1e-12)
+
+
+def test_lever_is_the_jacobian_along_the_normal(model: HandModel) -> None:
+    rng = np.random.default_rng(5)
+    for digit in model.digits:
+        for _ in range(20):
+            q = rng.uniform(0.0, 1.6, digit.joint_count)
+            along = np.diff(points(digit, q)[-2:], axis=0)[0]
+            normal = np.array([-along[1], along[0]]) / np.linalg.norm(along)
+            expected = digit.coupling.T @ tip_jacobian(digit, q).T @ normal
+            np.testing.assert_allclose(tip_lever(digit, q), expected, atol=1e-15)
+
+
+def test_a_force_at_the_tip_is_found_again(model: HandModel) -> None:
+    """Tensions that balance a normal force at the tip stand for that force."""
+    rng = np.random.default_rng(6)
+    for digit in model.digits:
+        for force in (0.5, 6.0, 40.0):
+            q = digit.coupling @ rng.uniform(0.1, 1.2, digit.coupling.shape[1])
+            torque = force * tip_lever(digit, q)
+            external = np.linalg.lstsq(digit.reduced_moment_arms.T, torque, rcond=None)[0]
+            assert tip_force(digit, q, external) == pytest.approx(force, rel=1e-9)
+            assert tip_force(digit, q, np.zeros(len(external))) == 0.0

@@ -1,0 +1,115 @@
+"""Minimum jerk: where it begins and ends, that its derivatives are derivatives, and that nothing is smoother."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handctl.controller.trajectory import PEAK_SPEED, Curve, MinimumJerk, duration_for
+
+angles = st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=2).map(np.array)
+durations = st.floats(0.01, 100.0)
+
+
+@given(start=angles, end=angles, duration=durations)
+def test_at_rest_at_both_ends(start: np.ndarray, end: np.ndarray, duration: float) -> None:
+    move = MinimumJerk(start, end, duration)
+    for t, place in ((0.0, start), (duration, end), (-1.0, start), (duration + 5.0, end)):
+        position, velocity, acceleration = move.at(t)
+        np.testing.assert_allclose(position, place, atol=1e-12)
+        np.testing.assert_allclose(velocity, 0.0, atol=1e-12)
+        np.testing.assert_allclose(acceleration, 0.0, atol=1e-12)
+
+
+@given(start=angles, end=angles, duration=durations, share=st.floats(0.01, 0.99))
+def test_derivatives_are_derivatives(start: np.ndarray, end: np.ndarray, duration: float, share: float) -> None:
+    move, h, t = MinimumJerk(start, end, duration), 1e-5 * duration, share * duration
+    before, now, after = move.at(t - h), move.at(t), move.at(t + h)
+    way = np.abs(end - start).max() + 1e-9
+    np.testing.assert_allclose(now[1], (after[0] - before[0]) / (2 * h), atol=1e-6 * way / duration)
+    np.testing.assert_allclose(now[2], (after[1] - before[1]) / (2 * h), atol=1e-5 * way / duration**2)
+
+
+@given(start=angles, end=angles, duration=durations)
+def test_never_outside_of_its_ends_nor_faster_than_its_peak(
+    start: np.ndarray, end: np.ndarray, duration: float
+) -> None:
+    move = MinimumJerk(start, end, duration)
+    course = [move.at(t) for t in np.linspace(0.0, duration, 101)]
+    low, high = np.minimum(start, end) - 1e-12, np.maximum(start, end) + 1e-12
+    assert all(((low <= p) & (p <= high)).all() for p, _, _ in course)
+    steps = np.diff([p for p, _, _ in course], axis=0) * np.sign(end - start)
+    assert (steps >= -1e-12).all(), "straight there"
+    speed = np.abs([v for _, v, _ in course]).max(axis=0)
+    np.testing.assert_allclose(speed, PEAK_SPEED * np.abs(end - start) / duration, rtol=1e-6, atol=1e-12)
+
+
+def test_no_admissible_bump_has_less_jerk() -> None:
+    """The integral of jerk squared, against the same move with a bump that is at rest at both ends too."""
+    move, t = MinimumJerk(np.array([0.0]), np.array([1.0]), 1.0), np.linspace(0.0, 1.0, 20001)
+    acceleration = np.array([move.at(one)[2][0] for one in t])
+    bump = np.gradient(np.gradient(t**3 * (1 - t) ** 3, t), t)
+
+    def effort(a: np.ndarray) -> float:
+        return float(np.trapezoid(np.gradient(a, t)[100:-100] ** 2, t[100:-100]))
+
+    for size in (-0.5, 0.5):
+        assert effort(acceleration + size * bump) > effort(acceleration)
+
+
+@pytest.mark.parametrize(("distance", "speed"), [(1.0, 2.0), (-0.5, 0.1), (0.0, 1.0)])
+def test_duration_keeps_the_peak_speed(distance: float, speed: float) -> None:
+    duration = duration_for(distance, speed, 0.05)
+    assert duration >= 0.05
+    move = MinimumJerk(np.array([0.0]), np.array([distance]), duration)
+    fastest = max(abs(move.at(t)[1][0]) for t in np.linspace(0.0, duration, 1001))
+    assert fastest <= speed * (1 + 1e-9)
+    if distance:
+        assert fastest == pytest.approx(speed, rel=1e-5)
+
+
+times = st.lists(st.floats(0.05, 2.0), min_size=1, max_size=6).map(lambda steps: (0.0, *np.cumsum(steps).tolist()))
+
+
+@given(data=st.data())
+def test_a_curve_goes_through_its_points_from_rest_to_rest(data: st.DataObject) -> None:
+    when = data.draw(times)
+    points = tuple(data.draw(st.lists(st.floats(-0.5, 2.0), min_size=len(when), max_size=len(when))))
+    curve = Curve.through(when, points, 2)
+    assert curve.duration == when[-1]
+    for t, point in zip(when, points, strict=True):
+        np.testing.assert_allclose(curve.at(t)[0], [point, point], atol=1e-9)
+    for t in (-1.0, 0.0, when[-1], when[-1] + 1.0):
+        np.testing.assert_allclose(curve.at(t)[1], 0.0, atol=1e-9)
+    for t in (-1.0, when[-1] + 1.0):
+        np.testing.assert_array_equal(curve.at(t)[2], 0.0)
+        np.testing.assert_allclose(curve.at(t)[0], curve.at(min(max(t, 0.0), when[-1]))[0])
+    speeds = [abs(curve.at(t)[1][0]) for t in np.linspace(0.0, when[-1], 2001)]
+    assert max(speeds) <= curve.peak_speed() + 1e-9
+    assert curve.peak_speed() <= max(speeds) * 1.01 + 1e-6
+
+
+@given(points=st.lists(st.floats(-0.5, 2.0), min_size=4, max_size=4), share=st.floats(0.02, 0.98))
+def test_derivatives_of_a_curve_are_derivatives(points: list[float], share: float) -> None:
+    curve, h = Curve.through((0.0, 0.4, 1.0, 1.3), tuple(points), 1), 1e-5
+    t = share * 1.3
+    if min(abs(t - knot) for knot in (0.4, 1.0)) < 2 * h:
+        return
+    before, now, after = curve.at(t - h), curve.at(t), curve.at(t + h)
+    np.testing.assert_allclose(now[1], (after[0] - before[0]) / (2 * h), rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(now[2], (after[1] - before[1]) / (2 * h), rtol=1e-4, atol=1e-3)
+
+
+def test_every_number_of_a_way_is_in_its_key() -> None:
+    ways = [
+        MinimumJerk(np.array([0.0]), np.array([1.0]), 1.0),
+        MinimumJerk(np.array([0.1]), np.array([1.0]), 1.0),
+        MinimumJerk(np.array([0.0]), np.array([1.1]), 1.0),
+        MinimumJerk(np.array([0.0]), np.array([1.0]), 1.1),
+        Curve.through((0.0, 1.0), (0.0, 1.0), 1),
+        Curve.through((0.0, 1.1), (0.0, 1.0), 1),
+        Curve.through((0.0, 1.0), (0.1, 1.0), 1),
+        Curve.through((0.0, 1.0), (0.0, 1.1), 1),
+        Curve.through((0.0, 1.0), (0.0, 1.0), 3),
+    ]
+    assert len({way.key() for way in ways}) == len(ways)
