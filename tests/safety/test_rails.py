@@ -1,0 +1,29 @@
+"""A load cell at either end of its range says nothing about the rope."""
+
+import math
+
+import pytest
+
+from handctl.safety.action import Action
+from handctl.safety.judge import SafetyState, judge
+from handctl.safety.table import Limits, Signals
+
+LIMITS = Limits(("a", "b"), (140.0, 140.0), 243.9, ("m", "n"), tension_low=-4.0)
+
+
+@pytest.mark.parametrize("rail", [243.9, 249.0, -4.0, -6.0])
+def test_a_cell_at_a_rail_relaxes_the_hand_at_the_third_tick(rail: float) -> None:
+    state, actions = SafetyState(), []
+    for _ in range(3):
+        state, verdict = judge(state, LIMITS, Signals(armed=True, tension=(5.0, rail)))
+        actions.append(verdict.action)
+    assert actions == [Action.PASS, Action.PASS, Action.RELAX]
+    assert [(mark.id, mark.instance) for mark in state.latched] == [("T06", "b")]
+
+
+@pytest.mark.parametrize("tension", [-2.0, 0.0, 100.0, math.nan])
+def test_what_a_rope_can_do_is_no_fault(tension: float) -> None:
+    state = SafetyState()
+    for _ in range(10):
+        state, verdict = judge(state, LIMITS, Signals(armed=True, tension=(5.0, tension)))
+        assert verdict.action == Action.PASS

@@ -1,0 +1,236 @@
+"""Every row of the fault table: when it counts, when it just does not, what it demands, and who may end it."""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import pytest
+
+from handctl.safety.action import Action
+from handctl.safety.judge import SafetyState, Verdict, clear, judge
+from handctl.safety.table import TABLE, Fault, Limits, Signals, ticks_for
+
+LIMITS = Limits(
+    tendons=("t0", "t1"), tension_trip=(140.0, 50.0), tension_rail=244.0, motors=("m0", "m1"),
+    silent_ticks=6, stalled_ticks=5, temperature_soft=70.0, temperature_hard=85.0, tension_low=-5.0,
+)  # fmt: skip
+CALM = Signals(armed=True, motor_age=(0, 0), sensor_age=(0, 0), tension=(20.0, 20.0), temperature=(40.0, math.nan))
+
+
+class Case(NamedTuple):
+    """A fault as it should be.
+
+    Attributes:
+        present: signals that show it. almost: signals that just do not.
+        instance: who has it. debounce: ticks until it counts. action: what it demands. latched: ends by a person only.
+        asleep: whether it does not count while nothing is armed.
+    """
+
+    present: Signals
+    almost: Signals
+    instance: str
+    debounce: int
+    action: Action
+    latched: bool
+    asleep: bool = False
+
+
+def io(kind: str, where: str = "can0", number: int = 1) -> Signals:
+    return replace(CALM, io=((kind, where, number),))
+
+
+def tensions(*values: float) -> Signals:
+    return replace(CALM, tension=values)
+
+
+def heat(*values: float) -> Signals:
+    return replace(CALM, temperature=values)
+
+
+CASES = {
+    "B01": Case(replace(CALM, motor_age=(0, 1)), CALM, "m1", 1, Action.WARN, False, True),
+    "B02": Case(replace(CALM, motor_age=(6, 0)), replace(CALM, motor_age=(5, 5)), "m0", 1, Action.RELAX, True, True),
+    "B12": Case(io("bus_off"), io("bus_on"), "can0", 1, Action.CUT, True),
+    "B13": Case(io("error_passive"), io("error_warning"), "can0", 20, Action.RELAX, True),
+    "B14": Case(io("enodev"), io("enobufs"), "can0", 1, Action.CUT, True),
+    "B15": Case(io("enobufs"), io("dropped"), "can0", 2, Action.RELAX, True),
+    "N02": Case(replace(CALM, sensor_age=(0, 6)), replace(CALM, sensor_age=(5, 5)), "t1", 1, Action.RELAX, True, True),
+    "N09a": Case(heat(70.1, 0), heat(70.0, 0), "m0", 20, Action.WARN, False),
+    "N09b": Case(heat(0, 85.1), heat(0, 85.0), "m1", 20, Action.RELAX, True),
+    "N11": Case(replace(CALM, drive_errors=(("m1", 9),)), CALM, "m1", 1, Action.RELAX, True, True),
+    "T03": Case(tensions(20.0, 50.1), tensions(139.9, 50.0), "t1", 1, Action.RELAX, True),
+    "T06": Case(tensions(244.0, 20.0), tensions(243.9, -4.9), "t0", 3, Action.RELAX, True, True),
+    "H01": Case(replace(CALM, late=0.26), replace(CALM, late=0.25), "loop", 1, Action.PASS, False),
+    "H02": Case(replace(CALM, missed=1), CALM, "loop", 1, Action.WARN, False),
+    "H03": Case(replace(CALM, missed=5), replace(CALM, missed=4), "loop", 1, Action.RELAX, True, True),
+    "H08": Case(io("recorder", "disk_full"), io("recorder", "misshapen"), "disk_full", 1, Action.WARN, False),
+    "H09": Case(io("recorder", "dropped"), io("dropped", "dropped"), "dropped", 1, Action.WARN, False),
+    "H10": Case(io("recorder", "gone"), io("recorder", "misshapen"), "gone", 1, Action.WARN, False),
+    "H13": Case(replace(CALM, foreign=("0x001",)), CALM, "0x001", 1, Action.RELAX, True),
+}  # fmt: skip
+OTHER_SIGNS = {
+    "B14": [io("enetdown"), io("ebadf")],
+    "T06": [tensions(-5.0, 0.0), tensions(300.0, 0.0)],
+    "H08": [io("recorder", "disk_low")],
+    "H09": [io("recorder", "filling")],
+    "H10": [io("recorder", "error")],
+}
+
+
+def row(id_: str) -> Fault:
+    return next(fault for fault in TABLE if fault.id == id_)
+
+
+def course(*ticks: Signals, state: SafetyState | None = None, only: str = "") -> tuple[SafetyState, list[Verdict]]:
+    """Judge ticks one after the other; with ``only``, by that row alone."""
+    state, verdicts = state or SafetyState(), []
+    table = (row(only),) if only else TABLE
+    for signals in ticks:
+        state, verdict = judge(state, LIMITS, signals, table)
+        verdicts.append(verdict)
+    return state, verdicts
+
+
+def test_every_row_has_a_case_and_is_there_once() -> None:
+    assert [fault.id for fault in TABLE] == list(CASES)
+
+
+def test_nothing_is_wrong_with_a_calm_hand() -> None:
+    state, verdicts = course(*[CALM] * 50)
+    assert state == SafetyState()
+    assert {verdict.action for verdict in verdicts} == {Action.PASS}
+    assert not any(verdict.findings for verdict in verdicts)
+
+
+@pytest.mark.parametrize("id_", CASES)
+def test_it_counts_at_its_tick_and_is_told_once(id_: str) -> None:
+    case = CASES[id_]
+    _, verdicts = course(*[case.present] * (case.debounce + 5), only=id_)
+    actions = [verdict.action for verdict in verdicts]
+    assert actions == [Action.PASS] * (case.debounce - 1) + [case.action] * 6
+    told = [(f.fault.id, f.instance) for verdict in verdicts for f in verdict.findings]
+    assert told == [(id_, case.instance)]
+    assert verdicts[case.debounce - 1].findings, "in the tick in which it begins to count"
+
+
+@pytest.mark.parametrize("id_", CASES)
+def test_just_below_its_threshold_it_never_counts(id_: str) -> None:
+    _, verdicts = course(*[CASES[id_].almost] * 100, only=id_)
+    assert {verdict.action for verdict in verdicts} == {Action.PASS}
+    assert not any(verdict.findings for verdict in verdicts)
+
+
+@pytest.mark.parametrize("id_", OTHER_SIGNS)
+def test_other_signs_of_the_same_fault(id_: str) -> None:
+    for signals in OTHER_SIGNS[id_]:
+        _, verdicts = course(*[signals] * CASES[id_].debounce, only=id_)
+        assert verdicts[-1].action == CASES[id_].action
+
+
+@pytest.mark.parametrize("id_", CASES)
+def test_interrupted_it_begins_to_count_anew(id_: str) -> None:
+    case = CASES[id_]
+    if case.debounce == 1:
+        return
+    almost = [case.present] * (case.debounce - 1)
+    _, verdicts = course(*almost, CALM, *almost, CALM, only=id_)
+    assert {verdict.action for verdict in verdicts} == {Action.PASS}
+
+
+@pytest.mark.parametrize("id_", CASES)
+def test_what_latches_stays_until_a_person_clears_it(id_: str) -> None:
+    case = CASES[id_]
+    state, _ = course(*[case.present] * case.debounce, only=id_)
+    for _ in range(100):
+        state, (verdict,) = course(CALM, state=state, only=id_)
+        assert verdict.action == (case.action if case.latched else Action.PASS)
+        assert not verdict.findings
+    state = clear(state)
+    state, (verdict,) = course(CALM, state=state, only=id_)
+    assert verdict.action == Action.PASS
+    state, verdicts = course(*[case.present] * case.debounce, state=state, only=id_)
+    assert verdicts[-1].action == case.action, "it can come again"
+    assert [f.fault.id for f in verdicts[-1].findings] == [id_], "and is told again"
+
+
+@pytest.mark.parametrize("id_", [id_ for id_, case in CASES.items() if case.latched])
+def test_clearing_what_is_still_there_does_not_help(id_: str) -> None:
+    case = CASES[id_]
+    state, _ = course(*[case.present] * (case.debounce + 3), only=id_)
+    _, (verdict,) = course(case.present, state=clear(state), only=id_)
+    assert verdict.action == case.action
+
+
+@pytest.mark.parametrize("id_", CASES)
+def test_without_torque_silence_is_no_fault(id_: str) -> None:
+    case = CASES[id_]
+    unarmed = replace(case.present, armed=False)
+    _, verdicts = course(*[unarmed] * (case.debounce + 1), only=id_)
+    assert verdicts[-1].action == (Action.PASS if case.asleep else case.action)
+
+
+def test_a_missing_sample_is_neither_tension_nor_temperature() -> None:
+    nothing = replace(CALM, tension=(math.nan, math.nan), temperature=(math.nan, math.nan))
+    _, verdicts = course(*[nothing] * 30)
+    assert {verdict.action for verdict in verdicts} == {Action.PASS}
+
+
+def test_each_row_is_one_line_for_a_person() -> None:
+    for fault in TABLE:
+        assert fault.title
+        assert fault.detection
+        assert "\n" not in fault.title + fault.detection
+        assert fault.clears in ("a person", "by itself")
+        assert fault.latched == CASES[fault.id].latched
+        assert fault.action < Action.RELAX or fault.latched, "only a person ends a relax or a cut"
+
+
+@pytest.mark.parametrize(("seconds", "period", "least", "ticks"), [
+    (0.030, 0.005, 4, 6), (0.030, 0.002, 4, 15), (0.030, 0.01, 4, 4), (0.025, 0.002, 3, 13), (0.025, 0.02, 3, 3),
+])  # fmt: skip
+def test_times_as_ticks(seconds: float, period: float, least: int, ticks: int) -> None:
+    assert ticks_for(seconds, period, least) == ticks
+
+
+def trace(id_: str, table: tuple[Fault, ...]) -> list[tuple[Action, int]]:
+    """Actions and number of findings over the fault's onset, its end, and a clearing."""
+    case, state, seen = CASES[id_], SafetyState(), []
+    for signals in [case.almost, *[case.present] * (case.debounce + 1), CALM]:
+        state, verdict = judge(state, LIMITS, signals, table)
+        seen.append((verdict.action, len(verdict.findings)))
+    return seen
+
+
+@pytest.mark.parametrize("id_", CASES)
+def test_a_changed_row_would_be_noticed(id_: str) -> None:
+    """Each number and word of a row, one step away, gives another course: the cases above can fail."""
+    fault = row(id_)
+    other = "by itself" if fault.latched else "a person"
+    changed = [replace(fault, debounce=fault.debounce + 1), replace(fault, clears=other)]
+    changed += [replace(fault, debounce=fault.debounce - 1)] if fault.debounce > 1 else []
+    changed += [replace(fault, action=Action(fault.action + step)) for step in (-1, 1) if 0 <= fault.action + step <= 4]
+    right = trace(id_, (fault,))
+    for mutant in changed:
+        if (mutant.action, mutant.latched) == (Action.PASS, True) or fault.action == mutant.action == Action.PASS:
+            continue  # a latched PASS is no action
+        assert trace(id_, (mutant,)) != right, mutant
+
+
+THRESHOLDS = {
+    "B02": {"silent_ticks": 1}, "N02": {"silent_ticks": 1}, "H03": {"stalled_ticks": 1},
+    "N09a": {"temperature_soft": 0.2}, "N09b": {"temperature_hard": 0.2},
+    "T06": {"tension_rail": 0.1},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("id_", THRESHOLDS)
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_moved_threshold_would_be_noticed(id_: str, sign: int) -> None:
+    name, step = next(iter(THRESHOLDS[id_].items()))
+    moved = replace(LIMITS, **{name: getattr(LIMITS, name) + sign * step})
+    case = CASES[id_]
+    signals = case.present if sign > 0 else case.almost
+    state = SafetyState()
+    for _ in range(case.debounce):
+        state, verdict = judge(state, moved, signals, (row(id_),))
+    assert verdict.action == (Action.PASS if sign > 0 else case.action)
