@@ -1,0 +1,106 @@
+"""The local bus as a python-can interface: ``can.Bus(interface="local", channel="NAME")``, ``can.viewer -i local``."""
+
+import math
+import select
+import time
+from collections import deque
+from typing import Any
+
+import can
+
+from handctl.drives.frame import ERROR, FDF, Frame
+from handctl.errors import BusError
+from handctl.runtime.local import LocalBus
+from handctl.runtime.places import run_dir
+from handctl.runtime.pythoncan import frame_of, message_of
+
+
+class LocalCanBus(can.BusABC):
+    """python-can's view of a local bus."""
+
+    def __init__(
+        self,
+        channel: str,
+        can_filters: Any = None,
+        receive_own_messages: bool = False,
+        fd: bool = True,
+        **kwargs: Any,
+    ) -> None:
+        """Connect to the hub.
+
+        Args:
+            channel: name of the bus, as in ``local:NAME``.
+            can_filters: as python-can takes them.
+            receive_own_messages: whether sent messages are received again.
+            fd: whether CAN FD frames may be sent and are received.
+            **kwargs: what other interfaces need, e.g. bitrate; of no meaning here.
+
+        Raises:
+            can.CanInitializationError: no hub of this name is running.
+        """
+        offset = time.time_ns() - time.monotonic_ns()
+        try:
+            self._link = LocalBus(channel, 0, lambda t_ns: t_ns + offset)
+        except BusError as error:
+            raise can.CanInitializationError(str(error)) from None
+        self.channel_info = f"handctl local bus {channel}"
+        self._fd, self._own = fd, receive_own_messages
+        self._waiting: deque[Frame] = deque()
+        self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
+        super().__init__(channel=channel, can_filters=can_filters, **kwargs)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        """One message, waiting for it if need be; filters are python-can's."""
+        if not self._waiting:
+            select.select([self._link], [], [], timeout)
+            self._read()
+        if not self._waiting:
+            return None, False
+        frame = self._waiting.popleft()
+        return message_of(frame, frame.t_ns / 1e9), False
+
+    def _read(self) -> None:
+        frames = self._link.drain()
+        self._waiting.extend(frame for frame in frames if self._fd or not frame.flags & FDF)
+        self._raise_if_gone()
+
+    def _raise_if_gone(self) -> None:
+        if any(kind == "enodev" for kind, _, _ in self._link.take_events()):
+            raise can.CanOperationError("the hub of the local bus is gone")
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a message.
+
+        Args:
+            msg: to send.
+            timeout: how long to wait for room [s]; None without end.
+
+        Raises:
+            can.CanOperationError: no room in time, no hub, or an FD message on a bus opened without FD.
+        """
+        if msg.is_fd and not self._fd:
+            raise can.CanOperationError("an FD message, and the bus was opened without fd")
+        frame = frame_of(msg, 0, time.time_ns())
+        end = time.monotonic() + (math.inf if timeout is None else timeout)
+        while not self._link.send((frame._replace(can_id=frame.can_id & ~ERROR),)):
+            self._raise_if_gone()
+            left = end - time.monotonic()
+            if left <= 0:
+                raise can.CanOperationError("the local bus takes no more frames")
+            select.select([], [self._link], [], None if timeout is None else left)
+        if self._own:
+            self._waiting.append(frame)
+
+    def fileno(self) -> int:
+        """File descriptor that turns readable with a message."""
+        return self._link.fileno()
+
+    def shutdown(self) -> None:
+        """Leave the bus."""
+        super().shutdown()
+        self._link.close()
+
+    @staticmethod
+    def _detect_available_configs() -> list[Any]:
+        """Every local bus that has a socket on this machine."""
+        return [{"interface": "local", "channel": path.stem} for path in sorted(run_dir().glob("*.bus"))]

@@ -1,0 +1,161 @@
+"""The local bus: a Unix stream socket to the hub of a simulator, one record a frame, one call a batch.
+
+A record has 72 bytes and the layout of Linux's ``struct canfd_frame``; its two reserved bytes count the frames that the
+hub has dropped for this receiver. There are no receive stamps: frames bear the time at which they were read.
+"""
+
+import socket
+import struct
+import time
+from collections.abc import Sequence
+
+from handctl.drives.frame import ERROR, Frame
+from handctl.errors import BusError
+from handctl.runtime.bus import Stamp, check_size
+from handctl.runtime.bus_events import BusEvents, Event
+from handctl.runtime.places import local_bus_path
+
+RECORD = struct.Struct("<IBBH64s")
+"""Identifier with flag bits, length, flags, frames dropped so far modulo 65536, payload."""
+SIZE = RECORD.size
+BUFFER = 1 << 20
+"""Asked of the kernel for either direction [bytes]."""
+ROOM = 4096 * SIZE
+READS = 4
+"""Reads of one drain: a flood cannot make a tick long."""
+CONNECT_TIMEOUT_S = 2.0
+
+
+def connect(name: str) -> socket.socket:
+    """Socket to the hub of ``local:NAME``.
+
+    Raises:
+        BusError: there is none.
+    """
+    path = local_bus_path(name)
+    link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    for option in (socket.SO_SNDBUF, socket.SO_RCVBUF):
+        link.setsockopt(socket.SOL_SOCKET, option, BUFFER)
+    link.settimeout(CONNECT_TIMEOUT_S)
+    try:
+        link.connect(str(path))
+    except OSError as error:
+        link.close()
+        right = f"a simulator there; type: python -m firmware_sim --hand jamia --bus local:{name}"
+        raise BusError(f"nobody serves this bus: {error.strerror or error}", f"local:{name}", right) from None
+    link.setblocking(False)
+    return link
+
+
+class LocalBus:
+    """Client of a local bus; see ``bus.Bus``."""
+
+    def __init__(self, channel: str, index: int, stamp: Stamp) -> None:
+        """Connect to the hub.
+
+        Args:
+            channel: name of the bus.
+            index: of the bus in the hand's list.
+            stamp: makes the run's time of a CLOCK_MONOTONIC time.
+
+        Raises:
+            BusError: no hub of this name is running.
+        """
+        self._socket = connect(channel)
+        self.name = f"local:{channel}"
+        self._index, self._stamp = index, stamp
+        self._events = BusEvents(self.name)
+        self._buffer = memoryview(bytearray(ROOM))
+        self._kept = 0
+        self._rest = b""
+        self._dropped = 0
+        self._gone = False
+
+    def drain(self) -> list[Frame]:
+        """See ``bus.Bus``."""
+        frames: list[Frame] = []
+        for _ in range(READS):
+            room = ROOM - self._kept
+            size = self._read()
+            if size:
+                self._take(frames, self._kept + size)
+            if size < room:
+                break
+        return frames
+
+    def _read(self) -> int:
+        """Bytes read behind the ones kept; 0 if there is nothing."""
+        if self._gone:
+            return 0
+        try:
+            size = self._socket.recv_into(self._buffer[self._kept :])
+        except BlockingIOError:
+            return 0
+        except OSError:
+            size = 0
+        if size == 0:
+            self._lose()
+        return size
+
+    def _lose(self) -> None:
+        self._gone = True
+        self._events.lasting("enodev", True)
+
+    def _take(self, frames: list[Frame], filled: int) -> None:
+        """Take the whole records out of the first ``filled`` bytes, keep the beginning of the next."""
+        whole = filled - filled % SIZE
+        t_ns, index, dropped = self._stamp(time.monotonic_ns()), self._index, self._dropped
+        for can_id, length, flags, dropped, data in RECORD.iter_unpack(self._buffer[:whole]):  # noqa: B007 - the last
+            if can_id & ERROR:
+                self._events.error_frame(can_id, data[:length])
+            else:
+                frames.append(Frame(can_id, data[:length], flags, index, t_ns))
+        if dropped != self._dropped:
+            self._events.add("dropped", (dropped - self._dropped) & 0xFFFF)
+            self._dropped = dropped
+        self._kept = filled - whole
+        if self._kept:
+            self._buffer[: self._kept] = self._buffer[whole:filled]
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """See ``bus.Bus``."""
+        pack = RECORD.pack
+        for frame in frames:
+            check_size(frame)
+        records = b"".join([pack(can_id, len(data), flags, 0, data) for can_id, data, flags, _, _ in frames])
+        waiting = self._rest + records if self._rest else records
+        if self._gone or not waiting:
+            return 0
+        try:
+            sent = self._socket.send(waiting)
+        except BlockingIOError:
+            sent = 0
+        except OSError:
+            self._lose()
+            return 0
+        if sent == len(waiting):
+            self._rest = b""
+            return len(frames)
+        return self._sent_partly(waiting, sent, len(frames))
+
+    def _sent_partly(self, waiting: bytes, sent: int, frames: int) -> int:
+        """Keep the rest of a record that was begun, drop the others; how many frames were accepted."""
+        before = len(self._rest)
+        accepted = max(0, -((before - sent) // SIZE))
+        self._rest = waiting[sent : before + accepted * SIZE]
+        if frames > accepted:
+            self._events.add("enobufs", frames - accepted)
+        return accepted
+
+    def take_events(self) -> list[Event]:
+        """See ``bus.Bus``."""
+        return self._events.take()
+
+    def fileno(self) -> int:
+        """See ``bus.Bus``."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """See ``bus.Bus``."""
+        self._gone = True
+        self._socket.close()

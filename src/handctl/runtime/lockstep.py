@@ -1,0 +1,107 @@
+"""Virtual time: the peer on the other side of the wire is stepped by the loop itself, and nobody sleeps.
+
+The peer is an object with ``step(t_ns, frames) -> frames``, loaded by name, so that handctl never imports a simulator.
+"""
+
+import importlib
+from collections.abc import Sequence
+from typing import Any, Protocol
+
+from handctl.drives.frame import Frame
+from handctl.errors import ConfigError
+
+
+class Peer(Protocol):
+    """The other side of the wire in lockstep."""
+
+    def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
+        """Take the host's frames of the tick that begins at t_ns, answer, and advance one period."""
+        ...
+
+    def close(self) -> None:
+        """Finish files."""
+        ...
+
+
+def load_peer(entry: str, **options: object) -> Peer:
+    """Make a peer from ``module:Class``.
+
+    Raises:
+        ConfigError: there is no such module or class, or it refuses the options.
+    """
+    module, _, name = entry.partition(":")
+    try:
+        factory = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(f"cannot load the lockstep peer: {error}", entry, "module:Class") from None
+    try:
+        peer: Peer = factory(**options)
+    except (ValueError, OSError) as error:
+        raise ConfigError(str(error), entry) from None
+    return peer
+
+
+class LockstepClock:
+    """Time that stands still while anybody computes; waiting for a tick steps the peer through the one before.
+
+    Attributes:
+        offset_ns: the peer's time at this run's t = 0 [ns].
+    """
+
+    def __init__(self, peer: Peer, period_ns: int) -> None:
+        self.peer, self.period_ns = peer, period_ns
+        self.outgoing: list[Frame] = []
+        self.incoming: list[Frame] = []
+        self.k = 0
+        self.offset_ns = 0
+
+    def restart(self) -> None:
+        """Begin another run where the peer's time stands now."""
+        self.offset_ns += self.k * self.period_ns
+        self.k, self.incoming, self.outgoing = 0, [], []
+
+    def begin(self) -> None:
+        """Nothing to begin: the peer's time stands still."""
+
+    def wait(self, k: int) -> int:
+        """Step the peer from the last tick to tick k; never late."""
+        if k > 0:
+            replies = self.peer.step(self.offset_ns + (k - 1) * self.period_ns, self.outgoing)
+            self.incoming.extend(self._frame(reply) for reply in replies)
+            self.outgoing = []
+        self.k = k
+        return 0
+
+    def _frame(self, reply: Any) -> Frame:
+        frame = Frame(*reply)
+        return frame._replace(t_ns=frame.t_ns - self.offset_ns)
+
+    def now_ns(self) -> int:
+        """Scheduled time of the present tick [ns]."""
+        return self.k * self.period_ns
+
+
+class LockstepBus:
+    """The buses of a hand in lockstep, as one; frames carry the bus index."""
+
+    name = "lockstep"
+
+    def __init__(self, clock: LockstepClock) -> None:
+        self.clock = clock
+
+    def drain(self) -> list[Frame]:
+        """Frames that the peer answered."""
+        frames, self.clock.incoming = self.clock.incoming, []
+        return frames
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """Keep frames for the peer's next step; all are accepted."""
+        self.clock.outgoing.extend(frames)
+        return len(frames)
+
+    def take_events(self) -> list[tuple[str, str, int]]:
+        """Nothing happens to a bus of this kind."""
+        return []
+
+    def close(self) -> None:
+        """Nothing to close."""

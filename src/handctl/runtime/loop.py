@@ -1,0 +1,185 @@
+"""The fixed-rate loop: wait, drain, tick, send, record. The same loop in real time and in lockstep.
+
+No catching up: a deadline that was missed is skipped, the tick number jumps, and the tick itself judges that. This
+module holds the only broad ``except`` of the project: whatever goes wrong inside a tick, the drives are told to let go
+before the error travels on.
+"""
+
+import gc
+import signal
+from array import array
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import Generic, Protocol, TypeVar
+
+from handctl.controller.types import IoEvent, Mode, TickIn, TickOut
+from handctl.drives.frame import Frame
+from handctl.runtime.clock import Clock
+
+S = TypeVar("S")
+
+Tick = Callable[[S, TickIn], tuple[S, TickOut]]
+"""The pure function of one tick."""
+
+
+class LoopBus(Protocol):
+    """What the loop asks of a bus; see ``runtime.bus``."""
+
+    def drain(self) -> list[Frame]: ...
+    def send(self, frames: Sequence[Frame]) -> int: ...
+    def take_events(self) -> list[tuple[str, str, int]]: ...
+
+
+@dataclass
+class LoopStats:
+    """What the loop did.
+
+    Attributes:
+        ticks: ticks run.
+        missed: deadlines skipped.
+        late_ns: lateness of every tick [ns].
+        frames_tx, frames_rx: frames sent and received.
+        refused: frames that the bus did not take.
+    """
+
+    ticks: int = 0
+    missed: int = 0
+    late_ns: "array[int]" = field(default_factory=lambda: array("q"))
+    frames_tx: int = 0
+    frames_rx: int = 0
+    refused: int = 0
+
+
+class Signals:
+    """SIGINT and SIGTERM as requests: the first relaxes and stops, the second cuts."""
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.seen = 0
+
+    def __call__(self, number: int, frame: FrameType | None) -> None:
+        self.count += 1
+
+    def take(self) -> tuple[str, ...]:
+        """Requests for the signals since the last call."""
+        if self.seen == self.count:
+            return ()
+        self.seen += 1
+        return ('{"do": "stop"}',) if self.seen == 1 else ('{"do": "cut"}',)
+
+    @contextmanager
+    def installed(self) -> Iterator[None]:
+        """Receive the signals while the loop runs."""
+        before = {number: signal.signal(number, self) for number in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+@dataclass
+class Loop(Generic[S]):
+    """One run of the controller.
+
+    Attributes:
+        clock: real time or lockstep.
+        period_ns: control period.
+        buses: in the order of the hand's buses (one object may stand for all of them).
+        tick: the pure function.
+        cut: frames that take the torque away, built before the run.
+        requests: what people and programs asked since the last call.
+        host_events: what recorder and host reported since the last call.
+        record: hands one tick to the recorder.
+        show: called after each tick; draws now and then.
+    """
+
+    clock: Clock
+    period_ns: int
+    buses: Sequence[LoopBus]
+    tick: Tick[S]
+    cut: Sequence[Frame]
+    requests: Callable[[], tuple[str, ...]]
+    host_events: Callable[[], list[IoEvent]]
+    record: Callable[[TickIn, TickOut], None]
+    show: Callable[[TickIn, TickOut], None]
+    stats: LoopStats = field(default_factory=LoopStats)
+
+    def run(self, state: S) -> S:
+        """Run ticks until the hand is disarmed and done; the final state."""
+        self._warm_up(state)
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        try:
+            self.clock.begin()
+            for bus in self.buses:
+                bus.drain()
+            return self._guarded(state)
+        finally:
+            gc.enable()
+            gc.unfreeze()
+
+    def _guarded(self, state: S) -> S:
+        """Run; on any error tell the drives to let go before it travels on."""
+        try:
+            return self._run(state)
+        except Exception:
+            self._let_go(list(enumerate(self.buses)))
+            raise
+
+    def _let_go(self, buses: list[tuple[int, LoopBus]]) -> None:
+        """Cut on every bus, also behind one that fails."""
+        if not buses:
+            return
+        (index, bus), *others = buses
+        try:
+            bus.send([frame for frame in self.cut if frame.bus == index or len(self.buses) == 1])
+        finally:
+            self._let_go(others)
+
+    def _warm_up(self, state: S) -> None:
+        """Run a tick for nothing, so that what is built or imported at first use does not make the first one late."""
+        self.tick(state, TickIn(0, 0))
+
+    def _run(self, state: S) -> S:
+        k, mode = 0, Mode.SILENT
+        while mode != Mode.DONE:
+            late = self.clock.wait(k)
+            skipped = late // self.period_ns
+            k += skipped
+            entry = self._collect(k, late - skipped * self.period_ns)
+            state, out = self.tick(state, entry)
+            self._send(out.frames)
+            self.record(entry, out)
+            self._count(entry, skipped, late)
+            self.show(entry, out)
+            mode = out.mode
+            k += 1
+        return state
+
+    def _collect(self, k: int, late_ns: int) -> TickIn:
+        frames: list[Frame] = []
+        events = self.host_events()
+        for bus in self.buses:
+            frames += bus.drain()
+            events += [IoEvent(*event) for event in bus.take_events()]
+        return TickIn(k, k * self.period_ns, late_ns, tuple(frames), tuple(events), self.requests())
+
+    def _send(self, frames: tuple[Frame, ...]) -> None:
+        if len(self.buses) == 1:
+            accepted = self.buses[0].send(frames)
+        else:
+            shares = [[frame for frame in frames if frame.bus == index] for index in range(len(self.buses))]
+            accepted = sum(bus.send(share) for bus, share in zip(self.buses, shares, strict=True))
+        self.stats.frames_tx += accepted
+        self.stats.refused += len(frames) - accepted
+
+    def _count(self, entry: TickIn, skipped: int, late: int) -> None:
+        stats = self.stats
+        stats.ticks += 1
+        stats.missed += skipped
+        stats.late_ns.append(late)
+        stats.frames_rx += len(entry.frames)

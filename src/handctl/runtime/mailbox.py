@@ -1,0 +1,156 @@
+"""The request socket of a running controller: a Unix datagram socket per bus name, read without blocking.
+
+A program that sends ``{"do": "watch"}`` from a socket of its own gets a status line now and then; that one request
+changes nothing, so it ends here and is not given to the tick.
+"""
+
+import fcntl
+import json
+import os
+import socket
+import time
+from pathlib import Path
+from typing import Any
+
+from handctl.errors import BusError
+from handctl.runtime.places import mailbox_path, watcher_path
+
+LARGEST = 4096
+"""Bytes of a request; the rest of a longer one is lost, and it is refused as not being JSON."""
+WATCH = b'{"do": "watch"}'
+WATCHERS = 4
+"""Programs that may watch at once."""
+LARGEST_STATUS = 65536
+NOT_THERE_S = 0.05
+"""Pause before a controller that is not there yet is asked again [s]."""
+PER_TICK = 16
+"""Requests read in one tick, so that a flood cannot make a tick long."""
+
+
+class Mailbox:
+    """Receiving end, owned by the controller."""
+
+    def __init__(self, name: str) -> None:
+        """Bind the socket of controller ``name``.
+
+        Raises:
+            BusError: another controller of this name is running.
+        """
+        self.path = mailbox_path(name)
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            self._lock = _locked(self.path.with_suffix(".lock"))
+            self.path.unlink(missing_ok=True)
+            self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+            self.socket.bind(str(self.path))
+        except BlockingIOError:
+            right = "one controller a bus: handctl stop"
+            raise BusError("another controller runs here", f"bus {name}", right) from None
+        except OSError as error:
+            right = "a short path of a folder that can be written in HANDCTL_RUN_DIR"
+            raise BusError(f"cannot take requests there: {error}", str(self.path.parent), right) from None
+        self.socket.setblocking(False)
+        self.watchers: list[str] = []
+
+    def read(self) -> tuple[str, ...]:
+        """All requests that wait, oldest first."""
+        texts: list[str] = []
+        for _ in range(PER_TICK):
+            try:
+                data, sender = self.socket.recvfrom(LARGEST)
+            except BlockingIOError:
+                break
+            if data == WATCH and isinstance(sender, str):
+                others = [watcher for watcher in self.watchers if watcher != sender]
+                self.watchers = [*others[-WATCHERS + 1 :], sender]
+            else:
+                texts.append(data.decode("utf-8", "replace"))
+        return tuple(texts)
+
+    def publish(self, status: dict[str, Any]) -> None:
+        """Send a status line to everybody who watches; whoever is gone is forgotten."""
+        line = json.dumps(status).encode()
+        for watcher in list(self.watchers):
+            try:
+                self.socket.sendto(line, socket.MSG_DONTWAIT, watcher)
+            except BlockingIOError:
+                continue
+            except OSError:
+                self.watchers.remove(watcher)
+
+    def close(self) -> None:
+        """Give the name back."""
+        self.socket.close()
+        self.path.unlink(missing_ok=True)
+        os.close(self._lock)
+
+
+def _locked(path: Path) -> int:
+    """Descriptor of a lock that lives as long as this process, however it ends.
+
+    Raises:
+        BlockingIOError: another process has it.
+    """
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        raise
+    return descriptor
+
+
+def send_request(name: str, text: str) -> None:
+    """Send one request to the controller of a bus.
+
+    Raises:
+        BusError: no controller runs there.
+    """
+    path = mailbox_path(name)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
+        try:
+            out.sendto(text.encode(), str(path))
+        except OSError as error:
+            reason = os.strerror(error.errno or 0)
+            raise BusError(f"no controller answers ({reason})", f"bus {name}", "a running handctl run") from None
+
+
+class Watcher:
+    """Receiving end of a program that watches a running controller."""
+
+    def __init__(self, name: str) -> None:
+        """Watch controller ``name``; it need not run yet."""
+        self.name, self.path = name, watcher_path()
+        self.path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        self.path.unlink(missing_ok=True)
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind(str(self.path))
+
+    def next(self, timeout_s: float) -> dict[str, Any] | None:
+        """A status line that is not older than this call; None if none came in time [s]."""
+        self._forget()
+        try:
+            self.socket.sendto(WATCH, str(mailbox_path(self.name)))
+        except OSError:
+            time.sleep(min(timeout_s, NOT_THERE_S))
+            return None
+        self.socket.settimeout(timeout_s)
+        try:
+            line: dict[str, Any] = json.loads(self.socket.recv(LARGEST_STATUS))
+        except TimeoutError:
+            return None
+        return line
+
+    def _forget(self) -> None:
+        """Throw lines away that wait from before."""
+        self.socket.setblocking(False)
+        try:
+            while self.socket.recv(LARGEST_STATUS):
+                pass
+        except BlockingIOError:
+            return
+
+    def close(self) -> None:
+        """Watch no more."""
+        self.socket.close()
+        self.path.unlink(missing_ok=True)

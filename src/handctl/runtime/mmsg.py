@@ -1,0 +1,138 @@
+"""Many datagrams in one system call: Linux's ``sendmmsg`` and ``recvmmsg`` over buffers made once.
+
+Python's ``socket`` has no such call, and one call a frame costs more than everything else in a tick's exchange.
+Source: man 2 recvmmsg, man 7 socket (SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
+"""
+
+import ctypes
+import socket
+import struct
+from collections.abc import Iterable
+
+SO_RCVBUFFORCE = 33
+SO_TIMESTAMPNS = 35
+SO_RXQ_OVFL = 40
+_SOL_SOCKET = int(socket.SOL_SOCKET)
+"""Source: Linux ``asm-generic/socket.h``."""
+
+
+class _Iovec(ctypes.Structure):
+    _fields_ = (("base", ctypes.c_void_p), ("len", ctypes.c_size_t))
+
+
+class _Message(ctypes.Structure):
+    _fields_ = (
+        ("name", ctypes.c_void_p),
+        ("namelen", ctypes.c_uint32),
+        ("iov", ctypes.c_void_p),
+        ("iovlen", ctypes.c_size_t),
+        ("control", ctypes.c_void_p),
+        ("controllen", ctypes.c_size_t),
+        ("flags", ctypes.c_int),
+    )
+
+
+class _Header(ctypes.Structure):
+    _fields_ = (("message", _Message), ("size", ctypes.c_uint))
+
+
+CONTROL = struct.Struct("@NiillNiiI12x")
+"""A time stamp's control message (length, level, type, s, ns) and, behind it, that of a drop counter."""
+STAMPED, COUNTED = struct.calcsize("@Niill"), struct.calcsize("@NiillNiiI")
+"""Lengths of the control messages with the stamp, and with stamp and counter [bytes]."""
+_TAIL = ctypes.sizeof(_Header) - _Header.size.offset - ctypes.sizeof(ctypes.c_uint)
+_GAP = _Header.size.offset - _Message.controllen.offset - ctypes.sizeof(ctypes.c_size_t)
+_HEADER = struct.Struct(f"@{_Message.controllen.offset}xN{_GAP}xI{_TAIL}x")
+"""What the kernel writes into a header: length of the control messages, length of the datagram."""
+_libc = ctypes.CDLL(None, use_errno=True)
+for _call in ("sendmmsg", "recvmmsg"):
+    getattr(_libc, _call).restype = ctypes.c_int
+_libc.sendmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int)
+_libc.recvmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p)
+
+
+class Slots:
+    """Buffers of equal size with the headers that point at them.
+
+    Attributes:
+        count: number of slots.
+        size: of a slot [bytes].
+        data: all slots in a row.
+        control: all control messages in a row.
+        headers: address of the first header.
+    """
+
+    def __init__(self, count: int, size: int, control: bool) -> None:
+        self.count, self.size = count, size
+        store = (ctypes.c_char * (count * size))()
+        messages = (ctypes.c_char * (count * CONTROL.size))()
+        self._iovecs = (_Iovec * count)()
+        headers = (_Header * count)()
+        for i in range(count):
+            self._iovecs[i] = _Iovec(ctypes.addressof(store) + i * size, size)
+            message = headers[i].message
+            message.iov, message.iovlen = ctypes.addressof(self._iovecs) + i * ctypes.sizeof(_Iovec), 1
+            if control:
+                message.control, message.controllen = ctypes.addressof(messages) + i * CONTROL.size, CONTROL.size
+        self.data, self.control = memoryview(store).cast("B"), memoryview(messages).cast("B")
+        self.headers = ctypes.addressof(headers)
+        self._view = memoryview(headers).cast("B")
+        self._fresh = bytes(self._view)
+        self._lengths = [size] * count
+
+    def sizes(self, count: int) -> Iterable[tuple[int, int]]:
+        """Length of control messages and length of datagram of the first slots."""
+        return _HEADER.iter_unpack(self._view[: count * _HEADER.size])
+
+    def renew(self, count: int) -> None:
+        """Undo what the kernel wrote into the first headers."""
+        end = count * _HEADER.size
+        self._view[:end] = self._fresh[:end]
+
+    def set_length(self, i: int, length: int) -> None:
+        """Set how much of a slot is sent."""
+        if self._lengths[i] != length:
+            self._lengths[i] = self._iovecs[i].len = length
+
+
+Datagram = tuple[int, int, int]
+"""Size [bytes], CLOCK_REALTIME of reception [ns] (0 if not told), and how many datagrams the socket has lost so far,
+modulo 2**32 (0 if not told: none so far)."""
+
+
+def receive(fd: int, slots: Slots) -> list[Datagram]:
+    """Receive what is there, at most one datagram a slot; the bytes are in ``slots.data``.
+
+    Raises:
+        OSError: as ``recvmmsg``; ``BlockingIOError`` is not one of them.
+    """
+    count = _libc.recvmmsg(fd, slots.headers, slots.count, socket.MSG_DONTWAIT, None)
+    if count <= 0:
+        code = ctypes.get_errno() if count < 0 else 0
+        if code in (0, socket.EAGAIN if hasattr(socket, "EAGAIN") else 11):
+            return []
+        raise OSError(code, "recvmmsg")
+    told = []
+    control = CONTROL.iter_unpack(slots.control[: count * CONTROL.size])
+    rows = zip(slots.sizes(count), control, strict=True)
+    for (length, size), (_, level, kind, s, ns, _, level2, kind2, dropped) in rows:
+        stamped = length >= STAMPED and kind == SO_TIMESTAMPNS and level == _SOL_SOCKET
+        counted = length >= COUNTED and kind2 == SO_RXQ_OVFL and level2 == _SOL_SOCKET
+        told.append((size, s * 1_000_000_000 + ns if stamped else 0, dropped if counted else 0))
+    slots.renew(count)
+    return told
+
+
+def send(fd: int, slots: Slots, first: int, end: int) -> tuple[int, int]:
+    """Send the slots from ``first`` to before ``end`` without blocking.
+
+    Returns:
+        how many were accepted, and the errno that refused the first of the rest (0 if all went).
+    """
+    at = first
+    while at < end:
+        count = _libc.sendmmsg(fd, slots.headers + at * _HEADER.size, end - at, socket.MSG_DONTWAIT)
+        if count <= 0:
+            return at - first, ctypes.get_errno()
+        at += count
+    return end - first, 0

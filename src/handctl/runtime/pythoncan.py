@@ -1,0 +1,142 @@
+"""Any other CAN interface, through python-can: ``virtual:x``, ``slcan:/dev/ttyACM0@115200``, ``pcan:PCAN_USBBUS1``, ...
+
+python-can's stamps have a different origin with every interface, so frames bear the time at which they were read.
+"""
+
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import can
+
+from handctl.drives.frame import BRS, ERROR, ESI, EXTENDED, FDF, REMOTE, Frame
+from handctl.errors import BusError
+from handctl.runtime.bus import Stamp, check_size
+from handctl.runtime.bus_events import BusEvents, Event
+
+MOST = 4096
+"""Frames of one drain: a flood cannot make a tick long."""
+IDENTIFIER = 0x1FFFFFFF
+
+
+def frame_of(message: can.Message, index: int, t_ns: int) -> Frame:
+    """Frame of a python-can message.
+
+    Args:
+        message: classical or FD, data or remote.
+        index: of the bus.
+        t_ns: time of reception [ns].
+    """
+    can_id = message.arbitration_id | EXTENDED * message.is_extended_id | REMOTE * message.is_remote_frame
+    flags = FDF | BRS * message.bitrate_switch | ESI * message.error_state_indicator if message.is_fd else 0
+    data = bytes(message.dlc) if message.is_remote_frame else bytes(message.data)
+    return Frame(can_id | ERROR * message.is_error_frame, data, flags, index, t_ns)
+
+
+def message_of(frame: Frame, timestamp: float = 0.0) -> can.Message:
+    """python-can message of a frame.
+
+    Args:
+        frame: classical or FD, data or remote.
+        timestamp: for the message [s].
+    """
+    remote = bool(frame.can_id & REMOTE)
+    return can.Message(
+        timestamp=timestamp,
+        arbitration_id=frame.can_id & IDENTIFIER,
+        is_extended_id=bool(frame.can_id & EXTENDED),
+        is_remote_frame=remote,
+        is_error_frame=bool(frame.can_id & ERROR),
+        dlc=len(frame.data),
+        data=None if remote else frame.data,
+        is_fd=bool(frame.flags & FDF),
+        bitrate_switch=bool(frame.flags & BRS),
+        error_state_indicator=bool(frame.flags & ESI),
+    )
+
+
+class PythonCanBus:
+    """A python-can bus; see ``bus.Bus``."""
+
+    def __init__(
+        self, interface: str, channel: str, index: int, bitrate: int, data_bitrate: int | None, stamp: Stamp
+    ) -> None:
+        """Open the interface.
+
+        Args:
+            interface, channel: as python-can takes them.
+            index: of the bus in the hand's list.
+            bitrate, data_bitrate: [bit/s].
+            stamp: makes the run's time of a CLOCK_MONOTONIC time.
+
+        Raises:
+            BusError: python-can knows no such interface, or cannot open it.
+        """
+        self.name = f"{interface}:{channel}"
+        self._index, self._stamp = index, stamp
+        self._events = BusEvents(self.name)
+        options: dict[str, Any] = {"interface": interface, "bitrate": bitrate, "ignore_config": True}
+        if data_bitrate:
+            options |= {"fd": True, "data_bitrate": data_bitrate}
+        try:
+            self._bus = can.Bus(channel, **options)
+        except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+            right = "an interface of python-can that is connected, or local:NAME, or socketcan:can0"
+            raise BusError(f"cannot be opened: {error}", self.name, right) from None
+
+    def drain(self) -> list[Frame]:
+        """See ``bus.Bus``."""
+        frames: list[Frame] = []
+        for _ in range(MOST):
+            try:
+                message = self._bus.recv(0)
+            except (can.CanError, OSError) as error:
+                self._events.failed(_code(error), "enodev")
+                break
+            except (ValueError, IndexError):  # slcan, of characters that are no frame
+                self._events.add("error_frame", 1, "garbled")
+                continue
+            if message is None:
+                break
+            self._take(frames, message)
+        return frames
+
+    def _take(self, frames: list[Frame], message: can.Message) -> None:
+        if message.is_error_frame:
+            self._events.error_frame(message.arbitration_id, bytes(message.data))
+        else:
+            frames.append(frame_of(message, self._index, self._stamp(time.monotonic_ns())))
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """See ``bus.Bus``."""
+        for number, frame in enumerate(frames):
+            check_size(frame)
+            try:
+                self._bus.send(message_of(frame), 0)
+            except (can.CanError, OSError) as error:
+                self._events.failed(_code(error), "enobufs", len(frames) - number)
+                return number
+        return len(frames)
+
+    def take_events(self) -> list[Event]:
+        """See ``bus.Bus``."""
+        return self._events.take()
+
+    def fileno(self) -> int:
+        """See ``bus.Bus``."""
+        try:
+            return self._bus.fileno()
+        except NotImplementedError:
+            return -1
+
+    def close(self) -> None:
+        """See ``bus.Bus``."""
+        self._bus.shutdown()
+
+
+def _code(error: Exception) -> int | None:
+    """errno of an error; python-can keeps it in ``error_code``, or in the error that it was raised from."""
+    code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
+    if code is None and isinstance(error.__cause__, OSError):
+        code = error.__cause__.errno
+    return code if isinstance(code, int) else None

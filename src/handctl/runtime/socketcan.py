@@ -1,0 +1,200 @@
+"""Linux SocketCAN, classical and FD: raw socket, whole batches in one system call, the kernel's receive stamps."""
+
+import fcntl
+import os
+import socket
+import struct
+import time
+from collections.abc import Sequence
+
+from handctl.drives.frame import ERROR, FDF, Frame
+from handctl.errors import BusError
+from handctl.runtime import mmsg
+from handctl.runtime.bus import Stamp, check_size
+from handctl.runtime.bus_events import BusEvents, Event
+
+CLASSICAL = struct.Struct("=IB3x8s")
+FD = struct.Struct("=IBB2x64s")
+"""``struct can_frame`` and ``struct canfd_frame``. Source: Linux ``can.h``."""
+_SLOT = struct.Struct("=IBB2x8s56x")
+"""Either of them on a socket that gets classical frames only: 8 bytes of payload are all there can be."""
+SLOTS = 128
+READS = 64
+"""Reads of one drain: a flood cannot make a tick long."""
+RECEIVE_BUFFER = 4 << 20
+SEND_BUFFER = 32 << 10
+"""Small on purpose, about 80 frames: a command that cannot go out now must not go out late [bytes]."""
+CAN_RAW_ERR_FILTER, ALL_ERRORS = 2, 0x1FFFFFFF
+"""Source: Linux ``can/raw.h``, ``can/error.h``."""
+SIOCGIFFLAGS, SIOCGIFMTU, SIOCGIFTXQLEN, IFF_UP = 0x8913, 0x8921, 0x8942, 1
+"""Source: Linux ``sockios.h``, ``if.h``."""
+QUEUE = 32
+"""Fewest frames that a transmit queue must hold; eleven motors and SYNC go out at once, and the default is 10."""
+
+
+class SocketCanBus:
+    """A raw CAN socket; see ``bus.Bus``."""
+
+    def __init__(self, link: socket.socket, name: str, index: int, fd_mode: bool, stamp: Stamp) -> None:
+        """Take over an open socket.
+
+        Args:
+            link: raw CAN socket, or any datagram socket that carries the same structs.
+            name: specification of the bus.
+            index: of the bus in the hand's list.
+            fd_mode: whether FD frames can come.
+            stamp: makes the run's time of a CLOCK_MONOTONIC time.
+        """
+        _prepare(link)
+        self.name = name
+        self._socket, self._index, self._fd_mode, self._stamp = link, index, fd_mode, stamp
+        self._events = BusEvents(name)
+        self._in = mmsg.Slots(SLOTS, FD.size, control=True)
+        self._out = mmsg.Slots(SLOTS, FD.size, control=False)
+        self._dropped = 0
+        self._latest = 0
+
+    def drain(self) -> list[Frame]:
+        """See ``bus.Bus``."""
+        frames: list[Frame] = []
+        for _ in range(READS):
+            try:
+                told = mmsg.receive(self._socket.fileno(), self._in)
+            except OSError as error:
+                self._events.failed(error.errno, "enodev")
+                break
+            if told:
+                self._take(frames, told)
+            if len(told) < SLOTS:
+                break
+        return frames
+
+    def _take(self, frames: list[Frame], told: list[mmsg.Datagram]) -> None:
+        now = time.monotonic_ns()
+        offset = now - time.time_ns()
+        layout = FD if self._fd_mode else _SLOT
+        rows = layout.iter_unpack(self._in.data[: len(told) * FD.size])
+        index, stamp, earliest = self._index, self._stamp, self._latest
+        for (size, realtime, dropped), (can_id, length, flags, data) in zip(told, rows, strict=True):
+            if dropped != self._dropped and dropped:
+                self._events.add("dropped", (dropped - self._dropped) & 0xFFFFFFFF)
+                self._dropped = dropped
+            if can_id & ERROR:
+                self._events.error_frame(can_id, data[:length])
+                continue
+            fd_flags = flags | FDF if size == FD.size else 0
+            t_ns = realtime + offset
+            if not earliest <= t_ns <= now:
+                t_ns = now  # not told, or the wall clock was set meanwhile
+            frames.append(Frame(can_id, data[:length], fd_flags, index, stamp(t_ns)))
+        self._latest = now
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """See ``bus.Bus``."""
+        accepted = 0
+        for first in range(0, len(frames), SLOTS):
+            batch = frames[first : first + SLOTS]
+            self._pack(batch)
+            sent, code = mmsg.send(self._socket.fileno(), self._out, 0, len(batch))
+            accepted += sent
+            if code:
+                self._events.failed(code, "enobufs", len(frames) - accepted)
+                break
+        return accepted
+
+    def _pack(self, frames: Sequence[Frame]) -> None:
+        buffer, offset = self._out.data, 0
+        for i, frame in enumerate(frames):
+            check_size(frame)
+            can_id, data, flags, _, _ = frame
+            if flags & FDF:
+                FD.pack_into(buffer, offset, can_id, len(data), flags, data)
+                self._out.set_length(i, FD.size)
+            else:
+                CLASSICAL.pack_into(buffer, offset, can_id, len(data), data)
+                self._out.set_length(i, CLASSICAL.size)
+            offset += FD.size
+
+    def take_events(self) -> list[Event]:
+        """See ``bus.Bus``."""
+        return self._events.take()
+
+    def fileno(self) -> int:
+        """See ``bus.Bus``."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """See ``bus.Bus``."""
+        self._socket.close()
+
+
+def _prepare(link: socket.socket) -> None:
+    """Room for what comes while a tick computes, stamps, and the count of what did not fit."""
+    link.setblocking(False)
+    link.setsockopt(socket.SOL_SOCKET, mmsg.SO_TIMESTAMPNS, 1)
+    link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RXQ_OVFL, 1)
+    link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+    try:
+        link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RCVBUFFORCE, RECEIVE_BUFFER)
+    except PermissionError:
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+
+
+def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | None, stamp: Stamp) -> SocketCanBus:
+    """Open an interface of the kernel.
+
+    Args:
+        channel: name of the interface, which must be up.
+        index: of the bus in the hand's list.
+        bitrate, data_bitrate: what the interface should run at, for the advice when it is not there [bit/s].
+        stamp: makes the run's time of a CLOCK_MONOTONIC time.
+
+    Raises:
+        BusError: no SocketCAN here, or the interface is missing, down, not FD as needed, or has too short a queue.
+    """
+    name, fd_mode = f"socketcan:{channel}", data_bitrate is not None
+    advice = "type: " + _advice(channel, bitrate, data_bitrate)
+    try:
+        link = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    except OSError as error:
+        right = "modprobe can-raw, or --bus local:NAME with python -m firmware_sim"
+        raise BusError(f"this kernel has no SocketCAN: {os.strerror(error.errno or 0)}", name, right) from None
+    try:
+        link.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, ALL_ERRORS)
+        link.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, int(fd_mode))
+        link.bind((channel,))
+        problem = _problem(link, channel, fd_mode)
+    except OSError as error:
+        problem = f"cannot be opened: {os.strerror(error.errno or 0)}"
+    if problem:
+        link.close()
+        raise BusError(problem, name, advice)
+    return SocketCanBus(link, name, index, fd_mode, stamp)
+
+
+def _problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
+    """What is wrong with an interface that exists; empty if nothing is."""
+    if not _ask(link, channel, SIOCGIFFLAGS) & IFF_UP:
+        return "the interface is down"
+    if fd_mode and _ask(link, channel, SIOCGIFMTU) < FD.size:
+        return "the interface is not in CAN FD mode"
+    if 0 < (length := _ask(link, channel, SIOCGIFTXQLEN)) < QUEUE:
+        return f"its transmit queue holds {length} frames, less than a tick may send at once"
+    return ""
+
+
+def _ask(link: socket.socket, channel: str, request: int) -> int:
+    """A number that the kernel keeps of an interface, in the network namespace of the socket."""
+    answer = fcntl.ioctl(link, request, struct.pack("=16sI20x", channel.encode(), 0))
+    (number,) = struct.unpack_from("=H" if request == SIOCGIFFLAGS else "=i", answer, 16)
+    return int(number)
+
+
+def _advice(channel: str, bitrate: int, data_bitrate: int | None) -> str:
+    """Command that sets an interface up as the hand needs it."""
+    if channel.startswith("vcan"):
+        mtu = " && sudo ip link set {0} mtu 72" if data_bitrate else ""
+        return ("sudo ip link add {0} type vcan" + mtu + " && sudo ip link set {0} up").format(channel)
+    fd = f" dbitrate {data_bitrate} fd on" if data_bitrate else ""
+    down = f"sudo ip link set {channel} down; "
+    return f"{down}sudo ip link set {channel} up txqueuelen 128 type can bitrate {bitrate}{fd}"

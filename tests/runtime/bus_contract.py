@@ -1,0 +1,171 @@
+"""What every bus promises, as tests; whoever imports them says by the fixture ``medium`` on which bus they run."""
+
+import random
+import select
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import can
+import pytest
+
+from handctl.drives.frame import BRS, EXTENDED, FDF, REMOTE, Frame
+from handctl.runtime.bus import Bus, open_bus
+
+WAIT_S = 20.0
+FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+
+
+@dataclass
+class Medium:
+    """One CAN bus that several can be opened on.
+
+    Attributes:
+        spec: for ``open_bus``.
+        opened: what has to be closed after the test.
+    """
+
+    spec: str
+    opened: list[Callable[[], None]] = field(default_factory=list)
+
+    def open(self, index: int = 0, stamp: Callable[[int], int] = int) -> Bus:
+        """Another participant."""
+        bus = open_bus(self.spec, index, 1_000_000, 5_000_000, stamp=stamp)
+        self.opened.append(bus.close)
+        return bus
+
+    def python_can(self) -> can.BusABC:
+        """A participant that uses python-can alone."""
+        interface, _, channel = self.spec.partition(":")
+        bus = can.Bus(channel, interface=interface, fd=True, ignore_config=True)
+        self.opened.append(bus.shutdown)
+        return bus
+
+    def close(self) -> None:
+        """Close them all."""
+        for close in self.opened:
+            close()
+
+
+def drained(bus: Bus, count: int) -> list[Frame]:
+    """At least this many frames, or all that came in time."""
+    frames, end = bus.drain(), time.monotonic() + WAIT_S
+    while len(frames) < count and time.monotonic() < end:
+        time.sleep(0.002)
+        frames += bus.drain()
+    return frames
+
+
+def contents(frames: Sequence[Frame]) -> list[tuple[int, bytes, int]]:
+    return [(frame.can_id, frame.data, frame.flags & (FDF | BRS)) for frame in frames]
+
+
+def some_frames(count: int, seed: int) -> list[Frame]:
+    """Random frames of all kinds: classical, remote and FD, of either identifier."""
+    rng = random.Random(seed)
+    frames = []
+    for _ in range(count):
+        can_id = rng.choice((rng.randrange(0x800), rng.randrange(1 << 29) | EXTENDED))
+        kind = rng.randrange(4)
+        if kind == 0:
+            frames.append(Frame(can_id | REMOTE, bytes(rng.randrange(9))))
+        elif kind == 1:
+            frames.append(Frame(can_id, rng.randbytes(rng.choice(FD_SIZES)), FDF | rng.choice((0, BRS))))
+        else:
+            frames.append(Frame(can_id, rng.randbytes(rng.randrange(9))))
+    return frames
+
+
+def test_frames_of_all_kinds_arrive_whole_and_in_order(medium: Medium) -> None:
+    sender, receiver = medium.open(), medium.open(index=3)
+    batch = some_frames(500, seed=1)
+    assert sender.send(batch[:300]) + sender.send(batch[300:]) == len(batch)
+    received = drained(receiver, len(batch))
+    assert contents(received) == contents(batch)
+    assert {frame.bus for frame in received} == {3}
+    assert sender.take_events() == receiver.take_events() == []
+
+
+def test_everyone_hears_everyone_but_himself(medium: Medium) -> None:
+    buses = [medium.open() for _ in range(3)]
+    for number, bus in enumerate(buses):
+        assert bus.send([Frame(number, b"me")]) == 1
+    for number, bus in enumerate(buses):
+        others = {0, 1, 2} - {number}
+        assert {frame.can_id for frame in drained(bus, 2)} == others
+        assert bus.drain() == []
+
+
+def test_reading_an_empty_bus_does_not_wait(medium: Medium) -> None:
+    bus = medium.open()
+    begin = time.monotonic()
+    for _ in range(100):
+        assert bus.drain() == []
+    assert time.monotonic() - begin < 5.0
+    assert bus.send([]) == 0
+    assert bus.take_events() == []
+
+
+def test_stamps_are_the_runs_time_of_reception(medium: Medium) -> None:
+    offset = 10**15
+    sender, receiver = medium.open(), medium.open(stamp=lambda t_ns: t_ns + offset)
+    begin = time.monotonic_ns()
+    for number in range(20):
+        sender.send([Frame(number, b"")])
+    stamps = [frame.t_ns - offset for frame in drained(receiver, 20)]
+    slack = 20_000_000  # wall clock against monotonic clock
+    assert len(stamps) == 20
+    assert stamps == sorted(stamps)
+    assert begin - slack <= stamps[0]
+    assert stamps[-1] <= time.monotonic_ns()
+
+
+@pytest.mark.parametrize(("size", "flags"), [(9, 0), (64, 0), (65, FDF)])
+def test_a_payload_that_does_not_fit_is_refused_and_nothing_is_sent(medium: Medium, size: int, flags: int) -> None:
+    sender, receiver = medium.open(), medium.open()
+    with pytest.raises(ValueError, match=f"payload of {size} bytes"):
+        sender.send([Frame(1, bytes(size), flags)])
+    sender.send([Frame(2, b"last")])
+    assert contents(drained(receiver, 1)) == [(2, b"last", 0)]
+
+
+def test_the_file_descriptor_tells_of_a_frame(medium: Medium) -> None:
+    sender, receiver = medium.open(), medium.open()
+    descriptor = receiver.fileno()
+    if descriptor < 0:
+        assert medium.spec.startswith("virtual:")
+        return
+    assert select.select([descriptor], [], [], 0.0)[0] == []
+    sender.send([Frame(1, b"")])
+    assert select.select([descriptor], [], [], WAIT_S)[0] == [descriptor]
+
+
+def test_python_can_understands_every_frame(medium: Medium) -> None:
+    ours, theirs = medium.open(), medium.python_can()
+    for frame in some_frames(50, seed=2):
+        assert ours.send([frame]) == 1
+        message = theirs.recv(WAIT_S)
+        assert message is not None
+        assert message.arbitration_id | EXTENDED * message.is_extended_id == frame.can_id & ~REMOTE
+        assert message.is_remote_frame == bool(frame.can_id & REMOTE)
+        assert (message.is_fd, message.bitrate_switch) == (bool(frame.flags & FDF), bool(frame.flags & BRS))
+        assert message.dlc == len(frame.data)
+        assert bytes(message.data) == (b"" if message.is_remote_frame else frame.data)
+
+
+def test_every_message_of_python_can_is_understood(medium: Medium) -> None:
+    ours, theirs = medium.open(), medium.python_can()
+    sent = [
+        can.Message(arbitration_id=0x7FF, is_extended_id=False, data=b"\x00\xff"),
+        can.Message(arbitration_id=0x1FFFFFFF, is_extended_id=True, data=bytes(range(8))),
+        can.Message(arbitration_id=0x10, is_extended_id=False, is_remote_frame=True, dlc=4),
+        can.Message(arbitration_id=0x20, is_extended_id=False, is_fd=True, bitrate_switch=True, data=bytes(48)),
+    ]
+    for message in sent:
+        theirs.send(message)
+    assert contents(drained(ours, len(sent))) == [
+        (0x7FF, b"\x00\xff", 0),
+        (0x1FFFFFFF | EXTENDED, bytes(range(8)), 0),
+        (0x10 | REMOTE, bytes(4), 0),
+        (0x20, bytes(48), FDF | BRS),
+    ]

@@ -1,0 +1,52 @@
+"""A hub for the tests of the local bus: the simulator's own, as a process, and a scripted one, record by record."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+RUN_DIR = "HANDCTL_RUN_DIR"
+
+
+@contextmanager
+def hub(name: str, folder: Path) -> Iterator[None]:
+    """The simulator's hub, serving ``local:NAME`` in this folder."""
+    words = [sys.executable, "-m", "firmware_sim", "bus", name]
+    environment = {**os.environ, RUN_DIR: str(folder)}
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment)
+    try:
+        assert process.stdout is not None
+        assert process.stdout.readline().startswith("firmware_sim: ready")
+        yield
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.wait(20)
+
+
+class ScriptedHub:
+    """A hub with one client, which does only what the test does with its socket."""
+
+    def __init__(self, folder: Path, name: str) -> None:
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._listener.bind(str(folder / f"{name}.bus"))
+        self._listener.listen()
+
+    def accept(self) -> socket.socket:
+        """The hub's end of the client's connection."""
+        link, _ = self._listener.accept()
+        link.settimeout(20.0)
+        return link
+
+    def close(self) -> None:
+        """Take no more clients."""
+        self._listener.close()
+
+
+def record(can_id: int, data: bytes = b"", flags: int = 0, dropped: int = 0) -> bytes:
+    """A record of the local bus, put together byte by byte."""
+    head = can_id.to_bytes(4, "little") + bytes((len(data), flags)) + (dropped & 0xFFFF).to_bytes(2, "little")
+    return head + data + bytes(64 - len(data))

@@ -1,0 +1,70 @@
+"""Real processes for the tests: a simulated hand, and handctl in another process."""
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from handctl.runtime.mailbox import Watcher
+
+READY_S = 60.0
+BUS = "local:t"
+
+
+def start_hand(truth: Path, *words: str) -> "subprocess.Popen[str]":
+    """A simulated hand that serves ``local:t``."""
+    command = [sys.executable, "-m", "firmware_sim", "--bus", BUS, "--homed", "--truth", str(truth), *words]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    assert process.stdout
+    assert select.select([process.stdout], [], [], READY_S)[0], "no ready line"
+    assert process.stdout.readline().startswith("firmware_sim: ready")
+    return process
+
+
+def start_handctl(*words: str) -> "subprocess.Popen[str]":
+    """A verb of handctl in its own process."""
+    command = [sys.executable, "-m", "handctl.cli", *words]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def handctl(*words: str, timeout_s: float = 60.0) -> "subprocess.CompletedProcess[str]":
+    """A verb of handctl until it ends."""
+    command = [sys.executable, "-m", "handctl.cli", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)
+
+
+def end(process: "subprocess.Popen[str]") -> None:
+    """Kill what still runs, and take its pipes down."""
+    if process.poll() is None:
+        process.send_signal(signal.SIGTERM)
+        try:
+            process.wait(20.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+    process.communicate()
+
+
+def said(process: "subprocess.Popen[str]", timeout_s: float = 60.0) -> tuple[int, dict[str, object], str]:
+    """Exit code, JSON and standard error of a process that ends by itself."""
+    out, err = process.communicate(timeout=timeout_s)
+    return process.returncode, json.loads(out) if out else {}, err
+
+
+def wait_for(phase: str, watcher: Watcher, process: "subprocess.Popen[str]", timeout_s: float = 60.0) -> None:
+    """Wait until the hand of a running controller is in a phase."""
+    until = time.monotonic() + timeout_s
+    while time.monotonic() < until:
+        assert process.poll() is None, process.communicate()
+        line = watcher.next(0.2)
+        if line is not None and line["phase"] == phase:
+            return
+    raise AssertionError(f"never in phase {phase}")
+
+
+def sockets() -> list[str]:
+    """What lies in the folder for sockets."""
+    return sorted(os.listdir(os.environ["HANDCTL_RUN_DIR"]))

@@ -1,0 +1,52 @@
+"""The contract of buses, on those that run anywhere; see tests/vcan for SocketCAN."""
+
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from handctl.errors import BusError
+from handctl.runtime.bus import open_bus
+from tests.runtime.bus_contract import *  # noqa: F403 - the tests
+from tests.runtime.bus_contract import Medium
+from tests.runtime.bus_hub import RUN_DIR, hub
+
+
+@pytest.fixture(scope="module")
+def hub_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    folder = tmp_path_factory.mktemp("run")
+    with hub("contract", folder):
+        yield folder
+
+
+@pytest.fixture(params=["local", "virtual"])
+def medium(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> Iterator[Medium]:
+    if request.param == "local":
+        monkeypatch.setenv(RUN_DIR, str(request.getfixturevalue("hub_folder")))
+        made = Medium("local:contract")
+    else:
+        made = Medium(f"virtual:{uuid.uuid4()}")
+    yield made
+    made.close()
+
+
+@pytest.mark.parametrize(
+    ("spec", "told"),
+    [
+        ("nonsense", "local:NAME"),
+        ("local:", "local:NAME"),
+        ("local:nobody", "python -m firmware_sim --hand jamia --bus local:nobody"),
+        ("socketcan:nowhere9", "type: sudo ip link|modprobe can-raw"),
+        ("nosuchinterface:0", "an interface of python-can"),
+        ("slcan:/dev/no-such-port@115200", "an interface of python-can"),
+    ],
+)
+def test_what_cannot_be_opened_says_in_one_line_what_to_type(
+    spec: str, told: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv(RUN_DIR, str(tmp_path))
+    with pytest.raises(BusError, match=told) as caught:
+        open_bus(spec, 0, 1_000_000)
+    assert "\n" not in str(caught.value)
+    assert spec in str(caught.value)

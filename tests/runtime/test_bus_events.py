@@ -1,0 +1,91 @@
+"""Error frames against the kernel's header, and states that are told as long as they last."""
+
+import errno
+
+import pytest
+
+from handctl.drives.frame import ERROR
+from handctl.runtime.bus_events import BusEvents
+
+
+def kinds(events: BusEvents) -> set[str]:
+    return {kind for kind, _, _ in events.take()}
+
+
+@pytest.mark.parametrize(
+    ("can_id", "status", "expected"),
+    [
+        (0x001, 0, {"error_frame"}),
+        (0x004, 0x01, {"error_frame"}),
+        (0x004, 0x04, {"error_frame", "error_warning"}),
+        (0x004, 0x08, {"error_frame", "error_warning"}),
+        (0x004, 0x10, {"error_frame", "error_passive"}),
+        (0x004, 0x20, {"error_frame", "error_passive"}),
+        (0x004, 0x40, {"error_frame", "error_active"}),
+        (0x040, 0, {"error_frame", "bus_off"}),
+        (0x100, 0, {"error_frame", "restarted"}),
+        (0x044, 0x30, {"error_frame", "bus_off", "error_passive"}),
+    ],
+)
+def test_classes_of_error_frames(can_id: int, status: int, expected: set[str]) -> None:
+    """Numbers from Linux ``can/error.h``: CAN_ERR_* and CAN_ERR_CRTL_*."""
+    events = BusEvents("can0")
+    events.error_frame(ERROR | can_id, bytes((0, status, 0, 0, 0, 0, 0, 0)))
+    assert kinds(events) == expected
+
+
+def test_an_error_frame_names_its_classes() -> None:
+    events = BusEvents("can0")
+    events.error_frame(ERROR | 0x28, bytes(8))
+    assert events.take() == [("error_frame", "can0 protocol, no acknowledge", 1)]
+
+
+@pytest.mark.parametrize("data", [b"", b"\x01"])
+def test_a_short_error_frame_is_one_too(data: bytes) -> None:
+    events = BusEvents("can0")
+    events.error_frame(ERROR | 0x04, data)
+    assert kinds(events) == {"error_frame"}
+
+
+def test_passive_lasts_until_the_controller_says_otherwise() -> None:
+    events = BusEvents("can0")
+    events.error_frame(ERROR | 0x04, bytes((0, 0x20)))
+    events.take()
+    for _ in range(3):
+        assert events.take() == [("error_passive", "can0", 1)]
+    events.error_frame(ERROR | 0x04, bytes((0, 0x01)))  # an overflow says nothing about it
+    assert "error_passive" in kinds(events)
+    events.error_frame(ERROR | 0x04, bytes((0, 0x08)))
+    events.take()
+    assert events.take() == []
+
+
+@pytest.mark.parametrize("end", ["restarted", "down"])
+def test_bus_off_lasts_until_a_restart(end: str) -> None:
+    events = BusEvents("can0")
+    events.error_frame(ERROR | 0x44, bytes((0, 0x20)))
+    events.take()
+    assert kinds(events) == {"bus_off", "error_passive"}
+    if end == "restarted":
+        events.error_frame(ERROR | 0x100, bytes(8))
+    else:
+        events.failed(errno.ENETDOWN, "enobufs")
+    events.take()
+    assert events.take() == []
+
+
+def test_counts_of_a_kind_are_added_up() -> None:
+    events = BusEvents("can0")
+    events.failed(errno.ENOBUFS, "enodev", 3)
+    events.failed(errno.EAGAIN, "enodev", 2)
+    events.failed(errno.ENETDOWN, "enodev")
+    events.failed(None, "enodev")
+    assert events.take() == [("enobufs", "can0", 5), ("enetdown", "can0", 1), ("enodev", "can0", 1)]
+    assert events.take() == []
+
+
+def test_an_interface_that_is_gone_for_good_is_told_as_long_as_it_is() -> None:
+    events = BusEvents("can0")
+    events.failed(errno.ENODEV, "enobufs")
+    for _ in range(3):
+        assert events.take() == [("enodev", "can0", 1)]

@@ -1,0 +1,144 @@
+"""The local bus at its edges: torn records, a slow hub, a hub that goes away, drops, error frames."""
+
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handctl.drives.frame import ERROR, FDF, Frame
+from handctl.runtime.bus import Bus, open_bus
+from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, record
+
+SIZE = 72
+
+
+@pytest.fixture
+def scripted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Bus, socket.socket]]:
+    monkeypatch.setenv(RUN_DIR, str(tmp_path))
+    served = ScriptedHub(tmp_path, "x")
+    bus = open_bus("local:x", 2, 1_000_000)
+    link = served.accept()
+    yield bus, link
+    bus.close()
+    link.close()
+    served.close()
+
+
+@pytest.fixture(scope="module")
+def torn(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Bus, socket.socket]]:
+    folder = tmp_path_factory.mktemp("torn")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv(RUN_DIR, str(folder))
+        served = ScriptedHub(folder, "x")
+        bus = open_bus("local:x", 2, 1_000_000)
+    link = served.accept()
+    yield bus, link
+    bus.close()
+    link.close()
+    served.close()
+
+
+def test_a_record_is_laid_out_as_agreed(scripted: tuple[Bus, socket.socket]) -> None:
+    bus, link = scripted
+    assert bus.send([Frame(0x123, b"\x01\x02"), Frame(0x80000456, bytes(range(12)), FDF)]) == 2
+    assert link.recv(1000) == record(0x123, b"\x01\x02") + record(0x80000456, bytes(range(12)), FDF)
+    link.send(record(0x7FF, b"reply"))
+    (frame,) = bus.drain()
+    assert frame[:4] == (0x7FF, b"reply", 0, 2)
+
+
+@given(cuts=st.lists(st.integers(1, 200), min_size=1, max_size=40), count=st.integers(1, 20))
+def test_records_torn_anywhere_come_out_whole(torn: tuple[Bus, socket.socket], cuts: list[int], count: int) -> None:
+    bus, link = torn
+    stream = b"".join(record(number, bytes([number] * (number % 9))) for number in range(count))
+    frames: list[Frame] = []
+    at = 0
+    for cut in cuts:
+        link.send(stream[at : at + cut])
+        frames += bus.drain()
+        at += cut
+        assert len(frames) == min(at, len(stream)) // SIZE
+    link.send(stream[at:])
+    frames += bus.drain()
+    assert [(frame.can_id, frame.data) for frame in frames] == [(n, bytes([n] * (n % 9))) for n in range(count)]
+
+
+def test_a_slow_hub_costs_frames_but_no_time_and_no_alignment(scripted: tuple[Bus, socket.socket]) -> None:
+    bus, link = scripted
+    begin, accepted, sent = time.monotonic(), [], 0
+    while sum(number for _, _, number in bus.take_events()) == 0:
+        batch = [Frame((sent + i) & 0x7FF, (sent + i).to_bytes(4, "little")) for i in range(97)]
+        taken = bus.send(batch)
+        accepted += [frame.data for frame in batch[:taken]]
+        sent += len(batch)
+    refused = [Frame(1, b"late")] * 5
+    assert bus.send(refused) == 0
+    assert bus.take_events() == [("enobufs", "local:x", 5)]
+    assert time.monotonic() - begin < 10.0
+    stream = b""
+    while len(stream) < (len(accepted) - 1) * SIZE:
+        stream += link.recv(1 << 20)
+    assert bus.send([Frame(2, b"after")]) == 1
+    while len(stream) < (len(accepted) + 1) * SIZE:
+        stream += link.recv(1 << 20)
+    records = [stream[at : at + SIZE] for at in range(0, len(stream), SIZE)]
+    assert [item[8:12] for item in records[:-1]] == accepted
+    assert records[-1] == record(2, b"after")
+
+
+@pytest.mark.parametrize(
+    ("counters", "told"), [([0, 0, 0], 0), ([0, 3, 3], 3), ([65_530, 4], 65_540), ([7, 7, 65_535, 1], 65_537)]
+)
+def test_what_the_hub_dropped_is_told_once(
+    scripted: tuple[Bus, socket.socket], counters: list[int], told: int
+) -> None:
+    bus, link = scripted
+    numbers = []
+    for counter in counters:
+        link.send(record(1, b"", dropped=counter))
+        assert len(bus.drain()) == 1
+        numbers += bus.take_events()
+    assert all(event[:2] == ("dropped", "local:x") for event in numbers)
+    assert sum(event[2] for event in numbers) == told
+
+
+def test_a_hub_that_goes_away_is_told_as_long_as_it_lasts(scripted: tuple[Bus, socket.socket]) -> None:
+    bus, link = scripted
+    link.send(record(5, b"last"))
+    link.close()
+    assert [frame.can_id for frame in bus.drain()] == [5]
+    assert bus.drain() == []
+    for _ in range(3):
+        assert bus.take_events() == [("enodev", "local:x", 1)]
+        assert bus.send([Frame(1, b"")]) == 0
+        assert bus.drain() == []
+
+
+def test_sending_to_a_hub_that_went_away_does_not_raise(scripted: tuple[Bus, socket.socket]) -> None:
+    bus, link = scripted
+    link.close()
+    assert bus.send([Frame(1, b"")]) == 0
+    assert bus.take_events() == [("enodev", "local:x", 1)]
+
+
+def test_error_frames_become_events(scripted: tuple[Bus, socket.socket]) -> None:
+    bus, link = scripted
+    link.send(record(ERROR | 0x40, bytes(8)) + record(7, b"data"))
+    assert [frame.can_id for frame in bus.drain()] == [7]
+    kinds = [kind for kind, _, _ in bus.take_events()]
+    assert kinds == ["error_frame", "bus_off"]
+
+
+@given(stream=st.binary(min_size=SIZE, max_size=5 * SIZE))
+def test_no_bytes_of_a_hub_can_raise(torn: tuple[Bus, socket.socket], stream: bytes) -> None:
+    bus, link = torn
+    whole = stream[: len(stream) - len(stream) % SIZE]
+    link.send(whole)
+    frames = bus.drain()
+    bus.take_events()
+    assert len(frames) <= len(whole) // SIZE
+    assert all(len(frame.data) <= 64 for frame in frames)

@@ -1,0 +1,224 @@
+"""python-can's errors as events, and python-can's own tools on the local bus."""
+
+import errno
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import pytest
+
+from handctl.drives.frame import Frame
+from handctl.runtime.bus import Bus, open_bus
+from handctl.runtime.pythoncan import PythonCanBus
+from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, hub, record
+
+
+class Broken(can.BusABC):
+    """An interface on which every call fails as it is told to."""
+
+    def __init__(self, error: Exception, times: int = 1_000_000) -> None:
+        super().__init__("broken")
+        self.error, self.times = error, times
+
+    def _fail(self) -> None:
+        if self.times > 0:
+            self.times -= 1
+            raise self.error
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self._fail()
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        self._fail()
+        return None, False
+
+
+@pytest.fixture
+def bus() -> Iterator[PythonCanBus]:
+    opened = PythonCanBus("virtual", "broken", 0, 1_000_000, None, int)
+    yield opened
+    opened.close()
+
+
+@pytest.mark.parametrize(
+    ("error", "sending", "reading"),
+    [
+        (can.CanOperationError("full", errno.ENOBUFS), ("enobufs", 3), "enobufs"),
+        (can.CanOperationError("down", errno.ENETDOWN), ("enetdown", 3), "enetdown"),
+        (OSError(errno.ENODEV, "unplugged"), ("enodev", 1), "enodev"),
+        (OSError("device reports readiness to read but returned no data"), ("enobufs", 3), "enodev"),
+        (can.CanOperationError("something"), ("enobufs", 3), "enodev"),
+        (can.CanTimeoutError("late"), ("enobufs", 3), "enodev"),
+    ],
+)
+def test_errors_are_events_that_safety_knows(
+    bus: PythonCanBus, error: Exception, sending: tuple[str, int], reading: str
+) -> None:
+    bus._bus.shutdown()
+    bus._bus = Broken(error)
+    assert bus.send([Frame(1, b""), Frame(2, b""), Frame(3, b"")]) == 0
+    kind, number = sending
+    assert bus.take_events() == [(kind, "virtual:broken", number)]
+    for _ in range(2):
+        assert bus.drain() == []
+        assert bus.take_events() == [(reading, "virtual:broken", 1)]
+
+
+def test_an_error_that_hides_its_number_is_known_by_its_cause(bus: PythonCanBus) -> None:
+    bus._bus.shutdown()
+    error = can.CanOperationError("full")
+    error.__cause__ = OSError(errno.ENOBUFS, "full")
+    bus._bus = Broken(error)
+    assert bus.send([Frame(1, b"")]) == 0
+    assert bus.take_events() == [("enobufs", "virtual:broken", 1)]
+
+
+def test_garbage_of_a_serial_adapter_is_counted_and_passed_over(bus: PythonCanBus) -> None:
+    bus._bus.shutdown()
+    bus._bus = Broken(ValueError("invalid literal for int() with base 16: 'xx'"), times=3)
+    assert bus.drain() == []
+    assert bus.take_events() == [("error_frame", "virtual:broken garbled", 3)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    made = tmp_path_factory.mktemp("tools")
+    with hub("tools", made):
+        yield made
+
+
+@pytest.fixture
+def ours(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bus]:
+    monkeypatch.setenv(RUN_DIR, str(folder))
+    opened = open_bus("local:tools", 0, 1_000_000)
+    yield opened
+    opened.close()
+
+
+def test_filters_are_applied(ours: Bus) -> None:
+    filters: list[can.typechecking.CanFilter] = [{"can_id": 0x10, "can_mask": 0x7F0, "extended": False}]
+    with can.Bus("tools", interface="local", can_filters=filters, ignore_config=True) as theirs:
+        ours.send([Frame(number, b"") for number in range(0x40)])
+        found = [message.arbitration_id for message in iter(lambda: theirs.recv(0.2), None)]
+    assert found == list(range(0x10, 0x20))
+
+
+def test_a_receive_timeout_is_kept(ours: Bus) -> None:
+    with can.Bus("tools", interface="local", ignore_config=True) as theirs:
+        begin = time.monotonic()
+        assert theirs.recv(0) is None
+        assert theirs.recv(0.1) is None
+        assert 0.1 <= time.monotonic() - begin < 5.0
+
+
+def test_own_messages_come_back_when_asked_for(ours: Bus) -> None:
+    with can.Bus("tools", interface="local", receive_own_messages=True, ignore_config=True) as theirs:
+        sent = can.Message(arbitration_id=1, data=b"x", is_extended_id=False)
+        theirs.send(sent)
+        back = theirs.recv(5.0)
+    assert back is not None
+    assert back.equals(sent, timestamp_delta=None, check_channel=False, check_direction=False)
+
+
+def test_fd_can_be_left_out(ours: Bus) -> None:
+    with can.Bus("tools", interface="local", fd=False, ignore_config=True) as theirs:
+        with pytest.raises(can.CanOperationError, match="without fd"):
+            theirs.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(12)))
+        ours.send([Frame(0x6F1, bytes(12), 4), Frame(0x6F2, b"old")])
+        received = theirs.recv(5.0)
+        while received is not None and received.arbitration_id < 0x6F1:  # a client of before, still in the hub
+            received = theirs.recv(5.0)
+    assert received is not None
+    assert received.arbitration_id == 0x6F2
+
+
+def test_stamps_are_wall_clock_time(ours: Bus) -> None:
+    with can.Bus("tools", interface="local", ignore_config=True) as theirs:
+        before = time.time()
+        ours.send([Frame(1, b"")])
+        received = theirs.recv(5.0)
+    assert received is not None
+    assert before - 0.02 <= received.timestamp <= time.time() + 0.02
+
+
+def test_a_notifier_hears_the_bus(ours: Bus) -> None:
+    reader = can.BufferedReader()
+    with can.Bus("tools", interface="local", ignore_config=True) as theirs:
+        notifier = can.Notifier(theirs, [reader], timeout=0.05)
+        ours.send([Frame(number, b"") for number in range(20)])
+        heard = [reader.get_message(5.0) for _ in range(20)]
+        notifier.stop()
+    assert [message.arbitration_id for message in heard if message] == list(range(20))
+
+
+def test_python_cans_logger_writes_what_was_sent(ours: Bus, folder: Path, tmp_path: Path) -> None:
+    file = tmp_path / "seen.log"
+    words = [sys.executable, "-m", "can.logger", "-i", "local", "-c", "tools", "-f", str(file)]
+    logger = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        end = time.monotonic() + 30.0
+        while not file.exists():  # it opens its file once it has the bus
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        for _ in range(20):
+            ours.send([Frame(0x123, b"\xc0\xff\xee")])
+            time.sleep(0.05)
+        logger.send_signal(signal.SIGINT)
+        logger.wait(20)
+    finally:
+        logger.kill()
+        logger.wait()
+    assert file.read_text().count("123#C0FFEE") >= 10
+
+
+def test_a_bus_without_a_hub_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(RUN_DIR, str(tmp_path))
+    with pytest.raises(can.CanInitializationError, match="firmware_sim"):
+        can.Bus("nobody", interface="local", ignore_config=True)
+
+
+@pytest.fixture
+def scripted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[can.BusABC, socket.socket]]:
+    monkeypatch.setenv(RUN_DIR, str(tmp_path))
+    served = ScriptedHub(tmp_path, "x")
+    with can.Bus("x", interface="local", ignore_config=True) as theirs:
+        link = served.accept()
+        yield theirs, link
+        link.close()
+    served.close()
+
+
+def fill(bus: can.BusABC, message: can.Message) -> None:
+    for _ in range(1_000_000):
+        bus.send(message, timeout=0)
+
+
+def test_sending_waits_for_room_and_no_longer_than_told(scripted: tuple[can.BusABC, socket.socket]) -> None:
+    theirs, link = scripted
+    message = can.Message(arbitration_id=1, data=bytes(8), is_extended_id=False)
+    with pytest.raises(can.CanOperationError, match="no more frames"):
+        fill(theirs, message)
+    begin = time.monotonic()
+    with pytest.raises(can.CanOperationError, match="no more frames"):
+        theirs.send(message, timeout=0.1)
+    assert 0.1 <= time.monotonic() - begin < 5.0
+    link.recv(1 << 20)
+    theirs.send(message, timeout=5.0)
+
+
+def test_a_hub_that_goes_away_ends_reading_and_sending(scripted: tuple[can.BusABC, socket.socket]) -> None:
+    theirs, link = scripted
+    link.send(record(9, b"last"))
+    link.close()
+    last = theirs.recv(5.0)
+    assert last is not None
+    assert last.arbitration_id == 9
+    with pytest.raises(can.CanOperationError, match="gone"):
+        theirs.recv(5.0)
+    with pytest.raises(can.CanOperationError, match="gone"):
+        theirs.send(can.Message(arbitration_id=1), timeout=5.0)

@@ -1,0 +1,168 @@
+"""The SocketCAN bus over datagram sockets that carry the kernel's structs: batches, stamps, drops, refusals."""
+
+import socket
+import struct
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, Frame
+from handctl.runtime.socketcan import SocketCanBus
+
+CLASSICAL = struct.Struct("=IB3x8s")
+FD = struct.Struct("=IBB2x64s")
+"""Source: Linux ``can.h``."""
+
+
+@pytest.fixture
+def udp() -> Iterator[tuple[SocketCanBus, socket.socket]]:
+    """UDP stamps datagrams and counts drops as CAN does."""
+    near, far = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    near.bind(("127.0.0.1", 0))
+    far.bind(("127.0.0.1", 0))
+    near.connect(far.getsockname())
+    far.connect(near.getsockname())
+    far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+    far.settimeout(20.0)
+    bus = SocketCanBus(near, "socketcan:test", 1, fd_mode=True, stamp=int)
+    yield bus, far
+    bus.close()
+    far.close()
+
+
+def waited(bus: SocketCanBus, count: int) -> list[Frame]:
+    frames, end = bus.drain(), time.monotonic() + 20.0
+    while len(frames) < count and time.monotonic() < end:
+        time.sleep(0.001)
+        frames += bus.drain()
+    return frames
+
+
+def test_what_is_sent_has_the_kernels_layout(udp: tuple[SocketCanBus, socket.socket]) -> None:
+    bus, far = udp
+    frames = [Frame(0x7FF, b"\x01"), Frame(5 | EXTENDED, bytes(range(64)), FDF | BRS), Frame(2, bytes(8))]
+    assert bus.send(frames) == 3
+    assert far.recv(100) == CLASSICAL.pack(0x7FF, 1, b"\x01")
+    assert far.recv(100) == FD.pack(5 | EXTENDED, 64, FDF | BRS, bytes(range(64)))
+    assert far.recv(100) == CLASSICAL.pack(2, 8, bytes(8))
+
+
+@pytest.mark.parametrize("fd_mode", [False, True])
+def test_a_short_frame_after_a_long_one_has_nothing_of_it(
+    udp: tuple[SocketCanBus, socket.socket], fd_mode: bool
+) -> None:
+    bus, far = udp
+    bus._fd_mode = fd_mode
+    for number in range(3):
+        far.send(CLASSICAL.pack(1, 8, b"\xff" * 8))
+        assert waited(bus, 1)[0].data == b"\xff" * 8
+        far.send(CLASSICAL.pack(2, number, b""))
+        (frame,) = waited(bus, 1)
+        assert frame[:4] == (2, bytes(number), 0, 1)
+
+
+def test_the_size_of_a_datagram_tells_fd_from_classical(udp: tuple[SocketCanBus, socket.socket]) -> None:
+    bus, far = udp
+    far.send(FD.pack(1, 8, 0, bytes(8)))  # kernels before 6.1 leave CANFD_FDF out
+    far.send(CLASSICAL.pack(1, 8, bytes(8)))
+    assert [frame.flags for frame in waited(bus, 2)] == [FDF, 0]
+
+
+def test_batches_beyond_the_buffers_keep_their_order(udp: tuple[SocketCanBus, socket.socket]) -> None:
+    bus, far = udp
+    count = 300
+    assert bus.send([Frame(number, number.to_bytes(2, "little")) for number in range(count)]) == count
+    sent = [CLASSICAL.unpack(far.recv(100)) for _ in range(count)]
+    assert [can_id for can_id, _, _ in sent] == list(range(count))
+    for number in range(count):
+        far.send(CLASSICAL.pack(number, 2, number.to_bytes(2, "little")))
+    received = waited(bus, count)
+    assert [frame.can_id for frame in received] == list(range(count))
+    assert [int.from_bytes(frame.data, "little") for frame in received] == list(range(count))
+
+
+KERNEL_STAMPS_S = 0.3
+"""The kernel begins to stamp a little after the first socket has asked for it: it patches its own code for that."""
+
+
+def test_stamps_are_of_the_arrival_not_of_the_reading(udp: tuple[SocketCanBus, socket.socket]) -> None:
+    bus, far = udp
+    time.sleep(KERNEL_STAMPS_S)
+    begin = time.monotonic_ns()
+    far.send(CLASSICAL.pack(1, 0, b""))
+    sent = time.monotonic_ns()
+    time.sleep(0.1)
+    far.send(CLASSICAL.pack(2, 0, b""))
+    first, second = waited(bus, 2)
+    slack = 20_000_000
+    assert begin - slack <= first.t_ns <= sent + slack
+    assert second.t_ns - first.t_ns >= 80_000_000
+
+
+def test_stamps_never_run_backwards_or_ahead(
+    udp: tuple[SocketCanBus, socket.socket], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The wall clock may be set while frames wait."""
+    bus, far = udp
+    real, stamps = time.time_ns, []
+    for step in (0, 5 * 10**9, -5 * 10**9, 3600 * 10**9, 0):
+        monkeypatch.setattr(time, "time_ns", lambda step=step: real() + step)
+        far.send(CLASSICAL.pack(1, 0, b""))
+        before = time.monotonic_ns()
+        stamps.append(waited(bus, 1)[0].t_ns)
+        assert before - 10**9 <= stamps[-1] <= time.monotonic_ns()
+    assert stamps == sorted(stamps)
+
+
+def test_what_does_not_fit_is_counted(udp: tuple[SocketCanBus, socket.socket]) -> None:
+    bus, far = udp
+    with socket.socket(fileno=bus.fileno()) as link:
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        link.detach()
+    sent, received, dropped = 0, 0, []
+    for _ in range(3):
+        for number in range(2000):
+            far.send(CLASSICAL.pack(number & 0x7FF, 0, b""))
+        received += len(bus.drain())
+        far.send(CLASSICAL.pack(0, 0, b""))  # the kernel tells its count with the next one that fits
+        received += len(waited(bus, 1))
+        sent += 2001
+        dropped += [number for kind, _, number in bus.take_events() if kind == "dropped"]
+        assert 0 < received < sent
+        assert received + sum(dropped) == sent
+    assert len(dropped) == 3
+    assert bus.take_events() == []
+
+
+def test_a_full_queue_refuses_without_waiting() -> None:
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    bus = SocketCanBus(near, "socketcan:test", 0, fd_mode=False, stamp=int)
+    with far:
+        far.setblocking(False)
+        accepted = bus.send([Frame(number, b"") for number in range(1000)])
+        assert 0 < accepted < 1000
+        assert bus.take_events() == [("enobufs", "socketcan:test", 1000 - accepted)]
+        arrived = [CLASSICAL.unpack(far.recv(100))[0] for _ in range(accepted)]
+        assert arrived == list(range(accepted))
+    bus.close()
+
+
+def test_a_broken_socket_is_an_event(udp: tuple[SocketCanBus, socket.socket]) -> None:
+    bus, far = udp
+    far.close()
+    bus.send([Frame(1, b"")])  # comes back as "connection refused"
+    assert bus.drain() == []
+    assert bus.take_events() == [("enodev", "socketcan:test", 1)]
+    for _ in range(3):
+        bus.send([Frame(1, b"")])
+        assert bus.drain() == []
+    assert {kind for kind, _, _ in bus.take_events()} <= {"enodev", "enobufs"}
+
+
+def test_error_frames_become_events(udp: tuple[SocketCanBus, socket.socket]) -> None:
+    bus, far = udp
+    far.send(CLASSICAL.pack(ERROR | 0x04, 8, bytes((0, 0x20, 0, 0, 0, 0, 0, 0))))
+    far.send(CLASSICAL.pack(3, 0, b""))
+    assert [frame.can_id for frame in waited(bus, 1)] == [3]
+    assert ("error_passive", "socketcan:test", 1) in bus.take_events()

@@ -1,0 +1,149 @@
+"""Real time, slowed time and virtual time keep the same promises."""
+
+import statistics
+import time
+
+import pytest
+
+from handctl.drives.frame import Frame
+from handctl.errors import ConfigError
+from handctl.runtime.clock import Priority, RealClock
+from handctl.runtime.lockstep import LockstepBus, LockstepClock, load_peer
+
+PERIOD = 2_000_000
+
+
+class Wall:
+    """CLOCK_MONOTONIC as the test wants it; sleeping moves it on, a little too far."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, overshoot: int = 0) -> None:
+        self.now, self.overshoot, self.slept = 5_000_000_000, overshoot, list[float]()
+        monkeypatch.setattr(time, "monotonic_ns", self.read)
+        monkeypatch.setattr(time, "sleep", self.sleep)
+
+    def read(self) -> int:
+        self.now += 100
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        self.slept.append(seconds)
+        self.now += round(seconds * 1e9) + self.overshoot
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.1, 10.0, 0.37])
+@pytest.mark.parametrize("spin", [False, True])
+def test_deadlines_are_absolute_and_scaled(monkeypatch: pytest.MonkeyPatch, scale: float, spin: bool) -> None:
+    wall = Wall(monkeypatch, overshoot=20_000)
+    clock = RealClock(PERIOD, scale, spin)
+    clock.begin()
+    start = clock.start_ns
+    for k in range(50):
+        late = clock.wait(k)
+        assert wall.now >= start + int(k * PERIOD / scale), "never early"
+        assert 0 <= late <= 30_000 * scale + 200 * scale + 1
+        assert abs(clock.now_ns() - (k * PERIOD + late)) <= 1000 * scale + 1
+    assert start - 5_000_000_000 == pytest.approx(PERIOD / scale, rel=0.01), "tick 0 is one period after the beginning"
+
+
+def test_lateness_is_of_the_runs_time_and_does_not_shift_later_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
+    wall = Wall(monkeypatch)
+    clock = RealClock(PERIOD, 0.1)
+    clock.begin()
+    clock.wait(0)
+    wall.now = clock.start_ns + 25 * PERIOD  # tick 1 was due after ten periods of wall time, tick 2 after twenty
+    assert clock.wait(1) == pytest.approx(1.5 * PERIOD, abs=1000)
+    assert clock.wait(2) == pytest.approx(0.5 * PERIOD, abs=1000)
+    assert clock.wait(3) < 1000
+
+
+def test_it_spins_only_the_last_stretch(monkeypatch: pytest.MonkeyPatch) -> None:
+    for spin, left in ((True, 60_000), (False, 0)):
+        wall = Wall(monkeypatch)
+        clock = RealClock(PERIOD, 1.0, spin)
+        clock.begin()
+        clock.wait(0)
+        wall.slept.clear()
+        clock.wait(1)
+        assert len(wall.slept) == 1
+        assert PERIOD - wall.slept[0] * 1e9 == pytest.approx(left, abs=5000)
+
+
+def test_stamps_before_the_beginning_are_negative(monkeypatch: pytest.MonkeyPatch) -> None:
+    wall = Wall(monkeypatch)
+    clock = RealClock(PERIOD, 0.5)
+    clock.begin()
+    assert clock.of(clock.start_ns) == 0
+    assert clock.of(clock.start_ns + 4_000_000) == 2_000_000
+    assert clock.of(wall.now) < 0
+
+
+@pytest.mark.realtime
+def test_the_real_clock_keeps_time() -> None:
+    clock = RealClock(PERIOD)
+    clock.begin()
+    late = [clock.wait(k) for k in range(200)]
+    assert min(late) >= 0
+    assert statistics.median(late) < PERIOD / 2
+    assert time.monotonic_ns() - clock.start_ns >= 199 * PERIOD
+
+
+def test_what_was_granted_is_said() -> None:
+    assert str(Priority(True, True)) == "SCHED_FIFO, memory locked"
+    assert "not permitted" in str(Priority(False, False))
+
+
+class Peer:
+    """Answers each frame with its identifier plus 0x10, and remembers when it was stepped."""
+
+    def __init__(self, fail: str = "") -> None:
+        if fail:
+            raise ValueError(fail)
+        self.steps: list[tuple[int, list[Frame]]] = []
+
+    def step(self, t_ns: int, frames: list[Frame]) -> list[tuple[int, bytes, int, int, int]]:
+        self.steps.append((t_ns, list(frames)))
+        return [(frame.can_id + 0x10, frame.data, 0, frame.bus, t_ns + 300) for frame in frames]
+
+    def close(self) -> None: ...
+
+
+def test_lockstep_steps_the_peer_once_a_tick_with_the_frames_of_that_tick() -> None:
+    peer = Peer()
+    clock = LockstepClock(peer, PERIOD)
+    bus, seen = LockstepBus(clock), []
+    for k in range(4):
+        assert clock.wait(k) == 0
+        assert clock.now_ns() == k * PERIOD
+        seen.append(bus.drain())
+        assert bus.send([Frame(k, bytes((k,)))]) == 1
+    assert [t for t, _ in peer.steps] == [0, PERIOD, 2 * PERIOD]
+    assert [[f.can_id for f in frames] for _, frames in peer.steps] == [[0], [1], [2]]
+    assert seen == [[], *[[Frame(0x10 + k, bytes((k,)), 0, 0, k * PERIOD + 300)] for k in range(3)]]
+    assert bus.take_events() == []
+
+
+def test_a_second_run_goes_on_in_the_peers_time_with_its_own_zero() -> None:
+    peer = Peer()
+    clock = LockstepClock(peer, PERIOD)
+    bus = LockstepBus(clock)
+    for k in range(3):
+        clock.wait(k)
+        bus.send([Frame(k, b"")])
+    clock.restart()
+    assert clock.offset_ns == 2 * PERIOD
+    for k in range(3):
+        clock.wait(k)
+        frames = bus.drain()
+        assert [(f.can_id, f.t_ns) for f in frames] == ([(0x17, (k - 1) * PERIOD + 300)] if k else [])
+        bus.send([Frame(7, b"")])
+    assert [t for t, _ in peer.steps] == [0, PERIOD, 2 * PERIOD, 3 * PERIOD], "no time lost, none twice"
+    assert [[f.can_id for f in frames] for _, frames in peer.steps[2:]] == [[7], [7]], "nothing is left from before"
+
+
+def test_peers_are_loaded_by_name() -> None:
+    assert isinstance(load_peer(f"{__name__}:Peer"), object)
+    for entry in ("no.such.module:Peer", f"{__name__}:Nobody", "nonsense"):
+        with pytest.raises(ConfigError, match="module:Class"):
+            load_peer(entry)
+    with pytest.raises(ConfigError, match="too hot"):
+        load_peer(f"{__name__}:Peer", fail="too hot")

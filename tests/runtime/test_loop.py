@@ -1,0 +1,289 @@
+"""The loop on a scripted clock: no catching up, nothing lost, and the drives are told to let go whatever happens."""
+
+import gc
+import os
+import signal
+from array import array
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from handctl.controller.types import IoEvent, Mode, TickIn, TickOut
+from handctl.drives.frame import Frame
+from handctl.runtime.loop import Loop, Signals
+
+PERIOD = 1_000_000
+CUT = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
+
+
+@dataclass
+class ScriptedClock:
+    """Lateness of each wait in turn [ns], then zero; remembers for which ticks it was asked."""
+
+    late: list[int] = field(default_factory=list)
+    asked: list[int] = field(default_factory=list)
+    began: int = 0
+
+    def begin(self) -> None:
+        self.began += 1
+
+    def wait(self, k: int) -> int:
+        self.asked.append(k)
+        return self.late.pop(0) if self.late else 0
+
+    def now_ns(self) -> int:
+        return 0
+
+
+@dataclass
+class FakeBus:
+    """Hands out one frame a tick, takes as many as it has room for."""
+
+    index: int = 0
+    room: int = 1000
+    waiting: list[list[Frame]] = field(default_factory=list)
+    sent: list[tuple[Frame, ...]] = field(default_factory=list)
+    happened: list[tuple[str, str, int]] = field(default_factory=list)
+    drains: int = 0
+
+    def drain(self) -> list[Frame]:
+        self.drains += 1
+        return self.waiting.pop(0) if self.waiting else []
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        self.sent.append(tuple(frames[: self.room]))
+        return min(len(frames), self.room)
+
+    def take_events(self) -> list[tuple[str, str, int]]:
+        events, self.happened = self.happened, []
+        return events
+
+
+@dataclass
+class Run:
+    """A loop of a few ticks, with everything that it met."""
+
+    ticks: int = 5
+    clock: ScriptedClock = field(default_factory=ScriptedClock)
+    buses: list[FakeBus] = field(default_factory=lambda: [FakeBus()])
+    frames: tuple[Frame, ...] = ()
+    fail: Callable[[TickIn], None] = lambda entry: None
+    requests: list[tuple[str, ...]] = field(default_factory=list)
+    host: list[list[IoEvent]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.entries: list[TickIn] = []
+        self.recorded: list[tuple[TickIn, TickOut]] = []
+        self.shown: list[tuple[TickIn, TickOut]] = []
+        self.loop: Loop[int] = Loop(
+            self.clock, PERIOD, self.buses, self.tick, CUT,
+            lambda: self.requests.pop(0) if self.requests else (),
+            lambda: self.host.pop(0) if self.host else [],
+            lambda entry, out: self.recorded.append((entry, out)),
+            lambda entry, out: self.shown.append((entry, out)),
+        )  # fmt: skip
+
+    def tick(self, state: int, entry: TickIn) -> tuple[int, TickOut]:
+        self.entries.append(entry)
+        self.fail(entry)
+        done = state + 1 >= self.ticks
+        mode = Mode.DONE if done else Mode.ACTIVE
+        return state + 1, TickOut(self.frames, mode, "", 0, None, (), b"")  # type: ignore[arg-type]
+
+    def go(self) -> int:
+        return self.loop.run(0)
+
+
+def test_ticks_follow_one_another_at_their_times() -> None:
+    run = Run()
+    assert run.go() == 5
+    assert [entry.k for entry, _ in run.recorded] == [0, 1, 2, 3, 4]
+    assert [entry.t_ns for entry, _ in run.recorded] == [k * PERIOD for k in range(5)]
+    assert run.clock.asked == [0, 1, 2, 3, 4]
+    assert run.clock.began == 1
+    assert run.shown == run.recorded
+    assert (run.loop.stats.ticks, run.loop.stats.missed) == (5, 0)
+
+
+def test_the_warm_up_tick_is_for_nothing() -> None:
+    """It runs before the clock begins, reaches no bus and no log, and its state is thrown away."""
+    run = Run(frames=(Frame(7, b""),))
+    run.go()
+    assert len(run.entries) == 6
+    assert run.entries[0] == TickIn(0, 0)
+    assert len(run.recorded) == 5
+    assert len(run.buses[0].sent) == 5
+
+
+@pytest.mark.parametrize(
+    ("late", "ticks", "missed", "left"),
+    [
+        ([0, PERIOD - 1], [0, 1, 2, 3], 0, [0, PERIOD - 1, 0, 0]),
+        ([0, PERIOD], [0, 2, 3, 4], 1, [0, 0, 0, 0]),
+        ([0, 3 * PERIOD + 5], [0, 4, 5, 6], 3, [0, 5, 0, 0]),
+        ([2 * PERIOD, PERIOD + 1, 0, 7], [2, 4, 5, 6], 3, [0, 1, 0, 7]),
+        ([0, 10**9], [0, 1001, 1002, 1003], 1000, [0, 0, 0, 0]),
+    ],
+)
+def test_missed_deadlines_are_skipped_and_counted_never_caught_up(
+    late: list[int], ticks: list[int], missed: int, left: list[int]
+) -> None:
+    run = Run(ticks=4, clock=ScriptedClock(list(late)))
+    run.go()
+    assert [entry.k for entry, _ in run.recorded] == ticks
+    assert [entry.t_ns for entry, _ in run.recorded] == [k * PERIOD for k in ticks]
+    assert [entry.late_ns for entry, _ in run.recorded] == left
+    assert run.loop.stats.missed == missed
+    assert run.loop.stats.ticks == 4
+    assert list(run.loop.stats.late_ns) == (late + [0] * 4)[:4], "how late it really was"
+    asked = run.clock.asked
+    assert all(b > a for a, b in pairwise(asked)), "each deadline is waited for at most once"
+
+
+def test_what_came_goes_in_in_order_and_only_once() -> None:
+    old, first, second = Frame(1, b"old"), Frame(1, b"1"), Frame(2, b"2", bus=1)
+    left = FakeBus(waiting=[[old], [first], []], happened=[("dropped", "a", 3)])
+    right = FakeBus(1, waiting=[[], [second]])
+    run = Run(3, buses=[left, right], requests=[("x", "y"), (), ("z",)], host=[[IoEvent("recorder", "gone")]])
+    run.go()
+    entries = [entry for entry, _ in run.recorded]
+    assert entries[0].frames == (first, second), "what was there before the run is not of the run"
+    assert entries[0].io_events == (IoEvent("recorder", "gone"), IoEvent("dropped", "a", 3))
+    assert [entry.requests for entry in entries] == [("x", "y"), (), ("z",)]
+    assert entries[1].frames == entries[2].frames == ()
+    assert entries[1].io_events == ()
+    assert run.loop.stats.frames_rx == 2
+
+
+def test_each_bus_gets_its_own_frames() -> None:
+    left, right = FakeBus(), FakeBus(1)
+    frames = (Frame(1, b"a"), Frame(2, b"b", bus=1), Frame(3, b"c"))
+    Run(1, buses=[left, right], frames=frames).go()
+    assert left.sent == [(frames[0], frames[2])]
+    assert right.sent == [(frames[1],)]
+
+
+def test_one_bus_object_may_stand_for_all() -> None:
+    bus, frames = FakeBus(), (Frame(1, b"a"), Frame(2, b"b", bus=1))
+    Run(1, buses=[bus], frames=frames).go()
+    assert bus.sent == [frames]
+
+
+def test_frames_that_a_bus_refuses_are_counted_as_refused_not_as_sent() -> None:
+    frames = tuple(Frame(i, b"") for i in range(5))
+    run = Run(3, buses=[FakeBus(room=2)], frames=frames)
+    run.go()
+    assert run.loop.stats.refused == 9
+    assert run.loop.stats.frames_tx == 6
+
+
+class TroubleError(Exception):
+    """What a stage raises."""
+
+
+def raising(*_: object) -> None:
+    raise TroubleError
+
+
+@pytest.mark.parametrize("stage", ["tick", "record", "show", "requests", "host_events", "send", "drain", "take_events"])
+def test_whatever_fails_the_drives_are_cut_and_the_error_travels_on(stage: str) -> None:
+    left, right = FakeBus(), FakeBus(1)
+    run = Run(5, buses=[left, right], frames=(Frame(9, b"torque"),))
+    stages = {"record", "show", "requests", "host_events"}
+    if stage == "tick":
+        run.fail = lambda entry: raising() if entry.k == 2 else None
+    elif stage in stages:
+        setattr(run.loop, stage, raising)
+    else:
+        whole = getattr(left, stage)
+        setattr(left, stage, lambda *words: raising() if run.recorded else whole(*words))
+    with pytest.raises(TroubleError):
+        run.go()
+    assert right.sent[-1] == (CUT[1],)
+    if stage != "send":
+        assert left.sent[-1] == (CUT[0],)
+    assert gc.isenabled()
+
+
+def test_a_failed_tick_sends_nothing_else() -> None:
+    run = Run(5, frames=(Frame(9, b"torque"),))
+    run.fail = lambda entry: raising() if entry.k == 2 else None
+    with pytest.raises(TroubleError):
+        run.go()
+    assert run.buses[0].sent == [run.frames, run.frames, CUT]
+    assert [entry.k for entry, _ in run.recorded] == [0, 1]
+
+
+@pytest.mark.parametrize("failing", [False, True])
+def test_garbage_collection_stands_still_in_the_loop_and_only_there(failing: bool) -> None:
+    seen = []
+    run = Run(3)
+    run.fail = lambda entry: (
+        seen.append((gc.isenabled(), gc.get_freeze_count() > 0)) or (raising() if failing and entry.k else None)
+    )
+    before = gc.get_freeze_count()
+    assert gc.isenabled()
+    if failing:
+        with pytest.raises(TroubleError):
+            run.go()
+    else:
+        run.go()
+    assert set(seen[1:]) == {(False, True)}
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == before == 0
+
+
+def test_garbage_collection_is_restored_when_the_clock_does_not_begin(monkeypatch: pytest.MonkeyPatch) -> None:
+    run = Run(3)
+    monkeypatch.setattr(run.clock, "begin", raising)
+    with pytest.raises(TroubleError):
+        run.go()
+    assert gc.isenabled()
+    assert gc.get_freeze_count() == 0
+
+
+def test_lateness_is_kept_for_every_tick() -> None:
+    run = Run(200, clock=ScriptedClock(list(range(200))))
+    run.go()
+    assert isinstance(run.loop.stats.late_ns, array)
+    np.testing.assert_array_equal(run.loop.stats.late_ns, range(200))
+
+
+def test_the_first_signal_stops_and_every_further_one_cuts() -> None:
+    signals = Signals()
+    with signals.installed():
+        assert signals.take() == ()
+        os.kill(os.getpid(), signal.SIGINT)
+        assert signals.take() == ('{"do": "stop"}',)
+        assert signals.take() == ()
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert signals.take() == ('{"do": "cut"}',)
+        os.kill(os.getpid(), signal.SIGINT)
+        assert signals.take() == ('{"do": "cut"}',)
+        assert signals.take() == ()
+
+
+def test_two_signals_within_a_tick_are_both_heard() -> None:
+    signals = Signals()
+    with signals.installed():
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+        assert signals.take() == ('{"do": "stop"}',)
+        assert signals.take() == ('{"do": "cut"}',)
+
+
+def test_signal_handlers_are_given_back() -> None:
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    signals = Signals()
+
+    def interrupted() -> None:
+        with signals.installed():
+            assert signal.getsignal(signal.SIGINT) is signals
+            raise TroubleError
+
+    with pytest.raises(TroubleError):
+        interrupted()
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before

@@ -1,0 +1,211 @@
+"""The request socket: in order, never blocking, one controller a bus, and whoever watches is served."""
+
+import json
+import os
+import socket
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from handctl.errors import BusError
+from handctl.runtime.mailbox import LARGEST, PER_TICK, Mailbox, Watcher, send_request
+from handctl.runtime.places import local_bus_path, mailbox_path, run_dir, truth_path
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / "run"))
+    return tmp_path / "run"
+
+
+def test_requests_come_in_order_and_once() -> None:
+    box = Mailbox("local:x")
+    for text in ("one", "two", '{"do": "stop"}'):
+        send_request("local:x", text)
+    assert box.read() == ("one", "two", '{"do": "stop"}')
+    assert box.read() == ()
+    box.close()
+
+
+def test_a_flood_is_taken_in_pieces() -> None:
+    box, sent = Mailbox("local:x"), 0
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
+        out.setblocking(False)
+        try:
+            for sent in range(1000):
+                out.sendto(str(sent).encode(), str(box.path))
+        except BlockingIOError:
+            pass
+    seen: list[str] = []
+    while some := box.read():
+        assert len(some) <= PER_TICK
+        seen += some
+    assert seen == [str(i) for i in range(len(seen))]
+    assert len(seen) >= min(sent, 10)
+    box.close()
+
+
+def test_long_empty_and_binary_datagrams_are_text_of_bounded_length() -> None:
+    box = Mailbox("local:x")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
+        for data in (b"x" * 20_000, b"", b"\xff\xfe\x00"):
+            out.sendto(data, str(box.path))
+    long, empty, binary = box.read()
+    assert long == "x" * LARGEST
+    assert empty == ""
+    binary.encode()
+    box.close()
+
+
+def test_a_second_controller_is_refused_and_disturbs_nothing() -> None:
+    box = Mailbox("local:x")
+    for _ in range(2):
+        with pytest.raises(BusError, match="another controller runs here"):
+            Mailbox("local:x")
+    other = Mailbox("local:y")
+    send_request("local:x", "still there")
+    assert box.read() == ("still there",)
+    box.close()
+    again = Mailbox("local:x")
+    again.close()
+    other.close()
+
+
+def test_a_killed_controller_leaves_no_lock(folder: Path) -> None:
+    """Its socket file is still there; the next controller takes the name."""
+    code = "import time; from handctl.runtime.mailbox import Mailbox as M; m = M('local:x'); print(1, flush=1)"
+    code += "; time.sleep(60)"
+    child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    assert child.stdout is not None
+    assert child.stdout.readline()
+    with pytest.raises(BusError):
+        Mailbox("local:x")
+    child.kill()
+    child.wait()
+    child.stdout.close()
+    assert mailbox_path("local:x").exists()
+    box = Mailbox("local:x")
+    send_request("local:x", "hello")
+    assert box.read() == ("hello",)
+    box.close()
+    assert not mailbox_path("local:x").exists()
+
+
+def test_of_many_that_start_at_once_one_runs(folder: Path) -> None:
+    code = """
+import sys, time
+from handctl.errors import BusError
+from handctl.runtime.mailbox import Mailbox
+start = float(sys.argv[1])
+while time.monotonic() < start: pass
+try:
+    box = Mailbox("local:x")
+except BusError:
+    print("refused", flush=True)
+else:
+    print("runs", flush=True)
+    sys.stdin.read()
+"""
+    start = time.monotonic() + 1.5
+    command = [sys.executable, "-c", code, str(start)]
+    children = [subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(4)]
+    words = [child.stdout.readline().strip() for child in children if child.stdout]
+    for child in children:
+        child.communicate("")
+    assert sorted(words) == ["refused"] * 3 + ["runs"]
+
+
+def test_nobody_to_ask_is_one_line() -> None:
+    with pytest.raises(BusError, match="no controller answers") as caught:
+        send_request("local:nobody", "x")
+    assert "local:nobody" in str(caught.value)
+    box = Mailbox("local:x")
+    box.close()
+    with pytest.raises(BusError):
+        send_request("local:x", "x")
+
+
+def test_a_place_where_no_socket_can_be_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    for folder in (blocked / "below", tmp_path / ("x" * 120)):
+        monkeypatch.setenv("HANDCTL_RUN_DIR", str(folder))
+        with pytest.raises(BusError, match="HANDCTL_RUN_DIR") as caught:
+            Mailbox("local:x")
+        assert "\n" not in str(caught.value)
+
+
+def test_the_folder_is_for_this_user_alone(folder: Path) -> None:
+    box = Mailbox("local:x")
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    box.close()
+
+
+def test_watchers_get_what_is_published_each_once() -> None:
+    box = Mailbox("local:x")
+    ends = []
+    for name in ("a", "b"):
+        end = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        end.bind(str(run_dir() / name))
+        end.setblocking(False)
+        ends.append(end)
+    for _ in range(6):
+        ends[0].sendto(b'{"do": "watch"}', str(box.path))
+    ends[1].sendto(b'{"do": "watch"}', str(box.path))
+    ends[0].sendto(b'{"do": "watch"}', str(box.path))
+    assert box.read() == (), "watching is not the tick's business"
+    box.publish({"k": 1})
+    for end in ends:
+        assert json.loads(end.recv(1000)) == {"k": 1}
+        with pytest.raises(BlockingIOError):
+            end.recv(1000)
+    ends[0].close()
+    box.publish({"k": 2})
+    assert json.loads(ends[1].recv(1000)) == {"k": 2}
+    ends[1].close()
+    box.publish({"k": 3})
+    assert box.watchers == []
+    box.close()
+
+
+def test_a_watcher_that_does_not_read_never_blocks_the_controller() -> None:
+    box = Mailbox("local:x")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as end:
+        end.bind(str(run_dir() / "a"))
+        end.sendto(b'{"do": "watch"}', str(box.path))
+        box.read()
+        began = time.monotonic()
+        for k in range(500):
+            box.publish({"k": k, "text": "x" * 500})
+        assert time.monotonic() - began < 2.0
+    box.close()
+
+
+def test_a_watcher_sees_the_present_not_the_past() -> None:
+    watcher = Watcher("local:x")
+    assert watcher.next(0.01) is None, "nobody is there yet"
+    box = Mailbox("local:x")
+    assert watcher.next(0.01) is None
+    box.read()
+    box.publish({"k": 1})
+    box.publish({"k": 2})
+    assert watcher.next(0.01) is None, "what waits from before is forgotten"
+    watcher.close()
+    assert not watcher.path.exists()
+    box.close()
+
+
+def test_places_are_apart_for_each_bus_and_user(monkeypatch: pytest.MonkeyPatch) -> None:
+    specs = ["local:x", "local:y", "socketcan:can0", "slcan:/dev/ttyACM0"]
+    paths = {path(spec) for spec in specs for path in (mailbox_path, truth_path)} | {local_bus_path("x")}
+    assert len(paths) == 9
+    assert all(path.parent == run_dir() for path in paths), "no way out of the folder"
+    monkeypatch.delenv("HANDCTL_RUN_DIR")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/run/user/7")
+    assert run_dir() == Path("/run/user/7/handctl")
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    assert str(os.getuid()) in str(run_dir())

@@ -1,0 +1,187 @@
+"""handctl as a process of its own against the simulated hand as another one, on the real clock.
+
+Time is slowed where a stall of the machine would end a run, which is what a stall should do; these tests are about
+how runs begin and end.
+"""
+
+import datetime
+import itertools
+import signal
+import tempfile
+import tomllib
+
+import numpy as np
+import pytest
+
+import handctl as library
+from handctl.errors import DriveError
+from handctl.hand.description import HANDS, load_hand
+from handctl.hand.toml_text import toml_text
+from handctl.log.reader import RunLog
+from handctl.report.truth import read_truth
+from handctl.runtime.mailbox import Watcher
+from tests.runtime.processes import BUS, end, handctl, said, sockets, start_hand, start_handctl, wait_for
+
+pytestmark = pytest.mark.realtime
+SCALE = ("--time-scale", "0.4")
+GO = 'schema = 1\nname = "short"\n'
+MOVE = '[[phase]]\nkind = "move"\nname = "{name}"\nangle_deg = {angle}\nduration_s = {duration}\n'
+SHORT = GO + MOVE.format(name="bend", angle=25.0, duration=0.5) + MOVE.format(name="open", angle=0.0, duration=0.4)
+LONG = GO + MOVE.format(name="bend", angle=40.0, duration=0.5) + MOVE.format(name="stay", angle=40.0, duration=60.0)
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """An empty folder to work in, a short one for sockets."""
+    with tempfile.TemporaryDirectory(prefix="h-") as short:
+        monkeypatch.setenv("HANDCTL_RUN_DIR", short)
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "short.toml").write_text(SHORT)
+        (tmp_path / "long.toml").write_text(LONG)
+        yield tmp_path
+
+
+@pytest.fixture
+def processes():
+    """Processes to be ended, whatever happens."""
+    running = []
+    yield running
+    for process in reversed(running):
+        end(process)
+
+
+@pytest.fixture
+def hand(place, processes):
+    """A slowed simulated hand on the bus, and its truth."""
+    processes.append(start_hand(place / "hand.truth", "--hand", "jamia", *SCALE))
+    return place / "hand.truth"
+
+
+@pytest.fixture
+def calibrated(place):
+    """Words for a hand that starts homed: nothing to tare, nothing to zero."""
+    write_calibration(place / "c.toml", load_hand("jamia"))
+    return ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml")
+
+
+def write_calibration(path, description):
+    made = datetime.datetime.now(datetime.UTC).isoformat()
+    nothing = {"tare_N": 0.0, "zero_rad": 0.0, "answer_N": 3.0, "crosstalk_N": 0.0}
+    head = {"schema": 1, "hand": description.name, "identity": description.identity, "made": made}
+    tables = "".join(f"\n[tendon.{name}]\n{toml_text(nothing)}" for name in description.tendon_names)
+    path.write_text(toml_text(head) + tables)
+
+
+def ended_well(log):
+    """The modes that a whole log tells."""
+    with RunLog(log) as run:
+        assert not run.warning
+        assert run.end["reason"] == "done"
+        return [event.event.text for event in run.events if event.event.name == "mode"]
+
+
+def test_run_commissions_moves_and_judges_itself(place, processes):
+    processes.append(start_hand(place / "hand.truth", "--hand", "jamia", "--time-scale", "0.6"))
+    words = ("--task", "short.toml", "--json", "--log", "run.mcap", "--time-scale", "0.6", "--truth", "hand.truth")
+    process = start_handctl("run", "--hand", "jamia", "--bus", BUS, *words)
+    processes.append(process)
+    code, result, err = said(process)
+    assert code == 0, err
+    assert err.startswith("commissioning jamia first: there is no jamia.calibration.toml")
+    assert result["failure"] == ""
+    assert result["log_complete"] is True
+    assert result["ticks"] + result["missed"] > 500
+    assert result["frames_lost"] < 0.01 * result["frames_rx"]
+    assert set(result["late_us"]) == {"p50", "p99_9", "max"}
+    assert max(result["tracking_rmse_deg"].values()) < 1.0
+    modes = ended_well(place / "run.mcap")
+    order = ["SILENT", "INVENTORY", "READY", "ARMING", "ACTIVE", "RELAX", "DISARM", "DONE"]
+    assert modes == [f"{a} -> {b}" for a, b in itertools.pairwise(order)]
+    assert not [name for name in sockets() if name.endswith(".requests")]
+
+
+def test_a_program_moves_holds_and_looks(place, hand, calibrated):
+    with library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *SCALE) as client:
+        client.move(duration_s=0.4, wait=False, index=30.0)
+        client.wait("live", 5.0)
+        bent = 0.0
+        for _ in range(200):
+            bent = float(np.degrees(client.state()["q_rad"][0]))
+            if bent > 28.0:
+                break
+        assert bent == pytest.approx(30.0, abs=2.0)
+        client.hold(thumb=12.0)
+        for _ in range(200):
+            state = client.state()
+            if abs(state["tension_N"][3] - 12.0) < 1.0:
+                break
+        assert state["tension_N"][3] == pytest.approx(12.0, abs=1.5)
+        assert state["mode"] == "ACTIVE"
+    assert client.child.returncode == 0
+    assert client.result["log"] == "live.mcap"
+    ended_well(place / "live.mcap")
+
+
+def start_long(processes, calibrated, *more):
+    """A run that stays in a phase until somebody ends it; there already."""
+    process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *more)
+    processes.append(process)
+    watcher = Watcher(BUS)
+    try:
+        wait_for("stay", watcher, process)
+    finally:
+        watcher.close()
+    return process
+
+
+def test_stop_from_another_process(place, hand, calibrated, processes):
+    process = start_long(processes, calibrated, *SCALE)
+    second = handctl("run", *calibrated, "--task", "long.toml", *SCALE, "--log", "second.mcap")
+    assert second.returncode == 1
+    assert second.stderr.startswith(f"handctl: bus {BUS}: another controller runs here")
+    assert second.stderr.count("\n") == 1
+    asked = handctl("stop", "--bus", BUS)
+    assert asked.returncode == 0
+    code, _, err = said(process)
+    assert code == 0, err
+    assert ended_well(place / "run.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]
+
+
+def test_the_first_ctrl_c_relaxes_disables_and_confirms(place, hand, calibrated, processes):
+    process = start_long(processes, calibrated, *SCALE)
+    process.send_signal(signal.SIGINT)
+    code, result, err = said(process)
+    assert (code, result["failure"]) == (0, ""), err
+    assert ended_well(place / "run.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]
+    with RunLog(place / "run.mcap") as run:
+        before, phases = run.field("tension")[-400:].max(), run.field("drive_phase")[-1]
+        assert before > 8.0
+        assert run.field("tension")[-1].max() < 8.5
+        assert len(set(phases)) == 1, "every drive says the same: disabled"
+
+
+def test_the_second_ctrl_c_cuts(place, hand, calibrated, processes):
+    process = start_long(processes, calibrated, *SCALE)
+    process.send_signal(signal.SIGINT)
+    process.send_signal(signal.SIGTERM)  # another one: the kernel would make one of two SIGINT in a row
+    code, _, err = said(process)
+    assert code == 0, err
+    assert ended_well(place / "run.mcap")[-3:] == ["RELAX -> CUT", "CUT -> DISARM", "DISARM -> DONE"]
+
+
+def test_a_motor_that_is_not_there_is_named(place, hand, processes):
+    content = tomllib.loads((HANDS / "jamia.toml").read_text())
+    content["motor"][2]["node_id"] = 9
+    (place / "mine.toml").write_text(toml_text(content))
+    write_calibration(place / "c.toml", load_hand("mine.toml"))
+    words = ("--hand", "mine.toml", "--bus", BUS, "--calibration", "c.toml", *SCALE)
+    refused = handctl("run", *words, "--task", "short.toml", "--log", "run.mcap", "--json")
+    assert refused.returncode == 1
+    assert refused.stderr == "handctl: no answer from ring_motor\n"
+    truth = read_truth(hand)
+    assert max(truth.values[:, truth.columns.index(f"motor/{name}_motor")].max() for name in ("index", "ring")) < 0.05
+
+
+def test_connect_says_when_the_controller_ends(place):
+    with pytest.raises(DriveError, match="the controller ended"):
+        library.connect("jamia", "local:nobody").__enter__()
