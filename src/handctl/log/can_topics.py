@@ -1,0 +1,123 @@
+"""Frames as can_msgs/Frame and ros2_socketcan_msgs/FdFrame."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE
+from handctl.log.batch import Batch, Frames
+from handctl.log.cdr import CdrWriter, Template, TemplateWriter
+from handctl.log.container import MESSAGE, Run
+from handctl.log.header import RunHeader
+from handctl.log.streams import Registry, Stamps, Stream, Times
+
+_ID_MASK = 0x1FFF_FFFF
+
+
+def can_frame(bus: str) -> Template:
+    """A can_msgs/Frame from one bus."""
+    out = TemplateWriter()
+    out.header(bus)
+    out.place("id", "<u4")
+    for name in ("is_rtr", "is_extended", "is_error", "dlc"):
+        out.place(name, "|u1")
+    out.place("data", "|u1", 8)
+    return out.template()
+
+
+def fd_frame(bus: str, t_ns: int, can_id: int, data: bytes) -> bytes:
+    """A ros2_socketcan_msgs/FdFrame."""
+    out = CdrWriter()
+    out.put("I", t_ns // 10**9)
+    out.put("I", t_ns % 10**9)
+    out.text(bus)
+    out.count(can_id & _ID_MASK)
+    out.data += bytes((bool(can_id & EXTENDED), bool(can_id & ERROR), len(data)))
+    out.count(len(data))
+    out.data += data
+    return out.message()
+
+
+class _Direction:
+    def __init__(self, buses: tuple[str, ...], registry: Registry, direction: str) -> None:
+        self._buses = (*buses, "unknown")
+        self._channel = registry.add(f"/can/{direction}", "can_msgs/Frame")
+        self._fd_channel = registry.add(f"/can/{direction}_fd", "ros2_socketcan_msgs/FdFrame")
+        self._streams = [Stream(self._channel, can_frame(bus)) for bus in self._buses]
+
+    def runs(self, frames: Frames, stamps: Stamps, measured: Times) -> list[Run]:
+        if not len(frames.frames):
+            return []
+        fd = (frames.frames["flags"] & FDF) != 0
+        bus = np.minimum(frames.frames["bus"], len(self._buses) - 1).astype(np.intp)
+        runs = []
+        if not fd.all():
+            runs.append(self._classical(frames.frames[~fd], bus[~fd], stamps.at(~fd), measured[~fd]))
+        if fd.any():
+            runs.append(self._long(frames, bus, fd, stamps, measured))
+        return runs
+
+    def _classical(self, frames: NDArray[np.void], bus: NDArray[np.intp], stamps: Stamps, measured: Times) -> Run:
+        used = np.unique(bus)
+        if len(used) == 1:
+            return self._streams[int(used[0])].run(stamps, _values(frames), measured)
+        records: list[bytes] = [b""] * len(frames)
+        for one in used.tolist():
+            where = np.flatnonzero(bus == one)
+            run = self._streams[one].run(stamps.at(where), _values(frames[where]), measured[where])
+            size = len(run.data) // len(where)
+            for index, start in zip(where.tolist(), range(0, len(run.data), size), strict=True):
+                records[index] = run.data[start : start + size]
+        return _joined(self._channel, stamps.log, records)
+
+    def _long(
+        self, frames: Frames, bus: NDArray[np.intp], fd: NDArray[np.bool_], stamps: Stamps, measured: Times
+    ) -> Run:
+        records, rest = [], memoryview(frames.long_data)
+        columns = [frames.frames[name].tolist() for name in ("can_id", "length")]
+        data = frames.frames["data"].tobytes()
+        sequence, log, times = stamps.sequence.tolist(), stamps.log.tolist(), measured.tolist()
+        for index, (can_id, length) in enumerate(zip(*columns, strict=True)):
+            more = max(length - 8, 0)
+            payload, rest = data[8 * index : 8 * index + min(length, 8)] + bytes(rest[:more]), rest[more:]
+            if fd[index]:
+                message = fd_frame(self._buses[bus[index]], times[index], can_id, payload)
+                size, channel = 22 + len(message), self._fd_channel
+                records.append(MESSAGE.pack(5, size, channel, sequence[index], log[index], times[index]) + message)
+        return _joined(self._fd_channel, stamps.log[fd], records)
+
+
+def _joined(channel: int, log_times: Times, records: list[bytes]) -> Run:
+    ends = np.cumsum([0, *map(len, records)], dtype=np.uint64)
+    return Run(channel, b"".join(records), log_times, ends[:-1])
+
+
+def _values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
+    can_id = frames["can_id"]
+    small = {
+        "id": can_id & _ID_MASK,
+        "is_rtr": (can_id & REMOTE) != 0,
+        "is_extended": (can_id & EXTENDED) != 0,
+        "is_error": (can_id & ERROR) != 0,
+        "dlc": frames["length"],
+    }
+    return {name: value[:, None] for name, value in small.items()} | {"data": frames["data"]}
+
+
+class CanTopics:
+    """/can/rx and /can/tx; log time is the tick's, header stamp and publish time the frame's own."""
+
+    def __init__(self, header: RunHeader, registry: Registry) -> None:
+        self._rx, self._tx = (_Direction(header.buses, registry, direction) for direction in ("rx", "tx"))
+        self._offset = header.offset_ns
+
+    def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
+        """Messages of all frames of a batch; a frame sent bears the time at which its tick began."""
+        sent_at = (batch.t_ns + batch.late_ns)[batch.sent.tick]
+        runs = []
+        for direction, frames, t_ns in (
+            (self._rx, batch.received, batch.received.frames["t_ns"]),
+            (self._tx, batch.sent, sent_at),
+        ):
+            measured = np.maximum(t_ns + self._offset, 0).astype(np.uint64)
+            runs += direction.runs(frames, stamps.at(frames.tick), measured)
+        return runs

@@ -1,0 +1,220 @@
+"""The MCAP container: whole runs of messages at once, because one call per message is what costs in Python.
+
+Rare records are written by the mcap package; chunks and message indexes, the only ones that matter for speed, here.
+Source: MCAP specification, sections Records and Chunk.
+"""
+
+import os
+import struct
+import zlib
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import lz4.frame  # type: ignore[import-untyped]
+import numpy as np
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from numpy.typing import NDArray
+
+MAGIC = b"\x89MCAP0\r\n"
+MESSAGE = struct.Struct("<BQHIQQ")
+"""Start of a Message record: opcode, length, channel, sequence, log time, publish time."""
+_RECORD = struct.Struct("<BQ")
+_CHUNK = struct.Struct("<QQQII3sQ")
+_INDEX = struct.Struct("<BQHI")
+_INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
+
+
+class Run(NamedTuple):
+    """Message records of one channel, one after the other.
+
+    Attributes:
+        channel: channel id.
+        data: the records, each with its Message header.
+        log_times: (n,) uint64 [ns].
+        offsets: (n,) start of each record within data.
+    """
+
+    channel: int
+    data: bytes
+    log_times: NDArray[np.uint64]
+    offsets: NDArray[np.uint64]
+
+
+def serialised(records: Sequence[McapRecord]) -> bytes:
+    """The records as bytes."""
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]
+
+
+@dataclass(slots=True)
+class _Summary:
+    schemas: list[McapRecord] = field(default_factory=list)
+    channels: list[McapRecord] = field(default_factory=list)
+    chunks: list[McapRecord] = field(default_factory=list)
+    attachments: list[McapRecord] = field(default_factory=list)
+    metadata: list[McapRecord] = field(default_factory=list)
+    counts: Counter[int] = field(default_factory=Counter)
+    first: int = 2**64 - 1
+    last: int = 0
+
+
+class Container:
+    """An MCAP file being written, unbuffered; ``good`` is its length up to the last complete record.
+
+    Args:
+        descriptor: file descriptor open for writing, at its start.
+
+    Raises:
+        OSError: from every method that writes; then only ``cut_back`` may follow.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._fd, self._crc, self._at, self.good = descriptor, 0, 0, 0
+        self._summary = _Summary()
+        self._put(MAGIC + serialised([Header("ros2", "handctl")]))
+
+    @property
+    def messages(self) -> int:
+        """Messages written so far."""
+        return self._summary.counts.total()
+
+    def _put(self, data: bytes) -> int:
+        start, view = self._at, memoryview(data)
+        while view:
+            written = os.write(self._fd, view)
+            self._at, view = self._at + written, view[written:]
+        self._crc = zlib.crc32(data, self._crc)
+        self.good = self._at
+        return start
+
+    def cut_back(self) -> None:
+        """Drop what a failed write left behind the last complete record."""
+        os.ftruncate(self._fd, self.good)
+        os.lseek(self._fd, self.good, os.SEEK_SET)
+        self._at = self.good
+
+    def attach(self, name: str, media_type: str, data: bytes, time_ns: int) -> None:
+        """Write an attachment."""
+        raw = serialised([Attachment(time_ns, time_ns, name, media_type, data)])
+        start = self._put(raw)
+        self._summary.attachments.append(
+            AttachmentIndex(
+                offset=start,
+                length=len(raw),
+                log_time=time_ns,
+                create_time=time_ns,
+                data_size=len(data),
+                name=name,
+                media_type=media_type,
+            )
+        )
+
+    def metadata(self, name: str, values: dict[str, str]) -> None:
+        """Write a metadata record."""
+        raw = serialised([Metadata(name=name, metadata=values)])
+        self._summary.metadata.append(MetadataIndex(offset=self._put(raw), length=len(raw), name=name))
+
+    def chunk(self, runs: Sequence[Run], schemas: Sequence[Schema] = (), channels: Sequence[Channel] = ()) -> None:
+        """Write one compressed chunk with its message indexes; new schemas and channels come first in it."""
+        head = serialised([*schemas, *channels])
+        content = b"".join([head, *(run.data for run in runs)])
+        packed = lz4.frame.compress(content)
+        first = min((int(run.log_times.min()) for run in runs), default=0)
+        last = max((int(run.log_times.max()) for run in runs), default=0)
+        fields = _CHUNK.pack(first, last, len(content), zlib.crc32(content), 3, b"lz4", len(packed))
+        chunk = _RECORD.pack(Opcode.CHUNK, len(fields) + len(packed)) + fields + packed
+        indexes, places = _indexes(runs, len(head), self._at + len(chunk))
+        start = self._put(chunk + indexes)
+        index = ChunkIndex(
+            chunk_length=len(chunk),
+            chunk_start_offset=start,
+            compression="lz4",
+            compressed_size=len(packed),
+            message_end_time=last,
+            message_index_length=len(indexes),
+            message_index_offsets=places,
+            message_start_time=first,
+            uncompressed_size=len(content),
+        )
+        self._summary.chunks.append(index)
+        self._summary.schemas += schemas
+        self._summary.channels += channels
+        for run in runs:
+            self._summary.counts[run.channel] += len(run.log_times)
+        self._summary.first, self._summary.last = min(first, self._summary.first), max(last, self._summary.last)
+
+    def finish(self) -> None:
+        """Write the summary and the footer."""
+        self._put(serialised([DataEnd(self._crc)]))
+        body, offset_start = self._summary_section(self._at)
+        fields = struct.pack("<BQQQ", Opcode.FOOTER, 20, self._at, offset_start)
+        footer = serialised([Footer(self._at, offset_start, zlib.crc32(fields, zlib.crc32(body)))])
+        self._put(body + footer + MAGIC)
+
+    def _statistics(self) -> Statistics:
+        one = self._summary
+        return Statistics(
+            attachment_count=len(one.attachments),
+            channel_count=len(one.channels),
+            channel_message_counts=dict(sorted(one.counts.items())),
+            chunk_count=len(one.chunks),
+            message_count=self.messages,
+            message_end_time=one.last,
+            message_start_time=one.first if one.counts else 0,
+            metadata_count=len(one.metadata),
+            schema_count=len(one.schemas),
+        )
+
+    def _summary_section(self, start: int) -> tuple[bytes, int]:
+        one, body = self._summary, b""
+        offsets: list[McapRecord] = []
+        groups: list[tuple[Opcode, list[McapRecord]]] = [
+            (Opcode.SCHEMA, one.schemas),
+            (Opcode.CHANNEL, one.channels),
+            (Opcode.STATISTICS, [self._statistics()]),
+            (Opcode.CHUNK_INDEX, one.chunks),
+            (Opcode.ATTACHMENT_INDEX, one.attachments),
+            (Opcode.METADATA_INDEX, one.metadata),
+        ]
+        for code, group in groups:
+            raw = serialised(group)
+            if raw:
+                offsets.append(SummaryOffset(group_length=len(raw), group_opcode=code, group_start=start + len(body)))
+            body += raw
+        return body + serialised(offsets), start + len(body)
+
+
+def _indexes(runs: Sequence[Run], base: int, at: int) -> tuple[bytes, dict[int, int]]:
+    entries: dict[int, list[NDArray[np.void]]] = {}
+    for run in runs:
+        part = np.empty(len(run.offsets), _INDEX_ENTRY)
+        part["log_time"], part["offset"] = run.log_times, run.offsets + np.uint64(base)
+        entries.setdefault(run.channel, []).append(part)
+        base += len(run.data)
+    out, places = [], {}
+    for channel, parts in entries.items():
+        raw = b"".join(part.tobytes() for part in parts)
+        places[channel] = at
+        out.append(_INDEX.pack(Opcode.MESSAGE_INDEX, 6 + len(raw), channel, len(raw)) + raw)
+        at += len(out[-1])
+    return b"".join(out), places

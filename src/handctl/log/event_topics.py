@@ -1,0 +1,151 @@
+"""Topics that speak when something changes: log lines, gains, grasp phase, mode of the hand, safety's action."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.controller.types import Mode
+from handctl.log.batch import Batch
+from handctl.log.cdr import CdrWriter
+from handctl.log.container import Run
+from handctl.log.header import RunHeader
+from handctl.log.messages import OTHER_PHASE, PHASES
+from handctl.log.record import TickRecord
+from handctl.log.streams import Registry, Stamps, loose
+from handctl.safety.action import Action
+
+LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
+_DOUBLE, _STRING = 3, 4
+"""rcl_interfaces/ParameterType."""
+GAIN_EVENT = "gain"
+"""Name of the controller's event for a changed gain; ``where`` is the gain, ``text`` its new value."""
+
+
+def _stamped(t_ns: int) -> CdrWriter:
+    out = CdrWriter()
+    out.put("I", t_ns // 10**9)
+    out.put("I", t_ns % 10**9)
+    return out
+
+
+def rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
+    """A rcl_interfaces/Log."""
+    out = _stamped(t_ns)
+    out.put("B", LEVELS.get(level, LEVELS["error"]))
+    out.text(name)
+    out.text(text)
+    out.text("")
+    out.text("")
+    out.count(0)
+    return out.message()
+
+
+def _parameter(out: CdrWriter, name: str, value: str) -> None:
+    try:
+        number = float(value)
+    except ValueError:
+        number = math.nan
+    out.text(name)
+    is_number = not math.isnan(number)
+    out.put("B", _DOUBLE if is_number else _STRING)
+    out.put("B", 0)
+    out.put("q", 0)
+    out.put("d", number if is_number else 0.0)
+    out.text("" if is_number else value)
+    for _ in range(5):
+        out.count(0)
+
+
+def parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, str]) -> bytes:
+    """A rcl_interfaces/ParameterEvent; values that read as numbers become doubles."""
+    out = _stamped(t_ns)
+    out.text("/handctl")
+    for group in (new, changed):
+        out.count(len(group))
+        for name, value in group.items():
+            _parameter(out, name, value)
+    out.count(0)
+    return out.message()
+
+
+def labelled(t_ns: int, number: int, name: str) -> bytes:
+    """A handctl_msgs/GraspPhase, Mode or Action: header, number, name."""
+    out = _stamped(t_ns)
+    out.text("")
+    out.put("B", number)
+    out.text(name)
+    return out.message()
+
+
+def _changes(values: list[tuple[int, str]], last: tuple[int, str] | None) -> list[int]:
+    before = [last, *values[:-1]]
+    return [index for index, value in enumerate(values) if value != before[index]]
+
+
+class EventTopics:
+    """What happened, in words and as labelled states."""
+
+    def __init__(self, header: RunHeader, registry: Registry) -> None:
+        self._gains = header.gains
+        self._rosout = registry.add("/rosout", "rcl_interfaces/Log")
+        self._parameters = registry.add("/parameter_events", "rcl_interfaces/ParameterEvent")
+        self._phase = registry.add("/grasp/phase", "handctl_msgs/GraspPhase")
+        self._mode = registry.add("/controller/mode", "handctl_msgs/Mode")
+        self._action = registry.add("/safety/action", "handctl_msgs/Action")
+        self._last: dict[int, tuple[int, str]] = {}
+
+    def latched(self, stamps: Stamps) -> list[Run]:
+        """The gains at the start."""
+        message = parameter_event(int(stamps.log[0]), self._gains, {})
+        return [loose(self._parameters, stamps, [message])] if self._gains else []
+
+    def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
+        """Messages of a batch."""
+        modes = [Mode(number) for number in batch.mode.tolist()]
+        actions = [Action(number) for number in batch.action.tolist()]
+        lanes: list[tuple[int, list[tuple[int, str]]]] = [
+            (self._phase, [(PHASES.get(phase, OTHER_PHASE), phase) for phase in batch.phases]),
+            (self._mode, [(mode.value, mode.name.lower()) for mode in modes]),
+            (self._action, [(action.value, action.name.lower()) for action in actions]),
+        ]
+        runs = []
+        for channel, states in lanes:
+            where = _changes(states, self._last.get(channel))
+            messages = [labelled(int(stamps.log[index]), *states[index]) for index in where]
+            runs.append(loose(channel, stamps.at(_index(where)), messages))
+            self._last[channel] = states[-1]
+        return [run for run in [*runs, *self._lines(batch, stamps)] if run.data]
+
+    def _lines(self, batch: Batch, stamps: Stamps) -> list[Run]:
+        at: list[int] = []
+        lines: list[bytes] = []
+        gains_at, gains = [], []
+        for index, tick in batch.notable.items():
+            t_ns = int(stamps.log[index])
+            for level, name, text in _texts(tick):
+                at.append(index)
+                lines.append(rosout(t_ns, level, f"handctl.{name}", text))
+            changed = {event.where: event.text for event in tick.events if event.name == GAIN_EVENT}
+            if changed:
+                gains_at.append(index)
+                gains.append(parameter_event(t_ns, {}, changed))
+        return [
+            loose(self._rosout, stamps.at(_index(at)), lines),
+            loose(self._parameters, stamps.at(_index(gains_at)), gains),
+        ]
+
+
+def _index(values: list[int]) -> NDArray[np.intp]:
+    return np.array(values, np.intp)
+
+
+def _texts(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
+    for io_event in tick.tick_in.io_events:
+        number = f" ({io_event.number})" if io_event.number != 1 else ""
+        yield "warn", "io", " ".join(filter(None, (io_event.kind, io_event.where))) + number
+    for request in tick.tick_in.requests:
+        yield "info", "request", request
+    for event in tick.events:
+        yield event.level, event.name, f"{event.where}: {event.text}" if event.where else event.text

@@ -1,0 +1,119 @@
+"""A log in formats that other tools read: tables for data people, can-utils text for bus people."""
+
+import csv
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.controller.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Mode
+from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
+from handctl.errors import LogError
+from handctl.log.logfile import printable
+from handctl.log.reader import RunLog
+from handctl.safety.action import Action
+
+BLOCK = 4096
+"""Ticks that are held at a time."""
+
+WORDS = ("mode", "phase", "action")
+"""Columns of text."""
+
+
+class Block(NamedTuple):
+    """Some ticks of a log.
+
+    Attributes:
+        k, t_ns, late_ns: (rows,) as in TickIn [ns].
+        mode, phase, action: a word each.
+        numbers: (rows, columns) telemetry.
+    """
+
+    k: NDArray[np.int64]
+    t_ns: NDArray[np.int64]
+    late_ns: NDArray[np.int64]
+    mode: list[str]
+    phase: list[str]
+    action: list[str]
+    numbers: NDArray[np.float64]
+
+
+def columns(log: RunLog) -> tuple[str, ...]:
+    """Names of the telemetry's columns: ``tension/index_tendon``, ``q/index_j1``, in SI units, see the README."""
+    return tuple(f"{field}/{name}" for field in TELEMETRY_FIELDS for name in log.header.axis(TELEMETRY_AXES[field]))
+
+
+def blocks(log: RunLog) -> Iterator[Block]:
+    """All ticks of a log as tables of at most ``BLOCK`` rows."""
+    changes = log.phases
+    starts = np.array([change.k for change in changes], np.int64)
+    names = [change.name for change in changes]
+    rows = log.packed()
+    for begin in range(0, len(log), BLOCK):
+        part = slice(begin, min(begin + BLOCK, len(log)))
+        data = b"".join(next(rows) for _ in range(part.start, part.stop))
+        numbers = np.frombuffer(data, "<f8").reshape(part.stop - part.start, -1)
+        phase = [names[i] for i in np.searchsorted(starts, log.k[part], "right") - 1]
+        mode = [Mode(value).name for value in log.mode[part].tolist()]
+        action = [Action(value).name for value in log.action[part].tolist()]
+        yield Block(log.k[part], log.t_ns[part], log.late_ns[part], mode, phase, action, numbers)
+
+
+def export_csv(log: RunLog, path: Path) -> int:
+    """Write one row a tick; numbers read back bit for bit, NaN is an empty field; the number of rows.
+
+    Raises:
+        LogError: the file cannot be written.
+    """
+    count = 0
+    try:
+        with path.open("x", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(("k", "t_ns", "late_ns", *WORDS, *columns(log)))
+            for block in blocks(log):
+                fixed = zip(*(part.tolist() for part in block[:3]), *block[3:6], strict=True)
+                for head, row in zip(fixed, block.numbers.tolist(), strict=True):
+                    writer.writerow((*head, *("" if value != value else repr(value) for value in row)))
+                    count += 1
+    except OSError as error:
+        raise LogError(f"cannot write: {error.strerror}", printable(str(path)), "a new file") from None
+    return count
+
+
+def export_candump(log: RunLog, path: Path) -> int:
+    """Write all frames as can-utils' log text; the number of frames.
+
+    Received frames carry the time at which they came, sent ones that of their tick; R or T tells them apart.
+
+    Raises:
+        LogError: the file cannot be written.
+    """
+    count, buses, offset = 0, log.header.buses, log.header.offset_ns
+    try:
+        with path.open("x", encoding="ascii") as file:
+            for tick in log.ticks():
+                began = tick.tick_in.t_ns + tick.tick_in.late_ns
+                for frame in tick.tick_in.frames:
+                    file.write(_candump(frame, offset + frame.t_ns, buses, "R"))
+                for frame in tick.frames:
+                    file.write(_candump(frame, offset + began, buses, "T"))
+                count += len(tick.tick_in.frames) + len(tick.frames)
+    except OSError as error:
+        raise LogError(f"cannot write: {error.strerror}", printable(str(path)), "a new file") from None
+    return count
+
+
+def _candump(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: str) -> str:
+    """One line. Source: can-utils ``lib.c``, ``snprintf_canframe``."""
+    long_id = frame.can_id & (EXTENDED | ERROR)
+    can_id = f"{frame.can_id & 0x3FFF_FFFF:08X}" if long_id else f"{frame.can_id & 0x7FF:03X}"
+    data = frame.data.hex().upper()
+    if frame.flags & FDF:
+        body = f"##{frame.flags & 0xF & ~FDF:X}{data}"
+    else:
+        body = f"#R{len(frame.data) or ''}" if frame.can_id & REMOTE else f"#{data}"
+    bus = buses[frame.bus] if frame.bus < len(buses) else "unknown"
+    # can-utils counts in microseconds; the clock of a run may begin before its first frame
+    return f"({max(t_ns, 0) // 10**9}.{max(t_ns, 0) % 10**9 // 1000:06d}) {bus} {can_id}{body} {direction}\n"

@@ -1,0 +1,157 @@
+"""/diagnostics and the temperatures."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.controller.types import Mode
+from handctl.drives.contract import Phase
+from handctl.log.batch import Batch, columns
+from handctl.log.cdr import CdrWriter, Template, TemplateWriter
+from handctl.log.container import Run
+from handctl.log.header import RunHeader
+from handctl.log.streams import Registry, Stamps, Stream, loose
+from handctl.log.tf_topics import ROOT
+from handctl.safety.action import Action
+
+TEMPERATURE_PERIOD_NS = 200_000_000
+DIAGNOSTICS_PERIOD_NS = 1_000_000_000
+OK, WARN, ERROR = 0, 1, 2
+
+_DRIVE_LEVEL = {Phase.READY: OK, Phase.ENABLED: OK, Phase.FAULT: ERROR}
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """One diagnostic_msgs/DiagnosticStatus."""
+
+    level: int
+    name: str
+    text: str
+    hardware: str
+    values: dict[str, str] = field(default_factory=dict)
+
+
+def diagnostic_array(t_ns: int, statuses: list[Status]) -> bytes:
+    """A diagnostic_msgs/DiagnosticArray."""
+    out = CdrWriter()
+    out.put("I", t_ns // 10**9)
+    out.put("I", t_ns % 10**9)
+    out.text("")
+    out.count(len(statuses))
+    for status in statuses:
+        out.put("B", status.level)
+        out.text(status.name)
+        out.text(status.text)
+        out.text(status.hardware)
+        out.count(len(status.values))
+        for key, value in status.values.items():
+            out.text(key)
+            out.text(value)
+    return out.message()
+
+
+def temperature() -> Template:
+    """A sensor_msgs/Temperature of unknown variance.
+
+    Its frame is the palm's, behind which the motors sit: with a frame that /tf does not know, Rerun finds more than
+    one root and shows no hand.
+    """
+    out = TemplateWriter()
+    out.header(ROOT)
+    out.place("temperature", "<f8")
+    out.place("variance", "<f8")
+    return out.template()
+
+
+class HealthTopics:
+    """One status per motor, per bus, and one of the controller; 1 Hz and when a mode, action or drive changes."""
+
+    def __init__(self, header: RunHeader, registry: Registry) -> None:
+        self._header, self._columns = header, columns(header)
+        self._diagnostics = registry.add("/diagnostics", "diagnostic_msgs/DiagnosticArray")
+        self._temperatures = [
+            Stream(registry.add(f"/actuator/{motor}/temperature", "sensor_msgs/Temperature"), temperature())
+            for motor in header.motors
+        ]
+        self._last_temperature, self._last = -1, (np.full(0, -1.0), -1)
+        self._frames = np.zeros((len(header.buses), 2), np.int64)
+        self._io_events: dict[str, int] = {}
+
+    def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
+        """Messages of a batch."""
+        runs = self._temperature_runs(batch, stamps)
+        chosen = self._chosen(batch)
+        messages: list[bytes] = []
+        start = 0
+        for index in [*chosen.tolist(), len(batch.k) - 1]:
+            self._count(batch, start, index + 1)
+            if len(messages) < len(chosen):
+                messages.append(diagnostic_array(int(stamps.log[index]), self._statuses(batch, index)))
+            start = index + 1
+        if messages:
+            runs.append(loose(self._diagnostics, stamps.at(chosen), messages))
+        return runs
+
+    def _temperature_runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
+        periods = batch.t_ns // TEMPERATURE_PERIOD_NS
+        chosen = np.flatnonzero(np.diff(periods, prepend=self._last_temperature))
+        self._last_temperature = int(periods[-1])
+        if not len(chosen):
+            return []
+        values = batch.numbers[chosen, self._columns["motor_temperature"]]
+        at = stamps.at(chosen)
+        return [stream.run(at, {"temperature": values[:, [index]]}) for index, stream in enumerate(self._temperatures)]
+
+    def _chosen(self, batch: Batch) -> NDArray[np.intp]:
+        phases = np.nan_to_num(batch.numbers[:, self._columns["drive_phase"]], nan=-1.0)
+        state = np.column_stack([batch.mode, batch.action, phases])
+        last_state, last_period = self._last
+        first = last_state if len(last_state) else np.full(state.shape[1], -1.0)
+        periods = batch.t_ns // DIAGNOSTICS_PERIOD_NS
+        changed = (np.diff(state, axis=0, prepend=first[None, :]) != 0).any(axis=1)
+        self._last = state[-1], int(periods[-1])
+        return np.flatnonzero(changed | (np.diff(periods, prepend=last_period) != 0))
+
+    def _count(self, batch: Batch, start: int, end: int) -> None:
+        """Count frames and io events of ticks start to end."""
+        for direction, frames in enumerate((batch.received, batch.sent)):
+            first, last = np.searchsorted(frames.tick, (start, end))
+            bus = np.bincount(frames.frames["bus"][first:last], minlength=len(self._frames))
+            self._frames[:, direction] += bus[: len(self._frames)]
+        for index in range(start, end):
+            tick = batch.notable.get(index)
+            for event in tick.tick_in.io_events if tick else ():
+                key = " ".join(filter(None, (event.kind, event.where)))
+                self._io_events[key] = self._io_events.get(key, 0) + event.number
+
+    def _statuses(self, batch: Batch, index: int) -> list[Status]:
+        action = Action(int(batch.action[index]))
+        level = OK if action == Action.PASS else WARN if action < Action.RELAX else ERROR
+        mode = Mode(int(batch.mode[index])).name.lower()
+        values = {"action": action.name.lower(), "phase": batch.phases[index], "cycle": str(int(batch.k[index]))}
+        controller = Status(level, "handctl: controller", mode, "handctl", values | self._counted())
+        return [controller, *self._buses(), *self._motors(batch.numbers[index])]
+
+    def _counted(self) -> dict[str, str]:
+        return {f"io {name}": str(number) for name, number in self._io_events.items()}
+
+    def _buses(self) -> list[Status]:
+        return [
+            Status(OK, f"handctl: bus {bus}", "frames", bus, {"received": str(received), "sent": str(sent)})
+            for bus, (received, sent) in zip(self._header.buses, self._frames.tolist(), strict=True)
+        ]
+
+    def _motors(self, numbers: NDArray[np.float64]) -> list[Status]:
+        found = []
+        shown = ("motor_position", "motor_velocity", "motor_torque", "motor_temperature", "motor_age")
+        part = {name: numbers[self._columns[name]] for name in (*shown, "drive_phase")}
+        for index, motor in enumerate(self._header.motors):
+            number = part["drive_phase"][index]
+            known = number in set(Phase)
+            phase = Phase(int(number)) if known else Phase.SILENT
+            values = {name.removeprefix("motor_"): f"{part[name][index]:.6g}" for name in shown}
+            level = _DRIVE_LEVEL.get(phase, WARN)
+            found.append(Status(level, f"handctl: motor {motor}", phase.name.lower(), motor, values))
+        return found

@@ -1,0 +1,102 @@
+"""The message types of the log, as ROS 2 interface text.
+
+Source: the fields are those of the ROS 2 interface packages (common_interfaces, rcl_interfaces, geometry2,
+can_msgs, ros2_socketcan_msgs, pal_statistics_msgs); ``handctl_msgs`` is ours.
+"""
+
+from handctl.controller.types import Mode
+from handctl.safety.action import Action
+
+PHASES = {
+    name: number
+    for number, name in enumerate((
+        "idle", "start", "home", "tighten", "move", "close", "hold", "release", "open", "end", "live", "preshape",
+        "silent", "inventory", "ready", "arming", "relax", "disarm", "cut", "done",
+    ))
+}  # fmt: skip
+"""Grasp phases that have a number; a task may name its phases otherwise, those are logged as OTHER."""
+OTHER_PHASE = 255
+
+
+def _constants(values: dict[str, int]) -> str:
+    return "".join(f"uint8 {name.upper()}={value}\n" for name, value in values.items())
+
+
+_HEADER = "std_msgs/Header header\n"
+
+DEFINITIONS = {
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
+    "std_msgs/String": "string data\n",
+    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
+    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
+    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n",
+    "geometry_msgs/TransformStamped": _HEADER + "string child_frame_id\ngeometry_msgs/Transform transform\n",
+    "geometry_msgs/Wrench": "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n",
+    "geometry_msgs/WrenchStamped": _HEADER + "geometry_msgs/Wrench wrench\n",
+    "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
+    "sensor_msgs/JointState": _HEADER + "string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n",
+    "sensor_msgs/Temperature": _HEADER + "float64 temperature\nfloat64 variance\n",
+    "can_msgs/Frame": _HEADER + "uint32 id\nbool is_rtr\nbool is_extended\nbool is_error\nuint8 dlc\nuint8[8] data\n",
+    "ros2_socketcan_msgs/FdFrame": _HEADER
+    + "uint32 id\nbool is_extended\nbool is_error\nuint8 len\nuint8[<=64] data\n",
+    "pal_statistics_msgs/StatisticsNames": _HEADER + "string[] names\nuint32 names_version\n",
+    "pal_statistics_msgs/StatisticsValues": _HEADER + "float64[] values\nuint32 names_version\n",
+    "diagnostic_msgs/KeyValue": "string key\nstring value\n",
+    "diagnostic_msgs/DiagnosticStatus": "byte OK=0\nbyte WARN=1\nbyte ERROR=2\nbyte STALE=3\n"
+    "byte level\nstring name\nstring message\nstring hardware_id\ndiagnostic_msgs/KeyValue[] values\n",
+    "diagnostic_msgs/DiagnosticArray": _HEADER + "diagnostic_msgs/DiagnosticStatus[] status\n",
+    "rcl_interfaces/Log": "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\n"
+    "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\nuint32 line\n",
+    "rcl_interfaces/ParameterValue": "uint8 type\nbool bool_value\nint64 integer_value\nfloat64 double_value\n"
+    "string string_value\nbyte[] byte_array_value\nbool[] bool_array_value\nint64[] integer_array_value\n"
+    "float64[] double_array_value\nstring[] string_array_value\n",
+    "rcl_interfaces/Parameter": "string name\nrcl_interfaces/ParameterValue value\n",
+    "rcl_interfaces/ParameterEvent": "builtin_interfaces/Time stamp\nstring node\n"
+    "rcl_interfaces/Parameter[] new_parameters\nrcl_interfaces/Parameter[] changed_parameters\n"
+    "rcl_interfaces/Parameter[] deleted_parameters\n",
+    "handctl_msgs/GraspPhase": _constants(PHASES | {"other": OTHER_PHASE}) + _HEADER + "uint8 phase\nstring name\n",
+    "handctl_msgs/Mode": _constants({mode.name: mode.value for mode in Mode}) + _HEADER + "uint8 mode\nstring name\n",
+    "handctl_msgs/Action": _constants({one.name: one.value for one in Action})
+    + _HEADER
+    + "uint8 action\nstring name\n",
+    "handctl_msgs/CycleStats": "# period: start of this tick since the start of the last one [s]; late: start\n"
+    "# after the schedule [s]; last_reply: latest frame since the last tick's start [s]; missed: ticks\n"
+    "# skipped before this one; stale: age of each motor's feedback [s].\n"
+    + _HEADER
+    + "float64 period\nfloat64 late\nfloat64 last_reply\nuint32 missed\nuint8 mode\nuint8 action\nfloat64[] stale\n",
+    "handctl_msgs/Estimate": _HEADER + "string[] name\nfloat64[] value\nfloat64[] variance\nstring[] unit\n",
+    "handctl_msgs/CanFrame": "# flags: BRS 1, ESI 2, FDF 4; bus: index in the hand file; data: the first eight bytes.\n"
+    "int64 t_ns\nuint32 can_id\nuint16 flags\nuint8 bus\nuint8 length\nuint8[8] data\n",
+    "handctl_msgs/IoEvent": "string kind\nstring where\nint64 number\n",
+    "handctl_msgs/Event": "string level\nstring name\nstring where\nstring text\n",
+    "handctl_msgs/Tick": "# One tick exactly as the controller saw it (k .. late_ns, received, io_events,\n"
+    "# requests) and decided it; what re-execution reads. long_data: bytes beyond the eighth of each longer\n"
+    "# frame, in order.\n"
+    "int64 k\nint64 t_ns\nint64 late_ns\nuint8[8] state_hash\nuint8 mode\nuint8 action\n"
+    "handctl_msgs/CanFrame[] received\nhandctl_msgs/CanFrame[] sent\nuint8[] long_data\nstring phase\n"
+    "handctl_msgs/IoEvent[] io_events\nstring[] requests\nhandctl_msgs/Event[] events\n",
+}
+
+_SEPARATOR = "=" * 80 + "\n"
+
+
+def _dependencies(name: str, found: dict[str, None]) -> None:
+    for line in DEFINITIONS[name].splitlines():
+        field_type = line.split(" ")[0].split("[")[0]
+        if field_type in DEFINITIONS and field_type not in found:
+            found[field_type] = None
+            _dependencies(field_type, found)
+
+
+def schema_text(name: str) -> str:
+    """Definition of a type such as "sensor_msgs/JointState" followed by all it depends on, as MCAP's ros2msg wants."""
+    found: dict[str, None] = {}
+    _dependencies(name, found)
+    return DEFINITIONS[name] + "".join(f"{_SEPARATOR}MSG: {other}\n{DEFINITIONS[other]}" for other in found)
+
+
+def schema_name(name: str) -> str:
+    """The name as ROS 2 writes it: "sensor_msgs/msg/JointState"."""
+    package, kind = name.split("/")
+    return f"{package}/msg/{kind}"

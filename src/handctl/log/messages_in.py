@@ -1,0 +1,153 @@
+"""Messages of an uncompressed chunk: runs of equal length at once."""
+
+import struct
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+MAX_CHANNELS = 1000
+MIN_RUNS, BYTES_PER_RUN = 128, 16
+"""Runs and definitions that a chunk may have at least, and one more for so many compressed bytes."""
+_RECORD = struct.Struct("<BQ")
+_HEADER = 11
+"""Opcode, length and channel: what the messages of a run have in common."""
+_BODY = 31
+"""Start of a message's data within its record."""
+
+
+class Rows(NamedTuple):
+    """Consecutive messages of one channel and one length.
+
+    Attributes:
+        channel: channel id.
+        start: offset of the first record in the chunk.
+        records: (n, size of a record) bytes.
+    """
+
+    channel: int
+    start: int
+    records: NDArray[np.uint8]
+
+    def data(self) -> NDArray[np.uint8]:
+        """(n, size of a message)."""
+        return self.records[:, _BODY:]
+
+    def sequence(self) -> NDArray[np.uint32]:
+        """(n,) sequence numbers."""
+        return np.ascontiguousarray(self.records[:, 11:15]).view("<u4")[:, 0]
+
+    def log_times(self) -> NDArray[np.uint64]:
+        """(n,) [ns]."""
+        return np.ascontiguousarray(self.records[:, 15:23]).view("<u8")[:, 0]
+
+
+class Definitions(NamedTuple):
+    """Schemas and channels of a chunk, as raw records without their header.
+
+    Attributes:
+        schemas: (id, name, encoding, data) of each.
+        channels: (id, schema id, topic, encoding, metadata) of each.
+    """
+
+    schemas: list[tuple[int, str, str, bytes]]
+    channels: list[tuple[int, int, str, str, dict[str, str]]]
+
+
+def rows(content: bytes, packed: int, wanted: frozenset[int] | None = None) -> Iterator[Rows]:
+    """Messages of a chunk, all or those of some channels.
+
+    Args:
+        content: the uncompressed chunk.
+        packed: its size in the file, which limits the work that a small file can ask for.
+        wanted: ids of channels.
+
+    Raises:
+        ValueError: the chunk is not what it should be.
+        struct.error: it ends within a record.
+    """
+    raw, at, left = np.frombuffer(content, np.uint8), 0, MIN_RUNS + packed // BYTES_PER_RUN
+    while at < len(content):
+        left -= 1
+        if left < 0:
+            raise ValueError("more messages than the size of the chunk explains")
+        code, length = _RECORD.unpack_from(content, at)
+        size = _RECORD.size + length
+        if at + size > len(content):
+            raise ValueError("a record ends behind its chunk")
+        count = 1
+        if code == Opcode.MESSAGE:
+            if size < _BODY:
+                raise ValueError("a message that is too short")
+            count = _run(raw[at:], size)
+            (channel,) = struct.unpack_from("<H", content, at + 9)
+            if wanted is None or channel in wanted:
+                yield Rows(channel, at, raw[at : at + count * size].reshape(count, size))
+        elif code not in (Opcode.SCHEMA, Opcode.CHANNEL):
+            raise ValueError(f"a record of kind {code} in a chunk")
+        at += count * size
+
+
+def _run(raw: NDArray[np.uint8], size: int) -> int:
+    """How many records follow that have the size and channel of the first."""
+    most, count, step = len(raw) // size, 1, 8
+    if raw[size : size + _HEADER].tobytes() != raw[:_HEADER].tobytes():
+        return 1
+    while count < most:
+        heads = raw[count * size : min(count + step, most) * size].reshape(-1, size)[:, :_HEADER]
+        equal = (heads == raw[:_HEADER]).all(axis=1)
+        if not equal.all():
+            return count + int(equal.argmin())
+        count, step = count + len(equal), 4 * step
+    return count
+
+
+def definitions(content: bytes) -> Definitions:
+    """Schemas and channels at the start of a chunk; raises as ``rows``."""
+    found, at = Definitions([], []), 0
+    while at < len(content):
+        code, length = _RECORD.unpack_from(content, at)
+        body = content[at + _RECORD.size : at + _RECORD.size + length]
+        if code == Opcode.SCHEMA:
+            found.schemas.append(_schema(body))
+        elif code == Opcode.CHANNEL:
+            found.channels.append(_channel(body))
+        else:
+            break
+        if max(len(found.schemas), len(found.channels)) > MAX_CHANNELS:
+            raise ValueError(f"more than {MAX_CHANNELS} channels")
+        at += _RECORD.size + length
+    return found
+
+
+def _text(body: bytes, at: int) -> tuple[str, int]:
+    raw, at = _bytes(body, at)
+    return raw.decode(), at
+
+
+def _bytes(body: bytes, at: int) -> tuple[bytes, int]:
+    (size,) = struct.unpack_from("<I", body, at)
+    if at + 4 + size > len(body):
+        raise ValueError("a text ends behind its record")
+    return body[at + 4 : at + 4 + size], at + 4 + size
+
+
+def _schema(body: bytes) -> tuple[int, str, str, bytes]:
+    (number,) = struct.unpack_from("<H", body)
+    name, at = _text(body, 2)
+    encoding, at = _text(body, at)
+    return number, name, encoding, _bytes(body, at)[0]
+
+
+def _channel(body: bytes) -> tuple[int, int, str, str, dict[str, str]]:
+    number, schema = struct.unpack_from("<HH", body)
+    topic, at = _text(body, 4)
+    encoding, at = _text(body, at)
+    raw, _ = _bytes(body, at)
+    metadata, at = {}, 0
+    while at < len(raw):
+        key, at = _text(raw, at)
+        metadata[key], at = _text(raw, at)
+    return number, schema, topic, encoding, metadata

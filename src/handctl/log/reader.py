@@ -1,0 +1,284 @@
+"""A recorded run as data: arrays, ticks and events, from whole and from broken files."""
+
+import functools
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.controller.types import TELEMETRY_AXES, Event
+from handctl.errors import LogError
+from handctl.log.batch import FIXED_DTYPE, columns
+from handctl.log.header import RunHeader
+from handctl.log.logfile import ChunkPlace, LogFile, printable, reading
+from handctl.log.messages_in import Definitions, Rows, definitions, rows
+from handctl.log.record import TickRecord, layout, unpack_tick
+from handctl.log.scan import Scan, scan
+from handctl.log.topics import TICK_TOPIC, VALUES_TOPIC
+from handctl.log.writer import SCHEMA
+
+Array = NDArray[np.float64]
+
+_MAX_NAMES = 1000
+_VALUES_AT = 4 + 8 + 8 + 8
+"""Start of the values in a StatisticsValues: encapsulation, stamp, empty frame_id with padding, length with padding."""
+_CACHE_BYTES = 64 << 20
+
+
+class LoggedEvent(NamedTuple):
+    """An event with its time: tick number, time [ns], event."""
+
+    k: int
+    t_ns: int
+    event: Event
+
+
+class Gap(NamedTuple):
+    """Ticks that are not in the log: the last before and the first after."""
+
+    before: int
+    after: int
+
+
+class PhaseChange(NamedTuple):
+    """A grasp phase that begins: tick number, time [ns], name."""
+
+    k: int
+    t_ns: int
+    name: str
+
+
+def _header(found: Scan) -> RunHeader:
+    run = {name: json.loads(text) for name, text in found.metadata["handctl.run"].items()}
+    if run["schema"] != SCHEMA:
+        raise ValueError(f"log of version {run['schema']}; this reader knows {SCHEMA}")
+    for name in ("joints", "tendons", "motors", "digits", "buses"):
+        if len(run[name]) > _MAX_NAMES or not all(isinstance(one, str) for one in run[name]):
+            raise ValueError(f"{name} is no list of names")
+    attachments = {name: data for name, (_, _, data) in found.attachments.items()}
+    return RunHeader(
+        attachments.get("hand.toml", b"").decode(),
+        tuple(run["joints"]),
+        tuple(run["tendons"]),
+        tuple(run["motors"]),
+        tuple(run["digits"]),
+        tuple(run["buses"]),
+        period_ns=int(run["period_ns"]),
+        offset_ns=int(run["offset_ns"]),
+        metadata=found.metadata.get("handctl", {}),
+        gains=found.metadata.get("handctl.gains", {}),
+        attachments=attachments,
+        wall=found.metadata.get("handctl.wall", {}),
+        deterministic=run["deterministic"] is True,
+    )
+
+
+class RunLog:
+    """One run; use as a context manager, or ``close``.
+
+    Attributes:
+        header: names, period, offset, gains, attachments.
+        metadata: all metadata records.
+        end: reason, ticks, messages, missed, dropped of a run that was closed; else empty.
+        warning: why the file is not whole; empty if it is. What is there is complete up to then.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open a log.
+
+        Raises:
+            LogError: not a log of handctl, damaged, or beyond a limit. A file that only ends early is no error.
+        """
+        self._file = LogFile(path)
+        try:
+            found = Scan()
+            scan(self._file, found)
+            self._chunks, self.metadata, self.warning = found.chunks, found.metadata, found.problem
+            if "handctl.run" not in found.metadata or not found.chunks:
+                raise LogError("no run of handctl in it", self._file.name, "a log that handctl wrote")
+            with reading(self._file.name):
+                self.header = _header(found)
+            self.end = found.metadata.get("handctl.end", {})
+            self._tick, self._values = self._channels()
+        except LogError:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def _channels(self) -> tuple[int, int]:
+        """Channels of the ticks and of the telemetry."""
+        with reading(self._file.at(self._chunks[0].offset)):
+            found: Definitions = definitions(self._file.content(self._chunks[0]))
+            topics = {topic: (number, schema) for number, schema, topic, _, _ in found.channels}
+            return topics[TICK_TOPIC][0], topics[VALUES_TOPIC][0]
+
+    def _rows(self, channel: int) -> Iterator[tuple[ChunkPlace, Rows]]:
+        for place in self._chunks:
+            content = self._file.content(place)
+            with reading(self._file.at(place.offset)):
+                found = list(rows(content, place.end - place.data, frozenset((channel,))))
+            yield from ((place, one) for one in found)
+
+    @functools.cached_property
+    def _fixed(self) -> NDArray[np.void]:
+        """(ticks,) constant parts of all ticks."""
+        parts = [np.empty(0, FIXED_DTYPE)]
+        for place, one in self._rows(self._tick):
+            data = one.data()
+            with reading(self._file.at(place.offset)):
+                if data.shape[1] < 4 + FIXED_DTYPE.itemsize:
+                    raise ValueError("a tick that is too short")
+                parts.append(np.ascontiguousarray(data[:, 4 : 4 + FIXED_DTYPE.itemsize]).view(FIXED_DTYPE)[:, 0])
+        return np.concatenate(parts)
+
+    def __len__(self) -> int:
+        """Number of ticks."""
+        return len(self._fixed)
+
+    @property
+    def k(self) -> NDArray[np.int64]:
+        """(ticks,) tick numbers."""
+        return self._fixed["k"]
+
+    @property
+    def t_ns(self) -> NDArray[np.int64]:
+        """(ticks,) time since the start of the run [ns]."""
+        return self._fixed["t_ns"]
+
+    @property
+    def times(self) -> Array:
+        """(ticks,) time since the start of the run [s]."""
+        return np.asarray(self.t_ns * 1e-9, np.float64)
+
+    @property
+    def late_ns(self) -> NDArray[np.int64]:
+        """(ticks,) how late each tick began [ns]."""
+        return self._fixed["late_ns"]
+
+    @property
+    def mode(self) -> NDArray[np.uint8]:
+        """(ticks,) controller.types.Mode."""
+        return self._fixed["mode"]
+
+    @property
+    def action(self) -> NDArray[np.uint8]:
+        """(ticks,) safety.action.Action."""
+        return self._fixed["action"]
+
+    @property
+    def gaps(self) -> list[Gap]:
+        """Where ticks are missing."""
+        at = np.flatnonzero(np.diff(self.k) != 1)
+        return [Gap(int(self.k[i]), int(self.k[i + 1])) for i in at]
+
+    def field(self, name: str) -> Array:
+        """(ticks, n) one field of the telemetry, NaN where nothing was known.
+
+        Args:
+            name: of ``controller.types.TELEMETRY_FIELDS``.
+
+        Raises:
+            LogError: there is no such field, or the log is damaged.
+        """
+        places = columns(self.header)
+        if name not in places:
+            raise LogError(f"no field {printable(name)!r}", self._file.name, "one of " + ", ".join(places))
+        if 8 * self._width * len(self) <= _CACHE_BYTES:
+            return self._numbers[:, places[name]]
+        return self._columns(places[name])
+
+    @property
+    def _width(self) -> int:
+        return sum(len(self.header.axis(axis)) for axis in TELEMETRY_AXES.values())
+
+    @functools.cached_property
+    def _numbers(self) -> Array:
+        return self._columns(slice(0, self._width))
+
+    def _columns(self, place: slice) -> Array:
+        """(ticks, columns) of the telemetry."""
+        parts = [np.empty((0, place.stop - place.start))]
+        sequence = [np.empty(0, np.uint32)]
+        for data, numbers in self._values_parts():
+            part = np.ascontiguousarray(data[:, 8 * place.start : 8 * place.stop])
+            parts.append(part.view("<f8"))
+            sequence.append(numbers)
+        found = np.concatenate(sequence)
+        if len(found) != len(self) or (found != (self.k & 0xFFFF_FFFF)).any():
+            raise LogError("telemetry and ticks do not belong together", self._file.name, "an intact file")
+        return np.concatenate(parts)
+
+    def _values_parts(self) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
+        """Telemetry as (rows, bytes) with the sequence numbers of the rows, part by part."""
+        size = _VALUES_AT + 8 * self._width + 4
+        for chunk, one in self._rows(self._values):
+            data = one.data()
+            with reading(self._file.at(chunk.offset)):
+                if data.shape[1] != size:
+                    raise ValueError("telemetry of another shape than the header says")
+            yield data[:, _VALUES_AT : size - 4], one.sequence()
+
+    def packed(self) -> Iterator[bytes]:
+        """Telemetry of each tick as ``Telemetry.packed`` gives it, without holding more than a part of the file."""
+        for data, _ in self._values_parts():
+            yield from (row.tobytes() for row in data)
+
+    def names(self, field: str) -> tuple[str, ...]:
+        """Names of the columns of a field."""
+        return self.header.axis(TELEMETRY_AXES[field])
+
+    def _messages(self) -> Iterator[tuple[ChunkPlace, bytes]]:
+        for place, one in self._rows(self._tick):
+            yield from ((place, row.tobytes()) for row in one.data())
+
+    def ticks(self) -> Iterator[TickRecord]:
+        """All ticks in order, for re-execution."""
+        for place, message in self._messages():
+            with reading(self._file.at(place.offset)):
+                tick = unpack_tick(message)
+            yield tick
+
+    @functools.cached_property
+    def _told(self) -> tuple[list[LoggedEvent], list[PhaseChange]]:
+        """Events and phases; only a tick whose words are new is decoded."""
+        events: list[LoggedEvent] = []
+        phases: list[PhaseChange] = []
+        quiet: dict[bytes, str] = {}
+        for index, (place, message) in enumerate(self._messages()):
+            with reading(self._file.at(place.offset)):
+                tail = message[layout(message).tail :]
+                phase = quiet.get(tail)
+                if phase is None:
+                    tick = unpack_tick(message)
+                    phase = tick.phase
+                    events += [LoggedEvent(tick.tick_in.k, tick.tick_in.t_ns, event) for event in tick.events]
+                    if not tick.events and len(quiet) < _MAX_NAMES:
+                        quiet[tail] = phase
+            if not phases or phases[-1].name != phase:
+                phases.append(PhaseChange(int(self.k[index]), int(self.t_ns[index]), phase))
+        return events, phases
+
+    @property
+    def events(self) -> list[LoggedEvent]:
+        """What the controller had to say, in order."""
+        return self._told[0]
+
+    @property
+    def phases(self) -> list[PhaseChange]:
+        """When each grasp phase began."""
+        return self._told[1]

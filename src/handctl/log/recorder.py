@@ -1,0 +1,202 @@
+"""The controller's end of the recorder: hands records to a process of its own and never waits for it."""
+
+import fcntl
+import json
+import os
+import select
+import struct
+import subprocess
+import sys
+import termios
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Self
+
+from handctl.controller.types import IoEvent
+from handctl.errors import LogError
+from handctl.log.header import RunHeader
+from handctl.log.record import END, HEADER, framed
+
+PIPE_BYTES = 1 << 20
+"""What an unprivileged process may ask for on Linux; holds more than 250 ticks of the largest hand."""
+FLOOR_BYTES = 64 << 20
+"""Free space at which a log is finished early; at four times this there is a warning."""
+START_S, CLOSE_S = 20.0, 20.0
+LOCKSTEP_WAIT_S = 60.0
+
+
+def _grow(descriptor: int) -> int:
+    """Size of the pipe after asking for PIPE_BYTES [bytes]."""
+    size = 1 << 16
+    if hasattr(fcntl, "F_SETPIPE_SZ"):
+        with suppress(OSError):
+            size = fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+    return size
+
+
+class Recorder:
+    """A running recorder; see ``start``."""
+
+    def __init__(self, path: Path, child: subprocess.Popen[bytes], pipe: int, lossless: bool) -> None:
+        assert child.stdout is not None
+        self._path, self._child, self._pipe, self._notes = path, child, pipe, child.stdout.fileno()
+        self._lossless, self._size = lossless, _grow(pipe)
+        self._rest, self._line = b"", b""
+        self._gone = self._told_gone = self._filling = False
+        self._announced = self.dropped = 0
+        self._messages: list[dict[str, object]] = []
+        os.set_blocking(self._notes, False)
+
+    @classmethod
+    def start(cls, path: Path, header: RunHeader, floor_bytes: int = FLOOR_BYTES) -> Self:
+        """Start the recorder process and wait until the file is there with all that is known before the first tick.
+
+        Args:
+            path: a new file.
+            header: what is known of the run.
+            floor_bytes: free space at which the log is finished early.
+
+        Raises:
+            LogError: the file cannot be created, or the process does not answer.
+        """
+        reading, writing = os.pipe()
+        command = [sys.executable, "-P", "-m", "handctl.log.writer_process", str(path), str(floor_bytes)]
+        try:
+            child = subprocess.Popen(command, stdin=reading, stdout=subprocess.PIPE, start_new_session=True)
+        finally:
+            os.close(reading)
+        recorder = cls(path, child, writing, header.deterministic)
+        recorder._open(framed(HEADER, header.dump()))
+        return recorder
+
+    def _open(self, header: bytes) -> None:
+        os.set_blocking(self._pipe, False)
+        try:
+            if not self._send(header, START_S):
+                raise LogError("the recorder process does not read", str(self._path))
+            self._read_notes(START_S)
+            if not any("ready" in note for note in self._messages):
+                reason = next((str(note["error"]) for note in self._messages if "error" in note), "no answer")
+                raise LogError(f"cannot record: {reason}", str(self._path), "a new file in a writable directory")
+        except LogError:
+            self._abandon()
+            raise
+
+    def _abandon(self) -> None:
+        self._gone = True
+        os.close(self._pipe)
+        self._child.kill()
+        self._child.wait()
+        self._close_notes()
+
+    def _close_notes(self) -> None:
+        assert self._child.stdout is not None
+        self._child.stdout.close()
+
+    def _send(self, data: bytes, timeout_s: float) -> bool:
+        """Write all of data, waiting at most timeout_s [s]; after a failure nothing more may be sent."""
+        end, view = time.monotonic() + timeout_s, memoryview(data)
+        while view:
+            try:
+                view = view[os.write(self._pipe, view) :]
+            except BlockingIOError:
+                left = end - time.monotonic()
+                if left <= 0 or not select.select([], [self._pipe], [], left)[1]:
+                    return False
+            except BrokenPipeError:
+                self._gone = True
+                return False
+        return True
+
+    def record(self, data: bytes) -> bool:
+        """Hand over one record without waiting; False if it was dropped. A deterministic run waits instead.
+
+        Args:
+            data: from ``record.pack``.
+        """
+        if self._gone:
+            self.dropped += 1
+            return False
+        if self._lossless:
+            self._gone = not self._send(data, LOCKSTEP_WAIT_S)
+            self.dropped += self._gone
+            return not self._gone
+        try:
+            if self._rest:
+                self._rest = self._rest[os.write(self._pipe, self._rest) :]
+            if not self._rest:
+                self._rest = data[os.write(self._pipe, data) :]
+                return True
+        except BlockingIOError:
+            pass
+        except BrokenPipeError:
+            self._gone = True
+        self.dropped += 1
+        return False
+
+    def events(self) -> tuple[IoEvent, ...]:
+        """What happened since the last call, kind "recorder".
+
+        ``where`` is dropped (number: records), gone, filling (number: bytes waiting), disk_low, disk_full (number:
+        free bytes or errno), error (number: errno), misshapen (telemetry of another shape than the header's).
+        """
+        found = []
+        if not self._gone:
+            self._read_notes(0.0)
+            found += self._filling_event()
+        found += [IoEvent("recorder", str(n["event"]), int(str(n["number"]))) for n in self._messages if "event" in n]
+        self._messages = [note for note in self._messages if "event" not in note]
+        if self.dropped > self._announced:
+            found.append(IoEvent("recorder", "dropped", self.dropped - self._announced))
+            self._announced = self.dropped
+        if self._gone and not self._told_gone:
+            self._told_gone = True
+            found.append(IoEvent("recorder", "gone"))
+        return tuple(found)
+
+    def _filling_event(self) -> list[IoEvent]:
+        """One event each time the pipe becomes more than half full."""
+        waiting = struct.unpack("i", fcntl.ioctl(self._pipe, termios.FIONREAD, b"\0\0\0\0"))[0]
+        was, self._filling = self._filling, waiting > self._size // 2
+        return [IoEvent("recorder", "filling", waiting)] if self._filling and not was else []
+
+    def _read_notes(self, timeout_s: float) -> None:
+        """Read what the process says; with a time-out [s], wait for the first note."""
+        if timeout_s and not select.select([self._notes], [], [], timeout_s)[0]:
+            return
+        while True:
+            try:
+                data = os.read(self._notes, 1 << 16)
+            except BlockingIOError:
+                return
+            if not data:
+                self._gone = True
+                return
+            *lines, self._line = (self._line + data).split(b"\n")
+            self._messages += [json.loads(line) for line in lines]
+
+    def close(self, reason: str) -> dict[str, object]:
+        """End the run and wait for the file.
+
+        Args:
+            reason: why the run ended, for the log.
+
+        Returns:
+            path, bytes, complete, dropped, and, if the recorder finished, ticks, messages, lost, reason.
+        """
+        body = json.dumps({"reason": reason, "dropped": self.dropped}).encode()
+        if not self._gone and self._send(self._rest, CLOSE_S):
+            self._send(framed(END, body), CLOSE_S)
+        os.close(self._pipe)
+        try:
+            self._child.wait(CLOSE_S)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+        self._read_notes(0.0)
+        self._close_notes()
+        summary = next((note["summary"] for note in self._messages if "summary" in note), {})
+        assert isinstance(summary, dict)
+        size = self._path.stat().st_size if self._path.exists() else 0
+        return {"path": str(self._path), "bytes": size, "complete": bool(summary), "dropped": self.dropped} | summary

@@ -1,0 +1,139 @@
+"""A new, whole file from what a broken one still holds."""
+
+import enum
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from mcap.records import Channel, Schema
+
+from handctl.errors import LogError
+from handctl.log.container import Container, Run
+from handctl.log.logfile import ChunkPlace, LogFile
+from handctl.log.messages_in import definitions, rows
+from handctl.log.scan import Scan, scan
+
+
+class Status(enum.IntEnum):
+    """What was found; the numbers are exit codes."""
+
+    WHOLE = 0
+    """The file was whole; the new one is equivalent."""
+    NOTHING = 1
+    """Not one complete chunk."""
+    LOSSY = 3
+    """The new file holds what was complete."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recovery:
+    """What became of a file.
+
+    Attributes:
+        status: see Status.
+        chunks, messages: kept.
+        lost: (start, end) of every range of the old file that was not kept [bytes].
+        problem: what was wrong with the old file; empty if nothing.
+    """
+
+    status: Status
+    chunks: int = 0
+    messages: int = 0
+    lost: tuple[tuple[int, int], ...] = ()
+    problem: str = ""
+
+
+def recover(path: Path, out: Path) -> Recovery:
+    """Copy all complete and intact chunks, attachments and metadata into a new file.
+
+    Args:
+        path: a log, whole or broken.
+        out: a new file; not written if there is nothing to keep.
+
+    Raises:
+        LogError: path cannot be opened or is no MCAP file, or out cannot be created.
+    """
+    file, found = LogFile(path), Scan()
+    try:
+        problem = _scan(file, found)
+        if not found.chunks:
+            return Recovery(Status.NOTHING, lost=((0, file.size),), problem=problem)
+        descriptor = _create(out)
+        try:
+            recovery = _copy(file, found, problem, Container(descriptor))
+            os.fsync(descriptor)
+        except OSError as error:
+            out.unlink(missing_ok=True)
+            raise LogError(f"cannot write: {error.strerror}", str(out), "room for a copy") from error
+        finally:
+            os.close(descriptor)
+        if recovery.status == Status.NOTHING:
+            out.unlink()
+        return recovery
+    finally:
+        file.close()
+
+
+def _create(out: Path) -> int:
+    try:
+        return os.open(out, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+    except OSError as error:
+        raise LogError(f"cannot create: {error.strerror}", str(out), "a new file") from error
+
+
+def _scan(file: LogFile, found: Scan) -> str:
+    """As ``scan``, but damage is the answer and no error; what came before it is kept."""
+    try:
+        scan(file, found)
+    except LogError as error:
+        if found.end == 0:
+            raise
+        return str(error)
+    return found.problem
+
+
+def _copy(file: LogFile, found: Scan, problem: str, new: Container) -> Recovery:
+    for name, (media, time_ns, data) in found.attachments.items():
+        new.attach(name, media, data, time_ns)
+    for name, values in found.metadata.items():
+        if name != "handctl.end":
+            new.metadata(name, values)
+    lost = []
+    for place in found.chunks:
+        try:
+            _copy_chunk(file, place, new)
+        except LogError as error:
+            problem = problem or str(error)
+            lost.append((place.offset, place.end))
+    kept = len(found.chunks) - len(lost)
+    if not found.complete and found.end < file.size:
+        lost.append((found.end, file.size))
+    new.metadata("handctl.end", _end(found, problem))
+    new.finish()
+    status = Status.NOTHING if not kept else Status.LOSSY if lost or not found.complete else Status.WHOLE
+    return Recovery(status, kept, new.messages, tuple(lost), problem)
+
+
+def _end(found: Scan, problem: str) -> dict[str, str]:
+    end = found.metadata.get("handctl.end", {"reason": "not closed"})
+    return end | {"recovered": problem} if problem else end
+
+
+def _copy_chunk(file: LogFile, place: ChunkPlace, new: Container) -> None:
+    content = file.content(place)
+    known = definitions(content)
+    schemas = [Schema(number, data, encoding, name) for number, name, encoding, data in known.schemas]
+    channels = [
+        Channel(number, topic, encoding, metadata, schema)
+        for number, schema, topic, encoding, metadata in known.channels
+    ]
+    runs = [
+        Run(one.channel, one.records.tobytes(), one.log_times(), _offsets(one.records.shape))
+        for one in rows(content, place.end - place.data)
+    ]
+    new.chunk(runs, schemas, channels)
+
+
+def _offsets(shape: tuple[int, ...]) -> "np.ndarray[tuple[int], np.dtype[np.uint64]]":
+    return np.arange(shape[0], dtype=np.uint64) * np.uint64(shape[1])

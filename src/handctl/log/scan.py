@@ -1,0 +1,191 @@
+"""The outer records of an MCAP file.
+
+No index of the file is trusted and every checksum is compared. Source: MCAP specification.
+"""
+
+import struct
+import zlib
+from dataclasses import dataclass, field
+
+from mcap.opcode import Opcode
+
+from handctl.errors import LogError
+from handctl.log.container import MAGIC
+from handctl.log.logfile import MAX_CHUNK, ChunkPlace, LogFile, reading
+
+MAX_ATTACHMENT, MAX_ATTACHMENTS = 16 << 20, 64 << 20
+MAX_METADATA, MAX_RECORDS = 1 << 20, 1000
+"""Size of a metadata record; number of attachments, of metadata records, and of records that we do not know."""
+MAX_RATIO = 64
+"""All chunks together may be this many times larger than the file; a hand at rest compresses to a fifteenth."""
+
+_RECORD = struct.Struct("<BQ")
+_CHUNK = struct.Struct("<QQQII")
+_LENGTHS: dict[int, int] = {Opcode.HEADER: 8, Opcode.MESSAGE_INDEX: 6, Opcode.SCHEMA: 14, Opcode.CHANNEL: 16}
+
+
+@dataclass(slots=True)
+class Scan:
+    """What a file holds.
+
+    Attributes:
+        chunks: places of all complete chunks.
+        attachments: name -> (media type, time, bytes).
+        metadata: name -> values.
+        end: offset behind the last complete record of the data section.
+        size: of the file.
+        complete: whether the data section has its end and the right checksum.
+        problem: why the file is not whole; empty if it is.
+    """
+
+    chunks: list[ChunkPlace] = field(default_factory=list)
+    attachments: dict[str, tuple[str, int, bytes]] = field(default_factory=dict)
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    end: int = 0
+    size: int = 0
+    complete: bool = False
+    problem: str = ""
+
+
+class _Fields:
+    """Fields of one record."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._at = data, 0
+
+    def number(self, code: str) -> int:
+        value = struct.unpack_from("<" + code, self._data, self._at)[0]
+        self._at += struct.calcsize("<" + code)
+        return int(value)
+
+    def take(self, size: int) -> bytes:
+        if self._at + size > len(self._data):
+            raise ValueError("a field ends behind its record")
+        self._at += size
+        return self._data[self._at - size : self._at]
+
+    def text(self) -> str:
+        return self.take(self.number("I")).decode()
+
+    def rest(self) -> int:
+        return len(self._data) - self._at
+
+
+def scan(file: LogFile, found: Scan) -> None:
+    """Walk over the outer records.
+
+    A file that ends early is no error: ``problem`` says so and all complete records are there.
+
+    Args:
+        file: the file.
+        found: empty; holds what came before the damage if this raises.
+
+    Raises:
+        LogError: not an MCAP file, damaged inside, or beyond a limit.
+    """
+    found.size = file.size
+    if file.size < len(MAGIC) or file.read(0, len(MAGIC)) != MAGIC:
+        raise LogError("not an MCAP file", file.at(0), "a log that handctl wrote")
+    finished = file.size >= 2 * len(MAGIC) and file.read(file.size - len(MAGIC), len(MAGIC)) == MAGIC
+    found.end, unpacked, unknown = len(MAGIC), 0, 0
+    while found.end + _RECORD.size <= file.size:
+        at = found.end
+        code, length = _RECORD.unpack(file.read(at, _RECORD.size))
+        end = at + _RECORD.size + length
+        if code == 0 or end > file.size:
+            if finished:
+                raise LogError("damaged log: no record here", file.at(at), "an intact file")
+            break
+        if code == Opcode.DATA_END:
+            _check_end(file, found, at, end)
+            return
+        with reading(file.at(at)):
+            unpacked += _take(file, found, code, at, end)
+            unknown += code not in Opcode.__members__.values()
+            _check_limits(found, unpacked, unknown)
+        found.end = end
+    found.problem = f"ends at byte {file.size} without an end mark; complete up to byte {found.end}"
+
+
+def _check_limits(found: Scan, unpacked: int, unknown: int) -> None:
+    if unpacked > MAX_RATIO * found.size + MAX_CHUNK:
+        raise ValueError(f"chunks of more than {unpacked} bytes")
+    if max(unknown, len(found.attachments), len(found.metadata)) > MAX_RECORDS:
+        raise ValueError(f"more than {MAX_RECORDS} records of a kind")
+    if sum(len(data) for _, _, data in found.attachments.values()) > MAX_ATTACHMENTS:
+        raise ValueError(f"more than {MAX_ATTACHMENTS} bytes of attachments")
+
+
+def _take(file: LogFile, found: Scan, code: int, at: int, end: int) -> int:
+    """Take in one record; size of the chunk if it is one."""
+    start, length = at + _RECORD.size, end - at - _RECORD.size
+    if length < _LENGTHS.get(code, 0):
+        raise ValueError("a record that is too short")
+    if code == Opcode.CHUNK:
+        found.chunks.append(_chunk(file, at, end))
+        return found.chunks[-1].size
+    if code == Opcode.ATTACHMENT:
+        _attachment(found, file.read(start, _bounded(length, MAX_ATTACHMENT)))
+    elif code == Opcode.METADATA:
+        fields = _Fields(file.read(start, _bounded(length, MAX_METADATA)))
+        name = fields.text()
+        found.metadata[name] = _text_map(fields)
+    elif code == Opcode.MESSAGE:
+        raise ValueError("a message outside a chunk")
+    return 0
+
+
+def _bounded(size: int, most: int) -> int:
+    if size > most:
+        raise ValueError(f"a record of {size} bytes; at most {most} are allowed")
+    return size
+
+
+def _chunk(file: LogFile, at: int, end: int) -> ChunkPlace:
+    head = file.read(at, min(end - at, 80))
+    first, last, size, crc, name = _CHUNK.unpack_from(head, _RECORD.size)
+    _bounded(size, MAX_CHUNK)
+    start = _RECORD.size + _CHUNK.size
+    compression = head[start : start + _bounded(name, 8)].decode()
+    if compression not in ("", "lz4", "zstd"):
+        raise ValueError(f"unknown compression {compression!r}")
+    (packed,) = struct.unpack_from("<Q", head, start + name)
+    data = at + start + name + 8
+    if data + _bounded(packed, MAX_CHUNK) != end:
+        raise ValueError("the length of a chunk contradicts itself")
+    return ChunkPlace(at, end, data, first, last, size, crc, compression)
+
+
+def _attachment(found: Scan, data: bytes) -> None:
+    fields = _Fields(data)
+    time_ns, _, name, media = fields.number("Q"), fields.number("Q"), fields.text(), fields.text()
+    content = fields.take(fields.number("Q"))
+    crc = fields.number("I")
+    if crc and crc != zlib.crc32(data[: -4 - fields.rest()]):
+        raise ValueError("checksum of an attachment does not match")
+    found.attachments[name] = (media, time_ns, content)
+
+
+def _text_map(fields: _Fields) -> dict[str, str]:
+    inner = _Fields(fields.take(fields.number("I")))
+    values = {}
+    while inner.rest():
+        key = inner.text()
+        values[key] = inner.text()
+    return values
+
+
+def _check_end(file: LogFile, found: Scan, at: int, end: int) -> None:
+    """Compare the checksums of the data section and of the summary."""
+    (crc,) = struct.unpack("<I", file.read(at + _RECORD.size, 4))
+    if end != at + _RECORD.size + 4 or (crc and crc != file.crc(0, at)):
+        raise LogError("damaged log: checksum of the data does not match", file.at(at), "an intact file")
+    found.complete = True
+    footer = file.size - len(MAGIC) - 29
+    if footer < end or file.read(file.size - len(MAGIC), len(MAGIC)) != MAGIC:
+        found.problem = "ends within its summary"
+        return
+    raw = file.read(footer, 29)
+    (expected,) = struct.unpack_from("<I", raw, 25)
+    if raw[0] != Opcode.FOOTER or (expected and expected != zlib.crc32(raw[:25], file.crc(end, footer))):
+        found.problem = "the summary is damaged; the data is intact"

@@ -1,0 +1,170 @@
+"""Topics at the rate of the loop, all of constant layout."""
+
+import tomllib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.controller.types import TELEMETRY_AXES, TELEMETRY_FIELDS
+from handctl.log.batch import Batch, columns
+from handctl.log.cdr import CdrWriter, Template, TemplateWriter
+from handctl.log.container import Run
+from handctl.log.header import RunHeader
+from handctl.log.streams import Registry, Stamps, Stream
+
+Numbers = NDArray[np.float64]
+
+JOINT_STATES = {
+    "/joint_states": ("joint", "q", "dq", "tendon_torque"),
+    "/joint_commands": ("joint", "q_goal", "dq_goal", "joint_torque"),
+    "/tendon_states": ("tendon", "excursion", "excursion_rate", "tension"),
+    "/tendon_commands": ("tendon", "", "", "tension_goal"),
+    "/actuator_states": ("motor", "motor_position", "motor_velocity", "motor_torque"),
+    "/actuator_commands": ("motor", "", "", "motor_torque_goal"),
+}
+"""Topic -> axis and what goes into position, velocity, effort; empty: the array stays empty, which ROS 2 allows."""
+
+_NOTES = {
+    "/joint_states": "effort: torque of the tendons at the estimated tension, R^T f without friction [N m]",
+    "/tendon_states": "position: excursion [m]; effort: estimated tension at the load cell [N]",
+    "/tendon_commands": "effort: commanded tension at the load cell [N]",
+    "/actuator_states": "at the spool, positive winds",
+}
+
+
+def moment_arms(header: RunHeader) -> Numbers:
+    """(N, J) R: excursion s = R q [m/rad]."""
+    tendons = tomllib.loads(header.hand_toml)["tendon"]
+    return np.array([[tendon["moment_arm_m"].get(joint, 0.0) for joint in header.joints] for tendon in tendons])
+
+
+def joint_state(names: tuple[str, ...], position: bool, velocity: bool, effort: bool) -> Template:
+    """A sensor_msgs/JointState."""
+    out = TemplateWriter()
+    out.header()
+    out.texts(names)
+    for name, used in (("position", position), ("velocity", velocity), ("effort", effort)):
+        out.floats(name, len(names) if used else 0)
+    return out.template()
+
+
+def wrench(frame_id: str) -> Template:
+    """A geometry_msgs/WrenchStamped."""
+    out = TemplateWriter()
+    out.header(frame_id)
+    out.place("force", "<f8", 3)
+    out.place("torque", "<f8", 3)
+    return out.template()
+
+
+def statistics_values(number: int) -> Template:
+    """A pal_statistics_msgs/StatisticsValues with version 1 of the names."""
+    out = TemplateWriter()
+    out.header()
+    out.floats("values", number)
+    out.count(1)
+    return out.template()
+
+
+def cycle(motors: int) -> Template:
+    """A handctl_msgs/CycleStats."""
+    out = TemplateWriter()
+    out.header()
+    out.place("cycle", "<f8", 3)
+    out.place("missed", "<u4")
+    out.place("mode", "|u1")
+    out.place("action", "|u1")
+    out.floats("stale", motors)
+    return out.template()
+
+
+def estimate(names: tuple[str, ...], unit: str) -> Template:
+    """A handctl_msgs/Estimate."""
+    out = TemplateWriter()
+    out.header()
+    out.texts(names)
+    out.floats("value", len(names))
+    out.floats("variance", len(names))
+    out.texts((unit,) * len(names))
+    return out.template()
+
+
+def names_message(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
+    """A pal_statistics_msgs/StatisticsNames: ``field/name`` for each column of the telemetry."""
+    out = CdrWriter()
+    out.put("I", seconds)
+    out.put("I", nanoseconds)
+    out.text("")
+    out.texts(tuple(f"{name}/{one}" for name in TELEMETRY_FIELDS for one in header.axis(TELEMETRY_AXES[name])))
+    out.count(1)
+    return out.message()
+
+
+class StateTopics:
+    """Joint, tendon, actuator, contact and loop topics."""
+
+    def __init__(self, header: RunHeader, registry: Registry) -> None:
+        self._header, self._columns, self._arms = header, columns(header), moment_arms(header)
+        self._last: tuple[int, int] | None = None
+        self._joint_states = {}
+        for topic, (axis, *parts) in JOINT_STATES.items():
+            template = joint_state(header.axis(axis), *map(bool, parts))
+            channel = registry.add(topic, "sensor_msgs/JointState", note=_NOTES.get(topic, ""))
+            self._joint_states[topic] = Stream(channel, template)
+        self._wrenches = [self._wrench(registry, digit) for digit in header.digits]
+        width = sum(part.stop - part.start for part in self._columns.values())
+        channel = registry.add("/controller/values", "pal_statistics_msgs/StatisticsValues")
+        self._values = Stream(channel, statistics_values(width))
+        self._cycle = Stream(registry.add("/cycle", "handctl_msgs/CycleStats"), cycle(len(header.motors)))
+        channel = registry.add("/force_estimate", "handctl_msgs/Estimate")
+        self._estimate = Stream(channel, estimate(header.tendons, "N"))
+
+    def _wrench(self, registry: Registry, digit: str) -> Stream:
+        note = "force of the object on the digit; the tip closes towards +y of its frame"
+        channel = registry.add(f"/fingertip/{digit}/wrench", "geometry_msgs/WrenchStamped", note=note)
+        return Stream(channel, wrench(f"{digit}_tip"))
+
+    def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
+        """Messages of all ticks of a batch."""
+        part = {name: batch.numbers[:, place] for name, place in self._columns.items()}
+        part["tendon_torque"] = self._tendon_torque(part["tension"])
+        runs = [
+            stream.run(stamps, self._joint_state_values(topic, part)) for topic, stream in self._joint_states.items()
+        ]
+        for index, stream in enumerate(self._wrenches):
+            force = np.zeros((len(batch.k), 3))
+            force[:, 1] = 0.0 - part["tip_force"][:, index]
+            runs.append(stream.run(stamps, {"force": force}))
+        runs.append(self._values.run(stamps, {"values": batch.numbers}))
+        runs.append(self._cycle.run(stamps, self._cycle_values(batch) | {"stale": part["motor_age"]}))
+        variance = part["tension_sigma"] ** 2
+        runs.append(self._estimate.run(stamps, {"value": part["tension"], "variance": variance}))
+        return runs
+
+    def _tendon_torque(self, tension: Numbers) -> Numbers:
+        """(n, J) R^T f, added up in an order that does not depend on n, as a matrix product's may."""
+        torque = np.zeros((len(tension), self._arms.shape[1]))
+        for tendon, joint in zip(*np.nonzero(self._arms), strict=True):
+            torque[:, joint] += self._arms[tendon, joint] * tension[:, tendon]
+        return torque
+
+    def _joint_state_values(self, topic: str, part: dict[str, Numbers]) -> dict[str, NDArray[np.generic]]:
+        _, *fields = JOINT_STATES[topic]
+        return {
+            place: part[name] for place, name in zip(("position", "velocity", "effort"), fields, strict=True) if name
+        }
+
+    def _cycle_values(self, batch: Batch) -> dict[str, NDArray[np.generic]]:
+        start = batch.t_ns + batch.late_ns
+        first_k, first_start = self._last or (int(batch.k[0]) - 1, -1)
+        before = np.concatenate([[first_start], start[:-1]])
+        period = np.where(before < 0, np.nan, (start - before) * 1e-9)
+        missed = np.clip(np.diff(batch.k, prepend=first_k) - 1, 0, 2**32 - 1)
+        latest = np.full(len(start), np.iinfo(np.int64).min)
+        np.maximum.at(latest, batch.received.tick, batch.received.frames["t_ns"])
+        heard = (latest > np.iinfo(np.int64).min) & (before >= 0)
+        last_reply = np.where(heard, (np.where(heard, latest, 0) - before) * 1e-9, np.nan)
+        self._last = int(batch.k[-1]), int(start[-1])
+        numbers = np.stack([period, batch.late_ns * 1e-9, last_reply], axis=1)
+        small = {"missed": missed, "mode": batch.mode, "action": batch.action}
+        return {"cycle": numbers, **{name: value[:, None] for name, value in small.items()}}

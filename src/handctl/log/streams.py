@@ -1,0 +1,102 @@
+"""Channels of the log and the filling of their templates, many messages at once."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from mcap.records import Channel, Schema
+from numpy.typing import NDArray
+
+from handctl.log.cdr import Template
+from handctl.log.container import MESSAGE, Run
+from handctl.log.messages import schema_name, schema_text
+
+Times = NDArray[np.uint64]
+
+_QOS = (
+    "- history: 1\n  depth: 1\n  reliability: 1\n  durability: {durability}\n"
+    "  deadline: {{sec: 9223372036, nsec: 854775807}}\n  lifespan: {{sec: 9223372036, nsec: 854775807}}\n"
+    "  liveliness: 1\n  liveliness_lease_duration: {{sec: 9223372036, nsec: 854775807}}\n"
+    "  avoid_ros_namespace_conventions: false\n"
+)
+"""Quality of service as rosbag2 writes it; durability 1 is transient_local, 2 volatile."""
+
+
+@dataclass(slots=True)
+class Registry:
+    """Gives schemas and channels their numbers, in the order of registration."""
+
+    schemas: dict[str, Schema] = field(default_factory=dict)
+    channels: dict[str, Channel] = field(default_factory=dict)
+
+    def add(self, topic: str, kind: str, latched: bool = False, note: str = "") -> int:
+        """Channel id for a topic with messages of a type such as "sensor_msgs/JointState"."""
+        if kind not in self.schemas:
+            number = len(self.schemas) + 1
+            data = schema_text(kind).encode()
+            self.schemas[kind] = Schema(id=number, data=data, encoding="ros2msg", name=schema_name(kind))
+        metadata = {"offered_qos_profiles": _QOS.format(durability=1 if latched else 2)}
+        if note:
+            metadata["note"] = note
+        channel = len(self.channels) + 1
+        self.channels[topic] = Channel(channel, topic, "cdr", metadata, self.schemas[kind].id)
+        return channel
+
+
+@dataclass(frozen=True, slots=True)
+class Stamps:
+    """Times of n messages.
+
+    Attributes:
+        log: (n,) uint64 [ns], offset included.
+        sequence: (n,) uint32, low bits of the tick number.
+    """
+
+    log: Times
+    sequence: NDArray[np.uint32]
+
+    def at(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "Stamps":
+        """Those of some messages."""
+        return Stamps(self.log[index], self.sequence[index])
+
+
+def ros_time(t_ns: Times) -> NDArray[np.uint32]:
+    """(n,) [ns] as (n, 2) seconds and nanoseconds."""
+    return np.stack([t_ns // np.uint64(10**9), t_ns % np.uint64(10**9)], axis=1).astype("<u4")
+
+
+class Stream:
+    """One channel whose messages have a constant layout."""
+
+    def __init__(self, channel: int, template: Template) -> None:
+        self._channel, self._stamps = channel, len(template.stamps)
+        self._record = MESSAGE.pack(5, 22 + len(template.data), channel, 0, 0, 0) + template.data
+        fields: list[tuple[str, object, int]] = [
+            ("sequence", "<u4", 11), ("log", "<u8", 15), ("publish", "<u8", 23),
+            *((f"stamp{i}", ("<u4", (2,)), 31 + at) for i, at in enumerate(template.stamps)),
+            *((name, (code, (n,)), 31 + at) for name, (at, code, n) in template.places.items()),
+        ]  # fmt: skip
+        names, formats, offsets = zip(*fields, strict=True)
+        self._dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": len(self._record)})
+
+    def run(self, stamps: Stamps, values: dict[str, NDArray[np.generic]], measured: Times | None = None) -> Run:
+        """Messages with these values, each (n, size of the place); measured: time of the values if not the log's."""
+        number = len(stamps.log)
+        rows = np.frombuffer(bytearray(self._record * number), self._dtype)
+        measured = stamps.log if measured is None else measured
+        rows["sequence"], rows["log"], rows["publish"] = stamps.sequence, stamps.log, measured
+        times = ros_time(measured)
+        for index in range(self._stamps):
+            rows[f"stamp{index}"] = times
+        for name, array in values.items():
+            rows[name] = array
+        offsets = np.arange(number, dtype=np.uint64) * np.uint64(len(self._record))
+        return Run(self._channel, rows.tobytes(), stamps.log, offsets)
+
+
+def loose(channel: int, stamps: Stamps, messages: list[bytes]) -> Run:
+    """Messages of any length on one channel."""
+    parts = []
+    for sequence, t_ns, message in zip(stamps.sequence.tolist(), stamps.log.tolist(), messages, strict=True):
+        parts.append(MESSAGE.pack(5, 22 + len(message), channel, sequence, t_ns, t_ns) + message)
+    ends = np.cumsum([0, *map(len, parts)], dtype=np.uint64)
+    return Run(channel, b"".join(parts), stamps.log, ends[:-1])

@@ -1,0 +1,117 @@
+"""Transforms of the links: viewers do no kinematics from a log."""
+
+import math
+import tomllib
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.log.batch import Batch, columns
+from handctl.log.cdr import TemplateWriter
+from handctl.log.container import Run
+from handctl.log.header import RunHeader
+from handctl.log.streams import Registry, Stamps, Stream
+
+PERIOD_NS = 20_000_000
+"""50 Hz: what a viewer shows, not what a controller needs."""
+ROOT = "palm"
+
+
+class Link(NamedTuple):
+    """A frame that hangs on another.
+
+    Attributes:
+        parent, child: names of frames.
+        position: (3,) of the child's origin in the parent [m].
+        rotation: (4,) x, y, z, w of the child when its joint is at zero.
+        joint: index of the joint that turns the child about its z axis; -1 if it is fixed.
+    """
+
+    parent: str
+    child: str
+    position: tuple[float, ...]
+    rotation: tuple[float, ...]
+    joint: int
+
+
+def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, ...]:
+    """(4,) x, y, z, w of extrinsic rotations about x, y, z [rad]."""
+    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a / 2), math.cos(a / 2)) for a in (roll, pitch, yaw))
+    return (
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+        cr * cp * cy + sr * sp * sy,
+    )
+
+
+def links(hand_toml: str) -> list[Link]:
+    """The tree of frames of a hand: palm, ``<digit>_link<i>``, ``<digit>_tip``."""
+    found, joint = [], 0
+    for digit in tomllib.loads(hand_toml)["digit"]:
+        name, lengths = digit["name"], digit["link_length_m"]
+        parent, position = ROOT, tuple(map(float, digit["mount_position_m"]))
+        rotation = quaternion(*map(math.radians, digit["mount_rpy_deg"]))
+        for index, length in enumerate(lengths):
+            child = f"{name}_link{index + 1}"
+            found.append(Link(parent, child, position, rotation, joint))
+            parent, position, rotation, joint = child, (float(length), 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), joint + 1
+        found.append(Link(parent, f"{name}_tip", position, rotation, -1))
+    return found
+
+
+def turned(link: Link, q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n, 4) x, y, z, w of a link at joint angles (n,) [rad]."""
+    x, y, z, w = link.rotation
+    sine, cosine = np.sin(q / 2), np.cos(q / 2)
+    return np.stack(
+        [x * cosine + y * sine, y * cosine - x * sine, z * cosine + w * sine, w * cosine - z * sine], axis=1
+    )
+
+
+def _stream(channel: int, some: list[Link]) -> Stream:
+    """A tf2_msgs/TFMessage."""
+    out = TemplateWriter()
+    out.count(len(some))
+    for index, link in enumerate(some):
+        out.header(link.parent)
+        out.text(link.child)
+        out.place(f"position{index}", "<f8", 3)
+        out.place(f"rotation{index}", "<f8", 4)
+    return Stream(channel, out.template())
+
+
+class TfTopics:
+    """/tf_static once and /tf at 50 Hz; a joint angle that is not known gives NaN."""
+
+    def __init__(self, header: RunHeader, registry: Registry) -> None:
+        tree = links(header.hand_toml)
+        self._moving, self._fixed = ([one for one in tree if (one.joint >= 0) == moves] for moves in (True, False))
+        self._static = _stream(registry.add("/tf_static", "tf2_msgs/TFMessage", latched=True), self._fixed)
+        self._stream = _stream(registry.add("/tf", "tf2_msgs/TFMessage"), self._moving)
+        self._q, self._last = columns(header)["q"], -1
+
+    def latched(self, stamps: Stamps) -> Run:
+        """/tf_static."""
+        values: dict[str, NDArray[np.generic]] = {}
+        for index, link in enumerate(self._fixed):
+            values[f"position{index}"], values[f"rotation{index}"] = (
+                np.array([link.position]),
+                np.array([link.rotation]),
+            )
+        return self._static.run(stamps, values)
+
+    def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
+        """/tf of those ticks that begin a new 50 Hz period."""
+        periods = batch.t_ns // PERIOD_NS
+        chosen = np.flatnonzero(np.diff(periods, prepend=self._last))
+        self._last = int(periods[-1])
+        if not len(chosen):
+            return []
+        q = batch.numbers[chosen, self._q]
+        values: dict[str, NDArray[np.generic]] = {}
+        for index, link in enumerate(self._moving):
+            values[f"position{index}"] = np.array([link.position])
+            values[f"rotation{index}"] = turned(link, q[:, link.joint])
+        return [self._stream.run(stamps.at(chosen), values)]

@@ -1,0 +1,65 @@
+"""All topics of the log: a batch of ticks in, runs of messages out."""
+
+import numpy as np
+from mcap.records import Channel, Schema
+
+from handctl.log.batch import Batch
+from handctl.log.can_topics import CanTopics
+from handctl.log.cdr import CdrWriter
+from handctl.log.container import Run
+from handctl.log.event_topics import EventTopics
+from handctl.log.header import RunHeader
+from handctl.log.health_topics import HealthTopics
+from handctl.log.state_topics import StateTopics, names_message
+from handctl.log.streams import Registry, Stamps, loose
+from handctl.log.tf_topics import TfTopics
+
+TICK_TOPIC, VALUES_TOPIC = "/tick", "/controller/values"
+"""What the reader needs; all other topics are made from these two and from the header."""
+
+
+class Topics:
+    """Turns ticks into messages; what it gives depends on the ticks only, not on how they are cut into batches."""
+
+    def __init__(self, header: RunHeader) -> None:
+        self._header, self._registry = header, Registry()
+        self._description = self._registry.add("/robot_description", "std_msgs/String", latched=True)
+        self._names = self._registry.add("/controller/names", "pal_statistics_msgs/StatisticsNames", latched=True)
+        self._tick = self._registry.add(TICK_TOPIC, "handctl_msgs/Tick")
+        self._tf, self._events = TfTopics(header, self._registry), EventTopics(header, self._registry)
+        self._parts = (
+            StateTopics(header, self._registry), CanTopics(header, self._registry), self._tf, self._events,
+            HealthTopics(header, self._registry),
+        )  # fmt: skip
+
+    @property
+    def schemas(self) -> list[Schema]:
+        """All schemas."""
+        return list(self._registry.schemas.values())
+
+    @property
+    def channels(self) -> list[Channel]:
+        """All channels."""
+        return list(self._registry.channels.values())
+
+    def latched(self) -> list[Run]:
+        """Messages that are written once, at t = 0."""
+        stamps = Stamps(np.array([self._header.offset_ns], np.uint64), np.zeros(1, np.uint32))
+        names = names_message(self._header, *divmod(self._header.offset_ns, 10**9))
+        runs = [loose(self._names, stamps, [names]), self._tf.latched(stamps), *self._events.latched(stamps)]
+        urdf = self._header.attachments.get("hand.urdf")
+        if urdf is not None:
+            text = CdrWriter()
+            text.text(urdf.decode())
+            runs.append(loose(self._description, stamps, [text.message()]))
+        return runs
+
+    def runs(self, batch: Batch) -> list[Run]:
+        """Messages of a batch."""
+        log = np.maximum(batch.t_ns + self._header.offset_ns, 0).astype(np.uint64)
+        stamps = Stamps(log, (batch.k & 0xFFFF_FFFF).astype(np.uint32))
+        runs = [loose(self._tick, stamps, batch.messages)]
+        with np.errstate(all="ignore"):
+            for part in self._parts:
+                runs += part.runs(batch, stamps)
+        return runs

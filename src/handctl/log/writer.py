@@ -1,0 +1,188 @@
+"""The file of a run being written: what happens to it when a disk fills or a write fails."""
+
+import errno
+import json
+import os
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from handctl.log.batch import Batcher
+from handctl.log.container import Container
+from handctl.log.header import RunHeader
+from handctl.log.topics import Topics
+
+CHUNK_SPAN_NS = 250_000_000
+"""Most that a kill of the recorder may cost; a chunk never holds more."""
+CHUNK_BYTES = 1 << 20
+BALLAST_BYTES = 512 << 10
+"""Room kept for the summary and footer of a file on a full disk."""
+SCHEMA = 1
+"""Version of the topics and records, so that a reader may refuse what it does not know."""
+
+_MEDIA = {".toml": "application/toml", ".urdf": "application/xml", ".txt": "text/plain", ".json": "application/json"}
+_FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+
+Report = Callable[[str, int], None]
+
+
+def _create(path: Path) -> int:
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o644)
+
+
+class _Ballast:
+    """Takes up room on the disk of a log until it is needed; without a name, so that a kill leaves nothing behind."""
+
+    def __init__(self, folder: Path) -> None:
+        self._fd = -1
+        with suppress(OSError):
+            self._fd, name = tempfile.mkstemp(dir=folder)
+            os.unlink(name)
+            if hasattr(os, "posix_fallocate"):
+                os.posix_fallocate(self._fd, 0, BALLAST_BYTES)
+            else:
+                os.write(self._fd, bytes(BALLAST_BYTES))
+
+    def drop(self) -> None:
+        """Give the room back."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+
+class LogWriter:
+    """Writes one run into one file; after the first failed write the file is closed and the rest is counted.
+
+    Args:
+        path: a new file.
+        header: what is known of the run.
+        report: called with disk_low, disk_full, error or misshapen and a number (free bytes, errno, 1).
+        floor_bytes: free space at which the file is finished early.
+
+    Raises:
+        OSError: only from here; later failures are reported.
+    """
+
+    def __init__(self, path: Path, header: RunHeader, report: Report, floor_bytes: int) -> None:
+        self._path, self._header, self._report, self._floor = path, header, report, floor_bytes
+        self._topics, self._batcher = Topics(header), Batcher(header)
+        self._fd = _create(path)
+        self._ballast = _Ballast(path.parent)
+        self._warned = self.dead = False
+        self._span, self._first_k, self._last_k = -1, 0, -1
+        self.ticks = self.lost = self._missed = 0
+        self._container = Container(self._fd)
+        self._write_head()
+
+    def _write_head(self) -> None:
+        header, one = self._header, self._container
+        for name, data in ({"hand.toml": header.hand_toml.encode()} | header.attachments).items():
+            one.attach(name, _MEDIA.get(Path(name).suffix, "application/octet-stream"), data, header.offset_ns)
+        one.metadata("handctl", header.metadata)
+        lists = {name: list(getattr(header, name)) for name in ("joints", "tendons", "motors", "digits", "buses")}
+        numbers = {"schema": SCHEMA, "period_ns": header.period_ns, "offset_ns": header.offset_ns}
+        plain = lists | numbers | {"deterministic": header.deterministic}
+        one.metadata("handctl.run", {name: json.dumps(value) for name, value in plain.items()})
+        one.metadata("handctl.gains", header.gains)
+        if header.wall:
+            one.metadata("handctl.wall", header.wall)
+        one.chunk(self._topics.latched(), self._topics.schemas, self._topics.channels)
+
+    @property
+    def pending(self) -> bool:
+        """Whether ticks wait for the next chunk."""
+        return len(self._batcher) > 0
+
+    def add(self, body: bytes) -> None:
+        """Take in the body of one tick's record."""
+        if self.dead:
+            self.lost += 1
+            return
+        misshapen = self._batcher.misshapen
+        t_ns = self._batcher.add(body)
+        self.ticks += 1
+        if self._batcher.misshapen > misshapen == 0:
+            self._report("misshapen", 1)
+        if t_ns // CHUNK_SPAN_NS != self._span or self._batcher.size > CHUNK_BYTES:
+            self._span = t_ns // CHUNK_SPAN_NS
+            self.flush()
+
+    def flush(self) -> None:
+        """Write all ticks taken in so far as one chunk."""
+        if self.dead or not self.pending:
+            return
+        batch = self._batcher.take()
+        first = self._last_k + 1 if self._last_k >= 0 else int(batch.k[0])
+        self._missed += max(int(batch.k[-1]) - first + 1 - len(batch.k), 0)
+        self._last_k = int(batch.k[-1])
+        try:
+            self._container.chunk(self._topics.runs(batch))
+        except OSError as error:
+            self.lost += len(batch.k)
+            self.ticks -= len(batch.k)
+            self._fail(error)
+
+    def sync(self) -> None:
+        """Make it survive a power failure, and look after the room on the disk."""
+        if self.dead:
+            return
+        try:
+            getattr(os, "fdatasync", os.fsync)(self._fd)
+        except OSError as error:
+            self._fail(error)
+            return
+        room = os.statvfs(self._path)
+        free = room.f_bavail * room.f_frsize
+        if free < self._floor:
+            self._stop_early(free)
+        elif free < 4 * self._floor and not self._warned:
+            self._warned = True
+            self._report("disk_low", free)
+
+    def _stop_early(self, free: int) -> None:
+        self.flush()
+        if not self.dead:
+            self._report("disk_full", free)
+            with suppress(OSError):
+                self._end("disk full", 0)
+
+    def _fail(self, error: OSError) -> None:
+        self.dead = True
+        self._report("disk_full" if error.errno in _FULL else "error", error.errno or 0)
+        with suppress(OSError):
+            self._container.cut_back()
+            self._ballast.drop()
+            self._end(f"write failed: {error.strerror}", 0)
+
+    def _end(self, reason: str, dropped: int) -> None:
+        """Write the end of the file; if that fails, leave it cut back to its last complete record."""
+        self.dead = True
+        numbers = {
+            "ticks": self.ticks,
+            "missed": self._missed,
+            "dropped": dropped,
+            "misshapen": self._batcher.misshapen,
+        }
+        values = {"reason": reason, "messages": str(self._container.messages)}
+        try:
+            self._container.metadata("handctl.end", values | {name: str(value) for name, value in numbers.items()})
+            self._container.finish()
+        except OSError:
+            self._container.cut_back()
+            raise
+        finally:
+            os.fsync(self._fd)
+            self._ballast.drop()
+
+    def finish(self, reason: str, dropped: int) -> dict[str, object]:
+        """Close the file and say what is in it."""
+        self.flush()
+        if not self.dead:
+            try:
+                self._end(reason, dropped)
+            except OSError as error:
+                self._report("disk_full" if error.errno in _FULL else "error", error.errno or 0)
+        os.close(self._fd)
+        numbers = {"ticks": self.ticks, "lost": self.lost, "messages": self._container.messages}
+        return numbers | {"bytes": self._container.good, "path": str(self._path), "reason": reason}

@@ -1,0 +1,28 @@
+"""Lets the tests import the generator of synthetic runs next to them."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+
+@pytest.fixture(scope="session")
+def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A whole log of about 64 KiB with a dozen chunks."""
+    import synthetic
+
+    path = tmp_path_factory.mktemp("log") / "small.mcap"
+    synthetic.write(path, synthetic.header(rate_hz=10), 2.5)
+    return path
+
+
+@pytest.fixture(scope="session")
+def run_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two seconds of a lively run at 500 Hz."""
+    import synthetic
+
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    synthetic.write(path, synthetic.header(rate_hz=500), 2.0)
+    return path

@@ -1,0 +1,30 @@
+"""Feeds a recorder until it is killed: ``python feeder.py PATH``; prints each tick that the pipe has taken."""
+
+import itertools
+import os
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import synthetic
+
+from handctl.log.record import pack
+from handctl.log.recorder import Recorder
+
+
+def main() -> None:
+    """Record ticks for ever, with about a millisecond between them."""
+    run = synthetic.header(rate_hz=1000, deterministic=False)
+    ticks = list(synthetic.Synthetic(run, 0.2))
+    recorder = Recorder.start(Path(sys.argv[1]), run)
+    for k in itertools.count():
+        tick_in, out = ticks[k % len(ticks)]
+        tick_in = replace(tick_in, k=k, t_ns=k * run.period_ns)
+        if recorder.record(pack(tick_in, out)):
+            os.write(1, k.to_bytes(8, "little"))
+        time.sleep(0.0005)
+
+
+if __name__ == "__main__":
+    main()

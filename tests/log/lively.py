@@ -1,0 +1,70 @@
+"""A short run with everything in it that a log may have to hold."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import synthetic
+
+from handctl.controller.types import TELEMETRY_AXES, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
+from handctl.drives.contract import Phase
+from handctl.drives.frame import BRS, ERROR, ESI, EXTENDED, FDF, REMOTE, Frame
+from handctl.log.header import RunHeader
+from handctl.safety.action import Action
+
+BUSES = ("main", "a_second_bus")
+
+
+def header(**more: object) -> RunHeader:
+    """Two buses whose names differ in length."""
+    return replace(synthetic.header(rate_hz=100), buses=BUSES, **more)
+
+
+def ticks(run: RunHeader, number: int = 120) -> Iterator[tuple[TickIn, TickOut]]:
+    """Missed ticks, frames of all kinds on all buses, NaN, infinities, odd texts, every mode and action."""
+    random, k = np.random.default_rng(1), 0
+    for index in range(number):
+        k += 1 + (index % 17 == 16) * 3
+        yield _tick_in(run, k, index, random), _tick_out(run, index, random)
+
+
+def _frames(index: int, t_ns: int, random: np.random.Generator) -> tuple[Frame, ...]:
+    found = []
+    for n in range(index % 7):
+        flag = (0, EXTENDED, REMOTE, ERROR, EXTENDED | REMOTE)[(index + n) % 5]
+        can_id = (0x12345678 if flag & EXTENDED else 0x123 + n) | flag
+        long = (index + n) % 4 == 0
+        data = random.bytes((12, 64, 3, 8)[n % 4]) if long else random.bytes((index + n) % 9)
+        flags = FDF | (BRS, ESI, 0)[n % 3] if long else 0
+        found.append(Frame(can_id, data, flags, (0, 1, 1, 0, 9)[n % 5], t_ns and t_ns - 1000 * n))
+    return tuple(found)
+
+
+def _tick_in(run: RunHeader, k: int, index: int, random: np.random.Generator) -> TickIn:
+    io_events = (IoEvent("enobufs", "main", 4), IoEvent("signal", "", 15)) if index % 23 == 5 else ()
+    requests = ('{"do": "gain", "text": "\u00e4\u03b1\u4e2d"}', "") if index % 19 == 3 else ()
+    t_ns = k * run.period_ns
+    return TickIn(k, t_ns, int(random.integers(0, 10**7)), _frames(index, t_ns, random), io_events, requests)
+
+
+def _tick_out(run: RunHeader, index: int, random: np.random.Generator) -> TickOut:
+    telemetry = _telemetry(run, index, random)
+    events: tuple[Event, ...] = ()
+    if index % 13 == 2:
+        events = (Event("error", "fault", "index_motor", "torque\nlimit"), Event("info", "gain", "motion.x", "0.5"))
+    if index % 29 == 4:
+        events += (Event("weird", "gain", "filter.mode", "a word"),)
+    mode, action = Mode(index // 12 % 9), Action(index // 20 % 5)
+    phase = ("idle", "close", "h\u00e4lt", "")[index // 30 % 4]
+    frames = _frames(index + 2, 0, random)
+    return TickOut(frames, mode, phase, action, telemetry, events, random.bytes(8))
+
+
+def _telemetry(run: RunHeader, index: int, random: np.random.Generator) -> Telemetry:
+    values = {name: random.standard_normal(len(run.axis(axis))) for name, axis in TELEMETRY_AXES.items()}
+    if index % 5 == 0:
+        values["joint_encoder"][:] = np.nan
+    if index % 11 == 0:
+        values["tension"][0], values["q"][1], values["drive_phase"][0] = np.inf, np.nan, np.nan
+    values["drive_phase"][1:] = float(Phase(index // 15 % 5))
+    return Telemetry(**values)

@@ -1,0 +1,100 @@
+"""What is exported is read back with foreign readers: equal values."""
+
+import csv
+from pathlib import Path
+
+import can
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
+from handctl.errors import LogError
+from handctl.log.export import _candump, columns, export_candump, export_csv
+from handctl.log.parquet import export_parquet
+from handctl.log.reader import RunLog
+from handctl.safety.action import Action
+
+GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
+
+
+@pytest.fixture
+def log():  # type: ignore[no-untyped-def]
+    with RunLog(GOLDEN / "jamia-fault.mcap") as opened:
+        yield opened
+
+
+def table_of(log: RunLog) -> np.ndarray:
+    return np.array([np.frombuffer(row, "<f8") for row in log.packed()])
+
+
+def test_parquet_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
+    assert export_parquet(log, tmp_path / "x.parquet") == len(log)
+    table = pq.read_table(tmp_path / "x.parquet")
+    assert table.schema.metadata[b"handctl.hand"] == b"jamia"
+    np.testing.assert_array_equal(table["t_ns"].to_numpy(), log.t_ns)
+    numbers = np.column_stack([table[name].to_numpy() for name in columns(log)])
+    assert numbers.tobytes() == np.ascontiguousarray(table_of(log)).tobytes()
+    np.testing.assert_array_equal(table["tension/ring_tendon"].to_numpy(), log.field("tension")[:, 2])
+    assert [tick.phase for tick in log.ticks()] == table["phase"].to_pylist()
+    assert [Action(value).name for value in log.action] == table["action"].to_pylist()
+
+
+def test_csv_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
+    assert export_csv(log, tmp_path / "x.csv") == len(log)
+    with (tmp_path / "x.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    numbers = np.array([[float(row[name] or "nan") for name in columns(log)] for row in rows])
+    np.testing.assert_array_equal(numbers, table_of(log))
+    assert [int(row["k"]) for row in rows] == log.k.tolist()
+    assert rows[-1]["mode"] == "DONE"
+
+
+def test_python_can_reads_the_candump(log: RunLog, tmp_path: Path) -> None:
+    path = tmp_path / "x.log"
+    assert export_candump(log, path) == sum(len(t.frames) + len(t.tick_in.frames) for t in log.ticks())
+    messages = list(can.CanutilsLogReader(path))
+    expected = [
+        (frame, tick.tick_in.t_ns if way == "T" else frame.t_ns, way == "R")
+        for tick in log.ticks()
+        for way, frames in (("R", tick.tick_in.frames), ("T", tick.frames))
+        for frame in frames
+    ]
+    assert len(messages) == len(expected) > 5000
+    for message, (frame, t_ns, received) in zip(messages, expected, strict=True):
+        assert (message.arbitration_id, bytes(message.data)) == (frame.can_id, frame.data)
+        assert message.timestamp == pytest.approx(max(t_ns, 0) / 1e9, abs=1.1e-6)
+        assert (message.channel, message.is_rx) == ("main", received)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        Frame(0x123 | EXTENDED, b"\x01\x02", 0, 0),
+        Frame(0x7FF | REMOTE, b"", 0, 0),
+        Frame(0x12, bytes(range(64)), FDF | BRS, 0),
+        Frame(ERROR | 0x80, bytes(8), 0, 0),
+    ],
+    ids=["extended", "remote", "FD", "error"],
+)
+def test_python_can_reads_every_kind_of_frame(frame: Frame, tmp_path: Path) -> None:
+    path = tmp_path / "x.log"
+    path.write_text(_candump(frame, 1_234_567_890_123_456_789, ("b",), "R"))
+    (message,) = can.CanutilsLogReader(path)
+    assert message.is_fd == bool(frame.flags & FDF)
+    assert message.bitrate_switch == bool(frame.flags & BRS)
+    assert message.is_remote_frame == bool(frame.can_id & REMOTE)
+    assert message.is_error_frame == bool(frame.can_id & ERROR)
+    if not message.is_error_frame:
+        assert message.arbitration_id == frame.can_id & 0x1FFF_FFFF
+        assert message.is_extended_id == bool(frame.can_id & EXTENDED)
+        assert bytes(message.data) == frame.data
+
+
+def test_nothing_is_overwritten(log: RunLog, tmp_path: Path) -> None:
+    path = tmp_path / "there"
+    path.write_text("mine")
+    for export in (export_csv, export_candump, export_parquet):
+        with pytest.raises(LogError, match="there"):
+            export(log, path)
+    assert path.read_text() == "mine"

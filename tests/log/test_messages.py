@@ -1,0 +1,178 @@
+"""Every message is, byte for byte, what mcap-ros2-support and rosbags would have written."""
+
+import struct
+from pathlib import Path
+
+import lively
+import numpy as np
+import pytest
+from oracle import Ros2Support, Rosbags, by_topic, oracles
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from handctl.log.can_topics import fd_frame
+from handctl.log.event_topics import labelled, parameter_event, rosout
+from handctl.log.health_topics import Status, diagnostic_array
+from handctl.log.messages import DEFINITIONS, schema_name, schema_text
+from handctl.log.record import pack
+from handctl.log.recorder import Recorder
+
+STANDARD = ("builtin_interfaces", "std_msgs", "geometry_msgs", "tf2_msgs", "sensor_msgs", "diagnostic_msgs")
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("lively") / "run.mcap"
+    run = lively.header()
+    recorder = Recorder.start(path, run)
+    for tick_in, out in lively.ticks(run):
+        assert recorder.record(pack(tick_in, out))
+    assert recorder.close("finished")["complete"]
+    return path
+
+
+@pytest.mark.parametrize("name", DEFINITIONS)
+def test_a_standard_type_has_the_fields_and_constants_of_ros(name: str) -> None:
+    package = name.split("/")[0]
+    found = get_types_from_msg(schema_text(name), schema_name(name))
+    if package in STANDARD or name in ("rcl_interfaces/Log", "rcl_interfaces/ParameterEvent"):
+        humble = get_typestore(Stores.ROS2_HUMBLE).fielddefs
+        for kind, fields in found.items():
+            assert fields == humble[kind], kind
+    assert schema_name(name) in found
+
+
+def test_every_topic_is_alive_in_the_lively_run(log: Path) -> None:
+    found = by_topic(log)
+    used = {message.kind for messages in found.values() for message in messages}
+    parts = {"Time", "Header", "Vector3", "Quaternion", "Transform", "TransformStamped", "Wrench", "KeyValue"}
+    parts |= {"DiagnosticStatus", "ParameterValue", "Parameter", "CanFrame", "IoEvent", "Event"}
+    assert used == {schema_name(name) for name in DEFINITIONS if name.split("/")[1] not in parts}
+
+
+def test_both_serialisers_give_back_every_message(log: Path) -> None:
+    seen = 0
+    for messages in by_topic(log).values():
+        first = messages[0]
+        for oracle in oracles(first.kind, first.schema):
+            for message in messages:
+                assert oracle.encode(oracle.decode(message.data)) == message.data, message.topic
+                seen += 1
+    assert seen > 5000
+
+
+def _built(kind: str, values: dict[str, object]) -> bytes:
+    return Ros2Support(schema_name(kind), schema_text(kind)).encode(values)
+
+
+STAMP = {"sec": 5, "nanosec": 7}
+T_NS = 5_000_000_007
+LABEL = {"header": {"stamp": STAMP, "frame_id": ""}, "name": "hold"}
+
+
+@pytest.mark.parametrize(
+    ("kind", "ours", "values"),
+    [
+        (
+            "rcl_interfaces/Log",
+            rosout(T_NS, "warn", "handctl.x", "text"),
+            {"stamp": STAMP, "level": 30, "name": "handctl.x", "msg": "text"},
+        ),
+        ("handctl_msgs/GraspPhase", labelled(T_NS, 6, "hold"), LABEL | {"phase": 6}),
+        ("handctl_msgs/Mode", labelled(T_NS, 6, "hold"), LABEL | {"mode": 6}),
+        (
+            "ros2_socketcan_msgs/FdFrame",
+            fd_frame("main", T_NS, 0x8000_1234, bytes(range(20))),
+            {
+                "header": {"stamp": STAMP, "frame_id": "main"},
+                "id": 0x1234,
+                "is_extended": True,
+                "len": 20,
+                "data": bytes(range(20)),
+            },
+        ),
+        (
+            "diagnostic_msgs/DiagnosticArray",
+            diagnostic_array(T_NS, [Status(2, "a", "b", "c", {"k": "v"}), Status(0, "", "", "")]),
+            {
+                "header": {"stamp": STAMP},
+                "status": [
+                    {
+                        "level": 2,
+                        "name": "a",
+                        "message": "b",
+                        "hardware_id": "c",
+                        "values": [{"key": "k", "value": "v"}],
+                    },
+                    {"level": 0, "values": []},
+                ],
+            },
+        ),
+        (
+            "rcl_interfaces/ParameterEvent",
+            parameter_event(T_NS, {"a": "0.5", "b": "word"}, {"c": "3"}),
+            {
+                "stamp": STAMP,
+                "node": "/handctl",
+                "new_parameters": [
+                    {"name": "a", "value": {"type": 3, "double_value": 0.5}},
+                    {"name": "b", "value": {"type": 4, "string_value": "word"}},
+                ],
+                "changed_parameters": [{"name": "c", "value": {"type": 3, "double_value": 3.0}}],
+            },
+        ),
+    ],
+)
+def test_a_message_from_its_values(kind: str, ours: bytes, values: dict[str, object]) -> None:
+    assert ours == _built(kind, values)
+
+
+def test_joint_states_carry_the_telemetry_by_name(log: Path) -> None:
+    run, found = lively.header(), by_topic(log)["/joint_states"]
+    oracle = Rosbags(found[0].kind, found[0].schema)
+    for (tick_in, out), message in zip(lively.ticks(run), found, strict=True):
+        state = oracle.decode(message.data)
+        assert state.name == list(run.joints)
+        np.testing.assert_array_equal(state.position, out.telemetry.q)
+        np.testing.assert_array_equal(state.velocity, out.telemetry.dq)
+        assert (message.sequence, message.log_time) == (tick_in.k, tick_in.t_ns)
+        assert state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == tick_in.t_ns
+
+
+def test_frames_of_all_buses_stay_in_order(log: Path) -> None:
+    found = by_topic(log)
+    for topic, choose in (("rx", lambda i, o: i.frames), ("tx", lambda i, o: o.frames)):
+        for suffix, long in (("", False), ("_fd", True)):
+            messages = found[f"/can/{topic}{suffix}"]
+            oracle = Rosbags(messages[0].kind, messages[0].schema)
+            ours = [oracle.decode(message.data) for message in messages]
+            sent = [
+                frame
+                for tick in lively.ticks(lively.header())
+                for frame in choose(*tick)
+                if bool(frame.flags & 4) == long
+            ]
+            assert len(sent) == len(ours) > 50
+            for frame, message in zip(sent, ours, strict=True):
+                assert message.id == frame.can_id & 0x1FFF_FFFF
+                assert message.is_extended == bool(frame.can_id >> 31)
+                assert message.is_error == bool(frame.can_id >> 29 & 1)
+                assert message.header.frame_id == (*lively.BUSES, "unknown")[min(frame.bus, 2)]
+                length = message.len if long else message.dlc
+                assert bytes(message.data[:length]) == frame.data
+                assert long or message.is_rtr == bool(frame.can_id >> 30 & 1)
+
+
+def test_a_received_frame_bears_its_own_time_and_a_sent_one_that_of_its_tick(log: Path) -> None:
+    found = by_topic(log)
+    times = [frame.t_ns for tick_in, _ in lively.ticks(lively.header()) for frame in tick_in.frames if not frame.flags]
+    assert [message.publish_time for message in found["/can/rx"]] == times
+    oracle = Rosbags(found["/can/tx"][0].kind, found["/can/tx"][0].schema)
+    starts = {tick_in.k: tick_in.t_ns + tick_in.late_ns for tick_in, _ in lively.ticks(lively.header())}
+    for message in found["/can/tx"]:
+        stamp = oracle.decode(message.data).header.stamp
+        assert stamp.sec * 10**9 + stamp.nanosec == starts[message.sequence] == message.publish_time
+
+
+def test_every_message_header_is_little_endian_cdr(log: Path) -> None:
+    for messages in by_topic(log).values():
+        assert all(struct.unpack_from("<I", message.data)[0] == 0x100 for message in messages)

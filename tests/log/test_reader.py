@@ -1,0 +1,248 @@
+"""A log gives back exactly what was recorded; a bad one gives one LogError, soon and cheaply."""
+
+import contextlib
+import itertools
+import os
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from pathlib import Path
+
+import lively
+import lz4.frame
+import numpy as np
+import pytest
+import synthetic
+import zstandard
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.writer import Writer
+
+from handctl.controller.types import TELEMETRY_FIELDS
+from handctl.errors import LogError
+from handctl.log.container import MAGIC
+from handctl.log.logfile import MAX_CHUNK, LogFile, printable
+from handctl.log.reader import RunLog
+from handctl.log.record import TickRecord, pack
+from handctl.log.recorder import Recorder
+from handctl.log.scan import Scan, scan
+
+
+@pytest.fixture(scope="module")
+def lively_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("lively") / "run.mcap"
+    run = lively.header(deterministic=False)
+    recorder = Recorder.start(path, run)
+    for tick in lively.ticks(run):
+        assert recorder.record(pack(*tick))
+        time.sleep(0.003)
+    recorder.close("finished")
+    return path
+
+
+def test_ticks_come_back_exactly(lively_log: Path) -> None:
+    with RunLog(lively_log) as log:
+        found = list(log.ticks())
+    for (tick_in, out), one in zip(lively.ticks(lively.header()), found, strict=True):
+        expected = TickRecord(tick_in, out.frames, out.mode, out.phase, out.action, out.events, out.state_hash)
+        assert one == expected
+
+
+@pytest.mark.parametrize("cached", [True, False])
+def test_every_field_comes_back_bit_for_bit(lively_log: Path, cached: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not cached:
+        monkeypatch.setattr("handctl.log.reader._CACHE_BYTES", 0)
+    recorded = [out.telemetry for _, out in lively.ticks(lively.header())]
+    with RunLog(lively_log) as log:
+        for name in TELEMETRY_FIELDS:
+            expected = np.array([getattr(telemetry, name) for telemetry in recorded])
+            assert log.field(name).tobytes() == expected.tobytes(), name
+            assert log.field(name).shape == (len(log), len(log.names(name)))
+
+
+def test_times_gaps_events_and_phases(lively_log: Path) -> None:
+    ticks = list(lively.ticks(lively.header()))
+    with RunLog(lively_log) as log:
+        assert log.k.tolist() == [tick_in.k for tick_in, _ in ticks]
+        assert log.late_ns.tolist() == [tick_in.late_ns for tick_in, _ in ticks]
+        np.testing.assert_allclose(log.times, [tick_in.t_ns / 1e9 for tick_in, _ in ticks])
+        assert log.mode.tolist() == [out.mode for _, out in ticks]
+        assert log.action.tolist() == [out.action for _, out in ticks]
+        told = [(tick_in.k, event) for tick_in, out in ticks for event in out.events]
+        assert [(one.k, one.event) for one in log.events] == told
+        assert [one.name for one in log.phases] == ["idle", "close", "h\u00e4lt", ""]
+        before = [a.k for (a, _), (b, _) in itertools.pairwise(ticks) if b.k - a.k > 1]
+        assert [gap.before for gap in log.gaps] == before
+        assert len(before) == 7
+        assert int(log.end["missed"]) == 21
+
+
+def test_the_header_comes_back(lively_log: Path) -> None:
+    run = lively.header(deterministic=False)
+    with RunLog(lively_log) as log:
+        for name in ("hand_toml", "joints", "tendons", "motors", "digits", "buses", "period_ns", "offset_ns", "gains"):
+            assert getattr(log.header, name) == getattr(run, name), name
+        assert log.header.metadata == run.metadata
+        assert log.header.attachments.items() >= run.attachments.items()
+        assert not log.warning
+
+
+def test_an_unknown_field_names_the_known_ones(small_log: Path) -> None:
+    with RunLog(small_log) as log, pytest.raises(LogError, match="tension_sigma"):
+        log.field("tenshun\x1b[2J")
+
+
+def _everything(path: Path) -> tuple[bytes, bytes]:
+    with RunLog(path) as log:
+        ticks = repr([*log.ticks(), log.header, log.metadata, log.events, log.phases, log.gaps])
+        return ticks.encode("utf-8", "surrogatepass"), b"".join(log.field(name).tobytes() for name in TELEMETRY_FIELDS)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_changed_bit_is_found_or_harmless(small_log: Path, tmp_path: Path, seed: int) -> None:
+    raw, expected = small_log.read_bytes(), _everything(small_log)
+    random = np.random.default_rng(seed)
+    told: list[str] = []
+    bad = tmp_path / "bad.mcap"
+    for _ in range(60):
+        data = bytearray(raw)
+        data[random.integers(len(data))] ^= 1 << random.integers(8)
+        bad.write_bytes(data)
+        begin = time.perf_counter()
+        try:
+            assert _everything(bad) == expected
+        except LogError as error:
+            told.append(str(error))
+        assert time.perf_counter() - begin < 1.0
+    assert len(told) > 40
+    assert all("bad.mcap, byte " in one for one in told)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_a_changed_file_without_an_end_never_does_worse_than_log_error(
+    small_log: Path, tmp_path: Path, data: st.DataObject
+) -> None:
+    raw = bytearray(small_log.read_bytes())
+    del raw[data.draw(st.integers(9, len(raw))) :]
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(raw) - 1))
+        raw[at : at + 8] = data.draw(st.sampled_from([b"\xff", b"\0" * 8, b"\xff" * 8, b"\x7f" * 4, b"\x06"]))
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(raw)
+    with contextlib.suppress(LogError):
+        _everything(bad)
+
+
+def _chunk(compression: str, packed: bytes, size: int, crc: int = 0) -> bytes:
+    name = compression.encode()
+    body = struct.pack("<QQQII", 0, 0, size, crc, len(name)) + name + struct.pack("<Q", len(packed)) + packed
+    return struct.pack("<BQ", 6, len(body)) + body
+
+
+def _with_chunks(small: Path, chunks: bytes) -> bytes:
+    """The start of a real log, then other chunks."""
+    file, found = LogFile(small), Scan()
+    scan(file, found)
+    file.close()
+    return small.read_bytes()[: found.chunks[1].end] + chunks
+
+
+def _zeros_zstd(size: int) -> bytes:
+    compressor = zstandard.ZstdCompressor(level=1).compressobj()
+    part = bytes(1 << 20)
+    return b"".join(compressor.compress(part) for _ in range(size >> 20)) + compressor.flush()
+
+
+def _hostile(small: Path) -> dict[str, bytes]:
+    message = struct.pack("<BQHIQQ", 5, 22, 3, 0, 0, 0)
+    other = struct.pack("<BQHIQQ", 5, 22, 4, 0, 0, 0)
+    many = (message + other) * (MAX_CHUNK // 62)
+    zeros = bytes(MAX_CHUNK)
+    channels = b"".join(struct.pack("<BQHHIIIB", 4, 17, n & 0xFFFF, 0, 0, 0, 1, 0) for n in range(1_000_000))
+    tick = struct.pack("<BQHIQQ", 5, 22 + 44, 3, 0, 0, 0) + b"\0\1\0\0" + bytes(36) + b"\xff\xff\xff\x7f"
+    bombs = _chunk("zstd", zstandard.compress(zeros), len(zeros), zlib.crc32(zeros))
+    text = struct.pack("<I", 2**32 - 1)
+    return {
+        "zstd of a gigabyte": _with_chunks(small, _chunk("zstd", _zeros_zstd(1 << 30), 1 << 20)),
+        "zstd that says how large it is": _with_chunks(small, _chunk("zstd", _zeros_zstd(1 << 30), 1 << 30)),
+        "lz4 of more than it says": _with_chunks(small, _chunk("lz4", lz4.frame.compress(zeros), 1000)),
+        "lz4 of less than it says": _with_chunks(small, _chunk("lz4", lz4.frame.compress(b"x"), 1000)),
+        "many bombs": _with_chunks(small, bombs * 300),
+        "zeros as records": _with_chunks(small, _chunk("lz4", lz4.frame.compress(zeros), len(zeros))),
+        "a million messages": _with_chunks(small, _chunk("lz4", lz4.frame.compress(many), len(many))),
+        "a million channels": _with_chunks(small, _chunk("lz4", lz4.frame.compress(channels), len(channels))),
+        "a tick that lies": _with_chunks(small, _chunk("", tick, len(tick))),
+        "a chunk larger than the file": _with_chunks(small, struct.pack("<BQ", 6, 2**63)) + bytes(100) + MAGIC,
+        "a huge attachment": _with_chunks(small, struct.pack("<BQ", 9, 17 << 20) + bytes(17 << 20)),
+        "metadata that lies": _with_chunks(small, struct.pack("<BQ", 12, 20) + text * 5),
+        "a million empty records": _with_chunks(small, struct.pack("<BQ", 0x90, 0) * 1_000_000),
+        "an unknown compression": _with_chunks(small, _chunk("lzma", b"x", 1)),
+        "not a log": b"PK\x03\x04" * 100,
+        "nothing": b"",
+    }
+
+
+_PROBE = """
+import resource, sys, time
+from pathlib import Path
+from handctl.errors import LogError
+from handctl.log.reader import RunLog
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+begin = time.perf_counter()
+try:
+    with RunLog(Path(sys.argv[1])) as log:
+        list(log.ticks()), log.field("q"), log.events
+    print("accepted")
+except LogError as error:
+    print("refused", error)
+print(time.perf_counter() - begin)
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
+"""
+
+
+def test_hostile_files_end_in_one_error_soon_and_in_little_memory(small_log: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad\x1b[2J.mcap"
+    for name, data in _hostile(small_log).items():
+        bad.write_bytes(data)
+        done = subprocess.run([sys.executable, "-c", _PROBE, bad], capture_output=True, text=True, check=True)
+        verdict, seconds, kibibytes = done.stdout.splitlines()
+        assert verdict.startswith("refused"), name
+        assert "\x1b" not in verdict
+        assert float(seconds) < 1.0 * max(1, len(data) / 2**20), name
+        assert int(kibibytes) < 256 << 10, name
+
+
+def test_names_of_a_file_reach_a_terminal_harmless() -> None:
+    assert printable("a\x1b[2J\n\u202eb\u00e4") == "a\\x1b[2J\\n\\u202eb\u00e4"
+    assert printable("\ud800") == "\\ud800"
+    assert len(printable("x" * 10_000)) < 300
+
+
+def test_a_log_of_another_program_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "other.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "other")
+        channel = writer.register_channel("/x", "json", writer.register_schema("x", "jsonschema", b"{}"))
+        writer.add_message(channel, 1, b"{}", 1)
+        writer.finish()
+    with pytest.raises(LogError, match="no run of handctl"):
+        RunLog(path)
+
+
+def test_a_pipe_or_directory_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    for path in (tmp_path / "pipe", tmp_path, tmp_path / "missing"):
+        with pytest.raises(LogError):
+            RunLog(path)
+
+
+def test_a_log_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "a.mcap"
+    synthetic.write(path, synthetic.header(rate_hz=50), 0.1)
+    monkeypatch.setattr("handctl.log.reader.SCHEMA", 2)
+    with pytest.raises(LogError, match="version 1"):
+        RunLog(path)

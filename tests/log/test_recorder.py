@@ -1,0 +1,261 @@
+"""The recorder outlives the controller, never holds it up, and says so when it cannot write."""
+
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import synthetic
+
+from handctl.controller.types import IoEvent, TickIn
+from handctl.errors import LogError
+from handctl.log.reader import RunLog
+from handctl.log.record import pack
+from handctl.log.recorder import Recorder
+
+KILLS, TOGETHER = 20, 4
+FEEDER = Path(__file__).with_name("feeder.py")
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., Recorder]]:
+    """Starts recorders and leaves none behind."""
+    started: list[Recorder] = []
+
+    def one(name: str = "run.mcap", deterministic: bool = False, floor_bytes: int = 1, **more: object) -> Recorder:
+        run = synthetic.header(rate_hz=1000, deterministic=deterministic, **more)
+        started.append(Recorder.start(tmp_path / name, run, floor_bytes))
+        return started[-1]
+
+    yield one
+    for recorder in started:
+        if recorder._child.poll() is None:
+            recorder._child.send_signal(signal.SIGCONT)
+            recorder.close("test over")
+
+
+def _records(number: int) -> list[bytes]:
+    run = synthetic.header(rate_hz=1000)
+    return [pack(*tick) for tick in synthetic.Synthetic(run, number / 1000)]
+
+
+def _until(condition: Callable[[], bool], timeout_s: float = 10.0) -> bool:
+    end = time.monotonic() + timeout_s
+    while not (done := condition()) and time.monotonic() < end:
+        time.sleep(0.01)
+    return done
+
+
+def _finished(path: Path) -> bool:
+    with RunLog(path) as log:
+        return not log.warning
+
+
+def test_a_kill_of_the_controller_loses_no_tick(tmp_path: Path) -> None:
+    chance = random.Random(5)
+    for first in range(0, KILLS, TOGETHER):
+        paths = [tmp_path / f"{n}.mcap" for n in range(first, first + TOGETHER)]
+        feeders = [
+            subprocess.Popen([sys.executable, FEEDER, path], stdout=subprocess.PIPE, start_new_session=True)
+            for path in paths
+        ]
+        for feeder in feeders:
+            assert feeder.stdout is not None
+            assert feeder.stdout.read(8)
+        for feeder in feeders:
+            time.sleep(chance.uniform(0, 0.2))
+            feeder.kill()
+        for path, feeder in zip(paths, feeders, strict=True):
+            written = 8 + len(feeder.communicate()[0])
+            assert _until(lambda path=path: _finished(path))
+            with RunLog(path) as log:
+                assert log.end["reason"] == "controller died"
+                assert int(log.k[-1]) >= written // 8 - 1
+                assert log.gaps == []
+                assert len(list(log.ticks())) == len(log) == len(log.field("tension"))
+
+
+def test_a_kill_of_the_recorder_costs_a_quarter_of_a_second(start: Callable[..., Recorder], tmp_path: Path) -> None:
+    recorder, records, lost = start(), _records(900), []
+    begin = time.monotonic()
+    for k, record in enumerate(records):
+        assert recorder.record(record)
+        time.sleep(max(0.0, begin + (k + 1) * 0.001 - time.monotonic()))
+    os.kill(recorder._child.pid, signal.SIGKILL)
+    killed = time.monotonic()
+    recorder._child.wait()
+    with RunLog(tmp_path / "run.mcap") as log:
+        assert log.warning
+        assert log.gaps == []
+        lost = len(records) - len(log)
+        assert len(list(log.ticks())) == len(log)
+    assert lost * 0.001 <= 0.25 + (killed - begin - 0.9)
+    assert not recorder.record(records[0])
+    assert IoEvent("recorder", "gone") in recorder.events()
+    assert recorder.events() == ()
+    summary = recorder.close("gone")
+    assert not summary["complete"]
+    assert summary["dropped"] == 1
+
+
+def test_a_stalled_recorder_never_holds_up_the_controller(start: Callable[..., Recorder], tmp_path: Path) -> None:
+    recorder, records = start(), _records(3000)
+    recorder.record(records[0])
+    os.kill(recorder._child.pid, signal.SIGSTOP)
+    taken, longest, told = [], 0.0, []
+    for k, record in enumerate(records[1:], 1):
+        begin = time.perf_counter()
+        if recorder.record(record):
+            taken.append(k)
+        longest = max(longest, time.perf_counter() - begin)
+        told += recorder.events()
+    os.kill(recorder._child.pid, signal.SIGCONT)
+    assert longest < 0.05
+    assert 100 < len(taken) < len(records) - 100
+    assert [event.where for event in told][:2] == ["filling", "dropped"]
+    assert sum(event.number for event in told if event.where == "dropped") == recorder.dropped
+    assert _until(lambda: recorder.record(records[-1]))
+    summary = recorder.close("finished")
+    with RunLog(tmp_path / "run.mcap") as log:
+        assert log.k.tolist() == [0, *taken, len(records) - 1]
+        assert int(log.end["dropped"]) == summary["dropped"] > 0
+        assert len(log.gaps) >= 1
+
+
+def test_records_longer_than_an_atomic_write_stay_whole(start: Callable[..., Recorder], tmp_path: Path) -> None:
+    recorder, chance, taken = start(), random.Random(3), []
+    ticks = list(synthetic.Synthetic(synthetic.header(rate_hz=1000), 1.0))
+    for k, (tick_in, out) in enumerate(ticks):
+        if k % 250 == 100:
+            os.kill(recorder._child.pid, signal.SIGSTOP)
+        if k % 250 == 200:
+            os.kill(recorder._child.pid, signal.SIGCONT)
+            time.sleep(0.1)
+        text = chance.choice("ab") * chance.randrange(9_000, 30_000)
+        if recorder.record(pack(replace(tick_in, requests=(text,)), out)):
+            taken.append((k, text))
+    assert 0 < recorder.dropped < len(ticks) - 100
+    recorder.close("finished")
+    with RunLog(tmp_path / "run.mcap") as log:
+        assert [(tick.tick_in.k, *tick.tick_in.requests) for tick in log.ticks()] == taken
+
+
+def test_telemetry_of_another_shape_is_announced(start: Callable[..., Recorder]) -> None:
+    recorder = start()
+    other = synthetic.header("jamia11", rate_hz=1000)
+    for tick in synthetic.Synthetic(other, 0.01):
+        recorder.record(pack(*tick))
+    told: list[IoEvent] = []
+    assert _until(lambda: bool(told.extend(recorder.events())) or bool(told))
+    assert told == [IoEvent("recorder", "misshapen", 1)]
+
+
+def test_a_lockstep_run_waits_and_loses_nothing(start: Callable[..., Recorder], tmp_path: Path) -> None:
+    recorder, records = start(deterministic=True), _records(3000)
+    assert all(recorder.record(record) for record in records)
+    summary = recorder.close("finished")
+    assert (summary["ticks"], summary["dropped"], summary["complete"]) == (3000, 0, True)
+
+
+def test_interrupts_do_not_reach_the_recorder(start: Callable[..., Recorder], tmp_path: Path) -> None:
+    recorder = start()
+    assert os.getsid(recorder._child.pid) != os.getsid(0)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(recorder._child.pid, number)
+    for record in _records(10):
+        assert recorder.record(record)
+    assert recorder.close("stopped by hand")["ticks"] == 10
+    with RunLog(tmp_path / "run.mcap") as log:
+        assert log.end["reason"] == "stopped by hand"
+
+
+def test_what_was_known_before_the_first_tick_is_in_the_file_at_once(
+    start: Callable[..., Recorder], tmp_path: Path
+) -> None:
+    notes = {"big.bin": random.Random(1).randbytes(3 << 20)}
+    recorder = start(attachments=notes, metadata={"note": "a \u00e4"}, wall={"host": "x"})
+    with RunLog(tmp_path / "run.mcap") as log:
+        assert log.header.attachments["big.bin"] == notes["big.bin"]
+        assert log.header.attachments["hand.toml"].decode() == log.header.hand_toml
+        assert log.header.metadata == {"note": "a \u00e4"}
+        assert log.header.wall == {"host": "x"}
+        assert len(log) == 0
+    recorder.close("finished")
+
+
+@pytest.mark.parametrize("name", ["exists.mcap", "no/such/directory.mcap"])
+def test_a_file_that_cannot_be_created_is_refused(start: Callable[..., Recorder], tmp_path: Path, name: str) -> None:
+    (tmp_path / "exists.mcap").write_text("precious")
+    with pytest.raises(LogError, match="cannot record"):
+        start(name)
+    assert (tmp_path / "exists.mcap").read_text() == "precious"
+
+
+def _readable_prefix(path: Path, fed: int) -> None:
+    with RunLog(path) as log:
+        assert 0 < len(log) < fed
+        assert log.k.tolist() == list(range(len(log)))
+        assert len(list(log.ticks())) == len(log)
+
+
+def test_a_failed_write_is_announced_and_ends_the_file(start: Callable[..., Recorder], tmp_path: Path) -> None:
+    recorder, records = start(), _records(2000)
+    resource.prlimit(recorder._child.pid, resource.RLIMIT_FSIZE, (400_000, 400_000))
+    told: list[IoEvent] = []
+    for record in records:
+        recorder.record(record)
+        time.sleep(0.0002)
+        told += recorder.events()
+    assert _until(lambda: bool(told.extend(recorder.events())) or any(one.where == "disk_full" for one in told))
+    summary = recorder.close("finished")
+    assert summary["lost"] + summary["ticks"] == len(records) - recorder.dropped
+    assert (tmp_path / "run.mcap").stat().st_size <= 400_000
+    assert [one.where for one in told].count("disk_full") == 1
+    _readable_prefix(tmp_path / "run.mcap", len(records))
+
+
+@pytest.fixture
+def tiny_disk(tmp_path: Path) -> Iterator[Path]:
+    """Two megabytes."""
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(disk)], capture_output=True)
+    if mounted.returncode:
+        pytest.skip("cannot mount a tmpfs here")
+    yield disk
+    subprocess.run(["umount", str(disk)], check=True)
+
+
+@pytest.mark.parametrize("floor_bytes", [1, 700_000])
+def test_a_full_disk_leaves_a_whole_file(tiny_disk: Path, start: Callable[..., Recorder], floor_bytes: int) -> None:
+    recorder, records = start("disk/run.mcap", floor_bytes=floor_bytes), _records(3000)
+    for record in records:
+        recorder.record(record)
+        time.sleep(0.0005)
+    assert _until(lambda: any(event.where == "disk_full" for event in recorder.events()))
+    recorder.close("finished")
+    _readable_prefix(tiny_disk / "run.mcap", len(records))
+    with RunLog(tiny_disk / "run.mcap") as log:
+        assert not log.warning
+        assert log.end["reason"] in ("disk full", "write failed: No space left on device")
+    assert [one.name for one in tiny_disk.iterdir()] == ["run.mcap"]
+
+
+def test_handing_over_a_tick_is_quick(start: Callable[..., Recorder]) -> None:
+    recorder = start()
+    tick_in, out = next(iter(synthetic.Synthetic(synthetic.header(rate_hz=1000), 0.01)))
+    spent = []
+    for k in range(300):
+        begin = time.perf_counter()
+        recorder.record(pack(TickIn(k, k * 1_000_000, 0, tick_in.frames), out))
+        recorder.events()
+        spent.append(time.perf_counter() - begin)
+        time.sleep(0.0005)
+    assert sorted(spent)[len(spent) // 2] < 200e-6

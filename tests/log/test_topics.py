@@ -1,0 +1,211 @@
+"""Topics: complete, joined by sequence, the same however the run was cut into chunks, open to other tools."""
+
+import os
+from collections import Counter
+from pathlib import Path
+from xml.etree import ElementTree
+
+import lively
+import numpy as np
+import pytest
+import synthetic
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from oracle import Rosbags, by_topic, messages
+from rosbags.highlevel import AnyReader
+from scipy.spatial.transform import Rotation
+
+from handctl.hand.description import load_hand
+from handctl.hand.digit import DigitModel
+from handctl.hand.frames import link_transforms
+from handctl.log.header import RunHeader
+from handctl.log.record import FRAMING, pack
+from handctl.log.tf_topics import links
+from handctl.log.writer import LogWriter
+
+
+def _write(
+    path: Path, run: RunHeader, bodies: list[bytes], flush_at: frozenset[int] = frozenset(), told: tuple[str, ...] = ()
+) -> Path:
+    """Write a log without a process, with extra chunk borders, and compare what it has to tell."""
+    path.unlink(missing_ok=True)
+    problems: list[str] = []
+    writer = LogWriter(path, run, lambda event, number: problems.append(event), 1)
+    for index, body in enumerate(bodies):
+        writer.add(body)
+        if index in flush_at:
+            writer.flush()
+    writer.finish("finished", 0)
+    assert tuple(problems) == told
+    return path
+
+
+def _bodies(run: RunHeader) -> list[bytes]:
+    return [pack(*tick)[FRAMING.size :] for tick in lively.ticks(run)]
+
+
+def test_rosbags_reads_every_message(run_log: Path) -> None:
+    with AnyReader([run_log]) as reader:
+        found = Counter()
+        for connection, _, raw in reader.messages():
+            reader.deserialize(raw, connection.msgtype)
+            found[connection.topic] += 1
+        assert sum(found.values()) == reader.message_count
+        durable = {
+            one.topic
+            for one in reader.connections
+            if one.ext.offered_qos_profiles[0].durability.name == "TRANSIENT_LOCAL"
+        }
+    assert durable == {"/robot_description", "/tf_static", "/controller/names"}
+    every_tick = [topic for topic, number in found.items() if number == 1000]
+    assert len(every_tick) == 14
+    assert found["/tf"] == 100
+    assert found["/actuator/index_motor/temperature"] == 10
+
+
+def test_rerun_reads_it_and_moves_the_hand(run_log: Path) -> None:
+    os.environ["RERUN_ANALYTICS"] = "off"
+    rerun = pytest.importorskip("rerun")
+    chunks = list(rerun.chunk.McapReader(run_log).stream())
+    columns: dict[str, set[str]] = {}
+    rows: Counter[str] = Counter()
+    for chunk in chunks:
+        batch = chunk.to_record_batch()
+        columns.setdefault(chunk.entity_path, set()).update(batch.schema.names)
+        if "message_log_time" in batch.schema.names:
+            rows[chunk.entity_path] += batch.num_rows
+    assert {"Scalars:scalars", "SeriesLines:names"} <= columns["/joint_states/position"]
+    assert "Transform3D:quaternion" in columns["/tf"]
+    assert any("Boxes3D" in name for names in columns.values() for name in names)
+    assert rows["/joint_states/position"] >= 1000
+
+
+def test_ticks_and_rows_join_by_sequence(run_log: Path) -> None:
+    found = by_topic(run_log)
+    for topic in ("/tick", "/joint_states", "/controller/values", "/cycle", "/fingertip/thumb/wrench"):
+        assert [one.sequence for one in found[topic]] == list(range(1000)), topic
+        assert [one.log_time for one in found[topic]] == [2_000_000 * k for k in range(1000)], topic
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(borders=st.frozensets(st.integers(0, 119), max_size=40))
+def test_messages_do_not_depend_on_where_chunks_end(tmp_path: Path, borders: frozenset[int]) -> None:
+    run = lively.header()
+    bodies = _bodies(run)
+    plain, cut = (
+        by_topic(_write(tmp_path / name, run, bodies, at)) for name, at in (("a", frozenset()), ("b", borders))
+    )
+    assert plain.keys() == cut.keys()
+    for topic, expected in plain.items():
+        assert cut[topic] == expected, topic
+
+
+def test_equal_lockstep_runs_give_equal_files_but_for_the_wall(tmp_path: Path) -> None:
+    runs = [synthetic.header(rate_hz=500, wall={"started": day, "pid": day}) for day in ("2026-01-01", "2026-01-02")]
+    paths = [tmp_path / "a.mcap", tmp_path / "b.mcap"]
+    for path, run in zip(paths, runs, strict=True):
+        synthetic.write(path, run, 1.0)
+    assert messages(paths[0]) == messages(paths[1])
+    first, second = (path.read_bytes() for path in paths)
+    assert first != second
+    wall = synthetic.header(rate_hz=500)
+    same = [tmp_path / "c.mcap", tmp_path / "d.mcap"]
+    for path in same:
+        synthetic.write(path, wall, 1.0)
+    assert same[0].read_bytes() == same[1].read_bytes()
+
+
+def test_the_wall_offset_shifts_all_times_alike(tmp_path: Path) -> None:
+    run, offset = lively.header(), 1_700_000_000_123_456_789
+    bodies = _bodies(run)
+    plain = messages(_write(tmp_path / "a", run, bodies))
+    shifted = messages(_write(tmp_path / "b", lively.header(offset_ns=offset), bodies))
+    assert [one.log_time + offset for one in plain] == [one.log_time for one in shifted]
+    states = [one for one in shifted if one.topic == "/joint_states"]
+    oracle = Rosbags(states[0].kind, states[0].schema)
+    for one in states:
+        stamp = oracle.decode(one.data).header.stamp
+        assert stamp.sec * 10**9 + stamp.nanosec == one.log_time
+
+
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_transforms_are_those_of_the_hands_own_kinematics(tmp_path: Path, hand: str) -> None:
+    run, described = synthetic.header(hand, rate_hz=50), load_hand(hand)
+    digits = [DigitModel.of(described, name) for name in run.digits]
+    ticks = list(synthetic.Synthetic(run, 1.0))
+    found = by_topic(_write(tmp_path / "a", run, [pack(*tick)[FRAMING.size :] for tick in ticks]))
+    tf, fixed = found["/tf"], found["/tf_static"][0]
+    oracle = Rosbags(fixed.kind, fixed.schema)
+    tips = oracle.decode(fixed.data).transforms
+    assert len(tf) == 50
+    for (_, out), message in zip(ticks, tf, strict=True):
+        pose = {"palm": (np.zeros(3), Rotation.identity())}
+        for one in oracle.decode(message.data).transforms + tips:
+            move, turn = one.transform.translation, one.transform.rotation
+            origin, frame = pose[one.header.frame_id]
+            turned = frame * Rotation.from_quat([turn.x, turn.y, turn.z, turn.w])
+            pose[one.child_frame_id] = origin + frame.apply([move.x, move.y, move.z]), turned
+        for digit, place in zip(digits, described.digit_joints.values(), strict=True):
+            for link in link_transforms(digit, out.telemetry.q[place]):
+                origin, frame = pose[link.frame]
+                np.testing.assert_allclose(origin, link.position, atol=1e-12)
+                assert (frame.inv() * Rotation.from_quat(link.quaternion_xyzw)).magnitude() < 1e-12
+
+
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_frames_hang_on_each_other_as_in_the_urdf(hand: str) -> None:
+    run = synthetic.header(hand)
+    joints = ElementTree.fromstring(run.attachments["hand.urdf"]).findall("joint")
+    expected = {
+        (one.find("parent").get("link"), one.find("child").get("link"), one.get("type") == "revolute") for one in joints
+    }
+    assert {(link.parent, link.child, link.joint >= 0) for link in links(run.hand_toml)} == expected
+
+
+def test_frames_hang_together() -> None:
+    tree = links(synthetic.header().hand_toml)
+    known = {"palm"}
+    for link in tree:
+        assert link.parent in known
+        assert link.child not in known
+        known.add(link.child)
+    assert [link.joint for link in tree if link.joint >= 0] == list(range(11))
+    assert {f"{digit}_tip" for digit in synthetic.header().digits} <= known
+
+
+def test_cycle_tells_missed_ticks_and_lateness(tmp_path: Path) -> None:
+    run = lively.header()
+    ticks = list(lively.ticks(run))
+    found = by_topic(_write(tmp_path / "a", run, _bodies(run)))["/cycle"]
+    oracle = Rosbags(found[0].kind, found[0].schema)
+    last = None
+    for (tick_in, out), message in zip(ticks, found, strict=True):
+        one, start = oracle.decode(message.data), (tick_in.t_ns + tick_in.late_ns) * 1e-9
+        assert one.missed == (tick_in.k - last[0] - 1 if last else 0)
+        assert one.late == tick_in.late_ns * 1e-9
+        assert (one.mode, one.action) == (out.mode, out.action)
+        if last is None:
+            assert np.isnan(one.period)
+        else:
+            assert one.period == pytest.approx(start - last[1])
+            heard = [frame.t_ns * 1e-9 - last[1] for frame in tick_in.frames]
+            assert one.last_reply == pytest.approx(max(heard), abs=1e-12) if heard else np.isnan(one.last_reply)
+        last = tick_in.k, start
+
+
+def test_the_wrench_points_against_closing(run_log: Path) -> None:
+    found = by_topic(run_log)["/fingertip/index/wrench"]
+    oracle = Rosbags(found[0].kind, found[0].schema)
+    forces = np.array([[(w := oracle.decode(one.data).wrench.force).x, w.y, w.z] for one in found])
+    assert forces[:, 1].min() < -0.5
+    assert (forces[:, 1] <= 0).all()
+    assert not forces[:, [0, 2]].any()
+
+
+def test_telemetry_of_another_shape_becomes_nan_and_is_counted(tmp_path: Path) -> None:
+    run, other = synthetic.header("jamia", 100), synthetic.header("jamia11", 100)
+    bodies = [pack(*tick)[FRAMING.size :] for tick in synthetic.Synthetic(other, 0.1)]
+    log = _write(tmp_path / "a", run, bodies, told=("misshapen",))
+    found = by_topic(log)["/tendon_states"]
+    oracle = Rosbags(found[0].kind, found[0].schema)
+    assert all(np.isnan(oracle.decode(one.data).effort).all() for one in found)

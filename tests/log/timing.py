@@ -1,0 +1,78 @@
+"""What the log costs: ``python tests/log/timing.py``. Prints microseconds per tick on this machine; asserts nothing."""
+
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import synthetic
+
+from handctl.log.reader import RunLog
+from handctl.log.record import FRAMING, pack
+from handctl.log.recorder import Recorder
+from handctl.log.writer import LogWriter
+
+
+def _per_item(number: int, work: Callable[[], object]) -> float:
+    """Best of three runs [us per item], in processor time."""
+    spent = []
+    for _ in range(3):
+        begin = time.process_time()
+        work()
+        spent.append(time.process_time() - begin)
+    return min(spent) / number * 1e6
+
+
+def _written(path: Path, run: synthetic.RunHeader, bodies: list[bytes]) -> None:
+    path.unlink(missing_ok=True)
+    writer = LogWriter(path, run, print, 1)
+    for body in bodies:
+        writer.add(body)
+    writer.finish("finished", 0)
+
+
+def main() -> None:
+    """Measure packing, writing, lockstep through the pipe, and reading."""
+    for hand, rate_hz in (("jamia", 500), ("jamia11", 1000)):
+        run = synthetic.header(hand, rate_hz)
+        ticks = list(synthetic.Synthetic(run, 10.0))
+        number, records = len(ticks), [pack(*tick) for tick in ticks]
+        bodies = [record[FRAMING.size :] for record in records]
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "run.mcap"
+            print(f"{hand} at {rate_hz} Hz, {len(records[9])} bytes and {_frames(ticks[9])} frames a tick")
+            packing = _per_item(number, lambda ticks=ticks: [pack(*tick) for tick in ticks])
+            print(f"  pack            {packing:7.1f} us")
+            writing = _per_item(number, lambda path=path, run=run, bodies=bodies: _written(path, run, bodies))
+            print(f"  write (child)   {writing:7.1f} us, {path.stat().st_size / number:.0f} bytes in the file")
+            print(f"  pipe, lockstep  {_lockstep(Path(folder) / 'b.mcap', run, records):7.1f} us wall time")
+            _read(path, number)
+
+
+def _frames(tick: tuple[synthetic.TickIn, synthetic.TickOut]) -> int:
+    return len(tick[0].frames) + len(tick[1].frames)
+
+
+def _lockstep(path: Path, run: synthetic.RunHeader, records: list[bytes]) -> float:
+    recorder = Recorder.start(path, run)
+    begin = time.perf_counter()
+    for record in records:
+        recorder.record(record)
+        recorder.events()
+    recorder.close("finished")
+    return (time.perf_counter() - begin) / len(records) * 1e6
+
+
+def _read(path: Path, number: int) -> None:
+    begin = time.perf_counter()
+    with RunLog(path) as log:
+        log.field("tension")
+        print(f"  open, one field {(time.perf_counter() - begin) * 1e3:7.1f} ms for all {number} ticks")
+        begin = time.perf_counter()
+        for _ in log.ticks():
+            pass
+    print(f"  read ticks      {(time.perf_counter() - begin) / number * 1e6:7.1f} us")
+
+
+if __name__ == "__main__":
+    main()
