@@ -1,0 +1,126 @@
+"""What the model assumes and the paper does not say, each with the number that shows it."""
+
+from fractions import Fraction
+
+import numpy as np
+
+from handctl.hand.digit import Array
+from handctl.paper import sources as src
+from handctl.paper.item import Item
+from handctl.paper.kinematics import digit
+from handctl.paper.verdict import of_number, of_statement
+
+STATICS = ("statics",)
+BEND_RATIO = 18.0
+"""Least pulley-to-rope diameter in rope practice. Source: ISO 4308-1, factor h2 of mechanism class M4."""
+WRAP_DEG = (15.0, 30.0, 45.0)
+"""A finger around an object, each link touched at its middle. Source: Birglen, Laliberte & Gosselin (2008)."""
+
+
+def items() -> list[Item]:
+    """One item a number."""
+    return [*_one_tendon(), *_coupling(), *_balance(), *_both_sides(), _bending(), _lift_off()]
+
+
+def _one_tendon() -> list[Item]:
+    """T r_p = M at every joint of the straight finger."""
+    levers = src.levers(src.finger())
+    given = src.tension_per_newton(src.finger()) * src.PULLEY_MM
+    made = []
+    for i, needed in enumerate(levers):
+        radius = needed / src.tension_per_newton(src.finger())
+        made.append(
+            Item(
+                f"tendon.joint{i + 1}", "Sec. 5", f"M = T r_p with T = 18.33F, M{'₁₂₃'[i]} = {needed}F",
+                float(given), "N mm per N",
+                of_statement(given == needed),
+                f"One tendon on equal pulleys gives {given}F at every joint; this one needs {needed}F, the surplus of "
+                f"{given - needed}F goes to stops or other contacts. Balance would need a pulley of "
+                f"{float(radius):.4g} mm.",
+                STATICS,
+            )
+        )  # fmt: skip
+    return made
+
+
+def _coupling() -> list[Item]:
+    """Equal angles by a mechanism: the tendon's work equals the tip's."""
+    levers = src.levers(src.finger())
+    tension = sum(levers, Fraction(0)) / (len(levers) * src.PULLEY_MM)
+    force, torque = src.GRIP_FINGER_N * tension, src.GRIP_FINGER_N * tension * src.SPOOL_MM / 1000
+    arms = src.hand().moment_arms[src.hand().digit_tendons["index"], src.hand().digit_joints["index"]]
+    free = len(levers) - int(np.linalg.matrix_rank(arms))
+    return [
+        Item(
+            "coupling.tension", "Sec. 4 against Sec. 5", "18.33 F", float(tension), "N per N",
+            of_number("18.33", tension),
+            "If θ₁ = θ₂ = θ₃ is enforced, as section 4 says, virtual work gives T = (55 + 25 + 10)F/(3 × 3) = 10F: "
+            f"{float(force):g} N and {float(torque):g} N m at 6 N instead of 110 N and 0.55 N m.", ("virtual work",)),
+        Item(
+            "coupling.freedom", "Sec. 4", "the rotation angle of first to third link are always equal", float(free), "",
+            of_statement(free == 0),
+            f"One tendon sets one sum of three angles; {free} remain free. Without contact they are equal only if "
+            "springs are in proportion to the pulleys, and with contact not at all.", ("rank",)),
+    ]  # fmt: skip
+
+
+def _balance() -> list[Item]:
+    """Fingers press with 3 x 6 N, the thumb with 10 N."""
+    fingers = src.FINGERS * src.GRIP_FINGER_N
+    tension = fingers * src.tension_per_newton(src.thumb())
+    torque = tension * src.SPOOL_MM / 1000
+    return [
+        Item(
+            "grip.balance", "Sec. 5 against Sec. 6", f"{src.GRIP_THUMB_N} N thumb, {src.GRIP_FINGER_N} N each finger",
+            float(fingers), "N", of_statement(fingers == src.GRIP_THUMB_N),
+            f"Three fingers press with {fingers} N, the thumb with {src.GRIP_THUMB_N} N: the object would be thrown. "
+            f"For {fingers} N the thumb's tendon needs {tension} N and its motor {float(torque):g} N m.",
+            STATICS),
+    ]  # fmt: skip
+
+
+def _both_sides() -> list[Item]:
+    """Friction acts where the thumb presses, too."""
+    fingers = src.FINGERS * src.GRIP_FINGER_N
+    both, limited = 2 * src.payload_kg(fingers), 2 * src.payload_kg(src.GRIP_THUMB_N)
+    return [
+        Item(
+            "payload.both_sides", "Sec. 5", f"m = {src.PAYLOAD_KG} kg", float(both), "kg",
+            of_number(src.PAYLOAD_KG, both),
+            "Friction is counted on the finger side only; a thumb that holds against 18 N carries as much again.",
+            STATICS),
+        Item(
+            "payload.thumb_limit", "Abstract", "1 kg", float(limited), "kg", of_number("1", limited),
+            "Both sides, with the thumb at its 10 N: maybe where the abstract's 1 kg comes from.", STATICS),
+    ]  # fmt: skip
+
+
+def _bending() -> Item:
+    diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.finger()))
+    ratio = float(2 * src.PULLEY_MM) / diameter
+    return Item(
+        "wire.bending", "Sec. 5", "r_p = 3 mm, wire 0.86 mm", ratio, "", of_statement(ratio >= BEND_RATIO),
+        f"Pulley to rope diameter; rope practice asks for {BEND_RATIO:g} at least. Bending stress, fatigue, friction, "
+        "return springs and a safety factor are not considered, and 190 MPa is an aluminium's, not a steel rope's.",
+        ("arithmetic",))  # fmt: skip
+
+
+def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_DEG) -> Array:
+    """Normal forces at the middle of each link that balance a tendon on equal pulleys, (3,) [N]."""
+    lengths, absolute = np.array(digit("index").lengths), np.cumsum(np.radians(angles_deg))
+    levers = np.zeros((3, 3))
+    for joint in range(3):
+        for link in range(joint, 3):
+            inner = lengths[joint:link] @ np.cos(absolute[link] - absolute[joint:link])
+            levers[joint, link] = inner + lengths[link] / 2.0
+    return np.linalg.solve(levers, np.full(3, tension * float(src.PULLEY_MM) / 1000.0))
+
+
+def _lift_off() -> Item:
+    forces = contact_forces(110.0)
+    return Item(
+        "grip.middle_link", "Sec. 5", "one tendon, equal pulleys, three phalanges on the object", float(forces[1]), "N",
+        of_statement(bool((forces >= 0.0).all())),
+        f"At joint angles of 15, 30 and 45° and 110 N the links would press with {forces[0]:.1f}, {forces[1]:.1f} and "
+        f"{forces[2]:.1f} N: the middle one cannot pull and lifts off, the finger closes onto its stop.",
+        STATICS)  # fmt: skip

@@ -1,0 +1,60 @@
+"""The experiments of the paper as jobs: plain values in, plain values out, so that another process can do them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from handctl.paper import force_displacement, payload
+
+Job = Mapping[str, Any]
+Result = Mapping[str, Any]
+Workers = Callable[[Sequence[Job]], list[Result]]
+"""Does jobs, possibly several at a time; results in the order of the jobs."""
+
+
+def do(job: Job, folder: Path) -> Result:
+    """Do one job.
+
+    Args:
+        job: ``do`` and arguments, as from ``first_jobs`` and ``second_jobs``.
+        folder: for its files.
+    """
+    match job["do"]:
+        case "pull":
+            return force_displacement.measure(folder)
+        case "search":
+            return payload.search_tension(folder, job["diameter_mm"])
+        case "load":
+            return payload.load_until_slip(folder, job["diameter_mm"], job["axis"], job["found"])
+    raise ValueError(f"no such experiment: {job['do']}")
+
+
+def name(job: Job) -> str:
+    """What to call a job while it is being done."""
+    match job["do"]:
+        case "pull":
+            return "pulling a blocked finger to 242 N"
+        case "search":
+            return f"gripping a {job['diameter_mm']:g} mm cylinder with 6 N a finger"
+    return f"loading it along {job['axis']} until it slips"
+
+
+def count() -> int:
+    """How many jobs there are."""
+    return 1 + len(payload.DIAMETERS_MM) * (1 + len(payload.AXES))
+
+
+def measure(workers: Workers) -> dict[str, Any]:
+    """Do all experiments.
+
+    Returns:
+        ``force_displacement``, see there, and ``payload``, a result for each diameter and axis.
+    """
+    searches = [{"do": "search", "diameter_mm": diameter} for diameter in payload.DIAMETERS_MM]
+    pulled, *found = workers([{"do": "pull"}, *searches])
+    loads = [
+        {"do": "load", "diameter_mm": diameter, "axis": axis, "found": grip}
+        for diameter, grip in zip(payload.DIAMETERS_MM, found, strict=True)
+        for axis in payload.AXES
+    ]
+    return {"force_displacement": pulled, "payload": workers(loads)}

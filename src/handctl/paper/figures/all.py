@@ -1,0 +1,43 @@
+"""All figures that can be drawn from what is known."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from handctl.paper.figures import hand, measured, path, statics, torques
+from handctl.paper.figures.style import draw
+from handctl.paper.force_displacement import curves
+
+Content = Callable[[Any], None]
+
+
+def contents(results: Mapping[str, Any] | None) -> dict[str, tuple[tuple[float, float], Content]]:
+    """Size [inch] and content of each figure; without results of experiments those that need none."""
+    drawn: dict[str, tuple[tuple[float, float], Content]] = {
+        "fig1-hand": (hand.SIZE, hand.hand),
+        "fig3-path": (path.SIZE, path.path),
+        "fig4-statics": (statics.SIZE, statics.statics),
+        "fig7-torques": (torques.SIZE, torques.torques),
+        "fig7-eq10": (torques.SIZE_EQ10, torques.eq10),
+    }
+    if results is not None:
+        bench, loads = curves(results["force_displacement"]), results["payload"]
+        drawn |= {
+            "fig5-force-displacement": (measured.SIZE_FORCE, lambda fig: measured.force_displacement(fig, bench)),
+            "fig8-payload": (measured.SIZE_PAYLOAD, lambda fig: measured.payloads(fig, loads)),
+        }
+    return drawn
+
+
+def draw_all(folder: Path, results: Mapping[str, Any] | None) -> dict[str, Path]:
+    """Draw every figure as PNG and SVG.
+
+    Args:
+        folder: to write to; made if it is not there.
+        results: of ``experiments.measure``; None leaves the measured figures out.
+
+    Returns:
+        SVG file of each figure.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    return {name: draw(folder, name, size, content) for name, (size, content) in contents(results).items()}

@@ -1,0 +1,65 @@
+"""Fig. 3: where the tips go: the curve of Eq. 1-2, the hand's own limits, and what independent joints could reach."""
+
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import binary_closing, gaussian_filter
+
+from handctl.hand.digit import Array
+from handctl.hand.inverse_kinematics import coordinate_limits
+from handctl.hand.kinematics import points
+from handctl.paper import kinematics
+from handctl.paper.figures.style import BLUE, GREY, RED
+
+SIZE = (9.6, 4.5)
+CELL_MM = 0.25
+SAMPLES = {"index": 161, "thumb": 900}
+HEIGHT_MM = (-12.0, 60.0)
+POSES_DEG = (0.0, 30.0, 60.0, 90.0)
+
+
+def path(figure: Any) -> None:
+    """Finger and thumb side by side on the same scale."""
+    left, right = figure.subplots(1, 2, width_ratios=(110, 58), sharey=True)
+    _digit(left, "index", "Finger: Eq. 1-2", (-46, 64))
+    _digit(right, "thumb", "Thumb: the same with 15 and 10 mm", (-24, 34))
+    left.set(ylabel="Y [mm]")
+    right.legend(loc="upper left", fontsize=8.5)
+
+
+def _digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
+    model = kinematics.digit(name)
+    _area(axes, kinematics.workspace(name, SAMPLES[name]), x, HEIGHT_MM)
+    low, high = coordinate_limits(model)
+    whole = kinematics.path(name, np.linspace(low, high, 400))
+    axes.plot(*whole.T, color=BLUE, linewidth=2.2, label="tip, θ₁ = θ₂ = θ₃ = θ", zorder=4)
+    for degrees in POSES_DEG:
+        nodes = 1000.0 * points(model, np.full(model.joint_count, np.radians(degrees)))
+        axes.plot(*nodes.T, color=GREY, linewidth=1.1, marker="o", markersize=2.8, zorder=3)
+    for degrees in range(0, 101, 10):
+        tip = kinematics.path(name, np.radians([degrees]))[0]
+        axes.plot(*tip, "o", color=BLUE, markersize=4, zorder=5)
+        if degrees in (*POSES_DEG, 100):
+            offset = (5, 4) if degrees < 45 else (-7, 6 if degrees < 75 else -5)
+            side = "left" if degrees < 45 else "right"
+            axes.annotate(
+                f"{degrees:g}°", tip, offset, textcoords="offset points", fontsize=8.5, color=BLUE, ha=side, zorder=6
+            )
+    reach = 1000.0 * sum(model.lengths)
+    axes.plot(reach, 0.0, "s", color=RED, markersize=6, fillstyle="none", zorder=6)
+    axes.annotate(
+        f"{reach:g} mm", (reach, 0.0), (-4, -14), textcoords="offset points", fontsize=8.5, color=RED, ha="center"
+    )
+    axes.set(xlabel="X [mm]", title=title, xlim=x, ylim=HEIGHT_MM, aspect="equal")
+
+
+def _area(axes: Any, tips: Array, x: tuple[float, float], y: tuple[float, float]) -> None:
+    """Cells that a sampled tip falls into, gaps between samples closed."""
+    bins = [np.arange(low, high + CELL_MM, CELL_MM) for low, high in (x, y)]
+    hit = binary_closing(np.histogram2d(tips[:, 0], tips[:, 1], bins=bins)[0] > 0, iterations=3)
+    smooth = gaussian_filter(hit.astype(float), 1.5).T
+    middles = [(edges[:-1] + edges[1:]) / 2.0 for edges in bins]
+    axes.contourf(*middles, smooth, levels=[0.5, 1.5], colors=["#cfe3f3"], zorder=1)
+    axes.contour(*middles, smooth, levels=[0.5], colors=["#8db9da"], linewidths=0.8, zorder=2)
+    axes.plot([], [], "s", color="#cfe3f3", markeredgecolor="#8db9da", markersize=9, label="independent joints")
+    axes.plot([], [], color=GREY, marker="o", markersize=2.8, linewidth=1.1, label="links")

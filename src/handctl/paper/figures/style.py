@@ -1,0 +1,51 @@
+"""What all figures have in common: colours that colour-blind people can tell apart, sizes, and how they are saved."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from handctl.paper.page import PREFIX
+
+BLUE, ORANGE, GREEN, RED, PURPLE, GREY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#8e5ba6", "#6b6b6b"
+"""Source: Okabe & Ito, Color Universal Design."""
+SETTINGS: Any = {
+    "font.size": 9.5,
+    "axes.titlesize": 10.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.6,
+    "legend.frameon": False,
+    "svg.hashsalt": "handctl",
+}
+DPI = 160
+
+
+def draw(folder: Path, name: str, size: tuple[float, float], content: Callable[[Any], None]) -> Path:
+    """Draw one figure and write it as PNG and SVG.
+
+    Args:
+        folder: to write to.
+        name: of the figure, as in ``page.CAPTIONS``.
+        size: width and height [inch].
+        content: draws on the figure that it is given.
+
+    Returns:
+        the SVG file.
+    """
+    import matplotlib
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(SETTINGS):
+        figure = Figure(figsize=size, layout="constrained")
+        FigureCanvasAgg(figure)
+        content(figure)
+        figure.savefig(folder / f"{PREFIX}{name}.png", dpi=DPI)
+        path = folder / f"{PREFIX}{name}.svg"
+        figure.savefig(path, metadata={"Date": None})
+    return path

@@ -1,0 +1,73 @@
+"""Fig. 7: what the torque of a closing digit consists of; and Eq. 10 beside itself."""
+
+from typing import Any
+
+import numpy as np
+
+from handctl.paper.figures.style import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
+from handctl.paper.motion import CLOSED_DEG, DURATIONS_S, PARTS, closing, first_torque
+
+SIZE = (9.6, 9.0)
+SIZE_EQ10 = (9.0, 3.6)
+COLOURS = dict(zip(PARTS, (BLUE, RED, GREEN, ORANGE, PURPLE), strict=True))
+LINKS = PARTS[:3]
+"""What Eq. 3 to 12 describe."""
+
+
+def torques(figure: Any) -> None:
+    """Finger and thumb at three speeds; below each the links' own part, enlarged."""
+    rows = figure.subplots(4, len(DURATIONS_S), sharey="row", height_ratios=(1.15, 1, 1.15, 1))
+    for pair, (name, title) in enumerate((("index", "finger"), ("thumb", "thumb"))):
+        for column, duration in enumerate(DURATIONS_S):
+            motion = closing(name, duration)
+            whole, links = rows[2 * pair][column], rows[2 * pair + 1][column]
+            for part in PARTS:
+                whole.plot(1e3 * motion.times, 1e3 * motion.parts[part], color=COLOURS[part], label=part)
+            total = sum(motion.parts.values(), np.zeros(len(motion.times)))
+            whole.plot(1e3 * motion.times, 1e3 * total, color="black", linewidth=1.0, linestyle="--", label="sum")
+            for part in LINKS:
+                links.plot(1e3 * motion.times, 1e3 * motion.parts[part], color=COLOURS[part])
+            whole.set_title(f"{title}, {CLOSED_DEG:g}° in {duration:g} s", fontsize=9.5)
+            links.set_title("links alone (Eq. 3-12)", fontsize=9, weight="normal")
+            for axes in (whole, links):
+                axes.margins(x=0)
+                axes.axhline(0.0, color=GREY, linewidth=0.7)
+                _tension(axes, motion.lever, column == len(DURATIONS_S) - 1)
+            if column == 0:
+                whole.set(ylabel="torque [mN m]")
+                links.set(ylabel="torque [mN m]")
+            if pair == 1:
+                links.set(xlabel="time [ms]")
+    handles, labels = rows[0][0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=6, fontsize=9)
+
+
+def _tension(axes: Any, lever: float, labelled: bool) -> None:
+    """The same as tension of the tendon."""
+    factor = 1e-3 / lever
+    side = axes.secondary_yaxis("right", functions=(lambda torque: torque * factor, lambda force: force / factor))
+    if labelled:
+        side.set_ylabel("tension [N]")
+    else:
+        side.set_yticklabels([])
+
+
+def eq10(figure: Any) -> None:
+    """T_1 as printed and as it is, on the print's scale and on its own."""
+    times, printed, right = first_torque(DURATIONS_S[1])
+    wide, close = figure.subplots(1, 2)
+    for axes in (wide, close):
+        axes.plot(1e3 * times, 1e3 * printed, color=RED, label="Eq. 10 as printed")
+        axes.plot(1e3 * times, 1e3 * right, color=BLUE, label="corrected")
+        axes.axhline(0.0, color=GREY, linewidth=0.7)
+        axes.margins(x=0)
+        axes.set(xlabel="time [ms]", ylabel="T₁ [mN m]")
+    factor = float(np.abs(printed).max() / np.abs(right).max())
+    wide.set_title(f"as printed: {factor:.0f} times too large")
+    limit = 1.6e3 * float(np.abs(right).max())
+    close.set(ylim=(-limit, limit))
+    close.set_title("enlarged: even at rest the wrong sign")
+    wide.legend(fontsize=8.5)
+    for at in (0, -1):
+        close.plot(1e3 * times[at], 1e3 * printed[at], "o", color=RED, markersize=5, clip_on=False)
+        close.plot(1e3 * times[at], 1e3 * right[at], "o", color=BLUE, markersize=5, clip_on=False)

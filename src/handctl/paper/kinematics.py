@@ -1,0 +1,110 @@
+"""Section 4: Eq. 1 and 2 against the hand's kinematics, what their angles are, and where a digit reaches."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from handctl.hand.digit import Array, DigitModel
+from handctl.hand.inverse_kinematics import inverse
+from handctl.hand.kinematics import forward, points
+from handctl.paper import sources as src
+from handctl.paper.expression import Expression
+from handctl.paper.item import Item
+from handctl.paper.lagrange import TOLERANCE, deviation
+from handctl.paper.verdict import of_statement
+
+EQ1 = Expression("30*cos(theta) + 15*cos(2*theta) + 10*cos(3*theta)")
+EQ2 = Expression("30*sin(theta) + 15*sin(2*theta) + 10*sin(3*theta)")
+ANGLES = np.linspace(-1.0, 2.0, 61)
+
+
+def digit(name: str) -> DigitModel:
+    """A digit of the paper's hand."""
+    return DigitModel.of(src.hand(), name)
+
+
+def items() -> list[Item]:
+    """Eq. 1-2, the meaning of their angles, and inverse kinematics."""
+    return [*_paths(), _general(), _meaning(), _inverse()]
+
+
+def path(name: str, angles: Array) -> Array:
+    """Tip of a digit all of whose joints have the same angle, (angles, 2) [mm]."""
+    model = digit(name)
+    return 1000.0 * np.array([forward(model, np.full(model.joint_count, angle))[:2] for angle in angles])
+
+
+def workspace(name: str, per_joint: int) -> Array:
+    """Tips of a digit all of whose joints move for themselves within their limits, (points, 2) [mm]."""
+    model = digit(name)
+    axes = [np.linspace(low, high, per_joint) for low, high in zip(model.joint_min, model.joint_max, strict=True)]
+    absolute = np.cumsum(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes)), axis=1)
+    lengths = 1000.0 * np.array(model.lengths)
+    return np.column_stack((np.cos(absolute) @ lengths, np.sin(absolute) @ lengths))
+
+
+def _paths() -> list[Item]:
+    tips = path("index", ANGLES)
+    thumb = " + ".join(f"{length} cos {'' if i == 0 else i + 1}θ" for i, length in enumerate(_lengths("thumb")))
+    why = (
+        f"With equal joint angles q₁ = q₂ = q₃ = θ. The thumb's, not printed, are X = {thumb} and the same with sines."
+    )
+    rows = (("eq1.x", "Eq. 1", "X", EQ1, tips[:, 0]), ("eq2.y", "Eq. 2", "Y", EQ2, tips[:, 1]))
+    made = []
+    for id, where, axis, printed, right in rows:
+        off = deviation(printed.value({"theta": ANGLES}), right)
+        shown = f"{axis} = {printed.pretty()}"
+        made.append(
+            Item(id, where, shown, shown, "mm", of_statement(off < TOLERANCE), why, ("forward kinematics",), off)
+        )
+    return made
+
+
+def _lengths(name: str) -> list[str]:
+    return [str(length) for length in src.millimetres(src.hand().digit_named(name).link_length_m)]
+
+
+def _general() -> Item:
+    """X = L1 cos q1 + L2 cos(q1 + q2) + .. at random angles."""
+    model, chance = digit("index"), np.random.default_rng(1)
+    printed = Expression("L1*cos(q1) + L2*cos(q1 + q2) + L3*cos(q1 + q2 + q3)")
+    rows = chance.uniform(-2.0, 2.0, (100, 3))
+    lengths = {f"L{i + 1}": length for i, length in enumerate(model.lengths)}
+    values = printed.value({**lengths, **{f"q{i + 1}": rows[:, i] for i in range(3)}})
+    off = deviation(values, np.array([forward(model, q).x for q in rows]))
+    return Item(
+        "sec4.position", "Sec. 4", "L₁ cos θ₁, L₂ cos(θ₁ + θ₂), L₃ cos(θ₁ + θ₂ + θ₃)", "X = " + printed.pretty(), "mm",
+        of_statement(off < TOLERANCE), "Angles relative to the link before, as q in this project.",
+        ("forward kinematics",), off)  # fmt: skip
+
+
+def _meaning() -> Item:
+    """Eq. 6 is the weight's energy only if its angles are absolute; Eq. 1-2 hold only if theirs are relative."""
+    model = digit("index")
+    q = np.array([0.3, 0.5, 0.7])
+    absolute = np.cumsum(q)
+    height: Callable[[Array], float] = lambda theta: float(np.array(model.lengths) @ np.sin(theta))  # noqa: E731
+    tip = float(points(model, q)[-1][1])
+    same = abs(height(q) - tip) < TOLERANCE
+    return Item(
+        "sec4-7.angles", "Sec. 4 against Sec. 7", "θ₁, θ₂, θ₃", "θ = S q, S lower triangular of ones", "",
+        of_statement(same),
+        "Never said: θ of section 4 is the angle between neighbouring links (q here), θ of section 7 the angle with "
+        f"the x-axis. At q = 0.3, 0.5, 0.7 rad the sines of Eq. 6 put the tip {1000 * height(q):.2f} mm high if they "
+        f"took section 4's angles, {1000 * height(absolute):.2f} mm if absolute ones; Eq. 2 says {1000 * tip:.2f} mm.",
+        ("forward kinematics",))  # fmt: skip
+
+
+def _inverse() -> Item:
+    """Inverse kinematics, which the paper does not have: forward after inverse."""
+    model, chance = digit("index"), np.random.default_rng(2)
+    worst = 0.0
+    for q in chance.uniform(0.05, 1.7, (200, 3)):
+        pose = forward(model, q)
+        found = [forward(model, solution) for solution in inverse(model, *pose)]
+        worst = max(worst, *(max(abs(again.x - pose.x), abs(again.y - pose.y)) for again in found))
+    return Item(
+        "sec4.inverse", "Sec. 4", "(not printed)", "forward(inverse(X, Y, θ)) = (X, Y, θ)", "",
+        of_statement(worst < 1e-12),
+        "The way back, in closed form: forward after inverse kinematics at 200 random poses, all solutions.",
+        ("forward kinematics",), worst)  # fmt: skip

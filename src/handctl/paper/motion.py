@@ -1,0 +1,107 @@
+"""Section 7 in motion: the torque of a closing digit, split into what causes it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from handctl.controller.trajectory import MinimumJerk
+from handctl.hand import dynamics
+from handctl.hand.digit import Array, DigitModel
+from handctl.hand.tendons import reflected_inertia
+from handctl.paper import equations
+from handctl.paper import sources as src
+from handctl.paper.item import Item
+from handctl.paper.lagrange import finger_states, printed_sum
+from handctl.paper.verdict import of_statement
+
+CLOSED_DEG = 60.0
+DURATIONS_S = (0.6, 0.3, 0.15)
+SAMPLES = 301
+PARTS = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
+
+
+@dataclass(frozen=True, slots=True)
+class Closing:
+    """A digit closes, all joints alike, along a minimum-jerk path.
+
+    Attributes:
+        digit: name.
+        duration: [s].
+        times: (samples,) [s].
+        parts: torque in the digit's one coordinate by its cause, (samples,) each [N m].
+        lever: tendon's lever on that coordinate, sum of the pulleys' radii [m].
+    """
+
+    digit: str
+    duration: float
+    times: Array
+    parts: dict[str, Array]
+    lever: float
+
+    def tension(self, part: str) -> float:
+        """Largest tension that a cause asks of the tendon [N]."""
+        return float(np.abs(self.parts[part]).max()) / self.lever
+
+
+def upright(name: str) -> DigitModel:
+    """A digit whose plane is vertical and whose weight opens it, as in Eq. 6."""
+    model = DigitModel.of(src.hand(), name)
+    return model.under(model.mount_rotation @ np.array([0.0, -float(src.GRAVITY), 0.0]))
+
+
+def closing(name: str, duration: float) -> Closing:
+    """Torques of closing a digit from straight to 60 degrees a joint.
+
+    Args:
+        name: of the digit.
+        duration: [s].
+    """
+    digit, times = upright(name), np.linspace(0.0, duration, SAMPLES)
+    path = MinimumJerk(np.zeros(1), np.radians([CLOSED_DEG]), duration)
+    rotor = float(reflected_inertia(digit)[0, 0])
+    share = digit.coupling[:, 0]
+    rows = []
+    for t in times:
+        theta, dtheta, ddtheta = (float(value[0]) for value in path.at(float(t)))
+        q, dq, ddq = share * theta, share * dtheta, share * ddtheta
+        rows.append((
+            share @ dynamics.mass_matrix(digit, q) @ ddq, share @ dynamics.bias_torque(digit, q, dq),
+            share @ dynamics.gravity_torque(digit, q), share @ dynamics.spring_torque(digit, q), rotor * ddtheta,
+        ))  # fmt: skip
+    columns = np.array(rows).T
+    lever = float(digit.reduced_moment_arms[0, 0])
+    return Closing(name, duration, times, dict(zip(PARTS, columns, strict=True)), lever)
+
+
+def first_torque(duration: float) -> tuple[Array, Array, Array]:
+    """T_1 of a closing finger: times [s], as Eq. 10 prints it, and as it is [N m]."""
+    digit, times = upright("index"), np.linspace(0.0, duration, SAMPLES)
+    path = MinimumJerk(np.zeros(1), np.radians([CLOSED_DEG]), duration)
+    moves = np.array([[value[0] for value in path.at(float(t))] for t in times])
+    states = dict(finger_states(digit))
+    for order in range(3):
+        states |= {"d" * order + f"th{i}": i * moves[:, order] for i in (1, 2, 3)}
+    right = sum(term.right.value(states) for term in equations.TORQUE_1)
+    return times, np.asarray(printed_sum(equations.TORQUE_1, states)), np.asarray(right)
+
+
+def items() -> list[Item]:
+    """What Eq. 10 says of a straight finger, and how little of the torque is in Eq. 3 to 12 at all."""
+    _, printed, right = first_torque(DURATIONS_S[1])
+    fast = closing("index", DURATIONS_S[-1])
+    links = sum(fast.parts[part] for part in PARTS[:3])
+    everything = sum(fast.parts.values(), np.zeros(SAMPLES))
+    peak, links_peak = (float(np.abs(torque).max()) / fast.lever for torque in (everything, links))
+    return [
+        Item(
+            "eq10.static", "Eq. 10", f"T₁ = {printed[0]:.3g} N m", float(right[0]), "N m",
+            of_statement(bool(abs(printed[0] - right[0]) < 1e-9 * abs(right[0]))),
+            "Torque that holds the straight finger up against its weight: Eq. 10 would let it fall.", ("statics",)),
+        Item(
+            "sec7.complete", "Sec. 7", "the torque required to move the fingers", peak, "N",
+            of_statement(links_peak > 0.5 * peak),
+            f"Peak tension of closing a finger by {CLOSED_DEG:g}° in {fast.duration:g} s. What Eq. 3 to 12 describe "
+            f"asks for {links_peak:.2f} N of it; return springs ({fast.tension('springs'):.1f} N) and the rotor's "
+            f"inertia ({fast.tension('motor inertia'):.1f} N), which the paper leaves out, ask for the rest.",
+            ("this project's dynamics",)),
+    ]  # fmt: skip

@@ -1,0 +1,155 @@
+"""The page as Markdown, as HTML that needs nothing else, and as plain values for JSON."""
+
+import base64
+import html
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from handctl.paper.item import Item
+from handctl.paper.sections import INTRODUCTION, REFERENCE, TITLE, Section, tally
+
+FIGURES = "figures"
+"""Folder beside the Markdown page."""
+PREFIX = "paper-"
+MEASURED_MARK = "<!-- measured in the simulator: differs in its last digits from machine to machine -->"
+CAPTIONS = {
+    "fig1-hand": "Fig. 1: the hand from its description, half closed.",
+    "fig3-path": "Fig. 3: path of the tip (Eq. 1-2) and workspace, finger and thumb.",
+    "fig4-statics": "Fig. 4 and 6: moments that a tip force asks for, and what one tendon gives.",
+    "fig5-force-displacement": "Fig. 5: the tendon's curve, measured, with both printed knees and the stress limit.",
+    "fig7-torques": "Fig. 7: torque of closing a digit by 60° a joint, by cause, at three speeds.",
+    "fig7-eq10": "Eq. 10 as printed and corrected, for a closing finger.",
+    "fig8-payload": "Payload along each axis for three cylinders, beside the paper's formula and friction's bounds.",
+}
+
+
+def plain(items: Sequence[Item]) -> list[dict[str, Any]]:
+    """Items as JSON's values."""
+    return [{**asdict(item), "verdict": item.verdict.value, "evidence": list(item.evidence)} for item in items]
+
+
+def value(item: Item) -> str:
+    """What is right, for people: a number to seven digits with its unit, or an expression."""
+    if item.computed is None:
+        return "—"
+    text = item.computed if isinstance(item.computed, str) else f"{item.computed:.7g}"
+    return f"{text} {item.unit}".rstrip()
+
+
+def markdown(parts: Sequence[Section]) -> str:
+    """The page as Markdown; figures are in the folder ``figures`` beside it."""
+    rows = [item for part in parts for item in part.items]
+    lines = [f"# {TITLE}", "", _fill(REFERENCE), "", _fill(INTRODUCTION), "", _fill(_summary(rows)), ""]
+    for part in parts:
+        lines += [MEASURED_MARK] if part.measured else []
+        lines += [f"## {part.title}", ""]
+        for paragraph in part.text:
+            lines += [_fill(paragraph), ""]
+        for name in part.figures:
+            lines += [f"![{CAPTIONS[name]}]({FIGURES}/{PREFIX}{name}.png)", "", f"*{CAPTIONS[name]}*", ""]
+        lines += _rows(part.table)
+        lines += ["| id | where | printed | right | verdict | why |", "|---|---|---|---|---|---|"]
+        lines += ["| " + " | ".join(map(_cell, _row(item))) + " |" for item in part.items]
+        lines += [""]
+    return "\n".join(lines)
+
+
+def _rows(table: Sequence[Sequence[str]]) -> list[str]:
+    """A table of numbers, its titles first; nothing if it is empty."""
+    if not table:
+        return []
+    titles, *rows = ("| " + " | ".join(row) + " |" for row in table)
+    return [titles, "|" + "---|" * len(table[0]), *rows, ""]
+
+
+def _summary(rows: list[Item]) -> str:
+    counts = ", ".join(f"{count} {verdict}" for verdict, count in tally(rows).items())
+    return (
+        f"Of {len(rows)} items: {counts}. Regenerate this page with `handctl paper --markdown --figures docs/figures`."
+    )
+
+
+def _row(item: Item) -> tuple[str, ...]:
+    off = f" (deviation {item.deviation:.2g})" if item.deviation is not None and item.verdict != "equal" else ""
+    return (item.id, item.where, item.printed, value(item), f"**{item.verdict.value}**", item.why + off)
+
+
+def _cell(text: str) -> str:
+    return text.replace("|", "\\|").replace("*", "\\*") if not text.startswith("**") else text
+
+
+def _fill(paragraph: str) -> str:
+    return textwrap.fill(paragraph, 118, break_long_words=False, break_on_hyphens=False)
+
+
+STYLE = """
+:root { color-scheme: light dark; --line: #8884; --soft: #8881; }
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 76rem; margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.9rem; margin-bottom: .2rem } h2 { margin-top: 2.5rem; border-bottom: 1px solid var(--line) }
+table { border-collapse: collapse; width: 100%; font-size: .88rem } .wide { overflow-x: auto }
+th, td { text-align: left; vertical-align: top; padding: .35rem .5rem; border-bottom: 1px solid var(--line) }
+th { position: sticky; top: 0; background: Canvas } td:first-child { font-family: ui-monospace, monospace }
+figure { margin: 1.5rem 0 } figure img { max-width: 100%; background: #fff; border-radius: 6px }
+figcaption { font-size: .88rem; opacity: .75 }
+.verdict { border-radius: 1rem; padding: .05rem .6rem; font-weight: 600; white-space: nowrap; color: #fff }
+.equal { background: #2e7d4f } .rounded { background: #3b6fb6 } .truncated { background: #7a5fb5 }
+.wrong { background: #b8382e } .undecidable { background: #8a6d1f }
+"""
+
+
+def report(parts: Sequence[Section], figures: Mapping[str, Path]) -> str:
+    """The page as one HTML file; figures are inside.
+
+    Args:
+        parts: sections.
+        figures: SVG file of each figure.
+    """
+    rows = [item for part in parts for item in part.items]
+    counts = " ".join(f"{_badge(verdict)} {count}" for verdict, count in tally(rows).items())
+    body = [f"<h1>{TITLE}</h1><p>{html.escape(REFERENCE)}</p><p>{html.escape(INTRODUCTION)}</p><p>{counts}</p>"]
+    for part in parts:
+        body.append(f"<h2>{html.escape(part.title)}</h2>")
+        body += [f"<p>{_inline(paragraph)}</p>" for paragraph in part.text]
+        body += [_figure(name, figures[name]) for name in part.figures]
+        body += [_numbers(part.table)] if part.table else []
+        body.append(_table(part.items))
+    head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{TITLE}</title>'
+    head = f'<!doctype html>\n<html lang="en"><head>{head}<style>{STYLE}</style></head>'
+    return f"{head}<body>{''.join(body)}</body></html>\n"
+
+
+def _badge(verdict: str) -> str:
+    return f'<span class="verdict {verdict}">{verdict}</span>'
+
+
+def _inline(paragraph: str) -> str:
+    """A paragraph with its code marked as such."""
+    pieces = html.escape(paragraph).split("`")
+    return "".join(f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(pieces))
+
+
+def _figure(name: str, path: Path) -> str:
+    data = base64.b64encode(path.read_bytes()).decode()
+    caption = html.escape(CAPTIONS[name])
+    image = f'<img alt="{caption}" src="data:image/svg+xml;base64,{data}">'
+    return f"<figure>{image}<figcaption>{caption}</figcaption></figure>"
+
+
+def _numbers(table: Sequence[Sequence[str]]) -> str:
+    """A table of numbers, its titles first."""
+    titles, *rows = ("".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in table)
+    head, body = titles.replace("td>", "th>"), "".join(f"<tr>{row}</tr>" for row in rows)
+    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _table(items: Sequence[Item]) -> str:
+    titles = "".join(f"<th>{name}</th>" for name in ("id", "where", "printed", "right", "verdict", "why"))
+    rows = []
+    for item in items:
+        id, where, printed, right, _, why = map(html.escape, _row(item))
+        cells = (id, where, printed, right, _badge(item.verdict.value), why)
+        rows.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
+    return f'<div class="wide"><table><thead><tr>{titles}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'

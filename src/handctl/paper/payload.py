@@ -1,0 +1,200 @@
+"""The payload, measured: grip with 6 N a finger in the simulator, load the object along each axis until it slips."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handctl.controller.task import Task
+from handctl.hand.digit import Array
+from handctl.paper import sources as src
+from handctl.paper.bench import Recording, run
+from handctl.paper.item import Item
+from handctl.paper.verdict import of_statement
+from handctl.report.truth import Truth, read_truth
+
+HAND = "jamia"
+DIAMETERS_MM = (30.0, 35.0, 40.0)
+AXES: dict[str, tuple[int, int, int]] = {"x": (1, 0, 0), "y": (0, -1, 0), "z": (0, 0, -1)}
+AXIS_NAMES = {"x": "out of the palm", "y": "towards the thumb", "z": "down, along the cylinder"}
+MASS_KG = 0.05
+STAIRS_N = (20.0, 26.0, 32.0, 38.0, 44.0)
+"""Tensions among which the one that presses with 6 N is searched."""
+STAIR_S = 0.5
+SETTLE_S = 0.8
+LOAD_RATE_N_PER_S = 4.0
+LOAD_S = 5.5
+CREEP_M_PER_S = 1e-3
+MOVED_M = 2e-3
+WINDOW_S = 0.1
+"""Creep is a speed over this time."""
+AVERAGE_ROWS = 100
+"""Rows of truth, of a millisecond each, that a steady value is taken over."""
+SCENE = """name = "payload"
+[object]
+shape = "cylinder"
+diameter_m = {diameter}
+length_m = 0.093
+mass_kg = {mass}
+friction = {friction}
+position_m = [{x}, 0.0, 0.0]
+[support]
+drop_when = "grasped"
+drop_hold_s = 0.3
+[load]
+direction = {direction}
+start_s = {start}
+rate_N_per_s = {rate}
+"""
+
+
+def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
+    """Tension of each digit at which the fingers press with 6 N.
+
+    A stair of tensions, and between its steps a line; then a grip with what that gives, and a last correction, since
+    friction makes a grip depend on its way. The thumb, which must balance the fingers, pulls with their mean tension.
+
+    Returns:
+        the tensions, and when the grip began, which is the same in every run on this diameter.
+    """
+    names = src.hand().digit_names
+    phases = [_hold(f"stair {tension:g}", dict.fromkeys(names, tension), STAIR_S) for tension in STAIRS_N]
+    recording, truth = _grip(folder, diameter_mm, "z", 1e3, phases)
+    normals = np.array([_normals(truth, _end(recording, phase["name"])) for phase in phases])
+    normals = np.maximum.accumulate(normals + 1e-6 * np.arange(len(phases))[:, None])
+    began = recording.t_ns[recording.phase.index(phases[0]["name"])] / 1e9
+    wanted = np.full(len(names), float(src.GRIP_FINGER_N))
+    tension = _for_normals(normals, wanted)
+    recording, truth = _grip(folder, diameter_mm, "z", 1e3, [_hold("try", tension, SETTLE_S)])
+    missing = wanted - _normals(truth, _end(recording, "try"))
+    return {"tension_N": _for_normals(normals, wanted + missing), "began_s": began}
+
+
+def _for_normals(stairs: Array, wanted: Array) -> dict[str, float]:
+    """Tension of each digit [N] that presses as wanted [N], by the stair's normal forces (steps, digits) [N]."""
+    names = src.hand().digit_names
+    tension = {name: float(np.interp(wanted[i], stairs[:, i], STAIRS_N)) for i, name in enumerate(names)}
+    tension["thumb"] = float(np.mean([tension[name] for name in names if name != "thumb"]))
+    return tension
+
+
+def load_until_slip(folder: Path, diameter_mm: float, axis: str, found: Mapping[str, Any]) -> dict[str, Any]:
+    """Grip with the tensions found and load the object; plain values, for the other side of a pipe."""
+    tension = found["tension_N"]
+    hold = _hold("load", tension, SETTLE_S + LOAD_S)
+    start = found["began_s"] + SETTLE_S
+    recording, truth = _grip(folder, diameter_mm, axis, start, [hold])
+    begin = int(np.searchsorted(truth.t_ns, round(start * 1e9)))
+    last = int(np.searchsorted(truth.t_ns, _end(recording, "load")))
+    normals = _normals(truth, int(truth.t_ns[begin]))
+    slip, ended = _slip(truth, begin, last)
+    weight = MASS_KG * float(src.GRAVITY) if axis == "z" else 0.0
+    load = float(truth.at("load", truth.t_ns[slip : slip + 1])[0]) + weight
+    palm = sum(float(truth.at(f"contact_force/{name}/x", truth.t_ns[begin : begin + 1])[0]) for name in tension)
+    times = truth.t_ns[begin:last:10]
+    moved = np.linalg.norm(_places(truth, times) - _places(truth, times)[0], axis=1)
+    return {
+        "diameter_mm": diameter_mm, "axis": axis, "tension_N": dict(tension),
+        "normal_N": dict(zip(tension, normals, strict=True)), "palm_N": max(0.0, palm), "load_N": load, "ended": ended,
+        "payload_kg": load / float(src.GRAVITY),
+        "trace_N": (truth.at("load", times) + weight).tolist(), "trace_mm": (1000.0 * moved).tolist(),
+    }  # fmt: skip
+
+
+def _hold(name: str, tension: Mapping[str, float], duration: float) -> dict[str, Any]:
+    return {"kind": "hold", "name": name, "tension_N": dict(tension), "rate_N_per_s": 60.0, "duration_s": duration}
+
+
+def _grip(
+    folder: Path, diameter_mm: float, axis: str, start: float, holds: Sequence[Mapping[str, Any]]
+) -> tuple[Recording, Truth]:
+    """Close on a cylinder and hold it."""
+    scene, truth = folder / "payload.toml", folder / "payload.truth"
+    diameter = diameter_mm / 1000.0
+    text = SCENE.format(
+        diameter=diameter, mass=MASS_KG, friction=float(src.FRICTION), x=diameter / 2 + 0.002,
+        direction=list(AXES[axis]), start=start, rate=LOAD_RATE_N_PER_S)  # fmt: skip
+    scene.write_text(text, encoding="utf-8")
+    open_hand = {"index": 20.0, "middle": 20.0, "ring": 20.0, "thumb": 4.0}
+    phases = (
+        {"kind": "move", "name": "preshape", "angle_deg": open_hand, "duration_s": 0.6},
+        {"kind": "close", "name": "close", "angle_deg": 85.0, "speed_deg_s": 60.0, "contact_tension_N": 14.0},
+        *holds,
+    )
+    task = Task.model_validate({"schema": 1, "name": "payload", "phase": phases})
+    return run(HAND, str(scene), task, truth), read_truth(truth)
+
+
+def _end(recording: Recording, phase: str) -> int:
+    """Last tick of a phase [ns]."""
+    return recording.t_ns[int(np.flatnonzero(recording.in_phase(phase))[-1])]
+
+
+def _normals(truth: Truth, until_ns: int) -> list[float]:
+    """Sum of normal forces of each digit over the last moments before a time [N]."""
+    end = int(np.searchsorted(truth.t_ns, until_ns))
+    times = truth.t_ns[end - AVERAGE_ROWS : end]
+    return [float(truth.at(f"normal/{name}", times).mean()) for name in src.hand().digit_names]
+
+
+def _places(truth: Truth, times: Any) -> Array:
+    return truth.table([f"object/{axis}" for axis in "xyz"], times)
+
+
+def _slip(truth: Truth, begin: int, last: int) -> tuple[int, str]:
+    """Row at which the object counts as slipping, and by which criterion."""
+    places = _places(truth, truth.t_ns[begin:last])
+    window = round(WINDOW_S * 1000)
+    moved = np.linalg.norm(places - places[0], axis=1)
+    speed = np.linalg.norm(places[window:] - places[:-window], axis=1) / WINDOW_S
+    crossings = {"moved": np.flatnonzero(moved > MOVED_M), "creep": np.flatnonzero(speed > CREEP_M_PER_S) + window}
+    first = [(int(rows[0]), ended) for ended, rows in crossings.items() if len(rows)]
+    row, ended = min(first, default=(len(moved) - 1, "held"))
+    return begin + row, ended
+
+
+def bound_kg(result: Mapping[str, Any]) -> float:
+    """Coulomb's bound by the measured normal forces of all digits and the palm [kg]."""
+    normal = sum(result["normal_N"].values()) + result["palm_N"]
+    return float(src.FRICTION) * float(normal) / float(src.GRAVITY)
+
+
+def items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
+    """One item a load case."""
+    made = []
+    for result in results:
+        axis, payload = result["axis"], float(result["payload_kg"])
+        fingers = [force for name, force in result["normal_N"].items() if name != "thumb"]
+        why = (
+            f"Cylinder of {result['diameter_mm']:g} mm, load {AXIS_NAMES[axis]}; fingers press with "
+            f"{', '.join(f'{force:.1f}' for force in fingers)} N, the thumb with {result['normal_N']['thumb']:.1f} N; "
+            f"{ENDS[result['ended']]}. Coulomb's bound by all normal forces is {bound_kg(result):.2f} kg."
+        )
+        made.append(
+            Item(
+                f"payload.{axis}.d{result['diameter_mm']:g}", "Sec. 5", f"we can lift {src.PAYLOAD_KG} kg",
+                payload, "kg", of_statement(payload >= float(src.PAYLOAD_KG)), why, ("simulator",),
+            )
+        )  # fmt: skip
+    return made
+
+
+def table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:
+    """Measured payload beside the paper's formula and the bounds of friction, titles first."""
+    formula = float(src.payload_kg(src.FINGERS * src.GRIP_FINGER_N))
+    titles = ("cylinder", "load", "fingers", "thumb", "palm", "measured", "3 μF/g", "both sides", "Coulomb's bound")
+    rows = []
+    for result in results:
+        normal = result["normal_N"]
+        fingers = sum(force for name, force in normal.items() if name != "thumb")
+        held = "≥ " if result["ended"] == "held" else ""
+        rows.append((
+            f"⌀ {result['diameter_mm']:g} mm", f"{result['axis']}: {AXIS_NAMES[result['axis']]}", f"{fingers:.1f} N",
+            f"{normal['thumb']:.1f} N", f"{result['palm_N']:.1f} N", f"{held}{result['payload_kg']:.2f} kg",
+            f"{formula:.3f} kg", f"{2 * formula:.3f} kg", f"{bound_kg(result):.2f} kg",
+        ))  # fmt: skip
+    return (titles, *rows)
+
+
+ENDS = {"moved": "it had moved by 2 mm", "creep": "it crept faster than 1 mm/s", "held": "it still held at the end"}

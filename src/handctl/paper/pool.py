@@ -1,0 +1,88 @@
+"""Experiments in processes of their own, as many at a time as there are cores for."""
+
+import json
+import selectors
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import IO
+
+from handctl.errors import HandctlError
+from handctl.paper.experiments import Job, Result, Workers
+
+WORKER = "handctl.paper.worker"
+Child = subprocess.Popen[str]
+Report = Callable[[Job, bool], None]
+"""Told of each job when it begins (False) and when it is done (True)."""
+
+
+@contextmanager
+def pool(size: int, report: Report) -> Iterator[Workers]:
+    """Start workers, and end them with the body, whatever happens.
+
+    Args:
+        size: number of processes.
+        report: told of each job.
+    """
+    command = [sys.executable, "-m", WORKER]
+    children = [
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(size)
+    ]
+    try:
+        yield lambda jobs: _share(children, jobs, report)
+    finally:
+        for child in children:
+            child.terminate()
+        for child in children:
+            child.communicate()
+
+
+def _share(children: Sequence[Child], jobs: Sequence[Job], report: Report) -> list[Result]:
+    """Give each worker a job, and another one whenever it has answered."""
+    results: dict[int, Result] = {}
+    waiting = iter(enumerate(jobs))
+    busy: dict[Child, int] = {}
+    with selectors.DefaultSelector() as answers:
+        for child in children:
+            answers.register(_pipe(child.stdout), selectors.EVENT_READ, child)
+            _next(child, waiting, busy, report)
+        while busy:
+            for key, _ in answers.select():
+                child = key.data
+                index = busy.pop(child)
+                results[index] = _answer(child)
+                report(jobs[index], True)
+                _next(child, waiting, busy, report)
+    return [results[index] for index in range(len(jobs))]
+
+
+def _next(child: Child, waiting: Iterator[tuple[int, Job]], busy: dict[Child, int], report: Report) -> None:
+    for index, job in waiting:
+        busy[child] = index
+        report(job, False)
+        pipe = _pipe(child.stdin)
+        pipe.write(json.dumps(job) + "\n")
+        pipe.flush()
+        return
+
+
+def _answer(child: Child) -> Result:
+    """One line of a worker.
+
+    Raises:
+        HandctlError: the experiment failed, or the worker ended.
+    """
+    line = _pipe(child.stdout).readline()
+    if not line:
+        raise HandctlError("a worker ended before its experiment did", WORKER, "a result; see the lines above")
+    answer = json.loads(line)
+    if "error" in answer:
+        raise HandctlError(answer["error"], WORKER)
+    result: Result = answer["result"]
+    return result
+
+
+def _pipe(pipe: IO[str] | None) -> IO[str]:
+    assert pipe is not None
+    return pipe

@@ -1,0 +1,146 @@
+"""Sections 5 and 6: moments, tension, torque, payload and wire, each from the paper's own numbers."""
+
+import math
+from fractions import Fraction
+
+from handctl.paper import sources as src
+from handctl.paper.expression import DimensionError, Expression
+from handctl.paper.item import Item
+from handctl.paper.verdict import interval, of_carried, of_contradiction, of_number, of_statement
+
+ARITHMETIC = ("arithmetic",)
+
+
+def items() -> list[Item]:
+    """Every number of the statics."""
+    return [*_moments(), *_finger(), *_payload(), *_wire(), *_knee(), *_thumb()]
+
+
+def number(id: str, where: str, printed: str, exact: Fraction | float, unit: str, why: str, symbol: str = "") -> Item:
+    """An item whose verdict follows from its digits; the symbol stands behind them in print."""
+    verdict = of_number(printed, exact)
+    return Item(id, where, printed + symbol, float(exact), unit, verdict, why, ARITHMETIC)
+
+
+def _moments() -> list[Item]:
+    rows = [
+        ("sec5.M", "Sec. 5", src.finger(), ("55", "25", "10"), "F"),
+        ("sec6.MT", "Sec. 6", src.thumb(), ("25", "10"), "Fₜ"),
+    ]
+    return [
+        number(f"{id}{i + 1}", where, shown, lever, "N mm per N",
+               f"Lever of the tip about joint {i + 1} of the straight digit.", f" {symbol}")
+        for id, where, digit, printed, symbol in rows
+        for i, (shown, lever) in enumerate(zip(printed, src.levers(digit), strict=True))
+    ]  # fmt: skip
+
+
+def _finger() -> list[Item]:
+    tension = src.tension_per_newton(src.finger())
+    torque = tension * src.SPOOL_MM / 1000
+    tension_item = number(
+        "sec5.tension", "Sec. 5", "18.33", tension, "N per N",
+        f"55/3. At 6 N: {float(6 * tension):g} N.", " F")  # fmt: skip
+    carried = Fraction("18.33") * src.SPOOL_MM / 1000
+    verdict = of_carried("0.09165", torque, carried, tension_item.verdict)
+    torque_item = Item(
+        "sec5.torque", "Sec. 5", "0.09165 F", float(torque), "N m per N", verdict,
+        f"Computed from the rounded 18.33. At 6 N: {float(6 * torque):g} N m.", ARITHMETIC)  # fmt: skip
+    return [tension_item, torque_item]
+
+
+def _payload() -> list[Item]:
+    one, three = src.payload_kg(src.GRIP_FINGER_N), src.payload_kg(src.FINGERS * src.GRIP_FINGER_N)
+    first = number("sec5.payload", "Sec. 5", "0.305", one, "kg", "μ F/g = 0.5 × 6/9.81, cut off instead of rounded.")
+    verdict = of_carried("0.915", three, 3 * Fraction("0.305"), first.verdict)
+    force = src.GRAVITY / (src.FINGERS * src.FRICTION)
+    tension = force * src.tension_per_newton(src.finger())
+    return [
+        first,
+        Item("sec5.payload3", "Sec. 5", "0.915", float(three), "kg", verdict, "3 × the truncated 0.305.", ARITHMETIC),
+        number(
+            "abstract.payload", "Abstract", "1", three, "kg",
+            f"The load at 6 N a finger is 0.917 kg; a whole kilogram needs {float(force):.4g} N a finger and "
+            f"{float(tension):.4g} N in the tendon."),
+        number(
+            "abstract.wire_for_1kg", "Abstract", "0.86", src.wire_diameter_mm(tension), "mm",
+            f"The abstract's wire for 1 kg, whose tendon carries {float(tension):.4g} N; 0.86 mm belongs to 0.917 kg."),
+    ]  # fmt: skip
+
+
+def _wire() -> list[Item]:
+    tension = src.GRIP_FINGER_N * src.tension_per_newton(src.finger())
+    diameter = src.wire_diameter_mm(tension)
+    low, high = (src.STRESS_MPA * Fraction(math.pi) * edge**2 / 4 for edge in interval("0.866"))
+    return [
+        number(
+            "sec5.wire", "Sec. 5", "0.866", diameter, "mm",
+            f"√(4 × {float(tension):g}/(π 190)); 0.866 mm belongs to {float(low):.4g} to {float(high):.4g} N."),
+        number("abstract.wire", "Abstract", "0.86", diameter, "mm", "The same wire; here the digits are right."),
+        _area(),
+    ]  # fmt: skip
+
+
+def _area() -> Item:
+    """A = pi d2/4 is an area only if the 2 is an exponent."""
+    printed, right = Expression("pi*d2/4"), Expression("pi*d**2/4")
+    lengths = {"d": (0, 1, 0), "d2": (0, 1, 0)}
+    try:
+        good = printed.dimension(lengths) == right.dimension(lengths)
+    except DimensionError:
+        good = False
+    return Item(
+        "sec5.area", "Sec. 5", "A = π d2/4", right.pretty(), "", of_statement(good),
+        "The exponent has slipped to the line: as printed it is a length.", ("dimensions",))  # fmt: skip
+
+
+def _knee() -> list[Item]:
+    diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.finger()))
+    knee, knee_abstract = src.KNEES_N
+    stress = src.wire_stress_mpa(knee, diameter)
+    claims = [str(value) for value in src.KNEES_N]
+    verdict = of_contradiction(claims, None)
+    why = "Section 5 says 200 N, the abstract 250 N; the paper prints neither data nor a law from which one follows."
+    return [
+        Item(
+            "fig5.knee", "Abstract, Sec. 5", f"linear up to {knee_abstract} N / {knee} N", None, "N", verdict, why,
+            ("contradiction",)),
+        Item(
+            "fig5.stress", "Sec. 5", f"σ = 190 MPa allowed, wire used up to {knee} N and beyond", stress, "MPa",
+            of_statement(stress <= src.STRESS_MPA),
+            f"In the 0.8586 mm wire 190 MPa are reached at 110 N; 200 N are {stress:.0f} MPa and 250 N "
+            f"{src.wire_stress_mpa(knee_abstract, diameter):.0f} MPa: the knee lies far beyond what section 5 allows.",
+            ARITHMETIC),
+    ]  # fmt: skip
+
+
+def _thumb() -> list[Item]:
+    tension = src.tension_per_newton(src.thumb())
+    torque = tension * src.SPOOL_MM / 1000
+    first = number(
+        "sec6.tension", "Sec. 6", "8.33", tension, "N per N", f"25/3. At 10 N: {float(10 * tension):.6g} N.", " Fₜ"
+    )
+    carried = Fraction("8.33") * src.SPOOL_MM / 1000
+    verdict = of_carried("0.04165", torque, carried, first.verdict)
+    wire = src.wire_diameter_mm(src.GRIP_THUMB_N * tension)
+    return [
+        _pulley(),
+        first,
+        Item(
+            "sec6.torque", "Sec. 6", "0.04165 Fₜ", float(torque), "N m per N", verdict,
+            "Computed from the rounded 8.33.", ARITHMETIC),
+        number(
+            "sec6.torque10", "Sec. 6", "0.4166", src.GRIP_THUMB_N * torque, "N m",
+            f"5/12, cut off (rounded it were 0.4167). The thumb's wire, not printed, needs {wire:.4f} mm."),
+    ]  # fmt: skip
+
+
+def _pulley() -> Item:
+    """The radius that is missing in print follows from the printed 8.33 F."""
+    printed = "r_p = mm"
+    low, high = sorted(src.levers(src.thumb())[0] / edge for edge in interval("8.33"))
+    whole = [radius for radius in range(1, 10) if low <= radius <= high]
+    return Item(
+        "sec6.pulley", "Sec. 6", printed, float(whole[0]), "mm", of_statement(f"= {whole[0]} mm" in printed),
+        f"The number is missing; 8.33 F implies {float(low):.4f} to {float(high):.4f} mm: the fingers' 3 mm.",
+        ("back-computed",))  # fmt: skip

@@ -1,0 +1,122 @@
+"""What the paper says in words, where it can be counted or computed."""
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from handctl.paper import equations
+from handctl.paper import sources as src
+from handctl.paper.equations import Term
+from handctl.paper.item import Item
+from handctl.paper.lagrange import DIMENSIONS, TOLERANCE, random_states
+from handctl.paper.verdict import of_number, of_readings, of_statement
+
+COUNT = ("count",)
+SYMBOL = re.compile(r"(?<![A-Za-z])[A-Za-z](?:_[A-Za-z]|[₀-₉])?(?![A-Za-z])")
+"""A letter with or without an index, in a printed equation."""
+CONTROL_WORDS = ("desired", "error", "gain", "measured", "reference", "feedback")
+"""What the symbols of a control law stand for."""
+SYMBOL_WORDS = {
+    "I": "moment of inertia", "m": "mass", "L": "length", "d": "distance of the centre of mass", "g": "gravity",
+}  # fmt: skip
+
+
+def items() -> list[Item]:
+    """Counts and statements."""
+    return [*_freedom(), _fingers(), _phalanges(), _undefined(), _lengths(), _axis(), _control()]
+
+
+def _freedom() -> list[Item]:
+    hand = src.hand()
+    joints = [len(digit.joints) for digit in hand.digit]
+    each, total = max(joints), sum(joints)
+    ranks = [int(np.linalg.matrix_rank(hand.moment_arms[tendons])) for tendons in hand.digit_tendons.values()]
+    spread = " + ".join(map(str, joints))
+    return [
+        Item("abstract.joints", "Abstract, Sec. 1", "a total of 11 DOF", total, "", of_number("11", total),
+             f"{spread} joints.", COUNT),
+        Item("abstract.joints_each", "Abstract, Sec. 1", "each finger having three DOF", min(joints), "",
+             of_readings([of_number("3", count) == of_number("3", 3) for count in joints]),
+             f"True of the fingers, not of the thumb: with {each} each it would be {each * len(joints)}, not {total}; "
+             "whether the thumb counts as a finger is not said.", COUNT),
+        Item("abstract.freedom_each", "Abstract", "every finger and thumb has one degree of freedom", max(ranks), "",
+             of_number("1", max(ranks)),
+             f"True of what the motors control: the tendons of each digit have rank 1, {sum(ranks)} in all, for "
+             f"{total} joints. It contradicts the three DOF two sentences before; the paper never tells the two apart.",
+             COUNT),
+    ]  # fmt: skip
+
+
+def _fingers() -> Item:
+    digits = len(src.hand().digit)
+    return Item("sec8.fingers", "Sec. 8", "it is designed with two fingers", digits, "", of_number("2", digits),
+                "The hand has three fingers and a thumb; the sentence belongs to another gripper.", COUNT)  # fmt: skip
+
+
+def _depends(term: Sequence[Term], name: str) -> bool:
+    """Whether an energy changes with a rate."""
+    states = random_states()
+    moved = {**states, name: states[name] + 1.0}
+    change = sum(np.abs(each.right.value(moved) - each.right.value(states)) for each in term)
+    return bool(np.max(change) > TOLERANCE)
+
+
+def _phalanges() -> Item:
+    """Links of one finger move each other; separate fingers do not."""
+    apart = not _depends(equations.KINETIC_2, "dth1") and not _depends(equations.KINETIC_3, "dth2")
+    return Item(
+        "sec1.fingers", "Sec. 1", "three fingers: the first is proximal, the second middle, the third distal",
+        "the three phalanges of one finger", "", of_statement(apart),
+        "These are the links of each finger, as section 4 says: the energy of the second (Eq. 4) depends on the "
+        "first's rate.", ("Eq. 4", "Eq. 5"))  # fmt: skip
+
+
+def _undefined() -> Item:
+    """Symbols in the equations that the paper defines nowhere."""
+    known = {name[0] + "₀₁₂₃"[int(name[1])] for name in DIMENSIONS if len(name) == 2} | {"g"}
+    loose = sorted(_symbols() - known)
+    return Item(
+        "eq10.symbols", "Eq. 10", ", ".join(loose), "L₁, m₁", "", of_statement(not loose),
+        "Of all symbols in Eq. 3 to 12 those that the paper defines nowhere; both are in Eq. 10.", COUNT)  # fmt: skip
+
+
+def _symbols() -> set[str]:
+    """Symbols of the printed equations 3 to 12, angles left out."""
+    torques = (term for terms in equations.TORQUES for term in terms)
+    terms = (*equations.KINETIC, *equations.POTENTIAL, *torques)
+    return {symbol for term in terms if not term.printed.startswith("(") for symbol in SYMBOL.findall(term.printed)}
+
+
+def _lengths() -> Item:
+    listed, needed = {"L₁", "L₂", "L₃", "p₃"}, {f"L{'₀₁₂₃'[i]}" for i in (1, 2, 3)}
+    return Item(
+        "sec7.lengths", "Sec. 7", "the phalanges L₁, L₂ are L₃, and p₃",
+        "lengths L₁, L₂, L₃; d₁, d₂, d₃ to the centres of mass", "", of_statement(listed == needed),
+        f"{', '.join(sorted(listed - _symbols()))} occurs in no equation.", COUNT)  # fmt: skip
+
+
+def _axis() -> Item:
+    """Kinetic energy of a bar that turns in its x-y plane, summed over its points, against both moments of inertia."""
+    length, height, width = 30.0, 8.0, 10.0
+    grid = [np.linspace(-1.0 + 1.0 / 60, 1.0 - 1.0 / 60, 60) * side / 2.0 for side in (length, height, width)]
+    x, y, z = np.meshgrid(*grid, indexing="ij")
+    energy = float(np.mean(x**2 + y**2)) / 2.0
+    about = {"y": float(np.mean(x**2 + z**2)), "z": float(np.mean(x**2 + y**2))}
+    right = [axis for axis, inertia in about.items() if abs(inertia / 2.0 - energy) < TOLERANCE * energy]
+    return Item(
+        "sec7.axis", "Sec. 7", "I about the y-axis", f"about the {right[0]}-axis through the centre of mass", "",
+        of_statement(right == ["y"]),
+        "Links turn in the x-y plane (section 4: about z). Eq. 3 adds m₁ d₁², so that I is about the centre of mass. "
+        f"For a bar of 30 × 8 × 10 mm the two differ by {100 * (about['y'] / about['z'] - 1):.1f} %.",
+        ("mechanics",))  # fmt: skip
+
+
+def _control() -> Item:
+    meanings = {SYMBOL_WORDS.get(symbol[0], "") for symbol in _symbols()} | {"angle", "torque"}
+    control = [meaning for meaning in meanings if any(word in meaning for word in CONTROL_WORDS)]
+    return Item(
+        "sec8.control", "Sec. 8", "the force controlling is calculated", float(len(control)), "",
+        of_statement(bool(control)),
+        "No symbol of any equation stands for a desired or measured value: there is no control law in the paper.",
+        COUNT)  # fmt: skip

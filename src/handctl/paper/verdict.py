@@ -1,0 +1,69 @@
+"""Verdicts, derived from the digits that are printed and the exact value."""
+
+from collections.abc import Sequence
+from fractions import Fraction
+
+from handctl.paper.item import Verdict
+
+EXACT = Fraction(1, 10**12)
+"""Relative difference that counts as none: rounding of the floats that some values come from."""
+
+
+def of_number(printed: str, exact: Fraction | float) -> Verdict:
+    """Compare printed digits with an exact value: equal, else rounded, else truncated, else wrong.
+
+    Args:
+        printed: a decimal number, e.g. ``18.33``.
+        exact: what it should be.
+    """
+    shown, value, unit = Fraction(printed), Fraction(exact), last_digit(printed)
+    if abs(shown - value) <= EXACT * abs(value):
+        return Verdict.EQUAL
+    if 2 * abs(shown - value) <= unit:
+        return Verdict.ROUNDED
+    if shown * value >= 0 and 0 < abs(value) - abs(shown) < unit:
+        return Verdict.TRUNCATED
+    return Verdict.WRONG
+
+
+def of_carried(printed: str, exact: Fraction | float, carried: Fraction, source: Verdict) -> Verdict:
+    """Compare digits that were computed from digits printed before.
+
+    Args:
+        printed: a decimal number.
+        exact: what it should be.
+        carried: what follows from the value printed before.
+        source: verdict on that value, which is handed on if it explains what is printed.
+    """
+    verdict = of_number(printed, exact)
+    explained = of_number(printed, carried) == Verdict.EQUAL
+    return source if verdict == Verdict.WRONG and explained else verdict
+
+
+def of_statement(holds: bool) -> Verdict:
+    """A statement holds or it does not."""
+    return Verdict.EQUAL if holds else Verdict.WRONG
+
+
+def of_readings(right: Sequence[bool]) -> Verdict:
+    """Something that can be read in several ways: right or wrong in all of them, or undecidable."""
+    return of_statement(all(right)) if len(set(right)) == 1 else Verdict.UNDECIDABLE
+
+
+def of_contradiction(printed: Sequence[str], exact: Fraction | float | None) -> Verdict:
+    """Several values for one quantity: with nothing to compute it from, different ones cannot be judged."""
+    if exact is None:
+        return of_readings([value == printed[0] for value in printed])
+    verdicts = [of_number(value, exact) for value in printed]
+    return max(verdicts, key=list(Verdict).index)
+
+
+def last_digit(printed: str) -> Fraction:
+    """Worth of the last printed digit."""
+    return Fraction(1, 10 ** len(printed.partition(".")[2]))
+
+
+def interval(printed: str) -> tuple[Fraction, Fraction]:
+    """Values that a correctly rounded number may stand for."""
+    half = last_digit(printed) / 2
+    return Fraction(printed) - half, Fraction(printed) + half

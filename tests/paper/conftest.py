@@ -1,0 +1,51 @@
+"""Results of experiments as they might be, so that pages and figures can be tested without the simulator."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.hand.tendons import TendonLaw
+from handctl.paper import payload
+from handctl.paper import sources as src
+from handctl.paper.figures.all import draw_all
+
+
+@pytest.fixture(scope="session")
+def measured() -> dict[str, Any]:
+    """Two ropes with noise, and a load case for each diameter and axis."""
+    chance = np.random.default_rng(11)
+    ropes = []
+    for knee in map(float, src.KNEES_N):
+        law = TendonLaw(1e5, 0.4e5, knee, 0.3e-3, 30.0)
+        travel = np.linspace(1e-4, law.stretch(242.0), 1500)
+        force = np.array([law.elastic(x) for x in travel.tolist()]) + chance.normal(scale=0.5, size=len(travel))
+        ropes.append({"knee_N": knee, "travel_m": (travel + 4e-4).tolist(), "force_N": force.tolist()})
+    cases = [case(diameter, axis, k) for k, diameter in enumerate(payload.DIAMETERS_MM) for axis in payload.AXES]
+    return {"force_displacement": {"ropes": ropes}, "payload": cases}
+
+
+def case(diameter: float, axis: str, k: int) -> dict[str, Any]:
+    """A load that grows to 20 N and slips at 8 to 14 N."""
+    load = 8.0 + 3.0 * k
+    moved = np.interp(np.linspace(0.0, 20.0, 200), [0.0, load, 20.0], [0.0, 0.3, 6.0])
+    names = src.hand().digit_names
+    return {
+        "diameter_mm": diameter,
+        "axis": axis,
+        "tension_N": dict.fromkeys(names, 34.0),
+        "normal_N": dict.fromkeys(names, 6.0),
+        "palm_N": 12.0,
+        "load_N": load,
+        "ended": ("creep", "moved", "held")[k],
+        "payload_kg": load / 9.81,
+        "trace_N": np.linspace(0.0, 20.0, 200).tolist(),
+        "trace_mm": moved.tolist(),
+    }
+
+
+@pytest.fixture(scope="session")
+def drawn(measured: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """All figures, drawn once: the SVG file of each."""
+    return draw_all(tmp_path_factory.mktemp("figures"), measured)

@@ -1,0 +1,199 @@
+"""The errata, proven: Lagrange's equations by sympy, numbers by their own arithmetic, and none of them missing."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from handctl.hand.digit import DigitModel
+from handctl.hand.dynamics import gravity_torque, inverse_dynamics
+from handctl.paper import equations, kinematics, lagrange, motion, sections
+from handctl.paper import sources as src
+from handctl.paper.item import Item, Verdict
+
+PARAMETERS = sp.symbols("I1:4 m1:4 L1:4 d1:4 g", positive=True)
+ANGLES = [sp.Function(f"f{i}")(sp.Symbol("t")) for i in (1, 2, 3)]
+TIME = sp.Symbol("t")
+NAMED = {f"{'d' * order}th{i}": sp.Symbol(f"{'d' * order}th{i}") for order in range(3) for i in (1, 2, 3)}
+PLAIN = {str(symbol): symbol for symbol in PARAMETERS} | NAMED
+
+
+def symbolic(text: str) -> sp.Expr:
+    return sp.sympify(text, locals=PLAIN)
+
+
+@cache
+def energies() -> tuple[list[sp.Expr], sp.Expr]:
+    """Kinetic energy of each link and potential energy, from the links' positions alone."""
+    i, m, length, d = (PARAMETERS[k : k + 3] for k in (0, 3, 6, 9))
+    kinetic, potential, x, y = [], sp.Integer(0), sp.Integer(0), sp.Integer(0)
+    for k, angle in enumerate(ANGLES):
+        cx, cy = x + d[k] * sp.cos(angle), y + d[k] * sp.sin(angle)
+        speed = sp.diff(cx, TIME) ** 2 + sp.diff(cy, TIME) ** 2
+        kinetic.append(m[k] * speed / 2 + i[k] * sp.diff(angle, TIME) ** 2 / 2)
+        potential += m[k] * PARAMETERS[-1] * cy
+        x, y = x + length[k] * sp.cos(angle), y + length[k] * sp.sin(angle)
+    return kinetic, potential
+
+
+def in_symbols(expression: sp.Expr) -> sp.Expr:
+    """Functions of time replaced by the names of the formulas."""
+    for order in (2, 1, 0):
+        expression = expression.subs(
+            {sp.diff(angle, TIME, order): NAMED[f"{'d' * order}th{k + 1}"] for k, angle in enumerate(ANGLES)}
+        )
+    return sp.expand(sp.expand_trig(expression))
+
+
+def total(terms: tuple[equations.Term, ...]) -> sp.Expr:
+    return sp.expand(sp.expand_trig(sum(symbolic(term.right.text) for term in terms)))
+
+
+def test_corrected_energies_are_those_of_three_links() -> None:
+    kinetic, potential = energies()
+    printed = (equations.KINETIC_1, equations.KINETIC_2, equations.KINETIC_3)
+    for mine, derived in zip(printed, kinetic, strict=True):
+        assert sp.simplify(total(mine) - in_symbols(derived)) == 0
+    assert sp.simplify(total(equations.POTENTIAL) - in_symbols(potential)) == 0
+
+
+@pytest.mark.parametrize("i", [0, 1, 2])
+def test_corrected_torques_are_lagrange_s(i: int) -> None:
+    kinetic, potential = energies()
+    lagrangian, angle = sum(kinetic) - potential, ANGLES[i]
+    torque = sp.diff(sp.diff(lagrangian, sp.diff(angle, TIME)), TIME) - sp.diff(lagrangian, angle)
+    assert sp.simplify(total(equations.TORQUES[i]) - in_symbols(torque)) == 0
+
+
+def test_the_thumb_s_are_the_same_without_a_third_link() -> None:
+    """m3 = I3 = 0 gives two links, and those are the thumb's of this project."""
+    thumb = DigitModel.of(src.hand(), "thumb").under((0.0, -9.81, 0.0))
+    chance = np.random.default_rng(3)
+    states = {"g": 9.81, "I3": 0.0, "m3": 0.0, "L3": 1.0, "d3": 1.0, "th3": 0.3, "dth3": 5.0, "ddth3": 7.0}
+    for i in (0, 1):
+        states |= {f"I{i + 1}": thumb.inertias[i], f"m{i + 1}": thumb.masses[i]}
+        states |= {f"L{i + 1}": thumb.lengths[i], f"d{i + 1}": thumb.coms[i]}
+    for _ in range(20):
+        theta, rate, acceleration = chance.normal(size=(3, 2)) * np.array([[1.0], [10.0], [100.0]])
+        for k in (0, 1):
+            states |= {f"th{k + 1}": theta[k], f"dth{k + 1}": rate[k], f"ddth{k + 1}": acceleration[k]}
+        mine = [sum(term.right.value(states) for term in terms) for terms in equations.TORQUES[:2]]
+        q, dq, ddq = (np.diff(values, prepend=0.0) for values in (theta, rate, acceleration))
+        tau = np.array(inverse_dynamics(thumb, q, dq, ddq)) - np.array(thumb.armature) * ddq
+        assert np.allclose([mine[0] + mine[1], mine[1]], tau, rtol=1e-9)
+
+
+@pytest.mark.parametrize("item", lagrange.term_items(), ids=lambda item: item.id)
+def test_each_verdict_on_a_term_is_sympy_s(item: Item) -> None:
+    terms = [*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ())]
+    term = next(term for term in terms if term.id == item.id)
+    same = [sp.simplify(symbolic(reading.text) - symbolic(term.right.text)) == 0 for reading in term.readings]
+    expected = Verdict.EQUAL if all(same) else Verdict.WRONG if not any(same) else Verdict.UNDECIDABLE
+    assert item.verdict == expected
+    if item.verdict == Verdict.WRONG:
+        assert item.deviation is not None
+        assert item.deviation > 0.1
+
+
+def test_the_corrected_mass_matrix_is_symmetric_and_the_printed_one_is_not() -> None:
+    def matrix(which: str) -> sp.Matrix:
+        rows = []
+        for terms in equations.TORQUES:
+            torque = sum(symbolic(getattr(term, which)[0].text if which == "readings" else term.right.text)
+                         for term in terms)  # fmt: skip
+            rows.append([sp.diff(torque, NAMED[f"ddth{k}"]) for k in (1, 2, 3)])
+        return sp.Matrix(rows)
+
+    right, printed = matrix("right"), matrix("readings")
+    assert (right - right.T).applyfunc(sp.simplify) == sp.zeros(3, 3)
+    unlike = (printed - printed.T).applyfunc(sp.simplify)
+    assert all(unlike[i, k] != 0 for i, k in ((0, 1), (0, 2), (1, 2)))
+
+
+ERRATA = {
+    Verdict.WRONG: """
+        eq4.own eq5.middle eq5.own eq5.cross23 eq5.cross13 eq6.link3 eq10.inertia eq10.coupling12 eq10.coupling13
+        eq10.velocity12 eq10.velocity13 eq10.gravity eq11.coupling23 eq11.velocity12 eq11.velocity23 eq12.velocity13
+        eq12.velocity23 sec7.axis sec7.lengths sec4-7.angles eq7-9.joint_torque sec5.wire sec5.area
+        abstract.wire_for_1kg fig5.stress sec6.pulley sec1.fingers sec8.fingers sec8.control tendon.joint2 tendon.joint3
+        coupling.tension coupling.freedom grip.balance payload.both_sides wire.bending grip.middle_link eq10.static
+        eq10.sum eq11.sum eq12.sum eq10.symbols sec7.complete""",
+    Verdict.UNDECIDABLE: "eq12.gravity fig5.knee abstract.joints_each",
+    Verdict.ROUNDED: "sec5.tension sec5.torque sec6.tension sec6.torque abstract.wire abstract.payload",
+    Verdict.TRUNCATED: "sec5.payload sec5.payload3 sec6.torque10",
+    Verdict.EQUAL: """
+        eq1.x eq2.y sec4.position eq3.all sec5.M1 sec5.M2 sec5.M3 sec6.MT1 sec6.MT2 abstract.joints tendon.joint1
+        eq7-9.lagrange""",
+}
+
+
+def test_no_known_misprint_is_missing() -> None:
+    found = {item.id: item.verdict for item in sections.items(None)}
+    for verdict, ids in ERRATA.items():
+        for id in ids.split():
+            assert found[id] == verdict, id
+
+
+def test_ids_are_unique_and_reasons_given() -> None:
+    items = sections.items(None)
+    assert len({item.id for item in items}) == len(items)
+    for item in items:
+        assert item.printed
+        assert item.where
+        assert item.why.endswith((".", ")")), item.id
+        assert item.evidence, item.id
+
+
+@pytest.mark.parametrize(
+    ("id", "value"),
+    [
+        ("sec5.tension", 55 / 3),
+        ("sec5.torque", 0.55 / 6),
+        ("sec5.payload", 3 / 9.81),
+        ("sec5.payload3", 9 / 9.81),
+        ("sec5.wire", 0.858568),
+        ("abstract.wire_for_1kg", 0.896371),
+        ("fig5.stress", 345.4545),
+        ("sec6.pulley", 3.0),
+        ("sec6.tension", 25 / 3),
+        ("sec6.torque", 0.25 / 6),
+        ("sec6.torque10", 0.416667),
+        ("coupling.tension", 10.0),
+        ("grip.balance", 18.0),
+        ("payload.both_sides", 1.834862),
+        ("payload.thumb_limit", 1.019368),
+        ("wire.bending", 6.988),
+        ("grip.middle_link", -93.34),
+        ("abstract.joints", 11),
+    ],
+)
+def test_known_values(id: str, value: float) -> None:
+    found = {item.id: item.computed for item in sections.items(None)}
+    assert found[id] == pytest.approx(value, rel=1e-4)
+
+
+def test_relative_and_absolute_angles() -> None:
+    """tau = S^T T, M_q = S^T M_theta S: the page's sentence about the two kinds of angle."""
+    digit = lagrange.paper_finger()
+    states = lagrange.finger_states(digit)
+    tau, torque = lagrange.joint_torques(digit, states), np.array(lagrange.model_torques(digit, states)).T
+    s = np.tril(np.ones((3, 3)))
+    assert np.allclose(tau, torque @ s, rtol=1e-12)
+
+
+def test_inverse_kinematics_reaches_the_points_of_the_path() -> None:
+    item = next(item for item in kinematics.items() if item.id == "sec4.inverse")
+    assert item.deviation is not None
+    assert item.deviation < 1e-12
+
+
+def test_the_parts_of_a_closing_motion_add_up() -> None:
+    fast, slow = motion.closing("index", 0.15), motion.closing("index", 0.6)
+    assert fast.tension("inertia") == pytest.approx(16.0 * slow.tension("inertia"), rel=1e-6)
+    assert fast.tension("Coriolis") == pytest.approx(16.0 * slow.tension("Coriolis"), rel=1e-6)
+    assert fast.tension("gravity") == pytest.approx(slow.tension("gravity"), rel=1e-9)
+    digit = motion.upright("index")
+    weight = sum(gravity_torque(digit, (0.0, 0.0, 0.0)))
+    assert weight > 0.0
+    assert fast.parts["gravity"][0] == pytest.approx(weight)

@@ -1,0 +1,105 @@
+"""The experiments: on the simulator's bench, and the judgement of what they recorded."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.errors import HandctlError
+from handctl.hand.description import load_hand
+from handctl.paper import experiments, force_displacement, payload, pool
+from handctl.report.truth import Truth
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_the_bench_hand_reaches_what_its_sensors_can_tell_apart() -> None:
+    hand = load_hand("jamia_bench")
+    for tendon in hand.tendon:
+        noise = hand.sensor_node.tension_noise_N
+        assert tendon.tension_max_N > 200.0, "beyond the first knee"
+        assert tendon.tension_max_N + 5.0 * noise < tendon.tension_trip_N < 249.9
+        assert hand.motor_of(tendon.name).torque_max_N_m == pytest.approx(tendon.drive_limit_N * 0.005)
+
+
+def test_a_blocked_finger_shows_the_knee_of_its_rope(tmp_path: Path) -> None:
+    measured = json.loads(json.dumps(experiments.do({"do": "pull"}, tmp_path)))
+    bent, straight = force_displacement.curves(measured)
+    for found in (bent, straight):
+        assert found.stiffness == pytest.approx(1e5, rel=0.01)
+        assert found.force.max() > 240.0
+        assert found.force.min() < 30.0
+    assert bent.knee == pytest.approx(200.0, abs=5.0)
+    assert straight.knee is None
+    end = bent.force > 235.0
+    assert np.median(bent.force[end] / bent.displacement[end]) < 0.95e-3 * bent.stiffness
+
+
+def fall(speed: float, after: float) -> Truth:
+    """An object that stands still and then moves with a speed [m/s]; rows of a millisecond."""
+    t = np.arange(4000)
+    z = -speed * np.maximum(0.0, t / 1000.0 - after)
+    return Truth({}, t * 1_000_000, np.column_stack([0 * z, 0 * z, z]), ("object/x", "object/y", "object/z"))
+
+
+@pytest.mark.parametrize(
+    ("speed", "ended", "time_s"),
+    [
+        (0.9e-3, "moved", 1.0 + 2.0 / 0.9),
+        (1.5e-3, "creep", 1.0 + 0.1 / 1.5),
+        (0.5, "creep", 1.001),
+        (1e-5, "held", 3.9),
+    ],
+)
+def test_slip_is_creep_or_a_way(speed: float, ended: str, time_s: float) -> None:
+    row, how = payload._slip(fall(speed, 1.0), 100, 3900)
+    assert how == ended
+    assert row / 1000.0 == pytest.approx(time_s, abs=0.003)
+
+
+def test_a_worker_that_ends_is_an_error() -> None:
+    told: list[tuple[str, bool]] = []
+    with (
+        pool.pool(2, lambda job, done: told.append((job["do"], done))) as workers,
+        pytest.raises(HandctlError, match="worker"),
+    ):
+        workers([{"do": "nothing"}, {"do": "nothing"}])
+    assert ("nothing", False) in told
+    assert all(not done for _, done in told)
+
+
+def test_workers_do_not_outlive_their_owner() -> None:
+    with pool.pool(1, lambda job, done: None):
+        pass
+    listed = subprocess.run(["ps", "-eo", "ppid,args"], capture_output=True, text=True, check=True).stdout
+    mine = [line for line in listed.splitlines() if line.split()[:1] == [str(os.getpid())] and pool.WORKER in line]
+    assert not mine
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(600)
+def test_everything_in_less_than_three_minutes(tmp_path: Path) -> None:
+    report, figures = tmp_path / "out.html", tmp_path / "figures"
+    words = ["paper", "--json", "--report", str(report), "--figures", str(figures)]
+    begun = time.monotonic()
+    done = subprocess.run([sys.executable, "-c", MAIN, *words], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert time.monotonic() - begun < 180.0
+    items: list[dict[str, Any]] = json.loads(done.stdout)
+    payloads = [item for item in items if item["id"].startswith(("payload.x.", "payload.y.", "payload.z."))]
+    assert len(payloads) == 9
+    assert all(0.5 < item["computed"] < 3.0 for item in payloads)
+    along = [item for item in payloads if item["id"].startswith("payload.z")]
+    assert all(item["verdict"] == "equal" for item in along), "the paper's payload is met along the cylinder's axis"
+    assert report.stat().st_size > 500_000
+    assert len(list(figures.iterdir())) == 14
+    assert not math.isnan(sum(item["computed"] for item in payloads))
+
+
+MAIN = "import sys; from handctl.cli.main import main; sys.exit(main(sys.argv[1:]))"

@@ -1,0 +1,61 @@
+"""Formulas as text: their values, dimensions and looks."""
+
+import numpy as np
+import pytest
+import sympy
+
+from handctl.paper import equations
+from handctl.paper.expression import DimensionError, Expression, pretty_name, shown
+from handctl.paper.lagrange import DIMENSIONS, JOULE, random_states
+
+TERMS = [*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ())]
+FORMULAS = sorted({expression.text for term in TERMS for expression in (*term.readings, term.right)})
+
+
+@pytest.mark.parametrize("text", FORMULAS)
+def test_values_are_sympy_s(text: str) -> None:
+    states, expression = random_states(), Expression(text)
+    names = sorted(expression.names)
+    theirs = sympy.lambdify([sympy.Symbol(name) for name in names], sympy.sympify(text), "numpy")
+    assert expression.value(states) == pytest.approx(theirs(*(states[name] for name in names)), rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("term", TERMS, ids=lambda term: term.id)
+def test_right_terms_are_energies_or_torques(term: equations.Term) -> None:
+    assert term.right.dimension(DIMENSIONS) == JOULE
+
+
+@pytest.mark.parametrize("text", ["m1 + d1", "sin(d1)", "m1*d1 - g"])
+def test_nonsense_has_no_dimension(text: str) -> None:
+    with pytest.raises(DimensionError):
+        Expression(text).dimension(DIMENSIONS)
+
+
+def test_dimensions_multiply_and_divide() -> None:
+    assert Expression("m1*g*d1/I1").dimension(DIMENSIONS) == (0, 0, -2)
+    assert shown((1, 2, -2)) == "kg m² s⁻²"
+    assert shown((0, 0, 0)) == "1"
+
+
+@pytest.mark.parametrize(
+    ("text", "looks"),
+    [
+        ("-(m2*d2 + m3*L2)*L1*sin(th1 - th2)*dth1**2", "−(m₂ d₂ + m₃ L₂) L₁ sin(θ₁ − θ₂) θ̇₁²"),
+        ("I1*dth1**2/2", "I₁ θ̇₁²/2"),
+        ("a - (b - c)", "a − (b − c)"),
+        ("cos(theta)*ddth3", "cos θ θ̈₃"),
+        ("pi*d**2/4", "π d²/4"),
+        ("-a", "−a"),
+    ],
+)
+def test_looks(text: str, looks: str) -> None:
+    assert Expression(text).pretty() == looks
+
+
+def test_names_and_what_is_no_formula() -> None:
+    assert pretty_name("L_L") == "L_L"
+    assert Expression("sin(th1)*pi*m2").names == {"th1", "m2"}
+    for text in ("__import__('os')", "a if b else c", "[1]"):
+        with pytest.raises((ValueError, KeyError)):
+            Expression(text).value({"a": 1.0})
+    assert np.allclose(Expression("2*x").value({"x": np.ones(3)}), 2.0)

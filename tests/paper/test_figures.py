@@ -1,0 +1,76 @@
+"""Figures: drawn, not empty, with their axes named and the printed values marked."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from handctl.paper import kinematics, page
+from handctl.paper.figures.all import contents
+
+
+@pytest.fixture
+def folder(drawn: dict[str, Path]) -> Path:
+    assert drawn.keys() == page.CAPTIONS.keys()
+    return drawn["fig1-hand"].parent
+
+
+@pytest.mark.parametrize("name", list(page.CAPTIONS))
+def test_pictures_are_full_and_sharp(folder: Path, name: str) -> None:
+    picture = imread(folder / f"paper-{name}.png")[..., :3]
+    height, width, _ = picture.shape
+    assert width > 1100
+    assert height > 500
+    inked = (picture < 0.9).any(axis=2)
+    assert 0.01 < inked.mean() < 0.6
+    assert inked[:, : width // 2].mean() > 0.005
+    assert inked[:, width // 2 :].mean() > 0.005
+    assert len(np.unique((picture * 15).astype(int).reshape(-1, 3), axis=0)) > 30, "colours"
+
+
+@pytest.mark.parametrize("name", list(page.CAPTIONS))
+def test_nothing_is_drawn_outside_of_the_picture(folder: Path, name: str) -> None:
+    """Text that is cut off touches the border."""
+    picture = imread(folder / f"paper-{name}.png")[..., :3]
+    frame = np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]])
+    assert frame.min() > 0.99
+
+
+@pytest.mark.parametrize("name", list(page.CAPTIONS))
+def test_svg_is_the_same_each_time_and_names_no_place(folder: Path, name: str) -> None:
+    text = (folder / f"paper-{name}.svg").read_text(encoding="utf-8")
+    assert "<dc:date>" not in text
+    assert not re.search(r"/(home|tmp|work)/", text)
+    assert text.count("<path") > 20
+
+
+def test_units_and_printed_values_are_in_the_figures(folder: Path) -> None:
+    """Comments in matplotlib's SVG hold the texts that are drawn as paths."""
+    wanted = {
+        "fig3-path": ["X [mm]", "Y [mm]", "55 mm"],
+        "fig4-statics": ["55F", "25F", "10F", "T = 18.33F"],
+        "fig5-force-displacement": ["displacement of the tendon at the spool [mm]", "200 N", "250 N", "190 MPa"],
+        "fig7-torques": ["torque [mN m]", "tension [N]", "inertia", "Coriolis", "gravity", "springs", "motor inertia"],
+        "fig8-payload": ["payload [kg]", "0.915 kg", "1.835 kg"],
+    }
+    for name, texts in wanted.items():
+        drawn = (folder / f"paper-{name}.svg").read_text(encoding="utf-8")
+        for text in texts:
+            assert text in drawn, (name, text)
+
+
+def test_without_experiments_the_measured_figures_are_left_out() -> None:
+    found = contents(None)
+    assert page.CAPTIONS.keys() - found.keys() == {"fig5-force-displacement", "fig8-payload"}
+
+
+def test_the_path_lies_in_the_workspace_and_the_workspace_in_reach() -> None:
+    for name, reach in (("index", 55.0), ("thumb", 25.0)):
+        tips = kinematics.workspace(name, 25)
+        assert np.linalg.norm(tips, axis=1).max() == pytest.approx(reach)
+        for point in kinematics.path(name, np.radians(np.linspace(0.0, 100.0, 11))):
+            assert np.linalg.norm(tips - point, axis=1).min() < 2.0
+    first = kinematics.path("index", np.array([0.0, np.pi / 2]))
+    assert first == pytest.approx(np.array([[55.0, 0.0], [-15.0, 20.0]]), abs=1e-9)

@@ -1,0 +1,49 @@
+"""The paper's Eq. 10, taken literally, must fail the tests of the model: they can fail, and they do."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+TESTS = "(pinocchio_built_by_hand and gravity3) or mass_matrix_is or coriolis or energy_is or sums_are"
+NEED_EQ10 = {
+    "test_agrees_with_pinocchio_built_by_hand",
+    "test_coriolis_forces_do_no_work_of_their_own",
+    "test_energy_is_conserved",
+    "test_sums_are_sums_of_their_parts",
+}
+
+
+def outcome(which: str) -> tuple[set[str], str]:
+    """Names of the model's tests that fail with Eq. 10 as printed or corrected, and the last line."""
+    command = [sys.executable, "-m", "pytest", "-p", "literal_eq10", "-p", "no:xdist", "-q", "-rf", "--tb=no"]
+    run = subprocess.run(
+        [*command, "-k", f"jamia and not jamia_bench and not jamia11 and ({TESTS})", "tests/hand/test_dynamics.py"],
+        cwd=ROOT,
+        env={**os.environ, "HANDCTL_EQ10": which, "PYTHONPATH": str(Path(__file__).parent)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    return set(re.findall(r"^FAILED \S+::(\w+)", run.stdout, re.MULTILINE)), run.stdout.strip().splitlines()[-1]
+
+
+@pytest.fixture(scope="module")
+def outcomes() -> dict[str, tuple[set[str], str]]:
+    return {which: outcome(which) for which in ("printed", "corrected")}
+
+
+def test_the_printed_equation_fails_the_model_s_tests(outcomes: dict[str, tuple[set[str], str]]) -> None:
+    failed, last = outcomes["printed"]
+    assert failed >= NEED_EQ10, last
+
+
+def test_the_corrected_equation_passes_them(outcomes: dict[str, tuple[set[str], str]]) -> None:
+    failed, last = outcomes["corrected"]
+    assert not failed
+    assert "passed" in last

@@ -1,0 +1,109 @@
+"""The page: Markdown that is kept true, JSON with a schema, HTML that needs nothing else."""
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from handctl.cli.main import main
+from handctl.paper import page, payload, sections
+from handctl.paper.item import Verdict
+
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "paper.md"
+
+
+def fixed_part(text: str) -> str:
+    """What does not rest on experiments, the tally of all items left out."""
+    before = text.partition(page.MEASURED_MARK)[0].rstrip()
+    return re.sub(r"^Of \d+ items:.*?\n\n", "", before, flags=re.MULTILINE | re.DOTALL)
+
+
+def test_the_page_in_the_repository_is_true() -> None:
+    """If this fails: handctl paper --markdown --figures docs/figures > docs/paper.md."""
+    assert fixed_part(PAGE.read_text(encoding="utf-8")) == fixed_part(page.markdown(sections.sections(None)))
+
+
+def test_the_page_has_all_that_is_measured(measured: dict[str, Any]) -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    assert text.count(page.MEASURED_MARK) == 2
+    for item in sections.items(measured):
+        assert f"| {item.id} | " in text, item.id
+    rows = re.findall(r"^\| (payload\.\w\.d\d+) \|.*\| ([\d.]+) kg \| \*\*(\w+)\*\*", text, re.MULTILINE)
+    assert len(rows) == len(payload.DIAMETERS_MM) * len(payload.AXES)
+    for _, carried, verdict in rows:
+        assert 0.5 < float(carried) < 3.0
+        assert (verdict == "equal") == (float(carried) >= 0.915)
+
+
+def test_the_page_s_figures_are_there(measured: dict[str, Any]) -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    found = re.findall(r"\]\((figures/paper-[\w-]+\.png)\)", text)
+    assert len(found) == len(set(found)) == len(page.CAPTIONS)
+    for name in found:
+        assert (PAGE.parent / name).stat().st_size > 20_000
+        assert (PAGE.parent / name).with_suffix(".svg").is_file()
+
+
+def test_markdown_tables_have_the_same_columns_everywhere(measured: dict[str, Any]) -> None:
+    for line in page.markdown(sections.sections(measured)).splitlines():
+        if line.startswith("| ") and " | **" in line:
+            assert len(re.findall(r"(?<!\\)\|", line)) == 7, line
+
+
+def test_json_is_a_list_of_items(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["paper", "--quick", "--json"]) == 0
+    items = json.loads(capsys.readouterr().out)
+    assert isinstance(items, list)
+    assert len(items) > 70
+    for item in items:
+        assert item.keys() == {
+            "id", "where", "printed", "computed", "unit", "verdict", "why", "evidence", "deviation",
+        }  # fmt: skip
+        assert re.fullmatch(r"[a-z0-9-]+\.\w+(\.\w+)?", item["id"]), item["id"]
+        assert item["verdict"] in set(Verdict)
+        assert isinstance(item["computed"], int | float | str | None)
+        assert all(isinstance(item[key], str) for key in ("where", "printed", "unit", "why"))
+        assert all(isinstance(part, str) for part in item["evidence"])
+    assert {item["verdict"] for item in items} == {verdict.value for verdict in Verdict}
+    wire = next(item for item in items if item["id"] == "sec5.wire")
+    assert wire["computed"] == 0.8585678096656324
+
+
+def test_measured_items_are_judged_by_what_was_measured(measured: dict[str, Any]) -> None:
+    found = {item.id: item for item in sections.items(measured)}
+    assert found["payload.z.d30"].verdict == Verdict.WRONG
+    assert found["payload.z.d35"].verdict == Verdict.EQUAL
+    assert "still held" in found["payload.z.d40"].why
+    assert found["fig5.measured200"].computed == pytest.approx(200.0, abs=3.0)
+    assert found["fig5.measured250"].computed is None
+    assert "none up to" in found["fig5.measured250"].why
+
+
+def test_html_needs_nothing_else(measured: dict[str, Any], drawn: dict[str, Path]) -> None:
+    text = page.report(sections.sections(measured), drawn)
+    assert text.count("data:image/svg+xml;base64,") == len(page.CAPTIONS)
+    links = re.findall(r"(?:src|href)=\"([^\"]{0,40})", text)
+    assert all(link.startswith("data:") for link in links)
+    for item in sections.items(measured):
+        assert f"<td>{item.id}</td>" in text
+    assert "<script" not in text
+
+
+def test_files_are_written_where_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    report, export = tmp_path / "out.html", tmp_path / "export"
+    assert main(["paper", "--quick", "--report", str(report), "--export", str(export)]) == 0
+    shown = capsys.readouterr().out
+    assert "wrong" in shown
+    assert report.read_text(encoding="utf-8").startswith("<!doctype html>")
+    assert {path.name for path in export.iterdir()} == {"jamia.urdf", "jamia.xml"}
+
+
+@pytest.mark.parametrize("words", [["--report", "/no/such/folder/x.html"], ["--figures", __file__], ["--jobs", "0"]])
+def test_bad_arguments_are_one_line_before_any_work(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["paper", *words]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "expected" in error

@@ -1,0 +1,91 @@
+"""Verdicts follow from digits, never from somebody's opinion."""
+
+from decimal import ROUND_DOWN, ROUND_HALF_EVEN, Decimal
+from fractions import Fraction
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handctl.paper.item import Verdict
+from handctl.paper.verdict import (
+    interval,
+    last_digit,
+    of_carried,
+    of_contradiction,
+    of_number,
+    of_readings,
+    of_statement,
+)
+
+VALUES = st.fractions(min_value=-1000, max_value=1000, max_denominator=10**6).filter(lambda value: abs(value) > 1)
+
+
+def digits(value: Fraction, places: int, rounding: str) -> str:
+    exact = Decimal(value.numerator) / Decimal(value.denominator)
+    return str(exact.quantize(Decimal(1).scaleb(-places), rounding=rounding))
+
+
+@pytest.mark.parametrize(
+    ("printed", "exact", "verdict"),
+    [
+        ("55", Fraction(55), Verdict.EQUAL),
+        ("18.33", Fraction(55, 3), Verdict.ROUNDED),
+        ("0.305", Fraction(6, 2) / Fraction(981, 100), Verdict.TRUNCATED),
+        ("0.4166", Fraction(5, 12), Verdict.TRUNCATED),
+        ("0.866", 0.8585678, Verdict.WRONG),
+        ("0.86", 0.8585678, Verdict.ROUNDED),
+        ("-2", Fraction(2), Verdict.WRONG),
+        ("0", Fraction(0), Verdict.EQUAL),
+        ("1", 0.9174311926605505, Verdict.ROUNDED),
+        ("0.1", 0.1, Verdict.EQUAL),
+        ("2.5", Fraction(255, 100), Verdict.ROUNDED),
+        ("2.4", Fraction(255, 100), Verdict.WRONG),
+    ],
+)
+def test_numbers(printed: str, exact: Fraction | float, verdict: Verdict) -> None:
+    assert of_number(printed, exact) == verdict
+
+
+@given(VALUES, st.integers(0, 5))
+def test_what_is_rounded_is_never_called_truncated_or_wrong(value: Fraction, places: int) -> None:
+    assert of_number(digits(value, places, ROUND_HALF_EVEN), value) in (Verdict.EQUAL, Verdict.ROUNDED)
+
+
+@given(VALUES, st.integers(0, 5))
+def test_what_is_cut_off_is_never_called_wrong(value: Fraction, places: int) -> None:
+    shown = digits(value, places, ROUND_DOWN)
+    verdict = of_number(shown, value)
+    assert verdict != Verdict.WRONG
+    if 2 * abs(Fraction(shown) - value) > last_digit(shown):
+        assert verdict == Verdict.TRUNCATED
+
+
+@given(VALUES, st.integers(0, 5), st.integers(1, 50))
+def test_a_unit_of_the_last_digit_beyond_is_wrong(value: Fraction, places: int, units: int) -> None:
+    shown = digits(value, places, ROUND_HALF_EVEN)
+    off = Fraction(shown) + (units + 1) * last_digit(shown) * (1 if value > 0 else -1)
+    text = digits(off, places, ROUND_HALF_EVEN)
+    assert of_number(text, value) == Verdict.WRONG
+
+
+def test_an_error_that_is_carried_on_has_the_verdict_of_its_source() -> None:
+    torque = Fraction(55, 3) * 5 / 1000
+    assert of_carried("0.09165", torque, Fraction("18.33") * 5 / 1000, Verdict.ROUNDED) == Verdict.ROUNDED
+    assert of_carried("0.09170", torque, Fraction("18.33") * 5 / 1000, Verdict.ROUNDED) == Verdict.WRONG
+    assert of_carried("0.09167", torque, Fraction("18.33") * 5 / 1000, Verdict.TRUNCATED) == Verdict.ROUNDED
+
+
+def test_readings_and_contradictions() -> None:
+    assert of_readings([True]) == of_statement(True) == Verdict.EQUAL
+    assert of_readings([False, False]) == of_statement(False) == Verdict.WRONG
+    assert of_readings([True, False]) == Verdict.UNDECIDABLE
+    assert of_contradiction(["200", "250"], None) == Verdict.UNDECIDABLE
+    assert of_contradiction(["200", "200"], None) == Verdict.EQUAL
+    assert of_contradiction(["200", "250"], 200.0) == Verdict.WRONG
+
+
+def test_what_a_printed_number_may_stand_for() -> None:
+    low, high = interval("8.33")
+    assert (low, high) == (Fraction("8.325"), Fraction("8.335"))
+    assert low < Fraction(25, 3) < high
