@@ -1,0 +1,1 @@
+"""What can be done with a recorded run: executed again, driven again, judged by other limits, compared."""

@@ -1,0 +1,68 @@
+"""Whether a log is what it says: counters, gaps, clock, hashes."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from handctl.log.reader import RunLog
+from handctl.replay.rebuild import logged_hand
+
+
+def check(log: RunLog) -> list[str]:
+    """One line for everything that is wrong with a log; empty if nothing is. Every byte of it is read.
+
+    Raises:
+        LogError: a chunk is damaged.
+    """
+    return [*_whole(log), *_counters(log), *_clock(log), *_frames(log), *_hashes(log)]
+
+
+def _whole(log: RunLog) -> Iterator[str]:
+    if log.warning:
+        yield f"not whole: {log.warning}"
+    if log.end and int(log.end.get("ticks", len(log))) != len(log):
+        yield f"{len(log)} ticks are there, {log.end['ticks']} were written"
+    if int(log.end.get("dropped", 0)):
+        yield f"the recorder dropped {log.end['dropped']} ticks"
+    rows = sum(1 for _ in log.packed())
+    if rows != len(log):
+        yield f"{len(log)} ticks, but telemetry of {rows}"
+
+
+def _counters(log: RunLog) -> Iterator[str]:
+    steps = np.diff(log.k)
+    if (steps < 1).any():
+        yield f"tick {int(log.k[1:][steps < 1][0])} follows a later one"
+    for gap in log.gaps:
+        yield f"gap: {gap.after - gap.before - 1} ticks are missing between {gap.before} and {gap.after}"
+
+
+def _clock(log: RunLog) -> Iterator[str]:
+    off = log.t_ns != log.k * log.header.period_ns
+    if off.any():
+        yield f"the time of tick {int(log.k[off][0])} is not its number times the period"
+    late = (log.late_ns < 0) | (log.late_ns >= log.header.period_ns)
+    if late.any():
+        yield f"tick {int(log.k[late][0])} is late by {int(log.late_ns[late][0])} ns: more than a period, or early"
+
+
+def _frames(log: RunLog) -> Iterator[str]:
+    """Frames that claim to come from after the tick that read them: a clock that is not ours."""
+    future, last = 0, -1
+    for tick in log.ticks():
+        now = tick.tick_in.t_ns + tick.tick_in.late_ns + log.header.period_ns
+        early = sum(frame.t_ns > now for frame in tick.tick_in.frames)
+        if early and not future:
+            last = tick.tick_in.k
+        future += early
+    if future:
+        yield f"{future} frames are stamped later than the tick that read them, first in tick {last}"
+
+
+def _hashes(log: RunLog) -> Iterator[str]:
+    told, found = log.header.metadata.get("identity", ""), logged_hand(log).identity
+    if told != found:
+        yield f"hand.toml has identity {found[:12]}, the log says {told[:12]}"
+    hashes = {tick.state_hash for tick in log.ticks()}
+    if len(hashes) != len(log):
+        yield f"{len(log) - len(hashes)} state hashes occur twice"

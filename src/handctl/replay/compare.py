@@ -1,0 +1,103 @@
+"""Two runs side by side: per joint and tendon the RMS and peak of the difference, and the delay."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.errors import IncomparableError
+from handctl.log.reader import RunLog
+
+Array = NDArray[np.float64]
+
+LONGEST_DELAY_S = 0.2
+LEAST_MOTION = 0.05
+"""A signal that moves by less than this share of its largest value has no delay to speak of."""
+
+SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendon", 1.0, "N")}
+"""Field of the telemetry: what it runs over, and the factor to the unit in which a person reads it."""
+
+
+def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
+    """Refuse what is not the log's hand.
+
+    Args:
+        a: a log.
+        name, identity: of the other hand.
+        where: where the other one comes from.
+
+    Raises:
+        IncomparableError: with both identities.
+    """
+    ours, theirs = a.header.metadata.get("identity", "?"), a.header.metadata.get("hand", "?")
+    if ours != identity:
+        raise IncomparableError(
+            f"the log is of hand {theirs} {ours[:12]}, not of {name} {identity[:12]}", where, "the same hand"
+        )
+
+
+def compare(names: tuple[str, ...], before: Array, after: Array, period: float) -> dict[str, dict[str, float]]:
+    """Difference of two aligned signals.
+
+    Args:
+        names: of the columns.
+        before, after: (ticks, n), NaN where nothing is known.
+        period: of the rows [s].
+
+    Returns:
+        by name: rms, peak in the signals' unit; delay_s of ``after`` behind ``before`` [s], NaN if nothing moves.
+    """
+    rows = min(len(before), len(after))
+    change = after[:rows] - before[:rows]
+    return {
+        name: {
+            "rms": float(np.sqrt(np.nanmean(change[:, i] ** 2))) if rows else float("nan"),
+            "peak": float(np.nanmax(np.abs(change[:, i]))) if rows else float("nan"),
+            "delay_s": delay(before[:rows, i], after[:rows, i], period),
+        }
+        for i, name in enumerate(names)
+    }
+
+
+def delay(before: Array, after: Array, period: float) -> float:
+    """Time by which ``after`` is behind [s]: the shift with the least mean square, refined by a parabola.
+
+    NaN if nothing moves, or if no delay within ``LONGEST_DELAY_S`` fits best.
+    """
+    reach = min(round(LONGEST_DELAY_S / period), len(before) // 4)
+    span = float(np.ptp(before)) if len(before) else 0.0
+    if reach < 1 or not span > LEAST_MOTION * float(np.abs(before).max()):
+        return float("nan")
+    kept = slice(reach, len(before) - reach)
+    cost = np.array(
+        [np.nanmean((np.roll(after, -shift)[kept] - before[kept]) ** 2) for shift in range(-reach, reach + 1)]
+    )
+    best = int(np.argmin(cost))
+    if not 0 < best < 2 * reach:
+        return float("nan")
+    left, middle, right = cost[best - 1 : best + 2]
+    bend = left - 2.0 * middle + right
+    return float((best - reach + (0.5 * (left - right) / bend if bend > 0 else 0.0)) * period)
+
+
+def resampled(log: RunLog, field: str, start: float, times: Array) -> Array:
+    """(times, n) a field of a log, interpolated at times [s] after ``start`` [s]; held beyond the ends."""
+    values = log.field(field)
+    return np.column_stack([np.interp(times + start, log.times, column) for column in values.T])
+
+
+def both(a: RunLog, start_a: float, b: RunLog, start_b: float, duration: float) -> dict[str, Any]:
+    """Compare all joints [deg] and tendons [N] of two runs over a stretch of time.
+
+    Args:
+        a, b: runs of one hand.
+        start_a, start_b: where the stretch begins in each [s].
+        duration: of the stretch [s].
+    """
+    period = a.header.period_ns * 1e-9
+    times = np.asarray(np.arange(round(duration / period)) * period, np.float64)
+    result: dict[str, Any] = {}
+    for field, (axis, factor, unit) in SIGNALS.items():
+        before, after = (factor * resampled(*run, times) for run in ((a, field, start_a), (b, field, start_b)))
+        result[f"{axis}_{unit}"] = compare(a.header.axis(axis), before, after, period)
+    return result

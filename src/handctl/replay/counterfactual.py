@@ -1,0 +1,83 @@
+"""What other gains would have commanded on the inputs of a recorded run, as numbers and as a picture.
+
+The measurements stay those of the log: the picture shows what would have been commanded here, tick by tick, not how the
+hand would have gone on.
+"""
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.controller.types import TickIn, TickOut
+from handctl.log.reader import RunLog
+
+Array = NDArray[np.float64]
+LOGGED, OTHER = "#3b6fb6", "#d9822b"
+
+
+class Commands:
+    """Collects what is commanded, tick by tick; give ``add`` to ``execute`` as its watcher."""
+
+    def __init__(self) -> None:
+        self._torque: list[Array] = []
+        self._tension: list[Array] = []
+
+    def add(self, entry: TickIn, out: TickOut) -> None:
+        """One tick."""
+        self._torque.append(out.telemetry.motor_torque_goal)
+        self._tension.append(out.telemetry.tension_goal)
+
+    @property
+    def torque(self) -> Array:
+        """(ticks, M) [N m]."""
+        return np.array(self._torque)
+
+    @property
+    def tension(self) -> Array:
+        """(ticks, N) [N]."""
+        return np.array(self._tension)
+
+
+def summary(log: RunLog, commands: Commands) -> dict[str, dict[str, dict[str, float]]]:
+    """RMS and peak of the change per motor [N m] and tendon [N]."""
+    torque = commands.torque - log.field("motor_torque_goal")
+    tension = commands.tension - log.field("tension_goal")
+    return {
+        "motor_torque_N_m": {name: _size(torque[:, i]) for i, name in enumerate(log.header.motors)},
+        "tension_N": {name: _size(tension[:, i]) for i, name in enumerate(log.header.tendons)},
+    }
+
+
+def _size(change: Array) -> dict[str, float]:
+    known = change[~np.isnan(change)]
+    if not known.size:
+        return {"rms": float("nan"), "peak": float("nan")}
+    return {"rms": float(np.sqrt(np.mean(known**2))), "peak": float(np.abs(known).max())}
+
+
+def draw(path: Path, log: RunLog, commands: Commands, title: str) -> None:
+    """Write the picture as PNG: commanded tension and torque of each tendon, as logged and with the other gains."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    n = len(log.header.tendons)
+    figure = Figure(figsize=(13, 1.0 + 1.6 * n), layout="constrained")
+    FigureCanvasAgg(figure)
+    rows = figure.subplots(n, 2, sharex=True, squeeze=False)
+    figure.suptitle(title)
+    pairs = (
+        ("tension [N]", log.header.tendons, log.field("tension_goal"), commands.tension),
+        ("torque [N m]", log.header.motors, log.field("motor_torque_goal"), commands.torque),
+    )
+    for column, (unit, names, was, now) in enumerate(pairs):
+        for i, name in enumerate(names):
+            axes = rows[i, column]
+            axes.plot(log.times, was[:, i], color=LOGGED, linewidth=0.9, label="as logged")
+            axes.plot(log.times, now[:, i], color=OTHER, linewidth=0.7, label="these gains")
+            axes.set_ylabel(f"{name}\n{unit}", fontsize=8)
+            axes.grid(alpha=0.3)
+            axes.margins(x=0)
+        rows[-1, column].set_xlabel("time [s]")
+    rows[0, 0].legend(fontsize=8, loc="upper left", ncols=2)
+    figure.savefig(path, dpi=100)

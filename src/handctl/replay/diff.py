@@ -1,0 +1,67 @@
+"""Two runs of one hand, phase by phase."""
+
+from typing import Any, NamedTuple
+
+from handctl.controller.types import Mode
+from handctl.log.reader import RunLog
+from handctl.replay.compare import both, check_same_hand
+
+QUIET = frozenset(mode.name.lower() for mode in Mode if mode != Mode.RELAX)
+"""Phases in which the hand is limp: only their durations are compared."""
+
+
+class Part(NamedTuple):
+    """One phase of a run: its name, and when it began and ended [s]."""
+
+    name: str
+    begin: float
+    end: float
+
+
+def parts(log: RunLog) -> list[Part]:
+    """All phases in order; of several with one name the later ones are numbered: ``hold``, ``hold (2)``."""
+    changes, found, seen = log.phases, [], dict[str, int]()
+    ends = [change.t_ns * 1e-9 for change in changes[1:]] + [float(log.times[-1]) if len(log) else 0.0]
+    for change, end in zip(changes, ends, strict=True):
+        seen[change.name] = number = seen.get(change.name, 0) + 1
+        found.append(Part(change.name if number == 1 else f"{change.name} ({number})", change.t_ns * 1e-9, end))
+    return found
+
+
+def diff(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
+    """Compare two runs.
+
+    Args:
+        a, b: logs of one hand.
+        where: name of b's file, for the refusal.
+
+    Returns:
+        gains that differ, phases that only one of them has, and for each common phase both durations [s] and the
+        differences of ``compare.both`` over the shorter of the two, aligned at its beginning.
+
+    Raises:
+        IncomparableError: they are of different hands.
+    """
+    theirs = b.header.metadata
+    check_same_hand(a, theirs.get("hand", "?"), theirs.get("identity", "?"), where)
+    first, second = ({part.name: part for part in parts(log)} for log in (a, b))
+    phases = {}
+    for name, part in first.items():
+        if name not in second:
+            continue
+        other = second[name]
+        lasted = (part.end - part.begin, other.end - other.begin)
+        moves = part.name not in QUIET and min(lasted) > 0
+        shared = both(a, part.begin, b, other.begin, min(lasted)) if moves else {}
+        phases[name] = {"duration_s": list(lasted), **shared}
+    gains = a.header.gains.keys() | b.header.gains.keys()
+    return {
+        "gains": {
+            name: [a.header.gains.get(name), b.header.gains.get(name)]
+            for name in sorted(gains)
+            if a.header.gains.get(name) != b.header.gains.get(name)
+        },
+        "only_in_first": [name for name in first if name not in second],
+        "only_in_second": [name for name in second if name not in first],
+        "phases": phases,
+    }

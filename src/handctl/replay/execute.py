@@ -1,0 +1,105 @@
+"""A log through the controller again: every output byte is compared with the recorded one.
+
+There is no bus here, no clock that decides anything, and no file but the log.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from handctl.controller.gains import Gains
+from handctl.controller.types import TickIn, TickOut
+from handctl.errors import LogError
+from handctl.log.reader import RunLog
+from handctl.replay.difference import Columns, Difference, differences, same, same_decisions
+from handctl.replay.rebuild import rebuild
+
+
+@dataclass(frozen=True, slots=True)
+class Execution:
+    """What re-execution found.
+
+    Attributes:
+        ticks: executed.
+        differing: ticks in which any output byte is another.
+        undecided: ticks that decide something else: mode, phase, action or events.
+        first: the first difference; None if there is none.
+        largest: the largest difference of a number, by ``distance``; None if there is none.
+        wall_s: time that it took, without designing the gains [s].
+        logged_s: time that the run took [s].
+    """
+
+    ticks: int
+    differing: int
+    undecided: int
+    first: Difference | None
+    largest: Difference | None
+    wall_s: float
+    logged_s: float
+
+    @property
+    def times_real_time(self) -> float:
+        """Speed of the re-execution over that of the run."""
+        return self.logged_s / self.wall_s if self.wall_s else math.inf
+
+
+def distance(difference: Difference) -> float:
+    """Size of a difference of numbers: absolute below 1, relative above; infinite if one of the two is NaN.
+
+    Text has none: 0.
+    """
+    was, now = difference.logged, difference.computed
+    if isinstance(was, str) or isinstance(now, str):
+        return 0.0
+    apart = abs(was - now)
+    return math.inf if math.isnan(apart) else apart / max(1.0, abs(was))
+
+
+def acceptable(execution: Execution, within: float) -> bool:
+    """Whether all decisions are equal and no number differs by more than ``within``: other machines round otherwise."""
+    largest = distance(execution.largest) if execution.largest else 0.0
+    return not execution.undecided and largest <= within
+
+
+def execute(
+    log: RunLog, gains: Gains | None = None, watch: Callable[[TickIn, TickOut], None] | None = None
+) -> Execution:
+    """Run the controller of a log on the log's inputs.
+
+    Args:
+        log: a run.
+        gains: other gains than it ran with.
+        watch: called with every tick.
+
+    Raises:
+        LogError: it cannot be rebuilt, or the log is damaged.
+    """
+    controller, columns = rebuild(log, gains), Columns.of(log.header)
+    state = controller.initial()
+    differing = undecided = ticks = 0
+    first = largest = None
+    began = time.perf_counter()
+    for logged, numbers in zip(log.ticks(), log.packed(), strict=True):
+        try:
+            state, out = controller.tick(state, logged.tick_in)
+        except ValueError as error:
+            raise LogError(
+                f"the controller refuses: {error}", f"tick {logged.tick_in.k}", "a value that fits"
+            ) from None
+        ticks += 1
+        if watch:
+            watch(logged.tick_in, out)
+        if same(logged, numbers, out):
+            continue
+        differing += 1
+        undecided += not same_decisions(logged, out)
+        found = list(differences(columns, logged, numbers, out))
+        first = first or found[0]
+        largest = max(
+            [*([largest] if largest else []), *(one for one in found if one.ulps is not None)],
+            key=distance,
+            default=None,
+        )
+    wall, last = time.perf_counter() - began, float(log.times[-1]) if len(log) else 0.0
+    return Execution(ticks, differing, undecided, first, largest, wall, last)

@@ -1,0 +1,134 @@
+"""Other limits on a recorded run: which ticks they would have stopped, and on which reading."""
+
+from collections import Counter
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, NamedTuple
+
+from pydantic import Field
+
+from handctl.controller.requests import Clear, parse_request
+from handctl.controller.tick import Controller
+from handctl.document import Document, load_document
+from handctl.errors import ConfigError
+from handctl.log.reader import RunLog
+from handctl.replay.rebuild import rebuild
+from handctl.safety import judge as safety
+from handctl.safety.action import Action
+from handctl.safety.table import LEAST_SILENT, LEAST_STALLED, Limits, ticks_for
+
+Tension = Annotated[float, Field(gt=0, le=1000)]
+
+
+class NewLimits(Document):
+    """A limits file; what is not in it stays as it was in the run."""
+
+    schema_: int = Field(1, alias="schema", ge=1, le=1)
+    tension_trip_N: Tension | dict[str, Tension] | None = None
+    """For all tendons, or by tendon."""
+    silent_ms: float | None = Field(None, gt=0, le=10_000)
+    stalled_ms: float | None = Field(None, gt=0, le=10_000)
+    temperature_soft_degC: float | None = Field(None, gt=0, le=200)
+    temperature_hard_degC: float | None = Field(None, gt=0, le=200)
+
+
+class Stop(NamedTuple):
+    """A fault that the new limits would have raised, with an action that stops the hand.
+
+    Attributes:
+        k, t_s: tick and time [s].
+        fault, title: row of the fault table.
+        instance: motor, tendon or bus.
+        value: the reading, in the unit of the limit.
+        action: what would have been done.
+        logged: whether the run's own limits found it in the same tick.
+    """
+
+    k: int
+    t_s: float
+    fault: str
+    title: str
+    instance: str
+    value: float
+    action: str
+    logged: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What other limits would have done to a run.
+
+    Attributes:
+        ticks: judged.
+        stopped: ticks in which the new limits demand HOLD or more.
+        stopped_logged: the same for the limits of the run.
+        stops: each beginning, in order.
+        by_fault: number of stops by fault.
+    """
+
+    ticks: int
+    stopped: int
+    stopped_logged: int
+    stops: tuple[Stop, ...]
+    by_fault: dict[str, int]
+
+
+def load_limits(path: Path, controller: Controller) -> Limits:
+    """A limits file, applied to the limits of a controller.
+
+    Raises:
+        ConfigError: the file cannot be read, or names a tendon that the hand has not.
+    """
+    new, old, period = load_document(path, NewLimits), controller.limits, controller.model.period
+    trips = new.tension_trip_N if isinstance(new.tension_trip_N, dict) else {}
+    for name in trips.keys() - set(old.tendons):
+        raise ConfigError(repr(name), f"{path}: tension_trip_N", "one of " + ", ".join(old.tendons))
+    rows = zip(old.tendons, old.tension_trip, strict=True)
+    trip = tuple(trips.get(name, was) for name, was in rows)
+    if isinstance(new.tension_trip_N, float):
+        trip = (new.tension_trip_N,) * len(trip)
+    silent, stalled = new.silent_ms, new.stalled_ms
+    soft, hard = new.temperature_soft_degC, new.temperature_hard_degC
+    return replace(
+        old,
+        tension_trip=trip,
+        silent_ticks=ticks_for(silent / 1e3, period, LEAST_SILENT) if silent else old.silent_ticks,
+        stalled_ticks=ticks_for(stalled / 1e3, period, LEAST_STALLED) if stalled else old.stalled_ticks,
+        temperature_soft=soft or old.temperature_soft,
+        temperature_hard=hard or old.temperature_hard,
+    )
+
+
+def judge_again(log: RunLog, path: Path) -> Judgement:
+    """Judge every tick of a run by other limits; the run itself goes on as it went.
+
+    Args:
+        log: a run.
+        path: limits file.
+
+    Raises:
+        ConfigError: the limits file is wrong.
+        LogError: the log cannot be executed.
+    """
+    controller = rebuild(log)
+    limits = load_limits(path, controller)
+    state, shadow = controller.initial(), safety.SafetyState()
+    stops: list[Stop] = []
+    ticks = stopped = stopped_logged = 0
+    for logged in log.ticks():
+        entry = logged.tick_in
+        if any(isinstance(parse_request(text), Clear) for text in entry.requests):
+            shadow = safety.clear(shadow)
+        shadow, verdict = safety.judge(shadow, limits, controller.signals(state, entry))
+        state, out = controller.tick(state, entry)
+        own = {event.text.partition(" ")[0] + event.where for event in out.events if event.name == "fault"}
+        ticks += 1
+        stopped += verdict.action >= Action.HOLD
+        stopped_logged += out.action >= Action.HOLD
+        for fault, instance, value in verdict.findings:
+            if fault.action >= Action.HOLD:
+                seen = fault.id + instance in own
+                t_s = entry.t_ns / 1e9
+                stops.append(Stop(entry.k, t_s, fault.id, fault.title, instance, value, fault.action.name, seen))
+    counts = Counter(stop.fault for stop in stops)
+    return Judgement(ticks, stopped, stopped_logged, tuple(stops), dict(counts))

@@ -1,0 +1,67 @@
+"""The controller of a recorded run, put together again from what the log holds."""
+
+import tomllib
+from typing import TypeVar
+
+from pydantic import ValidationError
+
+from handctl.controller.gains import Gains
+from handctl.controller.setup import ATTACHMENT, Setup
+from handctl.controller.tick import Controller
+from handctl.errors import ConfigError, LogError
+from handctl.hand.description import Hand, hand_from
+from handctl.log.logfile import printable
+from handctl.log.reader import RunLog
+
+
+def logged_hand(log: RunLog) -> Hand:
+    """The hand that ran.
+
+    Raises:
+        LogError: the log holds no hand that this version can read.
+    """
+    try:
+        return hand_from(tomllib.loads(log.header.hand_toml), "hand.toml in the log")
+    except (tomllib.TOMLDecodeError, ConfigError) as error:
+        raise LogError(f"no usable hand in it: {printable(str(error))}", "the log", "a hand.toml") from None
+
+
+def logged_gains(log: RunLog) -> Gains:
+    """The gains it ran with.
+
+    Raises:
+        LogError: the log holds no gains that this version can read.
+    """
+    return _read(log, "gains.json", Gains)
+
+
+def logged_setup(log: RunLog) -> Setup:
+    """Rate, tare, zero and program.
+
+    Raises:
+        LogError: the log was written by a version that did not keep them.
+    """
+    return _read(log, ATTACHMENT, Setup)
+
+
+def rebuild(log: RunLog, gains: Gains | None = None) -> Controller:
+    """The controller that wrote the log, or the same with other gains.
+
+    Raises:
+        LogError: something that it needs is not in the log.
+    """
+    return logged_setup(log).controller(logged_hand(log), gains or logged_gains(log))
+
+
+D = TypeVar("D", Gains, Setup)
+
+
+def _read(log: RunLog, name: str, model: type[D]) -> D:
+    data = log.header.attachments.get(name)
+    if data is None:
+        raise LogError(f"no {name} in it", "the log", "a log of this version of handctl: it cannot be executed again")
+    try:
+        return model.model_validate_json(data)
+    except ValidationError as error:
+        why = printable(str(error.errors(include_url=False)[0]["msg"]))
+        raise LogError(f"{name} cannot be read: {why}", "the log", "a log of this version of handctl") from None

@@ -1,0 +1,131 @@
+"""A run as one HTML page that needs nothing else: to attach to a paper or a bug report."""
+
+import base64
+import html
+import tempfile
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from handctl.hand.description import Hand
+from handctl.log.logfile import printable
+from handctl.log.reader import RunLog
+from handctl.report.figure import draw_run
+from handctl.report.pictures import lateness, loads, poses
+from handctl.report.summary import summarise
+from handctl.report.truth import Truth
+
+STYLE = """
+body { font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; max-width: 1100px; margin: 2em auto;
+       padding: 0 1em; }
+h1 { font-size: 1.5em; margin-bottom: 0; } h2 { font-size: 1.1em; margin-top: 2em; border-bottom: 1px solid #ccc; }
+p.sub { color: #666; margin-top: .2em; } img, svg { max-width: 100%; height: auto; }
+table { border-collapse: collapse; font-size: .9em; } td, th { padding: .15em .8em .15em 0; text-align: left;
+        vertical-align: top; } th { font-weight: 600; } td.n { text-align: right; font-variant-numeric: tabular-nums; }
+.two { display: flex; flex-wrap: wrap; gap: 2em; } .warn { color: #9a5b00; } .error { color: #b00020; }
+code { font-size: .85em; word-break: break-all; }
+"""
+
+
+def write_page(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, name: str) -> int:
+    """Write the page.
+
+    Args:
+        path: file to write.
+        log: of the run.
+        hand: that ran.
+        truth: of the simulator, or None.
+        offset_ns: the run's t = 0 on the simulator's clock [ns].
+        name: of the log, as a person calls it.
+
+    Returns:
+        its size [bytes].
+    """
+    load_picture, load = loads(log, hand)
+    metadata = log.header.metadata
+    title = f"{hand.name}: {_text(name)}"
+    sections = [
+        f"<h1>{title}</h1><p class=sub>{_text(hand.description)}</p>",
+        f"<p class=error>{_text(log.warning)}</p>" if log.warning else "",
+        _section("In numbers", _numbers(log, hand, truth, offset_ns, load)),
+        _section("The hand in each phase", poses(log, hand) + _legend(hand)),
+        _section("Angles, tensions with their 1-sigma band, contact forces", _run(log, hand, truth, offset_ns)),
+        _section("Events and faults", _events(log)),
+        _section("Loop and bus", f'<div class="two">{lateness(log)}{load_picture}</div>'),
+        _section("What made this run", _pairs({**metadata, **log.header.wall, **log.end})),
+        _section("Gains", _pairs(log.header.gains)),
+    ]
+    page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{STYLE}</style>"
+    data = (page + "\n".join(sections) + "</html>\n").encode()
+    path.write_bytes(data)
+    return len(data)
+
+
+def _text(text: object) -> str:
+    """Text from a log as it may stand in a page."""
+    return html.escape(printable(str(text), 2000))
+
+
+def _section(title: str, body: str) -> str:
+    return f"<section><h2>{title}</h2>{body}</section>"
+
+
+def _table(rows: Iterable[tuple[str, str]]) -> str:
+    return "<table>" + "".join(f"<tr><th>{one}</th><td>{two}</td></tr>" for one, two in rows) + "</table>"
+
+
+def _pairs(values: Mapping[str, object]) -> str:
+    return _table((_text(key), f"<code>{_text(value)}</code>") for key, value in values.items())
+
+
+def _numbers(
+    log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, load: "np.ndarray[tuple[int], np.dtype[np.float64]]"
+) -> str:
+    found = summarise(log, hand, truth, offset_ns)
+    late = found["late_us"]
+    rows = [
+        ("ticks", f"{found['ticks']} at {found['rate_hz']:g} Hz, {found['missed']} missed"),
+        ("lateness p50 / p99.9 / max", f"{late['p50']:.0f} / {late['p99_9']:.0f} / {late['max']:.0f} us"),
+        ("gaps in the log", f"{len(log.gaps)}"),
+        (
+            "largest bus load, by frames",
+            ", ".join(f"{n} {100 * x:.0f} %" for n, x in zip(hand.bus_names, load, strict=True)),
+        ),
+        ("tracking error in free motion, against the plant", _unit(np.degrees(found["tracking_rmse_rad"]), "deg rms")),
+        ("tension estimate, against the plant", _unit(found["tension_rmse_n"], "N rms")),
+        ("object moved while held", _unit(found["object_motion_mm"], "mm")),
+    ]
+    rows += [(f"{n}: tip-equivalent force", _unit(f, "N")) for n, f in found["tip_equivalent_force_n"].items()]
+    return _table((name, text) for name, text in rows if text)
+
+
+def _unit(value: float, unit: str) -> str:
+    return "" if value != value else f"{value:.2f} {unit}"
+
+
+def _legend(hand: Hand) -> str:
+    from handctl.report.figure import COLOURS
+
+    marks = (
+        f'<span style="color:{COLOURS[d % len(COLOURS)]}">&#9679;</span> {_text(n)}'
+        for d, n in enumerate(hand.digit_names)
+    )
+    return "<p>" + " &nbsp; ".join(marks) + ", seen along the hinges, by the estimated joint angles</p>"
+
+
+def _run(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> str:
+    with tempfile.TemporaryDirectory() as folder:
+        picture = Path(folder) / "run.png"
+        draw_run(picture, log, hand, truth, offset_ns, "")
+        data = base64.b64encode(picture.read_bytes()).decode()
+    return f'<img alt="angles, tensions, contact forces and lateness over time" src="data:image/png;base64,{data}">'
+
+
+def _events(log: RunLog) -> str:
+    rows = (
+        f'<tr class="{_text(event.level)}"><td class=n>{t_ns / 1e9:.3f} s</td><td>{_text(event.level)}</td>'
+        f"<td>{_text(event.name)}</td><td>{_text(event.text)}</td></tr>"
+        for _, t_ns, event in log.events
+    )
+    return "<table>" + "".join(rows) + "</table>"

@@ -1,0 +1,182 @@
+"""The numbers of a run: what the loop did, how well it tracked, and how true the estimates were."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.controller.types import Mode
+from handctl.drives.load import frame_time_s
+from handctl.hand.description import Hand
+from handctl.hand.digit import DigitModel
+from handctl.log.reader import RunLog
+from handctl.report.truth import Truth
+
+Array = NDArray[np.float64]
+
+SETTLED_S = 0.5
+"""Time after the goals of a hold have stopped moving before it is judged."""
+
+
+def summarise(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> dict[str, Any]:
+    """Everything that can be said of a run.
+
+    Args:
+        log: of the run.
+        hand: that ran.
+        truth: of the simulator; None on hardware, and the numbers that need it are NaN. One of another time, left
+            behind by an earlier simulator, counts as none.
+        offset_ns: the run's t = 0 on the simulator's clock [ns].
+
+    Returns:
+        plain numbers and names, see README for the meaning of each.
+    """
+    truth = truth if truth and truth.covers(log.t_ns + offset_ns) else None
+    late = log.late_ns / 1e3
+    active = np.isin(log.mode, (int(Mode.ACTIVE),))
+    result: dict[str, Any] = {
+        "hand": hand.name,
+        "ticks": len(log),
+        "missed": int(log.k[-1]) + 1 - len(log) if len(log) else 0,
+        "rate_hz": 1e9 / log.header.period_ns,
+        "late_us": {
+            "p50": _percentile(late, 50.0),
+            "p99_9": _percentile(late, 99.9),
+            "max": float(late.max(initial=0.0)),
+        },
+    }
+    holds = hold_windows(log)
+    result |= judge_tracking(log, hand, truth, offset_ns, active)
+    result |= judge_tension(log, hand, truth, offset_ns, active, holds)
+    result |= judge_grasp(log, hand, truth, offset_ns, holds)
+    return result
+
+
+def _percentile(values: NDArray[Any], percent: float) -> float:
+    return float(np.percentile(values, percent)) if len(values) else float("nan")
+
+
+def rms(values: Array) -> float:
+    """Root mean square without NaN; NaN if there is nothing."""
+    kept = values[~np.isnan(values)]
+    return float(np.sqrt(np.mean(kept**2))) if kept.size else float("nan")
+
+
+def hold_windows(log: RunLog) -> list[NDArray[np.bool_]]:
+    """For each hold, (ticks,) where it is settled: a digit is in contact, and no goal has moved for a while."""
+    goal = log.field("tension_goal")
+    held = log.field("contact").any(axis=1)
+    moving = np.abs(np.diff(np.nan_to_num(goal), axis=0, prepend=np.nan_to_num(goal[:1]))).max(axis=1) >= 1e-9
+    windows, changes = [], log.phases
+    for i, change in enumerate(changes):
+        if not change.name.startswith("hold"):
+            continue
+        end = changes[i + 1].k if i + 1 < len(changes) else log.k[-1] + 1
+        inside = (log.k >= change.k) & (log.k < end)
+        last = np.flatnonzero(inside & moving)
+        start = log.times[last[-1] if len(last) else np.argmax(inside)] + SETTLED_S
+        windows.append(inside & held & (log.times >= start))
+    return windows
+
+
+def mean_angles(hand: Hand, q: Array) -> Array:
+    """(ticks, D) moment-arm weighted mean joint angle of each digit, sum(r q) / sum(r) [rad]."""
+    columns = []
+    for name in hand.digit_names:
+        digit = DigitModel.of(hand, name)
+        weights = np.abs(digit.moment_arms).sum(axis=0)
+        columns.append(q[:, digit.joints] @ weights / weights.sum())
+    return np.column_stack(columns)
+
+
+def judge_tracking(
+    log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, active: NDArray[np.bool_]
+) -> dict[str, Any]:
+    """Tracking error in free motion: goal against the plant's truth, on the mean joint angle of each digit."""
+    goal = mean_angles(hand, log.field("q_goal"))
+    free = active[:, None] & ~np.isnan(goal) & (log.field("contact") == 0.0)
+    nothing = {"tracking_rmse_rad": float("nan"), "tracking_rmse_deg": {}}
+    if truth is None:
+        return nothing
+    real = mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns))
+    touched = _touched(truth, hand, log, offset_ns)
+    error = np.where(free & ~touched, goal - real, np.nan)
+    per_digit = {name: np.degrees(rms(error[:, d])) for d, name in enumerate(hand.digit_names)}
+    return {"tracking_rmse_rad": rms(error), "tracking_rmse_deg": per_digit}
+
+
+def _touched(truth: Truth, hand: Hand, log: RunLog, offset_ns: int) -> NDArray[np.bool_]:
+    """(ticks, D) whether the plant feels a contact on the digit."""
+    t_ns = log.t_ns + offset_ns
+    force = [
+        np.sqrt(sum(truth.at(f"contact_force/{name}/{axis}", t_ns) ** 2 for axis in "xyz")) for name in hand.digit_names
+    ]
+    return np.column_stack(force) > 0.05
+
+
+def judge_tension(
+    log: RunLog,
+    hand: Hand,
+    truth: Truth | None,
+    offset_ns: int,
+    active: NDArray[np.bool_],
+    holds: list[NDArray[np.bool_]],
+) -> dict[str, Any]:
+    """Estimate and raw load cell against the true tension, and true tension against the command while holding."""
+    if truth is None:
+        return dict.fromkeys(("tension_rmse_n", "tension_raw_rmse_n", "tension_hold_error_n"), float("nan"))
+    names = [f"tension/{tendon}" for tendon in log.header.tendons]
+    real = truth.table(names, log.t_ns + offset_ns)
+    before = truth.table(names, log.t_ns - log.header.period_ns + offset_ns)
+    taut = active[:, None] & (real > 0.5)
+    error = np.where(_holding(log, hand), log.field("tension_goal") - real, np.nan)
+    columns = [column[~np.isnan(column)] for held in holds for column in error[held].T]
+    columns = [column for column in columns if len(column)]
+    return {
+        "tension_rmse_n": rms(np.where(taut, log.field("tension") - real, np.nan)),
+        "tension_raw_rmse_n": rms(np.where(taut, log.field("tension_raw") - before, np.nan)),
+        "tension_hold_error_n": max((abs(float(column.mean())) for column in columns), default=float("nan")),
+        "tension_hold_peak_error_n": max((float(np.abs(column).max()) for column in columns), default=float("nan")),
+    }
+
+
+def _holding(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
+    """(ticks, N) whether the digit of each tendon is in contact."""
+    slices = [hand.digit_tendons[name] for name in hand.digit_names]
+    digit_of = np.repeat(np.arange(len(slices)), [tendons.stop - tendons.start for tendons in slices])
+    return (log.field("contact") > 0.0)[:, digit_of]
+
+
+def judge_grasp(
+    log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, holds: list[NDArray[np.bool_]]
+) -> dict[str, Any]:
+    """How far the object moved in a hold, and fingertip force estimated beside what the plant felt."""
+    held = np.any(holds, axis=0) if holds else np.zeros(len(log), dtype=bool)
+    estimated = log.field("tip_force")[held]
+    means = estimated.mean(axis=0) if len(estimated) else np.full(len(hand.digit), np.nan)
+    result: dict[str, Any] = {"tip_equivalent_force_n": dict(zip(hand.digit_names, means.tolist(), strict=True))}
+    if truth is None or not held.any():
+        return result | {"object_motion_mm": float("nan"), "contact_force_n": {}}
+    t_ns = log.t_ns + offset_ns
+    force = {
+        name: float(np.mean(np.sqrt(sum(truth.at(f"contact_force/{name}/{axis}", t_ns[held]) ** 2 for axis in "xyz"))))
+        for name in hand.digit_names
+    }
+    motion = float("nan")
+    if truth.has("object/x"):
+        paths = [truth.table(["object/x", "object/y", "object/z"], t_ns[one]) for one in holds if one.any()]
+        motion = max(float(np.linalg.norm(path - path[0], axis=1).max() * 1e3) for path in paths)
+    return result | {"object_motion_mm": motion, "contact_force_n": force}
+
+
+def measured_load(log: RunLog, bitrate: int, data_bitrate: int | None, sent: Sequence[tuple[int, bool]]) -> float:
+    """Share of a bus that the frames of a run took, by their worst-case times.
+
+    Args:
+        log: of the run, for its duration.
+        bitrate, data_bitrate: of the bus [bit/s].
+        sent: (payload bytes, CAN FD?) of every frame, both ways.
+    """
+    duration = float(log.times[-1] - log.times[0]) or 1.0
+    return sum(frame_time_s(size, fd, bitrate, data_bitrate) for size, fd in sent) / duration

@@ -1,0 +1,121 @@
+"""The layout of the dashboard."""
+
+import numpy as np
+import rerun.blueprint as rrb
+from rerun.blueprint.components import BackgroundKind, Corner2D, LinkAxis, PanelState
+
+from handctl.view.arrow import TIMELINE
+from handctl.view.subject import Subject
+
+LINKED = rrb.TimeAxis(link=LinkAxis.LinkToGlobal)
+NO_LEGEND = rrb.PlotLegend(visible=False)
+ROWS = [0.34, 0.44, 0.22]
+HEADROOM = 1.06
+LAST_SECONDS = rrb.VisibleTimeRange(
+    TIMELINE,
+    start=rrb.TimeRangeBoundary.cursor_relative(seconds=-12),
+    end=rrb.TimeRangeBoundary.cursor_relative(seconds=0),
+)
+Window = list[rrb.VisibleTimeRange] | None
+BACKGROUND = (17, 21, 27)
+EYE = (1.5, -0.75, 1.0)
+"""Where the hand is looked at from, in reaches of the hand: in front of the palm, from the thumb's side and above."""
+
+
+def dashboard(subject: Subject, live: bool = False) -> rrb.Blueprint:
+    """Hand, timing and log on the left; tensions, angles and states on the right, all plots on one time axis.
+
+    Args:
+        subject: the run that is shown.
+        live: show the last seconds and go with the run.
+    """
+    window = [LAST_SECONDS] if live else None
+    left = rrb.Vertical(_hand(subject), _timing(window), _log(), row_shares=[0.56, 0.18, 0.26])
+    right = rrb.Vertical(_forces(subject, window), _angles(subject, window), _states(window), row_shares=ROWS)
+    return rrb.Blueprint(
+        rrb.Horizontal(left, right, column_shares=[0.40, 0.60]),
+        rrb.TopPanel(state=PanelState.Hidden),
+        rrb.BlueprintPanel(state=PanelState.Collapsed),
+        rrb.SelectionPanel(state=PanelState.Collapsed),
+        rrb.TimePanel(state=PanelState.Collapsed, timeline=TIMELINE, play_state="following" if live else None),
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def _hand(subject: Subject) -> rrb.Spatial3DView:
+    mounts = np.array([digit.mount_position_m for digit in subject.hand.digit])
+    middle = mounts.mean(axis=0) * (1, 0, 1) + subject.reach * np.array([0.4, -0.05, -0.06])
+    return rrb.Spatial3DView(
+        name=f"{subject.hand.name}, {subject.name}: arrows are forces of the object on the fingertips",
+        contents=["+ /hand/**", "+ /force/**", "+ /tf/**", "+ /tf_static/**"],
+        spatial_information=rrb.SpatialInformation(target_frame="palm"),
+        background=rrb.Background(kind=BackgroundKind.SolidColor, color=BACKGROUND),
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(
+            position=middle + subject.reach * np.array(EYE), look_target=middle, eye_up=(0, 0, 1)
+        ),
+    )
+
+
+def _forces(subject: Subject, window: Window) -> rrb.Horizontal:
+    tensions = rrb.TimeSeriesView(
+        name="Tendon tension [N], 1-sigma band",
+        contents="/tension/**",
+        axis_x=LINKED,
+        time_ranges=window,
+        axis_y=rrb.ScalarAxis(range=(0.0, HEADROOM * subject.limits[-1])),
+        plot_legend=rrb.PlotLegend(Corner2D.LeftTop),
+    )
+    tips = rrb.TimeSeriesView(
+        name="Fingertip force [N]",
+        contents="/controller/tip_force",
+        axis_x=LINKED,
+        time_ranges=window,
+        plot_legend=rrb.PlotLegend(Corner2D.LeftTop),
+    )
+    return rrb.Horizontal(tensions, tips, column_shares=[0.6, 0.4])
+
+
+def _angles(subject: Subject, window: Window) -> rrb.Grid:
+    """One plot for each digit."""
+    views = [
+        rrb.TimeSeriesView(
+            name=f"{digit.name} joint angles [deg], grey: command",
+            contents=f"/angle/{digit.name}/**",
+            axis_x=LINKED,
+            time_ranges=window,
+            plot_legend=NO_LEGEND,
+        )
+        for digit in subject.hand.digit
+    ]
+    return rrb.Grid(*views, grid_columns=2)
+
+
+def _states(window: Window) -> rrb.StateTimelineView:
+    return rrb.StateTimelineView(
+        name="Grasp phase, mode of the hand, safety", contents="/state/**", time_view=LINKED, time_ranges=window
+    )
+
+
+def _timing(window: Window) -> rrb.Horizontal:
+    return rrb.Horizontal(
+        rrb.TimeSeriesView(
+            name="Tick late [us]", contents="/loop/**", axis_x=LINKED, time_ranges=window, plot_legend=NO_LEGEND
+        ),
+        rrb.TimeSeriesView(
+            name="Bus load, 0.1 s [%]",
+            contents="/bus/**",
+            axis_x=LINKED,
+            time_ranges=window,
+            axis_y=rrb.ScalarAxis(range=(0.0, 105.0)),
+        ),
+    )
+
+
+def _log() -> rrb.TextLogView:
+    return rrb.TextLogView(
+        name="Log",
+        contents="/rosout",
+        columns=rrb.TextLogColumns(timeline_columns=[TIMELINE], text_log_columns=["loglevel", "body"]),
+    )

@@ -1,0 +1,112 @@
+"""From a log to Rerun: all chunks of a run, into a file or into a viewer."""
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import rerun as rr
+from rerun.chunk import Chunk, ChunkStore, McapReader
+
+from handctl.errors import LogError
+from handctl.log.logfile import LogFile
+from handctl.log.recover import Status, recover
+from handctl.log.scan import Scan, scan
+from handctl.view.blueprint import dashboard
+from handctl.view.lenses import Lenses
+from handctl.view.styles import styles
+from handctl.view.subject import Subject
+
+DECODERS = ("ros2msg", "ros2_reflection", "urdf")
+WINDOW_NS = 20_000_000_000
+"""Chunks of so much of a run are joined before they are written: few of them, and memory that does not grow."""
+
+
+@contextmanager
+def reading(name: str) -> Iterator[None]:
+    """Turn what Rerun says of a bad file into a LogError."""
+    try:
+        yield
+    except (RuntimeError, ValueError, OSError) as error:
+        raise LogError(f"damaged log: {error}", name, "an intact file; see `handctl log recover`") from error
+
+
+def run_chunks(path: Path, subject: Subject) -> Iterator[Chunk]:
+    """All chunks of a log, whole or ending early.
+
+    Raises:
+        LogError: the log is damaged.
+    """
+    yield from styles(subject)
+    with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
+        yield from log_chunks(whole(path, Path(folder)), Lenses(subject), subject.name)
+
+
+def whole(path: Path, folder: Path) -> Path:
+    """The log itself, or a repaired copy of one that ends early: Rerun would leave out parts of its last chunk.
+
+    Raises:
+        LogError: there is nothing in it.
+    """
+    file, found = LogFile(path), Scan()
+    try:
+        scan(file, found)
+    finally:
+        file.close()
+    if not found.problem:
+        return path
+    copy = folder / path.name
+    if recover(path, copy).status == Status.NOTHING:
+        raise LogError("no complete chunk in it", str(path), "a log with at least its header")
+    return copy
+
+
+def log_chunks(path: Path, lenses: Lenses, name: str, since_ns: int = 0) -> Iterator[Chunk]:
+    """Chunks of all that changes.
+
+    Args:
+        path: a log, whole or ending early.
+        lenses: what is made of its topics.
+        name: what to call the log in messages.
+        since_ns: first log time to look at [ns].
+
+    Raises:
+        LogError: the log is damaged.
+    """
+    with reading(name):
+        reader = McapReader(path, decoders=DECODERS, include_topic_regex=lenses.topics, recover=True)
+        first, last = reader.time_bounds()
+    for begin in range(max(first, since_ns), last + 1, WINDOW_NS):
+        with reading(name):
+            raw = reader.stream(start_time_ns=begin, end_time_ns=begin + WINDOW_NS).to_chunks()
+        store = ChunkStore.from_chunks([new for chunk in raw for new in lenses(chunk)])
+        yield from store.stream()
+
+
+def recording(subject: Subject) -> rr.RecordingStream:
+    """A new recording without a sink."""
+    stream = rr.RecordingStream(subject.application, recording_id=subject.name, send_properties=False)
+    stream.send_recording_name(subject.name)
+    if subject.header.offset_ns:
+        stream.send_recording_start_time_nanos(subject.header.offset_ns)
+    return stream
+
+
+def write_rrd(path: Path, subject: Subject, out: Path) -> int:
+    """Write a log as Rerun recording with its layout.
+
+    Returns:
+        Size of the file [bytes].
+
+    Raises:
+        LogError: the log is damaged, or the file cannot be written.
+    """
+    stream = recording(subject)
+    try:
+        stream.save(out, default_blueprint=dashboard(subject))
+    except (RuntimeError, OSError) as error:
+        raise LogError(f"cannot write: {error}", str(out), "a place for the recording") from error
+    rr.send_chunks(run_chunks(path, subject), recording=stream)
+    stream.flush()
+    stream.disconnect()
+    return out.stat().st_size

@@ -1,0 +1,130 @@
+"""Shows a run while it is recorded: reads the growing log and sends what is new to a viewer."""
+
+import tempfile
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+import rerun as rr
+
+from handctl.errors import LogError
+from handctl.log.reader import RunLog
+from handctl.view.blueprint import dashboard
+from handctl.view.feed import log_chunks, recording
+from handctl.view.lenses import Lenses
+from handctl.view.live import Stop
+from handctl.view.styles import styles
+from handctl.view.subject import Subject
+from handctl.view.tail import Tail
+from handctl.view.viewer import Viewer, check_screen, software_vulkan, start_viewer
+
+PERIOD_S, FLUSH_S = 0.2, 5.0
+APPEAR_S = 30.0
+"""A log that is not there after this long will not come."""
+QUIET_S = 15.0
+"""A log that has not grown for this long has lost its recorder."""
+
+
+class Follower:
+    """Sends a growing log to a viewer, step by step.
+
+    Args:
+        log: the log; its header is there.
+        subject: its run.
+        url: of the viewer.
+    """
+
+    def __init__(self, log: Path, subject: Subject, url: str) -> None:
+        self._subject, self._lenses, self._tail = subject, Lenses(subject), Tail(log)
+        self._folder = tempfile.TemporaryDirectory(prefix="handctl-follow-")
+        self._stream = recording(subject)
+        self._stream.connect_grpc(url, default_blueprint=dashboard(subject, live=True))
+        rr.send_chunks(styles(subject), recording=self._stream)
+
+    def step(self) -> bool:
+        """Send what is new; whether there was something.
+
+        Raises:
+            LogError: the log is damaged.
+        """
+        part = Path(self._folder.name) / "part.mcap"
+        since = self._tail.take(part)
+        if since is None:
+            return False
+        chunks = log_chunks(part, self._lenses, self._subject.name, since)
+        rr.send_chunks(chunks, recording=self._stream)
+        self._flush()
+        return True
+
+    def _flush(self) -> None:
+        """Wait for the viewer, but not for one that was closed."""
+        with suppress(RuntimeError):
+            self._stream.flush(timeout_sec=FLUSH_S)
+
+    @property
+    def ended(self) -> bool:
+        """Whether all of a log that has its end was sent."""
+        return self._tail.ended
+
+    def close(self) -> None:
+        """Let go of the viewer, which stays open."""
+        self._flush()
+        self._stream.disconnect()
+        self._folder.cleanup()
+
+
+def follow(log: Path, arguments: Sequence[str] = (), stop: Stop | None = None) -> None:
+    """Open a viewer and show a log until it ends.
+
+    Args:
+        log: the log; it may not exist yet.
+        arguments: more arguments of the viewer.
+        stop: ends it earlier.
+
+    Raises:
+        LogError: the log does not appear, or it is damaged.
+        ConfigError: there is no screen.
+        HandctlError: the viewer does not start.
+    """
+    headless = "--headless" in arguments
+    if not headless:
+        check_screen()
+    stop = stop or Stop()
+    subject = _appeared(log, stop)
+    if subject is None:
+        return
+    running = start_viewer(["--expect-data-soon", *arguments], software_vulkan() if headless else {})
+    follower = Follower(log, subject, running.url)
+    try:
+        _until_end(follower, running, stop)
+        follower.step()
+    except KeyboardInterrupt:
+        return
+    finally:
+        follower.close()
+
+
+def _until_end(follower: Follower, running: Viewer, stop: Stop) -> None:
+    news = time.monotonic()
+    while not (follower.ended or stop.asked) and running.process.poll() is None:
+        begin = time.monotonic()
+        if follower.step():
+            news = begin
+        elif begin - news > QUIET_S:
+            return
+        time.sleep(max(PERIOD_S - (time.monotonic() - begin), PERIOD_S / 4))
+
+
+def _appeared(log: Path, stop: Stop) -> Subject | None:
+    """Wait until the header of a log is there."""
+    end = time.monotonic() + APPEAR_S
+    while not stop.asked:
+        try:
+            with RunLog(log) as found:
+                return Subject.of(found.header, log.stem)
+        except LogError:
+            if time.monotonic() > end:
+                raise
+        time.sleep(PERIOD_S)
+    return None

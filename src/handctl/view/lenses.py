@@ -1,0 +1,124 @@
+"""From the topics of a log to what the dashboard shows: each lens takes a chunk of one topic and gives new chunks.
+
+Entities: /hand/<link>/<part>, /force/<digit>, /tension/{estimate,command,limit}, /angle/<digit>/{estimate,command},
+/state/{phase,mode,safety}, /loop/late, /bus/load, /controller/<field>; /tf, /tf_static, /rosout and the
+temperatures are Rerun's own reading of these topics.
+"""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import rerun as rr
+from rerun.chunk import Chunk
+
+from handctl.controller.types import TELEMETRY_AXES
+from handctl.view.arrow import Floats, message, numbers, retimed, run_times, timed
+from handctl.view.geometry import solid
+from handctl.view.load import BusLoad
+from handctl.view.subject import Subject
+
+FORCE_SCALE = 0.008
+"""Length of an arrow [m/N]."""
+ARROW_RADIUS = 0.0013
+LEAST_FORCE = 0.05
+"""Below this no arrow is drawn [N]."""
+
+Lens = Callable[[Chunk], Iterator[Chunk]]
+
+STATE_TOPICS = {"/grasp/phase": "/state/phase", "/controller/mode": "/state/mode", "/safety/action": "/state/safety"}
+
+
+class Lenses:
+    """Applies to each chunk the lens of its topic.
+
+    Args:
+        subject: the run that is shown.
+    """
+
+    def __init__(self, subject: Subject) -> None:
+        self._subject, self._offset = subject, subject.header.offset_ns
+        self._load = BusLoad(subject)
+        self._lenses: dict[str, Lens] = {
+            "/controller/values": self._values,
+            "/cycle": self._cycle,
+            "/tick": self._tick,
+            **dict.fromkeys(STATE_TOPICS, self._state),
+        }
+        self._native = ("/tf", "/tf_static", "/rosout", "/actuator/")
+
+    @property
+    def topics(self) -> list[str]:
+        """Regular expressions of the topics that are looked at."""
+        exact = [*self._lenses, "/tf", "/tf_static", "/rosout", "/robot_description"]
+        return [f"^{topic}$" for topic in exact] + ["^/actuator/.*/temperature$"]
+
+    def __call__(self, chunk: Chunk) -> Iterator[Chunk]:
+        """New chunks for one chunk out of a log."""
+        entity = chunk.entity_path
+        if "/visual_geometries/" in entity:
+            yield from solid(chunk, self._subject)
+        elif not chunk.timeline_names:
+            return
+        elif entity in self._lenses:
+            yield from self._lenses[entity](chunk)
+        elif entity.startswith(self._native):
+            yield retimed(chunk, self._offset)
+
+    def _values(self, chunk: Chunk) -> Iterator[Chunk]:
+        """All numbers of the controller."""
+        messages = message(chunk)
+        if messages is None:
+            return
+        table = numbers(messages.field("values"), self._subject.width)
+        times = run_times(chunk, self._offset)
+        part = {name: table[:, place] for name, place in self._subject.columns.items()}
+        variances = (part["tension_sigma"] ** 2).ravel()
+        measured = rr.Measurements.columns(values=part["tension"].ravel(), variances=variances)
+        yield timed("/tension/estimate", times, measured.partition([part["tension"].shape[1]] * len(times)))
+        yield timed("/tension/command", times, scalars(part["tension_goal"]))
+        limits = np.tile(self._subject.limits, (2, 1))
+        yield timed("/tension/limit", times[[0, -1]], scalars(limits))
+        for digit, joints in self._subject.hand.digit_joints.items():
+            yield timed(f"/angle/{digit}/estimate", times, scalars(np.degrees(part["q"][:, joints])))
+            yield timed(f"/angle/{digit}/command", times, scalars(np.degrees(part["q_goal"][:, joints])))
+        for index, digit in enumerate(self._subject.hand.digit_names):
+            yield timed(f"/force/{digit}", times, arrows(part["tip_force"][:, index]))
+        for name in TELEMETRY_AXES:
+            yield timed(f"/controller/{name}", times, scalars(part[name]))
+
+    def _cycle(self, chunk: Chunk) -> Iterator[Chunk]:
+        """Lateness of each tick [us]."""
+        messages = message(chunk)
+        if messages is not None:
+            late = np.asarray(messages.field("late"), np.float64) * 1e6
+            yield timed("/loop/late", run_times(chunk, self._offset), scalars(late[:, None]))
+
+    def _tick(self, chunk: Chunk) -> Iterator[Chunk]:
+        """Load of each bus [%]."""
+        messages = message(chunk)
+        if messages is not None:
+            load = 100 * self._load.of(messages)
+            yield timed("/bus/load", run_times(chunk, self._offset), scalars(load))
+
+    def _state(self, chunk: Chunk) -> Iterator[Chunk]:
+        """A named state, as a lane."""
+        messages = message(chunk)
+        if messages is not None:
+            names = messages.field("name").to_pylist()
+            entity = STATE_TOPICS[chunk.entity_path]
+            yield timed(entity, run_times(chunk, self._offset), rr.StateChange.columns(state=names))
+
+
+def scalars(values: Floats) -> rr.ComponentColumnList:
+    """(n, lines) as lines of a plot."""
+    return rr.Scalars.columns(scalars=values.ravel()).partition([values.shape[1]] * len(values))
+
+
+def arrows(force: Floats) -> rr.ComponentColumnList:
+    """(n,) force of the object on a fingertip [N], as arrows in the tip's frame; the tip closes towards its +y."""
+    shown = np.where(force >= LEAST_FORCE, force, 0.0)
+    vectors = np.zeros((len(force), 3))
+    vectors[:, 1] = -FORCE_SCALE * shown
+    labels = [f"{value:.1f} N" if value else "" for value in shown.tolist()]
+    radii = np.where(shown > 0, ARROW_RADIUS, 0.0)
+    return rr.Arrows3D.columns(vectors=vectors, labels=labels, radii=radii)

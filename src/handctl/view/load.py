@@ -1,0 +1,60 @@
+"""How much of each bus a tick's frames take."""
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+
+from handctl.drives.frame import FDF
+from handctl.drives.load import frame_time_s
+from handctl.view.arrow import Floats
+from handctl.view.subject import Subject
+
+LONGEST = 64
+SPAN_NS = 100_000_000
+"""Answers to one tick may be read in the next, so a single tick says little."""
+
+
+class BusLoad:
+    """Worst-case time of the frames on each bus as share of the last ``SPAN_NS``; ticks come in their order.
+
+    Args:
+        subject: gives buses and period.
+    """
+
+    def __init__(self, subject: Subject) -> None:
+        self._period_ns = subject.header.period_ns
+        seconds = [
+            [
+                [frame_time_s(size, fd, bus.bitrate, bus.data_bitrate) for size in range(LONGEST + 1)]
+                for fd in (False, True)
+            ]
+            for bus in subject.hand.bus
+        ]
+        self._times = np.rint(1e9 * np.array(seconds)).astype(np.int64)
+        self._t = np.empty(0, np.int64)
+        self._spent = np.empty((0, len(self._times)), np.int64)
+
+    def of(self, ticks: pa.StructArray) -> Floats:
+        """(n, buses) load at the next n ticks, 0 to 1."""
+        now = np.asarray(ticks.field("t_ns"))
+        t = np.concatenate([self._t, now])
+        spent = np.concatenate(
+            [self._spent, self._spent_on(ticks.field("received")) + self._spent_on(ticks.field("sent"))]
+        )
+        total = np.concatenate([np.zeros((1, spent.shape[1]), np.int64), np.cumsum(spent, axis=0)])
+        first = np.searchsorted(t, now - SPAN_NS, side="right")
+        span = np.clip(now + self._period_ns, self._period_ns, SPAN_NS)
+        self._t, self._spent = t[first[-1] :], spent[first[-1] :]
+        return np.asarray((total[len(t) - len(now) + 1 :] - total[first]) / span[:, None], np.float64)
+
+    def _spent_on(self, frames: pa.ListArray) -> NDArray[np.int64]:
+        """(n, buses) time that a tick's frames take [ns]; whole numbers, so that no batch rounds otherwise."""
+        counts: NDArray[np.int64] = np.diff(np.asarray(frames.offsets))
+        tick = np.repeat(np.arange(len(frames)), counts)
+        flat = frames.flatten()
+        bus, flags, size = (np.asarray(flat.field(name)).astype(np.intp) for name in ("bus", "flags", "length"))
+        known = (bus < len(self._times)) & (size <= LONGEST)
+        tick, bus, flags, size = tick[known], bus[known], flags[known], size[known]
+        spent = np.zeros((len(frames), len(self._times)), np.int64)
+        np.add.at(spent, (tick, bus), self._times[bus, (flags & FDF) // FDF, size])
+        return spent

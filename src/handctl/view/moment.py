@@ -1,0 +1,19 @@
+"""The moment of a run that is worth a picture."""
+
+from handctl.log.reader import RunLog
+
+BEST = "hold"
+
+
+def moment(log: RunLog) -> float:
+    """Middle of the longest hold phase, of the whole run if there is none [s]."""
+    if not len(log):
+        return 0.0
+    ends = [change.t_ns for change in log.phases[1:]] + [int(log.t_ns[-1])]
+    holds = [
+        (end - change.t_ns, change.t_ns)
+        for change, end in zip(log.phases, ends, strict=True)
+        if change.name == BEST and end > change.t_ns
+    ]
+    length, begin = max(holds, default=(int(log.t_ns[-1] - log.t_ns[0]), int(log.t_ns[0])))
+    return (begin + length / 2) * 1e-9

@@ -1,0 +1,77 @@
+"""Colours of the viewer: one hue per digit, the same in the hand, its arrows and its lines."""
+
+from typing import NamedTuple
+
+
+class Colour(NamedTuple):
+    """Red, green, blue, 0 to 255."""
+
+    red: int
+    green: int
+    blue: int
+
+    def mixed(self, other: "Colour", share: float) -> "Colour":
+        """Part of the way to another colour, 0 to 1."""
+        return Colour(*(round(a + share * (b - a)) for a, b in zip(self, other, strict=True)))
+
+
+WHITE, BLACK = Colour(255, 255, 255), Colour(13, 16, 17)
+PALM = Colour(96, 104, 116)
+LIMIT = Colour(255, 72, 66)
+PLAIN = Colour(168, 180, 196)
+DIGITS = (
+    Colour(84, 160, 255),
+    Colour(255, 166, 64),
+    Colour(76, 206, 136),
+    Colour(246, 104, 158),
+    Colour(184, 146, 255),
+    Colour(206, 206, 92),
+)
+"""Chosen for a dark background and for eyes that do not tell red from green."""
+
+STATES = {
+    "idle": Colour(84, 90, 100),
+    "silent": Colour(84, 90, 100),
+    "done": Colour(84, 90, 100),
+    "end": Colour(84, 90, 100),
+    "start": Colour(112, 120, 132),
+    "inventory": Colour(112, 120, 132),
+    "ready": Colour(122, 142, 190),
+    "disarm": Colour(122, 142, 190),
+    "tighten": Colour(122, 142, 190),
+    "home": Colour(122, 142, 190),
+    "preshape": Colour(84, 160, 255),
+    "move": Colour(84, 160, 255),
+    "open": Colour(84, 160, 255),
+    "close": Colour(255, 166, 64),
+    "arming": Colour(206, 206, 92),
+    "live": Colour(206, 206, 92),
+    "hold": Colour(76, 206, 136),
+    "active": Colour(76, 206, 136),
+    "release": Colour(184, 146, 255),
+    "relax": Colour(255, 140, 64),
+    "cut": Colour(255, 72, 66),
+}
+"""Grasp phases and modes of the hand."""
+ACTIONS = {
+    "pass": Colour(66, 74, 84),
+    "warn": Colour(206, 206, 92),
+    "hold": Colour(255, 166, 64),
+    "relax": Colour(255, 120, 64),
+    "cut": Colour(255, 72, 66),
+}
+
+
+def digit(index: int) -> Colour:
+    """Colour of a digit."""
+    return DIGITS[index % len(DIGITS)]
+
+
+def shades(index: int, number: int) -> list[Colour]:
+    """A digit's colour for each of its joints, lighter towards the tip."""
+    return [digit(index).mixed(WHITE, 0.4 * i / max(number - 1, 1)) for i in range(number)]
+
+
+def faint(colour: Colour) -> Colour:
+    """For what was asked, beside what is."""
+    return colour.mixed(BLACK, 0.45)

@@ -1,0 +1,85 @@
+"""A picture of the dashboard at one moment of a run, drawn without a screen."""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from handctl.errors import HandctlError, LogError
+from handctl.view.arrow import TIMELINE
+from handctl.view.viewer import Viewer, software_vulkan, viewer
+
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient
+
+SIZE = "1600x900"
+LOAD_S, SETTLE_S = 60.0, 1.0
+TOAST_S = 5.0
+"""So long after its start the viewer still shows notices over the picture."""
+
+
+def draw(rrd: Path, at_s: float, out: Path) -> list[str]:
+    """Write a PNG of a recording.
+
+    Args:
+        rrd: recording with its layout.
+        at_s: moment, since the start of the run [s].
+        out: the PNG.
+
+    Returns:
+        What the views could not show; empty if all is well.
+
+    Raises:
+        ConfigError: there is no Vulkan driver.
+        HandctlError: the viewer did not do it.
+        LogError: the picture cannot be written.
+    """
+    with viewer(["--headless", "--window-size", SIZE, str(rrd)], software_vulkan()) as running:
+        clear = time.monotonic() + TOAST_S
+        client = connected(running)
+        wait_loaded(client)
+        client.set_time(TIMELINE, duration=at_s, play_state="paused")
+        time.sleep(max(SETTLE_S, clear - time.monotonic()))
+        png = client.take_screenshot()
+        reports = view_reports(client)
+    try:
+        out.write_bytes(png)
+    except OSError as error:
+        raise LogError(f"cannot write: {error.strerror}", str(out), "a place for the picture") from error
+    return reports
+
+
+def connected(running: Viewer) -> "ViewerClient":
+    """A client of a viewer that is still starting."""
+    from rerun.experimental import ViewerClient
+
+    end = time.monotonic() + LOAD_S
+    while True:
+        try:
+            client = ViewerClient.connect(running.url)
+            client.get_state()
+        except (RuntimeError, ConnectionError) as error:
+            if running.process.poll() is not None or time.monotonic() > end:
+                raise HandctlError(f"no answer from the viewer: {error}", "rerun", "") from error
+            time.sleep(0.1)
+        else:
+            return client
+
+
+def wait_loaded(client: "ViewerClient") -> None:
+    """Wait until a recording is there, all of it."""
+    end = time.monotonic() + LOAD_S
+    while time.monotonic() < end:
+        state = client.get_state()
+        if state.recordings and state.views and not state.loading:
+            return
+        time.sleep(0.1)
+    raise HandctlError(f"the viewer has not loaded the recording after {LOAD_S:g} s", "rerun", "")
+
+
+def view_reports(client: "ViewerClient") -> list[str]:
+    """What the views of the dashboard could not show."""
+    return [
+        f"{view.name}: {report.severity}: {report.summary}"
+        for view in client.get_state().views
+        for report in view.reports
+    ]

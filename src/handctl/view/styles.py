@@ -1,0 +1,76 @@
+"""Names, colours and frames of all that the lenses make: what holds for the whole run."""
+
+from collections.abc import Iterator, Sequence
+
+import rerun as rr
+from rerun.chunk import Chunk
+
+from handctl.controller.types import TELEMETRY_AXES
+from handctl.view import palette
+from handctl.view.arrow import static
+from handctl.view.palette import Colour
+from handctl.view.subject import Subject
+
+ESTIMATE_WIDTH, COMMAND_WIDTH, LIMIT_WIDTH = 1.8, 1.0, 2.2
+
+
+def styles(subject: Subject) -> Iterator[Chunk]:
+    """All static chunks of a run."""
+    yield from _tensions(subject)
+    yield from _angles(subject)
+    yield from _forces(subject)
+    yield from _states()
+    yield _lines("/loop/late", ["late"], [palette.PLAIN], 1.2)
+    buses = subject.hand.bus_names
+    yield _lines("/bus/load", buses, [palette.digit(i).mixed(palette.PLAIN, 0.4) for i in range(len(buses))], 1.4)
+    for name, axis in TELEMETRY_AXES.items():
+        names = subject.header.axis(axis)
+        yield _lines(f"/controller/{name}", names, [palette.digit(i) for i in range(len(names))], 1.2)
+
+
+def _lines(entity: str, names: Sequence[str], colours: Sequence[Colour], width: float) -> Chunk:
+    look = rr.SeriesLines.columns(names=list(names), colors=list(colours), widths=[width] * len(names))
+    return static(entity, look.partition([len(names)]))
+
+
+def _tensions(subject: Subject) -> Iterator[Chunk]:
+    """Estimates with their band in the colours of the digits, commands faint, limits red."""
+    names = subject.hand.tendon_names
+    places = subject.hand.digit_tendons.values()
+    colours = [shade for i, place in enumerate(places) for shade in palette.shades(i, place.stop - place.start)]
+    look = rr.Measurements.columns(
+        names=list(names),
+        colors=colours,
+        widths=[ESTIMATE_WIDTH] * len(names),
+        units=["N"] * len(names),
+    )
+    yield static("/tension/estimate", look.partition([len(names)]))
+    yield _lines(
+        "/tension/command", ["command"] * len(names), [palette.faint(colour) for colour in colours], COMMAND_WIDTH
+    )
+    limits = [f"limit {limit:g} N" for limit in subject.limits]
+    yield _lines("/tension/limit", limits, [palette.LIMIT] * len(limits), LIMIT_WIDTH)
+
+
+def _angles(subject: Subject) -> Iterator[Chunk]:
+    for index, digit in enumerate(subject.hand.digit):
+        names = [name.removeprefix(f"{digit.name}_") for name in digit.joints]
+        colours = palette.shades(index, len(names))
+        yield _lines(f"/angle/{digit.name}/estimate", names, colours, ESTIMATE_WIDTH)
+        wanted = [f"{name} command" for name in names]
+        yield _lines(f"/angle/{digit.name}/command", wanted, [palette.PLAIN] * len(names), COMMAND_WIDTH)
+
+
+def _forces(subject: Subject) -> Iterator[Chunk]:
+    """Each arrow starts at its fingertip."""
+    for index, digit in enumerate(subject.hand.digit_names):
+        colour = palette.digit(index).mixed(palette.WHITE, 0.3)
+        yield static(f"/force/{digit}", rr.CoordinateFrame.columns(frame=[f"{digit}_tip"]))
+        yield static(f"/force/{digit}", rr.Arrows3D.columns(colors=[colour]))
+
+
+def _states() -> Iterator[Chunk]:
+    for lane, colours in (("phase", palette.STATES), ("mode", palette.STATES), ("safety", palette.ACTIONS)):
+        names = list(colours)
+        look = rr.StateConfiguration.columns(values=names, labels=names, colors=list(colours.values()))
+        yield static(f"/state/{lane}", look.partition([len(names)]))

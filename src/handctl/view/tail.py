@@ -1,0 +1,52 @@
+"""The new chunks of a log that is still being written, as small logs of their own."""
+
+from pathlib import Path
+
+from handctl.log.logfile import LogFile
+from handctl.log.scan import Scan, scan
+
+
+class Tail:
+    """Reads a growing log from its start to its end.
+
+    Args:
+        path: the log.
+
+    Attributes:
+        ended: the log has its end mark: nothing more will come.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._taken = path, 0
+        self.ended = False
+
+    def take(self, part: Path) -> int | None:
+        """Write the chunks that are new since the last call into a log without an end.
+
+        Args:
+            part: file to write, with all definitions of topics.
+
+        Returns:
+            The first log time that is new [ns]; None if there is nothing new and nothing was written.
+
+        Raises:
+            LogError: the log is damaged.
+        """
+        file, found = LogFile(self._path), Scan()
+        try:
+            scan(file, found)
+            self.ended = found.complete
+            # Rerun loses messages of a chunk whose index is not complete, so a chunk waits for what follows it.
+            ends = [*(place.offset for place in found.chunks[1:]), *([found.end] if found.complete else [])]
+            new = found.chunks[self._taken : len(ends)]
+            if not new:
+                return None
+            with part.open("wb") as out:
+                if self._taken:
+                    out.write(file.read(0, ends[0]))
+                start = new[0].offset if self._taken else 0
+                out.write(file.read(start, ends[-1] - start))
+        finally:
+            file.close()
+        self._taken = len(ends)
+        return min(place.first for place in new)

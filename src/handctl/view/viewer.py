@@ -1,0 +1,157 @@
+"""The Rerun viewer as a process of its own: found in the installed package, bound to this machine only."""
+
+import ctypes
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from handctl.errors import ConfigError, HandctlError
+from handctl.runtime.places import run_dir
+
+LOOPBACK = "127.0.0.1"
+ICD_FOLDERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
+SOFTWARE_ICD = "lvp_icd*.json"
+"""Mesa's lavapipe: Vulkan on the processor, so that a picture does not depend on a graphics card."""
+PACKAGES = "libvulkan1 mesa-vulkan-drivers"
+START_S, END_S = 30.0, 5.0
+_LISTENS = re.compile(rb"rerun\+http://[0-9.]+:\d+/proxy")
+
+
+def binary() -> Path:
+    """The viewer that comes with rerun-sdk.
+
+    Raises:
+        ConfigError: it is not there.
+    """
+    import rerun_cli  # type: ignore[import-untyped]
+
+    folder = Path(rerun_cli.__file__).parent
+    for name in ("rerun", "rerun.exe", "Rerun.app/Contents/MacOS/Rerun"):
+        if (folder / name).is_file():
+            return folder / name
+    raise ConfigError("no viewer in the installed rerun-sdk", str(folder), "a complete rerun-sdk package")
+
+
+def software_vulkan() -> dict[str, str]:
+    """Environment in which the viewer can draw without a screen; empty where that needs nothing.
+
+    Raises:
+        ConfigError: there is no Vulkan driver.
+    """
+    if not sys.platform.startswith("linux"):
+        return {}
+    found = _drivers(SOFTWARE_ICD) or _drivers("*.json")
+    given = any(os.environ.get(name) for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"))
+    if not _loader() or not (found or given):
+        raise ConfigError("no Vulkan driver to draw with", "", f"the Debian packages {PACKAGES}")
+    return {} if given else {"VK_ICD_FILENAMES": str(found[0])}
+
+
+def _drivers(pattern: str) -> list[Path]:
+    return [path for folder in ICD_FOLDERS for path in sorted(Path(folder).glob(pattern))]
+
+
+def _loader() -> bool:
+    try:
+        ctypes.CDLL("libvulkan.so.1")
+    except OSError:
+        return False
+    return True
+
+
+def check_screen() -> None:
+    """Refuse to open a window where there is none.
+
+    Raises:
+        ConfigError: this session has no screen.
+    """
+    if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ConfigError("no screen in this session", "DISPLAY", "a desktop; or use --png or --save")
+
+
+@dataclass(frozen=True, slots=True)
+class Viewer:
+    """A running viewer.
+
+    Attributes:
+        process: of the viewer.
+        url: where it listens.
+    """
+
+    process: "subprocess.Popen[bytes]"
+    url: str
+
+    def end(self) -> None:
+        """Close it."""
+        self.process.terminate()
+        try:
+            self.process.wait(END_S)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+
+@contextmanager
+def viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Viewer]:
+    """As ``start_viewer``; it ends with the context."""
+    running = start_viewer(arguments, environment)
+    try:
+        yield running
+    finally:
+        running.end()
+
+
+def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewer:
+    """Start a viewer that listens on a free port of this machine and reports to nobody.
+
+    Args:
+        arguments: more arguments of the viewer.
+        environment: in addition to that of this process.
+
+    Raises:
+        HandctlError: it does not start.
+    """
+    exe, settings = str(binary()), run_dir() / "viewer"
+    settings.mkdir(mode=0o700, parents=True, exist_ok=True)
+    # The viewer knows no switch for its analytics other than a file in its configuration.
+    environ = os.environ | {"XDG_CONFIG_HOME": str(settings), "NO_COLOR": "1", "RUST_LOG": "info"} | environment
+    subprocess.run([exe, "analytics", "disable"], env=environ, check=False, capture_output=True)
+    with tempfile.TemporaryFile() as notes:
+        command = [exe, "--bind", LOOPBACK, "--port", "auto", *arguments]
+        process = subprocess.Popen(
+            command, env=environ, stdin=subprocess.DEVNULL, stdout=notes, stderr=notes, start_new_session=True
+        )
+        url = ""
+        try:
+            url = _url(process, notes)
+        finally:
+            if not url:
+                process.kill()
+                process.wait()
+        return Viewer(process, url)
+
+
+def _url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
+    """Wait until the viewer says where it listens."""
+    left = START_S
+    while left > 0:
+        try:
+            process.wait(0.05)
+        except subprocess.TimeoutExpired:
+            left -= 0.05
+        notes.seek(0)
+        text = notes.read()
+        listens = _LISTENS.search(text)
+        if listens:
+            return listens.group().decode()
+        if process.returncode is not None:
+            last = text.decode(errors="replace").strip().splitlines()[-1:] or ["it said nothing"]
+            raise HandctlError(f"the viewer ended with code {process.returncode}: {last[0]}", "rerun", "")
+    raise HandctlError(f"the viewer does not listen after {START_S:g} s", "rerun", "")

@@ -1,0 +1,179 @@
+"""Short runs in lockstep, and the golden logs: ``python tests/replay/runs.py logs/golden`` writes them anew."""
+
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.session import Plan, run_header
+from handctl.controller.gains import Gains
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.program import Program
+from handctl.controller.setup import make_controller
+from handctl.controller.state import State
+from handctl.controller.task import load_task
+from handctl.controller.types import IoEvent, TickIn, TickOut
+from handctl.drives.frame import Frame
+from handctl.hand.description import hand_path, load_hand
+from handctl.log.record import pack
+from handctl.log.recorder import Recorder
+from handctl.runtime.lockstep import LockstepBus, LockstepClock, Peer, load_peer
+from handctl.runtime.loop import Loop
+
+TASK = """schema = 1
+name = "short grasp"
+description = "Close, hold, let go, as fast as it goes"
+[[phase]]
+kind = "move"
+name = "preshape"
+angle_deg = { index = 18.0, middle = 18.0, ring = 18.0, thumb = 3.0 }
+duration_s = 0.4
+[[phase]]
+kind = "close"
+angle_deg = 85.0
+speed_deg_s = 80.0
+contact_tension_N = 14.0
+[[phase]]
+kind = "hold"
+tension_N = 24.0
+rate_N_per_s = 80.0
+duration_s = 0.8
+[[phase]]
+kind = "release"
+tension_N = 9.0
+rate_N_per_s = 120.0
+"""
+
+SCENE = """name = "cylinder"
+[object]
+shape = "cylinder"
+diameter_m = 0.035
+length_m = 0.093
+mass_kg = 0.15
+friction = {friction}
+position_m = [0.0195, 0.0, 0.0]
+[support]
+drop_when = "grasped"
+drop_hold_s = 0.1
+sink_speed_m_s = 0.2
+"""
+
+
+@dataclass
+class DeafTo:
+    """A peer whose answers with one identifier are lost from some time on.
+
+    Attributes:
+        peer: the whole one.
+        can_id: that is lost.
+        since_ns: from when on.
+    """
+
+    peer: Peer
+    can_id: int
+    since_ns: int
+
+    def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
+        """As the peer, but for what is lost."""
+        replies = self.peer.step(t_ns, frames)
+        return [reply for reply in replies if t_ns < self.since_ns or Frame(*reply).can_id != self.can_id]
+
+    def close(self) -> None:
+        """Close the peer."""
+        self.peer.close()
+
+
+def short_task(folder: Path) -> TaskProgram:
+    """The grasp of these runs."""
+    path = folder / "task.toml"
+    path.write_text(TASK)
+    return TaskProgram(load_task(path))
+
+
+def run(
+    log: Path,
+    program: Program,
+    *,
+    hand: str = "jamia",
+    rate_hz: float = 250.0,
+    friction: float = 0.5,
+    seed: int = 0,
+    spoil: Callable[[Peer], Peer] = lambda peer: peer,
+    told: dict[int, tuple[IoEvent, ...]] | None = None,
+    asked: dict[int, tuple[str, ...]] | None = None,
+    truth: Path | None = None,
+) -> State:
+    """Run a program on a homed hand that meets a cylinder.
+
+    Args:
+        log: file to write; it names no machine and no date.
+        program: what to do.
+        hand, rate_hz, seed: of the run.
+        friction: of the cylinder.
+        spoil: puts something between controller and simulator.
+        told, asked: io events and requests by tick.
+        truth: file for what really happened.
+    """
+    known = load_hand(hand)
+    plan = Plan(known, Gains(), rate_hz, ())
+    with tempfile.TemporaryDirectory() as folder:
+        scene = Path(folder) / "scene.toml"
+        scene.write_text(SCENE.format(friction=friction))
+        options: dict[str, object] = {
+            "hand_path": str(hand_path(hand)),
+            "scene": str(scene),
+            "seed": seed,
+            "homed": True,
+        }
+        options["truth_path"] = str(truth) if truth else None
+        peer = load_peer("firmware_sim.rig:Rig", **options, period_ns=plan.period_ns)
+    clock = LockstepClock(spoil(peer), plan.period_ns)
+    controller = make_controller(known, plan.gains, rate_hz, program, None, arm_at_once=True)
+    header = run_header(plan, controller, None, lockstep=True)
+    kept = {name: data for name, data in header.attachments.items() if name != "pip-freeze.txt"}
+    recorder = Recorder.start(log, replace(header, wall={}, attachments=kept))
+
+    def record(entry: TickIn, out: TickOut) -> None:
+        recorder.record(pack(entry, out))
+
+    loop = Loop(
+        clock,
+        plan.period_ns,
+        [LockstepBus(clock)],
+        controller.tick,
+        controller.cut_frames(),
+        lambda: (asked or {}).get(clock.k, ()),
+        lambda: [*recorder.events(), *(told or {}).get(clock.k, ())],
+        record,
+        lambda entry, out: None,
+    )
+    try:
+        return loop.run(controller.initial())
+    finally:
+        recorder.close("done")
+        peer.close()
+
+
+def deaf_index(peer: Peer) -> Peer:
+    """The index motor falls silent after 2.2 s, while it holds."""
+    return DeafTo(peer, 0x11, 2_200_000_000)
+
+
+def golden(folder: Path) -> None:
+    """Write the golden logs anew."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as scratch:
+        task = short_task(Path(scratch))
+    for old in folder.glob("*.mcap"):
+        old.unlink()
+    run(folder / "jamia-grasp.mcap", task, rate_hz=200.0)
+    run(folder / "jamia-lost.mcap", task, rate_hz=200.0, friction=0.02)
+    events = {400: (IoEvent("dropped", "main", 3),)}
+    run(folder / "jamia-fault.mcap", task, rate_hz=200.0, spoil=deaf_index, told=events)
+    run(folder / "jamia11-grasp.mcap", task, hand="jamia11", rate_hz=200.0)
+
+
+if __name__ == "__main__":
+    golden(Path(sys.argv[1]))

@@ -1,0 +1,68 @@
+"""Two runs side by side, and whether a log is sound."""
+
+from pathlib import Path
+from unittest.mock import PropertyMock, patch
+
+import numpy as np
+import pytest
+
+from handctl.errors import IncomparableError
+from handctl.log.reader import RunLog
+from handctl.replay.check import check
+from handctl.replay.diff import diff
+
+
+def test_a_run_does_not_differ_from_itself(golden: Path) -> None:
+    with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-grasp.mcap") as b:
+        found = diff(a, b, "b")
+    assert (found["gains"], found["only_in_first"], found["only_in_second"]) == ({}, [], [])
+    for phase in found["phases"].values():
+        rows = [row for signal in ("joint_deg", "tendon_N") for row in phase.get(signal, {}).values()]
+        assert all(row["rms"] == row["peak"] == 0.0 for row in rows)
+    assert "joint_deg" in found["phases"]["hold"]
+
+
+def test_a_lost_object_shows_in_the_hold(golden: Path) -> None:
+    with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-lost.mcap") as b:
+        found = diff(a, b, "b")
+    assert found["phases"]["preshape"]["joint_deg"]["index_j1"]["peak"] < 1.0
+    assert found["phases"]["hold"]["joint_deg"]["index_j1"]["peak"] > 2.0
+
+
+def test_phases_of_one_run_only_are_named(golden: Path) -> None:
+    with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-fault.mcap") as b:
+        found = diff(a, b, "b")
+    assert found["only_in_first"] == ["release", "end"]
+
+
+def test_another_hand_s_log_is_refused(golden: Path) -> None:
+    with (
+        RunLog(golden / "jamia-grasp.mcap") as a,
+        RunLog(golden / "jamia11-grasp.mcap") as b,
+        pytest.raises(IncomparableError, match="jamia11"),
+    ):
+        diff(a, b, "b")
+
+
+@pytest.mark.parametrize("name", ["jamia-grasp", "jamia-fault", "jamia11-grasp"])
+def test_golden_logs_are_sound(golden: Path, name: str) -> None:
+    with RunLog(golden / f"{name}.mcap") as log:
+        assert check(log) == []
+
+
+def test_a_wrong_clock_and_a_gap_are_found(golden: Path) -> None:
+    with RunLog(golden / "jamia-grasp.mcap") as log:
+        bent = log.t_ns.copy()
+        bent[10] += 1
+        with patch.object(RunLog, "t_ns", PropertyMock(return_value=bent)):
+            assert check(log) == ["the time of tick 10 is not its number times the period"]
+        jump = np.where(np.arange(len(log)) >= 20, log.k + 3, log.k)
+        with patch.object(RunLog, "k", PropertyMock(return_value=jump)):
+            assert "gap: 3 ticks are missing between 19 and 23" in check(log)
+
+
+def test_a_wrong_identity_is_found(golden: Path) -> None:
+    with RunLog(golden / "jamia-grasp.mcap") as log:
+        log.header.metadata["identity"] = "0" * 64
+        (line,) = check(log)
+    assert line.startswith("hand.toml has identity")

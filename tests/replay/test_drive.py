@@ -1,0 +1,96 @@
+"""A recorded grasp on the (simulated) hand again."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import runs
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handctl.controller.playback import Recording
+from handctl.errors import IncomparableError
+from handctl.hand.description import load_hand
+from handctl.log.reader import RunLog
+from handctl.replay.compare import check_same_hand, compare, delay, resampled
+from handctl.replay.drive import difference, playback, recording, stretch
+from handctl.replay.execute import execute
+
+
+@pytest.fixture(scope="module")
+def again(golden: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The golden grasp, driven again at another rate and with other noise."""
+    path = tmp_path_factory.mktemp("drive") / "again.mcap"
+    with RunLog(golden / "jamia-grasp.mcap") as before:
+        state = runs.run(path, playback(before, 1 / 250, raw=False), rate_hz=250.0, seed=5)
+    assert state.failure == ""
+    return path
+
+
+def test_a_grasp_repeats_within_a_degree_and_five_percent_of_force(golden: Path, again: Path) -> None:
+    with RunLog(golden / "jamia-grasp.mcap") as before, RunLog(again) as after:
+        found = difference(before, after)
+        begin, _ = stretch(before)
+        held = [change.t_ns * 1e-9 for change in before.phases if change.name in ("hold", "release")]
+        times = np.arange(held[0] + 0.4, held[1], 0.005) - begin
+        start = next(change.t_ns * 1e-9 for change in after.phases if change.name == "playback")
+        old, new = (
+            resampled(*run, times).mean(axis=0) for run in ((before, "tension", begin), (after, "tension", start))
+        )
+    assert all(row["rms"] < 1.0 for row in found["joint_deg"].values())
+    assert all(abs(row["delay_s"]) < 0.02 for row in found["joint_deg"].values())
+    np.testing.assert_allclose(new, old, rtol=0.05)
+
+
+def test_the_driven_run_can_be_executed_again(again: Path) -> None:
+    with RunLog(again) as log:
+        names = [change.name for change in log.phases]
+        assert names.index("approach") < names.index("playback")
+        assert execute(log).differing == 0
+
+
+def test_it_moves_slowly_to_the_first_pose(again: Path) -> None:
+    with RunLog(again) as log:
+        starts = {change.name: change.k for change in log.phases}
+        way = (log.k >= starts["approach"]) & (log.k < starts["playback"])
+        assert np.nanmax(np.abs(log.field("dq_goal")[way])) < np.radians(30.0)
+        assert way.sum() == 500
+
+
+def test_a_digit_that_held_follows_tension_and_not_angles(golden: Path) -> None:
+    with RunLog(golden / "jamia-grasp.mcap") as log:
+        found = recording(log, log.header.period_ns * 1e-9)
+        begin, end = stretch(log)
+        inside = (log.times >= begin) & (log.times <= end)
+        np.testing.assert_allclose(found.q, log.field("q_goal")[inside], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.tension, log.field("tension_goal")[inside], rtol=0, atol=1e-9)
+    assert np.isnan(found.q).any()
+    assert not np.isnan(found.tension).any()
+    assert (np.isnan(found.q) == np.isnan(found.ddq)).all()
+    again = Recording.read(found.text(), 11, 4)
+    assert all(
+        one.tobytes() == two.tobytes()
+        for one, two in zip((found.q, found.ddq, found.tension), (again.q, again.ddq, again.tension), strict=True)
+    )
+
+
+def test_another_hand_is_refused_with_both_identities(golden: Path) -> None:
+    other = load_hand("jamia11")
+    with RunLog(golden / "jamia-grasp.mcap") as log, pytest.raises(IncomparableError) as caught:
+        check_same_hand(log, other.name, other.identity, "--hand jamia11")
+    assert other.identity[:12] in str(caught.value)
+    assert load_hand("jamia").identity[:12] in str(caught.value)
+
+
+@given(st.integers(-15, 15), st.floats(0.5, 3.0))
+def test_a_delay_is_found(ticks: int, hertz: float) -> None:
+    t = np.arange(400) * 0.005
+    before, after = (np.sin(2 * np.pi * hertz * (t - late)) for late in (0.0, ticks * 0.005))
+    assert delay(before, after, 0.005) == pytest.approx(ticks * 0.005, abs=2e-4)
+
+
+def test_what_stands_still_has_no_delay() -> None:
+    still = np.full(400, 30.0) + 0.01 * np.sin(np.arange(400))
+    row = compare(("a",), still[:, None], still[:, None] + 2.0, 0.005)["a"]
+    assert (row["rms"], row["peak"]) == pytest.approx((2.0, 2.0))
+    assert np.isnan(row["delay_s"])

@@ -1,0 +1,179 @@
+"""Re-execution: equal to the last bit where nothing changed, and the first tick that matters where something did."""
+
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handctl.controller.calibration import Calibration, TendonCalibration
+from handctl.controller.commission import CommissionProgram
+from handctl.controller.gains import Gains
+from handctl.controller.live import JogProgram, LiveProgram
+from handctl.controller.program import Program
+from handctl.controller.requests import HoldTension, MoveDigits
+from handctl.controller.setup import Setup, make_controller
+from handctl.controller.types import TickIn, TickOut
+from handctl.errors import LogError
+from handctl.hand.description import load_hand
+from handctl.log.reader import RunLog
+from handctl.replay import rebuild as rebuilding
+from handctl.replay.counterfactual import Commands, draw, summary
+from handctl.replay.difference import Columns, differences, same, ulps
+from handctl.replay.execute import acceptable, distance, execute
+from handctl.replay.rebuild import logged_gains, rebuild
+
+GOLDEN = ("jamia-grasp", "jamia-lost", "jamia-fault", "jamia11-grasp")
+
+
+def test_a_fresh_run_with_faults_and_requests_repeats_to_the_last_bit(fresh: Path) -> None:
+    with RunLog(fresh) as log:
+        texts = " ".join(event.event.text for event in log.events)
+        assert "asked: stop" in texts
+        assert "B02 a motor has gone silent" in texts
+        found = execute(log)
+        assert found.ticks == len(log) > 300
+    assert (found.differing, found.undecided, found.first, found.largest) == (0, 0, None, None)
+    assert acceptable(found, 0.0)
+    assert found.times_real_time > 0
+
+
+@pytest.mark.parametrize("name", GOLDEN)
+def test_golden_logs_decide_the_same_within_1e_9(golden: Path, name: str) -> None:
+    """They were made elsewhere: another processor may round the last bits otherwise."""
+    with RunLog(golden / f"{name}.mcap") as log:
+        assert not log.warning
+        found = execute(log)
+        assert found.ticks == len(log) > 300
+    assert found.undecided == 0, found.first
+    assert acceptable(found, 1e-9), found.largest
+
+
+def test_one_bit_of_a_gain_is_found_at_the_first_tick_it_matters(fresh: Path) -> None:
+    """The integral of the tension loop matters from the first tick of the take-up on, not before."""
+    with RunLog(fresh) as log:
+        gains = logged_gains(log)
+        one_bit = math.nextafter(gains.tension.integral_per_s, math.inf)
+        other = gains.model_copy(update={"tension": gains.tension.model_copy(update={"integral_per_s": one_bit})})
+        found = execute(log, other)
+        starts = {change.name: change.k for change in log.phases}
+    assert found.first is not None
+    assert starts["tighten"] <= found.first.k < starts["preshape"]
+    assert found.largest is not None
+    assert 0 < distance(found.largest) < 1e-9
+
+
+def test_a_changed_byte_of_the_log_is_named(fresh: Path) -> None:
+    with RunLog(fresh) as log:
+        controller, columns = rebuild(log), Columns.of(log.header)
+        logged, numbers = next(zip(log.ticks(), log.packed(), strict=True))
+        _, out = controller.tick(controller.initial(), logged.tick_in)
+        assert same(logged, numbers, out)
+        assert list(differences(columns, logged, numbers, out)) == []
+        bent = np.frombuffer(numbers, "<f8").copy()
+        place = columns.field.index("tension")
+        bent[place] = np.nextafter(bent[place], np.inf)
+        (one,) = differences(columns, logged, bent.tobytes(), out)
+        assert (one.k, one.field, one.name, one.ulps) == (0, "tension", log.header.tendons[0], 1)
+        (one,) = differences(columns, logged._replace(phase="else"), numbers, out)
+        assert (one.field, one.logged, one.computed) == ("phase", "else", out.phase)
+        hashed = logged._replace(state_hash=bytes(8))
+        assert [one.field for one in differences(columns, hashed, numbers, out)] == ["state_hash"]
+
+
+@given(st.floats(allow_nan=False, allow_infinity=False, width=64))
+def test_ulps_count_neighbours(value: float) -> None:
+    above = math.nextafter(value, math.inf)
+    assert ulps(value, value) == 0
+    assert ulps(value, above) == ulps(above, value) == 1
+    assert ulps(value, math.nextafter(above, math.inf)) == 2
+
+
+def test_ulps_of_zeros() -> None:
+    assert ulps(0.0, -0.0) == 0
+    assert ulps(5e-324, -5e-324) == 2
+
+
+def calibration(hand_name: str) -> Calibration:
+    hand = load_hand(hand_name)
+    rows = {
+        name: TendonCalibration(tare_N=0.1 * i, zero_rad=-0.3 * i, answer_N=3.0, crosstalk_N=0.0)
+        for i, name in enumerate(hand.tendon_names)
+    }
+    return Calibration(hand=hand.name, identity=hand.identity, made="2026-01-01T00:00:00Z", tendon=rows)
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        LiveProgram(),
+        CommissionProgram(),
+        JogProgram(MoveDigits(do="move", angle_deg={"index": 0.1}, duration_s=1 / 3), 0.7),
+        JogProgram(HoldTension(do="hold", tension_N={"thumb": 7.7}), 1.1),
+    ],
+    ids=["live", "commission", "jog angle", "jog tension"],
+)
+def test_every_program_comes_back_from_its_setup(program: Program) -> None:
+    hand, gains, rate = load_hand("jamia"), Gains(), 333.3
+    first = make_controller(hand, gains, rate, program, calibration("jamia"), arm_at_once=False)
+    text = Setup.of(first, rate).model_dump_json(by_alias=True)
+    again = Setup.model_validate_json(text).controller(hand, gains)
+    assert again.program == program
+    assert again.arm_at_once is False
+    assert again.model.period == first.model.period
+    assert again.tare.tobytes() == first.tare.tobytes()
+    assert again.zero.tobytes() == first.zero.tobytes()
+    assert again.initial().digest() == first.initial().digest()
+
+
+def test_a_log_without_a_setup_is_refused_in_one_line(fresh: Path) -> None:
+    with RunLog(fresh) as log:
+        kept = {name: data for name, data in log.header.attachments.items() if name != "setup.json"}
+        log.header = replace(log.header, attachments=kept)
+        with pytest.raises(LogError, match=r"no setup\.json"):
+            execute(log)
+        log.header = replace(log.header, attachments=kept | {"setup.json": b'{"rate_hz": "\x1b[31m"}'})
+        with pytest.raises(LogError, match=r"setup\.json cannot be read") as caught:
+            rebuilding.rebuild(log)
+    assert "\x1b" not in str(caught.value)
+
+
+def test_other_gains_command_something_else_and_draw_it(fresh: Path, tmp_path: Path) -> None:
+    with RunLog(fresh) as log:
+        gains = logged_gains(log)
+        stiff = gains.model_copy(update={"motion": gains.motion.model_copy(update={"position_error_m": 3e-4})})
+        commands = Commands()
+        execute(log, stiff, commands.add)
+        change = summary(log, commands)
+        assert commands.torque.shape == log.field("motor_torque_goal").shape
+        draw(tmp_path / "change.png", log, commands, "a run with other gains")
+    assert all(size["peak"] > 0.01 for size in change["motor_torque_N_m"].values())
+    assert (tmp_path / "change.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_watcher_sees_every_tick(fresh: Path) -> None:
+    seen: list[tuple[int, bytes]] = []
+
+    def watch(entry: TickIn, out: TickOut) -> None:
+        seen.append((entry.k, out.state_hash))
+
+    with RunLog(fresh) as log:
+        execute(log, watch=watch)
+        assert seen == [(tick.tick_in.k, tick.state_hash) for tick in log.ticks()]
+
+
+def test_no_bus_exists_in_the_process(fresh: Path) -> None:
+    code = (
+        "import sys; from handctl.cli.main import main; code = main(sys.argv[1:]);"
+        "bad = [n for n in sys.modules if n == 'can' or n.startswith(('can.', 'firmware_sim'))"
+        " or n.split('.')[:2] == ['handctl', 'runtime']];"
+        "print(bad, file=sys.stderr); sys.exit(code or 9 * bool(bad))"
+    )
+    done = subprocess.run([sys.executable, "-c", code, "replay", "execute", str(fresh)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "0 differ" in done.stdout

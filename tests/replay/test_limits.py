@@ -1,0 +1,47 @@
+"""Other limits on a recorded run."""
+
+from pathlib import Path
+
+import pytest
+
+from handctl.errors import ConfigError
+from handctl.log.reader import RunLog
+from handctl.replay.limits import judge_again
+
+
+def limits(folder: Path, text: str) -> Path:
+    path = folder / "limits.toml"
+    path.write_text("schema = 1\n" + text)
+    return path
+
+
+def test_the_run_s_own_limits_find_what_the_run_found(golden: Path, tmp_path: Path) -> None:
+    with RunLog(golden / "jamia-fault.mcap") as log:
+        found = judge_again(log, limits(tmp_path, ""))
+        assert found.ticks == len(log)
+    assert found.stopped == found.stopped_logged > 0
+    assert [(stop.fault, stop.instance, stop.logged) for stop in found.stops] == [("B02", "index_motor", True)]
+
+
+def test_a_lower_trip_stops_at_the_first_sample_above_it(golden: Path, tmp_path: Path) -> None:
+    with RunLog(golden / "jamia-grasp.mcap") as log:
+        found = judge_again(log, limits(tmp_path, "tension_trip_N = { thumb_tendon = 20 }"))
+        raw = log.field("tension_raw")[:, log.header.tendons.index("thumb_tendon")]
+        first = int(log.k[raw > 20.0][0])
+        after = int((log.k >= first).sum())
+    assert found.stops[0][:1] == (first,)
+    assert {(stop.fault, stop.instance, stop.logged) for stop in found.stops} == {("T03", "thumb_tendon", False)}
+    assert found.stops[0].value > 20.0
+    assert (found.stopped, found.stopped_logged) == (after, 0), "it is latched until a person clears it"
+
+
+def test_wider_limits_would_not_have_stopped(golden: Path, tmp_path: Path) -> None:
+    with RunLog(golden / "jamia-fault.mcap") as log:
+        found = judge_again(log, limits(tmp_path, "silent_ms = 10000"))
+    assert found.stops == ()
+    assert found.stopped == 0 < found.stopped_logged
+
+
+def test_an_unknown_tendon_is_refused(golden: Path, tmp_path: Path) -> None:
+    with RunLog(golden / "jamia-fault.mcap") as log, pytest.raises(ConfigError, match="pinky"):
+        judge_again(log, limits(tmp_path, "tension_trip_N = { pinky = 20 }"))

@@ -1,0 +1,75 @@
+"""Runs and truths made up for the report: numbers that can be checked by hand."""
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+
+from handctl.controller.types import TELEMETRY_AXES, Mode
+from handctl.hand.description import Hand, load_hand
+from handctl.log.reader import PhaseChange
+from handctl.report.truth import Truth
+
+PERIOD_NS = 10_000_000
+
+
+class MadeUpLog:
+    """What the report asks of a ``RunLog``, with all telemetry NaN until the test says otherwise."""
+
+    def __init__(self, hand: Hand, ticks: int, phases: dict[int, str]) -> None:
+        sizes = {
+            "joint": len(hand.joints),
+            "tendon": len(hand.tendon),
+            "motor": len(hand.motor),
+            "digit": len(hand.digit),
+        }
+        self.header = SimpleNamespace(period_ns=PERIOD_NS, tendons=hand.tendon_names)
+        self.k = np.arange(ticks)
+        self.late_ns = np.zeros(ticks, np.int64)
+        self.mode = np.full(ticks, int(Mode.ACTIVE), np.uint8)
+        self.fields = {name: np.full((ticks, sizes[axis]), np.nan) for name, axis in TELEMETRY_AXES.items()}
+        self.fields["contact"][:] = 0.0
+        self.phases = [PhaseChange(k, k * PERIOD_NS, name) for k, name in phases.items()]
+        self.events: list[object] = []
+
+    def __len__(self) -> int:
+        return len(self.k)
+
+    @property
+    def t_ns(self) -> np.ndarray:
+        return self.k * PERIOD_NS
+
+    @property
+    def times(self) -> np.ndarray:
+        return self.t_ns * 1e-9
+
+    def field(self, name: str) -> np.ndarray:
+        return self.fields[name]
+
+
+def truth_of(hand: Hand, ticks: int, offset_ns: int = 0) -> Truth:
+    """A truth of nothing but zeros, a row a tick, a little longer than the run on both sides."""
+    columns = [f"tension/{name}" for name in hand.tendon_names]
+    columns += [f"q/{name}" for name in hand.joints]
+    columns += [f"contact_force/{name}/{axis}" for name in hand.digit_names for axis in "xyz"]
+    columns += ["object/x", "object/y", "object/z"]
+    t_ns = offset_ns + np.arange(-2, ticks + 2) * PERIOD_NS
+    return Truth({}, t_ns, np.zeros((len(t_ns), len(columns))), tuple(columns))
+
+
+def set_column(truth: Truth, name: str, values: np.ndarray | float) -> None:
+    """Set a column over the ticks of the run; its ends go on as they are."""
+    column = truth.values[:, truth.columns.index(name)]
+    column[2:-2] = values
+    column[:2], column[-2:] = column[2], column[-3]
+
+
+def write_truth(path: Path, truth: Truth) -> None:
+    """Write a truth file as a simulator does."""
+    rows = np.zeros(len(truth.t_ns), [("t_ns", "<i8"), ("v", "<f8", (len(truth.columns),))])
+    rows["t_ns"], rows["v"] = truth.t_ns, truth.values
+    path.write_bytes(json.dumps({"columns": list(truth.columns)}).encode() + b"\n" + rows.tobytes())
+
+
+JAMIA = load_hand("jamia")

@@ -1,0 +1,45 @@
+"""The picture of a run is drawn from whatever a run has left."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.controller.types import Mode
+from handctl.hand.description import load_hand
+from handctl.report.figure import draw_run
+from handctl.report.truth import Truth
+from tests.report.made_up import MadeUpLog, truth_of
+
+
+def run_of(name: str, lively: bool) -> MadeUpLog:
+    log = MadeUpLog(load_hand(name), 120, {0: "silent", 40: "hold", 80: "done"})
+    if lively:
+        rng = np.random.default_rng(2)
+        for field in log.fields.values():
+            field[:] = rng.normal(size=field.shape)
+        log.fields["tension"][::7] = np.nan
+    else:
+        log.mode[:] = int(Mode.SILENT)
+    return log
+
+
+@pytest.mark.parametrize("name", ["jamia", "jamia11"])
+@pytest.mark.parametrize("with_truth", [True, False])
+@pytest.mark.parametrize("lively", [True, False])
+def test_a_png_is_written(name: str, with_truth: bool, lively: bool, tmp_path: Path) -> None:
+    truth: Truth | None = truth_of(load_hand(name), 120) if with_truth else None
+    path = tmp_path / "run.png"
+    draw_run(path, run_of(name, lively), load_hand(name), truth, 0, "a title")  # type: ignore[arg-type]
+    content = path.read_bytes()
+    assert content.startswith(b"\x89PNG")
+    width, height = (int.from_bytes(content[at : at + 4], "big") for at in (16, 20))
+    assert width > 800
+    assert height > 600
+
+
+def test_what_is_drawn_depends_on_the_run(tmp_path: Path) -> None:
+    paths = [tmp_path / f"{i}.png" for i in range(2)]
+    for path, lively in zip(paths, (True, False), strict=True):
+        draw_run(path, run_of("jamia", lively), load_hand("jamia"), None, 0, "t")  # type: ignore[arg-type]
+    assert paths[0].read_bytes() != paths[1].read_bytes()

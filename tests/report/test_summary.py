@@ -1,0 +1,187 @@
+"""The numbers of a run against numbers worked out by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from handctl.controller.types import Mode
+from handctl.report.summary import hold_windows, mean_angles, measured_load, rms, summarise
+from tests.report.made_up import JAMIA, PERIOD_NS, MadeUpLog, set_column, truth_of
+
+
+def quiet() -> MadeUpLog:
+    """Two seconds in which nothing happens."""
+    log = MadeUpLog(JAMIA, 200, {0: "home"})
+    for name in ("tension", "tension_raw", "tip_force"):
+        log.fields[name][:] = 0.0
+    return log
+
+
+def holding(ramp: int = 20) -> MadeUpLog:
+    """Four seconds: home, then a hold whose goal rises for some ticks, index and thumb in contact."""
+    log = MadeUpLog(JAMIA, 400, {0: "home", 100: "hold", 300: "release"})
+    for name in ("tension", "tension_raw", "tip_force"):
+        log.fields[name][:] = 0.0
+    log.fields["contact"][100:, [0, 3]] = 1.0
+    goal = log.fields["tension_goal"]
+    goal[:100] = 5.0
+    goal[100:300] = np.minimum(5.0 + np.arange(1, 201)[:, None], 5.0 + ramp)
+    goal[300:] = 8.0
+    return log
+
+
+def test_ticks_misses_and_lateness() -> None:
+    log = quiet()
+    log.k = np.concatenate((np.arange(100), np.arange(103, 203)))
+    log.late_ns = np.arange(200) * 1000
+    result = summarise(log, JAMIA, None, 0)
+    assert (result["hand"], result["ticks"], result["missed"], result["rate_hz"]) == ("jamia", 200, 3, 100.0)
+    assert result["late_us"] == pytest.approx({"p50": 99.5, "p99_9": 198.801, "max": 199.0})
+
+
+def test_without_truth_what_needs_it_is_nan() -> None:
+    result = summarise(holding(), JAMIA, None, 0)
+    for name in (
+        "tracking_rmse_rad",
+        "tension_rmse_n",
+        "tension_raw_rmse_n",
+        "tension_hold_error_n",
+        "object_motion_mm",
+    ):
+        assert math.isnan(result[name]), name
+    assert result["tip_equivalent_force_n"] == pytest.approx(dict.fromkeys(JAMIA.digit_names, 0.0))
+
+
+def test_a_truth_of_another_time_is_no_truth() -> None:
+    """A file that an earlier simulator left behind on the same bus."""
+    log = holding()
+    result = summarise(log, JAMIA, truth_of(JAMIA, 400, offset_ns=10**15), 0)
+    assert math.isnan(result["tracking_rmse_rad"])
+    assert result["contact_force_n"] == {}
+
+
+def test_mean_angle_weighs_joints_by_their_moment_arms() -> None:
+    q = np.zeros((2, len(JAMIA.joints)))
+    q[:, :3] = [[0.3, 0.6, 0.9], [1.0, 0.0, 0.0]]
+    arms = [JAMIA.tendon[0].moment_arm_m[joint] for joint in JAMIA.joints[:3]]
+    expected = [np.dot(arms, row) / sum(arms) for row in q[:, :3]]
+    np.testing.assert_allclose(mean_angles(JAMIA, q)[:, 0], expected)
+    np.testing.assert_array_equal(mean_angles(JAMIA, q)[:, 1:], 0.0)
+
+
+def test_tracking_is_goal_against_plant_in_free_motion_only() -> None:
+    log, truth = quiet(), truth_of(JAMIA, 200, 7)
+    joints = slice(0, 3)  # the index
+    log.fields["q_goal"][:, joints] = 0.5
+    for joint in JAMIA.joints[joints]:
+        course = np.full(200, 0.49)
+        course[100:120] = 0.2  # while it touches, as the controller knows
+        course[120:140] = 0.1  # while it touches, as only the plant knows
+        course[140:160] = 0.0  # not active
+        set_column(truth, f"q/{joint}", course)
+    log.fields["contact"][100:120, 0] = 1.0
+    force = np.zeros(200)
+    force[120:140] = 0.2
+    set_column(truth, "contact_force/index/y", force)
+    log.mode[140:160] = Mode.RELAX
+    result = summarise(log, JAMIA, truth, 7)
+    assert result["tracking_rmse_rad"] == pytest.approx(0.01)
+    assert result["tracking_rmse_deg"]["index"] == pytest.approx(math.degrees(0.01))
+    assert math.isnan(result["tracking_rmse_deg"]["thumb"]), "it had no goal"
+
+
+def test_tension_errors_of_estimate_and_of_the_raw_load_cell() -> None:
+    """The estimate is of the tick's own time, the sample was taken one period before."""
+    log, truth = quiet(), truth_of(JAMIA, 200)
+    real = 20.0 + np.arange(200) * 0.1
+    for name in JAMIA.tendon_names:
+        set_column(truth, f"tension/{name}", real)
+    log.fields["tension"][:] = real[:, None] + 0.3
+    log.fields["tension_raw"][1:] = real[:-1, None] + np.where(np.arange(199) % 2, 0.5, -0.5)[:, None]
+    log.fields["tension_raw"][0] = np.nan
+    log.fields["tension_raw"][50] = np.nan
+    result = summarise(log, JAMIA, truth, 0)
+    assert result["tension_rmse_n"] == pytest.approx(0.3)
+    assert result["tension_raw_rmse_n"] == pytest.approx(0.5)
+
+
+def test_slack_ropes_do_not_count() -> None:
+    log, truth = quiet(), truth_of(JAMIA, 200)
+    log.fields["tension"][:] = 7.0
+    assert math.isnan(summarise(log, JAMIA, truth, 0)["tension_rmse_n"])
+
+
+def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None:
+    (window,) = hold_windows(holding(ramp=20))
+    assert np.flatnonzero(window).tolist() == list(range(119 + 50, 300))
+    none = holding()
+    none.fields["contact"][:] = 0.0
+    assert not np.any(hold_windows(none)), "nobody holds anything"
+    two = MadeUpLog(JAMIA, 400, {0: "hold", 150: "move", 200: "hold firmly"})
+    two.fields["contact"][:, 0] = 1.0
+    two.fields["tension_goal"][:] = 9.0
+    found = [np.flatnonzero(window).tolist() for window in hold_windows(two)]
+    assert found == [list(range(50, 150)), list(range(250, 400))]
+
+
+def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
+    log, truth = holding(), truth_of(JAMIA, 400)
+    index, middle, _, thumb = JAMIA.tendon_names
+    wave = np.where(np.arange(400) % 2, 1.5, -1.5)
+    set_column(truth, f"tension/{index}", 25.0 - 0.4 + wave)
+    set_column(truth, f"tension/{thumb}", 25.0 + 0.7)
+    set_column(truth, f"tension/{middle}", 3.0)  # in the air: its goal is a feed-forward, no promise
+    result = summarise(log, JAMIA, truth, 0)
+    assert result["tension_hold_error_n"] == pytest.approx(0.7, abs=0.02)
+    assert result["tension_hold_peak_error_n"] == pytest.approx(1.9, abs=0.02)
+
+
+def test_contact_forces_and_tip_forces_are_means_over_the_hold() -> None:
+    log, truth = holding(), truth_of(JAMIA, 400)
+    log.fields["tip_force"][:, 0] = np.where(np.arange(400) < 169, 99.0, 3.0)
+    set_column(truth, "contact_force/index/x", np.where(np.arange(400) < 169, 50.0, 3.0))
+    set_column(truth, "contact_force/index/y", np.where(np.arange(400) < 169, 50.0, 4.0))
+    result = summarise(log, JAMIA, truth, 0)
+    assert result["tip_equivalent_force_n"]["index"] == pytest.approx(3.0)
+    assert result["contact_force_n"]["index"] == pytest.approx(5.0)
+    assert result["contact_force_n"]["thumb"] == 0.0
+
+
+def test_object_motion_is_the_farthest_from_where_each_hold_found_it() -> None:
+    log, truth = holding(), truth_of(JAMIA, 400)
+    x = np.zeros(400)
+    x[:169] = 0.050  # before it is held
+    x[200], x[201] = 3e-4, -4e-4
+    x[300:] = 0.080  # after it was let go
+    set_column(truth, "object/x", x)
+    set_column(truth, "object/z", np.where(np.arange(400) == 201, 3e-4, 0.0))
+    assert summarise(log, JAMIA, truth, 0)["object_motion_mm"] == pytest.approx(0.5)
+    two = MadeUpLog(JAMIA, 400, {0: "hold", 150: "move", 200: "hold"})
+    two.fields["contact"][:, 0] = 1.0
+    two.fields["tension_goal"][:] = 9.0
+    two.fields["tip_force"][:] = 0.0
+    two.fields["tension"][:] = two.fields["tension_raw"][:] = 9.0
+    set_column(truth, "object/x", np.where(np.arange(400) < 150, 0.0, 0.010))
+    set_column(truth, "object/z", 0.0)
+    assert summarise(two, JAMIA, truth, 0)["object_motion_mm"] == pytest.approx(0.0), "moved between two holds"
+
+
+def test_rms() -> None:
+    assert rms(np.array([3.0, np.nan, -4.0])) == pytest.approx(math.sqrt(12.5))
+    assert math.isnan(rms(np.array([np.nan])))
+
+
+def test_measured_load_of_frames_by_hand() -> None:
+    """A classical frame of 8 bytes: 34 + 64 bits are stuffed at most once in four, 13 are not."""
+    log = quiet()
+    one = (98 + 97 // 4 + 13) / 1e6
+    assert measured_load(log, 1_000_000, None, [(8, False)] * 10) == pytest.approx(10 * one / 1.99)
+
+
+def test_an_empty_run_has_no_numbers_and_no_error() -> None:
+    log = MadeUpLog(JAMIA, 0, {})
+    result = summarise(log, JAMIA, truth_of(JAMIA, 3), 0)
+    assert result["ticks"] == 0
+    assert math.isnan(result["late_us"]["p50"])
+    assert 1e9 / result["rate_hz"] == PERIOD_NS

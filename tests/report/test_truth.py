@@ -1,0 +1,100 @@
+"""The truth reader: what a simulator wrote, whole, cut at every byte, or not at all."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.errors import LogError
+from handctl.report.truth import Truth, read_truth
+from tests.report.made_up import JAMIA, set_column, truth_of, write_truth
+
+
+@pytest.fixture
+def small() -> Truth:
+    rng = np.random.default_rng(1)
+    return Truth({}, np.arange(6) * 1_000_000 + 2**60, rng.normal(size=(6, 3)), ("a", "b/c", "d"))
+
+
+def test_what_is_written_is_read(small: Truth, tmp_path: Path) -> None:
+    path = tmp_path / "t.truth"
+    write_truth(path, small)
+    again = read_truth(path)
+    np.testing.assert_array_equal(again.t_ns, small.t_ns)
+    np.testing.assert_array_equal(again.values, small.values)
+    assert again.columns == small.columns
+    assert again.has("b/c")
+    assert not again.has("x")
+
+
+def test_the_simulators_own_file_is_read(tmp_path: Path) -> None:
+    from firmware_sim.rig import Rig
+
+    path = tmp_path / "t.truth"
+    rig = Rig("jamia", scene="cylinder", truth_path=str(path), period_ns=2_000_000)
+    for k in range(10):
+        rig.step(k * 2_000_000, [])
+    rig.close()
+    truth = read_truth(path)
+    wanted = {f"tension/{name}" for name in JAMIA.tendon_names} | {f"q/{name}" for name in JAMIA.joints}
+    wanted |= {f"contact_force/{name}/{axis}" for name in JAMIA.digit_names for axis in "xyz"} | {"object/x"}
+    assert wanted <= set(truth.columns)
+    np.testing.assert_array_equal(np.diff(truth.t_ns), 1_000_000)
+
+
+def test_cut_at_any_byte_it_is_a_prefix_or_one_line(small: Truth, tmp_path: Path) -> None:
+    path = tmp_path / "t.truth"
+    write_truth(path, small)
+    whole = path.read_bytes()
+    head = whole.index(b"\n") + 1
+    for cut in range(len(whole)):
+        path.write_bytes(whole[:cut])
+        rows = max(0, cut - head) // 32
+        if rows:
+            truth = read_truth(path)
+            np.testing.assert_array_equal(truth.values, small.values[:rows])
+        else:
+            with pytest.raises(LogError) as caught:
+                read_truth(path)
+            assert "\n" not in str(caught.value)
+            assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"", b"\n", b"{}\n", b"[]\n", b"null\n", b'{"columns": 3}\n', b'{"columns": null}\n', b'{"columns": []}\n',
+        b"\xff\xfe\n" + bytes(100), b"{" * 100_000 + b"\n", b"x" * 1000, bytes(1000),
+    ],
+)  # fmt: skip
+def test_what_is_no_truth_is_one_line(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "t.truth"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match="truth"):
+        read_truth(path)
+
+
+def test_no_file_and_a_folder_are_one_line(tmp_path: Path) -> None:
+    for path in (tmp_path / "none", tmp_path):
+        with pytest.raises(LogError, match="cannot be read"):
+            read_truth(path)
+
+
+def test_between_rows_it_interpolates_and_outside_it_knows_nothing() -> None:
+    truth = truth_of(JAMIA, 10, offset_ns=2**61)
+    set_column(truth, "object/x", np.arange(10.0))
+    t_ns = 2**61 + np.array([-(10**9), 0, 5_000_000, 25_000_000, 10**12])
+    np.testing.assert_allclose(truth.at("object/x", t_ns), [np.nan, 0.0, 0.5, 2.5, np.nan])
+    assert truth.table(["object/x", "object/y"], t_ns).shape == (5, 2)
+
+
+def test_a_column_that_is_not_there_is_named() -> None:
+    with pytest.raises(LogError, match="no column 'tension/pinky'"):
+        truth_of(JAMIA, 3).at("tension/pinky", np.array([0]))
+
+
+def test_the_header_is_kept(tmp_path: Path) -> None:
+    path = tmp_path / "t.truth"
+    path.write_bytes(json.dumps({"columns": ["a"], "seed": 7}).encode() + b"\n" + bytes(16))
+    assert read_truth(path).header["seed"] == 7

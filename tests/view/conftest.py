@@ -1,0 +1,58 @@
+"""Runs to look at, and the question whether this machine can draw."""
+
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from handctl.errors import ConfigError
+from handctl.view.feed import write_rrd
+from handctl.view.viewer import software_vulkan
+
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).parents[1] / "log")]
+
+os.environ.setdefault("RUST_LOG", "error")
+
+SECONDS = 3.0
+
+
+@pytest.fixture(scope="session", params=["jamia", "jamia11"])
+def log_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of each packaged hand that began at some date."""
+    import synthetic
+
+    path = tmp_path_factory.mktemp("view") / f"{request.param}.mcap"
+    synthetic.write(path, synthetic.header(request.param, 100, offset_ns=1_760_000_000_123_456_789), SECONDS)
+    return path
+
+
+@pytest.fixture(scope="session")
+def jamia_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of the hand as built."""
+    import synthetic
+
+    path = tmp_path_factory.mktemp("view") / "run.mcap"
+    synthetic.write(path, synthetic.header(rate_hz=100), SECONDS)
+    return path
+
+
+@pytest.fixture(scope="session")
+def rrd(log_path: Path) -> Path:
+    """The recording of ``log_path``."""
+    from rrd_entities import subject_of
+
+    out = log_path.with_suffix(".rrd")
+    write_rrd(log_path, subject_of(log_path), out)
+    return out
+
+
+@pytest.fixture(scope="session")
+def vulkan() -> dict[str, str]:
+    """Environment to draw in; a skip without a driver, a failure where one is required."""
+    try:
+        return software_vulkan()
+    except ConfigError as error:
+        if os.environ.get("HANDCTL_REQUIRE_VULKAN") == "1":
+            pytest.fail(str(error))
+        pytest.skip(str(error))

@@ -1,0 +1,98 @@
+"""``handctl view`` as a person calls it: what it writes, and what it says when it cannot."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from handctl.cli.main import main
+from handctl.log.reader import RunLog
+from handctl.view import viewer
+from handctl.view.moment import moment
+
+
+def line(capsys: pytest.CaptureFixture[str]) -> str:
+    """The one line of an error."""
+    told = capsys.readouterr()
+    assert told.out == ""
+    (only,) = told.err.splitlines()
+    return only
+
+
+def test_save_writes_a_recording_and_says_so(
+    jamia_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run.rrd"
+    assert main(["view", str(jamia_path), "--save", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["rrd"], told["bytes"]) == (str(out), out.stat().st_size)
+    assert out.read_bytes()[:4] == b"RRF2"
+
+
+def test_a_cut_log_is_shown_with_a_warning(
+    jamia_path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(jamia_path.read_bytes()[:300_000])
+    assert main(["view", str(cut), "--save", str(tmp_path / "cut.rrd"), "--json"]) == 3
+    told = capsys.readouterr()
+    assert "without an end mark" in json.loads(told.out)["warning"]
+    assert len(told.err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--save", "run.mcap"], "ending in .rrd"),
+        (["--png", "no/such/folder/x.png"], "in a folder that exists"),
+        (["--at", "1"], "--png FILE.png"),
+        (["--save", "x.rrd", "--follow"], "one of them"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_is_read(
+    words: list[str], said: str, jamia_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = jamia_path.read_bytes()
+    assert main(["view", str(jamia_path), *words]) == 2
+    assert said in line(capsys)
+    assert jamia_path.read_bytes() == before
+
+
+def test_a_moment_outside_of_the_run_is_refused(
+    jamia_path: Path, tmp_path: Path, vulkan: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["view", str(jamia_path), "--png", str(tmp_path / "x.png"), "--at", "99"]) == 2
+    assert "0 to 2.990" in line(capsys)
+
+
+def test_what_is_no_log_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = tmp_path / "x.mcap"
+    other.write_bytes(b"no log at all")
+    for path in (other, tmp_path / "missing.mcap", tmp_path):
+        assert main(["view", str(path), "--save", str(tmp_path / "x.rrd")]) == 2
+        assert str(path) in line(capsys)
+    assert not (tmp_path / "x.rrd").exists()
+
+
+def test_without_a_driver_the_packages_are_named(
+    jamia_path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(viewer, "ICD_FOLDERS", (str(tmp_path),))
+    monkeypatch.delenv("VK_ICD_FILENAMES", raising=False)
+    monkeypatch.delenv("VK_DRIVER_FILES", raising=False)
+    assert main(["view", str(jamia_path), "--png", str(tmp_path / "x.png")]) == 2
+    assert "libvulkan1 mesa-vulkan-drivers" in line(capsys)
+
+
+def test_without_a_screen_no_window_is_tried(
+    jamia_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    assert main(["view", str(jamia_path)]) == 2
+    assert "--png" in line(capsys)
+
+
+def test_the_picture_is_taken_in_the_middle_of_the_hold_phase(jamia_path: Path) -> None:
+    with RunLog(jamia_path) as log:
+        assert moment(log) == pytest.approx((0.40 + 0.75) / 2 * 3.0, abs=0.02)

@@ -1,0 +1,185 @@
+"""What the recording holds is what the log holds."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+from rrd_entities import Entity, entities, of_file, subject_of
+
+from handctl.controller.types import TELEMETRY_FIELDS
+from handctl.drives.load import frame_time_s
+from handctl.errors import ConfigError, LogError
+from handctl.hand.digit import DigitModel
+from handctl.hand.frames import link_transforms
+from handctl.log.logfile import LogFile
+from handctl.log.reader import RunLog
+from handctl.log.scan import Scan, scan
+from handctl.view import feed, palette
+from handctl.view.lenses import FORCE_SCALE
+from handctl.view.load import SPAN_NS
+from handctl.view.subject import Subject
+
+
+@pytest.fixture(scope="module")
+def found(rrd: Path) -> dict[str, Entity]:
+    return of_file(rrd)
+
+
+@pytest.fixture(scope="module")
+def log(log_path: Path) -> Iterator[RunLog]:
+    with RunLog(log_path) as log:
+        yield log
+
+
+def test_every_number_of_the_controller_is_there_under_its_name(found: dict[str, Entity], log: RunLog) -> None:
+    for name in TELEMETRY_FIELDS:
+        one = found[f"/controller/{name}"]
+        np.testing.assert_array_equal(one.times, log.t_ns)
+        np.testing.assert_array_equal(one.table("Scalars:scalars"), log.field(name))
+        assert tuple(one.static["SeriesLines:names"]) == log.names(name)
+
+
+def test_tension_has_its_band_command_and_limit(found: dict[str, Entity], log: RunLog) -> None:
+    one = found["/tension/estimate"]
+    np.testing.assert_array_equal(one.times, log.t_ns)
+    np.testing.assert_array_equal(one.table("Measurements:values"), log.field("tension"))
+    np.testing.assert_allclose(one.table("Measurements:variances") ** 0.5, log.field("tension_sigma"), rtol=1e-12)
+    np.testing.assert_array_equal(found["/tension/command"].table("Scalars:scalars"), log.field("tension_goal"))
+    assert one.static["Measurements:names"] == list(log.header.tendons)
+    limit = found["/tension/limit"]
+    assert (limit.table("Scalars:scalars") == 110.0).all()
+    assert (limit.times[0], limit.times[-1]) == (log.t_ns[0], log.t_ns[-1])
+
+
+def test_angles_are_in_degrees_digit_by_digit(found: dict[str, Entity], log: RunLog) -> None:
+    for kind, name in (("estimate", "q"), ("command", "q_goal")):
+        parts = [found[f"/angle/{digit}/{kind}"].table("Scalars:scalars") for digit in log.header.digits]
+        np.testing.assert_allclose(np.hstack(parts), np.degrees(log.field(name)), atol=1e-12)
+
+
+def test_arrows_are_the_forces_of_the_object_on_the_tips(found: dict[str, Entity], log: RunLog) -> None:
+    forces = log.field("tip_force")
+    assert forces.max() > 1
+    for index, digit in enumerate(log.header.digits):
+        one = found[f"/force/{digit}"]
+        vectors = one.table("Arrows3D:vectors")[:, 0]
+        felt = np.where(forces[:, index] >= 0.05, forces[:, index], 0.0)
+        np.testing.assert_allclose(vectors, felt[:, None] * (0, -FORCE_SCALE, 0), atol=1e-7)
+        at = int(felt.argmax())
+        assert one.rows["Arrows3D:labels"][at] == [f"{felt[at]:.1f} N"]
+        assert one.static["CoordinateFrame:frame"] == [f"{digit}_tip"]
+
+
+def test_states_change_when_the_log_says(found: dict[str, Entity], log: RunLog) -> None:
+    phase = found["/state/phase"]
+    told = [(int(t), names[0]) for t, names in zip(phase.times, phase.rows["StateChange:state"], strict=True)]
+    assert told == [(change.t_ns, change.name) for change in log.phases]
+    assert len(told) == 7
+    for lane, numbers in (("mode", log.mode), ("safety", log.action)):
+        changes = 1 + np.flatnonzero(np.diff(numbers.astype(int)))
+        np.testing.assert_array_equal(found[f"/state/{lane}"].times, log.t_ns[[0, *changes]])
+        shown = {names[0] for names in found[f"/state/{lane}"].rows["StateChange:state"]}
+        assert shown <= set(found[f"/state/{lane}"].static["StateConfiguration:values"])
+
+
+def test_lateness_and_bus_load_add_up(found: dict[str, Entity], log: RunLog) -> None:
+    np.testing.assert_allclose(found["/loop/late"].table("Scalars:scalars")[:, 0], log.late_ns / 1e3, atol=1e-9)
+    period = log.header.period_ns * 1e-9
+    spent, expected = [], []
+    for tick in log.ticks():
+        frames = (*tick.tick_in.frames, *tick.frames)
+        spent.append((tick.tick_in.t_ns, sum(frame_time_s(len(one.data), False, 1e6) for one in frames)))
+        now = tick.tick_in.t_ns
+        last = [time for t, time in spent if now - SPAN_NS < t <= now]
+        expected.append(100 * sum(last) / min(SPAN_NS * 1e-9, now * 1e-9 + period))
+    np.testing.assert_allclose(found["/bus/load"].table("Scalars:scalars")[:, 0], expected, rtol=1e-9)
+    assert 3 < expected[-1] < 100
+
+
+def test_frames_put_the_fingertips_where_kinematics_does(found: dict[str, Entity], log: RunLog, log_path: Path) -> None:
+    edges: dict[str, tuple[str, np.ndarray, np.ndarray]] = {}
+    now = int(log.t_ns[-1] * 0.5)
+    for one in (found["/tf_static"], found["/tf"]):
+        rows = {name.split(":")[1]: values for name, values in one.rows.items()}
+        for i in np.flatnonzero(one.times <= now):
+            child, parent = rows["child_frame"][i][0], rows["parent_frame"][i][0]
+            edges[child] = (parent, np.array(rows["translation"][i][0]), np.array(rows["quaternion"][i][0]))
+    at = int(np.searchsorted(log.t_ns, found["/tf"].times[found["/tf"].times <= now].max()))
+    hand = subject_of(log_path).hand
+    for digit, joints in zip(hand.digit, hand.digit_joints.values(), strict=True):
+        tip = link_transforms(DigitModel.of(hand, digit.name), log.field("q")[at, joints])[-1]
+        np.testing.assert_allclose(_place(edges, tip.frame), tip.position, atol=1e-7)
+
+
+def _place(edges: dict[str, tuple[str, np.ndarray, np.ndarray]], frame: str) -> np.ndarray:
+    """Origin of a frame in the palm's."""
+    point = np.zeros(3)
+    while frame != "palm":
+        frame, translation, (x, y, z, w) = edges[frame]
+        axis = np.array([x, y, z])
+        point = point + 2 * np.cross(axis, np.cross(axis, point) + w * point) + translation
+    return point
+
+
+def test_every_visual_shape_is_solid_and_in_its_digits_colour(found: dict[str, Entity], log: RunLog) -> None:
+    robot = ET.fromstring(log.header.attachments["hand.urdf"])
+    visuals = {f"/hand/{link.get('name')}/visual_{i}" for link in robot for i, _ in enumerate(link.iter("visual"))}
+    assert visuals == {path for path in found if path.startswith("/hand/")}
+    for path in visuals:
+        static = found[path].static
+        (kind,) = {name.split(":")[0] for name in static} & {"Boxes3D", "Cylinders3D", "Ellipsoids3D"}
+        assert static[f"{kind}:fill_mode"] == [3]
+    red, green, blue = palette.digit(0)
+    first = found["/hand/index_link1/visual_0"].static["Cylinders3D:colors"]
+    assert first == [red << 24 | green << 16 | blue << 8 | 255]
+
+
+def test_the_layout_is_saved_with_the_recording(rrd: Path, log_path: Path) -> None:
+    reader = RrdReader(rrd)
+    (recording,), (layout,) = reader.recordings(), reader.blueprints()
+    assert recording.application_id == layout.application_id == f"handctl_{log_path.stem}"
+
+
+def test_windows_do_not_show(found: dict[str, Entity], log_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(feed, "WINDOW_NS", 333_000_000)
+    again = entities(feed.run_chunks(log_path, subject_of(log_path)))
+    assert again.keys() == found.keys() - {"/__properties"}
+    for path in again.keys() - {"/tension/limit"}:
+        one = again[path]
+        np.testing.assert_array_equal(one.times, found[path].times)
+        assert repr(one.rows) == repr(found[path].rows)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.73, 0.9])
+def test_a_log_that_ends_early_is_shown_up_to_there(share: float, jamia_path: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(jamia_path.read_bytes()[: int(share * jamia_path.stat().st_size)])
+    with RunLog(cut) as half:
+        shown = entities(feed.run_chunks(cut, subject_of(cut)))
+        np.testing.assert_array_equal(shown["/controller/q"].table("Scalars:scalars"), half.field("q"))
+        assert len(shown["/loop/late"].times) == len(shown["/bus/load"].times) == len(half) > 20
+
+
+def test_a_cut_within_the_index_of_a_chunk_loses_nothing(jamia_path: Path, tmp_path: Path) -> None:
+    file, found = LogFile(jamia_path), Scan()
+    scan(file, found)
+    file.close()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(jamia_path.read_bytes()[: found.chunks[5].end + 40])
+    with RunLog(cut) as half:
+        shown = entities(feed.run_chunks(cut, subject_of(cut)))
+        assert half.t_ns[-1] == shown["/loop/late"].times[-1] == shown["/bus/load"].times[-1]
+
+
+def test_a_log_whose_hand_is_no_hand_or_another_is_refused(jamia_path: Path) -> None:
+    from dataclasses import replace
+
+    header = subject_of(jamia_path).header
+    for text, error in (("[[", LogError), ("schema = 1\n", ConfigError)):
+        with pytest.raises(error, match=r"hand\.toml"):
+            Subject.of(replace(header, hand_toml=text), "run")
+    with pytest.raises(LogError, match="other names"):
+        Subject.of(replace(header, digits=("a", "b", "c", "d")), "run")

@@ -1,0 +1,113 @@
+"""The live view: a process beside the controller that shows the log as it grows."""
+
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import psutil
+import pytest
+
+from handctl.log.record import pack
+from handctl.log.recorder import Recorder
+from handctl.view.live import start_live
+
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient
+
+pytestmark = pytest.mark.timeout(120)
+WAIT_S = 40.0
+
+
+def url_of(follower: "subprocess.Popen[bytes]") -> str:
+    """Where the viewer that a follower opened listens."""
+    end = time.monotonic() + WAIT_S
+    while time.monotonic() < end:
+        assert follower.poll() is None, f"the follower ended with {follower.returncode}"
+        with suppress(psutil.NoSuchProcess, FileNotFoundError):  # a child that came and went meanwhile
+            for child in psutil.Process(follower.pid).children():
+                for one in child.net_connections():
+                    if one.status == psutil.CONN_LISTEN:
+                        return f"rerun+http://127.0.0.1:{one.laddr.port}/proxy"
+        time.sleep(0.1)
+    raise AssertionError("no viewer")
+
+
+def shown_until(client: "ViewerClient") -> int:
+    """Last run time that has arrived [ns]."""
+    ends = [line.end or 0 for one in client.get_state().recordings for line in one.timelines if line.name == "run_time"]
+    return max(ends, default=-1)
+
+
+def wait_for(client: "ViewerClient", t_ns: int) -> int:
+    end = time.monotonic() + WAIT_S
+    while shown_until(client) < t_ns and time.monotonic() < end:
+        time.sleep(0.1)
+    return shown_until(client)
+
+
+def test_a_growing_log_arrives_in_the_viewer(
+    tmp_path: Path, vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import synthetic
+    from rerun.experimental import ViewerClient
+
+    for name, value in vulkan.items():
+        monkeypatch.setenv(name, value)
+    path, run = tmp_path / "run.mcap", synthetic.header(rate_hz=100, deterministic=False, offset_ns=10**18)
+    follower = start_live(path, "--headless", "--window-size", "800x600")
+    recorder, ticks = Recorder.start(path, run), list(synthetic.Synthetic(run, 4.0))
+    viewers: list[psutil.Process] = []
+    try:
+        for tick_in, out in ticks[:200]:
+            recorder.record(pack(tick_in, out))
+        client = ViewerClient.connect(url_of(follower))
+        viewers = psutil.Process(follower.pid).children()
+        assert wait_for(client, 1_000_000_000) >= 1_000_000_000
+        assert shown_until(client) <= ticks[199][0].t_ns
+        for tick_in, out in ticks[200:]:
+            recorder.record(pack(tick_in, out))
+        recorder.close("finished")
+        assert wait_for(client, ticks[-1][0].t_ns) == ticks[-1][0].t_ns
+        assert follower.wait(WAIT_S) == 0
+        assert viewers[0].is_running()
+        assert [view.reports for view in client.get_state().views if view.reports] == []
+    finally:
+        follower.kill()
+        for process in viewers:
+            process.kill()
+
+
+def test_it_ends_with_its_viewer(tmp_path: Path, vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    import synthetic
+    from rerun.experimental import ViewerClient
+
+    for name, value in vulkan.items():
+        monkeypatch.setenv(name, value)
+    path, run = tmp_path / "run.mcap", synthetic.header(rate_hz=100)
+    recorder = Recorder.start(path, run)
+    follower = start_live(path, "--headless", "--window-size", "400x300")
+    try:
+        ViewerClient.connect(url_of(follower))
+        (window,) = psutil.Process(follower.pid).children()
+        window.kill()
+        assert follower.wait(WAIT_S) == 0
+    finally:
+        follower.kill()
+        recorder.close("finished")
+
+
+def test_sigterm_ends_the_wait_for_a_log(tmp_path: Path) -> None:
+    follower = start_live(tmp_path / "never.mcap", "--headless")
+    time.sleep(2.0)
+    assert follower.poll() is None
+    follower.terminate()
+    assert follower.wait(WAIT_S) == 0
+
+
+def test_the_controllers_process_imports_nothing_of_the_viewer() -> None:
+    code = "import sys, handctl.view.live; print(sorted({'rerun', 'pyarrow', 'numpy'} & set(sys.modules)))"
+    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert ran.stdout.strip() == "[]"

@@ -1,0 +1,86 @@
+"""Pictures, drawn by the real viewer without a screen."""
+
+import io
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import psutil
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from handctl.cli.main import main
+from handctl.view import palette
+from handctl.view.picture import connected, view_reports, wait_loaded
+from handctl.view.viewer import Viewer, viewer
+
+if TYPE_CHECKING:
+    from rerun.experimental import ViewerClient
+
+pytestmark = pytest.mark.timeout(120)
+
+
+def pixels(png: bytes) -> NDArray[np.int16]:
+    """(height, width, 3)."""
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), np.int16)
+
+
+def share_near(image: NDArray[np.int16], colour: palette.Colour) -> float:
+    """Share of the pixels that have about this hue, however bright."""
+    light = np.linalg.norm(image, axis=2)
+    cosine = image @ np.array(colour) / np.maximum(light * np.linalg.norm(colour), 1e-9)
+    return float(((cosine > 0.995) & (light > 80)).mean())
+
+
+def test_the_dashboard_shows_the_hand_its_forces_and_its_lines(
+    jamia_path: Path, tmp_path: Path, vulkan: dict[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "run.png"
+    assert main(["view", str(jamia_path), "--png", str(out), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["reports"] == []
+    assert told["at_s"] == pytest.approx(0.575 * 3.0, abs=0.02)
+    image = pixels(out.read_bytes())
+    assert image.shape == (900, 1600, 3)
+    assert len(np.unique(image.reshape(-1, 3), axis=0)) > 2000
+    hand, plots = image[70:500, :640], image[60:680, 650:]
+    for index in range(4):
+        assert share_near(hand, palette.digit(index)) > 0.003, f"digit {index} is not in the picture"
+    assert share_near(plots, palette.LIMIT) > 0.0005
+    assert share_near(image[680:860, 650:], palette.STATES["hold"]) > 0.02
+
+
+@pytest.fixture(scope="module")
+def bare(jamia_path: Path, vulkan: dict[str, str]) -> Iterator["tuple[Viewer, ViewerClient]"]:
+    """A viewer that was given the log itself, as in ``rerun LOG``, without any layout of ours."""
+    with viewer(["--headless", "--window-size", "1200x800", str(jamia_path)], vulkan) as running:
+        client = connected(running)
+        wait_loaded(client)
+        yield running, client
+
+
+def test_a_bare_log_opens_with_a_hand_that_moves(bare: "tuple[Viewer, ViewerClient]") -> None:
+    _, client = bare
+    state = client.get_state()
+    (hand,) = (view for view in state.views if view.view_class == "3D")
+    shots = []
+    for at_s in (0.1, 1.5):
+        client.set_time("message_log_time", timestamp=at_s, play_state="paused")
+        time.sleep(0.7)
+        shots.append(pixels(client.take_screenshot(view_id=hand.view_id)))
+    assert view_reports(client) == []
+    moved = (np.abs(shots[0] - shots[1]).max(axis=2) > 30).mean()
+    assert 0.005 < moved < 0.5
+    assert {"TimeSeries", "TextLog", "3D"} <= {view.view_class for view in state.views}
+
+
+def test_the_viewer_listens_on_this_machine_only(bare: "tuple[Viewer, ViewerClient]") -> None:
+    running, _ = bare
+    connections = psutil.Process(running.process.pid).net_connections()
+    assert any(one.status == psutil.CONN_LISTEN for one in connections)
+    assert {one.laddr.ip for one in connections} == {"127.0.0.1"}
+    assert {one.raddr.ip for one in connections if one.raddr} <= {"127.0.0.1"}

@@ -1,0 +1,61 @@
+"""A growing log is read to its end without a message lost or told twice, however it grows."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rerun.chunk import Chunk
+from rrd_entities import entities, subject_of
+
+from handctl.errors import LogError
+from handctl.view.feed import log_chunks
+from handctl.view.lenses import Lenses
+from handctl.view.tail import Tail
+
+
+def grown(whole: bytes, seed: int) -> list[int]:
+    """Sizes at which the log is looked at: its header first, then at random."""
+    source = random.Random(seed)
+    first = 64 << 10
+    return [first, *sorted(source.randrange(first, len(whole)) for _ in range(12)), len(whole)]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_parts_together_are_the_whole(seed: int, jamia_path: Path, tmp_path: Path) -> None:
+    whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
+    subject = subject_of(jamia_path)
+    lenses, tail, chunks, times = Lenses(subject), Tail(path), list[Chunk](), 0
+    for size in grown(whole, seed):
+        path.write_bytes(whole[:size])
+        assert not (tail.ended and size < 0.9 * len(whole))
+        since = tail.take(part)
+        if since is not None:
+            chunks += log_chunks(part, lenses, "part", since)
+            times += 1
+    assert tail.ended
+    assert tail.take(part) is None
+    assert times > 4
+    shown, expected = entities(chunks), entities(log_chunks(jamia_path, Lenses(subject), "whole"))
+    assert shown.keys() == expected.keys()
+    for name in shown.keys() - {"/tension/limit"}:
+        np.testing.assert_array_equal(shown[name].times, expected[name].times, err_msg=name)
+        assert repr(shown[name].rows) == repr(expected[name].rows), name
+
+
+def test_every_byte_of_growth_within_a_chunk_is_safe(jamia_path: Path, tmp_path: Path) -> None:
+    whole, path, part = jamia_path.read_bytes(), tmp_path / "run.mcap", tmp_path / "part.mcap"
+    tail, taken = Tail(path), 0
+    begin = len(whole) // 2
+    for size in range(begin, begin + 60_000, 997):
+        path.write_bytes(whole[:size])
+        taken += tail.take(part) is not None
+    assert taken > 1
+
+
+def test_what_is_no_log_is_an_error(jamia_path: Path, tmp_path: Path) -> None:
+    data, path = bytearray(jamia_path.read_bytes()), tmp_path / "run.mcap"
+    data[0] = 0
+    path.write_bytes(data)
+    with pytest.raises(LogError, match="not an MCAP file"):
+        Tail(path).take(tmp_path / "part.mcap")
