@@ -1,0 +1,28 @@
+"""``handctl clear``: clear the latched faults of a running hand; it stays disarmed until it is armed again.
+
+What a drive has latched after a controller died is cleared by ``handctl run --clear``, before anything is armed.
+"""
+
+import argparse
+
+from handctl.cli.options import bus_option, json_option, print_json
+from handctl.runtime.mailbox import send_request
+
+EXAMPLE = "handctl clear --help   # with a hand running on local:demo: handctl clear --bus local:demo"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    bus_option(parser)
+    json_option(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Ask the controller of the bus to clear."""
+    bus = args.bus[0].partition("=")[2] or args.bus[0]
+    send_request(bus, '{"do": "clear"}')
+    if args.json:
+        print_json({"asked": "clear", "bus": bus})
+    else:
+        print(f"asked the controller on {bus} to clear its faults")
+    return 0

@@ -1,0 +1,87 @@
+"""``handctl config``: show a hand with everything that follows from it, or check files."""
+
+import argparse
+from pathlib import Path
+
+from handctl.cli.options import hand_option, json_option, print_json
+from handctl.cli.plan import TASKS, find_calibration, find_task, tick_times_s
+from handctl.controller.gains import Gains, load_gains
+from handctl.drives.load import highest_rate
+from handctl.hand.description import Hand, hand_path, load_hand, packaged_hands
+
+EXAMPLE = "handctl config show --hand jamia"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    hand_option(parser)
+    json_option(parser)
+    parser.add_argument(
+        "what", choices=["show", "check", "list"], help="show the hand, check files, list what is packaged"
+    )
+    parser.add_argument("--task", type=Path, help="task file to check with the hand")
+    parser.add_argument("--gains", type=Path, help="gains file to check")
+    parser.add_argument("--calibration", type=Path, help="calibration file to check (default: HAND.calibration.toml)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show or check."""
+    if args.what == "list":
+        return _list(args.json)
+    hand = load_hand(args.hand)
+    gains = load_gains(args.gains)
+    if args.task:
+        find_task(args.task, hand)
+    times = tick_times_s(hand)
+    rate = highest_rate(times)
+    load = {name: rate * busy for name, busy in zip(hand.bus_names, times, strict=True)}
+    source = str(hand_path(args.hand).name)
+    if args.json:
+        print_json(
+            {
+                "file": source,
+                "identity": hand.identity,
+                "rate_hz": rate,
+                "bus_load": load,
+                "hand": hand.content,
+                "gains": gains.model_dump(by_alias=True),
+                "gains_file": str(args.gains) if args.gains else "packaged defaults",
+            }
+        )
+        return 0
+    if args.what == "show":
+        print(f"# from {source}, identity {hand.identity[:16]}")
+        print(hand.to_toml(), end="")
+        print("\n".join(_gains_with_sources(gains, str(args.gains))))
+        print(f"# {_calibration_line(args, hand)}")
+    loads = ", ".join(f"bus {name} {100 * share:.0f} %" for name, share in load.items())
+    print(f"# default rate {rate:g} Hz: {loads}; gains: {args.gains or 'packaged defaults'}; all files are good")
+    return 0
+
+
+def _gains_with_sources(gains: Gains, file: str) -> list[str]:
+    """Every gain with where it came from, as comments: they are a file of their own."""
+    lines = ["", "# gains"]
+    for section, values in gains.model_dump(exclude={"schema_"}).items():
+        given = getattr(gains, section).model_fields_set if section in gains.model_fields_set else set()
+        lines += [
+            f"# {section}.{key} = {value}  ({file if key in given else 'default'})" for key, value in values.items()
+        ]
+    return lines
+
+
+def _calibration_line(args: argparse.Namespace, hand: Hand) -> str:
+    """Which calibration a run would use, or why none."""
+    path, calibration, why = find_calibration(args, hand)
+    return f"calibration: {path}, made {calibration.made}" if calibration else f"calibration: {why}"
+
+
+def _list(as_json: bool) -> int:
+    """Packaged hands and tasks."""
+    tasks = sorted(path.name for path in TASKS.glob("*.toml"))
+    if as_json:
+        print_json({"hands": list(packaged_hands()), "tasks": tasks})
+    else:
+        print("hands: " + ", ".join(packaged_hands()))
+        print("tasks: " + ", ".join(tasks))
+    return 0

@@ -1,0 +1,158 @@
+"""``handctl demo``: the main job with nothing but this machine: a simulated hand grasps an object over a CAN bus."""
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.commission import commission, write_calibration
+from handctl.cli.exit_codes import Exit
+from handctl.cli.options import dry_run_option, hand_option, json_option
+from handctl.cli.plan import default_log, find_task, make_plan
+from handctl.cli.run import report
+from handctl.cli.session import Outcome, Plan, Runner, make_controller, refuse_blind_view, run_live, run_lockstep
+from handctl.cli.verdict import judge
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.tick import Controller
+from handctl.errors import BusError
+from handctl.hand.description import hand_path
+from handctl.runtime.lockstep import LockstepClock, Peer, load_peer
+from handctl.runtime.places import truth_path
+
+EXAMPLE = "handctl demo --lockstep"
+PEER = "firmware_sim.rig:Rig"
+SIMULATOR = "firmware_sim"
+START_S = 20.0
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    hand_option(parser)
+    json_option(parser)
+    dry_run_option(parser)
+    parser.add_argument(
+        "--task", type=Path, default=Path("grasp.toml"), metavar="FILE", help="task (default: grasp.toml)"
+    )
+    parser.add_argument(
+        "--scene", default="cylinder", metavar="NAME|FILE", help="what the hand meets (default: cylinder)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
+    parser.add_argument(
+        "--lockstep", action="store_true", help="virtual time: faster than real time, the same every time"
+    )
+    parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
+    parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
+    parser.set_defaults(gains=None, rate=None, calibration=None, time_scale=1.0, clear=False)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate, commission, grasp, judge."""
+    refuse_blind_view(args.view and not args.lockstep)
+    args.bus = [f"local:demo-{os.getpid()}"]
+    plan = make_plan(args, lockstep=args.lockstep)
+    plan = plan if args.lockstep else _on_bus(plan, args.bus[0])
+    task, text = find_task(args.task, plan.hand)
+    if args.dry_run:
+        _peer(args, plan, None).close()
+        print(f"{plan.hand.name}: {task.name} on {args.scene}, {plan.rate_hz:g} Hz")
+        return 0
+    log = args.log or default_log(plan.hand, "demo")
+    plan.attachments["task.toml"] = text
+    started = time.monotonic()
+    if args.lockstep:
+        outcome, truth = _in_lockstep(args, plan, TaskProgram(task), log)
+    else:
+        with simulator(args, plan.buses[0]):
+            outcome = _commission_and_run(plan, TaskProgram(task), log, run_live, _live(args.view))
+        truth = truth_path(plan.buses[0])
+    wall = time.monotonic() - started
+    result = judge(plan, outcome, log, truth)
+    result |= _speed(outcome, plan, wall) if args.lockstep else {}
+    return report(result, outcome, plan, args.json)
+
+
+def _on_bus(plan: Plan, spec: str) -> Plan:
+    """The plan with every bus of the hand on one local bus each."""
+    count = len(plan.hand.bus)
+    return plan.on((spec,) if count == 1 else tuple(f"{spec}-{name}" for name in plan.hand.bus_names))
+
+
+def _live(view: bool) -> Runner:
+    def runner(plan: Plan, controller: Controller, log: Path) -> Outcome:
+        return run_live(plan, controller, log, live_view=view)
+
+    return runner
+
+
+def _commission_and_run(plan: Plan, program: TaskProgram, log: Path, first: Runner, then: Runner) -> Outcome:
+    """A new hand is commissioned, then it works."""
+    print(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon", file=sys.stderr)
+    calibration, _ = commission(plan, log.with_suffix(".commission.mcap"), first)
+    path = log.with_suffix(".calibration.toml")
+    write_calibration(path, calibration)
+    plan.attachments["calibration.toml"] = path.read_bytes()
+    return then(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
+
+
+def _in_lockstep(args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path) -> tuple[Outcome, Path]:
+    """The same against the simulator's lockstep rig."""
+    truth = log.with_suffix(".truth")
+    peer = _peer(args, plan, truth)
+    clock = LockstepClock(peer, plan.period_ns)
+
+    def runner(plan: Plan, controller: Controller, log: Path) -> Outcome:
+        return run_lockstep(plan, controller, log, clock)
+
+    try:
+        return _commission_and_run(plan, program, log, runner, runner), truth
+    finally:
+        peer.close()
+
+
+def _peer(args: argparse.Namespace, plan: Plan, truth: Path | None) -> Peer:
+    """The simulator in this process, stepped by the loop."""
+    return load_peer(
+        PEER,
+        hand_path=str(hand_path(args.hand)),
+        scene=args.scene,
+        seed=args.seed,
+        period_ns=plan.period_ns,
+        truth_path=str(truth) if truth else None,
+    )
+
+
+def _speed(outcome: Outcome, plan: Plan, wall: float) -> dict[str, Any]:
+    """How much faster than real time it went, commissioning included."""
+    simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
+    return {"lockstep": True, "simulated_s": simulated, "wall_s": wall, "times_real_time": simulated / wall}
+
+
+@contextmanager
+def simulator(args: argparse.Namespace, spec: str) -> Iterator[None]:
+    """The simulator as a process of its own, ready when the body begins.
+
+    Raises:
+        BusError: it does not start.
+    """
+    command = [sys.executable, "-m", SIMULATOR, "--hand", str(args.hand), "--bus", spec]
+    command += ["--scene", str(args.scene), "--seed", str(args.seed)]
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    try:
+        assert child.stdout is not None
+        line = child.stdout.readline()
+        if "ready" not in line:
+            if child.wait(START_S) == Exit.BAD_INPUT:
+                raise SystemExit(Exit.BAD_INPUT)  # it has said why
+            raise BusError("the simulator did not start", SIMULATOR, "a line that says ready")
+        yield
+    finally:
+        child.terminate()
+        try:
+            child.wait(START_S)
+        except subprocess.TimeoutExpired:
+            child.kill()

@@ -1,0 +1,180 @@
+"""``handctl log``: what is in a log, whether it is sound, how two differ; export it, or repair a broken one."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.exit_codes import Exit
+from handctl.cli.options import json_option, print_json
+from handctl.log.reader import RunLog
+
+EXAMPLE = "handctl log --help   # with a log: handctl log info logs/RUN.mcap"
+
+FORMATS = {
+    "parquet": "one table, a row a tick",
+    "csv": "the same as text",
+    "candump": "all frames as can-utils' log text",
+    "rrd": "for the Rerun viewer",
+}
+
+UNITS = {"candump": "frames", "rrd": "bytes"}
+"""What is counted; rows otherwise."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    kinds = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
+
+    def kind(name: str, text: str) -> argparse.ArgumentParser:
+        one = kinds.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+        json_option(one)
+        one.add_argument("log", type=Path, help="the log")
+        return one
+
+    kind("info", "what is in it: when, which hand, gains, versions, loop, gaps")
+    kind("check", "counters, gaps, clock, hashes, every byte")
+    other = kind("diff", "compare it with another run of the same hand, phase by phase")
+    other.add_argument("other", type=Path, help="the other log")
+    rescue = kind("recover", "write a whole log from a broken one")
+    rescue.add_argument("--output", type=Path, metavar="FILE", help="default: LOG.recovered.mcap")
+    out = kind("export", "write it in a format that other tools read")
+    group = out.add_mutually_exclusive_group(required=True)
+    for name, text in FORMATS.items():
+        group.add_argument(f"--{name}", dest="format", action="store_const", const=name, help=text)
+    out.add_argument("--output", type=Path, metavar="FILE", help="a new file (default: LOG.FORMAT)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do one of them."""
+    done: dict[str, Callable[[argparse.Namespace], int]] = {
+        "info": _info,
+        "check": _check,
+        "diff": _diff,
+        "recover": _recover,
+        "export": _export,
+    }
+    return done[args.what](args)
+
+
+def _info(args: argparse.Namespace) -> int:
+    with RunLog(args.log) as log:
+        header = log.header
+        result = {
+            "log": str(args.log),
+            "whole": not log.warning,
+            "problem": log.warning,
+            "ticks": len(log),
+            "seconds": float(log.times[-1]) if len(log) else 0.0,
+            "late_us": _lateness(log),
+            "gaps": [[gap.before, gap.after] for gap in log.gaps],
+            "phases": [change.name for change in log.phases],
+            "events": [f"{event.t_ns / 1e9:.3f} s {event.event.level}: {event.event.text}" for event in log.events],
+            "end": log.end,
+            **header.metadata,
+            **header.wall,
+            "attachments": sorted(header.attachments),
+            "gains": header.gains,
+        }
+    if args.json:
+        print_json(result)
+        return Exit.DONE if result["whole"] else Exit.LOSSY_LOG
+    for key, value in result.items():
+        lines = value if isinstance(value, list) else [value]
+        print(f"{key:<12} {lines[0] if lines else '-'}")
+        for line in lines[1:]:
+            print(f"{'':<12} {line}")
+    return Exit.DONE if result["whole"] else Exit.LOSSY_LOG
+
+
+def _lateness(log: RunLog) -> dict[str, float]:
+    """How late ticks began [us]."""
+    import numpy as np
+
+    late = log.late_ns / 1e3
+    if not len(late):
+        return {}
+    return {"p50": float(np.percentile(late, 50)), "p99_9": float(np.percentile(late, 99.9)), "max": float(late.max())}
+
+
+def _check(args: argparse.Namespace) -> int:
+    from handctl.replay.check import check
+
+    with RunLog(args.log) as log:
+        found, ticks, lossy = check(log), len(log), bool(log.warning)
+    if args.json:
+        print_json({"log": str(args.log), "ticks": ticks, "sound": not found, "findings": found})
+    else:
+        print("\n".join(found) or f"{args.log}: {ticks} ticks, nothing wrong")
+    return Exit.LOSSY_LOG if lossy else Exit.FAILED if found else Exit.DONE
+
+
+def _diff(args: argparse.Namespace) -> int:
+    from handctl.replay.diff import diff
+
+    with RunLog(args.log) as a, RunLog(args.other) as b:
+        result = diff(a, b, str(args.other))
+    if args.json:
+        print_json({"logs": [str(args.log), str(args.other)], **result})
+        return Exit.DONE
+    for name, (one, two) in result["gains"].items():
+        print(f"gain {name}: {one} and {two}")
+    for which in ("only_in_first", "only_in_second"):
+        if result[which]:
+            print(f"phases {which.replace('_', ' ')}: {', '.join(result[which])}")
+    for name, phase in result["phases"].items():
+        first, second = phase.pop("duration_s")
+        print(f"{name}: {first:.3f} s and {second:.3f} s")
+        for signal, rows in phase.items():
+            _rows(signal.partition("_")[2], rows)
+    return Exit.DONE
+
+
+def _rows(unit: str, rows: dict[str, Any]) -> None:
+    for name, row in rows.items():
+        late = "" if row["delay_s"] != row["delay_s"] else f", {1e3 * row['delay_s']:+.1f} ms behind"
+        print(f"  {name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}")
+
+
+def _export(args: argparse.Namespace) -> int:
+    out = args.output or args.log.with_suffix(f".{args.format}")
+    if args.format == "rrd":
+        from handctl.view.feed import write_rrd
+        from handctl.view.subject import Subject
+
+        with RunLog(args.log) as log:
+            count = write_rrd(args.log, Subject.of(log.header, args.log.stem), out)
+    else:
+        with RunLog(args.log) as log:
+            count = _write(args.format, log, out)
+    if args.json:
+        print_json({"log": str(args.log), "output": str(out), "count": count})
+    else:
+        print(f"{out}: {count} {UNITS.get(args.format, 'rows')}")
+    return Exit.DONE
+
+
+def _write(form: str, log: RunLog, out: Path) -> int:
+    if form == "parquet":
+        from handctl.log.parquet import export_parquet
+
+        return export_parquet(log, out)
+    from handctl.log.export import export_candump, export_csv
+
+    return export_csv(log, out) if form == "csv" else export_candump(log, out)
+
+
+def _recover(args: argparse.Namespace) -> int:
+    from handctl.log.recover import recover
+
+    output = args.output or Path(str(args.log).removesuffix(".mcap") + ".recovered.mcap")
+    found = recover(args.log, output)
+    status = found.status.name.lower()
+    if args.json:
+        lost = [list(part) for part in found.lost]
+        result = {"status": status, "messages": found.messages, "lost": lost, "problem": found.problem}
+        print_json(result | {"output": str(output)})
+    else:
+        kept = "" if not found.messages else f", {found.messages} messages in {output}"
+        print(f"{args.log}: {status}{kept}" + (f" ({found.problem})" if found.problem else ""))
+    return int(found.status)

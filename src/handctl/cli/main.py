@@ -1,0 +1,97 @@
+"""The command line: a table of verbs, each a module that is imported only when it is asked for."""
+
+import argparse
+import importlib
+import sys
+from collections.abc import Sequence
+from typing import Protocol
+
+from handctl.cli.exit_codes import Exit
+from handctl.errors import BusError, ConfigError, HandctlError, IncomparableError, LogError
+
+VERBS = {
+    "demo": "close a simulated hand on an object and look at the run",
+    "run": "carry out a task on a hand",
+    "stop": "relax and disarm a running hand",
+    "clear": "clear latched faults of a running hand",
+    "commission": "tare, zero, and prove each tendon's sign",
+    "jog": "move one digit or tendon by hand",
+    "view": "look at a log in Rerun, or make a picture of it",
+    "replay": "a log through the controller, on the hand, or past other limits",
+    "log": "say what is in a log, check, compare, export or repair it",
+    "report": "one self-contained HTML page of a run",
+    "sim": "start a simulated hand on a bus",
+    "config": "show a hand and where each value comes from, or check files",
+    "paper": "reproduce the source paper, with what is wrong in it",
+    "bus": "plan the load of a hand's buses, and how to split them",
+    "doctor": "check this machine: priority, buses, viewer",
+}
+"""Each verb and what a person wants with it."""
+
+EPILOG = """exit codes: 0 done, 1 failed, 2 bad input, 3 lossy log, 4 not comparable, 70 internal error, 71 remove power
+first steps: handctl demo        help on a verb: handctl VERB --help"""
+
+
+class Verb(Protocol):
+    """What a verb's module offers."""
+
+    EXAMPLE: str
+
+    def configure(self, parser: argparse.ArgumentParser) -> None:
+        """Declare the arguments."""
+        ...
+
+    def run(self, args: argparse.Namespace) -> int:
+        """Do it; the exit code."""
+        ...
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Entry point of ``handctl``."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if words and words[0] in VERBS:
+        return _verb(words[0], words[1:])
+    parser = argparse.ArgumentParser(
+        prog="handctl",
+        description="Controller and data logger for tendon-driven robot hands.",
+        epilog="verbs:\n" + "".join(f"  {name:<12}{text}\n" for name, text in VERBS.items()) + "\n" + EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="store_true", help="print the version")
+    parser.add_argument("verb", nargs="?", choices=list(VERBS), metavar="VERB", help="what to do, see below")
+    args = parser.parse_args(words)
+    if args.version:
+        from importlib.metadata import version
+
+        print(version("handctl"))
+        return Exit.DONE
+    parser.print_help()
+    return Exit.DONE
+
+
+def _verb(name: str, words: list[str]) -> int:
+    """Run one verb; errors become one line and an exit code."""
+    module: Verb = importlib.import_module(f"handctl.cli.{name}")
+    parser = argparse.ArgumentParser(
+        prog=f"handctl {name}",
+        description=VERBS[name][0].upper() + VERBS[name][1:] + ".",
+        epilog=f"example:\n  {module.EXAMPLE}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.configure(parser)
+    args = parser.parse_args(words)
+    try:
+        return module.run(args)
+    except IncomparableError as error:
+        return _say(error, Exit.NOT_COMPARABLE)
+    except (ConfigError, LogError) as error:
+        return _say(error, Exit.BAD_INPUT)
+    except (BusError, HandctlError) as error:
+        return _say(error, Exit.FAILED)
+    except BrokenPipeError:
+        return Exit.DONE
+
+
+def _say(error: HandctlError, code: Exit) -> int:
+    print(f"handctl: {error}", file=sys.stderr)
+    return code

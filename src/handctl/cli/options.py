@@ -1,0 +1,63 @@
+"""Options that mean the same in every verb."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def hand_option(parser: argparse.ArgumentParser) -> None:
+    """--hand: a packaged hand or a file."""
+    parser.add_argument("--hand", default="jamia", metavar="NAME|FILE", help="packaged hand or file (default: jamia)")
+
+
+def bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
+    """--bus: one specification, or NAME=SPEC repeated for a hand on several buses."""
+    parser.add_argument(
+        "--bus",
+        action="append",
+        required=required,
+        metavar="[NAME=]SPEC",
+        help="local:NAME, socketcan:can0 or any python-can interface:channel; repeat as NAME=SPEC for several buses",
+    )
+
+
+def json_option(parser: argparse.ArgumentParser) -> None:
+    """--json: machine-readable output on stdout, nothing else there."""
+    parser.add_argument("--json", action="store_true", help="print the result as JSON on standard output")
+
+
+def dry_run_option(parser: argparse.ArgumentParser) -> None:
+    """--dry-run: check everything that can be checked without opening a bus."""
+    parser.add_argument("--dry-run", action="store_true", help="check all files and the bus load, open no bus")
+
+
+def run_options(parser: argparse.ArgumentParser) -> None:
+    """Options of the verbs that run the controller."""
+    hand_option(parser)
+    bus_option(parser)
+    json_option(parser)
+    dry_run_option(parser)
+    parser.add_argument("--clear", action="store_true", help="clear what the drives have latched: you have looked why")
+    parser.add_argument("--gains", type=Path, metavar="FILE", help="gains.toml (default: the packaged gains)")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: by the bus load)")
+    parser.add_argument("--calibration", type=Path, metavar="FILE", help="default: HAND.calibration.toml")
+    parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
+    parser.add_argument("--time-scale", type=float, default=1.0, metavar="X", help="run time per wall time")
+
+
+def print_json(result: dict[str, Any]) -> None:
+    """Print a result for programs; NaN becomes null."""
+    json.dump(_plain(result), sys.stdout, indent=2, allow_nan=False)
+    sys.stdout.write("\n")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not (value == value and abs(value) != float("inf")):
+        return None
+    return str(value) if isinstance(value, Path) else value

@@ -1,0 +1,157 @@
+"""From the command line's arguments to a checked plan; no bus is opened here."""
+
+import argparse
+import datetime
+import math
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from handctl.cli.session import Plan
+from handctl.controller.calibration import Calibration, load_calibration
+from handctl.controller.gains import load_gains
+from handctl.controller.setup import make_drives, make_sensors
+from handctl.controller.task import Task, check_task, load_task, load_trajectory
+from handctl.drives.load import MOST, bus_time_s, highest_rate
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand, load_hand
+
+TASKS = Path(__file__).parent.parent / "tasks"
+TICKS_IN_WATCHDOG = 2
+"""Ticks in a drive's watchdog time, at least: one lost frame is no reason to let go."""
+FRESH_S = 24 * 3600.0
+"""A calibration older than this is not armed with: load cells drift and ropes creep."""
+
+
+def make_plan(args: argparse.Namespace, lockstep: bool = False) -> Plan:
+    """Check hand, gains, buses and rate.
+
+    Raises:
+        ConfigError: anything that is wrong, in one line.
+    """
+    hand = load_hand(args.hand)
+    gains = load_gains(args.gains)
+    buses = () if lockstep else bus_specs(hand, args.bus)
+    times = tick_times_s(hand)
+    rate = highest_rate(times) if args.rate is None else _rate(args.rate, hand)
+    load = tuple(rate * busy for busy in times)
+    if not 0 < args.time_scale <= 100:
+        raise ConfigError(f"{args.time_scale:g}", "--time-scale", "more than 0, at most 100")
+    for name, share in zip(hand.bus_names, load, strict=True):
+        if share > MOST:
+            best = highest_rate(times)
+            raise ConfigError(
+                f"bus {name} would be {100 * share:.0f} % full at {rate:g} Hz", "--rate", f"at most {best:g}"
+            )
+    _check_log(args.log)
+    attachments = {"gains.toml": args.gains.read_bytes()} if args.gains else {}
+    return Plan(hand, gains, rate, load, buses, attachments, args.time_scale, args.json, args.clear)
+
+
+def _rate(rate: float, hand: Hand) -> float:
+    """A rate from the command line, if the drives' watchdogs allow a lost tick at it."""
+    lowest = TICKS_IN_WATCHDOG * 1e3 / min(motor.watchdog_ms for motor in hand.motor)
+    if not lowest <= rate < math.inf:
+        raise ConfigError(f"{rate:g}", "--rate", f"at least {lowest:g}, for the drives' watchdogs")
+    return rate
+
+
+def _check_log(log: Path | None) -> None:
+    """Refuse a log that could not be created, before anything is opened."""
+    if log is not None and (log.exists() or not log.parent.is_dir()):
+        raise ConfigError(str(log), "--log", "a new file in a folder that exists")
+
+
+def bus_specs(hand: Hand, given: Sequence[str]) -> tuple[str, ...]:
+    """Specification of each bus of a hand, from ``--bus``.
+
+    Raises:
+        ConfigError: a bus is missing, given twice, or not the hand's.
+    """
+    names = hand.bus_names
+    if len(names) == 1 and len(given) == 1 and "=" not in given[0].partition(":")[0]:
+        return (given[0],)
+    found: dict[str, str] = {}
+    for text in given:
+        name, _, spec = text.partition("=")
+        if name not in names or not spec or name in found:
+            raise ConfigError(repr(text), "--bus", " ".join(f"--bus {name}=SPEC" for name in names))
+        found[name] = spec
+    for name in names:
+        if name not in found:
+            raise ConfigError("missing", f"--bus {name}=SPEC", f"all of {', '.join(names)}")
+    return tuple(found[name] for name in names)
+
+
+def tick_times_s(hand: Hand) -> tuple[float, ...]:
+    """Worst-case time that one tick's frames take on each bus of a hand [s]."""
+    drives, sensors = make_drives(hand), make_sensors(hand)
+    times = []
+    for index, bus in enumerate(hand.bus):
+        frames = [(size, fd, 1.0) for drive in drives if drive.bus == index for size, fd in drive.exchange]
+        if any(fd for _, fd, _ in frames) and bus.data_bitrate is None:
+            raise ConfigError("missing, and a motor on it is set to CAN FD", f"bus[{bus.name}].data_bitrate", "bit/s")
+        frames += [(size, False, number) for size, number in sensors.exchange] if sensors.bus == index else []
+        times.append(bus_time_s(frames, bus.bitrate, bus.data_bitrate))
+    return tuple(times)
+
+
+def find_task(name: Path, hand: Hand) -> tuple[Task, bytes]:
+    """A task file, from the path or from those that come with handctl, checked against the hand.
+
+    Raises:
+        ConfigError: there is none, or something in it is wrong.
+    """
+    path = name if name.exists() else TASKS / name.with_suffix(".toml").name
+    if not path.exists():
+        packaged = ", ".join(sorted(path.name for path in TASKS.glob("*.toml")))
+        raise ConfigError("no such task", str(name), f"a task file, or one of {packaged}")
+    task = load_task(path)
+    check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), str(name))
+    return task, path.read_bytes()
+
+
+def find_trajectory(path: Path, hand: Hand) -> Task:
+    """A trajectory file as a task, checked against the hand.
+
+    Raises:
+        ConfigError: there is none, or something in it is wrong.
+    """
+    task = load_trajectory(path)
+    check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), str(path))
+    return task
+
+
+def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibration | None, str]:
+    """The hand's calibration file, if it is good enough to arm with.
+
+    Returns:
+        where it is or shall be, the calibration or None, and why it is None.
+
+    Raises:
+        ConfigError: the file named on the command line is there and cannot be used.
+    """
+    path = args.calibration or Path(f"{hand.name}.calibration.toml")
+    if not path.exists():
+        return path, None, f"there is no {path}"
+    try:
+        calibration = load_calibration(path, hand)
+    except ConfigError as error:
+        if args.calibration:
+            raise
+        return path, None, str(error)
+    made = datetime.datetime.fromisoformat(calibration.made).timestamp()
+    if time.time() - made > FRESH_S:
+        return path, None, f"{path} is older than a day"
+    return path, calibration, ""
+
+
+def default_log(hand: Hand, kind: str = "") -> Path:
+    """logs/DATE-HAND.mcap, made unique."""
+    folder = Path("logs")
+    folder.mkdir(exist_ok=True)
+    stem = time.strftime("%Y%m%d-%H%M%S") + f"-{hand.name}" + (f"-{kind}" if kind else "")
+    number, path = 1, folder / f"{stem}.mcap"
+    while path.exists():
+        number, path = number + 1, folder / f"{stem}-{number}.mcap"
+    return path

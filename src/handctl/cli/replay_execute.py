@@ -1,0 +1,87 @@
+"""``handctl replay execute``: what the controller decided is decided again, or what other gains would have commanded.
+
+This module and all that it imports know no bus.
+"""
+
+import argparse
+import sys
+from typing import Any
+
+from handctl.cli.exit_codes import Exit
+from handctl.cli.options import print_json
+
+
+def run(args: argparse.Namespace) -> int:
+    """Execute the log again."""
+    from handctl.log.reader import RunLog
+
+    with RunLog(args.recorded) as log:
+        if log.warning:
+            print(f"handctl: {log.warning}: the part before is executed", file=sys.stderr)
+        return _other_gains(args, log) if args.gains else _same(args, log)
+
+
+def _same(args: argparse.Namespace, log: Any) -> int:
+    from importlib.metadata import version
+
+    from handctl.replay.execute import acceptable, execute
+
+    found = execute(log)
+    good = not found.differing if args.within is None else acceptable(found, args.within)
+    logged_by = log.header.metadata.get("version", "?")
+    result = {
+        "log": str(args.recorded),
+        "ticks": found.ticks,
+        "differing": found.differing,
+        "undecided": found.undecided,
+        "first": found.first._asdict() if found.first else None,
+        "largest": found.largest._asdict() if found.largest else None,
+        "same": good,
+        "version": version("handctl"),
+        "version_logged": logged_by,
+        "wall_s": found.wall_s,
+        "times_real_time": found.times_real_time,
+    }
+    if args.json:
+        print_json(result)
+    else:
+        print(f"{found.ticks} ticks, {found.differing} differ, {found.undecided} decide something else")
+        for word, one in (("first", found.first), ("largest", found.largest)):
+            if one:
+                print(f"{word}: {_sentence(one)}")
+        print(f"{found.wall_s:.2f} s, {found.times_real_time:.1f} times real time")
+        if found.differing and logged_by != version("handctl"):
+            print(f"the log was written by version {logged_by}, this is {version('handctl')}")
+    return Exit.DONE if good else Exit.FAILED
+
+
+def _sentence(one: Any) -> str:
+    """A difference for a person."""
+    place = f"{one.field} of {one.name}" if one.name else one.field
+    apart = f", {one.ulps} units in the last place" if one.ulps is not None else ""
+    return f"tick {one.k} ({one.t_s:.3f} s), {place}: logged {one.logged!r}, now {one.computed!r}{apart}"
+
+
+def _other_gains(args: argparse.Namespace, log: Any) -> int:
+    from handctl.controller.gains import load_gains
+    from handctl.replay.counterfactual import Commands, draw, summary
+    from handctl.replay.execute import execute
+
+    commands = Commands()
+    found = execute(log, load_gains(args.gains), commands.add)
+    picture = args.picture or args.recorded.with_suffix(".gains.png")
+    draw(picture, log, commands, f"{log.header.metadata['hand']}: {args.recorded.name} with {args.gains.name}")
+    change = summary(log, commands)
+    if args.json:
+        first = found.first._asdict() if found.first else None
+        counts = {"ticks": found.ticks, "differing": found.differing, "first": first}
+        print_json(counts | {"gains": str(args.gains), "picture": str(picture), "change": change})
+        return Exit.DONE
+    print(f"{found.ticks} ticks, {found.differing} commanded or estimated otherwise")
+    if found.first:
+        print(f"first: {_sentence(found.first)}")
+    for unit, rows in change.items():
+        for name, size in rows.items():
+            print(f"{name:<18} {unit:<18} rms {size['rms']:.4g}, peak {size['peak']:.4g}")
+    print(f"picture: {picture}")
+    return Exit.DONE

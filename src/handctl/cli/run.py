@@ -1,0 +1,90 @@
+"""``handctl run``: carry out a task on a hand, log it, and say how it went."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.commission import ensure_calibration
+from handctl.cli.exit_codes import Exit
+from handctl.cli.options import print_json, run_options
+from handctl.cli.plan import default_log, find_calibration, find_task, find_trajectory, make_plan
+from handctl.cli.session import Outcome, Plan, make_controller, refuse_blind_view, run_live
+from handctl.cli.verdict import judge, print_summary
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.live import LiveProgram
+from handctl.controller.program import Program
+from handctl.hand.toml_text import toml_text
+from handctl.runtime.places import truth_path
+
+EXAMPLE = "handctl run --hand jamia --bus local:demo --task grasp.toml --dry-run"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    run_options(parser)
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--trajectory", type=Path, metavar="FILE", help="trajectory file: angles over time")
+    what.add_argument("--task", type=Path, metavar="FILE", help="task file; without one the hand waits for requests")
+    parser.add_argument(
+        "--truth", type=Path, metavar="FILE", help="truth file of a simulator (default: found by the bus)"
+    )
+    parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Carry out the task."""
+    refuse_blind_view(args.view)
+    plan = make_plan(args)
+    program, attached = _program(args, plan)
+    path, calibration, why = find_calibration(args, plan.hand)
+    if args.dry_run:
+        return _dry(args, plan, why)
+    log = args.log or default_log(plan.hand)
+    if calibration is None:
+        calibration = ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))
+    plan.attachments.update(attached | {"calibration.toml": path.read_bytes()})
+    controller = make_controller(plan, program, calibration, arm_at_once=True)
+    outcome = run_live(plan, controller, log, live_view=args.view)
+    truth = args.truth or truth_path(plan.buses[0])
+    result = judge(plan, outcome, log, truth if truth.exists() else None)
+    return report(result, outcome, plan, args.json)
+
+
+def _program(args: argparse.Namespace, plan: Plan) -> tuple[Program, dict[str, bytes]]:
+    """The task, or a program that waits for requests."""
+    if args.trajectory is not None:
+        task = find_trajectory(args.trajectory, plan.hand)
+        return TaskProgram(task), {"task.toml": toml_text(task.model_dump(by_alias=True)).encode()}
+    if args.task is None:
+        return LiveProgram(), {}
+    task, text = find_task(args.task, plan.hand)
+    return TaskProgram(task), {"task.toml": text}
+
+
+def _dry(args: argparse.Namespace, plan: Plan, why: str) -> int:
+    """Say what would be done."""
+    result: dict[str, Any] = {
+        "hand": plan.hand.name,
+        "rate_hz": plan.rate_hz,
+        "bus_load": max(plan.load),
+        "buses": list(plan.buses),
+        "commissioning": why,
+    }
+    if args.json:
+        print_json(result)
+    else:
+        print(f"{plan.hand.name}: all files are good; {plan.rate_hz:g} Hz, bus load {100 * max(plan.load):.0f} %")
+        print(f"the hand would be commissioned first: {why}" if why else "the hand is commissioned")
+    return Exit.DONE
+
+
+def report(result: dict[str, Any], outcome: Outcome, plan: Plan, as_json: bool) -> int:
+    """Print what came out; the exit code of the run."""
+    if as_json:
+        print_json(result)
+    else:
+        print_summary(result, plan)
+    if outcome.state.failure:
+        print(f"handctl: {outcome.state.failure}", file=sys.stderr)
+    return outcome.exit

@@ -1,0 +1,281 @@
+"""A run from checked files to its log: the wiring that ``run``, ``demo``, ``commission`` and ``jog`` have in common."""
+
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field, replace
+from importlib.metadata import distributions, version
+from pathlib import Path
+
+from handctl.cli.display import Display
+from handctl.cli.exit_codes import Exit
+from handctl.controller import setup
+from handctl.controller.calibration import Calibration
+from handctl.controller.gains import Gains
+from handctl.controller.program import Program
+from handctl.controller.state import State
+from handctl.controller.tick import Controller
+from handctl.controller.types import TickIn, TickOut
+from handctl.hand.description import Hand
+from handctl.hand.urdf import urdf
+from handctl.log.header import RunHeader
+from handctl.log.record import pack
+from handctl.log.recorder import Recorder
+from handctl.runtime.bus import open_bus
+from handctl.runtime.clock import Clock, Priority, RealClock, give_back_priority, take_priority
+from handctl.runtime.lockstep import LockstepBus, LockstepClock
+from handctl.runtime.loop import Loop, LoopBus, LoopStats, Signals
+from handctl.runtime.mailbox import Mailbox
+from handctl.runtime.status import status
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything about a run that is known, and checked, before a bus is opened.
+
+    Attributes:
+        hand: description.
+        gains: weights and noise assumptions.
+        rate_hz: control rate.
+        load: worst-case share of each bus, in the hand's order.
+        buses: specification of each bus; empty in lockstep.
+        attachments: files that go into the log.
+        time_scale: run time per wall time.
+        quiet: no display.
+        clear: a person has ordered that what the drives have latched be cleared.
+    """
+
+    hand: Hand
+    gains: Gains
+    rate_hz: float
+    load: tuple[float, ...]
+    buses: tuple[str, ...] = ()
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    time_scale: float = 1.0
+    quiet: bool = False
+    clear: bool = False
+
+    @property
+    def period_ns(self) -> int:
+        """Control period [ns]."""
+        return round(1e9 / self.rate_hz)
+
+    def on(self, buses: tuple[str, ...]) -> "Plan":
+        """The same plan on other buses."""
+        return replace(self, buses=buses)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run came to.
+
+    Attributes:
+        state: the controller's last state.
+        stats: of the loop.
+        log: summary of the recorder.
+        priority: what the operating system granted; None in lockstep.
+        offset_ns: the run's t = 0 on the simulator's clock [ns].
+    """
+
+    state: State
+    stats: LoopStats
+    log: dict[str, object]
+    priority: Priority | None
+    offset_ns: int
+
+    @property
+    def exit(self) -> Exit:
+        """Exit code of a verb that did nothing but this run."""
+        if self.state.unconfirmed:
+            return Exit.REMOVE_POWER
+        return Exit.FAILED if self.state.failure else Exit.DONE
+
+
+Runner = Callable[["Plan", Controller, Path], Outcome]
+"""How a run is run: ``run_live``, or its twin in lockstep."""
+
+
+def make_controller(plan: Plan, program: Program, calibration: Calibration | None, arm_at_once: bool) -> Controller:
+    """Design the gains and put the controller together."""
+    return setup.make_controller(plan.hand, plan.gains, plan.rate_hz, program, calibration, arm_at_once)
+
+
+def run_live(plan: Plan, controller: Controller, log: Path, live_view: bool = False) -> Outcome:
+    """Run on real time and real (or simulated) buses.
+
+    Args:
+        plan: checked.
+        controller: with its program.
+        log: file to write.
+        live_view: show the growing log in Rerun, from a process of its own.
+
+    Raises:
+        BusError: a bus cannot be opened, or another controller runs on it.
+        LogError: the log cannot be written.
+    """
+    clock = RealClock(plan.period_ns, plan.time_scale)
+    with ExitStack() as stack:
+        mailbox = Mailbox(plan.buses[0])
+        stack.callback(mailbox.close)
+        buses: list[LoopBus] = []
+        for index, (spec, bus) in enumerate(zip(plan.buses, plan.hand.bus, strict=True)):
+            opened = open_bus(spec, index, bus.bitrate, bus.data_bitrate, clock.of)
+            stack.callback(opened.close)
+            buses.append(opened)
+        priority = take_priority()
+        stack.callback(give_back_priority)
+        clock.spin = priority.realtime
+        recorder = Recorder.start(log, run_header(plan, controller, priority, lockstep=False))
+        display = None if plan.quiet else Display.start(plan.hand, plan.rate_hz, max(plan.load))
+        if live_view:
+            stack.callback(_start_view(log))
+        signals = Signals()
+        stack.enter_context(signals.installed())
+        show = _shows(display, mailbox, plan.rate_hz)
+        loop = _loop(plan, controller, clock, buses, recorder, _requests(plan, signals, mailbox), show)
+        return _finish(loop, controller, recorder, display, priority, lambda: int(clock.start_ns * clock.scale))
+
+
+def run_lockstep(plan: Plan, controller: Controller, log: Path, clock: LockstepClock) -> Outcome:
+    """Run in virtual time against the clock's peer; may be called again with the same clock."""
+    clock.restart()
+    recorder = Recorder.start(log, run_header(plan, controller, None, lockstep=True))
+    loop = _loop(plan, controller, clock, [LockstepBus(clock)], recorder, lambda: (), _show_nothing)
+    return _finish(loop, controller, recorder, None, None, lambda: clock.offset_ns)
+
+
+def refuse_blind_view(wanted: bool) -> None:
+    """Refuse ``--view`` where there is no screen, before a bus is opened.
+
+    Raises:
+        ConfigError: this session has no screen.
+    """
+    if wanted:
+        from handctl.view.viewer import check_screen
+
+        check_screen()
+
+
+def _start_view(log: Path) -> Callable[[], None]:
+    """Start the live view; what ends its feeding (the viewer itself stays open)."""
+    from handctl.view.live import start_live
+
+    child: subprocess.Popen[bytes] = start_live(log)
+    return child.terminate
+
+
+def _loop(
+    plan: Plan,
+    controller: Controller,
+    clock: Clock,
+    buses: Sequence[LoopBus],
+    recorder: Recorder,
+    requests: Callable[[], tuple[str, ...]],
+    show: Callable[[TickIn, TickOut], None],
+) -> Loop[State]:
+    def record(entry: TickIn, out: TickOut) -> None:
+        recorder.record(pack(entry, out))
+
+    tick, cut = controller.tick, controller.cut_frames()
+    return Loop(clock, plan.period_ns, buses, tick, cut, requests, lambda: list(recorder.events()), record, show)
+
+
+def _requests(plan: Plan, signals: Signals, mailbox: Mailbox) -> Callable[[], tuple[str, ...]]:
+    """What people and programs ask, tick after tick; an order from the command line is the first."""
+    orders = ['{"do": "clear"}'] if plan.clear else []
+
+    def take() -> tuple[str, ...]:
+        first = (orders.pop(),) if orders else ()
+        return first + signals.take() + mailbox.read()
+
+    return take
+
+
+WATCH_HZ = 50.0
+"""How often a program that watches gets a line."""
+
+
+def _shows(display: Display | None, mailbox: Mailbox, rate_hz: float) -> Callable[[TickIn, TickOut], None]:
+    """What is done after each tick for those who watch: the display, and programs."""
+    every = max(1, round(rate_hz / WATCH_HZ))
+
+    def show(entry: TickIn, out: TickOut) -> None:
+        if display:
+            display.show(entry, out)
+        if mailbox.watchers and entry.k % every == 0:
+            mailbox.publish(status(entry, out))
+
+    return show
+
+
+def _show_nothing(entry: TickIn, out: TickOut) -> None:
+    return
+
+
+def _finish(
+    loop: Loop[State],
+    controller: Controller,
+    recorder: Recorder,
+    display: Display | None,
+    priority: Priority | None,
+    offset_ns: Callable[[], int],
+) -> Outcome:
+    """Run the loop and close what hangs on it, whatever happens."""
+    reason = "controller error"
+    try:
+        state = loop.run(controller.initial())
+        reason = state.failure or "done"
+    finally:
+        if display:
+            display.close()
+        summary = recorder.close(reason)
+    return Outcome(state, loop.stats, summary, priority, offset_ns())
+
+
+def run_header(plan: Plan, controller: Controller, priority: Priority | None, lockstep: bool) -> RunHeader:
+    """Everything known before the first tick."""
+    hand = plan.hand
+    installed = sorted({f"{dist.name}=={dist.version}" for dist in distributions()})
+    attachments = {
+        "hand.toml": hand.to_toml().encode(),
+        "hand.urdf": urdf(hand).encode(),
+        setup.ATTACHMENT: setup.Setup.of(controller, plan.rate_hz).model_dump_json(by_alias=True, indent=2).encode(),
+        "gains.json": plan.gains.model_dump_json(by_alias=True, indent=2).encode(),
+        "pip-freeze.txt": "\n".join(installed).encode(),
+        **plan.attachments,
+    }
+    wall = {
+        "host": platform.node(),
+        "kernel": platform.release(),
+        "python": sys.version.split()[0],
+        "priority": str(priority),
+        "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+    }
+    metadata = {
+        "version": version("handctl"),
+        "hand": hand.name,
+        "identity": hand.identity,
+        "bus": " ".join(plan.buses) or "lockstep",
+        "rate_hz": f"{plan.rate_hz:g}",
+        "time_scale": f"{plan.time_scale:g}",
+    }
+    return RunHeader.of_hand(
+        hand.to_toml(),
+        plan.period_ns,
+        offset_ns=0 if lockstep else time.time_ns(),
+        metadata=metadata,
+        gains=_flat(plan.gains.model_dump(by_alias=True)),
+        attachments=attachments,
+        wall=wall,
+        deterministic=lockstep,
+    )
+
+
+def _flat(table: dict[str, object], prefix: str = "") -> dict[str, str]:
+    flat: dict[str, str] = {}
+    for key, value in table.items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": str(value)}
+    return flat

@@ -1,0 +1,34 @@
+"""``handctl sim``: start the simulated hand; the same as ``python -m firmware_sim``."""
+
+import argparse
+import os
+import sys
+
+from handctl.cli.options import bus_option, hand_option, json_option
+from handctl.hand.description import load_hand
+
+EXAMPLE = "handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    hand_option(parser)
+    bus_option(parser)
+    json_option(parser)
+    parser.add_argument("--dry-run", action="store_true", help="print the command and end")
+    parser.add_argument("--scene", default="cylinder", help="cylinder, sphere, box, none, or a scene file")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
+    parser.add_argument("--time-scale", type=float, default=1.0, help="simulated time per wall time")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Become the simulator."""
+    load_hand(args.hand)
+    command = [sys.executable, "-m", "firmware_sim", "--hand", args.hand, "--scene", args.scene]
+    command += ["--seed", str(args.seed), "--time-scale", str(args.time_scale)]
+    for bus in args.bus:
+        command += ["--bus", bus]
+    if args.dry_run:
+        print(" ".join(["python", *command[1:]]))
+        return 0
+    return os.execv(sys.executable, command)

@@ -1,0 +1,117 @@
+"""``handctl view``: look at a log in Rerun, keep it as Rerun recording, or make a picture of it."""
+
+import argparse
+import os
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.exit_codes import Exit
+from handctl.cli.options import json_option, print_json
+from handctl.errors import ConfigError
+
+EXAMPLE = "handctl view logs/run.mcap --png run.png --at 4.2"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("log", type=Path, metavar="LOG", help="log of a run")
+    parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a Rerun recording, open nothing")
+    parser.add_argument(
+        "--png", type=Path, metavar="FILE.png", help="draw the dashboard without a screen, open nothing"
+    )
+    parser.add_argument(
+        "--at", type=float, metavar="SECONDS", help="moment of the picture (default: in the middle of the hold phase)"
+    )
+    parser.add_argument("--follow", action="store_true", help="the log is still being written: show it as it grows")
+    json_option(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show it, or write what was asked for."""
+    os.environ.setdefault("RUST_LOG", "error")  # Rerun's own notes; what matters is said by us
+    _check(args)
+    if args.follow:
+        from handctl.view.follow import follow
+
+        follow(args.log)
+        return Exit.DONE
+    from handctl.log.reader import RunLog
+    from handctl.view.moment import moment
+    from handctl.view.subject import Subject
+
+    with RunLog(args.log) as log:
+        subject = Subject.of(log.header, args.log.stem)
+        at_s, end_s = args.at, float(log.times[-1]) if len(log) else 0.0
+        if at_s is None:
+            at_s = moment(log)
+        elif not 0 <= at_s <= end_s:
+            raise ConfigError(f"{at_s:g}", "--at", f"seconds of this run, 0 to {end_s:.3f}")
+        warning = log.warning
+    if warning:
+        print(f"handctl: {args.log}: {warning}", file=sys.stderr)
+    result = _write(args, subject, at_s)
+    if args.json:
+        print_json(result | {"log": args.log, "warning": warning})
+    return Exit.LOSSY_LOG if warning else Exit.DONE
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse what cannot be done before anything is read."""
+    from handctl.view.viewer import check_screen, software_vulkan
+
+    if args.follow and (args.save or args.png):
+        raise ConfigError("together with --save or --png", "--follow", "one of them")
+    if args.at is not None and not args.png:
+        raise ConfigError("without --png", "--at", "--png FILE.png")
+    for option, path, suffix in (("--save", args.save, ".rrd"), ("--png", args.png, ".png")):
+        if path and (path.suffix != suffix or not path.parent.is_dir()):
+            raise ConfigError(str(path), option, f"a file name ending in {suffix} in a folder that exists")
+    if args.png:
+        software_vulkan()
+    elif not args.save:
+        check_screen()
+
+
+def _write(args: argparse.Namespace, subject: Any, at_s: float) -> dict[str, Any]:
+    """The recording, and the picture or the window."""
+    from handctl.view.feed import write_rrd
+
+    if args.save and not args.png:
+        size = write_rrd(args.log, subject, args.save)
+        _say(args, f"wrote {args.save}, {size / 1e6:.1f} MB; open it with: rerun {args.save}")
+        return {"rrd": args.save, "bytes": size}
+    with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
+        rrd = args.save or Path(folder) / f"{args.log.stem}.rrd"
+        size = write_rrd(args.log, subject, rrd)
+        if args.png:
+            return _picture(args, rrd, at_s) | ({"rrd": args.save, "bytes": size} if args.save else {})
+        _window(rrd)
+        return {}
+
+
+def _picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]:
+    from handctl.view.picture import draw
+
+    reports = draw(rrd, at_s, args.png)
+    for report in reports:
+        print(f"handctl: {report}", file=sys.stderr)
+    _say(args, f"wrote {args.png}: the hand at {at_s:.3f} s")
+    return {"png": args.png, "at_s": at_s, "reports": reports}
+
+
+def _window(rrd: Path) -> None:
+    """Open the viewer and wait until it is closed."""
+    from handctl.view.viewer import viewer
+
+    with viewer([str(rrd)], {}) as running:
+        try:
+            running.process.wait()
+        except KeyboardInterrupt:
+            return
+
+
+def _say(args: argparse.Namespace, text: str) -> None:
+    if not args.json:
+        print(text)

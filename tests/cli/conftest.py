@@ -1,0 +1,17 @@
+"""A place of its own for every test: an empty folder to work in, and short socket paths."""
+
+import shutil
+import tempfile
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def place(tmp_path, monkeypatch):
+    """Work in an empty folder, with sockets in a folder whose name is short enough for them."""
+    sockets = Path(tempfile.mkdtemp(prefix="h-"))
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(sockets))
+    monkeypatch.chdir(tmp_path)
+    yield tmp_path
+    shutil.rmtree(sockets, ignore_errors=True)

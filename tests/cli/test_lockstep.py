@@ -1,0 +1,137 @@
+"""The demo in virtual time: the same to the byte every time, its promises held, its log read by others."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+import rerun
+from mcap.reader import make_reader
+from rosbags.highlevel import AnyReader
+
+from handctl.log.reader import RunLog
+
+KEYS = {
+    "ticks", "missed", "late_us", "tracking_rmse_rad", "tension_rmse_n", "tension_hold_error_n",
+    "frames_tx", "frames_rx", "frames_lost", "bus_load", "log",
+}  # fmt: skip
+
+
+def demos(folder, *hands):
+    """The results of lockstep demos, one process each, all at the same time."""
+    running = []
+    for number, hand in enumerate(hands):
+        place = folder / str(number)
+        place.mkdir()
+        command = [sys.executable, "-m", "handctl.cli", "demo", "--lockstep", "--json", "--log", "run.mcap"]
+        options = {"cwd": place, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        environment = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        running.append((place, subprocess.Popen([*command, "--hand", hand], env=environment, **options)))
+    results = []
+    for place, process in running:
+        out, err = process.communicate(timeout=280)
+        assert process.returncode == 0, err
+        results.append((place, json.loads(out)))
+    return results
+
+
+@pytest.fixture(scope="module")
+def twins(tmp_path_factory):
+    """The demo twice."""
+    return demos(tmp_path_factory.mktemp("twins"), "jamia", "jamia")
+
+
+@pytest.fixture(scope="module")
+def eleven(tmp_path_factory):
+    """The demo with a motor for every joint."""
+    return demos(tmp_path_factory.mktemp("eleven"), "jamia11")[0]
+
+
+def stream(path):
+    """Topic, time and data of every message, in the order of the file."""
+    with path.open("rb") as file:
+        messages = make_reader(file).iter_messages(log_time_order=False)
+        return [(channel.topic, message.log_time, message.data) for _, channel, message in messages]
+
+
+def metadata(path):
+    """All metadata records but the one that may differ."""
+    with path.open("rb") as file:
+        records = {record.name: record.metadata for record in make_reader(file).iter_metadata()}
+    assert records.pop("handctl.wall")
+    return records
+
+
+def test_two_runs_write_the_same_messages(twins):
+    (first, _), (second, _) = twins
+    one, other = stream(first / "run.mcap"), stream(second / "run.mcap")
+    assert len(one) > 50_000
+    assert one == other
+    assert metadata(first / "run.mcap") == metadata(second / "run.mcap")
+
+
+def test_two_runs_have_the_same_truth(twins):
+    (first, _), (second, _) = twins
+    truth = (first / "run.truth").read_bytes()
+    assert len(truth) > 1_000_000
+    assert truth == (second / "run.truth").read_bytes()
+
+
+def test_two_runs_say_the_same(twins):
+    (_, one), (_, other) = twins
+    wall = ("wall_s", "times_real_time")
+    assert {key: value for key, value in one.items() if key not in wall} == {
+        key: value for key, value in other.items() if key not in wall
+    }
+
+
+def keeps_its_promises(result):
+    assert result.keys() >= KEYS
+    assert result["late_us"].keys() >= {"p50", "p99_9", "max"}
+    assert (result["missed"], result["frames_lost"], result["failure"]) == (0, 0, "")
+    assert result["object_motion_mm"] < 1.0
+    assert result["tension_hold_error_n"] < 2.0
+    assert len(result["tracking_rmse_deg"]) == 4
+    assert max(result["tracking_rmse_deg"].values()) < 1.0
+    assert result["bus_load"] < 0.7
+    for digit, force in result["contact_force_n"].items():
+        assert force > 0.5, digit
+        assert result["tip_equivalent_force_n"][digit] is not None
+
+
+def test_the_demo_keeps_its_promises(twins):
+    result = twins[0][1]
+    keeps_its_promises(result)
+    assert result["tension_rmse_n"] < result["tension_raw_rmse_n"]
+
+
+def test_the_demo_with_a_motor_a_joint_keeps_them_too(eleven):
+    result = eleven[1]
+    keeps_its_promises(result)
+    assert result["tension_rmse_n"] < 1.0
+
+
+def test_ros_reads_every_message(twins):
+    path = twins[0][0] / "run.mcap"
+    with AnyReader([path]) as reader:
+        seen = 0
+        for connection, _, raw in reader.messages():
+            assert reader.deserialize(raw, connection.msgtype) is not None
+            seen += 1
+    assert seen == len(stream(path))
+
+
+def test_rerun_finds_the_moving_hand(twins):
+    chunks = rerun.chunk.McapReader(twins[0][0] / "run.mcap").stream().to_chunks()
+    paths = {str(chunk.entity_path) for chunk in chunks}
+    assert "/tf" in paths
+    assert any("joint_states" in path for path in paths)
+
+
+def test_the_log_is_whole_and_has_every_tick(twins):
+    place, result = twins[0]
+    with RunLog(place / "run.mcap") as run:
+        assert not run.warning
+        assert not run.gaps
+        assert len(run) == result["ticks"]

@@ -1,0 +1,270 @@
+"""Bad input to any verb is one line on standard error and exit code 2, before a bus is opened.
+
+The bus of every case is one that nobody serves: had it been opened, the exit code would be 1.
+"""
+
+import tomllib
+
+import pytest
+
+from handctl.cli.main import VERBS, main
+from handctl.hand.description import HANDS, hand_from, load_hand
+from handctl.hand.toml_text import toml_text
+
+BUS = ("--bus", "local:does-not-exist")
+GRASP = ("--task", "grasp.toml")
+RUNS = {"run": GRASP, "commission": (), "jog": ("index", "--tension", "8")}
+"""Verbs that open a bus, with the words they need."""
+
+
+@pytest.fixture(autouse=True)
+def no_bus(monkeypatch):
+    def opened(*words, **options):
+        raise AssertionError("a bus was opened")
+
+    monkeypatch.setattr("handctl.cli.session.open_bus", opened)
+    monkeypatch.setattr("handctl.cli.session.Mailbox", opened)
+    monkeypatch.setattr("handctl.cli.demo.simulator", opened)
+
+
+def refused(capsys, *words):
+    """The one line that a command ends with."""
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("handctl: ")
+    assert err.count("\n") == 1, err
+    return err
+
+
+def jamia():
+    return tomllib.loads((HANDS / "jamia.toml").read_text())
+
+
+def nan_mass(content):
+    content["digit"][0]["link_mass_kg"][1] = float("nan")
+
+
+def negative_mass(content):
+    content["digit"][0]["link_mass_kg"][1] = -0.003
+
+
+def unknown_key(content):
+    content["digit"][0]["link_lenght_m"] = [0.03, 0.015, 0.01]
+
+
+def same_node(content):
+    content["motor"][1]["node_id"] = content["motor"][0]["node_id"]
+
+
+def too_strong(content):
+    content["tendon"][0]["tension_max_N"] = 700.0
+
+
+HAND_FILES = {
+    nan_mass: ("link_mass_kg", "nan"),
+    negative_mass: ("link_mass_kg", "-0.003"),
+    unknown_key: ("link_lenght_m", "unknown key"),
+    same_node: ("node_id", "index_motor"),
+    too_strong: ("tension_max_N", "700"),
+}
+
+
+@pytest.mark.parametrize("verb", ["config", "demo", "sim", *RUNS])
+@pytest.mark.parametrize("spoil", HAND_FILES, ids=lambda spoil: spoil.__name__)
+def test_a_wrong_hand_file(place, capsys, spoil, verb):
+    content = jamia()
+    spoil(content)
+    (place / "hand.toml").write_text(toml_text(content))
+    words = {"config": ("check",), "demo": (), "sim": BUS}.get(verb) or (*BUS, *RUNS.get(verb, ()))
+    line = refused(capsys, verb, *(() if verb == "demo" else words), "--hand", "hand.toml")
+    for word in HAND_FILES[spoil]:
+        assert word in line
+    assert "expected" in line
+
+
+@pytest.mark.parametrize("verb", ["config", "demo", "sim", *RUNS])
+def test_a_hand_that_is_not_there(capsys, verb):
+    words = {"config": ("show",), "demo": (), "sim": BUS}[verb] if verb not in RUNS else (*BUS, *RUNS[verb])
+    assert "one of jamia" in refused(capsys, verb, *words, "--hand", "jama")
+
+
+@pytest.mark.parametrize("verb", RUNS)
+@pytest.mark.parametrize("rate", ["0", "-500", "nan", "inf", "5", "600", "5000"])
+def test_a_rate_that_the_bus_or_the_drives_cannot_stand(capsys, verb, rate):
+    line = refused(capsys, verb, *BUS, *RUNS[verb], f"--rate={rate}")
+    assert line.startswith("handctl: --rate: ")
+    assert "at most 500" in line or "at least 40" in line
+
+
+@pytest.mark.parametrize("verb", RUNS)
+@pytest.mark.parametrize("words", [("--time-scale", "0"), ("--time-scale", "nan"), ("--time-scale", "101")])
+def test_a_time_scale_out_of_range(capsys, verb, words):
+    assert "--time-scale" in refused(capsys, verb, *BUS, *RUNS[verb], *words)
+
+
+@pytest.mark.parametrize("verb", RUNS)
+@pytest.mark.parametrize("text", ["schema = 1\n[motion]\nforce_N = -1\n", "[motion]\nforce = 1\n", "a = = b", None])
+def test_bad_gains(place, capsys, verb, text):
+    if text is not None:
+        (place / "gains.toml").write_text(text)
+    assert "gains.toml" in refused(capsys, verb, *BUS, *RUNS[verb], "--gains", "gains.toml")
+
+
+HEAD = 'schema = 1\nname = "t"\n[[phase]]\n'
+TASKS = {
+    "": "schema",
+    HEAD: "phase",
+    HEAD + 'kind = "throw"\n': "phase",
+    HEAD + 'kind = "move"\nangle_deg = 1000.0\n': "angle_deg",
+    HEAD + 'kind = "move"\nangle_deg = nan\n': "angle_deg",
+    HEAD + 'kind = "move"\nangle_deg = { pinky = 3.0 }\n': "pinky",
+    HEAD + 'kind = "hold"\ntension_N = 111.0\n': "tension",
+    HEAD + 'kind = "hold"\ntension_N = 5.0\nspeed = 3.0\n': "unknown key",
+    "schema = 2\n" + HEAD[11:] + 'kind = "release"\n': "schema",
+    "\x00": "TOML",
+}
+
+
+@pytest.mark.parametrize("verb", ["run", "demo", "config"])
+@pytest.mark.parametrize(("text", "named"), TASKS.items())
+def test_a_bad_task(place, capsys, verb, text, named):
+    (place / "task.toml").write_text(text)
+    words = {"run": BUS, "demo": (), "config": ("check",)}[verb]
+    line = refused(capsys, verb, *words, "--task", "task.toml")
+    assert "task.toml" in line
+    assert named in line
+
+
+UNDATED = 'schema = 1\nhand = "jamia"\nidentity = "0"\nmade = "yesterday"\ntendon = {}\n'
+
+
+@pytest.mark.parametrize("verb", ["run", "jog"])
+@pytest.mark.parametrize("text", ["", "schema = 1\nhand = 3\n", UNDATED, "\x00"])
+def test_a_calibration_that_cannot_be_used(place, capsys, verb, text):
+    (place / "c.toml").write_text(text)
+    assert "c.toml" in refused(capsys, verb, *BUS, *RUNS[verb], "--calibration", "c.toml")
+
+
+@pytest.mark.parametrize("verb", RUNS)
+@pytest.mark.parametrize("log", ["no-folder/run.mcap", "there.mcap", "."])
+def test_a_log_that_cannot_be_new(place, capsys, verb, log):
+    (place / "there.mcap").write_bytes(b"of another run")
+    assert "--log" in refused(capsys, verb, *BUS, *RUNS[verb], "--log", log)
+    assert (place / "there.mcap").read_bytes() == b"of another run"
+
+
+def two_buses():
+    """The jamia with its thumb on a second bus."""
+    content = jamia()
+    content["bus"].append({"name": "thumb", "bitrate": 1_000_000})
+    content["motor"][3]["bus"] = "thumb"
+    return content
+
+
+BAD_BUSES = [
+    ("local:a",),
+    ("main=local:a",),
+    ("main=local:a", "main=local:b"),
+    ("main=local:a", "second=local:b"),
+    ("main=local:a", "thumb="),
+    ("main=local:a", "thumb=local:b", "third=local:c"),
+]
+
+
+@pytest.mark.parametrize("buses", BAD_BUSES, ids=" ".join)
+@pytest.mark.parametrize("verb", RUNS)
+def test_bus_names_that_are_not_the_hands(place, capsys, verb, buses):
+    (place / "two.toml").write_text(toml_text(two_buses()))
+    words = [word for bus in buses for word in ("--bus", bus)]
+    line = refused(capsys, verb, "--hand", "two.toml", *words, *RUNS[verb])
+    assert "thumb=SPEC" in line
+
+
+@pytest.mark.parametrize("verb", RUNS)
+@pytest.mark.parametrize("bus", ["other=local:a", "main="])
+def test_a_bus_name_that_a_hand_on_one_bus_does_not_have(capsys, verb, bus):
+    assert "main=SPEC" in refused(capsys, verb, "--bus", bus, *RUNS[verb])
+
+
+def test_both_buses_in_any_order_are_good(place, capsys):
+    (place / "two.toml").write_text(toml_text(two_buses()))
+    words = ("--bus", "thumb=local:t", "--bus", "main=local:m", "--dry-run", "--json")
+    assert main(["run", "--hand", "two.toml", *GRASP, *words]) == 0
+    assert '"local:m",\n    "local:t"' in capsys.readouterr().out
+
+
+JOGS = [
+    ("pinky", "--tension", "8"),
+    ("index", "--tension", "nan"),
+    ("index", "--tension=-1"),
+    ("index", "--tension", "111"),
+    ("index", "--angle", "inf"),
+    ("index", "--angle", "151"),
+    ("index", "--angle", "10", "--for", "0"),
+    ("index", "--angle", "10", "--for", "nan"),
+]
+
+
+@pytest.mark.parametrize("words", JOGS, ids=" ".join)
+def test_a_bad_jog(capsys, words):
+    refused(capsys, "jog", *words, *BUS)
+
+
+@pytest.mark.parametrize("words", [("--lockstep",), ("--lockstep", "--dry-run"), ("--dry-run",)], ids=" ".join)
+@pytest.mark.parametrize("scene", ["nosuch", "cylinder:-3", "nosuch.toml"])
+def test_a_scene_that_is_none(capsys, words, scene):
+    main(["demo", "--scene", scene, *words])
+    lines = [line for line in capsys.readouterr().err.splitlines() if not line.startswith("commissioning")]
+    assert len(lines) == 1
+    assert lines[0].startswith("handctl: ")
+    assert "scene" in lines[0]
+
+
+ARGUMENTS = {
+    "demo": ("--seed", "x"),
+    "run": (),
+    "stop": (),
+    "clear": ("--bus",),
+    "commission": ("--bus", "local:a", "--rate", "fast"),
+    "jog": ("index", *BUS),
+    "view": (),
+    "log": ("burn", "x.mcap"),
+    "sim": ("--hand", "jamia"),
+    "config": ("sow",),
+    "doctor": ("--heal",),
+}
+
+
+@pytest.mark.parametrize("verb", ARGUMENTS)
+def test_words_that_a_verb_does_not_know(capsys, verb):
+    assert verb in VERBS
+    with pytest.raises(SystemExit) as ended:
+        main([verb, *ARGUMENTS[verb]])
+    assert ended.value.code == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(f"usage: handctl {verb}")
+    assert f"handctl {verb}: error: " in err.splitlines()[-1]
+
+
+def test_a_verb_that_is_none(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["grasp"])
+    assert ended.value.code == 2
+    assert "invalid choice" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", ["stop", "clear"])
+def test_nobody_to_ask_is_a_failure_and_no_bad_input(capsys, verb):
+    assert main([verb, *BUS]) == 1
+    assert capsys.readouterr().err.startswith("handctl: bus local:does-not-exist: no controller answers")
+
+
+@pytest.mark.parametrize("name", ["jamia", "jamia11", "jamia_bench"])
+def test_what_config_shows_is_the_hand(place, capsys, name):
+    assert main(["config", "show", "--hand", name]) == 0
+    text = capsys.readouterr().out
+    (place / "mine.toml").write_text(text)
+    assert load_hand("mine.toml").content == load_hand(name).content
+    assert hand_from(tomllib.loads(text), "shown").identity == load_hand(name).identity

@@ -1,0 +1,116 @@
+"""The verbs on a recorded run, as a person calls them."""
+
+import json
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from handctl.cli.main import main
+from handctl.hand.description import load_hand
+
+GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
+GRASP, OTHER = str(GOLDEN / "jamia-grasp.mcap"), str(GOLDEN / "jamia11-grasp.mcap")
+
+
+def test_execute_tells_programs_what_it_found(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", "execute", GRASP, "--json", "--within", "1e-9"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["ticks"] > 300
+    assert found["undecided"] == 0
+    assert {"differing", "first", "times_real_time", "version_logged"} <= found.keys()
+
+
+def test_other_gains_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    gains, picture = tmp_path / "gains.toml", tmp_path / "x.png"
+    gains.write_text("[motion]\nposition_error_m = 3e-4\n")
+    assert main(["replay", "execute", GRASP, "--gains", str(gains), "--picture", str(picture), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["change"]["motor_torque_N_m"]["index_motor"]["peak"] > 0.01
+    assert picture.stat().st_size > 10_000
+
+
+def test_gains_that_are_wrong_are_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    gains = tmp_path / "gains.toml"
+    gains.write_text("[motion]\nposition_error_m = -1\n")
+    assert main(["replay", "execute", GRASP, "--gains", str(gains)]) == 2
+    assert "position_error_m" in capsys.readouterr().err
+
+
+def test_safety_names_the_reading(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    limits = tmp_path / "limits.toml"
+    limits.write_text("tension_trip_N = 20\n")
+    assert main(["replay", "safety", GRASP, "--limits", str(limits)]) == 0
+    assert "T03 over-tension: thumb_tendon 20." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words",
+    [["log", "diff", GRASP, OTHER], ["replay", "drive", OTHER, "--hand", "jamia", "--bus", "local:x", "--dry-run"]],
+    ids=["diff", "drive"],
+)
+def test_another_hand_s_log_is_refused_with_both_identities(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 4
+    told = capsys.readouterr().err
+    assert len(told.splitlines()) == 1
+    for hand in ("jamia", "jamia11"):
+        assert load_hand(hand).identity[:12] in told
+
+
+def test_drive_checks_without_a_bus(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert main(["replay", "drive", GRASP, "--bus", "local:nobody", "--dry-run"]) == 0
+    assert "would drive 2." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["parquet", "csv", "candump", "rrd"])
+def test_export_writes_beside_the_log(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "run.mcap"
+    log.write_bytes(Path(GRASP).read_bytes())
+    assert main(["log", "export", str(log), f"--{name}", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["count"] > 600
+    assert (tmp_path / f"run.{name}").stat().st_size > 100_000
+
+
+def test_check_and_a_cut_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["log", "check", GRASP]) == 0
+    cut = tmp_path / "cut.mcap"
+    whole = Path(GRASP).read_bytes()
+    cut.write_bytes(whole[: len(whole) // 2])
+    assert main(["log", "check", str(cut)]) == 3
+    assert "not whole" in capsys.readouterr().out
+    assert main(["replay", "execute", str(cut), "--within", "1e-9"]) == 0, "the prefix is executed"
+
+
+class Page(HTMLParser):
+    """Collects what a page would load."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.loads: list[str] = []
+        self.seen: set[str] = set()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.seen.add(tag)
+        if tag not in ("svg", "use", "g", "path", "image", "metadata"):
+            self.loads += [value or "" for name, value in attrs if name in ("src", "href")]
+
+
+def test_the_report_is_one_page_that_loads_nothing(tmp_path: Path) -> None:
+    out = tmp_path / "page.html"
+    assert main(["report", str(GOLDEN / "jamia-fault.mcap"), "--output", str(out)]) == 0
+    page = Page()
+    text = out.read_text()
+    page.feed(text)
+    assert {"svg", "img", "table", "style"} <= page.seen
+    assert "script" not in page.seen
+    assert all(place.startswith("data:image/png;base64,") for place in page.loads)
+    assert "B02 a motor has gone silent: index_motor" in text
+    assert load_hand("jamia").identity in text
+
+
+def test_text_of_a_log_cannot_become_markup() -> None:
+    from handctl.report.page import _text
+
+    assert _text("<script>\x1b[31m&") == "&lt;script&gt;\\x1b[31m&amp;"

@@ -1,0 +1,169 @@
+"""Every verb's example runs as printed, JSON is JSON, a dry run opens nothing, and logs are judged by their state."""
+
+import json
+import os
+import shlex
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from handctl.cli.main import VERBS, main
+from handctl.log.reader import RunLog
+
+BUS = ("--bus", "local:does-not-exist")
+
+
+def example(capsys, verb):
+    """The words of the example that a verb's help ends with."""
+    with pytest.raises(SystemExit) as ended:
+        main([verb, "--help"])
+    assert ended.value.code == 0
+    line = capsys.readouterr().out.splitlines()[-1]
+    words = shlex.split(line, comments=True)
+    assert words[:2] == ["handctl", verb]
+    return words[1:]
+
+
+SLOW = {"demo", "paper", "view"}
+"""Verbs whose examples do a whole job: the demo's runs in test_lockstep, the others in their own rooms."""
+
+
+@pytest.mark.parametrize("verb", sorted(set(VERBS) - SLOW))
+def test_the_example_runs_as_printed(place, capsys, verb):
+    command = [sys.executable, "-m", "handctl.cli", *example(capsys, verb)]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.strip()
+    assert "Traceback" not in ended.stderr
+
+
+@pytest.mark.parametrize("verb", sorted(SLOW))
+def test_the_examples_that_take_long_are_printed_too(capsys, verb):
+    assert len(example(capsys, verb)) >= 2
+
+
+def spoken(capsys, *words):
+    """What a verb says with --json."""
+    code = main([*words, "--json"])
+    out, _ = capsys.readouterr()
+    return code, json.loads(out)
+
+
+DRY = {
+    "run": (*BUS, "--task", "grasp.toml"),
+    "config show": (),
+    "config list": (),
+    "config check": ("--task", "grasp.toml"),
+    "doctor": (),
+}
+
+
+@pytest.mark.parametrize("verb", DRY)
+def test_json_without_hardware(capsys, verb):
+    dry = ("--dry-run",) if verb == "run" else ()
+    code, said = spoken(capsys, *verb.split(), *DRY[verb], *dry)
+    assert code == 0
+    assert said
+
+
+def test_what_config_says_of_the_bus_is_what_a_run_would_do(capsys):
+    _, config = spoken(capsys, "config", "show", "--hand", "jamia11")
+    _, plan = spoken(capsys, "run", "--hand", "jamia11", *BUS, "--dry-run")
+    assert config["rate_hz"] == plan["rate_hz"] == 200.0
+    assert config["bus_load"]["main"] == plan["bus_load"] < 0.7
+    assert plan["buses"] == ["local:does-not-exist"]
+    assert config["hand"]["name"] == "jamia11"
+
+
+DRY_RUNS = {
+    "run": BUS,
+    "commission": BUS,
+    "jog": ("thumb", "--angle", "10", *BUS),
+    "sim": BUS,
+    "demo": ("--lockstep",),
+}
+
+
+@pytest.mark.parametrize("verb", DRY_RUNS)
+def test_a_dry_run_opens_and_writes_nothing(place, capsys, verb):
+    assert main([verb, *DRY_RUNS[verb], "--dry-run"]) == 0
+    assert capsys.readouterr().out
+    assert not any(place.iterdir())
+    assert not any(os.scandir(os.environ["HANDCTL_RUN_DIR"]))
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """A small log of a run that ended well."""
+    from handctl.controller.types import TELEMETRY_AXES, Mode, Telemetry, TickIn, TickOut
+    from handctl.hand.description import load_hand
+    from handctl.log.header import RunHeader
+    from handctl.log.record import pack
+    from handctl.log.recorder import Recorder
+    from handctl.safety.action import Action
+
+    hand = load_hand("jamia")
+    path = tmp_path_factory.mktemp("log") / "run.mcap"
+    header = RunHeader.of_hand(hand.to_toml(), 2_000_000, offset_ns=0, deterministic=True)
+    recorder = Recorder.start(path, header)
+    random = np.random.default_rng(0)
+    for k in range(3000):
+        numbers = Telemetry(**{name: random.random(len(header.axis(axis))) for name, axis in TELEMETRY_AXES.items()})
+        out = TickOut((), Mode.ACTIVE, "hold", Action.PASS, numbers, (), bytes(8))
+        recorder.record(pack(TickIn(k, k * 2_000_000), out))
+    assert recorder.close("done")["complete"]
+    return path
+
+
+def test_a_whole_log(log, capsys):
+    code, said = spoken(capsys, "log", "info", str(log))
+    assert (code, said["whole"], said["ticks"]) == (0, True, 3000)
+    assert main(["log", "info", str(log)]) == 0
+    assert "3000" in capsys.readouterr().out
+
+
+def test_a_cut_log_is_said_to_be_cut_and_recovered(log, place, capsys):
+    data = log.read_bytes()
+    (place / "cut.mcap").write_bytes(data[: len(data) * 2 // 3])
+    code, said = spoken(capsys, "log", "info", "cut.mcap")
+    assert (code, said["whole"]) == (3, False)
+    assert 0 < said["ticks"] < 3000
+    code, found = spoken(capsys, "log", "recover", "cut.mcap")
+    assert (code, found["status"]) == (3, "lossy")
+    with RunLog(place / "cut.recovered.mcap") as whole:
+        assert not whole.warning
+        assert len(whole) == said["ticks"]
+
+
+def test_recovering_a_whole_log_gives_the_same(log, place, capsys):
+    shutil.copy(log, "run.mcap")
+    code, found = spoken(capsys, "log", "recover", "run.mcap", "--output", "new.mcap")
+    assert (code, found["status"], found["lost"]) == (0, "whole", [])
+    with RunLog(log) as old, RunLog(place / "new.mcap") as new:
+        assert np.array_equal(old.times, new.times)
+
+
+def test_a_log_that_broke_off_before_its_first_chunk_holds_nothing(log, place, capsys):
+    (place / "head.mcap").write_bytes(log.read_bytes()[:64])
+    code, found = spoken(capsys, "log", "recover", "head.mcap")
+    assert (code, found["status"]) == (1, "nothing")
+    assert not (place / "head.recovered.mcap").exists()
+
+
+@pytest.mark.parametrize("what", ["info", "recover"])
+@pytest.mark.parametrize("content", [b"", b"garbage" * 1000, None])
+def test_what_is_no_log_is_bad_input(place, capsys, what, content):
+    if content is not None:
+        (place / "x.mcap").write_bytes(content)
+    assert main(["log", what, "x.mcap"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert not (place / "x.recovered.mcap").exists()
+
+
+def test_a_folder_is_no_log(capsys):
+    for what in ("info", "recover"):
+        assert main(["log", what, "/"]) == 2
+        assert capsys.readouterr().err == "handctl: /: not a file; expected a log\n"
