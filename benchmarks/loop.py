@@ -1,0 +1,136 @@
+"""The loop beside what one would write instead: lateness against a bare sleep, highest rate held with 4 and 11 motors.
+
+``python benchmarks/loop.py [--quick] [--json]``. Everything is measured in one run, on the same bus, against the same
+peer process without a plant; what counts are the ratios.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+LATENESS_HZ = 500.0
+MOST_MISSED = 0.01
+STEP = 0.85
+"""From one rate that is not held to the next."""
+
+
+def main() -> None:
+    """Measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="under half a minute")
+    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    parser.add_argument("--one", nargs=5, metavar=("WHICH", "HAND", "BUS", "SECONDS", "RATE"), help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.one:
+        print(json.dumps(one(*args.one)))
+        return
+    with tempfile.TemporaryDirectory(prefix="h-") as short:
+        os.environ["HANDCTL_RUN_DIR"] = short
+        result = measure(0.4 if args.quick else 5.0, quick=args.quick)
+    print(json.dumps(result, indent=2)) if args.json else show(result)
+
+
+def measure(seconds: float, quick: bool) -> dict:
+    """All numbers."""
+    result: dict = {"motors": {}}
+    for hand, motors in (("jamia", 4), ("jamia11", 11)):
+        with peer(hand) as bus:
+            if motors == 4:
+                ours = child("ours", hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
+                bare = child("bare", hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
+                result["lateness_us"] = {"rate_hz": LATENESS_HZ, "handctl": ours, "bare_sleep": bare}
+            rates = {which: free_and_held(which, hand, bus, seconds, quick) for which in ("ours", "usual")}
+        result["motors"][motors] = rates | {f"{name}_ratio": ratio(rates, name) for name in ("free_hz", "held_hz")}
+    return result
+
+
+def free_and_held(which: str, hand: str, bus: str, seconds: float, quick: bool) -> dict:
+    """Ticks a second without deadlines, and the highest rate with less than 1 % of the deadlines missed."""
+    free = child(which, hand, bus, seconds, 0.0)["hz"]
+    rate = (0.6 if quick else 0.9) * free
+    for _ in range(1 if quick else 12):
+        if child(which, hand, bus, seconds, rate)["missed"] < MOST_MISSED:
+            return {"free_hz": free, "held_hz": rate}
+        rate *= STEP
+    return {"free_hz": free, "held_hz": None}
+
+
+def ratio(rates: dict, name: str) -> float | None:
+    """Ours by the usual one; None where a loop held no rate that was tried."""
+    ours, usual = rates["ours"][name], rates["usual"][name]
+    return ours / usual if ours and usual else None
+
+
+def child(which: str, hand: str, bus: str, seconds: float, rate_hz: float) -> dict:
+    """One measurement in a process of its own."""
+    words = ["--one", which, hand, bus, str(seconds), str(rate_hz)]
+    out = subprocess.run([sys.executable, __file__, *words], capture_output=True, text=True, timeout=120)
+    if out.returncode:
+        raise SystemExit(out.stderr)
+    return json.loads(out.stdout)
+
+
+def one(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
+    """What ``child`` asks for."""
+    sys.path.insert(0, str(Path(__file__).parent))
+    log = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{os.getpid()}.log"
+    if which == "bare":
+        hz, missed, late = bare_sleep(float(seconds), float(rate))
+    else:
+        run = __import__(f"loops.{which}", fromlist=["run"]).run
+        hz, missed, late = run(hand, bus, float(seconds), float(rate) or None, log)
+    marks = np.percentile(late, [50, 99, 99.9, 100]) / 1e3 if late else [0.0] * 4
+    named = zip(("p50", "p99", "p99_9", "max"), (float(mark) for mark in marks), strict=True)
+    return {"hz": hz, "missed": missed, "late_us": dict(named)}
+
+
+def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
+    """Absolute deadlines and nothing to do, with the priority that the loop has too."""
+    from handctl.runtime.clock import take_priority
+
+    take_priority()
+    begin, late = time.monotonic_ns(), []
+    for k in range(1, int(seconds * rate_hz)):
+        deadline = begin + int(k * 1e9 / rate_hz)
+        time.sleep(max(0, deadline - time.monotonic_ns()) / 1e9)
+        late.append(time.monotonic_ns() - deadline)
+    return rate_hz, 0.0, late
+
+
+@contextmanager
+def peer(hand: str):
+    """The name of a bus with simulated drives on it."""
+    command = [sys.executable, str(Path(__file__).parent / "loops" / "peer.py"), hand, "b"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout
+        assert process.stdout.readline() == "ready\n"
+        yield "b"
+    finally:
+        process.kill()
+        process.wait()
+
+
+def show(result: dict) -> None:
+    """The same for people."""
+    late = result["lateness_us"]
+    print(f"lateness at {late['rate_hz']:g} Hz [us]       p50     p99   p99.9     max")
+    for name in ("handctl", "bare_sleep"):
+        print(f"  {name:<24}" + "".join(f"{value:8.1f}" for value in late[name].values()))
+    print("rate [Hz]                 handctl   usual   ratio")
+    for motors, rates in result["motors"].items():
+        for kind in ("free_hz", "held_hz"):
+            ours, usual, by = rates["ours"][kind], rates["usual"][kind], ratio(rates, kind)
+            print(f"  {motors:>2} motors, {kind[:4]:<12}{ours or 0:10.0f}{usual or 0:8.0f}{by or 0:8.2f}")
+
+
+if __name__ == "__main__":
+    main()

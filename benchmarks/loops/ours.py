@@ -1,0 +1,125 @@
+"""handctl's own loop, whole: bus, filter, law, safety, encoding, log; only the deadlines are chosen here."""
+
+import select
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from handctl.cli.session import Plan, make_controller
+from handctl.controller.gains import Gains
+from handctl.controller.program import Progress, motion_to
+from handctl.controller.types import Mode
+from handctl.hand.description import load_hand
+from handctl.hand.urdf import urdf
+from handctl.log.header import RunHeader
+from handctl.log.record import pack
+from handctl.log.recorder import Recorder
+from handctl.runtime.bus import open_bus
+from handctl.runtime.clock import RealClock, take_priority
+from handctl.runtime.loop import Loop
+
+DESIGN_HZ = 1000.0
+
+
+class Stay:
+    """A program that holds every digit where it is."""
+
+    def begin(self, model):
+        return Progress.begin(len(model.digits), "start")
+
+    def advance(self, model, progress, estimate, measured, t):
+        if progress.phase == "start":
+            goals = tuple(motion_to(digit, estimate, 0.0, 1.0, t) for digit in model.digits)
+            progress = replace(progress, phase="stay", goals=goals)
+        return progress, ()
+
+
+@dataclass
+class FreeClock:
+    """No deadline: the next tick begins when the answers to the last have come."""
+
+    fd: int
+
+    def begin(self):
+        return
+
+    def wait(self, k):
+        select.select([self.fd], [], [], 0.002)
+        return 0
+
+    def now_ns(self):
+        return 0
+
+
+def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
+    """Run for a while once the hand is active.
+
+    Args:
+        hand_name: packaged hand.
+        bus_name: of the local bus.
+        seconds: of the hand being active.
+        rate_hz: control rate; None for one tick after the other.
+        log: file, new.
+
+    Returns:
+        ticks a second while active, share of deadlines missed, lateness of every active tick [ns].
+    """
+    hand = load_hand(hand_name)
+    rate = rate_hz or DESIGN_HZ
+    plan = Plan(hand, Gains(), rate, (0.0,), (f"local:{bus_name}",))
+    controller = make_controller(plan, Stay(), None, arm_at_once=True)
+    bus = open_bus(plan.buses[0], 0, 1_000_000)
+    clock = RealClock(plan.period_ns) if rate_hz else FreeClock(bus.fileno())
+    priority = take_priority()
+    if rate_hz:
+        clock.spin = priority.realtime
+    described = {"hand.toml": hand.to_toml().encode(), "hand.urdf": urdf(hand).encode()}
+    recorder = Recorder.start(log, RunHeader.of_hand(hand.to_toml(), plan.period_ns, attachments=described))
+    counter = Counter(seconds)
+    cut = controller.cut_frames()
+
+    def record(entry, out):
+        recorder.record(pack(entry, out))
+
+    loop = Loop(
+        clock, plan.period_ns, [bus], controller.tick, cut, counter.requests, lambda: list(recorder.events()), record,
+        counter,
+    )  # fmt: skip
+    state = loop.run(controller.initial())
+    recorder.close("done")
+    bus.close()
+    log.unlink()
+    if not counter.ticks:
+        raise RuntimeError(f"never active: {state.failure}")
+    span = (counter.last_ns - counter.first_ns) / 1e9
+    return counter.ticks / span, (counter.last_k - counter.first_k - counter.ticks) / counter.ticks, counter.late
+
+
+class Counter:
+    """Counts the ticks in which the hand is active, and ends the run."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds, self.ticks, self.late = seconds, 0, []
+        self.first_ns = self.last_ns = self.first_k = self.last_k = 0
+        self.stopped = False
+
+    def __call__(self, entry, out) -> None:
+        if out.mode != Mode.ACTIVE or self.stopped:
+            return
+        self.last_ns, self.last_k = _now(), entry.k
+        if not self.first_ns:
+            self.first_ns, self.first_k = self.last_ns, self.last_k
+            return
+        self.ticks += 1
+        self.late.append(entry.late_ns)
+
+    def requests(self) -> tuple[str, ...]:
+        if self.first_ns and not self.stopped and _now() - self.first_ns > self.seconds * 1e9:
+            self.stopped = True
+            return ('{"do": "stop"}',)
+        return ()
+
+
+def _now() -> int:
+    import time
+
+    return time.monotonic_ns()

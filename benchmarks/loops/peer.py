@@ -1,0 +1,54 @@
+"""The other side of the wire without a plant: simulated drives and load cells that stand still, answers kept ready.
+
+``python benchmarks/loops/peer.py HAND NAME`` serves ``local:NAME`` and prints a line when it does.
+"""
+
+import select
+import sys
+
+from firmware_sim.frame import Frame, pack_record
+from firmware_sim.local import HubPort
+from firmware_sim.priority import take_priority
+from firmware_sim.rig import Rig
+
+SPECIAL = b"\xff" * 7
+ENABLED = 1
+
+
+class Echo:
+    """Answers from the simulator's nodes, the second time from memory."""
+
+    def __init__(self, hand: str) -> None:
+        self.rig = Rig(hand, homed=True)
+        self.known: dict[tuple[int, int], bytes] = {}
+        self.sync = self.rig.world.hand.sensors.sync_id
+
+    def answer(self, frame: Frame) -> bytes:
+        """Records that answer a frame."""
+        if frame.can_id != self.sync and (frame.can_id > 0xFF or frame.data.startswith(SPECIAL)):
+            self.known.clear()
+            return b"".join(map(pack_record, self.rig.world.receive(frame)))
+        key = (frame.can_id, frame.data[0] & 0xF if frame.can_id == self.sync else 0)
+        if key in self.known:
+            return self.known[key]
+        answers = self.rig.world.receive(frame)
+        records = b"".join(map(pack_record, answers))
+        if frame.can_id == self.sync or (answers and answers[0].data[0] >> 4 == ENABLED):
+            self.known[key] = records
+        return records
+
+
+def main(hand: str, name: str) -> None:
+    """Serve until killed."""
+    echo, port = Echo(hand), HubPort(name, 0)
+    take_priority()
+    print("ready", flush=True)
+    while True:
+        ready, _, _ = select.select(port.readers(), port.writers(), [])
+        records = b"".join(map(echo.answer, port.receive(ready)))
+        if records:
+            port._hub.send(records)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

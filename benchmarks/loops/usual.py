@@ -1,0 +1,116 @@
+"""The loop most people would write: python-can a frame at a time, a filter a tendon, pinocchio, JSON as it goes."""
+
+import json
+import struct
+import time
+from pathlib import Path
+
+import can
+import numpy as np
+import pinocchio
+from filterpy.kalman import KalmanFilter
+
+from handctl.hand.description import load_hand
+from handctl.hand.urdf import urdf
+from handctl.runtime.clock import take_priority
+
+ENABLE, DISABLE = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
+
+
+def tendon_filter(dt: float) -> KalmanFilter:
+    """Tension and its rate."""
+    one = KalmanFilter(dim_x=2, dim_z=1)
+    one.F, one.H = np.array([[1.0, dt], [0.0, 1.0]]), np.array([[1.0, 0.0]])
+    one.Q, one.R = np.diag([1e-3, 1e-1]), np.array([[0.25]])
+    return one
+
+
+def command(torque: float) -> bytes:
+    """Torque in the MIT frame of a Damiao motor, range 0.8 N m; position, speed and gains zero."""
+    raw = round((torque + 0.8) / 1.6 * 4095)
+    return bytes((0x80, 0x00, 0x80, 0x00, 0x00, 0x00, raw >> 8, raw & 0xFF))
+
+
+class UsualLoop:
+    """One tick after the other on a python-can bus."""
+
+    def __init__(self, hand_name: str, bus_name: str, log: Path) -> None:
+        self.hand = load_hand(hand_name)
+        self.bus = can.Bus(interface="local", channel=bus_name)
+        self.model = pinocchio.buildModelFromXML(urdf(self.hand))
+        self.data = self.model.createData()
+        self.nodes = [motor.node_id for motor in self.hand.motor]
+        self.filters = [tendon_filter(1e-3) for _ in self.nodes]
+        node = self.hand.sensor_node
+        self.sync, self.base = node.sync_id, node.base_id
+        self.answers = len(self.nodes) + -(-len(self.nodes) // 5)
+        self.k, self.file, self.path = 0, log.open("w"), log
+
+    def send_all(self, data: bytes) -> None:
+        """The same to every motor, answers thrown away."""
+        for node in self.nodes:
+            self.bus.send(can.Message(arbitration_id=node, data=data, is_extended_id=False))
+        while self.bus.recv(0.05):
+            pass
+
+    def tick(self) -> None:
+        """Ask, read, filter, compute, log."""
+        self.bus.send(can.Message(arbitration_id=self.sync, data=[self.k & 0xFF], is_extended_id=False))
+        torque = pinocchio.rnea(self.model, self.data, np.zeros(self.model.nq), np.zeros(self.model.nv),
+                                np.zeros(self.model.nv))  # fmt: skip
+        for node, one in zip(self.nodes, self.filters, strict=True):
+            data = command(0.005 * min(max(float(one.x[0, 0]) + float(torque[0]), 0.0), 10.0) * 0.0)
+            self.bus.send(can.Message(arbitration_id=node, data=data, is_extended_id=False))
+        row = {"k": self.k, "t": time.time(), "tension": [], "position": []}
+        expected = self.answers + (self.k % self.hand.sensor_node.joint_decimation == 0) * self.joint_frames()
+        for _ in range(expected):
+            message = self.bus.recv(0.002)
+            if message is None:
+                break
+            self.take(message, row)
+        self.file.write(json.dumps(row) + "\n")
+        self.k += 1
+
+    def joint_frames(self) -> int:
+        return -(-len(self.hand.sensor_node.joints) // 5)
+
+    def take(self, message: can.Message, row: dict) -> None:
+        """One answer."""
+        if self.base <= message.arbitration_id < self.base + 0x10:
+            bits, first = int.from_bytes(message.data, "little"), 5 * (message.arbitration_id - self.base)
+            for i in range(first, min(first + 5, len(self.filters))):
+                tension = (bits >> (4 + 12 * (i - first)) & 0xFFF) * 0.0625 - 6.0
+                self.filters[i].predict()
+                self.filters[i].update(tension)
+                row["tension"].append(float(self.filters[i].x[0, 0]))
+        elif len(message.data) == 8:
+            raw = struct.unpack_from(">H", message.data, 1)[0]
+            row["position"].append(raw / 65535 * 25.0 - 12.5)
+
+    def close(self) -> None:
+        self.send_all(DISABLE)
+        self.bus.shutdown()
+        self.file.close()
+        self.path.unlink()
+
+
+def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
+    """As ``ours.run``."""
+    loop = UsualLoop(hand_name, bus_name, log)
+    take_priority()
+    loop.send_all(ENABLE)
+    begin, ticks, missed, late = time.monotonic(), 0, 0, []
+    deadline = begin
+    while time.monotonic() - begin < seconds:
+        if rate_hz:
+            deadline += 1.0 / rate_hz
+            time.sleep(max(0.0, deadline - time.monotonic()))
+            behind = time.monotonic() - deadline
+            late.append(int(behind * 1e9))
+            skipped = int(behind * rate_hz)
+            missed, deadline = missed + skipped, deadline + skipped / rate_hz
+        loop.tick()
+        ticks += 1
+    span = time.monotonic() - begin
+    loop.close()
+    return ticks / span, missed / ticks, late

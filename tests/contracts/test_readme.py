@@ -1,0 +1,23 @@
+"""What the README promises is what the code does."""
+
+from pathlib import Path
+
+from handctl.cli.exit_codes import Exit
+from handctl.cli.main import VERBS
+from handctl.safety.markdown import fault_table
+
+README = (Path(__file__).parents[2] / "README.md").read_text()
+
+
+def test_the_fault_table_is_the_code_s() -> None:
+    assert fault_table() in README
+
+
+def test_every_verb_is_named() -> None:
+    table = README.split("## Verbs")[1].split("## On real hardware")[0]
+    assert [verb for verb in VERBS if f"`{verb}`" not in table] == []
+
+
+def test_every_exit_code_is_named() -> None:
+    codes = README.split("Exit codes:")[1].split("\n\n")[0]
+    assert [int(code) for code in Exit if f"{int(code)} " not in codes.replace("\n", " ")] == []

@@ -1,0 +1,85 @@
+"""What import-linter cannot see: the shape of the source itself."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+LOOP = Path("src/handctl/runtime/loop.py")
+LINES_MAX = {"src": 300, "firmware_sim": 300, "tests": 400}
+BROAD = {"Exception", "BaseException"}
+
+
+def sources(*folders: str) -> list[Path]:
+    found = sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
+    assert found, folders
+    return found
+
+
+def broad_handlers(source: str) -> Iterator[int]:
+    """Line numbers of handlers and ``suppress`` that catch everything, however it is spelled."""
+    for node in ast.walk(ast.parse(source)):
+        match node:
+            case ast.ExceptHandler(type=None):
+                yield node.lineno
+            case ast.ExceptHandler(type=caught):
+                if BROAD & names(caught):
+                    yield node.lineno
+            case ast.Call(func=ast.Name(id="suppress") | ast.Attribute(attr="suppress"), args=caught):
+                if BROAD & set().union(*map(names, caught)):
+                    yield node.lineno
+
+
+def names(node: ast.AST | None) -> set[str]:
+    parts = list(ast.walk(node)) if node else []
+    return {part.id for part in parts if isinstance(part, ast.Name)} | {
+        part.attr for part in parts if isinstance(part, ast.Attribute)
+    }
+
+
+@pytest.mark.parametrize(
+    ("handler", "found"),
+    [
+        ("except:", [3]),
+        ("except Exception:", [3]),
+        ("except (ValueError, BaseException) as error:", [3]),
+        ("except builtins.Exception:", [3]),
+        ("except (ValueError, OSError):", []),
+    ],
+)
+def test_the_search_finds_broad_handlers(handler: str, found: list[int]) -> None:
+    assert list(broad_handlers(f"try:\n    pass\n{handler}\n    pass\n")) == found
+
+
+def test_only_the_loop_catches_everything_and_only_once() -> None:
+    for path in sources("src", "firmware_sim"):
+        lines = list(broad_handlers(path.read_text(encoding="utf-8")))
+        allowed = 1 if path.relative_to(ROOT) == LOOP else 0
+        assert len(lines) <= allowed, f"{path.relative_to(ROOT)} catches everything in lines {lines}"
+
+
+def test_no_module_is_too_long_to_read_in_one_go() -> None:
+    for folder, most in LINES_MAX.items():
+        for path in sources(folder):
+            lines = len(path.read_text(encoding="utf-8").splitlines())
+            assert lines <= most, f"{path.relative_to(ROOT)} has {lines} lines"
+
+
+def test_no_rubbish_drawers_and_nothing_left_for_later() -> None:
+    for path in sources("src", "firmware_sim"):
+        assert path.stem not in {"utils", "util", "common", "helpers", "misc"}, path
+        text = path.read_text(encoding="utf-8")
+        assert not {"TODO", "FIXME", "XXX"} & set(text.replace(":", " ").split()), path
+
+
+def test_the_locks_name_no_place_and_hash_every_package() -> None:
+    for name in ("requirements.lock", "requirements-dev.lock"):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        assert "://" not in text, name
+        assert "--index" not in text, name
+        assert "--find-links" not in text, name
+        pins = [block for block in text.split("\n") if "==" in block and not block.lstrip().startswith("#")]
+        assert pins, name
+        assert all(line.endswith("\\") for line in pins), f"{name}: a package without hashes"

@@ -1,0 +1,102 @@
+"""Runs the tests in inside/ beside real vcan interfaces, all in one guest, and reports each as if it had run here.
+
+The same file is the other end: in the guest it writes every report of pytest, as data, into a file that is named by
+HANDCTL_VCAN_REPORTS. With HANDCTL_REQUIRE_VCAN=1 a skipped test is a failed one.
+"""
+
+import json
+import os
+import sys
+import tempfile
+from collections import defaultdict
+from collections.abc import Generator, Sequence
+from pathlib import Path
+
+import pytest
+
+from tests.vcan import uml
+
+INSIDE = Path(__file__).parent / "inside"
+REPORTS_FILE = os.environ.get("HANDCTL_VCAN_REPORTS")
+REQUIRED = os.environ.get("HANDCTL_REQUIRE_VCAN") == "1"
+GUEST_TIMEOUT_S = 1500.0
+Reports = dict[str, list[pytest.TestReport]]
+_reports = pytest.StashKey[Reports]()
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    item.add_marker("realtime")
+    if item.path.is_relative_to(INSIDE):
+        item.add_marker("vcan")
+        if not REPORTS_FILE:
+            item.add_marker(pytest.mark.timeout(0), append=False)  # here the first one waits for the whole guest
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    if REPORTS_FILE:
+        data = item.config.hook.pytest_report_to_serializable(config=item.config, report=report)
+        with open(REPORTS_FILE, "a", encoding="utf-8") as file:
+            file.write(json.dumps(data) + "\n")
+        return report
+    return _unless_required(report)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
+    if REPORTS_FILE or not item.path.is_relative_to(INSIDE):
+        return None
+    if _reports not in item.session.stash:
+        inner = [other for other in item.session.items if other.path.is_relative_to(INSIDE)]
+        item.session.stash[_reports] = _run_inside(inner)
+    item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
+    for report in item.session.stash[_reports][item.nodeid]:
+        item.ihook.pytest_runtest_logreport(report=_unless_required(report))
+    item.ihook.pytest_runtest_logfinish(nodeid=item.nodeid, location=item.location)
+    return True
+
+
+def _run_inside(items: Sequence[pytest.Item]) -> Reports:
+    """Runs all these tests in one guest; a test without a report from there has failed."""
+    kind, why_not = uml.means()
+    if not kind:
+        return {item.nodeid: [_report(item, "skipped", (str(item.path), 0, why_not))] for item in items}
+    said: list[str] = []
+    with tempfile.TemporaryDirectory(prefix="handctl-vcan-reports-") as folder:
+        file = Path(folder) / "reports"
+        status = uml.run(_pytest(items), {"HANDCTL_VCAN_REPORTS": str(file)}, GUEST_TIMEOUT_S, said.append)
+        lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []
+    reports = _read(lines, items[0].config)
+    tail = "\n".join([f"the guest ended with status {status} and without a word about this test", *said[-50:]])
+    for item in items:
+        if not any(report.when == "teardown" for report in reports[item.nodeid]):
+            reports[item.nodeid].append(_report(item, "failed", tail))
+    return reports
+
+
+def _pytest(items: Sequence[pytest.Item]) -> list[str]:
+    ids = [str(item.config.rootpath / item.nodeid) for item in items]
+    return [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--tb=short", *ids]
+
+
+def _read(lines: Sequence[str], config: pytest.Config) -> Reports:
+    reports: Reports = defaultdict(list)
+    for line in lines:
+        report = config.hook.pytest_report_from_serializable(config=config, data=json.loads(line))
+        if report.skipped and isinstance(report.longrepr, list):
+            report.longrepr = tuple(report.longrepr)  # JSON knows no tuple, pytest's summary no list
+        reports[report.nodeid].append(report)
+    return reports
+
+
+def _report(item: pytest.Item, outcome: str, reason: str | tuple[str, int, str]) -> pytest.TestReport:
+    data = {"nodeid": item.nodeid, "location": item.location, "outcome": outcome, "longrepr": reason}
+    return pytest.TestReport(**data, keywords={}, when="call", sections=[])  # type: ignore[arg-type]
+
+
+def _unless_required(report: pytest.TestReport) -> pytest.TestReport:
+    if REQUIRED and report.skipped and not hasattr(report, "wasxfail"):
+        report.outcome = "failed"
+        report.longrepr = f"HANDCTL_REQUIRE_VCAN=1, but this test was skipped: {report.longrepr}"
+    return report

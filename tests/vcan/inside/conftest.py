@@ -1,0 +1,50 @@
+"""The simulated hand as a process of its own on the other side of vcan."""
+
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+
+import pytest
+
+TIME_SCALE = 0.1
+"""The guest has one core, and a look at a clock is a system call: plant, watchdogs and deadlines run at a tenth."""
+READY_S, END_S = 60.0, 20.0
+
+
+SIMULATOR = """
+import ctypes, runpy, mujoco
+mujoco.set_mjcb_time(ctypes.cast(ctypes.CDLL(None).drand48, ctypes.CFUNCTYPE(ctypes.c_double)))
+runpy.run_module("firmware_sim", run_name="__main__", alter_sys=True)
+"""
+"""MuJoCo times its own stages with some forty looks at the clock a step, in the guest 1 ms. It takes a C function for
+it: with any that is no system call the step is a hundred times faster. The result only feeds MuJoCo's profile."""
+
+
+@pytest.fixture(scope="module")
+def simulator(request: pytest.FixtureRequest) -> Iterator["subprocess.Popen[str]"]:
+    """``firmware_sim`` serving hand jamia on vcan0, with more options as its parameter; it must end when told to."""
+    words = ["--hand", "jamia", "--bus", "socketcan:vcan0", "--time-scale", str(TIME_SCALE), "--seed", "1"]
+    words += getattr(request, "param", [])
+    process = subprocess.Popen([sys.executable, "-c", SIMULATOR, *words], stdout=subprocess.PIPE, text=True)
+    try:
+        wait_until_ready(process)
+        yield process
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(END_S) == 0
+    finally:
+        process.kill()
+        process.wait()
+
+
+def wait_until_ready(process: "subprocess.Popen[str]") -> None:
+    assert process.stdout is not None
+    end = time.monotonic() + READY_S
+    while select.select([process.stdout], [], [], max(0.0, end - time.monotonic()))[0]:
+        line = process.stdout.readline()
+        assert line, f"firmware_sim ended with status {process.wait(END_S)} before it served"
+        if line.startswith("firmware_sim: ready"):
+            return
+    pytest.fail(f"firmware_sim did not serve within {READY_S} s")

@@ -1,0 +1,15 @@
+"""The contract of buses on real SocketCAN."""
+
+from collections.abc import Iterator
+
+import pytest
+
+from tests.runtime.bus_contract import *  # noqa: F403 - the tests
+from tests.runtime.bus_contract import Medium
+
+
+@pytest.fixture
+def medium() -> Iterator[Medium]:
+    made = Medium("socketcan:vcan0")
+    yield made
+    made.close()

@@ -1,0 +1,24 @@
+"""python-can meets the same frames: what people attach with candump, BUSMASTER or their own scripts."""
+
+import can
+import pytest
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        can.Message(arbitration_id=0x7FF, is_extended_id=False, data=b"\x01\x02"),
+        can.Message(arbitration_id=0x1FFFFFFF, is_extended_id=True, data=bytes(8)),
+        can.Message(arbitration_id=0x42, is_extended_id=False, is_fd=True, bitrate_switch=True, data=bytes(range(64))),
+    ],
+    ids=["classical", "extended", "fd"],
+)
+def test_a_message_crosses_vcan(message: can.Message) -> None:
+    with (
+        can.Bus("vcan0", interface="socketcan", fd=True) as sender,
+        can.Bus("vcan0", interface="socketcan", fd=True) as receiver,
+    ):
+        sender.send(message)
+        received = receiver.recv(timeout=20.0)
+    assert received is not None
+    assert received.equals(message, timestamp_delta=None, check_channel=False, check_direction=False)
