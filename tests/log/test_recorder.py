@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,8 +18,9 @@ import synthetic
 from handctl.controller.types import IoEvent, TickIn
 from handctl.errors import LogError
 from handctl.log.reader import RunLog
-from handctl.log.record import pack
+from handctl.log.record import FRAMING, pack
 from handctl.log.recorder import Recorder
+from handctl.log.writer import LogWriter
 
 KILLS, TOGETHER = 20, 4
 FEEDER = Path(__file__).with_name("feeder.py")
@@ -246,6 +248,22 @@ def test_a_full_disk_leaves_a_whole_file(tiny_disk: Path, start: Callable[..., R
         assert not log.warning
         assert log.end["reason"] in ("disk full", "write failed: No space left on device")
     assert [one.name for one in tiny_disk.iterdir()] == ["run.mcap"]
+
+
+def test_a_disk_without_a_free_page_has_room_for_the_end(tiny_disk: Path) -> None:
+    told: list[tuple[str, int]] = []
+    writer = LogWriter(tiny_disk / "run.mcap", synthetic.header(), lambda *what: told.append(what), 700_000)
+    for record in _records(200):
+        writer.add(record[FRAMING.size :])
+    writer.flush()
+    with (tiny_disk / "other").open("wb", buffering=0) as other, suppress(OSError):
+        while True:
+            other.write(bytes(4096))
+    writer.sync()
+    writer.finish("finished", 0)
+    assert [what for what, _ in told] == ["disk_full"]
+    with RunLog(tiny_disk / "run.mcap") as log:
+        assert (len(log), log.warning, log.end["reason"]) == (200, "", "disk full")
 
 
 def test_handing_over_a_tick_is_quick(start: Callable[..., Recorder]) -> None:

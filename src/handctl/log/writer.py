@@ -152,12 +152,12 @@ class LogWriter:
         self._report("disk_full" if error.errno in _FULL else "error", error.errno or 0)
         with suppress(OSError):
             self._container.cut_back()
-            self._ballast.drop()
             self._end(f"write failed: {error.strerror}", 0)
 
     def _end(self, reason: str, dropped: int) -> None:
         """Write the end of the file; if that fails, leave it cut back to its last complete record."""
         self.dead = True
+        self._ballast.drop()
         numbers = {
             "ticks": self.ticks,
             "missed": self._missed,
@@ -173,7 +173,6 @@ class LogWriter:
             raise
         finally:
             os.fsync(self._fd)
-            self._ballast.drop()
 
     def finish(self, reason: str, dropped: int) -> dict[str, object]:
         """Close the file and say what is in it."""
