@@ -4,6 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.handctl-installed
+EXTRA := $(VENV)/.handctl-extra
 PYTEST ?= $(BIN)/python -m pytest
 PYTEST_FLAGS ?=
 # Tests with real deadlines run alone, after the others have left the cores.
@@ -23,6 +24,10 @@ $(STAMP): requirements-dev.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip --disable-pip-version-check install --quiet --require-hashes --no-deps -r requirements-dev.lock
 	$(BIN)/python -m pip --disable-pip-version-check install --quiet --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(EXTRA): $(STAMP) requirements-extra.lock
+	$(BIN)/python -m pip --disable-pip-version-check install --quiet --require-hashes --no-deps -r requirements-extra.lock
 	@touch $@
 
 demo: env ## the arrival scenario in simulation: arm, grasp, hold, release, log, picture
@@ -49,7 +54,7 @@ nightly: lint ## the tests with full counts: long property runs, fault campaigns
 	$(PYTEST) -n $(WORKERS) -m "not realtime" $(PYTEST_FLAGS)
 	$(PYTEST) -m realtime $(PYTEST_FLAGS)
 
-bench: env ## side by side with what a user would pick instead; prints ratios
+bench: $(EXTRA) ## side by side with what a user would pick instead; prints ratios
 	@set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script"; done
 
 golden: env ## write the golden logs anew, after a change of the controller that is meant
@@ -58,6 +63,7 @@ golden: env ## write the golden logs anew, after a change of the controller that
 lock: env ## write both lock files anew; LOCK_FLAGS=--upgrade takes newer releases
 	$(LOCK) pyproject.toml --output-file requirements.lock
 	$(LOCK) pyproject.toml --group dev --constraint requirements.lock --output-file requirements-dev.lock
+	$(LOCK) pyproject.toml --group dev --group extra --constraint requirements-dev.lock --output-file requirements-extra.lock
 
 # One version for all Pythons (fork-strategy fewest), so that numbers agree between them.
 LOCK = $(BIN)/uv pip compile --quiet --no-config --universal --python-version 3.11 --fork-strategy fewest \
