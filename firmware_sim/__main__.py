@@ -1,16 +1,14 @@
-"""``python -m firmware_sim``: a simulated hand on a bus, in real time; with ``bus NAME``: a hub alone."""
+"""``python -m firmware_sim``: a simulated hand on a bus, in real time; ``drive``: drives alone; ``bus``: a hub."""
 
 import argparse
 import gc
 import math
 import select
-import signal
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from types import FrameType
-from typing import NoReturn
 
+from firmware_sim import bench
+from firmware_sim.command import Parser, until_signal
 from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.hub import Hub
 from firmware_sim.perturb import KEYS, perturbed
@@ -32,19 +30,13 @@ factors for --perturb:
 examples:
   python -m firmware_sim --hand jamia --bus local:demo --scene cylinder
   python -m firmware_sim --hand jamia --bus socketcan:vcan0 --perturb stiffness=1.2 friction=1.5
+  python -m firmware_sim drive mit --ids 1,2 --bus local:lab     drives with free shafts; "drive --help" tells more
   python -m firmware_sim bus demo        a bus without a hand; a simulator joins it with --bus join:demo
 """
 
 
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line."""
-
-    def error(self, message: str) -> NoReturn:
-        raise SimulatorError(f"{message}; --help shows how")
-
-
 def _parser() -> argparse.ArgumentParser:
-    parser = _Parser(
+    parser = Parser(
         prog="python -m firmware_sim",
         description="A simulated hand: drives, load cells, tendons, fingers, an object: the other side of a CAN bus.",
         epilog=_EPILOG,
@@ -72,16 +64,6 @@ def _factors(words: list[str]) -> dict[str, float]:
         except ValueError:
             raise SimulatorError(f"--perturb {word}: expected KEY=FACTOR, as in stiffness=1.2") from None
     return factors
-
-
-def _until_signal(stop: Callable[[], None]) -> None:
-    """Have SIGTERM and SIGINT call ``stop``."""
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        stop()
-
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, handle)
 
 
 def _simulate(args: argparse.Namespace) -> None:
@@ -114,7 +96,7 @@ def _serve(server: Server, world: World, path: Path, factors: dict[str, float], 
     def stop() -> None:
         server.running = False
 
-    _until_signal(stop)
+    until_signal(stop)
     take_priority()
     gc.collect()
     gc.freeze()  # what is loaded by now lives on; the collector need not look at it in the loop
@@ -132,13 +114,13 @@ def _serve(server: Server, world: World, path: Path, factors: dict[str, float], 
 
 
 def _bus_alone(words: list[str]) -> None:
-    parser = _Parser(
+    parser = Parser(
         prog="python -m firmware_sim bus", description="A local bus without a hand, until it is told to end."
     )
     parser.add_argument("name", help="of the bus: others reach it as local:NAME")
     hub = Hub(parser.parse_args(words).name)
     running = [True]
-    _until_signal(running.clear)
+    until_signal(running.clear)
     print(f"firmware_sim: ready bus=local:{hub.name}", flush=True)
     try:
         while running:
@@ -153,6 +135,8 @@ def main(words: list[str]) -> int:
     try:
         if words[:1] == ["bus"]:
             _bus_alone(words[1:])
+        elif words[:1] == ["drive"]:
+            bench.run(words[1:])
         else:
             _simulate(_parser().parse_args(words))
     except SimulatorError as error:

@@ -9,7 +9,6 @@ from typing import Protocol
 
 from firmware_sim.frame import Frame
 from firmware_sim.ports import Port
-from firmware_sim.world import World
 
 TURN_NS = 1_000_000
 """The plant follows the clock at least this often [ns of plant time]."""
@@ -49,6 +48,37 @@ class ScaledClock:
         return int(time.monotonic_ns() * self.scale)
 
 
+class Served(Protocol):
+    """What hangs on the buses: a hand, or drives on a bench.
+
+    Attributes:
+        t_ns: its clock [ns]. slip_ns: time that it has been told to give up [ns].
+        foreign: frames that no node knew.
+    """
+
+    slip_ns: int
+    foreign: int
+
+    @property
+    def t_ns(self) -> int: ...
+    @property
+    def malformed(self) -> int:
+        """Frames that a node could not read."""
+        ...
+
+    def receive(self, frame: Frame) -> list[Frame]:
+        """Hand a frame to the nodes of its bus; their answers."""
+        ...
+
+    def advance(self, t_ns: int) -> None:
+        """Let time pass until t_ns."""
+        ...
+
+    def take_spoken(self) -> list[Frame]:
+        """Return what nodes have sent of their own accord since the last call."""
+        ...
+
+
 class Server:
     """Drives a world by a clock and the ports of its buses.
 
@@ -57,7 +87,7 @@ class Server:
         running: set to False, from a signal handler too, and ``run`` returns.
     """
 
-    def __init__(self, world: World, ports: list[Port], clock: Clock) -> None:
+    def __init__(self, world: Served, ports: list[Port], clock: Clock) -> None:
         """Args: world, whose clock is at the present time; ports in the order of the hand's buses; clock."""
         self._world, self._ports, self._clock = world, ports, clock
         self.overruns = self.slips = 0

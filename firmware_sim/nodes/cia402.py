@@ -237,7 +237,7 @@ class Cia402Node:
         return (self.objects[0x1016, 1] & 0xFFFF) * 1_000_000
 
     def _schedule(self, t_ns: int) -> None:
-        due = [max(t_ns, self._warmed_ns) + WARM_NS if self._warmed_ns < 0 else self._warmed_ns + WARM_NS]
+        due = [t_ns if self._spoken or self._warmed_ns < 0 else self._warmed_ns + WARM_NS]
         if period := self.objects[0x1017, 0] * 1_000_000:
             due.append(self._beat_ns + period)
         if self._heard_ns >= 0 and self._patience_ns():

@@ -71,6 +71,7 @@ def _factory(spec: MotorSpec) -> dict[int, float]:
     values.update({TIMEOUT: 0, CTRL_MODE: MODE_MIT, 11: spec.viscous, 12: spec.inertia})
     values.update({13: 0x0001_0003, 14: 0x0001_0501, 15: 0x5349_4D00 + spec.node_id, 16: 14})
     values.update({17: 0.6, 20: 16.0, PMAX: spec.position_range, VMAX: spec.velocity_range, TMAX: spec.torque_max})
-    values.update({29: 32.0, 30: 0.8, 35: 4, 36: 1, VBUS: 24.0, T_BOARD: 25.0, T_MOTOR: 25.0})
+    values.update({29: 32.0, 30: 0.8, 35: 9 if spec.options.get("fd") else 4, 36: 1})
+    values.update({VBUS: 24.0, T_BOARD: 25.0, T_MOTOR: 25.0})
     values.update({MOTOR_POSITION: 0.0, OUTPUT_POSITION: 0.0})
     return values

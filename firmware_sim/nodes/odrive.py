@@ -2,7 +2,8 @@
 
 Choices where the fact sheet says "assumption": the heartbeat's error is active errors or else the disarm reason; only
 setpoints feed the watchdog; NaN as a setpoint disarms with "missing input"; a disarm reason is kept until Clear_Errors
-and refuses closed loop until then. Endpoints have the numbers that the hand file gives them.
+and refuses closed loop until then. Endpoints have the numbers that the hand file gives them. Position and velocity
+control have no integrator and no ramps: one proportional cascade, whatever the input mode.
 """
 
 import math
@@ -17,12 +18,15 @@ MISSING_INPUT, MOTOR_HOT, WATCHDOG, ESTOP = 1 << 6, 1 << 13, 1 << 24, 1 << 25
 IDLE, CLOSED_LOOP = 1, 8
 SUCCESS, DISARMED, INVALID_STATE = 0, 3, 13
 BROADCAST = 0x3F
-TORQUE_CONTROL, PASSTHROUGH, TORQUE_RAMP = 1, 1, 6
+TORQUE_CONTROL, VELOCITY_CONTROL, POSITION_CONTROL = 1, 2, 3
+PASSTHROUGH, TORQUE_RAMP = 1, 6
+POSITION_GAIN, VELOCITY_GAIN = 20.0, 0.167
+"""Vendor's defaults [1/s], [N m s/turn]."""
 HEARTBEAT_MS, ENCODER_MS = 100, 10
 """Vendor's defaults."""
 SERIAL = 0x0D_5A_11_00_00_00
 HOT_C = 120.0
-_SIZES = {0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0E: 4, 0x0F: 8, 0x16: 0, 0x18: 0}
+_SIZES = {0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0C: 8, 0x0D: 8, 0x0E: 4, 0x0F: 8, 0x16: 0, 0x18: 0, 0x1A: 4, 0x1B: 8}
 """Shortest payload of each message that is taken."""
 _TURN = 2.0 * math.pi
 
@@ -34,6 +38,7 @@ class OdriveNode:
         state: axis state. active: errors that are present. reason: what disarmed it last.
         endpoints: value by number, as bytes: enable_watchdog, watchdog_timeout, torque maximum and minimum.
         mode: control and input mode. velocity_limit: [turn/s]. current_limit: [A].
+        gains: of position [1/s] and velocity [N m s/turn].
         thermal: temperatures. malformed: frames that it could not read. wake_ns: when time must pass next [ns].
     """
 
@@ -46,7 +51,8 @@ class OdriveNode:
         self._peak = spec.torque_peak
         self.thermal = Thermal(spec.torque_constant)
         self.state, self.active, self.reason, self.result = IDLE, 0, 0, SUCCESS
-        self.mode = (3, PASSTHROUGH)
+        self.mode = (POSITION_CONTROL, PASSTHROUGH)
+        self.gains = (POSITION_GAIN, VELOCITY_GAIN)
         self.velocity_limit, self.current_limit = 50.0, 20.0
         self._numbers = {
             key: int(options.get(f"endpoint_{key}", 0))
@@ -120,8 +126,17 @@ class OdriveNode:
             self._set_state(int.from_bytes(data[:4], "little"), t_ns)
         elif command == 0x0B:
             self._set_mode(*struct.unpack("<II", data))
+        elif command == 0x0C:
+            position, velocity, torque = struct.unpack("<fhh", data)
+            self._set_motion(POSITION_CONTROL, position, velocity * 1e-3, torque * 1e-3, t_ns)
+        elif command == 0x0D:
+            velocity, torque = struct.unpack("<ff", data)
+            self._set_motion(VELOCITY_CONTROL, 0.0, velocity, torque, t_ns)
         elif command == 0x0E:
             self._set_torque(struct.unpack_from("<f", data)[0], t_ns)
+        elif command in (0x1A, 0x1B):
+            gain = max(0.0, struct.unpack_from("<f", data)[0])
+            self.gains = (gain, self.gains[1]) if command == 0x1A else (self.gains[0], gain)
         elif command == 0x0F:
             self._set_limits(*struct.unpack("<ff", data))
         elif command == 0x16:
@@ -139,6 +154,7 @@ class OdriveNode:
             self.result = INVALID_STATE if self.state == IDLE else self.result
         elif self.state != CLOSED_LOOP:
             self.state, self.result, self._fed_ns = CLOSED_LOOP, SUCCESS, t_ns
+            self._set_motion(POSITION_CONTROL, self._turns(), 0.0, 0.0, t_ns)  # stays where it is, if in that mode
 
     def _set_mode(self, control: int, entry: int) -> None:
         if self.state == IDLE:
@@ -157,6 +173,21 @@ class OdriveNode:
             low, high = self._limit("torque_min", -math.inf), self._limit("torque_max", math.inf)
             self.motor.servo.limit = min(self._peak, self.current_limit * self._kt)
             self.motor.servo.torque = self._sign * self._gear * min(high, max(low, torque))
+
+    def _set_motion(self, kind: int, position: float, velocity: float, torque: float, t_ns: int) -> None:
+        """Follow a position [turn] or velocity [turn/s] with feed-forward torque [N m], all at the shaft."""
+        if not math.isfinite(position + velocity + torque):
+            self.disarm(MISSING_INPUT)
+            return
+        self._fed_ns, servo = t_ns, self.motor.servo
+        if self.state != CLOSED_LOOP or self.mode[0] != kind:
+            return
+        stiff = self.gains[1] / _TURN * self._gear**2
+        servo.kd, servo.kp = stiff, self.gains[0] * stiff if kind == POSITION_CONTROL else 0.0
+        servo.position = self._sign * (position * _TURN - self._offset) / self._gear
+        servo.velocity = self._sign * velocity * _TURN / self._gear
+        servo.torque = self._sign * self._gear * torque
+        servo.limit = min(self._peak, self.current_limit * self._kt)
 
     def _limit(self, name: str, default: float) -> float:
         raw = self.endpoints.get(self._numbers[name])
@@ -177,7 +208,7 @@ class OdriveNode:
     def _reboot(self) -> None:
         self._release(SUCCESS)
         self.active = self.reason = 0
-        self.mode = (3, PASSTHROUGH)
+        self.mode = (POSITION_CONTROL, PASSTHROUGH)
 
     def _release(self, result: int) -> None:
         self.motor.servo.release()

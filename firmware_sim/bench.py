@@ -1,0 +1,127 @@
+"""``python -m firmware_sim drive``: drives on a bench, with free shafts and no hand, for anybody's client to try."""
+
+import argparse
+import math
+import sys
+
+from firmware_sim.command import Parser, until_signal
+from firmware_sim.description import MotorSpec, SimulatorError
+from firmware_sim.drive_types import MIT_TYPES, drive_spec
+from firmware_sim.frame import Frame
+from firmware_sim.motor import Motor
+from firmware_sim.nodes import PROTOCOLS, Node
+from firmware_sim.ports import open_port
+from firmware_sim.server import ScaledClock, Server
+
+STEP_NS = 1_000_000
+EXAMPLES = """
+examples:
+  python -m firmware_sim drive mit --ids 1,2,3,4 --bus socketcan:vcan0 --motor-type dm4310
+  python -m firmware_sim drive odrive --ids 0,1 --bus local:lab
+  python -m firmware_sim bus lab; ... drive mit --ids 1 --bus join:lab; ... drive cia402 --ids 32 --bus join:lab
+"""
+
+
+class Bench:
+    """Drives on one bus; see ``server.Served``.
+
+    Attributes:
+        motors, nodes: in the order of the specs.
+    """
+
+    def __init__(self, specs: list[MotorSpec], origin_ns: int = 0) -> None:
+        """Args: the drives; the clock at the start [ns]."""
+        self.t_ns, self.slip_ns, self.foreign = origin_ns, 0, 0
+        self.motors = [Motor(spec, STEP_NS * 1e-9) for spec in specs]
+        self.nodes: list[Node] = [
+            PROTOCOLS[spec.protocol](spec, motor, 0.0) for spec, motor in zip(specs, self.motors, strict=True)
+        ]
+        self._spoken: list[Frame] = []
+
+    @property
+    def malformed(self) -> int:
+        """Frames that a node could not read."""
+        return sum(node.malformed for node in self.nodes)
+
+    def receive(self, frame: Frame) -> list[Frame]:
+        """Hand a frame to every node and return their answers."""
+        answers = [node.receive(frame, self.t_ns) for node in self.nodes]
+        self.foreign += all(answer is None for answer in answers)
+        return [reply._replace(bus=frame.bus, t_ns=self.t_ns) for answer in answers for reply in answer or ()]
+
+    def advance(self, t_ns: int) -> None:
+        """Let time pass until t_ns, in whole steps."""
+        while self.t_ns + STEP_NS <= t_ns:
+            self.t_ns += STEP_NS
+            for motor, node in zip(self.motors, self.nodes, strict=True):
+                motor.advance(0.0)
+                if self.t_ns >= node.wake_ns:
+                    self._spoken += [frame._replace(t_ns=self.t_ns) for frame in node.wake(self.t_ns) or ()]
+
+    def take_spoken(self) -> list[Frame]:
+        """Return what nodes have sent of their own accord since the last call."""
+        spoken, self._spoken = self._spoken, []
+        return spoken
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="python -m firmware_sim drive",
+        description="Simulated drives with free shafts, as they come out of the box.",
+        epilog=EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("protocol", choices=sorted(PROTOCOLS), help="what the drives speak")
+    add("--ids", required=True, metavar="N,N,..", help="node numbers, decimal or 0x..")
+    add("--bus", required=True, metavar="SPEC", help="local:NAME, join:NAME or socketcan:INTERFACE")
+    add("--fd", action="store_true", help="MIT motors set to CAN FD (1/5 Mbit/s); they answer as they are asked")
+    add("--motor-type", metavar="TYPE", help=f"of MIT motors: {', '.join(MIT_TYPES)} (dm4310)")
+    add("--inertia", type=float, metavar="KG_M2", help="of each shaft (the motor's own, an assumption)")
+    add("--time-scale", type=float, default=1.0, metavar="X", help="drive time per wall time (1)")
+    return parser
+
+
+def _specs(args: argparse.Namespace) -> list[MotorSpec]:
+    """Return the drives that were asked for.
+
+    Raises:
+        SimulatorError: an argument that makes no drive.
+    """
+    if args.protocol != "mit" and (args.fd or args.motor_type):
+        raise SimulatorError(f"{'--fd' if args.fd else '--motor-type'}: only drive mit has it")
+    for name, value in (("--inertia", args.inertia), ("--time-scale", args.time_scale)):
+        if value is not None and not (math.isfinite(value) and 0.0 < value <= 100.0):
+            raise SimulatorError(f"{name} {value}: expected more than 0, at most 100")
+    try:
+        numbers = [int(word, 0) for word in args.ids.split(",")]
+    except ValueError:
+        raise SimulatorError(f"--ids {args.ids}: expected numbers with commas, as in 1,2,0x10") from None
+    if len(set(numbers)) < len(numbers):
+        raise SimulatorError(f"--ids {args.ids}: every number once")
+    return [drive_spec(args.protocol, n, args.motor_type or "dm4310", args.fd, args.inertia) for n in numbers]
+
+
+def run(words: list[str]) -> None:
+    """Serve drives until SIGTERM or SIGINT.
+
+    Raises:
+        SimulatorError: arguments that cannot be served.
+    """
+    args = _parser().parse_args(words)
+    specs = _specs(args)
+    clock = ScaledClock(args.time_scale)
+    port = open_port(args.bus, 0)
+    try:
+        server = Server(Bench(specs, clock.now_ns()), [port], clock)
+
+        def stop() -> None:
+            server.running = False
+
+        until_signal(stop)
+        print(f"firmware_sim: ready drive={args.protocol} ids={args.ids} bus={args.bus}", flush=True)
+        server.run()
+        counts = " ".join(f"{key}={value}" for key, value in server.summary().items())
+        print(f"firmware_sim: ended {counts}", file=sys.stderr)
+    finally:
+        port.close()

@@ -1,0 +1,26 @@
+"""What the commands of the simulator have in common: errors of one line, and an orderly end."""
+
+import argparse
+import signal
+from collections.abc import Callable
+from types import FrameType
+from typing import NoReturn
+
+from firmware_sim.description import SimulatorError
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        raise SimulatorError(f"{message}; --help shows how")
+
+
+def until_signal(stop: Callable[[], None]) -> None:
+    """Have SIGTERM and SIGINT call ``stop``."""
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        stop()
+
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, handle)
