@@ -64,9 +64,9 @@ class AllDigits:
         Args:
             q: (J,) [rad].
         """
-        angle = self.inward @ q
+        angle = self.inward.dot(q)
         weight = self.weight_x * np.sin(angle) - self.weight_y * np.cos(angle)
-        return np.asarray(weight @ self.inward + self.spring * (q + self.preload))
+        return np.asarray(weight.dot(self.inward) + self.spring * (q + self.preload))
 
     def tip_force(self, q: Vector, external: Vector) -> Vector:
         """Tip-equivalent forces of the tensions that contact explains, (D,) [N]; see ``tip.tip_force``.
@@ -75,6 +75,6 @@ class AllDigits:
             q: (J,) [rad].
             external: (N,) [N].
         """
-        angle = self.inward @ q
-        lever = ((self.length * np.cos(angle[self.last] - angle)) @ self.inward) @ self.coupling
-        return np.asarray((self.members @ (lever * (external @ self.arms))) / (self.members @ (lever * lever)))
+        angle = self.inward.dot(q)
+        lever = (self.length * np.cos(angle[self.last] - angle)).dot(self.inward).dot(self.coupling)
+        return np.asarray(self.members.dot(lever * external.dot(self.arms)) / self.members.dot(lever * lever))

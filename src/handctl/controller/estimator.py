@@ -10,8 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from filterpy.kalman import predict_steadystate, update_steadystate
+from numpy.typing import NDArray
 
-from handctl.controller.filter_design import MEASUREMENTS, STATES, D, E, O, Regime, S, V, W, X
+from handctl.controller.filter_design import MEASUREMENTS, STATES, D, E, O, Regime, S, Stacked, V, W, X
 from handctl.controller.model import HandModel
 from handctl.controller.statics import LoadStatics, load_statics
 from handctl.controller.types import Vector
@@ -52,11 +53,6 @@ class FilterState:
         """Nothing known: slack, hand open."""
         zero = (0,) * tendons
         return FilterState(np.zeros(STATES * tendons), (int(Regime.SLACK),) * tendons, (True,) * tendons, zero)
-
-    @property
-    def free(self) -> Vector:
-        """(N,) whether each tendon's digit moves freely."""
-        return np.asarray(np.array(self.regimes) == Regime.FREE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +101,7 @@ class Estimate:
     offset: Vector
     innovation: Vector
     nis: Vector
-    slack: Vector
+    slack: NDArray[np.bool_]
     q: Vector
     dq: Vector
 
@@ -128,22 +124,32 @@ def step(
     if not state.started:
         state = _start(model, state, measured)
     if not state.started:
-        nothing = np.full((model.tendon_count, 2), np.nan)
+        nothing = np.full((model.tendon_count, MEASUREMENTS), np.nan)
         return state, _estimate(model, state, state.x, nothing, np.zeros(model.tendon_count))
     filters = model.filter.stacked(state.regimes)
-    z = np.column_stack((measured.travel, measured.tension, measured.excursion)).ravel()
-    expected = filters.H @ state.x
-    x = update_steadystate(state.x, np.where(np.isnan(z), expected, z), filters.K, filters.H)
-    statics = load_statics(model, x.reshape(-1, STATES), filters.tension @ x)
-    state = _regimes(model, replace(state, x=x), statics, measured, contact)
-    if state.x is not x:
-        x, filters = state.x, model.filter.stacked(state.regimes)
-        statics = load_statics(model, x.reshape(-1, STATES), filters.tension @ x)
-    known = _known_load(model, x, statics, filters.tension @ x)
-    unexplained = np.where(state.free, -x[E::STATES], statics.pull - statics.resistance)
-    x = predict_steadystate(x, filters.F, np.column_stack((force, known)).ravel(), filters.B)
-    innovation = (z - expected).reshape(-1, MEASUREMENTS)[:, :2]
-    return replace(state, x=x), _estimate(model, state, x, innovation, np.where(state.stopped, 0.0, unexplained))
+    z = _interleaved(measured.travel, measured.tension, measured.excursion)
+    expected = filters.H.dot(state.x)
+    innovation = z - expected
+    x = update_steadystate(state.x, np.where(np.isnan(innovation), expected, z), filters.K, filters.H)
+    tension = filters.tension.dot(x)
+    statics = load_statics(model, x.reshape(-1, STATES), tension)
+    judged = _regimes(model, state, x, tension, statics, measured, contact)
+    if judged.x is not x:
+        x, filters = judged.x, model.filter.stacked(judged.regimes)
+        tension = filters.tension.dot(x)
+        statics = load_statics(model, x.reshape(-1, STATES), tension)
+    external = _unexplained(judged, filters, statics)
+    x = predict_steadystate(x, filters.F, _interleaved(force, _known_load(model, x, statics, tension)), filters.B)
+    state = FilterState(x, judged.regimes, judged.stopped, judged.turning, started=True)
+    return state, _estimate(model, state, x, innovation.reshape(-1, MEASUREMENTS), external)
+
+
+def _interleaved(*columns: Vector) -> Vector:
+    """Columns (N,) as one vector, tendon after tendon."""
+    table = np.empty((len(columns[0]), len(columns)))
+    for i, column in enumerate(columns):
+        table[:, i] = column
+    return table.reshape(-1)
 
 
 def _start(model: HandModel, state: FilterState, measured: Measured) -> FilterState:
@@ -156,33 +162,44 @@ def _start(model: HandModel, state: FilterState, measured: Measured) -> FilterSt
 
 
 def _regimes(
-    model: HandModel, state: FilterState, statics: LoadStatics, measured: Measured, contact: tuple[bool, ...]
+    model: HandModel,
+    state: FilterState,
+    x: Vector,
+    tension: Vector,
+    statics: LoadStatics,
+    measured: Measured,
+    contact: tuple[bool, ...],
 ) -> FilterState:
     """Judge slack, stops and contact, and set the offset when a rope becomes taut.
 
-    The state's vector is a new one only if something in it or its regime has changed.
+    The vector of the state returned is ``x`` itself only if nothing in it or its regime has changed.
     """
-    x = state.x.reshape(-1, STATES).copy()
-    tension, cell = (model.filter.stacked(state.regimes).tension @ state.x).tolist(), measured.tension.tolist()
+    cells, tensions, excursions = measured.tension.tolist(), tension.tolist(), x[S::STATES].tolist()
     pull, resistance = statics.pull.tolist(), statics.resistance.tolist()
     regimes, stopped, turning = list(state.regimes), list(state.stopped), list(state.turning)
-    for d, tendons in enumerate(model.digit_tendons):
+    table: Vector | None = None
+    for tendons, touches in zip(model.digit_tendons, contact, strict=True):
         for i in range(tendons.start, tendons.stop):
-            turning[i] = _turning(regimes[i], turning[i], tension[i], cell[i])
+            turning[i] = _turning(regimes[i], turning[i], tensions[i], cells[i])
             if turning[i] >= (TAUT_TICKS if regimes[i] == SLACK else SLACK_TICKS):
                 turning[i] = 0
                 if regimes[i] == SLACK:
-                    _take_up(model, x[i], i, cell[i], stopped[i])
+                    table = x.reshape(-1, STATES).copy() if table is None else table
+                    _take_up(model, table[i], i, cells[i], stopped[i])
+                    excursions[i] = float(table[i, S])
                 regimes[i] = FREE if regimes[i] == SLACK else SLACK
-            was, stopped[i] = stopped[i], _at_stop(stopped[i], float(x[i, S]), pull[i], resistance[i])
+            was, stopped[i] = stopped[i], _at_stop(stopped[i], excursions[i], pull[i], resistance[i])
             if regimes[i] == SLACK:
                 continue
             if stopped[i] and not was:
-                _on_stop(x[i])
-            regimes[i] = HELD if contact[d] or stopped[i] else FREE
-    changed = tuple(regimes) != state.regimes or not np.array_equal(x.ravel(), state.x)
-    vector = x.ravel() if changed else state.x
-    return replace(state, x=vector, regimes=tuple(regimes), stopped=tuple(stopped), turning=tuple(turning))
+                table = x.reshape(-1, STATES).copy() if table is None else table
+                _on_stop(table[i])
+            regimes[i] = HELD if touches or stopped[i] else FREE
+    judged = tuple(regimes)
+    vector = x if table is None else table.reshape(-1)
+    if vector is x and judged != state.regimes:
+        vector = x.copy()
+    return FilterState(vector, judged, tuple(stopped), tuple(turning), started=True)
 
 
 def _turning(regime: int, ticks: int, tension: float, cell: float) -> int:
@@ -213,32 +230,41 @@ def _at_stop(was: bool, excursion: float, pull: float, resistance: float) -> boo
 
 def _known_load(model: HandModel, x: Vector, statics: LoadStatics, tension: Vector) -> Vector:
     """(N,) load force that the linear model lacks: springs' preload, gravity, capstan loss [N]."""
-    excursion = x.reshape(-1, STATES)[:, S]
-    return np.asarray(statics.pull - tension - (statics.resistance - model.space.load_stiffness * excursion))
+    linear = model.space.load_stiffness * x[S::STATES]
+    return np.asarray(statics.pull - tension - (statics.resistance - linear))
+
+
+def _unexplained(state: FilterState, filters: Stacked, statics: LoadStatics) -> Vector:
+    """(N,) load force that the model lacks, positive against closing [N]; nothing on the open stop."""
+    external: Vector = np.where(filters.free, -state.x[E::STATES], statics.pull - statics.resistance)
+    return np.where(state.stopped, 0.0, external) if any(state.stopped) else external
 
 
 def _estimate(model: HandModel, state: FilterState, x: Vector, innovation: Vector, external: Vector) -> Estimate:
+    """Args: x: (7N,) prediction. innovation: (N, 3), NaN where missing. external: (N,)."""
     filters = model.filter.stacked(state.regimes)
     table = x.reshape(-1, STATES)
     q, dq = joint_angles(model, table[:, S], table[:, W])
+    encoder, cell = innovation[:, 0], innovation[:, 1]
+    own, mixed, other = filters.information
     return Estimate(
-        tension=np.maximum(filters.tension @ x, 0.0),
-        sigma=filters.sigma,
-        travel=table[:, X],
-        speed=table[:, V],
-        excursion=table[:, S],
-        rate=table[:, W],
-        motor_disturbance=table[:, D],
-        external=external,
-        offset=table[:, O],
-        innovation=innovation[:, 1],
-        nis=np.einsum("ni,nij,nj->n", innovation, filters.information, innovation),
-        slack=np.array(state.regimes) == Regime.SLACK,
-        q=q,
-        dq=dq,
+        np.maximum(filters.tension.dot(x), 0.0),
+        filters.sigma,
+        table[:, X],
+        table[:, V],
+        table[:, S],
+        table[:, W],
+        table[:, D],
+        external,
+        table[:, O],
+        cell,
+        own * encoder * encoder + mixed * encoder * cell + other * cell * cell,
+        filters.slack,
+        q,
+        dq,
     )
 
 
 def joint_angles(model: HandModel, excursion: Vector, rate: Vector) -> tuple[Vector, Vector]:
     """Joint angles (J,) [rad] and rates (J,) [rad/s] of excursions (N,) [m] and rates (N,) [m/s], q = B R_r^+ s."""
-    return np.asarray(model.excursion_to_joints @ excursion), np.asarray(model.excursion_to_joints @ rate)
+    return model.excursion_to_joints.dot(excursion), model.excursion_to_joints.dot(rate)

@@ -74,9 +74,10 @@ class FilterDesign:
 
     def stacked(self, regimes: tuple[int, ...]) -> "Stacked":
         """The N tendons as one filter, each in its regime."""
-        if regimes not in self.memo:
-            self.memo[regimes] = self._stack(regimes)
-        return self.memo[regimes]
+        found = self.memo.get(regimes)
+        if found is None:
+            found = self.memo[regimes] = self._stack(regimes)
+        return found
 
     def _stack(self, regimes: tuple[int, ...]) -> "Stacked":
         chosen = [tendon[regime] for tendon, regime in zip(self.blocks, regimes, strict=True)]
@@ -87,7 +88,12 @@ class FilterDesign:
             K=block_diag(*(block.K for block in chosen)),
             tension=block_diag(*(block.tension_row for block in chosen)),
             sigma=np.sqrt([block.tension_variance for block in chosen]),
-            information=np.array([block.innovation_information for block in chosen]),
+            information=tuple(
+                np.array([block.innovation_information.flat[at] * times for block in chosen])
+                for at, times in ((0, 1.0), (1, 2.0), (3, 1.0))
+            ),
+            free=np.array(regimes) == Regime.FREE,
+            slack=np.array(regimes) == Regime.SLACK,
         )
 
 
@@ -99,7 +105,8 @@ class Stacked:
         F: (7N, 7N). B: (7N, 2N). H: (3N, 7N). K: (7N, 3N).
         tension: (N, 7N), tension of a state.
         sigma: (N,), standard deviation of the predicted tension [N].
-        information: (N, 2, 2), inverse covariance of the encoder and load-cell innovations.
+        information: (N,) each: the innovations' inverse covariance, of encoder squared, both, load cell squared.
+        free, slack: (N,) whether a tendon is in this regime.
     """
 
     F: Matrix
@@ -108,7 +115,9 @@ class Stacked:
     K: Matrix
     tension: Matrix
     sigma: Matrix
-    information: Matrix
+    information: tuple[Matrix, ...]
+    free: NDArray[np.bool_]
+    slack: NDArray[np.bool_]
 
 
 def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_encoder_noise: Matrix) -> FilterDesign:

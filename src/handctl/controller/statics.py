@@ -36,8 +36,8 @@ def load_statics(model: HandModel, table: Vector, tension: Vector) -> LoadStatic
         table: (N, 7) filter state.
         tension: (N,) at the load cells [N].
     """
-    q = model.excursion_to_joints @ table[:, S]
-    resistance = model.torque_to_tension @ model.all_digits.static_torque(q)
+    q = model.excursion_to_joints.dot(table[:, S])
+    resistance = model.torque_to_tension.dot(model.all_digits.static_torque(q))
     efficiency = tendon_efficiency(model, q, table[:, V])
     return LoadStatics(resistance, efficiency, tension * efficiency)
 
