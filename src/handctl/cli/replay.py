@@ -49,7 +49,7 @@ def _execute(parser: argparse.ArgumentParser) -> None:
 
 def _drive(parser: argparse.ArgumentParser) -> None:
     run_options(parser)
-    parser.add_argument("--raw", action="store_true", help="follow its tensions instead of its trajectories")
+    parser.add_argument("--raw", action="store_true", help="follow its tensions; no angle is corrected on the way")
 
 
 def _safety(parser: argparse.ArgumentParser) -> None:

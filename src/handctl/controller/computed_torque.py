@@ -8,7 +8,8 @@ tensions, and the motor makes the tension plus its own inertia and friction:
     u = f_0 + m_m R_r a + b_m v + friction - disturbance + K_f (f_0 - f_hat)
 
 The rotor is some twenty times heavier than the finger it drives, so the feedback acceleration goes to the rotor's
-inertia. Hold: state feedback on tension error and cable speed, with a slow integral. Source: LQR of ``motion_design``.
+inertia. Hold: state feedback on tension error and cable speed, with a slow integral; where a way is expected, its speed
+and the rotor's share of it are fed forward. Source: LQR of ``motion_design``.
 """
 
 from dataclasses import dataclass
@@ -82,7 +83,7 @@ def step(
         t: time [s].
     """
     motion, moving = _motion(model, estimate, goals, t)
-    hold, held = _hold(model, state, estimate, goals)
+    hold, held = _hold(model, state, estimate, goals, t)
     force = np.where(moving, motion.force, np.where(held, hold.force, 0.0))
     limit = model.torque_limit / model.space.spool
     asked = np.clip(force, -UNWIND_SHARE * limit, limit)
@@ -171,18 +172,22 @@ class _Hold(NamedTuple):
 
 
 def _hold(
-    model: HandModel, state: LawState, estimate: Estimate, goals: tuple[DigitGoal, ...]
+    model: HandModel, state: LawState, estimate: Estimate, goals: tuple[DigitGoal, ...], t: float
 ) -> tuple[_Hold, NDArray[np.bool_]]:
     """Tension loop, and of which tendons (N,)."""
     n = model.tendon_count
     held, target, rate, limit = np.zeros(n, dtype=bool), np.zeros(n), np.zeros(n), np.zeros(n)
-    for tendons, goal in zip(model.digit_tendons, goals, strict=True):
+    way = np.zeros((2, n))
+    for digit, tendons, goal in zip(model.digits, model.digit_tendons, goals, strict=True):
         if goal.kind == Kind.TENSION and goal.tension is not None:
             held[tendons], target[tendons] = True, goal.tension
             rate[tendons], limit[tendons] = goal.rate, goal.force_limit
+            if goal.trajectory is not None:
+                way[:, tendons] = np.array(goal.trajectory.at(t - goal.since)[1:]) @ digit.reduced_moment_arms.T
     if not held.any():
         return _Hold(target, target, target), held
-    gains, design, step_limit = model.gains.tension, model.motion, rate * model.period
+    gains, design, space = model.gains.tension, model.motion, model.space
+    (speed, acceleration), step_limit = way, rate * model.period
     target = np.clip(target, 0.0, model.ceiling)
     setpoint = state.setpoint + np.clip(target - state.setpoint, -step_limit, step_limit)
     error = setpoint - estimate.tension
@@ -191,7 +196,10 @@ def _hold(
     force = (
         setpoint
         + design.tension * error
-        - design.tension_speed * estimate.speed
+        - design.tension_speed * (estimate.speed - speed)
+        + space.coulomb * np.tanh(speed / FRICTION_SPEED)
+        + space.motor_mass * acceleration
+        + space.motor_damping * speed
         + integral
         - model.gains.motion.disturbance_rejection * estimate.motor_disturbance
     )

@@ -25,7 +25,8 @@ class DigitGoal:
 
     Attributes:
         kind: how it is driven.
-        trajectory: for MOTION, in the digit's coordinates.
+        trajectory: for MOTION, in the digit's coordinates; for TENSION, the way on which its cables are expected: it
+            is fed forward, and departing from it is not corrected.
         since: time at which the trajectory starts [s on the run's clock].
         tension: for TENSION, (n_t,) target at the load cells [N].
         rate: for TENSION, how fast the target is approached [N/s].

@@ -57,7 +57,8 @@ class PlaybackProgram:
 
     Attributes:
         recording: what to follow.
-        raw: follow its tensions and leave the joints to themselves.
+        raw: follow its tensions and leave the joints to themselves: the speed of its trajectories is fed forward, but
+            no angle is corrected, and a newton too much is 12 degrees of a free finger's springs.
     """
 
     recording: Recording
@@ -92,7 +93,7 @@ class PlaybackProgram:
         goals = []
         for d, digit in enumerate(model.digits):
             tendons, first = model.digit_tendons[d], self.recording.q[0, digit.joints]
-            if self.raw or np.isnan(first).any():
+            if np.isnan(first).any():
                 tension = self.recording.tension[0, tendons]
                 goals.append(DigitGoal(Kind.TENSION, tension=tension, rate=APPROACH_RATE_N_PER_S))
             else:
@@ -106,14 +107,15 @@ class PlaybackProgram:
         """Goals of the present row."""
         i, rows, goals, contact = progress.step, self.recording, [], []
         for d, digit in enumerate(model.digits):
-            held = self.raw or bool(np.isnan(rows.q[i, digit.joints]).any())
-            contact.append(held and not self.raw)
-            if held:
-                tension = rows.tension[i, model.digit_tendons[d]]
-                goals.append(DigitGoal(Kind.TENSION, tension=tension, rate=FOLLOW_RATE_N_PER_S))
-                continue
+            held = bool(np.isnan(rows.q[i, digit.joints]).any())
+            contact.append(held)
             q, dq, ddq = (
                 np.asarray(digit.joints_to_coordinates @ part[i, digit.joints]) for part in (rows.q, rows.dq, rows.ddq)
             )
-            goals.append(DigitGoal(Kind.MOTION, Sample(q, dq, ddq)))
+            way = None if held else Sample(q, dq, ddq)
+            if way is not None and not self.raw:
+                goals.append(DigitGoal(Kind.MOTION, way))
+                continue
+            tension = rows.tension[i, model.digit_tendons[d]]
+            goals.append(DigitGoal(Kind.TENSION, way, tension=tension, rate=FOLLOW_RATE_N_PER_S))
         return replace(progress, goals=tuple(goals), contact=tuple(contact))

@@ -1,0 +1,108 @@
+"""A recorded grasp on the simulated hand again, by what the simulator knows: the plant's angles, tensions and forces.
+
+Both runs are in lockstep, so the figures are the same every time; the second has another rate and other noise.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+import runs
+from numpy.typing import NDArray
+
+from handctl.log.reader import RunLog
+from handctl.replay.drive import difference, playback, stretch
+from handctl.report.truth import read_truth
+
+Array = NDArray[np.float64]
+RATE_HZ, SETTLED_S = 250.0, 0.4
+DIGITS = ("index", "middle", "ring", "thumb")
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A run and its replay: their logs, and their truths over the same stretch."""
+
+    folder: Path
+    raw: bool
+
+    def difference(self) -> dict[str, dict[str, dict[str, float]]]:
+        with RunLog(self.folder / "first.mcap") as before, RunLog(self.again) as after:
+            return difference(before, after)
+
+    @property
+    def again(self) -> Path:
+        return self.folder / f"again-{self.raw}.mcap"
+
+    def truths(self, *names: str) -> tuple[Array, Array, Array]:
+        """Times since the beginning of the stretch [s], and both (times, names)."""
+        with RunLog(self.folder / "first.mcap") as before, RunLog(self.again) as after:
+            begin, end = stretch(before)
+            start = next(change.t_ns for change in after.phases if change.name == "playback")
+        t_ns = np.arange(0, int((end - begin) * 1e9), 2_000_000)
+        first, second = (read_truth(path) for path in (self.folder / "first.truth", self.again.with_suffix(".truth")))
+        return t_ns / 1e9, first.table(list(names), t_ns + int(begin * 1e9)), second.table(list(names), t_ns + start)
+
+    def held(self) -> tuple[float, float]:
+        """When the grasp is at rest, since the beginning of the stretch [s]."""
+        with RunLog(self.folder / "first.mcap") as before:
+            starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
+            begin, _ = stretch(before)
+        return starts["hold"] + SETTLED_S - begin, starts["release"] - begin
+
+    def while_held(self, *names: str) -> tuple[Array, Array]:
+        """Both means (names,) while the grasp is at rest."""
+        times, before, after = self.truths(*names)
+        begin, end = self.held()
+        inside = (times >= begin) & (times <= end)
+        return before[inside].mean(axis=0), after[inside].mean(axis=0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first run."""
+    made = tmp_path_factory.mktemp("pair")
+    runs.run(made / "first.mcap", runs.short_task(made), rate_hz=200.0, truth=made / "first.truth")
+    return made
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["trajectories", "tensions"])
+def pair(folder: Path, request: pytest.FixtureRequest) -> Pair:
+    """It, and the run that repeats it."""
+    made = Pair(folder, request.param)
+    with RunLog(folder / "first.mcap") as before:
+        program = playback(before, 1 / RATE_HZ, made.raw)
+    truth = made.again.with_suffix(".truth")
+    assert runs.run(made.again, program, rate_hz=RATE_HZ, seed=5, truth=truth).failure == ""
+    return made
+
+
+def test_the_log_repeats(pair: Pair) -> None:
+    """Tensions alone leave a digit free on its way: a newton is 12 degrees of its springs."""
+    found = pair.difference()
+    worst = {"joint_deg": 4.0, "tendon_N": 12.0} if pair.raw else {"joint_deg": 1.0, "tendon_N": 12.0}
+    usual = {"joint_deg": 1.6, "tendon_N": 2.2} if pair.raw else {"joint_deg": 0.4, "tendon_N": 2.2}
+    for signal in worst:
+        assert max(row["peak"] for row in found[signal].values()) < worst[signal]
+        assert max(row["rms"] for row in found[signal].values()) < usual[signal]
+
+
+@pytest.mark.parametrize("digit", DIGITS)
+def test_the_plant_repeats(pair: Pair, digit: str) -> None:
+    """The mean angle of a digit: how one tendon's motion is shared among its joints is up to contact and friction."""
+    joints = [f"q/{digit}_j{n}" for n in range(1, 3 if digit == "thumb" else 4)]
+    _, before, after = pair.truths(*joints)
+    apart = np.degrees(np.abs(after.mean(axis=1) - before.mean(axis=1)))
+    assert apart.max() < (4.0 if pair.raw else 1.0)
+    assert apart.mean() < (1.0 if pair.raw else 0.3)
+
+
+def test_the_grasp_is_as_strong(pair: Pair) -> None:
+    tensions = [f"tension/{digit}_tendon" for digit in DIGITS]
+    forces = [f"contact_force/{digit}/{axis}" for digit in DIGITS for axis in "xyz"]
+    before, after = pair.while_held(*tensions)
+    np.testing.assert_allclose(after, before, rtol=0.05)
+    old, new = (np.linalg.norm(one.reshape(-1, 3), axis=1) for one in pair.while_held(*forces))
+    assert old.min() > 1.0, "every digit presses"
+    np.testing.assert_allclose(new, old, rtol=0.1 if pair.raw else 0.05)
