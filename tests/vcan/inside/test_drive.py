@@ -36,7 +36,7 @@ def while_held(log: RunLog, start_s: float, begin_s: float, end_s: float) -> np.
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("simulator", [["--homed", "--scene", str(SCENE_FILE)]], indirect=True, ids=["grasp"])
 @pytest.mark.usefixtures("scene", "simulator")
-def test_a_golden_grasp_repeats_on_vcan(tmp_path: Path) -> None:
+def test_a_golden_grasp_repeats_on_vcan(tmp_path):
     write_calibration(tmp_path / "c.toml", load_hand("jamia"))
     words = ["--bus", "socketcan:vcan0", "--time-scale", str(TIME_SCALE), "--calibration", str(tmp_path / "c.toml")]
     command = [HANDCTL, "replay", "drive", GOLDEN, *words, "--log", str(tmp_path / "again.mcap"), "--json"]
