@@ -1,5 +1,6 @@
 """A golden grasp driven again on real SocketCAN: the same angles and the same tensions."""
 
+import datetime
 import json
 import subprocess
 import sys
@@ -8,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from handctl.controller.calibration import Calibration, TendonCalibration
 from handctl.hand.description import load_hand
+from handctl.hand.toml_text import toml_text
 from handctl.log.reader import RunLog
 from handctl.replay.drive import stretch
 from tests.replay.runs import SCENE
-from tests.runtime.test_process import write_calibration
 from tests.vcan.inside.conftest import TIME_SCALE
 
 HANDCTL = Path(sys.executable).with_name("handctl")
@@ -32,14 +34,23 @@ def while_held(log: RunLog, start_s: float, begin_s: float, end_s: float) -> np.
     return np.asarray(log.field("tension")[at].mean(axis=0))
 
 
+def _nothing_to_tare(path: Path) -> None:
+    """Calibration of a hand that starts homed."""
+    hand, made = load_hand("jamia"), datetime.datetime.now(datetime.UTC)
+    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    tendons = dict.fromkeys(hand.tendon_names, nothing)
+    made_with = Calibration(hand="jamia", identity=hand.identity, made=made.isoformat(), tendon=tendons)
+    path.write_text(toml_text(made_with.model_dump(by_alias=True)))
+
+
 @pytest.mark.nightly
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("simulator", [["--homed", "--scene", str(SCENE_FILE)]], indirect=True, ids=["grasp"])
 @pytest.mark.usefixtures("scene", "simulator")
-def test_a_golden_grasp_repeats_on_vcan(tmp_path):
-    write_calibration(tmp_path / "c.toml", load_hand("jamia"))
+def test_a_golden_grasp_repeats_on_vcan(tmp_path: Path) -> None:
+    _nothing_to_tare(tmp_path / "c.toml")
     words = ["--bus", "socketcan:vcan0", "--time-scale", str(TIME_SCALE), "--calibration", str(tmp_path / "c.toml")]
-    command = [HANDCTL, "replay", "drive", GOLDEN, *words, "--log", str(tmp_path / "again.mcap"), "--json"]
+    command = [str(HANDCTL), "replay", "drive", str(GOLDEN), *words, "--log", str(tmp_path / "again.mcap"), "--json"]
     ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr + ran.stdout
     found = json.loads(ran.stdout)
