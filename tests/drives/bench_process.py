@@ -1,0 +1,32 @@
+"""``python -m firmware_sim drive`` as a process of its own."""
+
+import select
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+READY_S = 60.0
+
+
+@contextmanager
+def drives(bus: str, *words: str) -> Iterator["subprocess.Popen[str]"]:
+    """Drives on a bus, until the block ends; they must end in order.
+
+    Args:
+        bus: specification.
+        words: protocol and options.
+    """
+    command = [sys.executable, "-m", "firmware_sim", "drive", *words, "--bus", bus]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout
+        assert select.select([process.stdout], [], [], READY_S)[0], "no ready line"
+        assert process.stdout.readline().startswith("firmware_sim: ready")
+        yield process
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20.0) == 0
+    finally:
+        process.kill()
+        process.communicate()

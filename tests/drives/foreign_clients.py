@@ -1,0 +1,156 @@
+"""What a person does with somebody else's client, here against ``python -m firmware_sim drive`` on any bus.
+
+Each function arms a drive, lets it make a torque, sees the free shaft turn, and lets go. The clients wait for answers
+with limits of their own (0.4 s to 1 s); ours are longer.
+"""
+
+import asyncio
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import can
+import canopen
+from canopen.profiles.p402 import BaseNode402
+from damiao_motor import DaMiaoController
+from odrive_can.odrive import DriveError, ODriveCAN
+
+from firmware_sim.nodes.cia402_dictionary import EDS
+
+WAIT_S = 20.0
+CST = "CYCLIC SYNCHRONOUS TORQUE"
+
+
+def wait_for(condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < end, f"never: {what}"
+        time.sleep(0.005)
+
+
+def use_damiao_motor(interface: str, channel: str, node: int = 2) -> None:
+    """damiao-motor: registers, enable, torque, position by the motor's own gains, watchdog, disable."""
+    controller = DaMiaoController(channel=channel, bustype=interface)
+    try:
+        motor = controller.add_motor(motor_id=node, feedback_id=node + 0x10, motor_type="4310")
+        assert [motor.get_register(number) for number in (21, 22, 23)] == [12.5, 30.0, 10.0]
+        assert motor.get_register(7) == node + 0x10
+        motor.ensure_control_mode("MIT")
+        motor.enable()
+        wait_for(lambda: motor.state.get("status") == "ENABLED", "enabled")
+        start = motor.get_states()["pos"]
+        motor.send_cmd_mit(feedforward_torque=0.1)
+        wait_for(lambda: _asked(motor)["pos"] > start + 0.5, "turned by a torque")
+        goal = motor.get_states()["pos"] - 1.0
+        motor.send_cmd_mit(target_position=goal, stiffness=20.0, damping=1.0)
+        wait_for(lambda: abs(_asked(motor)["pos"] - goal) < 0.02, "held at a position")
+        motor.disable()
+        wait_for(lambda: motor.state.get("status") == "DISABLED", "disabled")
+    finally:
+        controller.shutdown()
+
+
+def _asked(motor: object) -> dict[str, float]:
+    motor.request_motor_feedback()  # type: ignore[attr-defined]
+    time.sleep(0.005)
+    return dict(motor.get_states())  # type: ignore[attr-defined]
+
+
+def use_odrive_can(bus: can.BusABC, node: int = 1) -> None:
+    """odrive-can: heartbeat, closed loop, torque, position, estop shown as an error, clear, idle."""
+    asyncio.run(_odrive(bus, node))
+
+
+async def _odrive(bus: can.BusABC, node: int) -> None:
+    """Positions come by the cyclic message: asking for that one by a remote frame can block the client for good."""
+    drive = ODriveCAN(axis_id=node, can_bus=bus)
+    seen = [0.0]
+    drive.feedback_callback = lambda message, _: seen.append(message.data["Pos_Estimate"])
+    await asyncio.wait_for(drive.start(), WAIT_S)
+    drive.check_alive()
+    drive.check_errors()
+    await _set(drive, "TORQUE_CONTROL", "CLOSED_LOOP_CONTROL")
+    start = seen[-1]
+    drive.set_input_torque(0.02)
+    await _for(lambda: seen[-1] > start + 0.5, "turned by a torque")
+    await _set(drive, "POSITION_CONTROL", "CLOSED_LOOP_CONTROL")
+    drive.set_input_pos(start - 1.0)
+    await _for(lambda: abs(seen[-1] - start + 1.0) < 0.05, "held at a position")
+    assert (await drive.get_bus_voltage_current())["Bus_Voltage"] == 24.0
+    drive._send_message("Estop")
+    await _for(lambda: _complains(drive, "ESTOP_REQUESTED") and drive.axis_state == "IDLE", "stopped")
+    drive.clear_errors()
+    await _for(lambda: not _complains(drive, ""), "cleared")
+    drive.stop()
+
+
+async def _set(drive: ODriveCAN, mode: str, state: str) -> None:
+    """Idle, a control mode, and another state; the client's own waiting gives up after a second."""
+    drive.set_axis_state_no_wait("IDLE")
+    await _for(lambda: drive.axis_state == "IDLE", "idle")
+    drive.set_controller_mode(mode, "PASSTHROUGH")
+    drive.set_axis_state_no_wait(state)
+    await _for(lambda: drive.axis_state == state, state)
+
+
+async def _for(condition: Callable[[], bool], what: str) -> None:
+    end = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < end, f"never: {what}"
+        await asyncio.sleep(0.01)
+
+
+def _complains(drive: ODriveCAN, word: str) -> bool:
+    try:
+        drive.check_errors()
+    except DriveError as error:
+        return word in str(error)
+    return False
+
+
+@contextmanager
+def _network(interface: str, channel: str) -> Iterator[canopen.Network]:
+    network = canopen.Network()
+    network.connect(interface=interface, channel=channel)
+    try:
+        yield network
+    finally:
+        network.sync.stop()
+        network.disconnect()
+
+
+def use_canopen(interface: str, channel: str, node_id: int = 33) -> None:
+    """canopen's BaseNode402 with the shipped EDS: operation enabled, CST by PDO at SYNC, and off again."""
+    with _network(interface, channel) as network:
+        node = BaseNode402(node_id, str(EDS))
+        network.add_node(node)
+        node.nmt.state = "RESET COMMUNICATION"
+        wait_for(lambda: node.nmt.state == "PRE-OPERATIONAL", "boot-up")  # wait_for_bootup misses one that is quick
+        assert node.sdo[0x1018][1].raw == node.object_dictionary[0x1018][1].default
+        node.setup_402_state_machine()
+        node.tpdo[1].trans_type = 1
+        node.tpdo[1].save()
+        network.sync.start(0.01)
+        node.nmt.state = "OPERATIONAL"
+        node.op_mode = CST
+        assert node.op_mode == CST
+        node.state = "OPERATION ENABLED"
+        assert node.state == "OPERATION ENABLED"
+        _turn_by_pdo(node)
+        node.state = "SWITCH ON DISABLED"
+        assert node.state == "SWITCH ON DISABLED"
+
+
+def _turn_by_pdo(node: BaseNode402) -> None:
+    position = node.tpdo[1]["Position actual value"]
+    start, rated = position.raw, node.sdo["Motor rated torque"].raw * 1e-3
+    target = node.rpdo[1]["Target torque"]
+    target.raw = round(0.02 / rated * 1000)
+    node.rpdo[1].transmit()
+    wait_for(lambda: position.raw - start > 0x8000, "half a turn")
+    assert node.tpdo[1]["Torque actual value"].raw == target.raw
+    target.raw = 0
+    node.rpdo[1].transmit()
+    wait_for(lambda: node.tpdo[1]["Torque actual value"].raw == 0, "no torque")
+    assert math.isfinite(node.sdo["Velocity actual value"].raw)

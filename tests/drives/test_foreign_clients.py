@@ -1,0 +1,40 @@
+"""Clients that users have, against the simulated drives on a local bus; tests/vcan/inside has the same on SocketCAN."""
+
+import subprocess
+from collections.abc import Iterator
+
+import can
+import pytest
+
+from tests.drives import foreign_clients
+from tests.drives.bench_process import drives
+
+pytestmark = [
+    pytest.mark.realtime,
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),  # damiao-motor's "bustype"
+]
+BUS = "clients"
+
+
+@pytest.fixture
+def bench(request: pytest.FixtureRequest) -> Iterator["subprocess.Popen[str]"]:
+    with drives(f"local:{BUS}", *request.param) as process:
+        yield process
+
+
+@pytest.mark.parametrize("bench", [["mit", "--ids", "1,2"]], indirect=True, ids=["mit"])
+@pytest.mark.usefixtures("bench")
+def test_damiao_motor() -> None:
+    foreign_clients.use_damiao_motor("local", BUS)
+
+
+@pytest.mark.parametrize("bench", [["odrive", "--ids", "0,1"]], indirect=True, ids=["odrive"])
+@pytest.mark.usefixtures("bench")
+def test_odrive_can() -> None:
+    foreign_clients.use_odrive_can(can.Bus(interface="local", channel=BUS))
+
+
+@pytest.mark.parametrize("bench", [["cia402", "--ids", "32,33"]], indirect=True, ids=["cia402"])
+@pytest.mark.usefixtures("bench")
+def test_canopen() -> None:
+    foreign_clients.use_canopen("local", BUS)
