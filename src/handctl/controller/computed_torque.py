@@ -16,15 +16,15 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from handctl.controller.allocation import allocate
 from handctl.controller.estimator import Estimate
-from handctl.controller.goal import DigitGoal, Kind
+from handctl.controller.goal import DigitGoal
+from handctl.controller.goal_table import GoalTable, goal_table
 from handctl.controller.model import HandModel
 from handctl.controller.statics import tendon_efficiency
 from handctl.controller.types import Vector
-from handctl.hand.dynamics import DigitModel, required_torque
+from handctl.hand.dynamics import required_torque
 
 FRICTION_SPEED = 2.5e-3
 """Cable speed at which motor friction is taken as fully developed [m/s]: 0.5 rad/s at a 5 mm spool."""
@@ -82,19 +82,21 @@ def step(
         goals: per digit.
         t: time [s].
     """
-    motion, moving = _motion(model, estimate, goals, t)
-    hold, held = _hold(model, state, estimate, goals, t)
-    force = np.where(moving, motion.force, np.where(held, hold.force, 0.0))
+    table = goal_table(model, goals)
+    motion = _motion(model, estimate, table, t)
+    hold = _hold(model, state, estimate, table, t)
+    force = table.chosen(motion.force, hold.force, 0.0)
     limit = model.torque_limit / model.space.spool
-    asked = np.clip(force, -UNWIND_SHARE * limit, limit)
-    tension = np.where(moving, motion.tension, np.where(held, hold.setpoint, np.nan))
-    load = np.where(moving, motion.load, np.where(held, hold.setpoint, 0.0))
+    asked = _within(force, -UNWIND_SHARE * limit, limit)
+    tension = table.chosen(motion.tension, hold.setpoint, np.nan)
+    load = table.chosen(motion.load, hold.setpoint, 0.0)
+    held = table.held
     law = LawState(
-        setpoint=np.where(held, hold.setpoint, estimate.tension),
-        integral=np.where(held, hold.integral, 0.0),
-        force=asked - _motor_friction(model, estimate, asked),
+        np.where(held, hold.setpoint, estimate.tension) if table.holds else estimate.tension,
+        np.where(held, hold.integral, 0.0),
+        asked - _motor_friction(model, estimate, asked),
     )
-    return law, Command(asked * model.space.spool, tension, load @ model.hand.moment_arms, motion.q, motion.dq)
+    return law, Command(asked * model.space.spool, tension, load.dot(model.hand.moment_arms), motion.q, motion.dq)
 
 
 def _motor_friction(model: HandModel, estimate: Estimate, asked: Vector) -> Vector:
@@ -121,26 +123,16 @@ class _Motion(NamedTuple):
     dq: Vector
 
 
-def _motion(
-    model: HandModel, estimate: Estimate, goals: tuple[DigitGoal, ...], t: float
-) -> tuple[_Motion, NDArray[np.bool_]]:
-    """Computed torque along the trajectories, and whose (N,)."""
-    n, joints = model.tendon_count, len(model.hand.joints)
-    moving, load = np.zeros(n, dtype=bool), np.zeros(n)
-    way, known = np.zeros((3, joints)), np.zeros(joints, dtype=bool)
-    for digit, tendons, goal in zip(model.digits, model.digit_tendons, goals, strict=True):
-        if goal.kind != Kind.MOTION or goal.trajectory is None:
-            continue
-        way[:, digit.joints] = np.array(goal.trajectory.at(t - goal.since)) @ digit.coupling.T
-        load[tendons] = _load(model, digit, tendons, required_torque(digit, *way[:, digit.joints].tolist()))
-        moving[tendons] = known[digit.joints] = True
-    if not known.any():
-        nothing = np.full(joints, np.nan)
-        return _Motion(load, load, load, nothing, nothing), moving
-    excursion, rate, acceleration = way @ model.hand.moment_arms.T
+def _motion(model: HandModel, estimate: Estimate, table: GoalTable, t: float) -> _Motion:
+    """Computed torque along the trajectories."""
+    if not table.moves:
+        return _Motion(table.target, table.target, table.target, table.nothing, table.nothing)
+    way = _way(model, table, t)
+    load = _load(model, table, way)
+    excursion, rate, acceleration = way.dot(model.hand.moment_arms.T)
     space, gains, design = model.space, model.gains.motion, model.motion
     feedback = design.stiffness * (excursion - estimate.excursion) + design.damping * (rate - estimate.speed)
-    tension = np.clip(load / tendon_efficiency(model, way[0], rate), model.floor, model.ceiling)
+    tension = _within(load / tendon_efficiency(model, way[0], rate), model.floor, model.ceiling)
     force = (
         tension
         + (space.motor_mass + space.load_mass) * feedback
@@ -150,17 +142,44 @@ def _motion(
         + gains.tension_feedback * (tension - estimate.tension)
         + space.coulomb * np.tanh(rate / FRICTION_SPEED)
     )
-    q, dq = np.where(known, way[:2], np.nan)
-    return _Motion(force, tension, load, q, dq), moving
+    q, dq = way[:2] if table.all_moving else np.where(table.known, way[:2], np.nan)
+    return _Motion(force, tension, load, q, dq)
 
 
-def _load(model: HandModel, digit: DigitModel, tendons: slice, torque: tuple[float, ...]) -> Vector:
-    """(n_t,) tensions at a digit's joints that make a joint torque (n,), as nearly as their bounds allow [N]."""
-    arms, floor, ceiling = digit.reduced_moment_arms, model.floor[tendons], model.ceiling[tendons]
-    tension = digit.torque_to_tension @ torque
-    if arms.shape[0] == arms.shape[1] and (tension >= floor).all() and (tension <= ceiling).all():
-        return tension
-    return allocate(arms, digit.coupling.T @ torque, floor, ceiling)[0]
+def _way(model: HandModel, table: GoalTable, t: float) -> Vector:
+    """(3, J) angles [rad], rates [rad/s] and accelerations [rad/s^2] on the trajectories; zero for other digits."""
+    coupling = model.all_digits.coupling
+    way = np.zeros((3, coupling.shape[1]))
+    for move in table.moves:
+        way[0, move.coordinates], way[1, move.coordinates], way[2, move.coordinates] = move.trajectory.at(
+            t - move.since
+        )
+    return np.asarray(way.dot(coupling.T))
+
+
+def _load(model: HandModel, table: GoalTable, way: Vector) -> Vector:
+    """(N,) tensions at the joints that make the motion's joint torques, as nearly as their bounds allow [N]."""
+    q, dq, ddq = way.tolist()
+    torque = np.zeros(len(q))
+    for move in table.moves:
+        own = move.digit.joints
+        torque[own] = required_torque(move.digit, q[own], dq[own], ddq[own])
+    load: Vector = model.torque_to_tension.dot(torque)
+    good = table.exact & (load >= model.floor) & (load <= model.ceiling)
+    if good.all():
+        return load
+    for move in table.moves:
+        digit, tendons = move.digit, move.digit.tendons
+        if not good[tendons].all():
+            wanted = digit.coupling.T @ torque[digit.joints]
+            arms = digit.reduced_moment_arms
+            load[tendons] = allocate(arms, wanted, model.floor[tendons], model.ceiling[tendons])[0]
+    return load
+
+
+def _within(values: Vector, low: Vector, high: Vector) -> Vector:
+    """The values between two bounds; ``numpy.clip`` takes twice as long for a few."""
+    return np.minimum(np.maximum(values, low), high)
 
 
 class _Hold(NamedTuple):
@@ -171,36 +190,33 @@ class _Hold(NamedTuple):
     integral: Vector
 
 
-def _hold(
-    model: HandModel, state: LawState, estimate: Estimate, goals: tuple[DigitGoal, ...], t: float
-) -> tuple[_Hold, NDArray[np.bool_]]:
-    """Tension loop, and of which tendons (N,)."""
-    n = model.tendon_count
-    held, target, rate, limit = np.zeros(n, dtype=bool), np.zeros(n), np.zeros(n), np.zeros(n)
-    way = np.zeros((2, n))
-    for digit, tendons, goal in zip(model.digits, model.digit_tendons, goals, strict=True):
-        if goal.kind == Kind.TENSION and goal.tension is not None:
-            held[tendons], target[tendons] = True, goal.tension
-            rate[tendons], limit[tendons] = goal.rate, goal.force_limit
-            if goal.trajectory is not None:
-                way[:, tendons] = np.array(goal.trajectory.at(t - goal.since)[1:]) @ digit.reduced_moment_arms.T
-    if not held.any():
-        return _Hold(target, target, target), held
-    gains, design, space = model.gains.tension, model.motion, model.space
-    (speed, acceleration), step_limit = way, rate * model.period
-    target = np.clip(target, 0.0, model.ceiling)
-    setpoint = state.setpoint + np.clip(target - state.setpoint, -step_limit, step_limit)
+def _hold(model: HandModel, state: LawState, estimate: Estimate, table: GoalTable, t: float) -> _Hold:
+    """Tension loop."""
+    if not table.holds:
+        return _Hold(table.target, table.target, table.target)
+    gains, design = model.gains.tension, model.motion
+    setpoint = state.setpoint + _within(table.target - state.setpoint, -table.step, table.step)
     error = setpoint - estimate.tension
     integral = state.integral + gains.integral_per_s * model.period * error
-    integral = np.clip(np.where(estimate.slack, 0.0, integral), -INTEGRAL_LIMIT_N, INTEGRAL_LIMIT_N)
+    integral = np.minimum(np.maximum(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
+    integral[estimate.slack] = 0.0
     force = (
         setpoint
         + design.tension * error
-        - design.tension_speed * (estimate.speed - speed)
-        + space.coulomb * np.tanh(speed / FRICTION_SPEED)
-        + space.motor_mass * acceleration
-        + space.motor_damping * speed
+        - design.tension_speed * estimate.speed
         + integral
         - model.gains.motion.disturbance_rejection * estimate.motor_disturbance
     )
-    return _Hold(np.clip(force, -limit, limit), setpoint, integral), held
+    if table.expected:
+        force = force + _expected(model, table, t)
+    return _Hold(_within(force, -table.limit, table.limit), setpoint, integral)
+
+
+def _expected(model: HandModel, table: GoalTable, t: float) -> Vector:
+    """(N,) motor force that held tendons need on the way on which they are expected [N]; zero for the others."""
+    way = np.zeros((2, model.tendon_count))
+    for digit, _, trajectory, since in table.expected:
+        way[:, digit.tendons] = np.array(trajectory.at(t - since)[1:]) @ digit.reduced_moment_arms.T
+    space, (speed, acceleration) = model.space, way
+    own = space.coulomb * np.tanh(speed / FRICTION_SPEED) + space.motor_mass * acceleration
+    return np.asarray(own + (model.motion.tension_speed + space.motor_damping) * speed)

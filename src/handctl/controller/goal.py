@@ -19,9 +19,9 @@ class Kind(enum.IntEnum):
     """Each tendon at a tension."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class DigitGoal:
-    """The goal of one digit.
+    """The goal of one digit; two are the same only if they are one object, so that what follows from it can be kept.
 
     Attributes:
         kind: how it is driven.

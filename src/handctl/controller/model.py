@@ -15,7 +15,7 @@ from handctl.hand.description import Hand
 from handctl.hand.dynamics import DigitModel
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class HandModel:
     """A hand, its gains, and what is derived from both.
 

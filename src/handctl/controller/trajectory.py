@@ -45,9 +45,9 @@ class MinimumJerk:
         """Position [rad], velocity [rad/s] and acceleration [rad/s^2] at t [s]; the end holds afterwards."""
         s = min(max(t / self.duration, 0.0), 1.0)
         way = self.end - self.start
-        position = self.start + way * (s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
-        velocity = way * (30.0 * s**2 * (1.0 - s) ** 2 / self.duration)
-        acceleration = way * (60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / self.duration**2)
+        position = self.start + way * (s * s * s * (10.0 - 15.0 * s + 6.0 * s * s))
+        velocity = way * (30.0 * s * s * (1.0 - s) * (1.0 - s) / self.duration)
+        acceleration = way * (60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / (self.duration * self.duration))
         return position, velocity, acceleration
 
     def key(self) -> bytes:
