@@ -81,12 +81,16 @@ class Engine:
         """Apply a constant force at the object's centre, x, y, z in the palm frame [N]."""
         self._data.xfrc_applied[self._model.body("object").id, :3] = force
 
+    def set_friction(self, coefficient: float) -> None:
+        """Change the sliding coefficient of everything."""
+        self._model.geom_friction[:, 0] = coefficient
+
     def energy(self) -> float:
         """Return kinetic and potential energy of links, springs and object [J]."""
         mujoco.mj_energyPos(self._model, self._data)
         mujoco.mj_energyVel(self._model, self._data)
         return float(self._data.energy.sum())
 
-    def restrict_gravity(self, gravity: tuple[float, float, float]) -> None:
+    def set_gravity(self, gravity: tuple[float, float, float]) -> None:
         """Change gravity in the palm frame [m/s2]."""
         self._model.opt.gravity[:] = gravity

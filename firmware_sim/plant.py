@@ -7,6 +7,7 @@ from firmware_sim.engine import Engine
 from firmware_sim.mjcf import STEP_S, model_text, opposed_digits
 from firmware_sim.motor import Motor
 from firmware_sim.scene import Scene
+from firmware_sim.stages import Stages
 from firmware_sim.table import Table
 from firmware_sim.tendon import Tendon
 
@@ -29,6 +30,7 @@ class Plant:
         motors: the rotors by name.
         table: what the object stands on; None without support.
         load: what pulls at the object; None in most scenes.
+        stage: which stage of the scene it is; -1 before the first.
         steps: how many steps were made.
     """
 
@@ -51,6 +53,8 @@ class Plant:
         self.table = Table(scene.support, opposed_digits(hand)) if scene.support else None
         self.contact_forces = self.engine.forces_on("contact", [digit.name for digit in hand.digits])
         self.load = scene.load
+        self._stages = Stages(scene.stages, hand.gravity) if scene.stages else None
+        self.stage = -1
         self.normal_forces = self.engine.normal_forces([digit.name for digit in hand.digits]) if scene.load else list
         if not homed:
             self._slacken(seed)
@@ -109,11 +113,18 @@ class Plant:
             engine.push_object([pull * share for share in self.load.direction])
 
     def _look_after(self, table: Table) -> None:
-        """Sink the table when the object is held."""
+        """Sink the table when the object is held, and do with it then what the scene says."""
         before = table.depth
         depth = table.update(self.steps * STEP_S, [] if table.dropped_at is not None else self.contact_forces())
         if depth != before:
             self.engine.lower_table(depth - before)
+        if self._stages and table.dropped_at is not None:
+            now = self._stages.at(self.steps * STEP_S - table.dropped_at)
+            self.stage = now.stage
+            self.engine.set_gravity(now.gravity)
+            self.engine.push_object(list(now.push))
+            if now.friction is not None:
+                self.engine.set_friction(now.friction)
 
     def measured_grip(self) -> list[float]:
         """Return the load and the sum of normal forces of each digit [N]; nothing in a scene without load."""

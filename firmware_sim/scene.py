@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from firmware_sim.description import SimulatorError
+from firmware_sim.stages import Stage, read_stage
 
 SHAPES = ("cylinder", "sphere", "box")
 
@@ -37,13 +38,16 @@ class Support:
     Attributes:
         drop_when: ``grasped`` (the table sinks once the object is held) or ``never``.
         drop_force: contact force that counts as holding [N].
-        drop_hold: how long two digits and an opposed one must hold [s].
+        drop_hold: how long digits must hold [s]. drop_digits: how many of them.
+        drop_opposed: whether one of them must close against the others, as the thumb does.
         sink_speed: [m/s]. sink_depth: [m].
     """
 
     drop_when: str = "never"
     drop_force: float = 1.0
     drop_hold: float = 1.5
+    drop_digits: int = 3
+    drop_opposed: bool = True
     sink_speed: float = 0.05
     sink_depth: float = 0.2
 
@@ -69,12 +73,13 @@ class Load:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """An object, its support and its load; all absent in a free hand."""
+    """An object, its support, its load and what happens to it once it is held; all absent in a free hand."""
 
     name: str
     thing: Thing | None = None
     support: Support | None = None
     load: Load | None = None
+    stages: tuple[Stage, ...] = ()
 
 
 def packaged() -> list[str]:
@@ -121,13 +126,18 @@ def _resized(scene: Scene, millimetres: str, text: str) -> Scene:
 def _read(path: Any, where: str) -> Scene:
     try:
         raw = tomllib.loads(path.read_text("utf-8"))
-        scene = Scene(raw["name"], _thing(raw.get("object")), _support(raw.get("support")), _load(raw.get("load")))
+        thing, support, load = _thing(raw.get("object")), _support(raw.get("support")), _load(raw.get("load"))
+        scene = Scene(raw["name"], thing, support, load, tuple(read_stage(stage) for stage in raw.get("stage", ())))
     except (OSError, tomllib.TOMLDecodeError, KeyError, TypeError, ValueError) as error:
         raise SimulatorError(f"scene {where}: {error}") from error
     if scene.support and not scene.thing:
         raise SimulatorError(f"scene {where}: a support without an object")
     if scene.load and not scene.thing:
         raise SimulatorError(f"scene {where}: a load without an object")
+    if scene.stages and (scene.support is None or scene.support.drop_when != "grasped"):
+        raise SimulatorError(f"scene {where}: a stage without a support that sinks when the object is grasped")
+    if scene.stages and scene.load:
+        raise SimulatorError(f"scene {where}: stages push the object themselves; expected no load beside them")
     return scene
 
 
@@ -157,6 +167,7 @@ def _support(raw: dict[str, Any] | None) -> Support | None:
     if raw["drop_when"] not in ("grasped", "never"):
         raise ValueError(f"support.drop_when {raw['drop_when']!r}: expected grasped or never")
     keys = {"drop_when": "drop_when", "drop_force_N": "drop_force", "drop_hold_s": "drop_hold",
+            "drop_digits": "drop_digits", "drop_opposed": "drop_opposed",
             "sink_speed_m_s": "sink_speed", "sink_depth_m": "sink_depth"}  # fmt: skip
     return Support(**{keys[key]: value for key, value in raw.items()})
 

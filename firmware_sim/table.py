@@ -38,7 +38,8 @@ class Table:
             self.dropped_at = time
 
     def _grasped(self, forces: list[float]) -> bool:
-        """Whether two digits press from one side and at least one from the other."""
+        """Whether enough digits press, and if so asked from both sides."""
         sizes = [math.hypot(*forces[i : i + 3]) for i in range(0, len(forces), 3)]
         pressing = [side for side, size in zip(self._opposed, sizes, strict=True) if size > self._support.drop_force]
-        return len(pressing) >= 3 and any(pressing) and not all(pressing)
+        enough = len(pressing) >= self._support.drop_digits
+        return enough and (not self._support.drop_opposed or (any(pressing) and not all(pressing)))

@@ -1,0 +1,1 @@
+"""What the grasp benchmark is made of."""

@@ -1,0 +1,83 @@
+"""The object set, where each object stands and what is done to it: fixed before any grasp was tuned.
+
+Sizes follow from the hand: 42 mm fit between straight fingers and thumb, and a fingertip meets the thumb's at about
+25 mm from the palm. A seed moves each object by up to 1 mm along x and 2 mm along y, and is the noise's.
+"""
+
+import random
+from dataclasses import dataclass
+
+TURN_S, LAST_S = 0.5, 5.0
+PUSH_N, PUSH_AT_S, PUSH_S = 1.0, 2.0, 1.0
+MOST_M = 2e-3
+"""An object that has moved further within a stage is lost."""
+DOWN = {
+    "power": ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
+    "pinch": ((0, 0, -1), (1, 0, 0), (0, -1, 0)),
+    "hook": ((1, 0, 0), (0, -1, 0), (0, 1, 0)),
+}
+"""Along the hinges, out of the palm, towards the thumb. A hook carries across its bar; along it nothing is asked."""
+SHAKE_M = (1e-3, 2e-3)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One object for one grasp: shape, full width [m], friction, mass [kg], centre x and y [m]."""
+
+    grasp: str
+    shape: str
+    width: float
+    friction: float
+    mass: float
+    place: tuple[float, float]
+
+    @property
+    def name(self) -> str:
+        """E.g. ``cylinder 35 mm, friction 0.5``."""
+        return f"{self.shape} {1e3 * self.width:g} mm, friction {self.friction:g}"
+
+    def scene(self, seed: int, stages: bool = True) -> str:
+        """Text of the scene file; seed 0 is the nominal place."""
+        chance = random.Random(f"{self} {seed}")
+        x, y = (v + (chance.uniform(-s, s) if seed else 0.0) for v, s in zip(self.place, SHAKE_M, strict=True))
+        digits, opposed = (2, "false") if self.grasp == "hook" else (2 if self.grasp == "pinch" else 3, "true")
+        lines = ['name = "benchmark"', "[object]", f'shape = "{self.shape}"', f"mass_kg = {self.mass}"]
+        if self.shape == "box":
+            lines += [f"size_m = [{self.width}, {self.width}, 0.093]"]
+        else:
+            lines += [f"diameter_m = {self.width}", "length_m = 0.093"]
+        lines += [f"friction = {self.friction}", f"position_m = [{x:.6f}, {y:.6f}, 0.0]", "[support]"]
+        lines += ['drop_when = "grasped"', "drop_hold_s = 1.0", "sink_speed_m_s = 0.1"]
+        lines += [f"drop_digits = {digits}", f"drop_opposed = {opposed}"]
+        for down in DOWN[self.grasp] if stages else ():
+            push = [PUSH_N * v for v in down]
+            lines += ["[[stage]]", f"down = {list(down)}", f"turn_s = {TURN_S}", f"last_s = {LAST_S}"]
+            lines += [f"push_N = {push}", f"push_at_s = {PUSH_AT_S}", f"push_s = {PUSH_S}"]
+        return "\n".join(lines) + "\n"
+
+
+def _power(shape: str, millimetres: float, friction: float, mass: float) -> Case:
+    """2 mm in front of the palm, midway between fingers and thumb."""
+    return Case("power", shape, millimetres * 1e-3, friction, mass, (millimetres * 0.5e-3 + 2e-3, 0.0))
+
+
+CASES = (
+    _power("cylinder", 30, 0.5, 0.15),
+    _power("cylinder", 35, 0.5, 0.15),
+    _power("cylinder", 40, 0.5, 0.15),
+    _power("cylinder", 35, 0.3, 0.15),
+    _power("cylinder", 35, 0.8, 0.15),
+    _power("sphere", 36, 0.5, 0.05),
+    _power("sphere", 40, 0.5, 0.05),
+    _power("box", 30, 0.5, 0.15),
+    _power("box", 34, 0.5, 0.15),
+    _power("box", 38, 0.5, 0.15),
+    Case("pinch", "cylinder", 0.020, 0.5, 0.05, (0.025, 0.0)),
+    Case("pinch", "cylinder", 0.025, 0.8, 0.05, (0.025, 0.0)),
+    Case("pinch", "sphere", 0.025, 0.5, 0.02, (0.025, 0.0)),
+    Case("pinch", "box", 0.020, 0.5, 0.05, (0.025, 0.0)),
+    Case("pinch", "box", 0.024, 0.8, 0.05, (0.025, 0.0)),
+    Case("hook", "cylinder", 0.012, 0.5, 0.3, (0.012, 0.010)),
+    Case("hook", "cylinder", 0.016, 0.5, 0.3, (0.013, 0.008)),
+    Case("hook", "box", 0.012, 0.3, 0.3, (0.012, 0.010)),
+)
