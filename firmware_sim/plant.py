@@ -30,6 +30,7 @@ class Plant:
         motors: the rotors by name.
         table: what the object stands on; None without support.
         load: what pulls at the object; None in most scenes.
+        stages: what is done to the object once it is held; None in most scenes.
         stage: which stage of the scene it is; -1 before the first.
         steps: how many steps were made.
     """
@@ -53,7 +54,7 @@ class Plant:
         self.table = Table(scene.support, opposed_digits(hand)) if scene.support else None
         self.contact_forces = self.engine.forces_on("contact", [digit.name for digit in hand.digits])
         self.load = scene.load
-        self._stages = Stages(scene.stages, hand.gravity) if scene.stages else None
+        self.stages = Stages(scene.stages, hand.gravity) if scene.stages else None
         self.stage = -1
         self.normal_forces = self.engine.normal_forces([digit.name for digit in hand.digits]) if scene.load else list
         if not homed:
@@ -118,8 +119,8 @@ class Plant:
         depth = table.update(self.steps * STEP_S, [] if table.dropped_at is not None else self.contact_forces())
         if depth != before:
             self.engine.lower_table(depth - before)
-        if self._stages and table.dropped_at is not None:
-            now = self._stages.at(self.steps * STEP_S - table.dropped_at)
+        if self.stages and table.dropped_at is not None:
+            now = self.stages.at(self.steps * STEP_S - table.dropped_at)
             self.stage = now.stage
             self.engine.set_gravity(now.gravity)
             self.engine.push_object(list(now.push))

@@ -8,6 +8,7 @@ import numpy as np
 from handctl.controller.allocation import allocate
 from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.goal import DigitGoal, Kind
+from handctl.controller.grip import Grip, GripPlan, hold
 from handctl.controller.model import HandModel
 from handctl.controller.program import (
     TIGHTEN_S,
@@ -53,6 +54,8 @@ class TaskProgram:
         if progress.phase == "tighten" and progress.step == 0:
             return self._tighten(model, progress, estimate, t)
         progress, events = self._watch_contact(model, progress, estimate, t)
+        progress, slipped = self._hold_on(model, progress, estimate, t)
+        events += slipped
         if self._phase_over(model, progress, estimate, t):
             progress, entered = self._enter(model, progress, estimate, t)
             events += entered
@@ -88,7 +91,8 @@ class TaskProgram:
         events = [Event("info", "phase", "", phase.name)]
         if isinstance(phase, Hold) and not any(contact):
             events.append(Event("warn", "phase", "", f"{phase.name}: no digit is in contact"))
-        return replace(progress, goals=goals, contact=contact, touching=(0,) * len(names)), tuple(events)
+        grip = Grip.of(model, goals, estimate, t) if isinstance(phase, Hold) and any(contact) else None
+        return replace(progress, goals=goals, contact=contact, touching=(0,) * len(names), grip=grip), tuple(events)
 
     def _goal(self, model: HandModel, progress: Progress, d: int, name: str, estimate: Estimate, t: float) -> DigitGoal:
         """Goal of one digit at the beginning of the present phase."""
@@ -131,6 +135,16 @@ class TaskProgram:
         torque = digit.coupling.T @ np.asarray(static_torque(digit, q)) + force * tip_lever(digit, q)
         return allocate(digit.reduced_moment_arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
 
+    def _hold_on(
+        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
+    ) -> tuple[Progress, tuple[Event, ...]]:
+        """While holding, keep the grip and answer slip."""
+        phase = self.task.phase[progress.step - 1]
+        if progress.grip is None or not isinstance(phase, Hold):
+            return progress, ()
+        grip, goals, events = hold(model, progress.grip, _plan(model, phase), progress.goals, estimate, t)
+        return replace(progress, grip=grip, goals=goals), events
+
     def _watch_contact(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float
     ) -> tuple[Progress, tuple[Event, ...]]:
@@ -168,6 +182,16 @@ class TaskProgram:
         held = [model.digit_tendons[d] for d, goal in enumerate(progress.goals) if goal.kind == Kind.TENSION]
         highest = max((float(estimate.tension[tendons].max()) for tendons in held), default=0.0)
         return (highest < phase.tension_N + 2.0 and elapsed >= phase.settle_s) or elapsed > 10.0
+
+
+def _plan(model: HandModel, phase: Hold) -> GripPlan:
+    """What a hold says of its grip, along the tendons."""
+    limit = np.full(model.tendon_count, np.nan)
+    if phase.slip_limit_N is not None:
+        for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True):
+            value = for_digit(phase.slip_limit_N, name)
+            limit[tendons] = math.nan if value is None else value
+    return GripPlan(1e3 * phase.stiffness_N_per_mm, limit)
 
 
 def _far_from(model: HandModel, phase: Follow, estimate: Estimate) -> str:

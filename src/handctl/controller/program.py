@@ -7,6 +7,7 @@ import numpy as np
 
 from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.goal import DigitGoal, Kind
+from handctl.controller.grip import Grip
 from handctl.controller.model import HandModel
 from handctl.controller.trajectory import MinimumJerk
 from handctl.controller.types import Event, Vector
@@ -27,6 +28,7 @@ class Progress:
         finished: True when nothing more is to come.
         failure: why the program gave up; empty if it did not.
         record: numbers that the program keeps for its result.
+        grip: of a hold; None otherwise.
         tare: what every load cell is to read less from now on [N]; empty for what the controller knows anyway.
     """
 
@@ -40,6 +42,7 @@ class Progress:
     failure: str = ""
     record: tuple[float, ...] = ()
     tare: tuple[float, ...] = ()
+    grip: Grip | None = None
 
     @staticmethod
     def begin(digits: int, phase: str) -> "Progress":
@@ -49,7 +52,8 @@ class Progress:
     def key(self) -> bytes:
         """Everything in it as bytes, for the state's hash."""
         place = (self.step, self.since, self.phase, self.finished, self.failure, self.record, self.tare)
-        return repr((place, self.contact, self.touching)).encode() + b"".join(goal.key() for goal in self.goals)
+        goals = b"".join(goal.key() for goal in self.goals) + (self.grip.key() if self.grip else b"")
+        return repr((place, self.contact, self.touching)).encode() + goals
 
 
 class Program(Protocol):

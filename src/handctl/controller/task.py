@@ -51,6 +51,10 @@ class Hold(Document):
     name: str = "hold"
     tension_N: Tension | dict[str, Tension] | None = None
     tip_force_N: Force | dict[str, Force] | None = None
+    slip_limit_N: Tension | dict[str, Tension] | None = None
+    """Slip raises the tensions up to this; without it slip is told, not answered."""
+    stiffness_N_per_mm: float = Field(0.0, ge=0, le=50)
+    """Tension more for each millimetre that a tendon is pulled out once the grip has settled; 0: tension is kept."""
     rate_N_per_s: float = Field(60.0, gt=0, le=5000)
     duration_s: Duration = 3.0
 
@@ -150,12 +154,12 @@ def check_task(task: Task, digits: tuple[str, ...], ceiling: float, where: str) 
         ConfigError: it names a digit that is not there, or asks for more tension than the limit.
     """
     for i, phase in enumerate(task.phase):
-        for key in ("angle_deg", "tension_N", "tip_force_N", "contact_tension_N"):
+        for key in ("angle_deg", "tension_N", "tip_force_N", "contact_tension_N", "slip_limit_N"):
             value = getattr(phase, key, None)
             per_digit = value if isinstance(value, dict) else {}
             for digit in per_digit.keys() - set(digits):
                 raise ConfigError(f"no digit {digit!r}", f"{where}: phase[{i}].{key}", "one of " + ", ".join(digits))
-            if key not in ("tension_N", "contact_tension_N"):
+            if key not in ("tension_N", "contact_tension_N", "slip_limit_N"):
                 continue
             largest = max(per_digit.values(), default=value if isinstance(value, float | int) else 0.0)
             if largest > ceiling:

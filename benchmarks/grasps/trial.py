@@ -1,0 +1,141 @@
+"""One run of a task against the simulated hand, in lockstep, beside the plant's truth."""
+
+import tempfile
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from firmware_sim.mjcf import STEP_S
+from firmware_sim.plant import Plant
+from firmware_sim.rig import Rig
+from handctl.cli.plan import find_task, tick_times_s
+from handctl.controller.gains import Gains
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.model import HandModel
+from handctl.controller.program import Program
+from handctl.controller.setup import make_drives, make_sensors
+from handctl.controller.tick import Controller
+from handctl.controller.types import Event, Mode, TickIn
+from handctl.drives.frame import Frame
+from handctl.drives.load import highest_rate
+from handctl.hand.description import hand_path, load_hand
+
+TIMEOUT_S = 120.0
+DEFAULT = Gains()
+
+
+@cache
+def hand_model(hand: str, gains: Gains = DEFAULT) -> tuple[HandModel, float]:
+    """A hand's model at its default rate; designed once a process."""
+    described = load_hand(hand)
+    rate = highest_rate(tick_times_s(described))
+    return HandModel.of(described, gains, rate), rate
+
+
+@dataclass
+class Run:
+    """What happened, a row a tick.
+
+    Attributes:
+        t: (ticks,) [s]. phase: names. stage: of the scene.
+        place: (ticks, 3) object [m]. force: (ticks, D) contact force on each digit [N].
+        contact: (ticks, D). tension, external, travel: (ticks, N). q: (ticks, J) true joint angles.
+        events: tick and event. failure: of the controller. dropped_at: when the table began to sink [s].
+    """
+
+    t: np.ndarray
+    phase: list[str]
+    stage: np.ndarray
+    place: np.ndarray
+    force: np.ndarray
+    contact: np.ndarray
+    tension: np.ndarray
+    external: np.ndarray
+    excursion: np.ndarray
+    travel: np.ndarray
+    tip_force: np.ndarray
+    q: np.ndarray
+    turn: np.ndarray
+    events: list[tuple[int, Event]] = field(default_factory=list)
+    failure: str = ""
+    dropped_at: float | None = None
+
+
+def task_program(task: str, hand: str, **changes: object) -> TaskProgram:
+    """A packaged task or a task file for a hand."""
+    found, _ = find_task(Path(task), load_hand(hand))
+    return TaskProgram(found)
+
+
+def simulate(
+    hand: str,
+    program: Program,
+    scene: str | None,
+    *,
+    seed: int = 0,
+    perturb: dict[str, float] | None = None,
+    until: str = "",
+    gains: Gains = DEFAULT,
+    timeout: float = TIMEOUT_S,
+) -> Run:
+    """Carry out a program on a homed hand.
+
+    Args:
+        hand: packaged name. program: what to do. scene: text of a scene file, or a packaged name, or None.
+        seed: of the simulator. perturb: factors on the plant.
+        until: the run ends where this phase begins. timeout: or here [s].
+    """
+    model, rate = hand_model(hand, gains)
+    n = model.tendon_count
+    zeros = np.zeros(n)
+    controller = Controller.of(
+        model, make_drives(model.hand), make_sensors(model.hand), program, zeros, zeros, arm_at_once=True
+    )
+    period_ns = round(1e9 / rate)
+    with tempfile.TemporaryDirectory() as folder:
+        if scene is not None and "\n" in scene:
+            file = Path(folder) / "scene.toml"
+            file.write_text(scene)
+            scene = str(file)
+        rig = Rig(str(hand_path(hand)), scene=scene, seed=seed, perturb=perturb, period_ns=period_ns, homed=True)
+    plant, state, frames = rig.world.plant, controller.initial(), ()
+    rows, phases, events, stages = [], [], [], []
+    for k in range(round(timeout * rate)):
+        state, out = controller.tick(state, TickIn(k, k * period_ns, frames=frames))
+        force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
+        pose, numbers = plant.engine.object_pose(), out.telemetry
+        rows.append(
+            (k / rate, pose, force, numbers.contact, numbers.tension, numbers.external_tension, numbers.excursion,
+             state.filter.x[0::7], numbers.tip_force, plant.engine.q.copy())
+        )  # fmt: skip
+        phases.append(out.phase)
+        stages.append(plant.stage)
+        events += [(k, event) for event in out.events]
+        if state.mode in (Mode.DONE, Mode.RELAX) or (until and out.phase == until):
+            break
+        if _over(plant):
+            break
+        frames = tuple(Frame(*reply) for reply in rig.step(k * period_ns, out.frames))
+    rig.close()
+    columns = [np.array(column) for column in zip(*rows, strict=True)]
+    return Run(
+        columns[0], phases, np.array(stages), columns[1][:, :3], *columns[2:10], columns[1][:, 3:],
+        events, state.failure or state.progress.failure, plant.table.dropped_at if plant.table else None,
+    )  # fmt: skip
+
+
+def _over(plant: Plant) -> bool:
+    """Whether all stages of the scene have passed."""
+    dropped = plant.table.dropped_at if plant.table else None
+    return bool(plant.stages) and dropped is not None and plant.steps * STEP_S - dropped > plant.stages.duration
+
+
+def stage_motion(run: Run) -> list[float]:
+    """Largest way of the object from where each stage found it [m]; the turn counts."""
+    motions = []
+    for stage in range(int(run.stage.max(initial=-1)) + 1):
+        path = run.place[run.stage == stage]
+        motions.append(float(np.linalg.norm(path - path[0], axis=1).max()))
+    return motions

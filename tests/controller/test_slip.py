@@ -1,0 +1,147 @@
+"""Slip: noticed by a digit that is pushed open, answered by more force up to the task's limit; also on the plant."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.controller import grip
+from handctl.controller.estimator import Estimate
+from handctl.controller.goal import DigitGoal, Kind
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.grip import OPENING_M, Grip, GripPlan, hold
+from handctl.controller.model import HandModel
+from handctl.controller.task import Task
+from handctl.controller.types import Event
+from tests.controller.plant_run import run_on_plant
+from tests.controller.synthetic import under
+
+TENSION_N = 20.0
+
+
+class Held:
+    """A grip of all digits but the last, ticked on estimates made up by the test."""
+
+    def __init__(self, model: HandModel, limit: float = np.nan, stiffness: float = 0.0) -> None:
+        self.model, self.quiet = model, under(model, TENSION_N, 0.5)
+        sizes = [tendons.stop - tendons.start for tendons in model.digit_tendons]
+        held = [DigitGoal(Kind.TENSION, tension=np.full(size, TENSION_N)) for size in sizes]
+        self.goals: tuple[DigitGoal, ...] = (*held[:-1], DigitGoal())
+        self.plan = GripPlan(stiffness, np.full(model.tendon_count, limit))
+        self.t = 0.0
+        self.grip = Grip.of(model, self.goals, self.quiet, self.t)
+        self.events: list[Event] = []
+
+    def tick(self, estimate: Estimate, seconds: float) -> None:
+        for _ in range(round(seconds / self.model.period)):
+            self.t += self.model.period
+            self.grip, self.goals, events = hold(self.model, self.grip, self.plan, self.goals, estimate, self.t)
+            self.events += events
+
+    def moved(self, metres: float, digit: int = 0) -> Estimate:
+        """A digit whose tendons have been wound that much further."""
+        travel = self.quiet.travel.copy()
+        travel[self.model.digit_tendons[digit]] += metres
+        return replace(self.quiet, travel=travel)
+
+    @property
+    def tension(self) -> float:
+        assert self.goals[0].tension is not None
+        return float(self.goals[0].tension[0])
+
+
+def test_a_digit_that_is_pushed_open_raises_the_force_of_all(model: HandModel) -> None:
+    held = Held(model, limit=30.0)
+    held.tick(held.quiet, 1.0)
+    assert not held.events
+    held.tick(held.moved(-3 * OPENING_M), 0.06)
+    assert [event.where for event in held.events] == [model.hand.digit_names[0]]
+    for goal in held.goals[:-1]:
+        np.testing.assert_allclose(goal.tension, grip.STEP * TENSION_N)
+    assert held.goals[-1].kind == Kind.LIMP, "what does not hold is left alone"
+
+
+def test_the_limit_is_kept_and_said_once(model: HandModel) -> None:
+    held = Held(model, limit=26.0)
+    held.tick(held.quiet, 1.0)
+    for step in range(1, 8):
+        held.tick(held.moved(-3 * step * OPENING_M), 0.5)
+    assert held.tension == pytest.approx(26.0)
+    assert [("no more" in event.text) for event in held.events] == [False, False, True]
+
+
+def test_without_a_limit_slip_is_told_and_not_answered(model: HandModel) -> None:
+    held = Held(model)
+    held.tick(held.quiet, 1.0)
+    held.tick(held.moved(-3 * OPENING_M), 0.5)
+    assert [event.level for event in held.events] == ["warn"]
+    assert held.tension == TENSION_N
+
+
+def test_closing_creeping_noise_and_the_start_are_no_slip(model: HandModel) -> None:
+    held = Held(model, limit=30.0)
+    held.tick(held.moved(-5 * OPENING_M), 0.2)
+    held.tick(held.quiet, 1.0)
+    held.tick(held.moved(5 * OPENING_M), 1.0)
+    chance = np.random.default_rng(1)
+    for k in range(round(20.0 / model.period)):
+        creep = -0.02e-3 * k * model.period
+        held.tick(held.moved(5 * OPENING_M + creep + chance.normal(0.0, 3.5e-6)), model.period)
+    assert not held.events
+
+
+def test_a_stiff_grip_pulls_back_what_is_pulled_out(model: HandModel) -> None:
+    held = Held(model, limit=np.nan, stiffness=5e3)
+    held.tick(held.quiet, 1.0)
+    held.tick(held.moved(-0.2e-3), 0.01)
+    assert held.tension == pytest.approx(TENSION_N + 1.0, abs=0.01)
+    held.tick(held.moved(0.2e-3), 0.01)
+    assert held.tension == pytest.approx(TENSION_N - 1.0, abs=0.01)
+
+
+PULL = """name = "pull"
+[object]
+shape = "cylinder"
+diameter_m = 0.035
+length_m = 0.093
+mass_kg = 0.15
+friction = {friction}
+position_m = [0.0195, 0.0, 0.0]
+[support]
+drop_when = "grasped"
+drop_hold_s = 0.2
+sink_speed_m_s = 0.2
+[load]
+direction = [1.0, 0.0, 0.0]
+start_s = 3.4
+rate_N_per_s = {rate}
+"""
+
+
+def grasp(limit: str) -> TaskProgram:
+    phases = [
+        {"kind": "move", "angle_deg": {"index": 18.0, "middle": 18.0, "ring": 18.0, "thumb": 3.0}, "duration_s": 0.4},
+        {"kind": "close", "angle_deg": 85.0, "speed_deg_s": 80.0, "contact_tension_N": 14.0},
+        {"kind": "hold", "tension_N": 20.0, "duration_s": 60.0} | ({"slip_limit_N": 80.0} if limit else {}),
+    ]
+    return TaskProgram(Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": phases})))
+
+
+@pytest.mark.parametrize(("hand", "friction", "rate"), [("jamia", 0.3, 5.0), ("jamia11", 0.2, 9.0)])
+def test_a_growing_load_takes_the_object_only_without_reaction(
+    hand: str, friction: float, rate: float, tmp_path: Path
+) -> None:
+    """The same load, plant and seed; what differs is the line of the task that allows more force."""
+    scene, motion, tension = PULL.format(friction=friction, rate=rate), {}, {}
+    for limit in ("", "limit"):
+        run = run_on_plant(hand, grasp(limit), scene, tmp_path, 5.6)
+        begin = run.t.index(3.4)
+        motion[limit] = 1e3 * np.linalg.norm(np.subtract(run.place[-1], run.place[begin]))
+        tension[limit] = max(float(row.max()) for row in run.tension[begin:])
+        assert run.told("slip"), "noticed in either case"
+        assert not [t for t, _ in run.told("slip") if t < 3.4], "before the load nothing slips"
+    assert motion[""] > 20.0, "the positive control: it is pulled out"
+    assert motion["limit"] < 8.0
+    assert tension["limit"] > 25.0

@@ -1,0 +1,102 @@
+"""What a scene does with a held object: turns the hand, pushes, makes it slippery, each in its time."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from firmware_sim.description import SimulatorError, load_hand
+from firmware_sim.plant import Plant
+from firmware_sim.scene import load_scene
+from firmware_sim.stages import Stages, read_stage
+
+UPRIGHT = (0.0, 0.0, -9.81)
+SIDEWAYS = {"down": [3.0, 0.0, 0.0], "turn_s": 0.5, "last_s": 2.0}
+SCENE = """
+name = "two stages"
+[object]
+shape = "cylinder"
+diameter_m = 0.042
+length_m = 0.093
+mass_kg = 0.1
+friction = 0.5
+position_m = [0.022, 0.0, 0.0]
+[support]
+drop_when = "grasped"
+drop_hold_s = 0.0
+drop_force_N = 0.0
+drop_digits = 2
+drop_opposed = false
+[[stage]]
+down = [0.0, -1.0, 0.0]
+turn_s = 0.01
+last_s = 0.02
+push_N = [0.0, 3.0, 0.0]
+push_s = 0.01
+friction = 0.1
+"""
+
+
+def test_gravity_turns_and_stays() -> None:
+    stages = Stages((read_stage(SIDEWAYS), read_stage({"last_s": 1.0})), UPRIGHT)
+    assert stages.duration == 3.5
+    assert stages.at(0.0).gravity == UPRIGHT
+    half = stages.at(0.25).gravity
+    assert half == pytest.approx((9.81 / math.sqrt(2), 0.0, -9.81 / math.sqrt(2))), "on the way it is as strong"
+    for time in (0.5, 2.4, 2.6, 100.0):
+        assert stages.at(time).gravity == pytest.approx((9.81, 0.0, 0.0))
+    assert [stages.at(time).stage for time in (0.0, 2.4, 2.6, 100.0)] == [0, 0, 1, 1]
+
+
+def test_a_push_lasts_as_long_as_it_says_and_friction_stays() -> None:
+    stage = {"turn_s": 1.0, "last_s": 3.0, "push_N": [0.0, 1.0, 0.0], "push_at_s": 0.5, "push_s": 1.0, "friction": 0.2}
+    stages = Stages((read_stage(stage), read_stage({"last_s": 1.0})), UPRIGHT)
+    pushes = [stages.at(time).push[1] for time in (0.5, 1.4, 1.5, 2.4, 2.6, 4.5)]
+    assert pushes == [0.0, 0.0, 1.0, 1.0, 0.0, 0.0]
+    assert [stages.at(time).friction for time in (0.9, 1.1, 4.5)] == [None, 0.2, 0.2]
+
+
+def test_the_plant_does_what_the_stage_says(tmp_path: Path) -> None:
+    """The first touch begins the stages; then the object falls towards the thumb, not onto the table."""
+    path = tmp_path / "stages.toml"
+    path.write_text(SCENE)
+    plant = Plant(load_hand("jamia"), load_scene(str(path)), homed=True)
+    plant.engine.set_joints([0.1] * 11, [0.0] * 11)
+    while plant.stage < 0:
+        plant.step()
+        assert plant.steps < 100
+    for _ in range(100):
+        plant.step()
+    model = plant.engine._model
+    assert model.opt.gravity == pytest.approx([0.0, -9.81, 0.0])
+    assert set(model.geom_friction[:, 0]) == {0.1}
+    assert not np.any(plant.engine._data.xfrc_applied), "the push is over"
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"last_s": 0.0, "turn_s": 0.0}, "last_s"),
+        ({"down": [0.0, 0.0, 0.0]}, "down"),
+        ({"down": [1.0, 0.0]}, "three"),
+        ({"push_N": [math.nan, 0.0, 0.0]}, "push_N"),
+        ({"friction": -1.0}, "friction"),
+        ({"colour": 1}, "colour"),
+    ],
+)
+def test_wrong_stages_are_refused(change: dict[str, object], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        read_stage(SIDEWAYS | change)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [('"grasped"', '"never"'), ("[[stage]]", "[load]\ndirection=[1,0,0]\nstart_s=0\nrate_N_per_s=1\n[[stage]]")],
+)
+def test_stages_need_a_table_that_sinks_and_no_load(change: tuple[str, str], tmp_path: Path) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text(SCENE.replace(*change))
+    with pytest.raises(SimulatorError, match="stage") as caught:
+        load_scene(str(path))
+    assert "\n" not in str(caught.value)
