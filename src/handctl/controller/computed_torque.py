@@ -40,11 +40,13 @@ class LawState:
         setpoint: present tension set-point of the tension loop [N].
         integral: its integral part [N].
         force: motor force at the cable that was commanded, friction taken off [N]: the filter's input.
+        trim: motor force that still makes up for a change of gains [N]; None long after one.
     """
 
     setpoint: Vector
     integral: Vector
     force: Vector
+    trim: Vector | None = None
 
     @staticmethod
     def initial(tendons: int) -> "LawState":
@@ -86,6 +88,8 @@ def step(
     motion = _motion(model, estimate, table, t)
     hold = _hold(model, state, estimate, table, t)
     force = table.chosen(motion.force, hold.force, 0.0)
+    if state.trim is not None:
+        force = force + table.chosen(state.trim, state.trim, 0.0)
     limit = model.torque_limit / model.space.spool
     asked = _within(force, -UNWIND_SHARE * limit, limit)
     tension = table.chosen(motion.tension, hold.setpoint, np.nan)
@@ -95,8 +99,21 @@ def step(
         np.where(held, hold.setpoint, estimate.tension) if table.holds else estimate.tension,
         np.where(held, hold.integral, 0.0),
         asked - _motor_friction(model, estimate, asked),
+        None if state.trim is None else _faded(state.trim, model.period),
     )
     return law, Command(asked * model.space.spool, tension, load.dot(model.hand.moment_arms), motion.q, motion.dq)
+
+
+TRIM_TIME_S = 0.2
+"""In which what makes up for a change of gains fades by a factor e [s]: slower than both loops, so that they follow."""
+TRIM_LEAST_N = 1e-3
+"""Trim below this is nothing [N]: a fiftieth of a torque count of the finest drive."""
+
+
+def _faded(trim: Vector, period: float) -> Vector | None:
+    """The trim of the next tick."""
+    faded = trim * np.exp(-period / TRIM_TIME_S)
+    return faded if float(np.abs(faded).max()) > TRIM_LEAST_N else None
 
 
 def _motor_friction(model: HandModel, estimate: Estimate, asked: Vector) -> Vector:

@@ -40,11 +40,29 @@ def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesi
         gains: weights.
         period: control period [s].
     """
-    motion = [_motion(float(mass), gains, period) for mass in space.motor_mass + space.load_mass]
-    tension = [_tension(space, i, gains, period) for i in range(len(space.spool))]
+    return assembled(space, [design_piece(space, gains, period, piece) for piece in range(pieces(space))])
+
+
+def pieces(space: TendonSpace) -> int:
+    """How many pieces the design falls into, each short enough for one tick of a running controller."""
+    return 2 * len(space.spool)
+
+
+def design_piece(space: TendonSpace, gains: Gains, period: float, piece: int) -> Vector:
+    """Gain (2,) of one loop of one tendon: the motion loop of every tendon, then the tension loop of every tendon."""
+    n = len(space.spool)
+    if piece < n:
+        return _motion(float((space.motor_mass + space.load_mass)[piece]), gains, period)
+    return _tension(space, piece - n, gains, period)
+
+
+def assembled(space: TendonSpace, found: list[Vector]) -> MotionDesign:
+    """The design of all its pieces."""
+    n, mass = len(space.spool), space.motor_mass + space.load_mass
+    motion, tension = found[:n], found[n:]
     return MotionDesign(
-        stiffness=np.array([K[0] for K in motion]) / (space.motor_mass + space.load_mass),
-        damping=np.array([K[1] for K in motion]) / (space.motor_mass + space.load_mass),
+        stiffness=np.array([K[0] for K in motion]) / mass,
+        damping=np.array([K[1] for K in motion]) / mass,
         tension=np.array([K[0] for K in tension]),
         tension_speed=np.array([K[1] for K in tension]),
     )

@@ -53,7 +53,15 @@ class HoldTension(Document):
     rate_N_per_s: float = Field(100.0, gt=0, le=5000)
 
 
-Request = Arm | Stop | Cut | Clear | MoveDigits | HoldTension
+class SetGains(Document):
+    """Change gains of the running controller."""
+
+    do: Literal["gains"]
+    set: dict[str, float] = Field(min_length=1)
+    """Key, e.g. ``motion.force_N``, to value; all of them or none."""
+
+
+Request = Arm | Stop | Cut | Clear | MoveDigits | HoldTension | SetGains
 
 _ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 

@@ -5,7 +5,9 @@ from dataclasses import dataclass
 
 from handctl.controller.computed_torque import LawState
 from handctl.controller.estimator import FilterState
+from handctl.controller.gains import Gains
 from handctl.controller.program import Progress
+from handctl.controller.retune import Coming
 from handctl.controller.types import Mode
 from handctl.drives.contract import DriveState
 from handctl.drives.sensor_node import SensorState
@@ -32,6 +34,8 @@ class State:
         commanded: (motor torques of the last tick are in ``law.force``); frames cut so far, for mode CUT.
         failure: why the run ends early, one line; empty if it does not.
         unconfirmed: motors that have not confirmed that they are disabled.
+        gains: that a person has set since the start; None before.
+        coming: gains that are asked for and being designed.
     """
 
     k: int
@@ -48,6 +52,8 @@ class State:
     failure: str = ""
     unconfirmed: tuple[str, ...] = ()
     clearing: bool = False
+    gains: Gains | None = None
+    coming: Coming | None = None
 
     def digest(self) -> bytes:
         """8 bytes that change with every part of the state."""
@@ -59,4 +65,8 @@ class State:
         h.update(repr((self.drives, self.sensors, self.safety)).encode())
         h.update(repr((self.filter.regimes, self.filter.stopped, self.filter.turning, self.filter.started)).encode())
         h.update(self.progress.key())
+        if self.gains is not None or self.coming is not None:
+            h.update(repr((self.gains, self.coming)).encode())
+        if self.law.trim is not None:
+            h.update(self.law.trim.tobytes())
         return h.digest()

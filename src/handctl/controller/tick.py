@@ -9,18 +9,18 @@ encode    what each drive shall do -> frames
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from handctl.controller import computed_torque, estimator
+from handctl.controller import computed_torque, estimator, retune
 from handctl.controller.computed_torque import Command, LawState
 from handctl.controller.estimator import Estimate, FilterState, Measured
 from handctl.controller.live import apply_goal
 from handctl.controller.model import HandModel
 from handctl.controller.modes import ACTING, Wishes, next_mode, wanted_of_drives
 from handctl.controller.program import Program
-from handctl.controller.requests import Arm, Clear, Cut, HoldTension, MoveDigits, Stop, parse_request
+from handctl.controller.requests import Arm, Clear, Cut, HoldTension, MoveDigits, SetGains, Stop, parse_request
 from handctl.controller.state import State
 from handctl.controller.telemetry import telemetry
 from handctl.controller.types import Event, Mode, TickIn, TickOut, Vector
@@ -52,6 +52,7 @@ class Controller:
         owners: (bus, identifier) to the index of the drive that sends it, or SENSORS.
         ours: (bus, identifier) of frames that only this host may send.
         arm_at_once: arm as soon as everything has answered, without a request.
+        designs: of gains that were set in a run.
     """
 
     model: HandModel
@@ -64,6 +65,7 @@ class Controller:
     owners: dict[tuple[int, int], int]
     ours: frozenset[tuple[int, int]]
     arm_at_once: bool = True
+    designs: retune.Designs = field(default_factory=retune.Designs, compare=False, repr=False)
 
     @staticmethod
     def of(
@@ -123,6 +125,8 @@ class Controller:
         Raises:
             ValueError: a command that cannot be encoded; it never reaches a wire.
         """
+        if state.gains is not None and state.gains != self.model.gains:
+            return replace(self, model=self.designs.model(self.model, state.gains)).tick(state, entry)
         missed = entry.k - state.k - 1
         drives, sensors, foreign = self._receive(state, entry)
         measured = self._measured(state, drives, sensors)
@@ -134,9 +138,11 @@ class Controller:
         state = replace(state, safety=judged)
         state, moved = next_mode(self.model, self.drives, state, verdict.action, wishes, foreign, entry.t_ns / 1e9)
         state, stepped = self._program(state, verdict.action, estimate, measured)
+        law = state.law
         state, command = self._command(state, estimate)
+        state, retuned = (state, ()) if state.coming is None else self._retune(state, law, estimate, command)
         state, frames = self._encode(state, entry, command)
-        events = asked + tuple(_told(finding) for finding in verdict.findings) + moved + stepped
+        events = asked + tuple(_told(finding) for finding in verdict.findings) + moved + stepped + retuned
         numbers = telemetry(self.model, state, measured, estimate, command, entry.t_ns)
         phase = state.progress.phase if state.mode == Mode.ACTIVE else state.mode.name.lower()
         return state, TickOut(frames, state.mode, phase, verdict.action, numbers, events, state.digest())
@@ -205,6 +211,11 @@ class Controller:
                 state = replace(state, armed=True)
             elif isinstance(request, Clear):
                 state = replace(state, safety=safety.clear(state.safety), clearing=state.mode in BEFORE_ARMING)
+            elif isinstance(request, SetGains):
+                present = state.coming.gains if state.coming else self.model.gains
+                coming, refused = retune.asked(present, request.set)
+                state = replace(state, coming=coming or state.coming)
+                events += refused
             elif isinstance(request, MoveDigits | HoldTension):
                 progress, told = apply_goal(self.model, state.progress, request, estimate, state.goal_time)
                 state = replace(state, progress=progress)
@@ -254,6 +265,22 @@ class Controller:
             return replace(state, law=LawState(estimate.tension, np.zeros(n), np.zeros(n))), idle
         law, command = computed_torque.step(self.model, state.law, estimate, state.progress.goals, state.goal_time)
         return replace(state, law=law), command
+
+    def _retune(
+        self, state: State, before: LawState, estimate: Estimate, command: Command
+    ) -> tuple[State, tuple[Event, ...]]:
+        """Design a piece of the gains that are coming; take them over from the next tick on when all is designed."""
+        assert state.coming is not None
+        coming = self.designs.advance(self.model, state.coming)
+        if coming is not None:
+            return replace(state, coming=coming), ()
+        gains, law = state.coming.gains, state.law
+        if state.mode in (Mode.ACTIVE, Mode.RELAX):
+            other = self.designs.model(self.model, gains)
+            _, changed = computed_torque.step(other, before, estimate, state.progress.goals, state.goal_time)
+            step = (command.torque - changed.torque) / self.model.space.spool
+            law = replace(law, trim=step if law.trim is None else law.trim + step)
+        return replace(state, gains=gains, coming=None, law=law), retune.changes(self.model.gains, gains)
 
     def _encode(self, state: State, entry: TickIn, command: Command) -> tuple[State, tuple[Frame, ...]]:
         """SYNC for the sensors, then what each drive shall do; a cut goes before everything else, every tick anew."""

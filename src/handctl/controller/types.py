@@ -64,6 +64,10 @@ class TickIn:
     requests: tuple[str, ...] = ()
 
 
+GAIN_EVENT = "gain"
+"""Name of the event of a changed gain; ``where`` is its key, ``text`` its new value."""
+
+
 class Event(NamedTuple):
     """Something worth a line in the log.
 

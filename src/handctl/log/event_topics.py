@@ -6,7 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.types import Mode
+from handctl.controller.types import GAIN_EVENT, Mode
 from handctl.log.batch import Batch
 from handctl.log.cdr import CdrWriter
 from handctl.log.container import Run
@@ -19,8 +19,7 @@ from handctl.safety.action import Action
 LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 _DOUBLE, _STRING = 3, 4
 """rcl_interfaces/ParameterType."""
-GAIN_EVENT = "gain"
-"""Name of the controller's event for a changed gain; ``where`` is the gain, ``text`` its new value."""
+
 
 
 def _stamped(t_ns: int) -> CdrWriter:

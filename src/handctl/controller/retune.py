@@ -1,0 +1,77 @@
+"""Gains that change while the controller runs: designed a piece a tick, then taken over without a step in torque.
+
+The design of a loop takes about a millisecond, so a running controller does one a tick and takes all of them over at
+once. When it does, the motor force that the old gains ask for in that tick less what the new ones ask for is kept as
+a trim and fades. Integrals are kept in newtons, not as an integral of the error, so they need no rescaling.
+"""
+
+from dataclasses import dataclass, field, replace
+
+from handctl.controller.gain_bounds import flat, with_values
+from handctl.controller.gains import Gains
+from handctl.controller.model import HandModel
+from handctl.controller.motion_design import assembled, design_piece, pieces
+from handctl.controller.types import GAIN_EVENT, Event, Vector
+from handctl.errors import ConfigError
+
+@dataclass(frozen=True, slots=True)
+class Coming:
+    """Gains that somebody has asked for.
+
+    Attributes:
+        gains: all of them, with those that change.
+        step: pieces of the design that are done.
+    """
+
+    gains: Gains
+    step: int = 0
+
+
+@dataclass(slots=True)
+class Designs:
+    """Designs that were made already, by gains: only a memory, for what is missing in it is made again.
+
+    Attributes:
+        found: pieces so far.
+        models: whole ones.
+    """
+
+    found: dict[Gains, list[Vector]] = field(default_factory=dict)
+    models: dict[Gains, HandModel] = field(default_factory=dict)
+
+    def advance(self, model: HandModel, coming: Coming) -> Coming | None:
+        """Design one piece more; None when the design is complete."""
+        done = self._up_to(model, coming.gains, coming.step + 1)
+        return None if len(done) >= pieces(model.space) else replace(coming, step=coming.step + 1)
+
+    def model(self, model: HandModel, gains: Gains) -> HandModel:
+        """The model with other gains."""
+        if gains not in self.models:
+            found = self._up_to(model, gains, pieces(model.space))
+            self.models[gains] = replace(model, gains=gains, motion=assembled(model.space, found))
+        return self.models[gains]
+
+    def _up_to(self, model: HandModel, gains: Gains, count: int) -> list[Vector]:
+        found = self.found.setdefault(gains, [])
+        while len(found) < count:
+            found.append(design_piece(model.space, gains, model.period, len(found)))
+        return found
+
+
+def asked(present: Gains, values: dict[str, float]) -> tuple[Coming | None, tuple[Event, ...]]:
+    """What a request for other gains leads to: their design, or one line that says why not.
+
+    Args:
+        present: gains to change.
+        values: by key.
+    """
+    try:
+        return Coming(with_values(present, values, "gains", live=True)), ()
+    except ConfigError as error:
+        return None, (Event("warn", "request", "", f"refused: {error}"),)
+
+
+def changes(before: Gains, after: Gains) -> tuple[Event, ...]:
+    """An event for every key whose value is another."""
+    old, new = flat(before), flat(after)
+    return tuple(Event("info", GAIN_EVENT, key, repr(value)) for key, value in new.items() if value != old[key])
