@@ -14,6 +14,7 @@ from handctl.controller.motion_design import assembled, design_piece, pieces
 from handctl.controller.types import GAIN_EVENT, Event, Vector
 from handctl.errors import ConfigError
 
+
 @dataclass(frozen=True, slots=True)
 class Coming:
     """Gains that somebody has asked for.

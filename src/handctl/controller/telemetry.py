@@ -59,4 +59,3 @@ def telemetry(
 def _age(feedback_t_ns: int, t_ns: int) -> float:
     """Age of a feedback [s]; NaN if there never was one."""
     return (t_ns - feedback_t_ns) / 1e9 if feedback_t_ns >= 0 else math.nan
-

@@ -14,13 +14,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from handctl.controller import computed_torque, estimator, retune
+from handctl.controller.answers import answer
 from handctl.controller.computed_torque import Command, LawState
 from handctl.controller.estimator import Estimate, FilterState, Measured
-from handctl.controller.live import apply_goal
 from handctl.controller.model import HandModel
-from handctl.controller.modes import ACTING, Wishes, next_mode, wanted_of_drives
+from handctl.controller.modes import ACTING, next_mode, wanted_of_drives
 from handctl.controller.program import Program
-from handctl.controller.requests import Arm, Clear, Cut, HoldTension, MoveDigits, SetGains, Stop, parse_request
 from handctl.controller.state import State
 from handctl.controller.telemetry import telemetry
 from handctl.controller.types import Event, Mode, TickIn, TickOut, Vector
@@ -31,8 +30,6 @@ from handctl.safety import judge as safety
 from handctl.safety.action import Action
 from handctl.safety.table import LEAST_SILENT, LEAST_STALLED, SILENT_S, STALLED_S, Limits, Signals, ticks_for
 
-BEFORE_ARMING = (Mode.SILENT, Mode.INVENTORY)
-"""Modes in which an order to clear also clears the drives."""
 SENSORS = -1
 """Owner of the sensor node's frames, where drives are owners by index."""
 
@@ -125,14 +122,18 @@ class Controller:
         Raises:
             ValueError: a command that cannot be encoded; it never reaches a wire.
         """
-        if state.gains is not None and state.gains != self.model.gains:
-            return replace(self, model=self.designs.model(self.model, state.gains)).tick(state, entry)
+        if state.gains is None or state.gains is self.model.gains:
+            return self._tick(state, entry)
+        return replace(self, model=self.designs.model(self.model, state.gains))._tick(state, entry)
+
+    def _tick(self, state: State, entry: TickIn) -> tuple[State, TickOut]:
+        """One tick with the gains that are this controller's."""
         missed = entry.k - state.k - 1
         drives, sensors, foreign = self._receive(state, entry)
         measured = self._measured(state, drives, sensors)
         filters, estimate = self._estimate(state, measured)
         state = replace(state, k=entry.k, drives=drives, sensors=sensors, filter=filters)
-        state, wishes, asked = self._requests(state, estimate, entry)
+        state, wishes, asked = answer(self.model, state, estimate, entry.requests)
         signals = self._signals(state, entry, measured, foreign, missed)
         judged, verdict = safety.judge(state.safety, self.limits, signals)
         state = replace(state, safety=judged)
@@ -193,34 +194,6 @@ class Controller:
         model = self.model
         held = tuple(c and state.mode in ACTING for c in state.progress.contact)
         return estimator.step(model, state.filter, measured, state.law.force, held)
-
-    def _requests(self, state: State, estimate: Estimate, entry: TickIn) -> tuple[State, Wishes, tuple[Event, ...]]:
-        """What people and programs asked, in order."""
-        wishes, events = Wishes(), []
-        for text in entry.requests:
-            request = parse_request(text)
-            if isinstance(request, str):
-                events.append(Event("warn", "request", "", request))
-                continue
-            events.append(Event("info", "request", "", f"asked: {request.do}"))
-            if isinstance(request, Stop):
-                wishes = replace(wishes, stop=True)
-            elif isinstance(request, Cut):
-                wishes = replace(wishes, cut=True)
-            elif isinstance(request, Arm):
-                state = replace(state, armed=True)
-            elif isinstance(request, Clear):
-                state = replace(state, safety=safety.clear(state.safety), clearing=state.mode in BEFORE_ARMING)
-            elif isinstance(request, SetGains):
-                present = state.coming.gains if state.coming else self.model.gains
-                coming, refused = retune.asked(present, request.set)
-                state = replace(state, coming=coming or state.coming)
-                events += refused
-            elif isinstance(request, MoveDigits | HoldTension):
-                progress, told = apply_goal(self.model, state.progress, request, estimate, state.goal_time)
-                state = replace(state, progress=progress)
-                events += told
-        return state, wishes, tuple(events)
 
     def _signals(
         self, state: State, entry: TickIn, measured: Measured, foreign: tuple[str, ...], missed: int

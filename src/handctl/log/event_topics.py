@@ -21,7 +21,6 @@ _DOUBLE, _STRING = 3, 4
 """rcl_interfaces/ParameterType."""
 
 
-
 def _stamped(t_ns: int) -> CdrWriter:
     out = CdrWriter()
     out.put("I", t_ns // 10**9)

@@ -1,0 +1,169 @@
+"""Gains that change in a run: within bounds, without a step in torque, and in the state that is hashed."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handctl.controller.computed_torque import step
+from handctl.controller.gain_bounds import bounds, checked, flat, with_values
+from handctl.controller.gains import Gains
+from handctl.controller.live import LiveProgram
+from handctl.controller.model import HandModel
+from handctl.controller.motion_design import design_motion, pieces
+from handctl.controller.requests import parse_request
+from handctl.controller.types import Mode
+from handctl.errors import ConfigError
+from handctl.hand.description import hand_path
+from handctl.runtime.lockstep import load_peer
+from tests.controller.bench import Bench, bench, controller
+
+HOLD = '{"do": "hold", "tension_N": {"index": 14, "middle": 14, "ring": 14, "thumb": 14}, "rate_N_per_s": 500}'
+MOVE = '{"do": "move", "angle_deg": {"index": 45, "middle": 45, "ring": 45, "thumb": 20}, "duration_s": 0.2}'
+
+
+def change(values: Mapping[str, float]) -> str:
+    return json.dumps({"do": "gains", "set": values})
+
+
+def desk_of(model: HandModel) -> Bench:
+    """The simulated hand with load cells that do not hiss, taut and waiting."""
+    options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"noise": 0.0}}
+    peer = load_peer("firmware_sim.rig:Rig", **options)
+    desk = Bench(controller(model, LiveProgram()), peer)
+    desk.until(Mode.ACTIVE)
+    while desk.state.progress.phase != "live":
+        desk.tick()
+    return desk
+
+
+@pytest.fixture
+def holding(jamia: HandModel) -> Bench:
+    """A hand whose tensions rise, so that the loops have errors to act on."""
+    desk = desk_of(jamia)
+    desk.tick(HOLD)
+    desk.run(0.1)
+    return desk
+
+
+def test_a_change_is_taken_over_when_every_piece_is_designed(holding: Bench, jamia: HandModel) -> None:
+    outs = [holding.tick(change({"tension.force_N": 45.0}))]
+    outs += [holding.tick() for _ in range(pieces(jamia.space) + 2)]
+    events = [[event for event in out.events if event.name == "gain"] for out in outs]
+    at = [i for i, found in enumerate(events) if found]
+    assert at == [pieces(jamia.space) - 1]
+    assert [(event.where, event.text) for event in events[at[0]]] == [("tension.force_N", "45.0")]
+    assert holding.state.gains is not None
+    assert holding.state.gains.tension.force_N == 45.0
+    hashes = {out.state_hash for out in outs}
+    assert len(hashes) == len(outs)
+
+
+@pytest.mark.parametrize(
+    ("request_", "values"),
+    [
+        (HOLD, {"tension.force_N": 45.0}),
+        (HOLD, {"tension.force_N": 5.0}),
+        (HOLD, {"tension.integral_per_s": 0.0, "motion.disturbance_rejection": 0.0}),
+        (MOVE, {"motion.force_N": 60.0}),
+        (MOVE, {"motion.position_error_m": 1.8e-3, "motion.tension_feedback": 1.0}),
+    ],
+)
+def test_a_change_makes_no_step_in_torque(jamia: HandModel, request_: str, values: dict[str, float]) -> None:
+    """What the new gains and the trim ask for in the tick of the change is what the old ones asked for."""
+    desk = desk_of(jamia)
+    desk.tick(request_)
+    desk.run(0.1)
+    outs = [desk.tick(change(values))] + [desk.tick() for _ in range(pieces(jamia.space) - 1)]
+    assert any(event.name == "gain" for event in outs[-1].events)
+    before, entry, out = desk.history[-1]
+    control, law = desk.controller, desk.state.law
+    assert law.trim is not None
+    drives, sensors, _ = control._receive(before, entry)
+    _, estimate = control._estimate(before, control._measured(before, drives, sensors))
+    other = control.designs.model(jamia, desk.state.gains or jamia.gains)
+    goals, t = desk.state.progress.goals, desk.state.goal_time
+    with_trim = step(other, replace(before.law, trim=law.trim), estimate, goals, t)[1]
+    without = step(other, before.law, estimate, goals, t)[1]
+    np.testing.assert_allclose(with_trim.torque, out.telemetry.motor_torque_goal, atol=1e-12)
+    assert np.abs(without.torque - with_trim.torque).max() > 1e-4
+
+
+def test_the_trim_fades_and_the_goal_is_reached(holding: Bench) -> None:
+    holding.tick(change({"tension.tension_error_N": 1.4}))
+    holding.run(2.5)
+    assert holding.state.law.trim is None
+    tension = np.array([out.telemetry.tension for *_, out in holding.history[-200:]])
+    np.testing.assert_allclose(tension.mean(axis=0), 14.0, atol=1.0)
+
+
+def test_two_requests_add_up_and_the_way_back_is_open(holding: Bench, jamia: HandModel) -> None:
+    holding.tick(change({"tension.force_N": 30.0}))
+    holding.tick(change({"motion.tension_feedback": 0.1}))
+    holding.run(0.1)
+    gains = holding.state.gains
+    assert gains is not None
+    assert (gains.tension.force_N, gains.motion.tension_feedback) == (30.0, 0.1)
+    holding.tick(change({"tension.force_N": 15.0, "motion.tension_feedback": 0.3}))
+    holding.run(0.1)
+    assert holding.state.gains == jamia.gains
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"tension.farce_N": 1.0}, "tension.force_N?"),
+        ({"tension.force_N": 501.0}, "at most 500"),
+        ({"tension.force_N": 0.0}, "more than 0"),
+        ({"contact.ticks": 2.5}, "a whole number"),
+        ({"filter.offset_m": 1e-4}, "designed before arming"),
+        ({"tension.force_N": 30.0, "motion.force_N": -1.0}, "motion.force_N"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line_and_changes_nothing(
+    holding: Bench, values: dict[str, float], said: str
+) -> None:
+    out = holding.tick(change(values))
+    lines = [event for event in out.events if event.level == "warn"]
+    assert len(lines) == 1
+    assert said in lines[0].text
+    assert "\n" not in lines[0].text
+    holding.run(0.1)
+    assert holding.state.gains is None
+
+
+def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -> None:
+    desk = bench(jamia, LiveProgram(), arm=False)
+    desk.until(Mode.READY)
+    desk.tick(change({"motion.force_N": 40.0}))
+    desk.run(0.1)
+    assert desk.state.gains is not None
+    assert desk.state.law.trim is None
+
+
+def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> None:
+    known = bounds()
+    assert known.keys() == flat(Gains()).keys()
+    assert len(known) > 20
+    for key, bound in known.items():
+        assert np.isfinite([bound.low, bound.high]).all(), key
+        assert checked(key, bound.default, "test") is bound
+        with pytest.raises(ConfigError):
+            checked(key, bound.high * 1.01, "test")
+
+
+@pytest.mark.parametrize("high", [False, True])
+def test_every_corner_of_the_live_bounds_can_be_designed(jamia: HandModel, high: bool) -> None:
+    """One key after the other at its end, the rest as packaged; a strict bound is approached to a hundredth."""
+    for key, bound in bounds().items():
+        if bound.live:
+            value = bound.high if high else bound.low + (0.01 * bound.default if bound.open_low else 0.0)
+            gains = with_values(Gains(), {key: value if not bound.whole else round(value)}, "test", live=True)
+            design = design_motion(jamia.space, gains, jamia.period)
+            assert np.isfinite([design.stiffness, design.damping, design.tension, design.tension_speed]).all(), key
+
+
+def test_the_request_needs_at_least_one_value() -> None:
+    assert isinstance(parse_request('{"do": "gains", "set": {}}'), str)
