@@ -11,10 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from handctl.controller.gain_bounds import with_values
 from handctl.controller.gains import Gains
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.live import LiveProgram
 from handctl.controller.model import HandModel
+from handctl.controller.retune import Coming
 from handctl.controller.state import State
 from handctl.controller.trajectory import MinimumJerk
 from handctl.controller.types import TELEMETRY_AXES, IoEvent, Mode, TickIn, TickOut
@@ -230,9 +232,13 @@ def changes(state: State) -> Iterator[tuple[str, State]]:
         )
     yield "filter.started", replace(state, filter=replace(state.filter, started=not state.filter.started))
     for field in dataclasses.fields(state.law):
-        array = getattr(state.law, field.name).copy()
+        array = np.zeros_like(state.law.force) if field.name == "trim" else getattr(state.law, field.name).copy()
         array[-1] = np.nextafter(array[-1], 9e9)
         yield f"law.{field.name}", replace(state, law=replace(state.law, **{field.name: array}))
+    coming = Coming(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
+    yield "gains", replace(state, gains=coming.gains)
+    yield "coming", replace(state, coming=coming)
+    yield "coming.step", replace(state, coming=replace(coming, step=1))
     progress = state.progress
     for name, value in {
         "step": progress.step + 1, "since": progress.since + 1e-9, "phase": "x", "finished": True, "failure": "x",
