@@ -22,7 +22,7 @@ STANDARD = ("builtin_interfaces", "std_msgs", "geometry_msgs", "tf2_msgs", "sens
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("lively") / "run.mcap"
-    run = lively.header()
+    run = lively.header(deterministic=False)
     recorder = Recorder.start(path, run)
     for tick_in, out in lively.ticks(run):
         assert recorder.record(pack(tick_in, out))

@@ -64,5 +64,6 @@ def test_a_wrong_clock_and_a_gap_are_found(golden: Path) -> None:
 def test_a_wrong_identity_is_found(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as log:
         log.header.metadata["identity"] = "0" * 64
-        (line,) = check(log)
-    assert line.startswith("hand.toml has identity")
+        told = check(log)
+    assert told[0].startswith("hand.toml has identity")
+    assert told[1].startswith("the hash chain breaks at tick 0:")

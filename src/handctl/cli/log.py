@@ -7,6 +7,7 @@ from typing import Any
 
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import json_option, print_json
+from handctl.errors import LogError
 from handctl.log.reader import RunLog
 
 EXAMPLE = "handctl log --help   # with a log: handctl log info logs/RUN.mcap"
@@ -58,6 +59,8 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _info(args: argparse.Namespace) -> int:
+    from handctl.log.clock_pairs import steps
+
     with RunLog(args.log) as log:
         header = log.header
         result = {
@@ -67,6 +70,7 @@ def _info(args: argparse.Namespace) -> int:
             "ticks": len(log),
             "seconds": float(log.times[-1]) if len(log) else 0.0,
             "late_us": _lateness(log),
+            "clock_steps": [step._asdict() for step in steps(log.clock_pairs)],
             "gaps": [[gap.before, gap.after] for gap in log.gaps],
             "phases": [change.name for change in log.phases],
             "events": [f"{event.t_ns / 1e9:.3f} s {event.event.level}: {event.event.text}" for event in log.events],
@@ -99,9 +103,13 @@ def _lateness(log: RunLog) -> dict[str, float]:
 
 def _check(args: argparse.Namespace) -> int:
     from handctl.replay.check import check
+    from handctl.replay.damage import first_damage
 
-    with RunLog(args.log) as log:
-        found, ticks, lossy = check(log), len(log), bool(log.warning)
+    try:
+        with RunLog(args.log) as log:
+            found, ticks, lossy = check(log), len(log), bool(log.warning)
+    except LogError as error:
+        found, ticks, lossy = [str(error), *filter(None, [first_damage(args.log)])], 0, False
     if args.json:
         print_json({"log": str(args.log), "ticks": ticks, "sound": not found, "findings": found})
     else:

@@ -70,6 +70,12 @@ DEFINITIONS = {
     "int64 t_ns\nuint32 can_id\nuint16 flags\nuint8 bus\nuint8 length\nuint8[8] data\n",
     "handctl_msgs/IoEvent": "string kind\nstring where\nint64 number\n",
     "handctl_msgs/Event": "string level\nstring name\nstring where\nstring text\n",
+    "handctl_msgs/Chain": "# Hash of this tick's /tick and /controller/values and of the digest before it.\n"
+    + _HEADER
+    + "uint8[8] digest\n",
+    "handctl_msgs/ClockPair": "# Wall and monotonic clock at the same moment [ns]; a step of the wall shows here.\n"
+    + _HEADER
+    + "int64 wall_ns\nint64 monotonic_ns\n",
     "handctl_msgs/Tick": "# One tick exactly as the controller saw it (k .. late_ns, received, io_events,\n"
     "# requests) and decided it; what re-execution reads. long_data: bytes beyond the eighth of each longer\n"
     "# frame, in order.\n"

@@ -5,17 +5,22 @@ import json
 from collections.abc import Iterator
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.types import TELEMETRY_AXES, Event
+from handctl.controller.types import TELEMETRY_AXES
 from handctl.errors import LogError
 from handctl.log.batch import FIXED_DTYPE, columns
+from handctl.log.chain import SIZE
+from handctl.log.chain import TOPIC as CHAIN_TOPIC
+from handctl.log.clock_pairs import TOPIC as CLOCK_TOPIC
+from handctl.log.clock_pairs import ClockPair, pair_of
 from handctl.log.header import RunHeader
 from handctl.log.logfile import ChunkPlace, LogFile, printable, reading
 from handctl.log.messages_in import Definitions, Rows, definitions, rows
+from handctl.log.moments import Gap, LoggedEvent, PhaseChange
 from handctl.log.record import TickRecord, layout, unpack_tick
 from handctl.log.scan import Scan, scan
 from handctl.log.topics import TICK_TOPIC, VALUES_TOPIC
@@ -24,32 +29,11 @@ from handctl.log.writer import SCHEMA
 Array = NDArray[np.float64]
 
 _MAX_NAMES = 1000
-_VALUES_AT = 4 + 8 + 8 + 8
+VALUES_START = 4 + 8 + 8 + 8
 """Start of the values in a StatisticsValues: encapsulation, stamp, empty frame_id with padding, length with padding."""
+VALUES_END = -4
+"""Their end, before the version of the names."""
 _CACHE_BYTES = 64 << 20
-
-
-class LoggedEvent(NamedTuple):
-    """An event with its time: tick number, time [ns], event."""
-
-    k: int
-    t_ns: int
-    event: Event
-
-
-class Gap(NamedTuple):
-    """Ticks that are not in the log: the last before and the first after."""
-
-    before: int
-    after: int
-
-
-class PhaseChange(NamedTuple):
-    """A grasp phase that begins: tick number, time [ns], name."""
-
-    k: int
-    t_ns: int
-    name: str
 
 
 def _header(found: Scan) -> RunHeader:
@@ -103,7 +87,7 @@ class RunLog:
             with reading(self._file.name):
                 self.header = _header(found)
             self.end = found.metadata.get("handctl.end", {})
-            self._tick, self._values = self._channels()
+            self._tick, self._values, self._others = self._channels()
         except LogError:
             self._file.close()
             raise
@@ -120,12 +104,12 @@ class RunLog:
         """Close the file."""
         self._file.close()
 
-    def _channels(self) -> tuple[int, int]:
-        """Channels of the ticks and of the telemetry."""
+    def _channels(self) -> tuple[int, int, dict[str, int]]:
+        """Channels of the ticks and of the telemetry, and those of all topics."""
         with reading(self._file.at(self._chunks[0].offset)):
             found: Definitions = definitions(self._file.content(self._chunks[0]))
-            topics = {topic: (number, schema) for number, schema, topic, _, _ in found.channels}
-            return topics[TICK_TOPIC][0], topics[VALUES_TOPIC][0]
+            topics = {topic: number for number, _, topic, _, _ in found.channels}
+            return topics[TICK_TOPIC], topics[VALUES_TOPIC], topics
 
     def _rows(self, channel: int) -> Iterator[tuple[ChunkPlace, Rows]]:
         for place in self._chunks:
@@ -225,18 +209,38 @@ class RunLog:
 
     def _values_parts(self) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
         """Telemetry as (rows, bytes) with the sequence numbers of the rows, part by part."""
-        size = _VALUES_AT + 8 * self._width + 4
+        size = VALUES_START + 8 * self._width + 4
         for chunk, one in self._rows(self._values):
             data = one.data()
             with reading(self._file.at(chunk.offset)):
                 if data.shape[1] != size:
                     raise ValueError("telemetry of another shape than the header says")
-            yield data[:, _VALUES_AT : size - 4], one.sequence()
+            yield data[:, VALUES_START:VALUES_END], one.sequence()
 
     def packed(self) -> Iterator[bytes]:
         """Telemetry of each tick as ``Telemetry.packed`` gives it, without holding more than a part of the file."""
         for data, _ in self._values_parts():
             yield from (row.tobytes() for row in data)
+
+    def messages(self) -> Iterator[bytes]:
+        """The Tick message of each tick as it is in the file."""
+        yield from (message for _, message in self._messages())
+
+    def digests(self) -> Iterator[bytes]:
+        """The chain's hash of each tick; nothing in a log of a version that had none."""
+        if CHAIN_TOPIC in self._others:
+            for _, one in self._rows(self._others[CHAIN_TOPIC]):
+                yield from (row[-SIZE:].tobytes() for row in one.data())
+
+    @functools.cached_property
+    def clock_pairs(self) -> list[ClockPair]:
+        """The wall clock beside the monotonic one, every ten seconds; none of a lockstep run."""
+        found = []
+        if CLOCK_TOPIC in self._others:
+            for place, one in self._rows(self._others[CLOCK_TOPIC]):
+                with reading(self._file.at(place.offset)):
+                    found += [pair_of(row.tobytes(), self.header.offset_ns) for row in one.data()]
+        return found
 
     def names(self, field: str) -> tuple[str, ...]:
         """Names of the columns of a field."""

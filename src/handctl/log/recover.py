@@ -56,7 +56,7 @@ def recover(path: Path, out: Path) -> Recovery:
     """
     file, found = LogFile(path), Scan()
     try:
-        problem = _scan(file, found)
+        problem = scan_all(file, found)
         if not found.chunks:
             return Recovery(Status.NOTHING, lost=((0, file.size),), problem=problem)
         descriptor = _create(out)
@@ -82,7 +82,7 @@ def _create(out: Path) -> int:
         raise LogError(f"cannot create: {error.strerror}", str(out), "a new file") from error
 
 
-def _scan(file: LogFile, found: Scan) -> str:
+def scan_all(file: LogFile, found: Scan) -> str:
     """As ``scan``, but damage is the answer and no error; what came before it is kept."""
     try:
         scan(file, found)

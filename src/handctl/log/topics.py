@@ -6,6 +6,8 @@ from mcap.records import Channel, Schema
 from handctl.log.batch import Batch
 from handctl.log.can_topics import CanTopics
 from handctl.log.cdr import CdrWriter
+from handctl.log.chain import ChainTopic
+from handctl.log.clock_pairs import ClockTopic
 from handctl.log.container import Run
 from handctl.log.event_topics import EventTopics
 from handctl.log.header import RunHeader
@@ -31,6 +33,7 @@ class Topics:
             StateTopics(header, self._registry), CanTopics(header, self._registry), self._tf, self._events,
             HealthTopics(header, self._registry),
         )  # fmt: skip
+        self._chain, self._clocks = ChainTopic(header, self._registry), ClockTopic(self._registry)
 
     @property
     def schemas(self) -> list[Schema]:
@@ -54,11 +57,23 @@ class Topics:
             runs.append(loose(self._description, stamps, [text.message()]))
         return runs
 
+    @property
+    def last_digest(self) -> bytes:
+        """The chain's hash of the latest tick."""
+        return self._chain.last
+
+    def clock_pair(self, t_ns: int, k: int, wall_ns: int, monotonic_ns: int) -> Run:
+        """The two clocks at the time of a tick."""
+        stamps = Stamps(
+            np.array([max(t_ns + self._header.offset_ns, 0)], np.uint64), np.array([k & 0xFFFF_FFFF], np.uint32)
+        )
+        return self._clocks.run(stamps, wall_ns, monotonic_ns)
+
     def runs(self, batch: Batch) -> list[Run]:
         """Messages of a batch."""
         log = np.maximum(batch.t_ns + self._header.offset_ns, 0).astype(np.uint64)
         stamps = Stamps(log, (batch.k & 0xFFFF_FFFF).astype(np.uint32))
-        runs = [loose(self._tick, stamps, batch.messages)]
+        runs = [loose(self._tick, stamps, batch.messages), *self._chain.runs(batch, stamps)]
         with np.errstate(all="ignore"):
             for part in self._parts:
                 runs += part.runs(batch, stamps)

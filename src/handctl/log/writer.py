@@ -4,12 +4,14 @@ import errno
 import json
 import os
 import tempfile
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
 from handctl.log.batch import Batcher
-from handctl.log.container import Container
+from handctl.log.clock_pairs import PERIOD_NS
+from handctl.log.container import Container, Run
 from handctl.log.header import RunHeader
 from handctl.log.topics import Topics
 
@@ -25,6 +27,11 @@ _MEDIA = {".toml": "application/toml", ".urdf": "application/xml", ".txt": "text
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 
 Report = Callable[[str, int], None]
+Clocks = Callable[[], tuple[int, int]]
+
+
+def _both_clocks() -> tuple[int, int]:
+    return time.time_ns(), time.monotonic_ns()
 
 
 def _create(path: Path) -> int:
@@ -59,12 +66,16 @@ class LogWriter:
         header: what is known of the run.
         report: called with disk_low, disk_full, error or misshapen and a number (free bytes, errno, 1).
         floor_bytes: free space at which the file is finished early.
+        clocks: wall and monotonic clock [ns]; not asked in a deterministic run.
 
     Raises:
         OSError: only from here; later failures are reported.
     """
 
-    def __init__(self, path: Path, header: RunHeader, report: Report, floor_bytes: int) -> None:
+    def __init__(
+        self, path: Path, header: RunHeader, report: Report, floor_bytes: int, clocks: Clocks = _both_clocks
+    ) -> None:
+        self._clocks, self._next_pair_ns = clocks, 0
         self._path, self._header, self._report, self._floor = path, header, report, floor_bytes
         self._topics, self._batcher = Topics(header), Batcher(header)
         self._fd = _create(path)
@@ -117,11 +128,18 @@ class LogWriter:
         self._missed += max(int(batch.k[-1]) - first + 1 - len(batch.k), 0)
         self._last_k = int(batch.k[-1])
         try:
-            self._container.chunk(self._topics.runs(batch))
+            self._container.chunk(self._topics.runs(batch) + self._clock_pair(int(batch.t_ns[-1])))
         except OSError as error:
             self.lost += len(batch.k)
             self.ticks -= len(batch.k)
             self._fail(error)
+
+    def _clock_pair(self, t_ns: int) -> list[Run]:
+        """Both clocks, if it is time for them."""
+        if self._header.deterministic or t_ns < self._next_pair_ns:
+            return []
+        self._next_pair_ns = t_ns + PERIOD_NS
+        return [self._topics.clock_pair(t_ns, self._last_k, *self._clocks())]
 
     def sync(self) -> None:
         """Make it survive a power failure, and look after the room on the disk."""
@@ -164,7 +182,7 @@ class LogWriter:
             "dropped": dropped,
             "misshapen": self._batcher.misshapen,
         }
-        values = {"reason": reason, "messages": str(self._container.messages)}
+        values = {"reason": reason, "messages": str(self._container.messages), "chain": self._topics.last_digest.hex()}
         try:
             self._container.metadata("handctl.end", values | {name: str(value) for name, value in numbers.items()})
             self._container.finish()

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from handctl.log.chain import link, seed_of
 from handctl.log.reader import RunLog
 from handctl.replay.rebuild import logged_hand
 
@@ -14,7 +15,7 @@ def check(log: RunLog) -> list[str]:
     Raises:
         LogError: a chunk is damaged.
     """
-    return [*_whole(log), *_counters(log), *_clock(log), *_frames(log), *_hashes(log)]
+    return [*_whole(log), *_counters(log), *_clock(log), *_frames(log), *_hashes(log), *_chain(log)]
 
 
 def _whole(log: RunLog) -> Iterator[str]:
@@ -66,3 +67,19 @@ def _hashes(log: RunLog) -> Iterator[str]:
     hashes = {tick.state_hash for tick in log.ticks()}
     if len(hashes) != len(log):
         yield f"{len(log) - len(hashes)} state hashes occur twice"
+
+
+def _chain(log: RunLog) -> Iterator[str]:
+    """Every tick whose hash is not that of its bytes and of the hash before it; the first one is named."""
+    before, broken = seed_of(log.header), list[int]()
+    ticks = zip(log.k.tolist(), log.messages(), log.packed(), log.digests(), strict=False)
+    for k, message, numbers, digest in ticks:
+        if link(before, message, numbers) != digest:
+            broken.append(k)
+        before = digest
+    if broken:
+        others = f", and {len(broken) - 1} more" if len(broken) > 1 else ""
+        yield f"the hash chain breaks at tick {broken[0]}{others}: it, or what came right before it, was changed"
+    told = log.end.get("chain", "") if not log.warning and "recovered" not in log.end else ""
+    if told and told != before.hex():
+        yield f"the hash chain ends with {before.hex()}, the end record says {told}"

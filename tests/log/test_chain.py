@@ -1,0 +1,54 @@
+"""The hash chain over the ticks, and the pairs of clocks."""
+
+import itertools
+from pathlib import Path
+
+import synthetic
+
+from handctl.log.chain import link, seed_of
+from handctl.log.clock_pairs import ClockPair, ClockStep, steps
+from handctl.log.reader import RunLog
+from handctl.log.record import FRAMING, pack
+from handctl.log.writer import LogWriter
+
+
+def _written(path: Path, clocks: list[tuple[int, int]], seconds: float, deterministic: bool) -> Path:
+    run = synthetic.header(rate_hz=10, deterministic=deterministic)
+    left = iter(clocks)
+    writer = LogWriter(path, run, lambda *what: None, 1, lambda: next(left))
+    for tick in synthetic.Synthetic(run, seconds):
+        writer.add(pack(*tick)[FRAMING.size :])
+    writer.finish("finished", 0)
+    return path
+
+
+def test_each_digest_is_that_of_the_tick_s_bytes_and_the_digest_before(small_log: Path) -> None:
+    with RunLog(small_log) as log:
+        before, found = seed_of(log.header), list(log.digests())
+        assert len(found) == len(log) == len(set(found))
+        for message, numbers, digest in zip(log.messages(), log.packed(), found, strict=True):
+            assert digest == link(before, message, numbers)
+            before = digest
+        assert log.end["chain"] == before.hex()
+
+
+def test_a_step_of_the_wall_clock_shows_in_the_pairs(tmp_path: Path) -> None:
+    """Half a minute; an hour is added to the wall after the second pair."""
+    start, hour = 1_800_000_000_000_000_000, 3_600_000_000_000
+    clocks = [(start + n * 10**10 + (hour if n > 1 else 0), 5 + n * 10**10) for n in range(4)]
+    with RunLog(_written(tmp_path / "a.mcap", clocks, 35.0, deterministic=False)) as log:
+        assert [pair[1:] for pair in log.clock_pairs] == clocks
+        times = [pair.t_ns for pair in log.clock_pairs]
+        assert times[0] < 300_000_000
+        assert all(10_000_000_000 <= b - a < 10_300_000_000 for a, b in itertools.pairwise(times))
+        assert list(steps(log.clock_pairs)) == [ClockStep(times[2] * 1e-9, 3600.0)]
+
+
+def test_a_slewed_clock_has_no_step() -> None:
+    slewed = [ClockPair(n * 10**10, n * (10**10 + 5_000_000), n * 10**10) for n in range(100)]
+    assert list(steps(slewed)) == []
+
+
+def test_a_lockstep_run_looks_at_no_clock(tmp_path: Path) -> None:
+    with RunLog(_written(tmp_path / "a.mcap", [], 12.0, deterministic=True)) as log:
+        assert log.clock_pairs == []
