@@ -82,7 +82,8 @@ class Dictionary:
         Raises:
             Abort: there is none.
         """
-        return self._values[key].to_bytes(self.size(key), "little", signed=key in self._signed)
+        size = self.size(key)
+        return self._values[key].to_bytes(size, "little", signed=key in self._signed)
 
     def write(self, key: Key, raw: bytes) -> None:
         """Take bytes from the wire.

@@ -130,3 +130,12 @@ def test_a_bus_without_sync_is_said(cia402: Bench) -> None:
         cia402.tick(Want.POLL)
         cia402.incoming = [frame for frame in cia402.incoming if frame.can_id & ~0x7F != 0x180]
     assert "SYNC" in cia402.states[0].error_text
+
+
+def test_a_simulated_drive_refuses_an_object_that_it_does_not_have(cia402: Bench) -> None:
+    node = first_cia402(cia402)
+    for index, sub, code in ((0x608F, 1, 0x06020000), (0x6041, 3, 0x06090011)):
+        request = bytes((0x40,)) + index.to_bytes(2, "little") + bytes((sub, 0, 0, 0, 0))
+        replies = node.receive(Frame(0x610, request), 0)  # type: ignore[arg-type]
+        assert replies is not None
+        assert int.from_bytes(replies[-1].data[4:], "little") == code

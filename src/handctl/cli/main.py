@@ -24,6 +24,7 @@ VERBS = {
     "config": "show a hand and where each value comes from, or check files",
     "paper": "reproduce the source paper, with what is wrong in it",
     "bus": "plan the load of a hand's buses, and how to split them",
+    "scan": "find the drives on a bus without moving anything",
     "doctor": "check this machine: priority, buses, viewer",
 }
 """Each verb and what a person wants with it."""

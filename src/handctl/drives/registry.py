@@ -2,9 +2,11 @@
 
 from collections.abc import Callable
 
+from handctl.drives import cia402_discovery, mit_discovery, odrive_discovery
 from handctl.drives.cia402 import Cia402Drive
 from handctl.drives.contract import Drive
 from handctl.drives.description import MotorDescription
+from handctl.drives.discovery import Discovery
 from handctl.drives.mit import MitDrive
 from handctl.drives.odrive import OdriveDrive
 from handctl.errors import ConfigError
@@ -14,6 +16,13 @@ PROTOCOLS: dict[str, Callable[[MotorDescription, int], Drive]] = {
     "mit": MitDrive.of,
     "odrive": OdriveDrive.of,
 }
+
+
+DISCOVERIES: dict[str, Discovery] = {
+    name: Discovery(module.questions, module.found, module.orders, module.foreign)
+    for name, module in (("odrive", odrive_discovery), ("mit", mit_discovery), ("cia402", cia402_discovery))
+}
+"""How each protocol is looked for on a bus."""
 
 
 def make_drive(motor: MotorDescription, bus: int) -> Drive:

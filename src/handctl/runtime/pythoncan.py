@@ -55,6 +55,26 @@ def message_of(frame: Frame, timestamp: float = 0.0) -> can.Message:
     )
 
 
+def open_can(interface: str, channel: str, bitrate: int, data_bitrate: int | None = None) -> can.BusABC:
+    """Bus of python-can.
+
+    Args:
+        interface, channel: as python-can takes them.
+        bitrate, data_bitrate: [bit/s].
+
+    Raises:
+        BusError: python-can knows no such interface, or cannot open it.
+    """
+    options: dict[str, Any] = {"interface": interface, "bitrate": bitrate, "ignore_config": True}
+    if data_bitrate:
+        options |= {"fd": True, "data_bitrate": data_bitrate}
+    try:
+        return can.Bus(channel, **options)
+    except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+        right = "an interface of python-can that is connected, or local:NAME, or socketcan:can0"
+        raise BusError(f"cannot be opened: {error}", f"{interface}:{channel}", right) from None
+
+
 class PythonCanBus:
     """A python-can bus; see ``bus.Bus``."""
 
@@ -75,14 +95,7 @@ class PythonCanBus:
         self.name = f"{interface}:{channel}"
         self._index, self._stamp = index, stamp
         self._events = BusEvents(self.name)
-        options: dict[str, Any] = {"interface": interface, "bitrate": bitrate, "ignore_config": True}
-        if data_bitrate:
-            options |= {"fd": True, "data_bitrate": data_bitrate}
-        try:
-            self._bus = can.Bus(channel, **options)
-        except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
-            right = "an interface of python-can that is connected, or local:NAME, or socketcan:can0"
-            raise BusError(f"cannot be opened: {error}", self.name, right) from None
+        self._bus = open_can(interface, channel, bitrate, data_bitrate)
 
     def drain(self) -> list[Frame]:
         """See ``bus.Bus``."""

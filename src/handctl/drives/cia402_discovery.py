@@ -1,0 +1,57 @@
+"""CANopen drives on a bus: their heartbeats, and their answers to an SDO that reads the device type.
+
+Reading an object is no order. What a drive tells beyond its device type is read by the ``canopen`` library, outside
+any tick (``runtime.canopen_identity``). Source: facts, cia402.
+"""
+
+from handctl.drives import cia402_codec as codec
+from handctl.drives.cia402_setup import MASTER
+from handctl.drives.discovery import Found, Seen
+from handctl.drives.frame import REMOTE, Frame
+
+NUMBERS = range(1, MASTER)
+DEVICE_TYPE, PROFILE = 0x1000, 402
+NMT_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
+_RPDOS = (0x200, 0x300, 0x400, 0x500)
+
+
+def questions(turn: int, seen: Seen) -> tuple[Frame, ...]:
+    """Round 2: the device type of every number."""
+    if turn != 2:
+        return ()
+    return tuple(Frame(codec.SDO_REQUEST + number, codec.upload(DEVICE_TYPE, 0)) for number in NUMBERS)
+
+
+def found(seen: Seen) -> tuple[Found, ...]:
+    """Nodes that have told their device type, and those that beat but do not tell it."""
+    types: dict[int, int] = {}
+    states: dict[int, int] = {}
+    for frame in seen:
+        if frame.can_id - codec.SDO_REPLY in NUMBERS and len(frame.data) == 8:
+            reply = codec.sdo_reply(frame.data)
+            if reply and reply[:2] == (DEVICE_TYPE, 0) and len(reply.raw) == 4:
+                types[frame.can_id - codec.SDO_REPLY] = int.from_bytes(reply.raw, "little")
+        elif frame.can_id - codec.HEARTBEAT in NUMBERS and len(frame.data) == 1:
+            states[frame.can_id - codec.HEARTBEAT] = frame.data[0]
+    return tuple(_node(number, types.get(number), states.get(number)) for number in sorted(types | states))
+
+
+def _node(number: int, device_type: int | None, nmt: int | None) -> Found:
+    state = NMT_STATES.get(nmt, f"NMT state {nmt:#x}") if nmt is not None else ""
+    if device_type is None:
+        return Found("canopen", number, state=state, notes=("beats, but does not answer an SDO",))
+    profile = device_type & 0xFFFF
+    notes = () if profile == PROFILE else (f"a CANopen device of profile {profile}, not a drive of CiA 402",)
+    return Found("cia402" if profile == PROFILE else "canopen", number, state=state, notes=notes)
+
+
+def orders(node: Found) -> frozenset[int]:
+    """NMT, SYNC, its PDO and its SDO requests."""
+    own = {base + node.node_id for base in (codec.SDO_REQUEST, *_RPDOS)}
+    return frozenset(own | {codec.NMT, codec.SYNC})
+
+
+def foreign(seen: Seen) -> tuple[Frame, ...]:
+    """SYNC, NMT, the heartbeat of another handctl."""
+    known = (codec.NMT, codec.SYNC, codec.HEARTBEAT + MASTER)
+    return tuple(frame for frame in seen if frame.can_id & ~REMOTE in known)

@@ -1,0 +1,98 @@
+"""Damiao motors on a bus: each number is asked for register MST_ID, those that answer for more.
+
+Register traffic makes no torque, but it comes on the identifiers of the feedback: where another host drives motors,
+nothing is asked (``foreign``). CubeMars motors have no registers and cannot be found without an order.
+Source: facts, mit_damiao.
+"""
+
+import struct
+
+from handctl.drives import mit_codec as codec
+from handctl.drives.discovery import Found, Seen
+from handctl.drives.frame import Frame
+
+NUMBERS = range(1, 0x80)
+MST_ID, HARDWARE, SOFTWARE, SERIAL, CAN_BR = 7, 13, 14, 15, 35
+_INTEGERS = {MST_ID, codec.TIMEOUT, codec.CTRL_MODE, HARDWARE, SOFTWARE, SERIAL, CAN_BR}
+_ASKED = (SOFTWARE, SERIAL, CAN_BR, codec.CTRL_MODE, codec.TIMEOUT, codec.PMAX, codec.VMAX, codec.TMAX)
+FD_FROM = 5
+"""Codes of CAN_BR from here on are CAN FD."""
+_RANGES = (("position_range_rad", codec.PMAX), ("velocity_range_rad_s", codec.VMAX), ("torque_max_N_m", codec.TMAX))
+_STATES = {codec.DISABLED: "disabled", codec.ENABLED: "enabled"}
+
+
+def questions(turn: int, seen: Seen) -> tuple[Frame, ...]:
+    """Round 2: MST_ID of every number; round 3: registers and state of those that are there."""
+    if turn == 2:
+        return tuple(_read(number, MST_ID) for number in NUMBERS)
+    if turn != 3:
+        return ()
+    frames = []
+    for motor in found(seen):
+        frames += [_read(motor.node_id, register) for register in _ASKED]
+        frames.append(Frame(codec.BROADCAST_ID, codec.register_request(motor.node_id, codec.REFRESH)))
+    return tuple(frames)
+
+
+def found(seen: Seen) -> tuple[Found, ...]:
+    """Motors that have told their MST_ID, on that identifier."""
+    replies: dict[int, dict[int, bytes]] = {}
+    for frame in seen:
+        if len(frame.data) == 8 and frame.data[2] == codec.READ and int.from_bytes(frame.data[:2], "little") in NUMBERS:
+            replies.setdefault(int.from_bytes(frame.data[:2], "little"), {})[frame.data[3]] = frame.data[4:]
+    homes = {number: _integer(raw[MST_ID]) for number, raw in replies.items() if MST_ID in raw}
+    heard = {frame.can_id for frame in seen}
+    there = sorted(number for number, home in homes.items() if home in heard)
+    return tuple(_motor(number, homes[number], replies[number], seen) for number in there)
+
+
+def _motor(number: int, home: int, raw: dict[int, bytes], seen: Seen) -> Found:
+    known = {register: _integer(data) for register, data in raw.items() if register in _INTEGERS}
+    settings = {key: struct.unpack("<f", raw[register])[0] for key, register in _RANGES if register in raw}
+    options: dict[str, bool | int | float | str] = {} if home == number + 0x10 else {"reply_id": home}
+    if known.get(CAN_BR, 0) >= FD_FROM:
+        options["fd"] = True
+    notes = []
+    if known.get(codec.TIMEOUT) == 0:
+        notes.append("its watchdog is off; handctl sets it before arming")
+    if known.get(codec.CTRL_MODE, codec.MIT_MODE) != codec.MIT_MODE:
+        notes.append("not in MIT mode; handctl sets it before arming")
+    state, error = _state(number, home, seen)
+    firmware = f"{known[SOFTWARE]:#x}" if SOFTWARE in known else ""
+    serial = f"{known[SERIAL]:#x}" if SERIAL in known else ""
+    return Found("mit", number, firmware, serial, state, error, settings, options, tuple(notes))
+
+
+def _state(number: int, home: int, seen: Seen) -> tuple[str, str]:
+    """State and error in the last feedback: of the frames on its identifier those that are no register reply."""
+    for frame in reversed(seen):
+        own = frame.can_id == home and len(frame.data) == 8 and frame.data[0] & 0xF == number & 0xF
+        if own and codec.register_reply(frame.data, number) is None:
+            nibble = frame.data[0] >> 4
+            known = _STATES.get(nibble)
+            return (known, "") if known else ("in error", codec.ERRORS.get(nibble, f"unknown state {nibble:#x}"))
+    return "", ""
+
+
+def orders(motor: Found) -> frozenset[int]:
+    """Commands of all modes."""
+    return frozenset(mode + motor.node_id for mode in (0x000, 0x100, 0x200, 0x300))
+
+
+def foreign(seen: Seen) -> tuple[Frame, ...]:
+    """Register frames, special commands, and commands in one of these that a motor may be answering."""
+    return tuple(
+        frame
+        for frame in seen
+        if frame.can_id == codec.BROADCAST_ID
+        or (0 < frame.can_id < 0x20 and len(frame.data) == 8)
+        or (len(frame.data) == 8 and frame.data[:7] == b"\xff" * 7)
+    )
+
+
+def _read(number: int, register: int) -> Frame:
+    return Frame(codec.BROADCAST_ID, codec.register_request(number, codec.READ, register))
+
+
+def _integer(raw: bytes) -> int:
+    return int.from_bytes(raw, "little")

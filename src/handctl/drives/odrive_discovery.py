@@ -1,0 +1,89 @@
+"""ODrives on a bus: their heartbeats, and their answers to Address, which one remote frame asks of all.
+
+Remote frames carry nothing that could be obeyed. Firmware 0.5.x beats too, but its heartbeat has other errors and it
+tells neither version nor serial number this way. Source: facts, odrive_cansimple.
+"""
+
+import struct
+
+from handctl.drives import odrive_codec as codec
+from handctl.drives.discovery import Found, Seen
+from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
+
+ADDRESS, BROADCAST = 0x06, 0x3F
+BEATS = 3
+"""Frames that look like heartbeats of one node, before it counts: one alone may be anything."""
+_STATES = {codec.IDLE: "idle", codec.CLOSED_LOOP: "closed loop control"}
+_CYCLIC = {0x00, 0x01, 0x03, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D}
+
+
+def questions(turn: int, seen: Seen) -> tuple[Frame, ...]:
+    """Round 1: Address of all; round 3: version of those that are there."""
+    if turn == 1:
+        return (Frame(codec.can_id(BROADCAST, ADDRESS) | REMOTE, b""),)
+    if turn == 3:
+        return tuple(Frame(codec.can_id(drive.node_id, codec.GET_VERSION) | REMOTE, b"") for drive in found(seen))
+    return ()
+
+
+def found(seen: Seen) -> tuple[Found, ...]:
+    """Nodes that beat like an ODrive, or have told their address."""
+    beats, serials, versions = _sorted(seen, codec.HEARTBEAT), _sorted(seen, ADDRESS), _sorted(seen, codec.GET_VERSION)
+    there = {node for node, data in beats.items() if len(data) >= BEATS and all(map(_beat, data))}
+    there |= {node for node, data in serials.items() if data[-1][0] == node}
+    nodes = []
+    for node in sorted(there):
+        beat = codec.heartbeat(beats[node][-1]) if node in beats else None
+        serial = f"{int.from_bytes(serials[node][-1][1:7], 'little'):012X}" if node in serials else ""
+        nodes.append(_drive(node, beat, serial, versions[node][-1] if node in versions else b""))
+    return tuple(nodes)
+
+
+def _drive(node: int, beat: codec.Heartbeat | None, serial: str, version: bytes) -> Found:
+    notes = ["watchdog and torque limit: give endpoint_... keys in the hand file, or set them over USB and trust that"]
+    if version and version[0] != codec.PROTOCOL:
+        notes.append(f"speaks CANSimple version {version[0]}, and handctl {codec.PROTOCOL}")
+    if not version:
+        notes.append("does not tell its version: firmware 0.5.x, which handctl does not drive?")
+    if not serial and version:
+        notes.append("does not tell its serial number")
+    if node == BROADCAST:
+        notes.append("has no node number yet: give it one")
+    elif node == 0:
+        notes.append("node 0 shares its identifiers with CANopen's NMT; give it 0x10 to 0x1f")
+    firmware = ".".join(map(str, version[4:7])) if version else ""
+    state = _STATES.get(beat.state, f"axis state {beat.state}") if beat else "no heartbeat"
+    error = codec.error_text(beat.errors) if beat else ""
+    return Found("odrive", node, firmware, serial, state, error, {}, {}, tuple(notes))
+
+
+def _sorted(seen: Seen, command: int) -> dict[int, list[bytes]]:
+    """Payloads of a message by node; Address of older firmware has 7 bytes."""
+    by_node: dict[int, list[bytes]] = {}
+    for frame in seen:
+        plain = not frame.can_id & (EXTENDED | REMOTE | ERROR) and not frame.flags & FDF
+        if plain and frame.can_id & 0x1F == command and len(frame.data) in ((7, 8) if command == ADDRESS else (8,)):
+            by_node.setdefault(frame.can_id >> 5, []).append(frame.data)
+    return by_node
+
+
+def _beat(data: bytes) -> bool:
+    """Whether 8 bytes can be a heartbeat: a known axis state and result."""
+    _, state, result = struct.unpack_from("<IBB", data)
+    return 1 <= state <= 14 and result <= 15 and data[7] == 0
+
+
+def orders(drive: Found) -> frozenset[int]:
+    """Every identifier of the node, and of all nodes at once: 0x7ff is Enter_DFU_Mode to an ODrive."""
+    return frozenset(codec.can_id(node, command) for node in (drive.node_id, BROADCAST) for command in range(32))
+
+
+def foreign(seen: Seen) -> tuple[Frame, ...]:
+    """Orders to nodes that are there."""
+    nodes = {drive.node_id for drive in found(seen)}
+    return tuple(
+        frame
+        for frame in seen
+        if (frame.can_id & ~REMOTE) >> 5 in nodes
+        and (frame.can_id & REMOTE or frame.can_id & 0x1F not in _CYCLIC | {codec.TX_SDO, ADDRESS})
+    )

@@ -1,0 +1,79 @@
+"""Who a CANopen drive is, read object by object with the ``canopen`` library; never while a tick runs on this process.
+
+The library opens the bus by python-can and has threads of its own; both are gone when ``identify`` returns.
+"""
+
+import logging
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import canopen
+from canopen.sdo.exceptions import SdoError
+
+from handctl.runtime.pythoncan import open_can
+
+OBJECTS = {
+    "vendor": (0x1018, 1),
+    "product": (0x1018, 2),
+    "revision": (0x1018, 3),
+    "serial": (0x1018, 4),
+    "status": (0x6041, 0),
+    "error": (0x603F, 0),
+    "modes": (0x6502, 0),
+    "rated_torque": (0x6076, 0),
+    "counts": (0x608F, 1),
+}
+TEXTS = {"name": (0x1008, 0), "software": (0x100A, 0)}
+PATIENCE_S = 0.3
+
+
+class Identity(NamedTuple):
+    """What a node told: numbers and texts by the names above; what it has not is absent."""
+
+    numbers: dict[str, int]
+    texts: dict[str, str]
+
+
+def identify(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, Identity]:
+    """Read the identity of nodes over SDO.
+
+    Args:
+        spec: ``INTERFACE:CHANNEL`` of the bus, which this process must have closed.
+        bitrate: nominal [bit/s].
+        nodes: their numbers.
+
+    Raises:
+        BusError: the bus cannot be opened.
+    """
+    interface, _, channel = spec.partition(":")
+    network = canopen.Network(open_can(interface, channel, bitrate))
+    logger = logging.getLogger("canopen")
+    before = logger.level
+    logger.setLevel(logging.CRITICAL)  # what a drive does not have is no news
+    try:
+        network.connect()
+        return {number: _identity(network, number) for number in nodes}
+    finally:
+        network.disconnect()
+        logger.setLevel(before)
+
+
+def _identity(network: canopen.Network, number: int) -> Identity:
+    node = network.add_node(number, canopen.ObjectDictionary())  # type: ignore[no-untyped-call]
+    node.sdo.RESPONSE_TIMEOUT = PATIENCE_S
+    numbers, texts = {}, {}
+    for name, (index, sub) in OBJECTS.items():
+        if raw := _upload(node, index, sub):
+            numbers[name] = int.from_bytes(raw, "little")
+    for name, (index, sub) in TEXTS.items():
+        if raw := _upload(node, index, sub):
+            texts[name] = raw.rstrip(b"\0").decode("ascii", "replace")
+    return Identity(numbers, texts)
+
+
+def _upload(node: canopen.RemoteNode, index: int, sub: int) -> bytes:
+    """An object's bytes; empty if the drive refuses or does not answer."""
+    try:
+        return bytes(node.sdo.upload(index, sub))
+    except SdoError:
+        return b""

@@ -1,0 +1,145 @@
+"""``handctl scan``: what is on a bus is found, nothing is moved, and what another drive would obey is not sent."""
+
+import json
+import tomllib
+
+import pytest
+
+from firmware_sim.bench import Bench
+from firmware_sim.drive_types import drive_spec
+from firmware_sim.frame import Frame as SimFrame
+from handctl.cli.fragment import fragment
+from handctl.cli.main import main
+from handctl.drives.frame import REMOTE, Frame
+from handctl.drives.registry import make_drive
+from handctl.hand.sections import Bus, Motor
+from handctl.runtime.scan import Scan, all_questions, scan
+from tests.drives.bench_process import drives
+
+
+class BenchBus:
+    """Simulated drives as a bus, on which time passes when somebody hears."""
+
+    name = "bench"
+
+    def __init__(self, bench, talk=()):
+        self.bench, self.talk = bench, list(talk)
+        self.heard, self.waiting = [], []
+
+    def send(self, frames):
+        for frame in frames:
+            self.heard.append(frame)
+            self.waiting += self.bench.receive(SimFrame(*frame))
+        return len(frames)
+
+    def drain(self):
+        frames = [Frame(*frame) for frame in self.bench.take_spoken() + self.waiting] + self.talk
+        self.waiting = []
+        return frames
+
+    def take_events(self):
+        return []
+
+
+def hear(bus, for_s, seen):
+    bus.bench.advance(bus.bench.t_ns + round(for_s * 1e9))
+    seen += bus.drain()
+
+
+def scanned(*specs, talk=(), force=False) -> tuple[Scan, Bench, BenchBus]:
+    bench = Bench([drive_spec(*spec) for spec in specs])
+    bus = BenchBus(bench, talk)
+    return scan(bus, force, hear=hear), bench, bus
+
+
+def test_damiao_and_canopen_drives_are_found_on_one_bus():
+    result, bench, _ = scanned(("mit", 1, "dm4310"), ("mit", 9, "dm4340", True), ("cia402", 33))
+    assert [(node.protocol, node.node_id) for node in result.found] == [("mit", 1), ("mit", 9), ("cia402", 33)]
+    first, second, _ = result.found
+    assert first.settings == {"position_range_rad": 12.5, "velocity_range_rad_s": 30.0, "torque_max_N_m": 10.0}
+    assert (first.state, first.serial, first.options) == ("disabled", "0x53494d01", {})
+    assert second.options == {"fd": True}
+    assert "watchdog is off" in first.notes[0]
+    assert [motor.servo.torque for motor in bench.motors] == [0.0] * 3
+    assert [motor.theta for motor in bench.motors] == [0.0] * 3
+
+
+def test_beside_an_odrive_nothing_is_asked_that_it_would_obey():
+    result, bench, bus = scanned(("odrive", 3), ("odrive", 48), ("mit", 1))
+    assert [(node.protocol, node.node_id) for node in result.found] == [("odrive", 3), ("odrive", 48)]
+    drive = result.found[0]
+    assert (drive.firmware, drive.serial, drive.state) == ("0.6.10", "0D5A11000003", "idle")
+    orders = [frame for frame in bus.heard if not frame.can_id & REMOTE and frame.can_id >> 5 in (3, 48, 0x3F)]
+    assert orders == [], "0x7ff is Enter_DFU_Mode, 0x602 the Estop of node 48"
+    assert 0x7FF in {frame.can_id for frame in result.unasked}
+    assert [node.state for node in bench.nodes[:2]] == [1, 1]
+
+
+def test_an_enabled_drive_stays_as_it_is():
+    bench = Bench([drive_spec("mit", 2)])
+    bench.receive(SimFrame(2, b"\xff" * 7 + b"\xfc"))
+    result = scan(BenchBus(bench), hear=hear)
+    assert [node.state for node in result.found] == ["enabled"]
+    assert bench.motors[0].servo.torque == 0.0
+
+
+@pytest.mark.parametrize(
+    "talk",
+    [Frame(0x001, bytes(8)), Frame(0x080, b"\1"), Frame(0x7FF, bytes(8)), Frame(0x77F, b"\5"), Frame(0, b"\1\0")],
+)
+def test_beside_another_host_it_only_listens(talk):
+    result, _, bus = scanned(("mit", 1), talk=[talk])
+    assert result.foreign
+    assert bus.heard == []
+    assert scanned(("mit", 1), talk=[talk], force=True)[0].found
+
+
+def test_an_odrive_that_talks_by_itself_is_no_other_host():
+    result, _, _ = scanned(("odrive", 0), ("odrive", 4))
+    assert result.foreign == ()
+    assert [node.node_id for node in result.found] == [0, 4]
+
+
+def test_no_question_can_make_torque():
+    """Every frame, thrown at drives that are enabled and hold a torque of zero."""
+    bench = Bench([drive_spec("mit", node) for node in (1, 2)] + [drive_spec("cia402", node) for node in (1, 32)])
+    for node in (1, 2):
+        bench.receive(SimFrame(node, b"\xff" * 7 + b"\xfc"))
+    for question in all_questions():
+        bench.receive(SimFrame(*question))
+        bench.advance(bench.t_ns + 1_000_000)
+    assert [motor.servo for motor in bench.motors] == [
+        type(motor.servo)(limit=motor.servo.limit) for motor in bench.motors
+    ]
+
+
+def test_the_verb_scans_two_buses_and_its_fragment_is_a_hand_file_s(capsys):
+    ids = ["--ids", "17,18"]
+    with drives("local:s", "mit", *ids), drives("join:s", "cia402", *ids), drives("local:t", "odrive", *ids):
+        assert main(["scan", "--bus", "lab=local:s", "--bus", "far=local:t", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    nodes = [(bus["name"], node["protocol"], node["node_id"]) for bus in told["buses"] for node in bus["nodes"]]
+    near = [("lab", protocol, node) for protocol in ("mit", "cia402") for node in (17, 18)]
+    assert nodes == [*near, ("far", "odrive", 17), ("far", "odrive", 18)]
+    for node in (node for bus in told["buses"] for node in bus["nodes"]):
+        assert node["serial"]
+        assert node["firmware"]
+        assert node["state"]
+    parsed = tomllib.loads(told["fragment"])
+    assert [Bus.model_validate(bus).name for bus in parsed["bus"]] == ["lab", "far"]
+    for motor, (bus, protocol, node) in zip(parsed["motor"], nodes, strict=True):
+        assert make_drive(Motor.model_validate(motor), 0).name == f"{bus}_{protocol}_{node}"
+
+
+def test_a_fragment_of_nothing_parses():
+    assert tomllib.loads(fragment({"a": ()}, 1_000_000, 5_000_000))["bus"][0]["data_bitrate"] == 5_000_000
+
+
+def test_an_empty_bus_is_said(capsys):
+    assert main(["scan", "--bus", "virtual:nothing-here"]) == 1
+    assert "0 nodes" in capsys.readouterr().out
+
+
+def test_a_bus_named_twice_is_refused(capsys):
+    assert main(["scan", "--bus", "a=local:x", "--bus", "a=local:y"]) == 2
+    assert "every name once" in capsys.readouterr().err
