@@ -281,7 +281,7 @@ def test_every_part_of_the_state_changes_its_digest(active: Bench) -> None:
         covered |= {one for one in names if getattr(changed, one) is not getattr(state, one)}
     assert covered == names, "a new part of the state needs a line in changes()"
     assert {f.name for f in dataclasses.fields(state.filter)} == {"x", "regimes", "stopped", "turning", "started"}
-    assert {f.name for f in dataclasses.fields(state.law)} == {"setpoint", "integral", "force"}
+    assert {f.name for f in dataclasses.fields(state.law)} == {"setpoint", "integral", "force", "trim"}
     assert replace(state).digest() == state.digest()
 
 

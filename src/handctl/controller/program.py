@@ -8,6 +8,7 @@ import numpy as np
 from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.grip import Grip
+from handctl.controller.kept import Kept
 from handctl.controller.model import HandModel
 from handctl.controller.trajectory import MinimumJerk
 from handctl.controller.types import Event, Vector
@@ -52,8 +53,11 @@ class Progress:
     def key(self) -> bytes:
         """Everything in it as bytes, for the state's hash."""
         place = (self.step, self.since, self.phase, self.finished, self.failure, self.record, self.tare)
-        goals = b"".join(goal.key() for goal in self.goals) + (self.grip.key() if self.grip else b"")
+        goals = b"".join(map(_goal, self.goals)) + (self.grip.key() if self.grip else b"")
         return repr((place, self.contact, self.touching)).encode() + goals
+
+
+_goal = Kept[DigitGoal](DigitGoal.key)
 
 
 class Program(Protocol):

@@ -1,8 +1,8 @@
 """The whole state of a controller: small, frozen, and hashed into the log each tick."""
 
-import hashlib
 from dataclasses import dataclass
 
+from handctl.controller import digest as packing
 from handctl.controller.computed_torque import LawState
 from handctl.controller.estimator import FilterState
 from handctl.controller.gains import Gains
@@ -57,16 +57,16 @@ class State:
 
     def digest(self) -> bytes:
         """8 bytes that change with every part of the state."""
-        h = hashlib.blake2b(digest_size=8)
-        for array in (self.filter.x, self.law.setpoint, self.law.integral, self.law.force):
-            h.update(array.tobytes())
-        plain = (self.k, int(self.mode), self.mode_since, self.goal_time, self.armed, self.clearing)
-        h.update(repr((plain, self.failure, self.unconfirmed)).encode())
-        h.update(repr((self.drives, self.sensors, self.safety)).encode())
-        h.update(repr((self.filter.regimes, self.filter.stopped, self.filter.turning, self.filter.started)).encode())
-        h.update(self.progress.key())
-        if self.gains is not None or self.coming is not None:
-            h.update(repr((self.gains, self.coming)).encode())
-        if self.law.trim is not None:
-            h.update(self.law.trim.tobytes())
-        return h.digest()
+        place = (self.k, self.mode, self.mode_since, self.goal_time, self.armed, self.clearing)
+        texts = (self.failure, self.unconfirmed, self.safety.counting, self.safety.latched)
+        return packing.digest(
+            packing.PLACE.pack(*place),
+            repr(texts).encode(),
+            packing.filter_bytes(self.filter),
+            packing.law_bytes(self.law),
+            packing.sensor_bytes(self.sensors),
+            packing.progress_bytes(self.progress),
+            packing.gains_bytes(self.gains),
+            packing.gains_bytes(self.coming),
+            *map(packing.drive_bytes, self.drives),
+        )

@@ -142,17 +142,18 @@ class MitDrive:
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """See ``contract.Drive``."""
-        if frame.can_id != self.reply_id or frame.bus != self.bus:
+        can_id, data, _, bus, t_ns = frame
+        if can_id != self.reply_id or bus != self.bus:
             return state
-        if len(frame.data) != 8:
+        if len(data) != 8:
             return state._replace(misread=state.misread + 1)
         if state.phase != ENABLED or self.node_id >> 4 != codec.ENABLED:
-            reply = codec.register_reply(frame.data, self.node_id)
+            reply = codec.register_reply(data, self.node_id)
             if reply is not None:
-                return self._take_register(state, reply, frame.t_ns)
-        if frame.data[0] & 0xF != self.node_id & 0xF:
+                return self._take_register(state, reply, t_ns)
+        if (data[0] ^ self.node_id) & 0xF:
             return state._replace(misread=state.misread + 1)
-        return self._take_feedback(state, frame)
+        return self._take_feedback(state, data, t_ns)
 
     def _take_register(self, state: DriveState, reply: codec.RegisterReply, t_ns: int) -> DriveState:
         if state.phase != CONFIGURING:
@@ -166,18 +167,18 @@ class MitDrive:
         ready = progress._replace(walk=Walk(), configured=True, ready_ns=t_ns)
         return state._replace(phase=READY, private=ready)
 
-    def _take_feedback(self, state: DriveState, frame: Frame) -> DriveState:
+    def _take_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
         """Values of a feedback frame, and what its state nibble means."""
+        phase, _, _, _, _, _, count, error, text, misread, _ = state
         progress = _progress(state)
-        nibble, position, velocity, torque, temperature = codec.decode_feedback(frame.data, self.ranges)
+        nibble, position, velocity, torque, temperature = codec.decode_feedback(data, self.ranges)
         sign = self.direction if progress.configured else math.nan
         motion = (sign * (position - self.zero), sign * velocity, sign * torque, temperature)
-        t_ns, count = frame.t_ns, state.feedback_count + 1
-        known = DriveState(state.phase, *motion, t_ns, count, state.error, state.error_text, state.misread, progress)
-        if nibble == codec.DISABLED:
-            return self._is_disabled(known, progress)
+        known = DriveState(phase, *motion, t_ns, count + 1, error, text, misread, progress)
         if nibble == codec.ENABLED:
             return self._is_enabled(known, progress)
+        if nibble == codec.DISABLED:
+            return self._is_disabled(known, progress)
         return self._is_wrong(known, progress, nibble)
 
     def _is_disabled(self, state: DriveState, progress: Progress) -> DriveState:

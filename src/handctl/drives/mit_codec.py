@@ -37,6 +37,7 @@ ERRORS = {
 """State nibbles of the feedback that mean an error, and no torque."""
 
 _FEEDBACK = struct.Struct(">BH5B")
+_REPLY = struct.Struct("<HBB")
 POSITION_TOP, TOP = 2**16 - 1, 2**12 - 1
 _NO_MOTION = POSITION_TOP // 2 << 48 | TOP // 2 << 36
 """Codes of a command's position and velocity, which act only through gains, and of gains 0."""
@@ -81,12 +82,13 @@ def encode_torque(torque: float, limit: float) -> bytes:
 def decode_feedback(data: bytes, ranges: Ranges) -> Feedback:
     """Values of 8 bytes of feedback."""
     head, position, high, middle, low, mosfet, winding = _FEEDBACK.unpack(data)
+    most_position, most_velocity, most_torque = ranges
     return Feedback(
         head >> 4,
-        position * (2 * ranges.position / POSITION_TOP) - ranges.position,
-        (high << 4 | middle >> 4) * (2 * ranges.velocity / TOP) - ranges.velocity,
-        ((middle & 0xF) << 8 | low) * (2 * ranges.torque / TOP) - ranges.torque,
-        float(max(mosfet, winding)),
+        position * (2 * most_position / POSITION_TOP) - most_position,
+        (high << 4 | middle >> 4) * (2 * most_velocity / TOP) - most_velocity,
+        ((middle & 0xF) << 8 | low) * (2 * most_torque / TOP) - most_torque,
+        float(mosfet if mosfet > winding else winding),
     )
 
 
@@ -129,7 +131,9 @@ class RegisterReply(NamedTuple):
 
 def register_reply(data: bytes, node_id: int) -> RegisterReply | None:
     """The register reply in 8 bytes from a motor; None if they are feedback."""
-    sender, operation, register = struct.unpack_from("<HBB", data)
+    if data[0] != node_id & 0xFF:  # nearly every feedback ends here: its first byte has the state above the identifier
+        return None
+    sender, operation, register = _REPLY.unpack_from(data)
     if sender != node_id or operation not in (READ, WRITE, SAVE):
         return None
     return RegisterReply(operation, register, data[4:])

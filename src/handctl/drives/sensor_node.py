@@ -7,7 +7,6 @@ a count from -180 degrees; joint frames come on every ``joint_decimation``-th SY
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, Self
 
@@ -84,22 +83,20 @@ class SensorNode:
         bus: index of its bus.
         sync_id: identifier of SYNC.
         ids: identifier of each frame, tension frames first.
-        sizes: channels in each frame.
+        channels: of each frame, the tendon or joint of each of its channels, in the hand's order.
+        lengths: of each frame [bytes].
         tension_frames: how many of them carry tensions.
         tendons: number of tendons of the hand.
-        tendon_index: tendon of each tension channel, in the hand's order.
-        joint_index: joint of each joint channel.
         decimation: joint frames come on every such SYNC.
     """
 
     bus: int
     sync_id: int
     ids: tuple[int, ...]
-    sizes: tuple[int, ...]
+    channels: tuple[tuple[int, ...], ...]
+    lengths: tuple[int, ...]
     tension_frames: int
     tendons: int
-    tendon_index: tuple[int, ...]
-    joint_index: tuple[int, ...]
     decimation: int
 
     @classmethod
@@ -111,18 +108,18 @@ class SensorNode:
             bus: index of its bus.
             tendons, joints: all names of the hand, in order.
         """
-        tension, angle = _sizes(len(node.tendons)), _sizes(len(node.joints))
+        tension = _groups([tendons.index(name) for name in node.tendons])
+        angle = _groups([joints.index(name) for name in node.joints])
         ids = [node.base_id + g for g in range(len(tension))]
         ids += [node.base_id + JOINT_FRAMES + g for g in range(len(angle))]
         return cls(
             bus=bus,
             sync_id=node.sync_id,
             ids=tuple(ids),
-            sizes=(*tension, *angle),
+            channels=(*tension, *angle),
+            lengths=tuple(_length(len(group)) for group in tension + angle),
             tension_frames=len(tension),
             tendons=len(tendons),
-            tendon_index=tuple(tendons.index(name) for name in node.tendons),
-            joint_index=tuple(joints.index(name) for name in node.joints),
             decimation=node.joint_decimation,
         )
 
@@ -150,7 +147,7 @@ class SensorNode:
     def exchange(self) -> tuple[tuple[int, float], ...]:
         """Frames of a tick as (payload bytes, how many a tick): SYNC, tension frames, and a share of joint frames."""
         rates = [1.0] * self.tension_frames + [1.0 / self.decimation] * (len(self.ids) - self.tension_frames)
-        return ((1, 1.0), *((_length(size), rate) for size, rate in zip(self.sizes, rates, strict=True)))
+        return ((1, 1.0), *zip(self.lengths, rates, strict=True))
 
     def initial(self) -> SensorState:
         """State before anything was heard."""
@@ -162,55 +159,56 @@ class SensorNode:
 
     def receive(self, state: SensorState, frame: Frame) -> SensorState:
         """Take in a frame; what is not the node's leaves the state as it is. Never raises on wire data."""
-        if frame.bus != self.bus or frame.can_id not in self.ids:
+        can_id, data, _, bus, t_ns = frame
+        if bus != self.bus or can_id not in self.ids:
             return state
-        index = self.ids.index(frame.can_id)
-        size = self.sizes[index]
-        if len(frame.data) != _length(size):
+        index = self.ids.index(can_id)
+        if len(data) != self.lengths[index]:
             return state._replace(misread=state.misread + 1)
-        bits = int.from_bytes(frame.data, "little")
-        counter, old = bits & 0xF, state.groups[index]
-        if counter != state.asked:
+        bits = int.from_bytes(data, "little")
+        if bits & 0xF != state.asked:
             return state._replace(stale=state.stale + 1)
-        raw = tuple([bits >> shift & FULL for shift in SHIFTS[:size]])
-        new = Group(counter, frame.t_ns, old.frames + 1, raw)
-        return state._replace(groups=(*state.groups[:index], new, *state.groups[index + 1 :]))
+        groups, asked, stale, misread = state
+        raw = tuple([bits >> shift & FULL for shift in SHIFTS[: len(self.channels[index])]])
+        new = Group(asked, t_ns, groups[index].frames + 1, raw)
+        return SensorState((*groups[:index], new, *groups[index + 1 :]), asked, stale, misread)
 
-    def new_tensions(self, before: SensorState, now: SensorState) -> Iterator[tuple[int, float]]:
+    def new_tensions(self, before: SensorState, now: SensorState) -> list[tuple[int, float]]:
         """(tendon index, tension [N]) of every channel that was read since ``before``."""
-        fresh = self._fresh(before, now, 0, self.tension_frames)
-        pairs = zip(self.tendon_index, fresh, strict=True)
-        return ((i, TENSION_ZERO_N + raw * TENSION_STEP_N) for i, raw in pairs if raw >= 0)
+        fresh = self._fresh(before, now, slice(self.tension_frames))
+        return [(i, TENSION_ZERO_N + raw * TENSION_STEP_N) for i, raw in fresh]
 
-    def new_joints(self, before: SensorState, now: SensorState) -> Iterator[tuple[int, float]]:
+    def new_joints(self, before: SensorState, now: SensorState) -> list[tuple[int, float]]:
         """(joint index, angle [rad]) of every channel that was read since ``before``."""
-        fresh = self._fresh(before, now, self.tension_frames, len(self.ids))
-        pairs = zip(self.joint_index, fresh, strict=True)
-        return ((i, (raw - JOINT_ZERO) * JOINT_STEP_RAD) for i, raw in pairs if raw >= 0)
+        fresh = self._fresh(before, now, slice(self.tension_frames, None))
+        return [(i, (raw - JOINT_ZERO) * JOINT_STEP_RAD) for i, raw in fresh]
 
-    def tension_times(self, state: SensorState) -> tuple[int, ...]:
+    def tension_times(self, state: SensorState) -> list[int]:
         """Reception of each tendon's latest reading [ns], -1 before the first; (N,) in the hand's order.
 
         A tendon without a load cell has the node's latest one, so that it is never missed alone.
         """
         groups = state.groups[: self.tension_frames]
-        channels = (group.t_ns for group, size in zip(groups, self.sizes, strict=False) for _ in range(size))
-        times = [max((group.t_ns for group in groups), default=-1)] * self.tendons
-        for index, t_ns in zip(self.tendon_index, channels, strict=True):
-            times[index] = t_ns
-        return tuple(times)
+        times = [max([group.t_ns for group in groups], default=-1)] * self.tendons
+        for group, channels in zip(groups, self.channels, strict=False):
+            for index in channels:
+                times[index] = group.t_ns
+        return times
 
-    def _fresh(self, before: SensorState, now: SensorState, start: int, end: int) -> list[int]:
-        """Raw values of the channels of some frames, -1 where no new frame came."""
-        values: list[int] = []
-        for old, new, size in zip(before.groups[start:end], now.groups[start:end], self.sizes[start:end], strict=True):
-            values += new.raw if new.frames != old.frames else (-1,) * size
-        return values
+    def _fresh(self, before: SensorState, now: SensorState, which: slice) -> list[tuple[int, int]]:
+        """Tendon or joint, and raw value, of each channel of the frames that came since."""
+        rows = zip(before.groups[which], now.groups[which], self.channels[which], strict=True)
+        return [
+            pair
+            for old, new, channels in rows
+            if new.frames != old.frames
+            for pair in zip(channels, new.raw, strict=True)
+        ]
 
 
-def _sizes(channels: int) -> list[int]:
+def _groups(channels: list[int]) -> list[tuple[int, ...]]:
     """Channels of each frame."""
-    return [min(CHANNELS, channels - first) for first in range(0, channels, CHANNELS)]
+    return [tuple(channels[first : first + CHANNELS]) for first in range(0, len(channels), CHANNELS)]
 
 
 def _length(channels: int) -> int:
