@@ -22,7 +22,7 @@ from handctl.log.record import FRAMING, pack
 from handctl.log.recorder import Recorder
 from handctl.log.writer import LogWriter
 
-KILLS, TOGETHER = 20, 4
+KILLS, TOGETHER = 100 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 20, 4
 FEEDER = Path(__file__).with_name("feeder.py")
 
 

@@ -1,0 +1,96 @@
+"""A real run whose disk becomes full: announced at once, the hand holds on, and what was written is whole."""
+
+import contextlib
+import os
+import select
+import subprocess
+import tempfile
+import time
+
+import pytest
+
+from handctl.hand.description import load_hand
+from handctl.log.reader import RunLog
+from handctl.runtime.mailbox import Watcher
+from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, wait_for
+from tests.runtime.test_process import LONG, write_calibration
+
+pytestmark = pytest.mark.realtime
+SCALE = ("--time-scale", "0.6")
+ROOM = "96m"
+"""More than the recorder wants to stay free, so that the run begins as usual."""
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    with tempfile.TemporaryDirectory(prefix="h-") as short:
+        monkeypatch.setenv("HANDCTL_RUN_DIR", short)
+        monkeypatch.chdir(tmp_path)
+        (tmp_path / "long.toml").write_text(LONG)
+        write_calibration(tmp_path / "c.toml", load_hand("jamia"))
+        yield tmp_path
+
+
+@pytest.fixture
+def disk(place):
+    """A disk of its own."""
+    made = place / "disk"
+    made.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={ROOM}", "tmpfs", str(made)]
+    if subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("cannot mount a tmpfs here")
+    yield made
+    subprocess.run(["umount", str(made)], check=True)
+
+
+def fill(path):
+    """Take all that is left."""
+    with path.open("wb", buffering=0) as file, contextlib.suppress(OSError):
+        while True:
+            file.write(bytes(1 << 20))
+    with path.open("ab", buffering=0) as file, contextlib.suppress(OSError):
+        while True:
+            file.write(bytes(4096))
+
+
+def seconds_until(process, word, timeout_s=20.0):
+    """How long it took until a run said a word on standard error."""
+    begin, heard = time.monotonic(), b""
+    while time.monotonic() - begin < timeout_s:
+        if select.select([process.stderr], [], [], 0.1)[0]:
+            heard += os.read(process.stderr.fileno(), 1 << 16)
+            if word in heard:
+                return time.monotonic() - begin
+    raise AssertionError(heard.decode())
+
+
+def test_a_full_disk_is_announced_and_the_hand_holds_on(place, disk):
+    simulated = start_hand(place / "hand.truth", "--hand", "jamia", *SCALE)
+    words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", *SCALE)
+    process = start_handctl("run", *words, "--log", str(disk / "run.mcap"))
+    watcher = Watcher(BUS)
+    try:
+        wait_for("stay", watcher, process)
+        full_at = watcher.next(2.0)["k"]
+        fill(disk / "other")
+        assert seconds_until(process, b"H08 disk full") < 2.5, "the recorder looks every second"
+        after = None
+        until = time.monotonic() + 1.0
+        while time.monotonic() < until:
+            after = watcher.next(0.2) or after
+        assert after["k"] > full_at
+        assert (after["mode"], after["phase"]) == ("ACTIVE", "stay"), "a warning stops nothing"
+        assert min(after["tension_N"]) > 4.0
+        assert handctl("stop", "--bus", BUS).returncode == 0
+        _, err = process.communicate(timeout=30.0)
+    finally:
+        watcher.close()
+        end(process)
+        end(simulated)
+    assert process.returncode == 0, err
+    with RunLog(disk / "run.mcap") as log:
+        assert not log.warning
+        assert log.end["reason"] in ("disk full", "write failed: No space left on device")
+        assert not log.gaps
+        assert int(log.k[-1]) >= full_at - 200, "at most what was in the pipe and in the last chunk is missing"
+        assert len(list(log.ticks())) == len(log)
