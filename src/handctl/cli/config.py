@@ -3,9 +3,10 @@
 import argparse
 from pathlib import Path
 
+from handctl.cli.gains_layers import LayeredGains, gains_options, layered_gains
 from handctl.cli.options import hand_option, json_option, print_json
 from handctl.cli.plan import TASKS, find_calibration, find_task, tick_times_s
-from handctl.controller.gains import Gains, load_gains
+from handctl.controller.gain_bounds import flat
 from handctl.drives.load import highest_rate
 from handctl.hand.description import Hand, hand_path, load_hand, packaged_hands
 
@@ -20,7 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "what", choices=["show", "check", "list"], help="show the hand, check files, list what is packaged"
     )
     parser.add_argument("--task", type=Path, help="task file to check with the hand")
-    parser.add_argument("--gains", type=Path, help="gains file to check")
+    gains_options(parser)
     parser.add_argument("--calibration", type=Path, help="calibration file to check (default: HAND.calibration.toml)")
 
 
@@ -29,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     if args.what == "list":
         return _list(args.json)
     hand = load_hand(args.hand)
-    gains = load_gains(args.gains)
+    layers = layered_gains(args, hand.name)
     if args.task:
         find_task(args.task, hand)
     times = tick_times_s(hand)
@@ -44,30 +45,26 @@ def run(args: argparse.Namespace) -> int:
                 "rate_hz": rate,
                 "bus_load": load,
                 "hand": hand.content,
-                "gains": gains.model_dump(by_alias=True),
-                "gains_file": str(args.gains) if args.gains else "packaged defaults",
+                "gains": layers.gains.model_dump(by_alias=True),
+                "gains_file": str(layers.file) if layers.file else "packaged",
+                "gains_origins": layers.origins,
             }
         )
         return 0
     if args.what == "show":
         print(f"# from {source}, identity {hand.identity[:16]}")
         print(hand.to_toml(), end="")
-        print("\n".join(_gains_with_sources(gains, str(args.gains))))
+        print("\n".join(_gains_with_sources(layers)))
         print(f"# {_calibration_line(args, hand)}")
     loads = ", ".join(f"bus {name} {100 * share:.0f} %" for name, share in load.items())
-    print(f"# default rate {rate:g} Hz: {loads}; gains: {args.gains or 'packaged defaults'}; all files are good")
+    print(f"# default rate {rate:g} Hz: {loads}; gains: {layers.file or 'packaged'}; all files are good")
     return 0
 
 
-def _gains_with_sources(gains: Gains, file: str) -> list[str]:
+def _gains_with_sources(layers: LayeredGains) -> list[str]:
     """Every gain with where it came from, as comments: they are a file of their own."""
-    lines = ["", "# gains"]
-    for section, values in gains.model_dump(exclude={"schema_"}).items():
-        given = getattr(gains, section).model_fields_set if section in gains.model_fields_set else set()
-        lines += [
-            f"# {section}.{key} = {value}  ({file if key in given else 'default'})" for key, value in values.items()
-        ]
-    return lines
+    values = flat(layers.gains)
+    return ["", "# gains", *(f"# {key} = {value}  ({layers.origins[key]})" for key, value in values.items())]
 
 
 def _calibration_line(args: argparse.Namespace, hand: Hand) -> str:

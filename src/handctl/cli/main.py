@@ -22,6 +22,7 @@ VERBS = {
     "report": "one self-contained HTML page of a run",
     "sim": "start a simulated hand on a bus",
     "config": "show a hand and where each value comes from, or check files",
+    "gains": "which gains a hand uses and why; other ones, the way back, live changes",
     "paper": "reproduce the source paper, with what is wrong in it",
     "bus": "plan the load of a hand's buses, and how to split them",
     "scan": "find the drives on a bus without moving anything",

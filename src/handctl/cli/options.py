@@ -6,6 +6,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from handctl.cli.gains_layers import gains_options
+
 
 def hand_option(parser: argparse.ArgumentParser) -> None:
     """--hand: a packaged hand or a file."""
@@ -40,7 +42,7 @@ def run_options(parser: argparse.ArgumentParser) -> None:
     json_option(parser)
     dry_run_option(parser)
     parser.add_argument("--clear", action="store_true", help="clear what the drives have latched: you have looked why")
-    parser.add_argument("--gains", type=Path, metavar="FILE", help="gains.toml (default: the packaged gains)")
+    gains_options(parser)
     parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: by the bus load)")
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="default: HAND.calibration.toml")
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")

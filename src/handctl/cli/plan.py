@@ -7,9 +7,9 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
+from handctl.cli.gains_layers import layered_gains
 from handctl.cli.session import Plan
 from handctl.controller.calibration import Calibration, load_calibration
-from handctl.controller.gains import load_gains
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.controller.task import Task, check_task, load_task, load_trajectory
 from handctl.drives.load import MOST, bus_time_s, highest_rate
@@ -30,7 +30,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> Plan:
         ConfigError: anything that is wrong, in one line.
     """
     hand = load_hand(args.hand)
-    gains = load_gains(args.gains)
+    layers = layered_gains(args, hand.name)
     buses = () if lockstep else bus_specs(hand, args.bus)
     times = tick_times_s(hand)
     rate = highest_rate(times) if args.rate is None else _rate(args.rate, hand)
@@ -44,8 +44,8 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> Plan:
                 f"bus {name} would be {100 * share:.0f} % full at {rate:g} Hz", "--rate", f"at most {best:g}"
             )
     _check_log(args.log)
-    attachments = {"gains.toml": args.gains.read_bytes()} if args.gains else {}
-    return Plan(hand, gains, rate, load, buses, attachments, args.time_scale, args.json, args.clear)
+    attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
+    return Plan(hand, layers.gains, rate, load, buses, attachments, args.time_scale, args.json, args.clear)
 
 
 def _rate(rate: float, hand: Hand) -> float:

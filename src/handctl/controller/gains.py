@@ -5,6 +5,7 @@ from pathlib import Path
 from pydantic import Field
 
 from handctl.document import Document, load_document
+from handctl.hand.toml_text import toml_text
 
 
 class FilterGains(Document):
@@ -67,10 +68,63 @@ class Gains(Document):
     contact: ContactGains = ContactGains()
 
 
+class Provenance(Document):
+    """Where gains come from: what a person needs to believe them, or to find out why not."""
+
+    made: str = ""
+    """Date and time, ISO 8601, UTC."""
+    version: str = ""
+    """Of handctl."""
+    hand: str = ""
+    identity: str = ""
+    """Hash of the hand description they were made for."""
+    log: tuple[str, ...] = ()
+    """Recorded runs they rest on."""
+    fit: str = ""
+    """Calibration file with the identified parameters."""
+    study: str = ""
+    """Search that found them."""
+    note: str = ""
+    number: int = Field(0, ge=0)
+    """In the history; 0 outside of it."""
+    replaces: int = Field(0, ge=0)
+    """Number of those that these took the place of; 0: the packaged ones."""
+    restores: int | None = Field(None, ge=0)
+    """Number of those that a rollback brought back, 0 for the packaged ones; absent: these are no rollback."""
+
+
+class GainsFile(Gains):
+    """Gains with their provenance, as in a file."""
+
+    provenance: Provenance = Provenance()
+
+    @property
+    def gains(self) -> Gains:
+        """The gains alone; what the file does not say is not said there either."""
+        given = {name: getattr(self, name) for name in self.model_fields_set - {"provenance"}}
+        return Gains(**given)
+
+
 def load_gains(path: Path | None) -> Gains:
-    """Gains from a TOML file, or the defaults.
+    """Gains from a TOML file, or the packaged ones.
 
     Raises:
         ConfigError: the file cannot be read or a value is out of range.
     """
-    return Gains() if path is None else load_document(path, Gains)
+    return Gains() if path is None else load_gains_file(path).gains
+
+
+def load_gains_file(path: Path) -> GainsFile:
+    """Gains and provenance from a TOML file.
+
+    Raises:
+        ConfigError: the file cannot be read or a value is out of range.
+    """
+    return load_document(path, GainsFile)
+
+
+def gains_text(gains: Gains, provenance: Provenance) -> str:
+    """A gains file with every value, defaults included."""
+    told = {key: value for key, value in provenance.model_dump().items() if value or (key == "restores" and value == 0)}
+    content = gains.model_dump(by_alias=True, include=set(Gains.model_fields))
+    return toml_text(content | ({"provenance": told} if told else {}))

@@ -73,6 +73,7 @@ def asked(present: Gains, values: dict[str, float]) -> tuple[Coming | None, tupl
 
 
 def changes(before: Gains, after: Gains) -> tuple[Event, ...]:
-    """An event for every key whose value is another."""
+    """An event for every key whose value is another, and one that says that the new gains act from now on."""
     old, new = flat(before), flat(after)
-    return tuple(Event("info", GAIN_EVENT, key, repr(value)) for key, value in new.items() if value != old[key])
+    changed = tuple(Event("info", GAIN_EVENT, key, repr(value)) for key, value in new.items() if value != old[key])
+    return *changed, Event("info", "gains", "", f"taken over: {len(changed)} changed")

@@ -134,6 +134,10 @@ class Watcher:
         except OSError:
             time.sleep(min(timeout_s, NOT_THERE_S))
             return None
+        return self.following(timeout_s)
+
+    def following(self, timeout_s: float) -> dict[str, Any] | None:
+        """The line after the last one, whenever it came; None if none comes in time [s]."""
         self.socket.settimeout(timeout_s)
         try:
             line: dict[str, Any] = json.loads(self.socket.recv(LARGEST_STATUS))

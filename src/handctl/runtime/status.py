@@ -23,6 +23,7 @@ def status(entry: TickIn, out: TickOut) -> dict[str, Any]:
         "tension_N": _plain(numbers.tension.tolist()),
         "tension_goal_N": _plain(numbers.tension_goal.tolist()),
         "tip_force_N": _plain(numbers.tip_force.tolist()),
+        "events": [{"name": event.name, "where": event.where, "text": event.text} for event in out.events],
         "contact": [touches > 0.5 for touches in numbers.contact.tolist()],
     }
 

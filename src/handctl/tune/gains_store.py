@@ -1,0 +1,182 @@
+"""The gains of a hand on disk: the present ones, and every one before them, numbered, so that a way back exists.
+
+``HAND.gains.toml`` is what runs use; ``HAND.gains/0001.toml`` and so on is what was ever applied. Both are written
+beside and moved into place: whoever reads finds the old file or the new one, never a part.
+"""
+
+import datetime
+import os
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from handctl.controller.gains import Gains, GainsFile, Provenance, gains_text, load_gains_file
+from handctl.errors import ConfigError
+
+BY_HAND = "edited by hand"
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """Gains that were applied.
+
+    Attributes:
+        path: of the file in the history.
+        file: gains and provenance; the number is ``file.provenance.number``.
+    """
+
+    path: Path
+    file: GainsFile
+
+    @property
+    def number(self) -> int:
+        """Number in the history."""
+        return self.file.provenance.number
+
+
+class GainsStore:
+    """Present and former gains of a hand.
+
+    Attributes:
+        path: of the present ones.
+        history: folder of all of them.
+    """
+
+    def __init__(self, hand: str, identity: str = "", folder: Path = Path()) -> None:
+        """Args: name and identity of the hand; where its files are."""
+        self.hand, self.identity = hand, identity
+        self.path, self.history = folder / f"{hand}.gains.toml", folder / f"{hand}.gains"
+
+    def present(self) -> GainsFile | None:
+        """The gains that runs use; None if they are the packaged ones.
+
+        Raises:
+            ConfigError: the file cannot be used.
+        """
+        return load_gains_file(self.path) if self.path.exists() else None
+
+    def entries(self) -> list[Entry]:
+        """Everything that was ever applied, oldest first.
+
+        Raises:
+            ConfigError: a file of the history cannot be used.
+        """
+        paths = sorted(self.history.glob("[0-9][0-9][0-9][0-9].toml"))
+        return [Entry(path, load_gains_file(path)) for path in paths]
+
+    def apply(self, gains: Gains, provenance: Provenance) -> GainsFile:
+        """Make gains the present ones; those that were edited by hand are kept in the history first.
+
+        Raises:
+            ConfigError: the files cannot be written, or the present ones not be read.
+        """
+        self._keep_edited()
+        return self._put(gains, provenance)
+
+    def rollback(self, to: int | None = None) -> GainsFile:
+        """Bring back what was there before, or the gains of a number; 0 is the packaged ones.
+
+        Raises:
+            ConfigError: there is nothing to go back to, or no such number.
+        """
+        self._keep_edited()
+        entries, present = {entry.number: entry for entry in self.entries()}, self.present()
+        if to is None and (present is None or present.provenance.number not in entries):
+            raise ConfigError("nothing was applied before", str(self.history), "handctl gains apply first")
+        number = _before(entries, present) if to is None and present is not None else to or 0
+        if number and number not in entries:
+            known = ", ".join(map(str, [0, *entries]))
+            raise ConfigError(f"no gains number {number}", str(self.history), f"one of {known}")
+        old = entries[number].file if number else GainsFile()
+        note = f"rollback to {number}" if number else "rollback to the packaged gains"
+        return self._put(old.gains, old.provenance.model_copy(update={"note": note}), restores=number)
+
+    def _keep_edited(self) -> None:
+        """Take present gains that are not those of the history into it."""
+        present = self.present()
+        if present is None:
+            return
+        kept = {entry.number: entry.file.gains for entry in self.entries()}
+        if kept.get(present.provenance.number) != present.gains:
+            self._put(present.gains, present.provenance.model_copy(update={"note": BY_HAND}))
+
+    def _put(self, gains: Gains, provenance: Provenance, restores: int | None = None) -> GainsFile:
+        """Write the next number of the history, then the present gains."""
+        present, entries = self.present(), self.entries()
+        told = provenance.model_copy(
+            update={
+                "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
+                "version": version("handctl"),
+                "hand": self.hand,
+                "identity": provenance.identity or self.identity,
+                "number": entries[-1].number + 1 if entries else 1,
+                "replaces": present.provenance.number if present else 0,
+                "restores": restores,
+            }
+        )
+        text = gains_text(gains, told)
+        try:
+            self.history.mkdir(parents=True, exist_ok=True)
+            write_new(self.history / f"{told.number:04d}.toml", text)
+            write_whole(self.path, text)
+        except OSError as error:
+            raise ConfigError(f"cannot be written: {error.strerror}", str(self.path), "a folder to write in") from None
+        return load_gains_file(self.path)
+
+
+def _before(entries: dict[int, Entry], present: GainsFile) -> int:
+    """Number of the gains before the present ones; a rollback does not count as a step of its own.
+
+    Raises:
+        ConfigError: the present ones are the packaged ones again.
+    """
+    told = present.provenance
+    while told.restores:
+        told = entries[told.restores].file.provenance
+    if told.restores == 0:
+        raise ConfigError("the packaged gains are the first", "rollback", "handctl gains rollback --to N")
+    return told.replaces
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file so that a reader, or a power cut, meets the old or the new one.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    beside = _beside(path, text)
+    os.replace(beside, path)
+    _settle(path.parent)
+
+
+def write_new(path: Path, text: str) -> None:
+    """The same for a file that must not exist yet.
+
+    Raises:
+        OSError: it cannot be written, or exists.
+    """
+    beside = _beside(path, text)
+    try:
+        os.link(beside, path)
+    finally:
+        beside.unlink()
+    _settle(path.parent)
+
+
+def _beside(path: Path, text: str) -> Path:
+    """A file with the text on the disk, next to where it shall be."""
+    beside = path.with_name(f".{path.name}.{os.getpid()}")
+    with beside.open("w", encoding="utf-8") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+    return beside
+
+
+def _settle(folder: Path) -> None:
+    """Have the folder's entry on the disk, too."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,103 @@
+"""``handctl gains`` as a person uses it."""
+
+import datetime
+import json
+import subprocess
+import sys
+import time
+
+import pytest
+
+from handctl.cli.commission import write_calibration
+from handctl.cli.main import main
+from handctl.controller.calibration import Calibration, TendonCalibration
+from handctl.hand.description import load_hand
+from handctl.log.reader import RunLog
+
+
+@pytest.fixture
+def applied(place):
+    """A hand whose gains were changed twice."""
+    for newtons in (25, 30):
+        (place / "new.toml").write_text(f"schema = 1\n[motion]\nforce_N = {newtons}.0\n")
+        assert main(["gains", "apply", "new.toml", "--note", f"{newtons} N"]) == 0
+
+
+def told(capsys, *words):
+    capsys.readouterr()
+    assert main([*words, "--json"]) == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_layers_and_their_origins(applied, capsys):
+    shown = told(capsys, "gains", "show", "--gain", "tension.force_N=12")
+    rows = shown["gains"]
+    assert (rows["motion.force_N"]["value"], rows["motion.force_N"]["origin"]) == (30.0, "jamia.gains.toml")
+    assert (rows["tension.force_N"]["value"], rows["tension.force_N"]["origin"]) == (12.0, "command line")
+    assert shown["provenance"]["note"] == "30 N"
+    hand = told(capsys, "config", "show")
+    assert hand["gains"]["motion"]["force_N"] == 30.0
+    assert hand["gains_origins"]["motion.force_N"] == "jamia.gains.toml"
+
+
+def test_packaged_gains_say_so(capsys):
+    assert told(capsys, "gains", "show")["gains"]["motion.force_N"]["origin"] == "packaged"
+
+
+def test_diff_rollback_and_log(applied, capsys):
+    assert told(capsys, "gains", "diff")["changed"] == {"motion.force_N": [20.0, 30.0]}
+    assert told(capsys, "gains", "diff", "1", "2")["changed"] == {"motion.force_N": [25.0, 30.0]}
+    assert told(capsys, "gains", "rollback")["provenance"]["restores"] == 1
+    assert told(capsys, "gains", "diff")["changed"] == {"motion.force_N": [20.0, 25.0]}
+    history = told(capsys, "gains", "log")
+    assert history["present"] == 3
+    assert [entry["note"] for entry in history["entries"]] == ["25 N", "30 N", "rollback to 1"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["set", "motion.farce_N=3", "--bus", "local:x"], "motion.force_N?"),
+        (["set", "motion.force_N=3000", "--bus", "local:x"], "at most 500"),
+        (["set", "filter.offset_m=1e-4", "--bus", "local:x"], "designed before arming"),
+        (["set", "motion.force_N", "--bus", "local:x"], "KEY=NUMBER"),
+        (["set", "motion.force_N=nan", "--bus", "local:x"], "KEY=NUMBER"),
+        (["show", "--gain", "motion.force_N=-1"], "more than 0"),
+        (["apply", "nothing.toml"], "cannot be read"),
+        (["diff", "7", "8"], "no gains number 7"),
+        (["rollback"], "nothing was applied"),
+    ],
+)
+def test_mistakes_are_one_line_and_exit_2(words, said, capsys):
+    assert main(["gains", *words]) == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.realtime
+def test_set_on_a_running_hand_is_in_its_log(place):
+    handctl = [sys.executable, "-m", "handctl.cli"]
+    sim = [sys.executable, "-m", "firmware_sim", "--hand", "jamia", "--bus", "local:set", "--homed"]
+    log, hand_file = place / "run.mcap", load_hand("jamia")
+    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    made = datetime.datetime.now(datetime.UTC).isoformat()
+    tendons = dict.fromkeys(hand_file.tendon_names, nothing)
+    known = Calibration(hand="jamia", identity=hand_file.identity, made=made, tendon=tendons)
+    write_calibration(place / "jamia.calibration.toml", known)
+    with subprocess.Popen(sim, stdout=subprocess.PIPE, text=True) as hand:
+        try:
+            assert "ready" in hand.stdout.readline()
+            run = subprocess.Popen([*handctl, "run", "--bus", "local:set", "--log", str(log), "--json"])
+            change = [*handctl, "gains", "set", "motion.force_N=26", "tension.force_N=15", "--bus", "local:set"]
+            end = time.monotonic() + 60.0
+            while (said := subprocess.run([*change, "--json"], capture_output=True, text=True)).returncode:
+                assert time.monotonic() < end, said.stderr
+            subprocess.run([*handctl, "stop", "--bus", "local:set"], check=True)
+            assert run.wait(30.0) == 0
+        finally:
+            hand.terminate()
+    assert json.loads(said.stdout)["set"] == {"motion.force_N": "26.0"}
+    with RunLog(log) as record:
+        events = [event.event for event in record.events if event.event.name == "gain"]
+    assert [(event.where, event.text) for event in events] == [("motion.force_N", "26.0")]

@@ -1,0 +1,108 @@
+"""Gains on disk: what was applied can be brought back, and a reader never meets a part of a file."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from handctl.controller.gain_bounds import with_values
+from handctl.controller.gains import Gains, Provenance, gains_text, load_gains, load_gains_file
+from handctl.errors import ConfigError
+from handctl.tune.gains_store import BY_HAND, GainsStore
+
+
+def force(newtons: float) -> Gains:
+    return with_values(Gains(), {"motion.force_N": newtons}, "test")
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> GainsStore:
+    return GainsStore("jamia", "abc", tmp_path)
+
+
+def present(store: GainsStore) -> float:
+    file = store.present()
+    return file.gains.motion.force_N if file else Gains().motion.force_N
+
+
+def test_a_file_reads_back_with_its_provenance(tmp_path: Path) -> None:
+    told = Provenance(log=("a.mcap", "b.mcap"), fit="c.toml", study="s", note="käse", number=3, restores=0)
+    path = tmp_path / "g.toml"
+    path.write_text(gains_text(force(31.0), told))
+    assert load_gains_file(path).provenance == told
+    assert load_gains(path) == force(31.0)
+
+
+def test_a_file_without_provenance_is_gains_too(tmp_path: Path) -> None:
+    path = tmp_path / "g.toml"
+    path.write_text("[motion]\nforce_N = 31.0\n")
+    gains = load_gains(path)
+    assert gains == force(31.0)
+    assert gains.model_fields_set == {"motion"}
+    assert gains.motion.model_fields_set == {"force_N"}
+
+
+def test_back_and_back_again(store: GainsStore) -> None:
+    assert store.present() is None
+    for newtons in (21.0, 22.0, 23.0):
+        store.apply(force(newtons), Provenance())
+    seen = []
+    for _ in range(3):
+        store.rollback()
+        seen.append(present(store))
+    assert seen == [22.0, 21.0, 20.0]
+    with pytest.raises(ConfigError, match="packaged gains are the first"):
+        store.rollback()
+    assert store.rollback(to=3).gains == force(23.0)
+    assert [entry.number for entry in store.entries()] == list(range(1, 8))
+
+
+def test_a_rollback_after_a_rollback_and_another_step(store: GainsStore) -> None:
+    for newtons in (21.0, 22.0):
+        store.apply(force(newtons), Provenance())
+    store.rollback()
+    store.apply(force(24.0), Provenance())
+    assert store.rollback().gains == force(21.0)
+
+
+def test_what_was_edited_by_hand_is_kept(store: GainsStore) -> None:
+    store.apply(force(21.0), Provenance())
+    store.path.write_text(store.path.read_text().replace("force_N = 21.0", "force_N = 77.0"))
+    store.apply(force(22.0), Provenance())
+    assert [entry.file.gains.motion.force_N for entry in store.entries()] == [21.0, 77.0, 22.0]
+    assert store.entries()[1].file.provenance.note == BY_HAND
+    assert store.rollback().gains == force(77.0)
+
+
+def test_provenance_says_who_when_and_for_which_hand(store: GainsStore) -> None:
+    told = store.apply(force(21.0), Provenance(study="s.db", log=("a.mcap",))).provenance
+    assert (told.study, told.log, told.hand, told.identity, told.number) == ("s.db", ("a.mcap",), "jamia", "abc", 1)
+    assert told.made
+    assert told.version
+
+
+def test_nothing_to_go_back_to(store: GainsStore) -> None:
+    with pytest.raises(ConfigError, match="nothing was applied"):
+        store.rollback()
+    with pytest.raises(ConfigError, match="no gains number 9"):
+        store.rollback(to=9)
+
+
+@pytest.mark.parametrize("fails", ["replace", "link", "fsync"])
+def test_a_change_that_fails_leaves_the_present_gains(
+    store: GainsStore, monkeypatch: pytest.MonkeyPatch, fails: str
+) -> None:
+    store.apply(force(21.0), Provenance())
+    before = store.path.read_bytes()
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, fails, full)
+    with pytest.raises(ConfigError, match="No space left"):
+        store.apply(force(22.0), Provenance())
+    monkeypatch.undo()
+    assert store.path.read_bytes() == before
+    assert present(store) == 21.0
+    store.apply(force(23.0), Provenance())
+    assert present(store) == 23.0
