@@ -17,9 +17,10 @@ FORMATS = {
     "csv": "the same as text",
     "candump": "all frames as can-utils' log text",
     "rrd": "for the Rerun viewer",
+    "lerobot": "a LeRobot dataset (3.0) of one episode, in a folder",
 }
 
-UNITS = {"candump": "frames", "rrd": "bytes"}
+UNITS = {"candump": "frames", "rrd": "bytes", "lerobot": "frames"}
 """What is counted; rows otherwise."""
 
 
@@ -43,7 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     group = out.add_mutually_exclusive_group(required=True)
     for name, text in FORMATS.items():
         group.add_argument(f"--{name}", dest="format", action="store_const", const=name, help=text)
-    out.add_argument("--output", type=Path, metavar="FILE", help="a new file (default: LOG.FORMAT)")
+    out.add_argument("--output", type=Path, metavar="FILE", help="a new file or folder (default: LOG.FORMAT)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -167,6 +168,10 @@ def _write(form: str, log: RunLog, out: Path) -> int:
         from handctl.log.parquet import export_parquet
 
         return export_parquet(log, out)
+    if form == "lerobot":
+        from handctl.log.lerobot import export_lerobot
+
+        return export_lerobot(log, out)
     from handctl.log.export import export_candump, export_csv
 
     return export_csv(log, out) if form == "csv" else export_candump(log, out)

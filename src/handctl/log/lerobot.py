@@ -1,0 +1,179 @@
+"""A log as a LeRobot dataset of one episode: what the hand did while it was active, on an exact grid of time.
+
+Layout: codebase version 3.0, no video. ``observation.state`` is joint angles [rad] and estimated tensions [N],
+``action`` what was commanded of both; where a digit was held by tension alone, its commanded angle is the one it had.
+Source: LeRobot 0.6, ``datasets/utils.py`` and ``dataset_metadata.py``: paths and fields.
+"""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa  # type: ignore[import-untyped]
+import pyarrow.parquet as pq  # type: ignore[import-untyped]
+from numpy.typing import NDArray
+
+from handctl.controller.types import Mode
+from handctl.errors import LogError
+from handctl.log.logfile import printable
+from handctl.log.reader import RunLog
+
+DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+QUANTILES = (1, 10, 50, 90, 99)
+
+Array = NDArray[np.float64]
+
+
+def export_lerobot(log: RunLog, path: Path) -> int:
+    """Write the dataset into a new folder; the number of frames.
+
+    Raises:
+        LogError: the hand was never active, or the folder cannot be written.
+    """
+    fps = round(1e9 / log.header.period_ns)
+    rows = _rows(log, fps)
+    vectors = _vectors(log, rows)
+    scalars = _scalars(len(rows), fps)
+    task = _task(log)
+    try:
+        path.mkdir()
+        _write(path / DATA.format(chunk_index=0, file_index=0), _frames(vectors, scalars))
+        _write(path / EPISODES.format(chunk_index=0, file_index=0), _episodes(len(rows), task))
+        _write(path / "meta" / "tasks.parquet", _tasks(task))
+        named = {name: names for name, (names, _) in vectors.items()}
+        _json(path / "meta" / "info.json", _info(log, fps, len(rows), named, scalars))
+        values = {name: table for name, (_, table) in vectors.items()} | scalars
+        _json(path / "meta" / "stats.json", {name: _statistics(table) for name, table in values.items()})
+    except OSError as error:
+        raise LogError(f"cannot write: {error.strerror}", printable(str(path)), "a new folder") from None
+    return len(rows)
+
+
+def _rows(log: RunLog, fps: int) -> NDArray[np.intp]:
+    """Index of the tick at each frame of the grid: the latest that had begun, also where ticks were missed."""
+    active = np.flatnonzero(log.mode == int(Mode.ACTIVE))
+    if len(active) < 2:
+        raise LogError("the hand was never active in it", "the log", "a run that moved")
+    begin, end = int(log.t_ns[active[0]]), int(log.t_ns[active[-1]])
+    frames = (end - begin) * fps // 10**9 + 1
+    grid = begin + (np.arange(frames) * 10**9 + fps // 2) // fps
+    return np.asarray(np.searchsorted(log.t_ns, grid, "right") - 1, np.intp)
+
+
+def _vectors(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], Array]]:
+    """Names and (frames, n) values of each feature that is a vector."""
+    header = log.header
+    q, tension = _known(log, "q", rows), _known(log, "tension", rows)
+    goals = log.field("q_goal")[rows]
+    pulls = log.field("tension_goal")[rows]
+    names = [f"{joint}.pos" for joint in header.joints] + [f"{tendon}.tension" for tendon in header.tendons]
+    asked = np.hstack([np.where(np.isnan(goals), q, goals), np.where(np.isnan(pulls), tension, pulls)])
+    return {
+        "observation.state": (names, np.hstack([q, tension])),
+        "observation.tip_force": ([f"{digit}.force" for digit in header.digits], _known(log, "tip_force", rows)),
+        "action": (names, asked),
+    }
+
+
+def _known(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
+    """(frames, n) a field without holes: the value before one, or the first; zero where nothing was ever known."""
+    values = log.field(name)[rows]
+    for column in values.T:
+        known = np.flatnonzero(~np.isnan(column))
+        if len(known):
+            column[:] = column[known[np.maximum(np.searchsorted(known, np.arange(len(column)), "right") - 1, 0)]]
+    return np.nan_to_num(values)
+
+
+def _scalars(frames: int, fps: int) -> dict[str, NDArray[Any]]:
+    """What LeRobot wants of every frame."""
+    index = np.arange(frames)
+    none = np.zeros(frames, np.int64)
+    return {
+        "timestamp": (index / fps).astype(np.float32),
+        "frame_index": index,
+        "episode_index": none,
+        "index": index,
+        "task_index": none,
+        "next.done": index == frames - 1,
+    }
+
+
+def _task(log: RunLog) -> str:
+    """What was done, in words."""
+    try:
+        told = tomllib.loads(log.header.attachments.get("task.toml", b"").decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError):
+        told = {}
+    otherwise = f"run of hand {log.header.metadata.get('hand', '?')}"
+    return printable(str(told.get("description") or told.get("name") or otherwise))
+
+
+def _frames(vectors: dict[str, tuple[list[str], Array]], scalars: dict[str, NDArray[Any]]) -> pa.Table:
+    columns = {}
+    for name, (names, table) in vectors.items():
+        flat = pa.array(np.ascontiguousarray(table, np.float32).ravel())
+        columns[name] = flat if len(names) == 1 else pa.FixedSizeListArray.from_arrays(flat, len(names))
+    return pa.table(columns | {name: pa.array(values) for name, values in scalars.items()})
+
+
+def _episodes(frames: int, task: str) -> pa.Table:
+    """One row an episode: where its frames are."""
+    places = {f"{kind}/{number}": [0] for kind in ("data", "meta/episodes") for number in ("chunk_index", "file_index")}
+    fields = {"episode_index": [0], "tasks": [[task]], "length": [frames]}
+    return pa.table(fields | {"dataset_from_index": [0], "dataset_to_index": [frames]} | places)
+
+
+def _tasks(task: str) -> pa.Table:
+    """Task by number; its text is the index of the table, which pandas reads from the schema's metadata."""
+    table = pa.table({"task_index": pa.array([0], pa.int64()), "task": [task]})
+    columns = [
+        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
+        for name, kind, numpy in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+    ]
+    told = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
+    return table.replace_schema_metadata({b"pandas": json.dumps(told).encode()})
+
+
+def _info(
+    log: RunLog, fps: int, frames: int, names: dict[str, list[str]], scalars: dict[str, NDArray[Any]]
+) -> dict[str, Any]:
+    features: dict[str, Any] = {
+        name: {"dtype": "float32", "shape": [len(inner)], "names": inner} for name, inner in names.items()
+    }
+    features |= {name: {"dtype": str(one.dtype), "shape": [1], "names": None} for name, one in scalars.items()}
+    return {
+        "codebase_version": "v3.0",
+        "robot_type": log.header.metadata.get("hand"),
+        "total_episodes": 1,
+        "total_frames": frames,
+        "total_tasks": 1,
+        "chunks_size": 1000,
+        "data_files_size_in_mb": 100,
+        "video_files_size_in_mb": 200,
+        "fps": fps,
+        "splits": {"train": "0:1"},
+        "data_path": DATA,
+        "video_path": None,
+        "features": features,
+    }
+
+
+def _statistics(values: NDArray[Any]) -> dict[str, list[float]]:
+    """What normalisation wants of a feature, over all frames."""
+    table = np.asarray(values, np.float64).reshape(len(values), -1)
+    found = {"min": table.min(axis=0), "max": table.max(axis=0), "mean": table.mean(axis=0), "std": table.std(axis=0)}
+    found |= {f"q{share:02d}": np.percentile(table, share, axis=0) for share in QUANTILES}
+    return {name: one.tolist() for name, one in found.items()} | {"count": [len(table)]}
+
+
+def _write(path: Path, table: pa.Table) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(table, path)
+
+
+def _json(path: Path, content: dict[str, Any]) -> None:
+    path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

@@ -1,0 +1,125 @@
+"""The exports for data people, read back by polars, by Rerun, and by Rerun's reader of LeRobot datasets."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import polars
+import pytest
+from rerun.chunk import RrdReader
+from rerun.experimental import LeRobotReader
+
+from handctl.controller.types import TELEMETRY_FIELDS, Mode
+from handctl.errors import LogError
+from handctl.log.export import columns, export_csv
+from handctl.log.lerobot import export_lerobot
+from handctl.log.parquet import export_parquet
+from handctl.log.reader import RunLog
+from handctl.view.feed import write_rrd
+from handctl.view.subject import Subject
+
+GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"
+
+
+@pytest.fixture
+def log() -> Iterator[RunLog]:
+    with RunLog(GOLDEN) as opened:
+        yield opened
+
+
+def table_of(log: RunLog) -> np.ndarray:
+    return np.array([np.frombuffer(row, "<f8") for row in log.packed()])
+
+
+@pytest.fixture
+def dataset(log: RunLog, tmp_path: Path) -> Path:
+    frames = export_lerobot(log, tmp_path / "x.lerobot")
+    assert frames == int((log.mode == int(Mode.ACTIVE)).sum())
+    return tmp_path / "x.lerobot"
+
+
+def test_polars_reads_the_table(log: RunLog, tmp_path: Path) -> None:
+    export_parquet(log, tmp_path / "x.parquet")
+    table = polars.read_parquet(tmp_path / "x.parquet")
+    assert table["k"].to_list() == log.k.tolist()
+    assert table["mode"].to_list() == [Mode(value).name for value in log.mode.tolist()]
+    np.testing.assert_array_equal(table.select(columns(log)).to_numpy(), table_of(log))
+
+
+def test_polars_reads_the_text(log: RunLog, tmp_path: Path) -> None:
+    export_csv(log, tmp_path / "x.csv")
+    table = polars.read_csv(tmp_path / "x.csv", infer_schema_length=None)
+    assert table["t_ns"].to_list() == log.t_ns.tolist()
+    numbers = table.select([polars.col(name).cast(polars.Float64) for name in columns(log)]).to_numpy()
+    np.testing.assert_array_equal(numbers, table_of(log))
+
+
+def test_the_dataset_has_the_values_of_the_log(log: RunLog, dataset: Path) -> None:
+    info = json.loads((dataset / "meta" / "info.json").read_text())
+    place = {"chunk_index": 0, "file_index": 0}
+    table = polars.read_parquet(dataset / info["data_path"].format(**place))
+    active = log.mode == int(Mode.ACTIVE)
+    state = np.hstack([log.field("q")[active], log.field("tension")[active]]).astype(np.float32)
+    np.testing.assert_array_equal(table["observation.state"].to_numpy(), state)
+    goal, q = log.field("q_goal")[active], log.field("q")[active]
+    asked = np.hstack([np.where(np.isnan(goal), q, goal), log.field("tension_goal")[active]]).astype(np.float32)
+    np.testing.assert_array_equal(table["action"].to_numpy(), asked)
+    times = (log.t_ns[active] - log.t_ns[active][0]) * 1e-9
+    np.testing.assert_allclose(table["timestamp"].to_numpy(), times, atol=1e-6)
+    assert table["frame_index"].to_list() == table["index"].to_list() == list(range(len(table)))
+    assert table["next.done"].to_list() == [False] * (len(table) - 1) + [True]
+    assert (info["fps"], info["total_frames"], info["robot_type"]) == (200, len(table), "jamia")
+
+
+def test_every_feature_is_declared_as_it_is(dataset: Path) -> None:
+    info = json.loads((dataset / "meta" / "info.json").read_text())
+    statistics = json.loads((dataset / "meta" / "stats.json").read_text())
+    table = polars.read_parquet(dataset / info["data_path"].format(chunk_index=0, file_index=0))
+    assert set(info["features"]) == set(table.columns) == set(statistics)
+    for name, feature in info["features"].items():
+        (size,) = feature["shape"]
+        assert np.asarray(table[name].to_numpy()).reshape(len(table), -1).shape[1] == size, name
+        assert str(np.asarray(table[name].to_numpy()).dtype) == feature["dtype"], name
+        assert {len(values) for key, values in statistics[name].items() if key != "count"} == {size}
+        assert feature["names"] is None or len(feature["names"]) == size
+    state = statistics["observation.state"]
+    np.testing.assert_allclose(state["mean"], table["observation.state"].to_numpy().mean(axis=0), rtol=1e-4, atol=1e-5)
+    assert all(a <= b <= c for a, b, c in zip(state["min"], state["q50"], state["max"], strict=True))
+    (episode,) = polars.read_parquet(dataset / "meta/episodes/chunk-000/file-000.parquet").to_dicts()
+    assert (episode["dataset_from_index"], episode["dataset_to_index"]) == (0, len(table))
+    assert polars.read_parquet(dataset / "meta/tasks.parquet")["task"].to_list() == episode["tasks"]
+
+
+def test_rerun_reads_the_dataset(log: RunLog, dataset: Path) -> None:
+    reader = LeRobotReader(dataset)
+    assert reader.episodes() == [0]
+    found = {str(chunk.entity_path): chunk for chunk in reader.stream(0).to_chunks()}
+    batch = found["/observation.state"].to_record_batch()
+    values = np.array(batch.column("Scalars:scalars").to_pylist())
+    active = log.mode == int(Mode.ACTIVE)
+    np.testing.assert_array_equal(values[:, : len(log.header.joints)], log.field("q")[active].astype(np.float32))
+    assert batch.column("frame_index").to_pylist() == list(range(len(values)))
+
+
+def test_rerun_reads_the_recording(log: RunLog, tmp_path: Path) -> None:
+    write_rrd(GOLDEN, Subject.of(log.header, "x"), tmp_path / "x.rrd")
+    lines: dict[str, list[tuple[int, list[float]]]] = {}
+    for chunk in RrdReader(tmp_path / "x.rrd").stream().to_chunks():
+        field = str(chunk.entity_path).removeprefix("/controller/")
+        if field in TELEMETRY_FIELDS and "run_time" in chunk.timeline_names:
+            batch = chunk.to_record_batch()
+            times = batch.column("run_time").to_pylist()
+            values = next(c for f, c in zip(batch.schema, batch.columns, strict=True) if f.name.endswith("scalars"))
+            lines.setdefault(field, []).extend(zip(times, values.to_pylist(), strict=True))
+    assert set(lines) == set(TELEMETRY_FIELDS)
+    for field, rows in lines.items():
+        rows.sort(key=lambda row: row[0])
+        np.testing.assert_array_equal(np.array([values for _, values in rows]), log.field(field), err_msg=field)
+
+
+def test_a_folder_that_is_there_is_left_alone(log: RunLog, tmp_path: Path) -> None:
+    (tmp_path / "x").mkdir()
+    with pytest.raises(LogError, match="x"):
+        export_lerobot(log, tmp_path / "x")
+    assert list((tmp_path / "x").iterdir()) == []
