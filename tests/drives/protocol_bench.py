@@ -44,6 +44,18 @@ def hand_file(folder: Path, protocols: Sequence[str], extra: str = "") -> Path:
     return path
 
 
+SECOND = '[[bus]]\nname = "second"\nbitrate = 1_000_000\n\n[sensor_node]'
+
+
+def on_two_buses(path: Path, motors: Sequence[int] = (2, 3)) -> Path:
+    """The same file with some of the motors on a bus of their own, without the load cells."""
+    head, *sections = path.read_text().replace("[sensor_node]", SECOND).split("[[motor]]")
+    for i in motors:
+        sections[i] = sections[i].replace('bus = "main"', 'bus = "second"')
+    path.write_text("[[motor]]".join([head, *sections]))
+    return path
+
+
 class Bench:
     """All drives and the sensor node of a hand, ticked together against the simulator."""
 

@@ -10,17 +10,13 @@ from handctl.drives.contract import Phase, Want
 from handctl.drives.load import bus_time_s
 from handctl.errors import ConfigError
 from handctl.hand.description import load_hand
-from tests.drives.protocol_bench import Bench, hand_file
-
-SECOND = '[[bus]]\nname = "second"\nbitrate = 1_000_000\n\n[sensor_node]'
+from tests.drives.protocol_bench import Bench, hand_file, on_two_buses
 
 
 def mixed(folder: Path) -> Path:
     """MIT and ODrive beside the load cells; two CiA 402 drives on a bus of their own, one of which sends SYNC."""
-    path = hand_file(folder, ["mit", "odrive", "cia402"])
-    head, *motors = path.read_text().replace("[sensor_node]", SECOND).split("[[motor]]")
-    for i in (2, 3):
-        motors[i] = motors[i].replace('bus = "main"', 'bus = "second"')
+    path = on_two_buses(hand_file(folder, ["mit", "odrive", "cia402"]))
+    head, *motors = path.read_text().split("[[motor]]")
     motors[2] = motors[2].replace("counts_per_turn", "sync = true\ncounts_per_turn")
     path.write_text("[[motor]]".join([head, *motors]))
     return path

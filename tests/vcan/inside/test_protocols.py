@@ -1,0 +1,153 @@
+"""A hand is armed, pulls, and is disarmed over real SocketCAN: with each protocol, and over two buses with two of them.
+
+The simulated hand is a process of its own, forked from this one: importing takes longer in the guest than all the rest.
+"""
+
+import ctypes
+import multiprocessing
+import os
+import select
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from firmware_sim.__main__ import main as firmware_sim
+from firmware_sim.truth import Truth, read_truth
+from handctl.cli.exit_codes import Exit
+from handctl.cli.plan import tick_times_s
+from handctl.cli.session import Outcome, Plan, make_controller, run_live
+from handctl.controller.gains import Gains
+from handctl.controller.live import JogProgram
+from handctl.controller.requests import HoldTension
+from handctl.controller.setup import make_drives, make_sensors
+from handctl.drives.contract import Phase, Want
+from handctl.drives.registry import PROTOCOLS
+from handctl.hand.description import load_hand
+from handctl.runtime.bus import open_bus
+from handctl.runtime.clock import RealClock
+from tests.drives.protocol_bench import hand_file, on_two_buses
+
+RATE_HZ = 200.0
+PERIOD_NS = 5_000_000
+READY_S, END_S = 30.0, 20.0
+SPOOL_TORQUE_N_M, TORQUE_S = 0.05, 0.3
+TAUT_N, LIMP_N = 5.0, 3.0
+"""What that torque brings to a tendon at least, and what is left without it."""
+PULL_N, PULL_S = 20.0, 0.2
+DIGITS = ("index", "middle", "ring", "thumb")
+
+
+def serve(words: Sequence[str], ready: int) -> None:
+    """The simulator, in a child; what it prints goes to a pipe."""
+    mujoco.set_mjcb_time(ctypes.cast(ctypes.CDLL(None).drand48, ctypes.CFUNCTYPE(ctypes.c_double)))  # see conftest
+    sys.stdout = os.fdopen(ready, "w")
+    raise SystemExit(firmware_sim(list(words)))
+
+
+@contextmanager
+def simulated(path: Path, buses: Sequence[str], time_scale: float, truth: Path) -> Iterator[None]:
+    """A simulated hand beside this process, its ropes taut; it must end well when told to."""
+    names = load_hand(str(path)).bus_names
+    words = [word for name, spec in zip(names, buses, strict=True) for word in ("--bus", f"{name}={spec}")]
+    words += ["--hand", str(path), "--truth", str(truth), "--time-scale", str(time_scale), "--homed"]
+    ours, theirs = os.pipe()
+    child = multiprocessing.get_context("fork").Process(target=serve, args=(words, theirs))
+    child.start()
+    os.close(theirs)
+    try:
+        assert select.select([ours], [], [], READY_S)[0], "firmware_sim did not serve"
+        assert os.read(ours, 4096).startswith(b"firmware_sim: ready")
+        yield
+        child.terminate()
+        child.join(END_S)
+        assert child.exitcode == 0
+    finally:
+        child.kill()
+        child.join()
+        os.close(ours)
+
+
+class Hand:
+    """The drives of a hand on real sockets, with SYNC, ticked on the slowed clock; nobody else decides anything."""
+
+    def __init__(self, path: Path, specs: Sequence[str], time_scale: float) -> None:
+        self.clock = RealClock(PERIOD_NS, time_scale)
+        hand = load_hand(str(path))
+        self.buses = [open_bus(spec, i, 1_000_000, stamp=self.clock.of) for i, spec in enumerate(specs)]
+        self.drives, self.sensors = make_drives(hand), make_sensors(hand)
+        self.states = [drive.initial() for drive in self.drives]
+        self.k = 0
+        self.clock.begin()
+
+    def tick(self, want: Want, torque: float = 0.0) -> None:
+        self.clock.wait(self.k)
+        for frame in [frame for bus in self.buses for frame in bus.drain()]:
+            self.states = [d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)]
+        self.buses[self.sensors.bus].send([self.sensors.sync(self.sensors.initial(), self.k)[1]])
+        for i, drive in enumerate(self.drives):
+            self.states[i], frames = drive.advance(self.states[i], self.k * PERIOD_NS, want, torque)
+            assert self.buses[drive.bus].send(frames) == len(frames)
+        self.k += 1
+
+    def until(self, want: Want, phase: Phase, ticks: int = 600) -> None:
+        for _ in range(ticks):
+            self.tick(want)
+            if all(state.phase == phase for state in self.states):
+                return
+        pytest.fail(f"{[(state.phase.name, state.error_text) for state in self.states]}, expected {phase.name}")
+
+    def close(self) -> None:
+        for bus in self.buses:
+            assert bus.take_events() == []
+            bus.close()
+
+
+@pytest.mark.parametrize("protocol", sorted(PROTOCOLS))
+def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) -> None:
+    path, truth_path, time_scale = hand_file(tmp_path, [protocol]), tmp_path / "truth", 0.2
+    path.write_text(path.read_text().replace("watchdog_ms = 50", "watchdog_ms = 500"))
+    with simulated(path, ["socketcan:vcan0"], time_scale, truth_path):
+        hand = Hand(path, ["socketcan:vcan0"], time_scale)
+        hand.until(Want.POLL, Phase.READY)
+        hand.until(Want.ENABLE, Phase.ENABLED)
+        for _ in range(int(TORQUE_S * RATE_HZ)):
+            hand.tick(Want.ENABLE, SPOOL_TORQUE_N_M)
+        assert [state.phase for state in hand.states] == [Phase.ENABLED] * len(DIGITS)
+        hand.until(Want.DISABLE, Phase.READY)
+        for _ in range(int(TORQUE_S * RATE_HZ)):
+            hand.tick(Want.POLL)
+        hand.close()
+    truth = read_truth(truth_path)
+    assert truth.header["lost_frames"] == 0
+    for digit in DIGITS:
+        tension = truth.column(f"tension/{digit}_tendon")
+        assert tension.max() > TAUT_N, digit
+        assert np.median(tension[-10:]) < LIMP_N, digit
+
+
+def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
+    """The whole controller with its recorder: the two protocols that ``test_run`` does not have."""
+    path = on_two_buses(hand_file(tmp_path, ["cia402", "cia402", "odrive"]))
+    outcome, truth = pull(path, ["socketcan:vcan0", "socketcan:vcan1"], tmp_path)
+    assert outcome.state.failure == ""
+    assert outcome.state.unconfirmed == ()
+    assert outcome.exit == Exit.DONE
+    assert outcome.stats.refused == truth.header["lost_frames"] == 0
+    for digit in DIGITS:
+        assert truth.column(f"tension/{digit}_tendon").max() > 0.5 * PULL_N, digit
+
+
+def pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[Outcome, Truth]:
+    """Arm, pull every tendon for a moment, relax, disarm; what the run came to, and what really happened."""
+    hand, time_scale = load_hand(str(path)), 0.1
+    load = tuple(RATE_HZ * busy for busy in tick_times_s(hand))
+    plan = Plan(hand, Gains(), RATE_HZ, load, tuple(buses), time_scale=time_scale, quiet=True)
+    program = JogProgram(HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), PULL_S)
+    with simulated(path, buses, time_scale, folder / "truth"):
+        outcome = run_live(plan, make_controller(plan, program, None, arm_at_once=True), folder / "run.mcap")
+    return outcome, read_truth(folder / "truth")
