@@ -10,7 +10,6 @@ from pathlib import Path
 from firmware_sim import bench
 from firmware_sim.command import Parser, until_signal
 from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.hub import Hub
 from firmware_sim.perturb import KEYS, perturbed
 from firmware_sim.places import truth_path
 from firmware_sim.ports import Port, assign, open_port
@@ -18,19 +17,26 @@ from firmware_sim.priority import take_priority
 from firmware_sim.scene import load_scene, packaged
 from firmware_sim.server import ScaledClock, Server
 from firmware_sim.truth import TruthWriter
+from firmware_sim.wire.options import KEYS as WIRE_KEYS
+from firmware_sim.wired import ALONE_BITRATES, maker
 from firmware_sim.world import World
 
 _LOOK_S = 0.2
 """How often a hub alone looks whether it has been told to end."""
 _KEYS = "\n".join(f"  {key:16}{text}" for key, text in KEYS.items())
+_WIRE_KEYS = "\n".join(f"  {key:16}{text}" for key, text in WIRE_KEYS.items())
 _EPILOG = f"""
 factors for --perturb:
 {_KEYS}
+
+values for --wire, and what holds without them:
+{_WIRE_KEYS}
 
 examples:
   python -m firmware_sim --hand jamia --bus local:demo --scene cylinder
   python -m firmware_sim --hand jamia --bus socketcan:vcan0 --perturb stiffness=1.2 friction=1.5
   python -m firmware_sim drive mit --ids 1,2 --bus local:lab     drives with free shafts; "drive --help" tells more
+  python -m firmware_sim --hand jamia --bus local:demo --wire queue=10 stuffing=actual
   python -m firmware_sim bus demo        a bus without a hand; a simulator joins it with --bus join:demo
 """
 
@@ -51,6 +57,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--homed", action="store_true", help="start with taut ropes and encoders at zero")
     add("--time-scale", type=float, default=1.0, metavar="X", help="plant time per wall time (1)")
     add("--truth", type=Path, metavar="FILE", help="where to record what really happens (in the run directory)")
+    add("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time on a local bus (they take none)")
     add("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help="a plant unlike its hand file")
     return parser
 
@@ -74,10 +81,11 @@ def _simulate(args: argparse.Namespace) -> None:
     specs = assign(args.bus, hand.buses)
     clock = ScaledClock(args.time_scale)
     world = World(hand, scene, args.seed, args.homed, clock.now_ns())
+    wired = maker(args.wire, hand.bitrates, clock.now_ns)
     ports: list[Port] = []
     try:
         for bus, spec in enumerate(specs):
-            ports.append(open_port(spec, bus))
+            ports.append(open_port(spec, bus, wired))
         path = args.truth or truth_path(specs[0])
         _serve(Server(world, ports, clock), world, path, factors, " ".join(args.bus), args.time_scale)
     finally:
@@ -118,16 +126,21 @@ def _bus_alone(words: list[str]) -> None:
         prog="python -m firmware_sim bus", description="A local bus without a hand, until it is told to end."
     )
     parser.add_argument("name", help="of the bus: others reach it as local:NAME")
-    hub = Hub(parser.parse_args(words).name)
+    parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time (they take none)")
+    args = parser.parse_args(words)
+    wired = maker(args.wire, [ALONE_BITRATES], ScaledClock().now_ns, nodes=False)
+    port = open_port(f"local:{args.name}", 0, wired)
     running = [True]
     until_signal(running.clear)
-    print(f"firmware_sim: ready bus=local:{hub.name}", flush=True)
+    print(f"firmware_sim: ready bus=local:{args.name}", flush=True)
     try:
         while running:
-            readable, _, _ = select.select(hub.readers(), hub.writers(), [], _LOOK_S)
-            hub.serve(readable)
+            wait_ns = max(0, port.due_ns - ScaledClock().now_ns())
+            ready, _, _ = select.select(port.readers(), port.writers(), [], min(_LOOK_S, wait_ns * 1e-9))
+            while port.receive(ready):
+                ready = []
     finally:
-        hub.close()
+        port.close()
 
 
 def main(words: list[str]) -> int:

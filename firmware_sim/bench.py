@@ -12,6 +12,7 @@ from firmware_sim.motor import Motor
 from firmware_sim.nodes import PROTOCOLS, Node
 from firmware_sim.ports import open_port
 from firmware_sim.server import ScaledClock, Server
+from firmware_sim.wired import ALONE_BITRATES, maker
 
 STEP_NS = 1_000_000
 EXAMPLES = """
@@ -78,6 +79,7 @@ def _parser() -> Parser:
     add("--fd", action="store_true", help="MIT motors set to CAN FD (1/5 Mbit/s); they answer as they are asked")
     add("--motor-type", metavar="TYPE", help=f"of MIT motors: {', '.join(MIT_TYPES)} (dm4310)")
     add("--inertia", type=float, metavar="KG_M2", help="of each shaft (the motor's own, an assumption)")
+    add("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time (they take none)")
     add("--time-scale", type=float, default=1.0, metavar="X", help="drive time per wall time (1)")
     return parser
 
@@ -111,7 +113,7 @@ def run(words: list[str]) -> None:
     args = _parser().parse_args(words)
     specs = _specs(args)
     clock = ScaledClock(args.time_scale)
-    port = open_port(args.bus, 0)
+    port = open_port(args.bus, 0, maker(args.wire, [ALONE_BITRATES], clock.now_ns))
     try:
         server = Server(Bench(specs, clock.now_ns()), [port], clock)
 

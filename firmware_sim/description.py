@@ -108,6 +108,8 @@ class Hand:
     name: str
     gravity: tuple[float, float, float]
     buses: list[str]
+    bitrates: list[tuple[int, int]]
+    """Of each bus: nominal and, for CAN FD or else 0, of the data phase [bit/s]."""
     digits: list[Digit]
     tendons: list[TendonSpec]
     motors: list[MotorSpec]
@@ -157,6 +159,7 @@ def _hand(raw: dict[str, Any]) -> Hand:
         name=raw["name"],
         gravity=tuple(raw["mount"]["gravity_m_s2"]),
         buses=[bus["name"] for bus in raw["bus"]],
+        bitrates=[(bus["bitrate"], bus.get("data_bitrate") or 0) for bus in raw["bus"]],
         digits=[_digit(digit) for digit in raw["digit"]],
         tendons=[_tendon(tendon) for tendon in raw["tendon"]],
         motors=[_motor(motor) for motor in raw["motor"]],

@@ -9,7 +9,7 @@ import errno
 import fcntl
 import os
 import socket
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
 from firmware_sim.description import SimulatorError
@@ -115,6 +115,11 @@ class Hub:
         """How many are connected."""
         return len(self._links)
 
+    @property
+    def links(self) -> Sequence[Link]:
+        """Connections of the clients."""
+        return self._links
+
     def readers(self) -> list[socket.socket]:
         """Return the sockets to wait on for reading."""
         return [self._listener, *(link.socket for link in self._links)]
@@ -125,6 +130,14 @@ class Hub:
 
     def serve(self, ready: Collection[socket.socket]) -> bytes:
         """Accept, read and forward; return the records for whoever owns the hub."""
+        heard = self.hear(ready)
+        for link, records in heard:
+            self._forward(records, link)
+        self.part()
+        return b"".join(records for _, records in heard)
+
+    def hear(self, ready: Collection[socket.socket]) -> list[tuple[Link, bytes]]:
+        """Accept and read, but forward nothing; return the records of each client that sent some."""
         if self._listener in ready:
             self._accept()
         heard = []
@@ -132,11 +145,8 @@ class Hub:
             if link.unsent:
                 link.flush()
             if link.socket in ready and (records := link.receive()):
-                heard.append(records)
-                self._forward(records, link)
-        if any(link.gone for link in self._links):
-            self._part()
-        return b"".join(heard)
+                heard.append((link, records))
+        return heard
 
     def send(self, records: bytes) -> None:
         """Send the owner's records to every client."""
@@ -152,7 +162,10 @@ class Hub:
             if link is not sender and not link.gone:
                 link.deliver(records)
 
-    def _part(self) -> None:
+    def part(self) -> None:
+        """Forget the clients that have left."""
+        if not any(link.gone for link in self._links):
+            return
         for link in self._links:
             if link.gone:
                 self._gone_dropped += link.dropped

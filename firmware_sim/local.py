@@ -7,10 +7,13 @@ from firmware_sim.description import SimulatorError
 from firmware_sim.frame import RECORD_SIZE, Frame, pack_record, unpack_record
 from firmware_sim.hub import Hub, Link
 from firmware_sim.places import bus_path
+from firmware_sim.wire.medium import NEVER
 
 
 class HubPort:
     """Serves the bus and hangs on it; see ``ports.Port``."""
+
+    due_ns = NEVER
 
     def __init__(self, name: str, bus: int) -> None:
         """Args: name of the bus; its index in the hand. Raises SimulatorError if it is served already."""
@@ -48,6 +51,8 @@ class HubPort:
 
 class JoinedPort:
     """A client of a hub; see ``ports.Port``."""
+
+    due_ns = NEVER
 
     def __init__(self, name: str, bus: int) -> None:
         """Args: name of the bus; its index in the hand. Raises SimulatorError if nobody serves it."""

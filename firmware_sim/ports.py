@@ -1,7 +1,7 @@
 """How the simulator hangs on a bus: one port a bus, whatever the bus is made of."""
 
 import socket
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from typing import Protocol
 
 from firmware_sim.description import SimulatorError
@@ -15,10 +15,13 @@ class Port(Protocol):
 
     Attributes:
         lost: frames that could not be sent or read.
+        due_ns: when it has to be looked at even if no socket is ready [ns]; ``medium.NEVER`` if only sockets count.
     """
 
     @property
     def lost(self) -> int: ...
+    @property
+    def due_ns(self) -> int: ...
 
     def readers(self) -> list[socket.socket]:
         """Return the sockets to wait on for reading."""
@@ -29,7 +32,7 @@ class Port(Protocol):
         ...
 
     def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
-        """Return what has arrived on sockets that are ready."""
+        """Return what has arrived on sockets that are ready; to be called until nothing comes."""
         ...
 
     def send(self, frames: list[Frame]) -> None:
@@ -41,19 +44,22 @@ class Port(Protocol):
         ...
 
 
-def open_port(spec: str, bus: int) -> Port:
+def open_port(spec: str, bus: int, wired: Callable[[str, int], Port] | None = None) -> Port:
     """Open a bus.
 
     Args:
         spec: ``local:NAME`` (serve the bus), ``join:NAME`` (another process serves it), ``socketcan:INTERFACE``.
         bus: index in the hand's list.
+        wired: makes the port of a local bus whose frames take their time.
 
     Raises:
         SimulatorError: an unknown kind of bus, or it cannot be opened.
     """
     kind, _, name = spec.partition(":")
+    if wired and kind != "local":
+        raise SimulatorError(f"bus {spec!r}: only a bus that is served here, local:NAME, can have a simulated wire")
     if kind == "local":
-        return HubPort(name, bus)
+        return wired(name, bus) if wired else HubPort(name, bus)
     if kind == "join":
         return JoinedPort(name, bus)
     if kind == "socketcan" and name:

@@ -4,11 +4,13 @@ import select
 import socket
 import sys
 import time
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Protocol
 
 from firmware_sim.frame import Frame
 from firmware_sim.ports import Port
+from firmware_sim.wired import WiredPort
 
 TURN_NS = 1_000_000
 """The plant follows the clock at least this often [ns of plant time]."""
@@ -16,6 +18,8 @@ LATE_NS = 5 * TURN_NS
 """A turn that finds the plant this far behind counts as an overrun [ns of plant time]."""
 SLIP_NS = 50_000_000
 """Further behind than this the plant's clock gives up the time that is lost [ns of plant time]."""
+ROUNDS = 64
+"""Ports are asked at most this often in one turn: a full wire cannot keep the plant from moving."""
 STRIDE_NS = 10_000_000
 """At most this much plant time is caught up before frames are looked at again [ns]."""
 
@@ -100,14 +104,21 @@ class Server:
 
     def turn(self) -> None:
         """Wait for frames or for the next millisecond, let the plant catch up, answer."""
-        ready = self._wait()
-        frames = [frame for port in self._ports for frame in port.receive(ready)]
+        frames = self._receive(self._wait())
         self._catch_up()
         self._answer(frames)
+        for _ in range(ROUNDS):
+            if not (frames := self._receive(())):
+                break
+            self._answer(frames)
+
+    def _receive(self, ready: Collection[socket.socket]) -> list[Frame]:
+        return [frame for port in self._ports for frame in port.receive(ready)]
 
     def _wait(self) -> list[socket.socket]:
         """Return the sockets that are ready by the time the plant is due."""
         due_ns = self._world.t_ns + self._world.slip_ns + TURN_NS
+        due_ns = min(due_ns, *(port.due_ns for port in self._ports))
         timeout = max(0.0, (due_ns - self._clock.now_ns()) / self._clock.scale * 1e-9)
         readers = [link for port in self._ports for link in port.readers()]
         writers = [link for port in self._ports for link in port.writers()]
@@ -149,4 +160,5 @@ class Server:
             "foreign_frames": self._world.foreign,
             "malformed_frames": self._world.malformed,
             "lost_frames": sum(port.lost for port in self._ports),
+            "wire_load": [round(port.load, 4) for port in self._ports if isinstance(port, WiredPort)],
         }

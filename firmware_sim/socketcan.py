@@ -7,6 +7,7 @@ from collections.abc import Collection
 
 from firmware_sim.description import SimulatorError
 from firmware_sim.frame import FDF, Frame
+from firmware_sim.wire.medium import NEVER
 
 _CLASSICAL = struct.Struct("=IB3x8s")
 _FD = struct.Struct("=IBB2x64s")
@@ -17,6 +18,8 @@ _AT_ONCE = 256
 
 class SocketCanPort:
     """See ``ports.Port``."""
+
+    due_ns = NEVER
 
     def __init__(self, interface: str, bus: int) -> None:
         """Open the interface.

@@ -35,6 +35,8 @@ class ByHand:
 class Wire:
     """A port whose frames the test puts in and takes out."""
 
+    due_ns = 1 << 62
+
     def __init__(self) -> None:
         self.lost = 0
         self.coming: list[Frame] = []

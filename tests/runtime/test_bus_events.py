@@ -17,6 +17,7 @@ def kinds(events: BusEvents) -> set[str]:
     [
         (0x001, 0, {"error_frame"}),
         (0x004, 0x01, {"error_frame"}),
+        (0x004, 0x02, {"error_frame", "enobufs"}),
         (0x004, 0x04, {"error_frame", "error_warning"}),
         (0x004, 0x08, {"error_frame", "error_warning"}),
         (0x004, 0x10, {"error_frame", "error_passive"}),

@@ -40,8 +40,9 @@ CLASS_NAMES = (
     "bus error",
     "restarted",
 )
-OVERFLOW, WARNING, PASSIVE, ACTIVE = 0x03, 0x0C, 0x30, 0x40
-"""Bits of data[1] of a CONTROLLER error frame, receive and transmit side. Source: Linux ``can/error.h``."""
+OVERFLOW, TX_OVERFLOW, WARNING, PASSIVE, ACTIVE = 0x03, 0x02, 0x0C, 0x30, 0x40
+"""Bits of data[1] of a CONTROLLER error frame, receive and transmit side; TX_OVERFLOW is one of OVERFLOW.
+Source: Linux ``can/error.h``."""
 
 
 class BusEvents:
@@ -105,6 +106,8 @@ class BusEvents:
     def _controller(self, status: int) -> None:
         if status & OVERFLOW:
             self.add("error_frame", 1, "controller overflow")
+        if status & TX_OVERFLOW:
+            self.add("enobufs")
         if status & WARNING:
             self.add("error_warning")
         if status & ACTIVE:

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-import mujoco
+import mujoco  # type: ignore[import-untyped,unused-ignore]
 import numpy as np
 import pytest
 

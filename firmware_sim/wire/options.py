@@ -1,0 +1,83 @@
+"""What a person can say of a simulated wire: ``--wire queue=10 stuffing=actual``."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+from firmware_sim.description import SimulatorError
+from firmware_sim.wire.bits import Rate
+from firmware_sim.wire.medium import Options
+
+KEYS = {
+    "bitrate": "nominal [bit/s] (the hand file's)",
+    "data_bitrate": "of CAN FD's data phase [bit/s] (the hand file's)",
+    "stuffing": "worst: the most stuff bits a length can have; actual: those of each frame (worst)",
+    "queue": "frames that wait in each controller; more are refused (128)",
+    "error_rate": "share of frames destroyed on the wire (0)",
+    "restart_ms": "a controller that is off the bus is started again after this time (never)",
+    "seed": "of the errors (0)",
+}
+"""Key to what it means and its default."""
+_TOP_BITRATE = 20_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class WireSpec:
+    """A wire as it was asked for.
+
+    Attributes:
+        options: its behaviour.
+        actual: whether each frame's own stuff bits count.
+        bitrate, data_bitrate: instead of the hand file's [bit/s]; 0 for those.
+    """
+
+    options: Options = field(default_factory=Options)
+    actual: bool = False
+    bitrate: int = 0
+    data_bitrate: int = 0
+
+    def rate(self, bitrate: int, data_bitrate: int) -> Rate:
+        """Return the speed of a bus that the hand file gives these bit rates."""
+        return Rate(self.bitrate or bitrate, self.data_bitrate or data_bitrate, self.actual)
+
+
+def parse(words: Sequence[str]) -> WireSpec:
+    """Return what KEY=VALUE words ask for.
+
+    Raises:
+        SimulatorError: an unknown key, or a value out of its range.
+    """
+    spec = WireSpec()
+    for word in words:
+        spec = _with(spec, word)
+    return spec
+
+
+def _with(spec: WireSpec, word: str) -> WireSpec:
+    key, _, text = word.partition("=")
+    if key not in KEYS:
+        raise SimulatorError(f"--wire {word}: expected one of {', '.join(KEYS)}, as in queue=10")
+    if key == "stuffing":
+        if text not in ("worst", "actual"):
+            raise SimulatorError(f"--wire {word}: expected stuffing=worst or stuffing=actual")
+        return replace(spec, actual=text == "actual")
+    if key == "error_rate":
+        return replace(spec, options=replace(spec.options, error_rate=_number(word, text, 0.0, 1.0)))
+    if key == "restart_ms":
+        return replace(spec, options=replace(spec.options, restart_ms=_number(word, text, 0.0, 1e6)))
+    if key == "queue":
+        return replace(spec, options=replace(spec.options, queue=int(_number(word, text, 1, 100_000))))
+    if key == "seed":
+        return replace(spec, options=replace(spec.options, seed=int(_number(word, text, 0, 1 << 32))))
+    rate = int(_number(word, text, 1_000, _TOP_BITRATE))
+    return replace(spec, bitrate=rate) if key == "bitrate" else replace(spec, data_bitrate=rate)
+
+
+def _number(word: str, text: str, low: float, high: float) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not low <= value <= high:
+        raise SimulatorError(f"--wire {word}: expected a number from {low:g} to {high:g}")
+    return value

@@ -1,0 +1,217 @@
+"""The simulated wire: bit time, arbitration, queues, acknowledge, error states."""
+
+import random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_sim.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
+from firmware_sim.wire.bits import FD_LENGTHS, Rate, priority
+from firmware_sim.wire.controller import Controller, State
+from firmware_sim.wire.medium import NEVER, Options, Wire
+from handctl.drives.load import frame_time_s
+
+NOMINAL, DATA = 1_000_000, 5_000_000
+WORST, ACTUAL = Rate(NOMINAL, DATA), Rate(NOMINAL, DATA, actual=True)
+FRAMES = st.builds(
+    lambda can_id, data, fd: Frame(can_id, data, FDF | BRS) if fd else Frame(can_id, data[:8]),
+    st.integers(0, 0x7FF),
+    st.sampled_from(FD_LENGTHS).flatmap(lambda size: st.binary(min_size=size, max_size=size)),
+    st.booleans(),
+)
+
+
+class Party:
+    """A controller and what its owner has heard."""
+
+    def __init__(self, wire: Wire, queue: int | None = None) -> None:
+        self.heard: list[Frame] = []
+        self.errors: list[Frame] = []
+        self.controller = wire.add(self._hear, queue)
+
+    def _hear(self, frame: Frame, t_ns: int) -> None:
+        (self.errors if frame.can_id & ERROR else self.heard).append(frame._replace(t_ns=t_ns))
+
+    @property
+    def ids(self) -> list[int]:
+        return [frame.can_id for frame in self.heard]
+
+    @property
+    def classes(self) -> list[int]:
+        """Of its error frames, without the bits that say that it is one with counters."""
+        return [frame.can_id & 0x1FF for frame in self.errors]
+
+
+def parties(wire: Wire, count: int) -> list[Party]:
+    return [Party(wire) for _ in range(count)]
+
+
+@given(FRAMES)
+def test_both_sides_of_the_project_count_the_same_worst_case(frame: Frame) -> None:
+    expected = frame_time_s(len(frame.data), bool(frame.flags & FDF), NOMINAL, DATA)
+    assert WORST.frame_ns(frame) == pytest.approx(expected * 1e9, abs=2)
+    assert 0.7 * expected * 1e9 < ACTUAL.frame_ns(frame) <= WORST.frame_ns(frame)
+
+
+def test_a_frame_whose_bits_were_counted_by_hand() -> None:
+    """Identifier 0, no data: 19 zeros and a CRC of zeros; every five of them bring a stuff bit."""
+    zeros = 1 + 11 + 3 + 4 + 15
+    assert ACTUAL.frame_ns(Frame(0, b"")) == (zeros + zeros // 5 + 13) * 1000
+    assert ACTUAL.frame_ns(Frame(0x555, b"\x55" * 8)) < (34 + 64 + 13 + 6) * 1000, "hardly a stuff bit"
+
+
+def test_a_long_identifier_takes_twenty_bits_more() -> None:
+    assert WORST.frame_ns(Frame(1 | EXTENDED, bytes(8))) == (54 + 64 + (54 + 64 - 1) // 4 + 13) * 1000
+
+
+def test_the_lowest_identifier_goes_first_and_nobody_is_interrupted() -> None:
+    wire = Wire(WORST)
+    a, b, ears = parties(wire, 3)
+    a.controller.offer(Frame(0x300, b""), 0)
+    for can_id in (0x200, 0x100):
+        b.controller.offer(Frame(can_id, b""), 1000)
+    a.controller.offer(Frame(0x150, b""), 1000)
+    wire.advance(10**9)
+    assert ears.ids == [0x300, 0x150, 0x200, 0x100], "each queue keeps its order, its head competes"
+    assert [frame.t_ns for frame in ears.heard] == [55_000 * n for n in (1, 2, 3, 4)]
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [(0x100, 0x101), (0x100, 0x100 | REMOTE), (0x100 | REMOTE, 0x100 << 18 | EXTENDED), (5 | EXTENDED, 6 | EXTENDED)],
+)
+def test_arbitration_is_bit_by_bit(first: int, second: int) -> None:
+    assert priority(first) < priority(second)
+
+
+def test_the_wire_is_never_idle_while_somebody_waits() -> None:
+    wire, chance = Wire(ACTUAL), random.Random(1)
+    senders = parties(wire, 4)
+    frames = [Frame(chance.randrange(0x800), chance.randbytes(chance.randrange(9))) for _ in range(200)]
+    frames = list({frame.can_id: frame for frame in frames}.values())
+    for frame in frames:
+        chance.choice(senders).controller.offer(frame, 0)
+    wire.advance(10**9)
+    assert wire.busy_ns == sum(map(ACTUAL.frame_ns, frames))
+    assert wire.frames == len(frames)
+    assert wire.next_ns() == NEVER
+
+
+def test_a_full_queue_refuses_and_says_so() -> None:
+    wire = Wire(WORST, Options(queue=3))
+    a, b = parties(wire, 2)
+    assert [a.controller.offer(Frame(n, b""), 0) for n in range(5)] == [True] * 3 + [False] * 2
+    assert a.controller.refused == 2
+    assert a.classes == [0x04, 0x04]
+    assert [frame.data[1] for frame in a.errors] == [0x02, 0x02], "CAN_ERR_CRTL_TX_OVERFLOW"
+    wire.advance(10**9)
+    assert b.ids == [0, 1, 2]
+    assert a.controller.offer(Frame(5, b""), 10**9)
+
+
+def test_who_is_alone_repeats_for_ever_and_turns_passive_but_stays_on() -> None:
+    wire = Wire(WORST)
+    lonely = Party(wire)
+    lonely.controller.offer(Frame(1, bytes(8)), 0)
+    wire.advance(10**9)
+    assert wire.frames == 0
+    assert lonely.controller.tx_errors == 128
+    assert lonely.controller.state == State.PASSIVE
+    assert lonely.classes == [0x20, 0x24, 0x24], "no acknowledge; with the warning; and with passive"
+    assert [frame.data[1] for frame in lonely.errors] == [0, 0x08, 0x20]
+    assert wire.load(0, 10**9) > 0.9, "a bus with one node is busy"
+    other = Party(wire)
+    wire.advance(2 * 10**9)
+    assert other.ids == [1]
+    assert lonely.controller.tx_errors == 127
+
+
+def destroy(wire: Wire, sender: Controller, count: int, t_ns: int) -> None:
+    wire.disturbed = count
+    sender.offer(Frame(1, b"x"), t_ns)
+    wire.advance(t_ns + 10**8)
+
+
+def test_disturbance_leads_over_warning_and_passive_to_bus_off_and_back() -> None:
+    wire = Wire(WORST, Options(restart_ms=100.0))
+    sender, receiver = parties(wire, 2)
+    destroy(wire, sender.controller, 32, 0)
+    assert sender.controller.tx_errors == 256
+    assert sender.classes == [0x88, 0x8C, 0x8C, 0xC8]
+    assert [frame.data[1] for frame in sender.errors] == [0, 0x08, 0x20, 0]
+    assert [frame.data[6] for frame in sender.errors] == [8, 96, 128, 255]
+    assert receiver.controller.rx_errors == 32
+    assert not sender.controller.offer(Frame(2, b""), 10**8)
+    assert receiver.ids == [], "what waited is gone"
+    wire.advance(10**9)
+    assert sender.classes[-1] == 0x100
+    assert sender.controller.state == State.ACTIVE
+    assert sender.errors[-1].t_ns - sender.errors[3].t_ns == 100_000_000 + 128 * 11 * 1000
+    sender.controller.offer(Frame(3, b""), 10**9)
+    wire.advance(2 * 10**9)
+    assert receiver.ids == [3]
+
+
+def test_without_a_restart_bus_off_is_for_good() -> None:
+    wire = Wire(WORST)
+    sender, receiver = parties(wire, 2)
+    destroy(wire, sender.controller, 32, 0)
+    wire.advance(10**10)
+    assert sender.controller.state == State.BUS_OFF
+    assert wire.next_ns() == NEVER
+    receiver.controller.offer(Frame(1, b""), 10**10)
+    wire.advance(10**10 + 10**8)
+    assert receiver.controller.state == State.PASSIVE, "and its peer is alone"
+
+
+def test_frames_that_come_through_heal() -> None:
+    wire = Wire(WORST)
+    sender, receiver = parties(wire, 2)
+    destroy(wire, sender.controller, 13, 0)
+    assert (sender.controller.tx_errors, receiver.controller.rx_errors) == (103, 12)
+    assert sender.controller.state == State.WARNING
+    for n in range(8):
+        sender.controller.offer(Frame(n, b""), 10**9)
+    wire.advance(2 * 10**9)
+    assert sender.controller.state == State.ACTIVE
+    assert sender.errors[-1].data[1] == 0x40, "CAN_ERR_CRTL_ACTIVE"
+    assert receiver.controller.rx_errors == 4
+
+
+def test_two_of_one_identifier_destroy_each_other() -> None:
+    wire = Wire(WORST)
+    a, b, ears = parties(wire, 3)
+    for party, data in ((a, b"a"), (b, b"b")):
+        party.controller.offer(Frame(7, data), 0)
+    wire.advance(10**9)
+    assert ears.heard == []
+    assert a.controller.state == b.controller.state == State.BUS_OFF
+    for party in parties(wire, 2):
+        party.controller.offer(Frame(8, b"same"), 10**9)
+    wire.advance(2 * 10**9)
+    assert ears.ids == [8], "alike, they are one frame"
+
+
+def test_the_share_of_errors_is_what_was_asked_for_and_the_same_each_time() -> None:
+    errors = []
+    for _ in range(2):
+        wire = Wire(WORST, Options(error_rate=0.05, queue=10_000, seed=3))
+        sender, receiver = parties(wire, 2)
+        for n in range(4000):
+            sender.controller.offer(Frame(n & 0x7FF, b""), 0)
+        wire.advance(10**12)
+        assert len(receiver.heard) == 4000
+        errors.append(wire.errors)
+    assert errors[0] == errors[1] == pytest.approx(4000 * 0.05 / 0.95, rel=0.2)
+
+
+def test_who_leaves_in_the_middle_of_his_frame_harms_nobody() -> None:
+    wire = Wire(WORST)
+    leaves, stays, ears = parties(wire, 3)
+    leaves.controller.offer(Frame(1, bytes(8)), 0)
+    stays.controller.offer(Frame(2, b""), 0)
+    wire.advance(50_000)
+    wire.remove(leaves.controller)
+    wire.advance(10**9)
+    assert ears.ids == [2]

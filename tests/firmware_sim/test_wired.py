@@ -1,0 +1,162 @@
+"""A local bus with a wire: clients of handctl's own bus on one side, a simulated hand on the other, time by hand."""
+
+import select
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from firmware_sim.description import SimulatorError, load_hand
+from firmware_sim.ports import open_port
+from firmware_sim.scene import load_scene
+from firmware_sim.server import Server
+from firmware_sim.wired import ALONE_BITRATES, WiredPort, maker
+from firmware_sim.world import World
+from handctl.drives.frame import Frame
+from handctl.drives.load import frame_time_s
+from handctl.runtime.bus import Bus, open_bus
+
+MS = 1_000_000
+START = 5_000 * MS
+SYNC, TENSIONS, REGISTERS = 0x80, 0x1A0, 0x7FF
+
+
+class ByHand:
+    scale = 1.0
+
+    def __init__(self) -> None:
+        self.t_ns = START
+
+    def now_ns(self) -> int:
+        return self.t_ns
+
+
+class Lab:
+    """A hand on a wired bus and a host; ``at`` sets the clock and lets everybody do what is due."""
+
+    def __init__(self, words: list[str], hand: bool = True) -> None:
+        self.clock = ByHand()
+        made = maker(words, [ALONE_BITRATES], self.clock.now_ns, nodes=hand)
+        assert made
+        self.port = made("lab", 0)
+        self.world = World(load_hand("jamia"), load_scene(None), homed=True, origin_ns=START)
+        self.server = Server(self.world, [self.port], self.clock)
+        self.host: Bus = open_bus("local:lab", 0, 1_000_000)
+        self.settle()
+
+    def settle(self) -> None:
+        while ready := select.select(self.port.readers(), [], [], 0.0)[0]:
+            self.port.receive(ready)
+
+    def at(self, ms: float) -> list[Frame]:
+        self.clock.t_ns = START + round(ms * MS)
+        for _ in range(30):
+            self.server.turn()
+            if self.port.due_ns > self.clock.t_ns:
+                break
+        return self.host.drain()
+
+
+@pytest.fixture(autouse=True)
+def _run_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
+
+
+@pytest.fixture
+def lab() -> Iterator[Lab]:
+    made = Lab(["queue=8"])
+    yield made
+    made.host.close()
+    made.port.close()
+
+
+def us(size: int) -> float:
+    return frame_time_s(size, False, 1e6) * 1e6
+
+
+def test_an_answer_comes_after_question_and_answer_have_been_on_the_wire(lab: Lab) -> None:
+    assert isinstance(lab.port, WiredPort)
+    lab.host.send([Frame(SYNC, b"\x05")])
+    assert lab.at(0.0) == []
+    assert lab.at((us(1) + us(7) - 1) * 1e-3) == []
+    (frame,) = lab.at((us(1) + us(7)) * 1e-3)
+    assert (frame.can_id, frame.data[0] & 0xF) == (TENSIONS, 5)
+    assert lab.port.wire.busy_ns == round((us(1) + us(7)) * 1e3)
+
+
+def test_answers_with_low_identifiers_overtake_questions_with_high_ones(lab: Lab) -> None:
+    lab.host.send([Frame(REGISTERS, bytes((node, 0, 0xCC, 0, 0, 0, 0, 0))) for node in (1, 2, 3, 4)])
+    lab.at(0.0)
+    arrivals = {}
+    for tenth in range(20):
+        for frame in lab.at(tenth * us(8) * 1e-3 + 0.001):
+            arrivals[frame.can_id] = tenth
+    assert arrivals == {0x11: 2, 0x12: 4, 0x13: 6, 0x14: 8}, "each before the next question"
+
+
+def test_the_host_is_told_of_frames_that_found_no_room(lab: Lab) -> None:
+    assert lab.host.send([Frame(0x700 + n, b"") for n in range(20)]) == 20, "the hub has taken them"
+    lab.at(0.0)
+    assert ("enobufs", "local:lab", 20 - 8) in lab.host.take_events()
+    lab.at(20.0)
+    assert lab.port.wire.frames == 8
+    lab.host.send([Frame(0x700, b"")])
+    lab.at(40.0)
+    assert lab.host.take_events() == []
+
+
+def test_a_disturbed_wire_puts_the_host_off_the_bus_and_it_says_so(lab: Lab) -> None:
+    assert isinstance(lab.port, WiredPort)
+    lab.port.wire.disturbed = 32
+    lab.host.send([Frame(0x700, b"")])
+    lab.at(0.0)
+    lab.at(50.0)
+    kinds = {kind for kind, _, _ in lab.host.take_events()}
+    assert {"error_warning", "error_passive", "bus_off"} <= kinds
+    assert "bus_off" in {kind for kind, _, _ in lab.host.take_events()}, "as long as it lasts"
+
+
+def test_a_client_alone_gets_no_acknowledge() -> None:
+    lab = Lab([], hand=False)
+    lab.host.send([Frame(1, b"")])
+    lab.settle()
+    lab.clock.t_ns += 10 * MS
+    lab.port.receive([])
+    kinds = {kind for kind, _, _ in lab.host.take_events()} if lab.host.drain() == [] else set()
+    assert "error_passive" in kinds
+    second = open_bus("local:lab", 0, 1_000_000)
+    lab.settle()
+    lab.clock.t_ns += 10 * MS
+    lab.port.receive([])
+    assert [frame.can_id for frame in second.drain()] == [1]
+    lab.host.close()
+    second.close()
+    lab.port.close()
+
+
+def test_a_client_that_leaves_takes_its_queue_with_it(lab: Lab) -> None:
+    assert isinstance(lab.port, WiredPort)
+    other = open_bus("local:lab", 0, 1_000_000)
+    lab.settle()
+    lab.host.send([Frame(0x700, b"")] * 5)
+    lab.at(0.0)
+    lab.host.close()
+    lab.settle()
+    lab.clock.t_ns += 10 * MS
+    lab.port.receive([])
+    assert len(other.drain()) <= 1
+    assert lab.port.wire.next_ns() > lab.clock.t_ns
+    other.close()
+
+
+@pytest.mark.parametrize(
+    "word", ["speed=1", "queue=0", "queue=x", "stuffing=none", "error_rate=1.5", "bitrate=nan", "restart_ms=-1"]
+)
+def test_what_no_wire_can_be_is_refused(word: str) -> None:
+    with pytest.raises(SimulatorError, match=f"--wire {word}"):
+        maker([word], [ALONE_BITRATES], lambda: 0)
+
+
+def test_only_a_bus_that_is_served_here_has_a_wire() -> None:
+    with pytest.raises(SimulatorError, match="local:NAME"):
+        open_port("socketcan:vcan0", 0, maker([], [ALONE_BITRATES], lambda: 0))
