@@ -6,6 +6,7 @@ Each mode is one small function that says which mode comes next, and why if that
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -47,46 +48,57 @@ class Wishes:
     cut: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Circumstances:
+class Circumstances(NamedTuple):
     """What a mode may look at besides the state.
 
     Attributes:
         model: the hand.
-        names: of the motors.
+        drives: one per motor.
         elapsed: time in the present mode [s].
         action: what safety demands.
         wishes: what people asked.
         foreign: frames that only a second controller can have sent.
-        tension: largest tension estimate [N].
     """
 
     model: HandModel
-    names: tuple[str, ...]
+    drives: tuple[Drive, ...]
     elapsed: float
     action: Action
     wishes: Wishes
     foreign: tuple[str, ...]
-    tension: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the motors."""
+        return tuple(drive.name for drive in self.drives)
+
+    @property
+    def nothing_special(self) -> bool:
+        """Whether nobody demands anything."""
+        return self.action < RELAX and not (self.foreign or self.wishes.stop or self.wishes.cut)
 
 
+RELAX = Action.RELAX
 Next = tuple[Mode, str]
 """The next mode, and why if the run has failed."""
 
 
 def wanted_of_drives(mode: Mode) -> Want:
     """What a mode wants of every drive."""
-    return {
-        Mode.SILENT: Want.LISTEN,
-        Mode.INVENTORY: Want.POLL,
-        Mode.READY: Want.POLL,
-        Mode.ARMING: Want.ENABLE,
-        Mode.ACTIVE: Want.ENABLE,
-        Mode.RELAX: Want.ENABLE,
-        Mode.DISARM: Want.DISABLE,
-        Mode.CUT: Want.DISABLE,
-        Mode.DONE: Want.LISTEN,
-    }[mode]
+    return _WANTED[mode]
+
+
+_WANTED = {
+    Mode.SILENT: Want.LISTEN,
+    Mode.INVENTORY: Want.POLL,
+    Mode.READY: Want.POLL,
+    Mode.ARMING: Want.ENABLE,
+    Mode.ACTIVE: Want.ENABLE,
+    Mode.RELAX: Want.ENABLE,
+    Mode.DISARM: Want.DISABLE,
+    Mode.CUT: Want.DISABLE,
+    Mode.DONE: Want.LISTEN,
+}
 
 
 def next_mode(
@@ -109,12 +121,12 @@ def next_mode(
         foreign: frames that only a second controller can have sent, as text.
         t: time of the tick [s].
     """
-    highest = float(np.max(model.filter.stacked(state.filter.regimes).tension @ state.filter.x))
-    names = tuple(drive.name for drive in drives)
-    seen = Circumstances(model, names, t - state.mode_since, action, wishes, foreign, highest)
-    mode, failure = _demanded(state, seen) or _MODES[state.mode](state, seen)
+    seen = Circumstances(model, drives, t - state.mode_since, action, wishes, foreign)
+    demanded = None if seen.nothing_special else _demanded(state, seen)
+    mode, failure = demanded or _MODES[state.mode](state, seen)
     if mode == state.mode:
         return state, ()
+    names = seen.names
     level = "error" if failure else "info"
     text = f"{state.mode.name} -> {mode.name}" + (f": {failure}" if failure else "")
     unconfirmed = _may_pull(state, names) if mode == Mode.DONE else ()
@@ -189,7 +201,8 @@ def _active(state: State, seen: Circumstances) -> Next:
 
 
 def _relax(state: State, seen: Circumstances) -> Next:
-    settled = seen.tension < RELAX_FLOOR_N + RELAXED_WITHIN_N or seen.elapsed >= RELAX_TIMEOUT_S
+    tension = seen.model.filter.stacked(state.filter.regimes).tension @ state.filter.x
+    settled = np.max(tension) < RELAX_FLOOR_N + RELAXED_WITHIN_N or seen.elapsed >= RELAX_TIMEOUT_S
     return (Mode.DISARM if settled else Mode.RELAX), ""
 
 

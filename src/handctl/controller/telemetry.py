@@ -25,8 +25,11 @@ def telemetry(
         t_ns: time of the tick [ns].
     """
     rows = [(d.velocity, d.torque, d.temperature, _age(d.feedback_t_ns, t_ns), d.phase) for d in state.drives]
-    velocity, torque, temperature, age, phase = np.array(rows, dtype=np.float64).T
-    fresh = ~np.isnan(measured.travel)
+    motors = np.array(rows, dtype=np.float64).T
+    missing = np.isnan(measured.travel)
+    if missing.any():
+        motors[:2, missing] = np.nan
+    velocity, torque, temperature, age, phase = motors
     return Telemetry(
         q=estimate.q,
         dq=estimate.dq,
@@ -45,8 +48,8 @@ def telemetry(
         nis=estimate.nis,
         external_tension=estimate.external,
         motor_position=measured.travel / model.space.spool,
-        motor_velocity=np.where(fresh, velocity, np.nan),
-        motor_torque=np.where(fresh, torque, np.nan),
+        motor_velocity=velocity,
+        motor_torque=torque,
         motor_torque_goal=command.torque,
         motor_temperature=temperature,
         motor_age=age,

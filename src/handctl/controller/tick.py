@@ -17,9 +17,10 @@ from handctl.controller import computed_torque, estimator, retune
 from handctl.controller.answers import answer
 from handctl.controller.computed_torque import Command, LawState
 from handctl.controller.estimator import Estimate, FilterState, Measured
+from handctl.controller.goal import DigitGoal
 from handctl.controller.model import HandModel
 from handctl.controller.modes import ACTING, next_mode, wanted_of_drives
-from handctl.controller.program import Program
+from handctl.controller.program import Program, Progress
 from handctl.controller.state import State
 from handctl.controller.telemetry import telemetry
 from handctl.controller.types import Event, Mode, TickIn, TickOut, Vector
@@ -30,6 +31,9 @@ from handctl.safety import judge as safety
 from handctl.safety.action import Action
 from handctl.safety.table import LEAST_SILENT, LEAST_STALLED, SILENT_S, STALLED_S, Limits, Signals, ticks_for
 
+ACTIVE, CUT, DONE, RELAX, SILENT = Mode.ACTIVE, Mode.CUT, Mode.DONE, Mode.RELAX, Mode.SILENT
+FAULT, HOLD = Phase.FAULT, Action.HOLD
+"""As names of this module: looking a member up in its enumeration costs more than comparing it."""
 SENSORS = -1
 """Owner of the sensor node's frames, where drives are owners by index."""
 
@@ -138,11 +142,12 @@ class Controller:
         judged, verdict = safety.judge(state.safety, self.limits, signals)
         state = replace(state, safety=judged)
         state, moved = next_mode(self.model, self.drives, state, verdict.action, wishes, foreign, entry.t_ns / 1e9)
-        state, stepped = self._program(state, verdict.action, estimate, measured)
-        law = state.law
-        state, command = self._command(state, estimate)
-        state, retuned = (state, ()) if state.coming is None else self._retune(state, law, estimate, command)
-        state, frames = self._encode(state, entry, command)
+        progress, goal_time, stepped = self._program(state, verdict.action, estimate, measured)
+        law, command = self._command(state, estimate, progress.goals, goal_time)
+        drives, sensors, frames = self._encode(state, entry, command)
+        before = state.law
+        state = replace(state, progress=progress, goal_time=goal_time, law=law, drives=drives, sensors=sensors)
+        state, retuned = (state, ()) if state.coming is None else self._retune(state, before, estimate, command)
         events = asked + tuple(_told(finding) for finding in verdict.findings) + moved + stepped + retuned
         numbers = telemetry(self.model, state, measured, estimate, command, entry.t_ns)
         phase = state.progress.phase if state.mode == Mode.ACTIVE else state.mode.name.lower()
@@ -159,10 +164,11 @@ class Controller:
         """Give each frame to the drive or sensor it belongs to; identifiers that only we may send are foreign."""
         drives, sensors, foreign = list(state.drives), state.sensors, []
         for frame in entry.frames:
-            owner = self.owners.get((frame.bus, frame.can_id & ~ERROR))
+            can_id, _, _, bus, _ = frame
+            owner = self.owners.get((bus, can_id & ~ERROR))
             if owner is None:
-                if (frame.bus, frame.can_id) in self.ours:
-                    foreign.append(f"{frame.can_id:#05x}")
+                if (bus, can_id) in self.ours:
+                    foreign.append(f"{can_id:#05x}")
             elif owner == SENSORS:
                 sensors = self.sensors.receive(sensors, frame)
             else:
@@ -171,24 +177,29 @@ class Controller:
 
     def _measured(self, state: State, drives: tuple[DriveState, ...], sensors: SensorState) -> Measured:
         """Measurements that are new in this tick; NaN for the rest."""
-        position = np.array(
-            [
-                new.position if new.feedback_count != old.feedback_count else math.nan
-                for new, old in zip(drives, state.drives, strict=True)
-            ]
-        )
-        joints = np.full(len(self.model.hand.joints), math.nan)
-        for index, value in self.sensors.new_joints(state.sensors, sensors):
-            joints[index] = value
-        tension = np.full(self.model.tendon_count, math.nan)
+        position = [
+            new.position if new.feedback_count != old.feedback_count else math.nan
+            for new, old in zip(drives, state.drives, strict=True)
+        ]
+        tension = [math.nan] * self.model.tendon_count
         for index, value in self.sensors.new_tensions(state.sensors, sensors):
             tension[index] = value
+        tare = state.progress.tare
+        taken_off = self.tare + tare if tare else self.tare
+        joints, excursion = self._joints(state, sensors)
         return Measured(
-            travel=(position - self.zero) * self.model.space.spool,
-            tension=tension - self.tare - (state.progress.tare or 0.0),
-            excursion=self.model.excursion_of(joints),
-            joints=joints,
+            (np.array(position) - self.zero) * self.model.space.spool, np.array(tension) - taken_off, excursion, joints
         )
+
+    def _joints(self, state: State, sensors: SensorState) -> tuple[Vector, Vector]:
+        """Joint encoders that are new [rad], and the excursions that follow from them [m]; NaN for the rest."""
+        read = self.sensors.new_joints(state.sensors, sensors)
+        joints = np.full(len(self.model.hand.joints), math.nan)
+        if not read:
+            return joints, np.full(self.model.tendon_count, math.nan)
+        for index, value in read:
+            joints[index] = value
+        return joints, self.model.excursion_of(joints)
 
     def _estimate(self, state: State, measured: Measured) -> tuple[FilterState, Estimate]:
         model = self.model
@@ -212,7 +223,7 @@ class Controller:
             drive_errors=tuple(
                 (drive.name, known.error)
                 for drive, known in zip(self.drives, state.drives, strict=True)
-                if known.phase == Phase.FAULT
+                if known.phase == FAULT
             ),
             temperature=tuple(drive.temperature for drive in state.drives),
             foreign=foreign,
@@ -221,23 +232,24 @@ class Controller:
 
     def _program(
         self, state: State, action: Action, estimate: Estimate, measured: Measured
-    ) -> tuple[State, tuple[Event, ...]]:
+    ) -> tuple[Progress, float, tuple[Event, ...]]:
         """Let the program go on while the hand is active; when safety holds, its time stands still."""
-        if state.mode != Mode.ACTIVE or action >= Action.HOLD:
-            return state, ()
+        if state.mode != ACTIVE or action >= HOLD:
+            return state.progress, state.goal_time, ()
         t = state.goal_time + self.model.period
         progress, events = self.program.advance(self.model, state.progress, estimate, measured, t)
-        return replace(state, progress=progress, goal_time=t), events
+        return progress, t, events
 
-    def _command(self, state: State, estimate: Estimate) -> tuple[State, Command]:
+    def _command(
+        self, state: State, estimate: Estimate, goals: tuple[DigitGoal, ...], t: float
+    ) -> tuple[LawState, Command]:
         """Motor torques of this tick; none unless active or relaxing, and then from the tension that is there."""
-        n, joints = self.model.tendon_count, len(self.model.hand.joints)
-        if state.mode not in (Mode.ACTIVE, Mode.RELAX):
+        if state.mode not in (ACTIVE, RELAX):
+            n, joints = self.model.tendon_count, len(self.model.hand.joints)
             nothing = np.full(joints, math.nan)
             idle = Command(np.zeros(n), np.full(n, math.nan), np.zeros(joints), nothing, nothing)
-            return replace(state, law=LawState(estimate.tension, np.zeros(n), np.zeros(n))), idle
-        law, command = computed_torque.step(self.model, state.law, estimate, state.progress.goals, state.goal_time)
-        return replace(state, law=law), command
+            return LawState(estimate.tension, np.zeros(n), np.zeros(n)), idle
+        return computed_torque.step(self.model, state.law, estimate, goals, t)
 
     def _retune(
         self, state: State, before: LawState, estimate: Estimate, command: Command
@@ -255,22 +267,25 @@ class Controller:
             law = replace(law, trim=step if law.trim is None else law.trim + step)
         return replace(state, gains=gains, coming=None, law=law), retune.changes(self.model.gains, gains)
 
-    def _encode(self, state: State, entry: TickIn, command: Command) -> tuple[State, tuple[Frame, ...]]:
+    def _encode(
+        self, state: State, entry: TickIn, command: Command
+    ) -> tuple[tuple[DriveState, ...], SensorState, tuple[Frame, ...]]:
         """SYNC for the sensors, then what each drive shall do; a cut goes before everything else, every tick anew."""
-        if state.mode in (Mode.SILENT, Mode.DONE):
-            return state, ()
+        if state.mode in (SILENT, DONE):
+            return state.drives, state.sensors, ()
         sensors, sync = self.sensors.sync(state.sensors, entry.k)
         frames = [sync]
-        want, drives = wanted_of_drives(state.mode), []
+        want, drives, t_ns = wanted_of_drives(state.mode), [], entry.t_ns
+        clearing = state.clearing and state.mode == Mode.INVENTORY
         for drive, known, torque in zip(self.drives, state.drives, command.torque.tolist(), strict=True):
-            if state.clearing and known.phase == Phase.FAULT and state.mode == Mode.INVENTORY:
+            if clearing and known.phase == FAULT:
                 known, sent = drive.clear(known)
             else:
-                known, sent = drive.advance(known, entry.t_ns, want, torque)
+                known, sent = drive.advance(known, t_ns, want, torque)
             drives.append(known)
             frames += sent
-        state = replace(state, sensors=sensors, drives=tuple(drives))
-        return state, (*self.cut_frames(), sync) if state.mode == Mode.CUT else tuple(frames)
+        sent_now = (*self.cut_frames(), sync) if state.mode == CUT else tuple(frames)
+        return tuple(drives), sensors, sent_now
 
 
 def _ticks_since(t_ns: int, now_ns: int, period_ns: int) -> int:

@@ -1,7 +1,9 @@
 """One tick as data: everything that can change a decision comes in by TickIn, everything decided leaves by TickOut."""
 
 import enum
+from collections.abc import Callable
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -144,11 +146,13 @@ class Telemetry:
 
     def packed(self) -> bytes:
         """All fields in order as little-endian float64."""
-        return b"".join(getattr(self, name).tobytes() for name in TELEMETRY_FIELDS)
+        return b"".join([array.tobytes() for array in _all_fields(self)])
 
 
 TELEMETRY_FIELDS = tuple(field.name for field in fields(Telemetry))
 """Field names in the order of ``Telemetry.packed``."""
+
+_all_fields: Callable[[Telemetry], tuple[Vector, ...]] = attrgetter(*TELEMETRY_FIELDS)
 
 TELEMETRY_AXES = {
     **dict.fromkeys(TELEMETRY_FIELDS[:6], "joint"),
