@@ -3,7 +3,9 @@
 import argparse
 import math
 import sys
+from dataclasses import replace
 
+from firmware_sim.broken import FAULTS, break_node
 from firmware_sim.command import Parser, until_signal
 from firmware_sim.description import MotorSpec, SimulatorError
 from firmware_sim.drive_types import MIT_TYPES, drive_spec
@@ -30,12 +32,14 @@ class Bench:
         motors, nodes: in the order of the specs.
     """
 
-    def __init__(self, specs: list[MotorSpec], origin_ns: int = 0) -> None:
-        """Args: the drives; the clock at the start [ns]."""
+    def __init__(self, specs: list[MotorSpec], origin_ns: int = 0, fault: str = "") -> None:
+        """Args: the drives; the clock at the start [ns]; what is wrong with all of them, of ``broken.FAULTS``."""
         self.t_ns, self.slip_ns, self.foreign = origin_ns, 0, 0
+        specs = [replace(spec, torque_gain=-1.0) if fault == "sign" else spec for spec in specs]
         self.motors = [Motor(spec, STEP_NS * 1e-9) for spec in specs]
+        pairs = zip(specs, self.motors, strict=True)
         self.nodes: list[Node] = [
-            PROTOCOLS[spec.protocol](spec, motor, 0.0) for spec, motor in zip(specs, self.motors, strict=True)
+            break_node(PROTOCOLS[spec.protocol](spec, motor, 0.0), spec.protocol, fault) for spec, motor in pairs
         ]
         self._spoken: list[Frame] = []
 
@@ -80,6 +84,8 @@ def _parser() -> Parser:
     add("--motor-type", metavar="TYPE", help=f"of MIT motors: {', '.join(MIT_TYPES)} (dm4310)")
     add("--inertia", type=float, metavar="KG_M2", help="of each shaft (the motor's own, an assumption)")
     add("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time (they take none)")
+    faults = "; ".join(f"{key}: {text}" for key, text in FAULTS.items())
+    add("--broken", choices=sorted(FAULTS), default="", help=f"drives that are broken on purpose. {faults}")
     add("--time-scale", type=float, default=1.0, metavar="X", help="drive time per wall time (1)")
     return parser
 
@@ -115,7 +121,7 @@ def run(words: list[str]) -> None:
     clock = ScaledClock(args.time_scale)
     port = open_port(args.bus, 0, maker(args.wire, [ALONE_BITRATES], clock.now_ns))
     try:
-        server = Server(Bench(specs, clock.now_ns()), [port], clock)
+        server = Server(Bench(specs, clock.now_ns(), args.broken), [port], clock)
 
         def stop() -> None:
             server.running = False

@@ -23,6 +23,9 @@ NODES = {"mit": range(1, 0x7F0), "odrive": range(0x3F), "cia402": range(1, 0x7F)
 """Node numbers of each protocol; the last of CANopen's is handctl's own."""
 _SHAFTS = {"odrive": (2.0, 1e-4, 0.05), "cia402": (1.0, 5e-5, 0.08)}
 """Peak torque [N m], inertia [kg m2] and torque constant [N m/A] of the other protocols' motors."""
+ENDPOINTS = {"endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202, "endpoint_torque_max": 203,
+             "endpoint_torque_min": 204}  # fmt: skip
+"""Of an ODrive's settings, made up here: real ones differ from firmware to firmware."""
 INERTIA_PER_TORQUE = 2e-4
 """Of a geared MIT motor at its output, for each N m of TMAX [kg m2/N m]: 2e-3 for the 10 N m of a DM-J4310."""
 FRICTION_PART, SLOWING_S = 2e-3, 4.0
@@ -57,5 +60,5 @@ def drive_spec(
         name=f"{protocol}{node_id}", protocol=protocol, bus="bench", node_id=node_id, spool_radius=1.0,
         inertia=mass, viscous=mass / SLOWING_S, coulomb=FRICTION_PART * peak, torque_constant=torque_constant,
         torque_max=peak, torque_peak=peak, position_range=position, velocity_range=velocity, direction=1, zero=0.0,
-        options={"fd": True} if fd else {},
+        options={"fd": True} if fd else ENDPOINTS if protocol == "odrive" else {},
     )  # fmt: skip

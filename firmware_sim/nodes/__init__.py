@@ -19,8 +19,10 @@ class Node(Protocol):
         malformed: frames on its own identifiers that it could not read.
     """
 
-    wake_ns: int
-    malformed: int
+    @property
+    def wake_ns(self) -> int: ...
+    @property
+    def malformed(self) -> int: ...
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Return the answers to a frame; None if the frame is not for this node."""
@@ -31,7 +33,17 @@ class Node(Protocol):
         ...
 
 
-PROTOCOLS: dict[str, Callable[[MotorSpec, Motor, float], Node]] = {
+class DriveNode(Node, Protocol):
+    """A node with a motor.
+
+    Attributes:
+        fed_ns: last sign of life of the host that its watchdog counts [ns]; below 0 if it does not watch.
+    """
+
+    fed_ns: int
+
+
+PROTOCOLS: dict[str, Callable[[MotorSpec, Motor, float], DriveNode]] = {
     "cia402": Cia402Node,
     "mit": MitNode,
     "odrive": OdriveNode,

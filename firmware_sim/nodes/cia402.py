@@ -28,6 +28,7 @@ class Cia402Node:
     Attributes:
         nmt: state of the network slave. power: state machine of the power stage. objects: its dictionary.
         thermal: temperatures. malformed: frames that it could not read. wake_ns: when time must pass next [ns].
+        fed_ns: last heartbeat of the master [ns]; -1 if it is not watched.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -49,7 +50,7 @@ class Cia402Node:
         self.objects, self.power, self.nmt = Dictionary(self._id), Power(), PRE_OPERATIONAL
         self.objects[0x6076, 0] = round(self._rated * _UNITS[self._spec.options.get("rated_torque_unit", "mN_m")])
         self.pdos = Pdos(self.objects)
-        self._beat_ns = self._heard_ns = -1
+        self._beat_ns = self.fed_ns = -1
         if announce:
             self._spoken.append(Frame(0x700 + self._id, b"\0"))
 
@@ -69,7 +70,7 @@ class Cia402Node:
             if known:
                 self._sdo(data)
         elif can_id == 0x700 + (self.objects[0x1016, 1] >> 16 & 0x7F):
-            known, self._heard_ns = True, t_ns
+            known, self.fed_ns = True, t_ns
         else:
             known = self._rpdo(can_id, data)
         self._schedule(t_ns)
@@ -147,7 +148,7 @@ class Cia402Node:
         else:
             self.objects.write(key, raw)
         if key == (0x1016, 1):
-            self._heard_ns = -1
+            self.fed_ns = -1
         elif key == (0x1017, 0):
             self._beat_ns = -1
         self._act(key)
@@ -226,8 +227,8 @@ class Cia402Node:
         if period and t_ns - self._beat_ns >= period:
             self._spoken.append(Frame(0x700 + self._id, bytes((self.nmt,))))
             self._beat_ns = t_ns
-        if self._heard_ns >= 0 and t_ns >= self._heard_ns + self._patience_ns() and self._patience_ns():
-            self._heard_ns = -1
+        if self.fed_ns >= 0 and t_ns >= self.fed_ns + self._patience_ns() and self._patience_ns():
+            self.fed_ns = -1
             if self.power.state == ENABLED:
                 self._connection_lost(HEARTBEAT_LOST)
         self._schedule(t_ns)
@@ -240,8 +241,8 @@ class Cia402Node:
         due = [t_ns if self._spoken or self._warmed_ns < 0 else self._warmed_ns + WARM_NS]
         if period := self.objects[0x1017, 0] * 1_000_000:
             due.append(self._beat_ns + period)
-        if self._heard_ns >= 0 and self._patience_ns():
-            due.append(self._heard_ns + self._patience_ns())
+        if self.fed_ns >= 0 and self._patience_ns():
+            due.append(self.fed_ns + self._patience_ns())
         self.wake_ns = min(due)
 
     def _warm(self, t_ns: int) -> None:

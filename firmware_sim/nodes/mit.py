@@ -43,6 +43,7 @@ class MitNode:
         thermal: temperatures.
         malformed: frames on its identifiers that it could not read.
         wake_ns: when time must pass for it next [ns].
+        fed_ns: last frame that fed its watchdog [ns].
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -55,7 +56,7 @@ class MitNode:
         self.wake_ns = 0
         self._direction = spec.direction
         self._torque_peak = spec.torque_peak
-        self._fed_ns = 0
+        self.fed_ns = 0
         self._warmed_ns = -1
         self._renew()
 
@@ -94,7 +95,7 @@ class MitNode:
             return None
         if data[:7] == _SPECIAL and data[7] >= _CLEAR and data[7] != 0xFF:
             return self._special(data, t_ns)
-        self._fed_ns = t_ns
+        self.fed_ns = t_ns
         if self.state == State.ENABLED:
             command, servo, sign = decode_command(data, self._ranges), self.motor.servo, self._direction
             servo.kp, servo.kd = command.kp, command.kd
@@ -105,7 +106,7 @@ class MitNode:
     def _special(self, data: bytes, t_ns: int) -> bytes | None:
         if len(data) != 8 or data[:7] != _SPECIAL:
             return None
-        self._fed_ns = t_ns
+        self.fed_ns = t_ns
         code = data[7]
         if code == _ENABLE:
             self._enable()
@@ -181,14 +182,14 @@ class MitNode:
         """Judge the watchdog and the temperatures."""
         if t_ns - self._warmed_ns >= WARM_PERIOD_NS or self._warmed_ns < 0:
             self._warm(t_ns)
-        if self.state == State.ENABLED and self._timeout_ns and t_ns >= self._fed_ns + self._timeout_ns:
+        if self.state == State.ENABLED and self._timeout_ns and t_ns >= self.fed_ns + self._timeout_ns:
             self.trip(State.COMMUNICATION_LOST)
         self._schedule()
 
     def _schedule(self) -> None:
         self.wake_ns = self._warmed_ns + WARM_PERIOD_NS
         if self.state == State.ENABLED and self._timeout_ns:
-            self.wake_ns = min(self.wake_ns, self._fed_ns + self._timeout_ns)
+            self.wake_ns = min(self.wake_ns, self.fed_ns + self._timeout_ns)
 
     def _warm(self, t_ns: int) -> None:
         if self._warmed_ns >= 0:

@@ -40,6 +40,7 @@ class OdriveNode:
         mode: control and input mode. velocity_limit: [turn/s]. current_limit: [A].
         gains: of position [1/s] and velocity [N m s/turn].
         thermal: temperatures. malformed: frames that it could not read. wake_ns: when time must pass next [ns].
+        fed_ns: last setpoint [ns].
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -68,7 +69,7 @@ class OdriveNode:
         self._setpoint = 0.0
         self._periods = {0x01: HEARTBEAT_MS, 0x09: int(options.get("encoder_period_ms", ENCODER_MS))}
         self._due = dict.fromkeys(self._periods, 0)
-        self._fed_ns, self._warmed_ns = 0, -1
+        self.fed_ns, self._warmed_ns = 0, -1
         self.malformed = 0
         self.wake_ns = 0
 
@@ -153,7 +154,7 @@ class OdriveNode:
         elif state != CLOSED_LOOP or self.active or self.reason:
             self.result = INVALID_STATE if self.state == IDLE else self.result
         elif self.state != CLOSED_LOOP:
-            self.state, self.result, self._fed_ns = CLOSED_LOOP, SUCCESS, t_ns
+            self.state, self.result, self.fed_ns = CLOSED_LOOP, SUCCESS, t_ns
             self._set_motion(POSITION_CONTROL, self._turns(), 0.0, 0.0, t_ns)  # stays where it is, if in that mode
 
     def _set_mode(self, control: int, entry: int) -> None:
@@ -168,7 +169,7 @@ class OdriveNode:
         if not math.isfinite(torque):
             self.disarm(MISSING_INPUT)
             return
-        self._fed_ns, self._setpoint = t_ns, torque
+        self.fed_ns, self._setpoint = t_ns, torque
         if self.state == CLOSED_LOOP and self.mode[0] == TORQUE_CONTROL and self.mode[1] in (PASSTHROUGH, TORQUE_RAMP):
             low, high = self._limit("torque_min", -math.inf), self._limit("torque_max", math.inf)
             self.motor.servo.limit = min(self._peak, self.current_limit * self._kt)
@@ -179,7 +180,7 @@ class OdriveNode:
         if not math.isfinite(position + velocity + torque):
             self.disarm(MISSING_INPUT)
             return
-        self._fed_ns, servo = t_ns, self.motor.servo
+        self.fed_ns, servo = t_ns, self.motor.servo
         if self.state != CLOSED_LOOP or self.mode[0] != kind:
             return
         stiff = self.gains[1] / _TURN * self._gear**2
@@ -223,7 +224,7 @@ class OdriveNode:
         """Judge watchdog and temperature; return the cyclic messages that are due."""
         if self._warmed_ns < 0 or t_ns - self._warmed_ns >= 100_000_000:
             self._warm(t_ns)
-        if self._watched() and t_ns >= self._fed_ns + self._timeout_ns():
+        if self._watched() and t_ns >= self.fed_ns + self._timeout_ns():
             self.disarm(WATCHDOG)
         frames = []
         for command, due_ns in self._due.items():
@@ -248,7 +249,7 @@ class OdriveNode:
     def _schedule(self) -> None:
         self.wake_ns = min(self._warmed_ns + 100_000_000, *self._due.values())
         if self._watched():
-            self.wake_ns = min(self.wake_ns, self._fed_ns + self._timeout_ns())
+            self.wake_ns = min(self.wake_ns, self.fed_ns + self._timeout_ns())
 
     def _warm(self, t_ns: int) -> None:
         if self._warmed_ns >= 0:

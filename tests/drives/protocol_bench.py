@@ -12,6 +12,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
 from handctl.drives.sensor_node import SensorNode
 from handctl.hand.description import hand_path, load_hand
+from handctl.hand.sections import Motor
 
 PERIOD_NS = 2_000_000
 FIRST_NODE = 0x10
@@ -99,3 +100,16 @@ class Bench:
             self.states[i], more = drive.clear(self.states[i])
             frames += more
         self.tick(Want.POLL, extra=frames)
+
+
+def described(protocol: str, node: int, torque: float, options: dict[str, object]) -> Motor:
+    """A motor section for a drive alone on a bench, with a Damiao motor's ranges."""
+    return Motor.model_validate(
+        {
+            "name": "m", "protocol": protocol, "bus": "bench", "node_id": node, "spool_radius_m": 0.005,
+            "inertia_kg_m2": 1e-4, "viscous_N_m_s_per_rad": 1e-3, "coulomb_N_m": 0.0,
+            "torque_constant_N_m_per_A": 0.26, "torque_max_N_m": torque, "torque_peak_N_m": torque,
+            "position_range_rad": 12.5, "velocity_range_rad_s": 30.0, "direction": 1, "zero_rad": 0.0,
+            "watchdog_ms": 50, "options": options,
+        }
+    )  # fmt: skip

@@ -26,6 +26,7 @@ VERBS = {
     "paper": "reproduce the source paper, with what is wrong in it",
     "bus": "plan the load of a hand's buses, and how to split them",
     "scan": "find the drives on a bus without moving anything",
+    "conformance": "check the contract of one drive on the drive itself",
     "doctor": "check this machine: priority, buses, viewer",
 }
 """Each verb and what a person wants with it."""

@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
             scans[name] = scan(opened, args.force, lambda text, spec=spec: _tell(f"{spec}: {text}"))  # type: ignore[misc]
         finally:
             opened.close()
-        scans[name] = scans[name]._replace(found=_identified(scans[name].found, spec, args.bitrate))
+        scans[name] = scans[name]._replace(found=identified(scans[name].found, spec, args.bitrate))
     piece = fragment({name: result.found for name, result in scans.items()}, args.bitrate, args.data_bitrate)
     if args.json:
         print_json({"buses": [_plain(name, buses[name], result) for name, result in scans.items()], "fragment": piece})
@@ -74,7 +74,7 @@ def _named(given: Sequence[str]) -> dict[str, str]:
     return found
 
 
-def _identified(found: tuple[Found, ...], spec: str, bitrate: int) -> tuple[Found, ...]:
+def identified(found: tuple[Found, ...], spec: str, bitrate: int) -> tuple[Found, ...]:
     """The same, with what CANopen nodes tell over SDO."""
     nodes = [drive.node_id for drive in found if drive.protocol == "cia402"]
     if not nodes:

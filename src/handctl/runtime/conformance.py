@@ -1,0 +1,244 @@
+"""The contract of a drive, checked on the drive itself, one check after the other, below a torque that a person gave.
+
+The shaft may turn: a ramp ends as soon as it has moved by MOVED_RAD, or at the limit.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from enum import Enum
+from typing import NamedTuple
+
+from handctl.drives.contract import Phase, Want
+from handctl.runtime.drive_rig import PERIOD_NS, DriveRig
+
+MOVED_RAD, RAMP_S = 0.05, 1.0
+STILL_RAD_S, BRAKE_S = 0.3, 3.0
+BRAKE_FULL_RAD_S = 5.0
+"""Braking by the host takes all of the torque above this speed."""
+FRESH_NS = 50_000_000
+SILENCE_S = 0.3
+
+
+class Verdict(Enum):
+    """How a check ended."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+    NOT_APPLICABLE = "not applicable"
+
+
+class Check(NamedTuple):
+    """A check: what the drive promises, how it ended, and why in one line."""
+
+    name: str
+    verdict: Verdict
+    why: str
+
+
+class Failed(Exception):  # noqa: N818 - a verdict, not an error; never leaves this module
+    """The promise was not kept; the text says what was seen."""
+
+
+class Moot(Exception):  # noqa: N818
+    """The promise cannot be judged here; the text says why."""
+
+
+class Subject(NamedTuple):
+    """What is checked: the drive on its bus, the largest torque [N m], the watchdog's time [s]."""
+
+    rig: DriveRig
+    limit: float
+    watchdog_s: float
+
+
+Promise = Callable[[Subject], str]
+"""Does a check; returns what was seen. Raises Failed or Moot."""
+
+
+def checks(subject: Subject) -> Iterator[Check]:
+    """Do all checks, in order; after one that leaves the drive where it cannot go on, the rest is not run."""
+    usable, wrong_way = True, False
+    for name, promise, turns in PROMISES:
+        if not usable or (turns and wrong_way):
+            yield _not_run(subject, name, promise)
+            continue
+        check = _judged(subject, name, promise)
+        yield check
+        wrong_way |= turns and check.verdict is Verdict.FAILED
+        usable = subject.rig.rest()
+
+
+def _not_run(subject: Subject, name: str, promise: Promise) -> Check:
+    """A check that cannot be done any more; that the drive did not let go between checks is itself a failure."""
+    if promise is _disables and subject.rig.state.phase == Phase.ENABLED:
+        return Check(name, Verdict.FAILED, "was told to disable after another check, and does not say that it is")
+    return Check(name, Verdict.NOT_APPLICABLE, "not run, because of what failed before")
+
+
+def _judged(subject: Subject, name: str, promise: Promise) -> Check:
+    try:
+        return Check(name, Verdict.PASSED, promise(subject))
+    except Failed as failed:
+        return Check(name, Verdict.FAILED, str(failed))
+    except Moot as moot:
+        return Check(name, Verdict.NOT_APPLICABLE, str(moot))
+
+
+def _configured(subject: Subject) -> str:
+    rig = subject.rig
+    if not rig.until(Want.POLL, lambda state: state.phase == Phase.READY, 5.0):
+        raise Failed(rig.state.error_text or f"nothing that leads on from {rig.state.phase.name}")
+    caveats: tuple[str, ...] = getattr(rig.drive, "caveats", ())
+    return "; ".join(("settings read back", *caveats))
+
+
+def _enabled(rig: DriveRig) -> None:
+    if not rig.until(Want.ENABLE, lambda state: state.phase == Phase.ENABLED, 2.0):
+        raise Failed(rig.state.error_text or "is told to enable, and does not say that it is")
+
+
+def _waits(subject: Subject) -> str:
+    rig, before = subject.rig, subject.rig.state.feedback_count
+    rig.keep(Want.POLL, 0.3)
+    if rig.state.phase != Phase.READY:
+        raise Failed(rig.state.error_text or f"went to {rig.state.phase.name}")
+    if math.isfinite(rig.velocity) and abs(rig.velocity) > STILL_RAD_S:
+        raise Moot(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
+    return f"{rig.state.feedback_count - before} times feedback meanwhile"
+
+
+def _enables(subject: Subject) -> str:
+    begin = subject.rig.t_ns
+    _enabled(subject.rig)
+    return f"after {(subject.rig.t_ns - begin) / 1e6:.0f} ms"
+
+
+def _feedback(subject: Subject) -> str:
+    rig = subject.rig
+    _enabled(rig)
+    begin, ticks, oldest = rig.state.feedback_count, 100, 0
+    for _ in range(ticks):
+        oldest = max(oldest, rig.t_ns - rig.tick(Want.ENABLE).feedback_t_ns)
+    count = rig.state.feedback_count - begin
+    seen = f"{count} of {ticks} ticks, at most {oldest / 1e6:.0f} ms old"
+    if count < 0.8 * ticks or oldest > FRESH_NS:
+        raise Failed(seen)
+    return seen
+
+
+def _turns(sign: int) -> Promise:
+    def turns(subject: Subject) -> str:
+        rig = subject.rig
+        _enabled(rig)
+        _brake(subject)
+        start, top, ticks = rig.state.position, 0.0, round(RAMP_S * 1e9 / PERIOD_NS)
+        for i in range(ticks):
+            top = subject.limit * (i + 1) / ticks
+            rig.tick(Want.ENABLE, sign * top)
+            if rig.state.phase != Phase.ENABLED:
+                raise Failed(rig.state.error_text or "was not enabled any more")
+            moved = sign * (rig.state.position - start)
+            if moved < -MOVED_RAD:
+                raise Failed(f"{sign * top:+.3f} N m turned it by {sign * moved:+.3f} rad, the wrong way")
+            if moved > MOVED_RAD:
+                told = rig.state.torque
+                _brake(subject)
+                return f"at {sign * top:+.3f} N m; the drive tells {told:+.3f} N m"
+        raise _unmoved(subject, sign)
+
+    return turns
+
+
+def _unmoved(subject: Subject, sign: int) -> Exception:
+    """What it means that the shaft did not turn at the limit."""
+    told = sign * subject.rig.state.torque
+    if math.isfinite(told) and told < 0.3 * subject.limit:
+        return Failed(f"{sign * subject.limit:+.3f} N m did not turn it, and the drive tells {sign * told:+.3f} N m")
+    return Moot(f"did not turn at {sign * subject.limit:+.3f} N m: held, or friction is larger")
+
+
+def _brake(subject: Subject) -> None:
+    """Bring the shaft to a standstill by torque against its motion."""
+    rig, limit = subject.rig, subject.limit
+    for _ in range(round(BRAKE_S * 1e9 / PERIOD_NS)):
+        speed = rig.velocity
+        if not abs(speed) > STILL_RAD_S / 2:
+            return
+        rig.tick(Want.ENABLE, -limit * max(-1.0, min(1.0, speed / BRAKE_FULL_RAD_S)))
+
+
+def _holds_limit(subject: Subject) -> str:
+    rig = subject.rig
+    _enabled(rig)
+    for torque in (1.01 * subject.limit, -1.01 * subject.limit, math.nan, math.inf):
+        try:
+            rig.drive.advance(rig.state, rig.t_ns, Want.ENABLE, torque)
+        except ValueError:
+            continue
+        raise Failed(f"{torque:g} N m would have been sent")
+    return f"more than {subject.limit:g} N m, NaN and infinity are refused before they are sent"
+
+
+def _disables(subject: Subject) -> str:
+    rig = subject.rig
+    _enabled(rig)
+    begin = rig.t_ns
+    if not rig.until(Want.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0):
+        raise Failed("is told to disable, and does not say within 1 s that it is")
+    if rig.state.phase == Phase.FAULT:
+        raise Failed(f"is told to disable, and instead: {rig.state.error_text}")
+    return f"after {(rig.t_ns - begin) / 1e6:.0f} ms"
+
+
+def _lets_go(subject: Subject) -> str:
+    """The dead host: silence, and then a look at what it did."""
+    rig = subject.rig
+    _enabled(rig)
+    silence = max(SILENCE_S, 3.0 * subject.watchdog_s)
+    rig.keep(Want.LISTEN, silence)
+    if not rig.until(Want.ENABLE, lambda state: state.phase != Phase.ENABLED, 0.5):
+        caveats: tuple[str, ...] = getattr(rig.drive, "caveats", ())
+        hint = f" ({caveats[0]})" if caveats else ""
+        raise Failed(f"still enabled after {silence * 1e3:.0f} ms without a command{hint}")
+    text = rig.state.error_text
+    rig.keep(Want.ENABLE, 0.3)
+    if rig.state.phase != Phase.FAULT:
+        raise Failed(f"{text}, and then enabled again without being cleared")
+    return text
+
+
+def _clears(subject: Subject) -> str:
+    rig = subject.rig
+    _enabled(rig)
+    rig.cut()
+    rig.keep(Want.LISTEN, 0.3)
+    if not rig.until(Want.ENABLE, lambda state: state.phase != Phase.ENABLED, 0.5):
+        raise Failed("still enabled after the frames that take the torque away")
+    text = rig.state.error_text
+    rig.clear()
+    if not rig.until(Want.POLL, lambda state: state.phase == Phase.READY, 3.0):
+        raise Failed(rig.state.error_text or "does not come back after it was cleared")
+    return f"{text or 'off'}, and ready again after a clear"
+
+
+def _readable(subject: Subject) -> str:
+    state = subject.rig.state
+    if state.misread:
+        raise Failed(f"{state.misread} frames on its identifiers could not be read")
+    return f"{state.feedback_count} times feedback, every frame on its identifiers could be read"
+
+
+PROMISES: tuple[tuple[str, Promise, bool], ...] = (
+    ("tells what it is, takes its settings and reads them back", _configured, False),
+    ("makes no torque until it is enabled", _waits, False),
+    ("enables when told, and says so", _enables, False),
+    ("gives feedback in every tick", _feedback, False),
+    ("turns the positive way by positive torque", _turns(1), True),
+    ("turns the negative way by negative torque", _turns(-1), True),
+    ("cannot be told more than its limit", _holds_limit, False),
+    ("disables when told, and says so", _disables, False),
+    ("lets go of a dead host, and stays off", _lets_go, False),
+    ("is cut at once, and cleared by order only", _clears, False),
+    ("says nothing that cannot be read", _readable, False),
+)
+"""What the drive promises, the check of it, and whether the shaft is to turn."""

@@ -1,0 +1,112 @@
+"""The contract's checks on simulated drives in virtual time: good ones pass, each kind of broken one is found out."""
+
+import pytest
+
+from firmware_sim.bench import Bench
+from firmware_sim.broken import FAULTS
+from firmware_sim.drive_types import ENDPOINTS, drive_spec
+from firmware_sim.frame import Frame as SimFrame
+from handctl.drives.frame import Frame
+from handctl.drives.registry import PROTOCOLS, make_drive
+from handctl.runtime.conformance import Check, Subject, Verdict, checks
+from handctl.runtime.drive_rig import PERIOD_NS, DriveRig
+from tests.drives.protocol_bench import described
+
+NODE, LIMIT = 0x21, 0.1
+OPTIONS = {
+    "mit": {},
+    "odrive": {**ENDPOINTS, "torque_feedback": True},
+    "cia402": {"rated_torque_N_m": 1.0, "counts_per_turn": 65536, "sync": True},
+}
+
+
+class VirtualBench:
+    """A bench as bus and clock at once: waiting for a tick lets the drives' time pass."""
+
+    name = "bench"
+
+    def __init__(self, protocol, fault="", inertia=None):
+        self.bench = Bench([drive_spec(protocol, NODE, inertia=inertia)], fault=fault)
+        self.waiting, self.top = [], 0.0
+
+    def begin(self):
+        pass
+
+    def wait(self, k):
+        self.bench.advance(k * PERIOD_NS)
+        self.top = max(self.top, abs(self.bench.motors[0].servo.torque))
+        return 0
+
+    def now_ns(self):
+        return self.bench.t_ns
+
+    def send(self, frames):
+        for frame in frames:
+            self.waiting += self.bench.receive(SimFrame(*frame))
+        return len(frames)
+
+    def drain(self):
+        frames, self.waiting = self.waiting + self.bench.take_spoken(), []
+        return [Frame(*frame) for frame in frames]
+
+    def take_events(self):
+        return []
+
+
+def judged(protocol, fault="", options=None, inertia=None) -> tuple[dict[str, Check], VirtualBench, DriveRig]:
+    place = VirtualBench(protocol, fault, inertia)
+    drive = make_drive(described(protocol, NODE, LIMIT, OPTIONS[protocol] if options is None else options), 0)
+    rig = DriveRig(drive, place, place)
+    return {check.name: check for check in checks(Subject(rig, LIMIT, 0.05))}, place, rig
+
+
+@pytest.fixture(params=sorted(PROTOCOLS))
+def protocol(request):
+    return request.param
+
+
+def failed(found):
+    return [name for name, check in found.items() if check.verdict is Verdict.FAILED]
+
+
+def test_a_good_drive_keeps_every_promise(protocol):
+    found, place, rig = judged(protocol)
+    assert [check for check in found.values() if check.verdict is not Verdict.PASSED] == []
+    assert 0.0 < place.top <= LIMIT * 1.001
+    assert rig.confirm_off(0.05)
+    assert place.bench.motors[0].servo.torque == 0.0
+
+
+BROKEN_PROMISE = {
+    "deaf": "disables when told, and says so",
+    "mute": "tells what it is, takes its settings and reads them back",
+    "readback": "tells what it is, takes its settings and reads them back",
+    "sign": "turns the positive way by positive torque",
+    "watchdog": "lets go of a dead host, and stays off",
+}
+
+
+@pytest.mark.parametrize("fault", sorted(FAULTS))
+def test_a_broken_drive_is_found_out(protocol, fault):
+    found, place, _ = judged(protocol, fault)
+    assert BROKEN_PROMISE[fault] in failed(found)
+    assert place.top <= LIMIT * 1.001
+
+
+def test_a_drive_that_does_not_obey_is_left_to_its_watchdog(protocol):
+    _, place, rig = judged(protocol, "deaf")
+    assert rig.confirm_off(0.05)
+    assert place.bench.motors[0].servo.torque == 0.0
+
+
+def test_a_shaft_that_is_held_is_no_failure(protocol):
+    found, _, _ = judged(protocol, inertia=100.0)
+    check = found["turns the positive way by positive torque"]
+    assert check.verdict is Verdict.NOT_APPLICABLE
+    assert "did not turn at +0.100 N m" in check.why
+
+
+def test_an_odrive_whose_watchdog_nobody_set_fails_by_that_alone():
+    found, _, _ = judged("odrive", options={"torque_feedback": True})
+    assert failed(found) == [BROKEN_PROMISE["watchdog"]]
+    assert "CANSimple cannot read it" in found[BROKEN_PROMISE["watchdog"]].why
