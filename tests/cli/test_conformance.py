@@ -14,7 +14,12 @@ ENDPOINTS = [f"--option=endpoint_{key}={number}" for number, key in enumerate(
 
 @pytest.mark.realtime
 @pytest.mark.parametrize(
-    ("protocol", "more"), [("mit", []), ("odrive", ENDPOINTS), ("cia402", [])], ids=["mit", "odrive", "cia402"]
+    ("protocol", "more"),
+    [
+        pytest.param("mit", [], id="mit"),
+        pytest.param("odrive", ENDPOINTS, id="odrive", marks=pytest.mark.nightly),
+        pytest.param("cia402", [], id="cia402", marks=pytest.mark.nightly),
+    ],
 )
 def test_a_good_drive_in_another_process_passes(capsys, protocol, more):
     with drives("local:c", protocol, "--ids", "33"):
@@ -42,7 +47,7 @@ def test_a_broken_drive_fails_and_its_line_says_why(capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--drive", "mit", "--node", "2"], "the shaft of mit 2 on local:c turns, with at most 0.1 N m; expected --yes"),
+        (["--drive", "mit", "--node", "2"], "mit 2 on local:c turns, with at most 0.1 N m; expected --yes"),
         (["--drive", "odrive", "--node", "63", "--yes"], "1 to 62"),
         (["--drive", "mit", "--node", "200", "--yes"], "1 to 127"),
         (["--drive", "mit", "--node", "2", "--yes", "--torque-limit-Nm", "nan"], "0.001 to 50"),

@@ -33,7 +33,7 @@ class BenchBus:
         return len(frames)
 
     def drain(self):
-        frames = [Frame(*frame) for frame in self.bench.take_spoken() + self.waiting] + self.talk
+        frames = [Frame(*frame) for frame in self.bench.take_spoken() + self.waiting] + 5 * self.talk
         self.waiting = []
         return frames
 
@@ -143,3 +143,10 @@ def test_an_empty_bus_is_said(capsys):
 def test_a_bus_named_twice_is_refused(capsys):
     assert main(["scan", "--bus", "a=local:x", "--bus", "a=local:y"]) == 2
     assert "every name once" in capsys.readouterr().err
+
+
+def test_the_last_frame_of_a_host_that_has_ended_is_no_host():
+    bench = Bench([drive_spec("mit", 1)])
+    bus = BenchBus(bench)
+    bus.waiting = [SimFrame(0x7FF, bytes(8))]
+    assert scan(bus, hear=hear).foreign == ()

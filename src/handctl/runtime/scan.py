@@ -15,6 +15,8 @@ PATIENCE = 50
 """Tries for a frame that the interface does not take."""
 
 
+STRAY = 1
+"""So many frames of another host may be the last ones of one that has just ended."""
 Hear = Callable[[Bus, float, list[Frame]], None]
 """Collects what arrives on a bus during a time [s]."""
 
@@ -98,7 +100,7 @@ def _foreign(seen: list[Frame]) -> tuple[Frame, ...]:
     for name, discovery in DISCOVERIES.items():
         explained = frozenset().union(*_orders_of_others(name, seen))
         strange += [frame for frame in discovery.foreign(seen) if frame.can_id not in explained]
-    return tuple(dict.fromkeys(strange))
+    return tuple(dict.fromkeys(strange)) if len(strange) > STRAY else ()
 
 
 def _send(bus: Bus, frame: Frame, seen: list[Frame], hear: Hear) -> bool:
