@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.exit_codes import Exit
-from handctl.cli.options import json_option, print_json
+from handctl.cli.options import json_option, print_json, say
 from handctl.errors import LogError
 from handctl.log.reader import RunLog
 
@@ -86,9 +86,9 @@ def _info(args: argparse.Namespace) -> int:
         return Exit.DONE if result["whole"] else Exit.LOSSY_LOG
     for key, value in result.items():
         lines = value if isinstance(value, list) else [value]
-        print(f"{key:<12} {lines[0] if lines else '-'}")
+        say(f"{key:<12} {lines[0] if lines else '-'}")
         for line in lines[1:]:
-            print(f"{'':<12} {line}")
+            say(f"{'':<12} {line}")
     return Exit.DONE if result["whole"] else Exit.LOSSY_LOG
 
 
@@ -114,7 +114,8 @@ def _check(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"log": str(args.log), "ticks": ticks, "sound": not found, "findings": found})
     else:
-        print("\n".join(found) or f"{args.log}: {ticks} ticks, nothing wrong")
+        for line in found or [f"{args.log}: {ticks} ticks, nothing wrong"]:
+            say(line)
     return Exit.LOSSY_LOG if lossy else Exit.FAILED if found else Exit.DONE
 
 
@@ -127,13 +128,13 @@ def _diff(args: argparse.Namespace) -> int:
         print_json({"logs": [str(args.log), str(args.other)], **result})
         return Exit.DONE
     for name, (one, two) in result["gains"].items():
-        print(f"gain {name}: {one} and {two}")
+        say(f"gain {name}: {one} and {two}")
     for which in ("only_in_first", "only_in_second"):
         if result[which]:
-            print(f"phases {which.replace('_', ' ')}: {', '.join(result[which])}")
+            say(f"phases {which.replace('_', ' ')}: {', '.join(result[which])}")
     for name, phase in result["phases"].items():
         first, second = phase.pop("duration_s")
-        print(f"{name}: {first:.3f} s and {second:.3f} s")
+        say(f"{name}: {first:.3f} s and {second:.3f} s")
         for signal, rows in phase.items():
             _rows(signal.partition("_")[2], rows)
     return Exit.DONE
@@ -142,7 +143,7 @@ def _diff(args: argparse.Namespace) -> int:
 def _rows(unit: str, rows: dict[str, Any]) -> None:
     for name, row in rows.items():
         late = "" if row["delay_s"] != row["delay_s"] else f", {1e3 * row['delay_s']:+.1f} ms behind"
-        print(f"  {name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}")
+        say(f"  {name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}")
 
 
 def _export(args: argparse.Namespace) -> int:
@@ -159,7 +160,7 @@ def _export(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"log": str(args.log), "output": str(out), "count": count})
     else:
-        print(f"{out}: {count} {UNITS.get(args.format, 'rows')}")
+        say(f"{out}: {count} {UNITS.get(args.format, 'rows')}")
     return Exit.DONE
 
 
@@ -189,5 +190,5 @@ def _recover(args: argparse.Namespace) -> int:
         print_json(result | {"output": str(output)})
     else:
         kept = "" if not found.messages else f", {found.messages} messages in {output}"
-        print(f"{args.log}: {status}{kept}" + (f" ({found.problem})" if found.problem else ""))
+        say(f"{args.log}: {status}{kept}" + (f" ({found.problem})" if found.problem else ""))
     return int(found.status)

@@ -8,6 +8,8 @@ from typing import Any
 
 from handctl.cli.gains_layers import gains_options
 
+LONGEST_LINE = 4000
+
 
 def hand_option(parser: argparse.ArgumentParser) -> None:
     """--hand: a packaged hand or a file."""
@@ -47,6 +49,13 @@ def run_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="default: HAND.calibration.toml")
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
     parser.add_argument("--time-scale", type=float, default=1.0, metavar="X", help="run time per wall time")
+
+
+def say(text: str, error: bool = False) -> None:
+    """Print a line that has words of a file in it, so that none of them can command the terminal."""
+    from handctl.log.logfile import printable
+
+    print(printable(text, LONGEST_LINE), file=sys.stderr if error else sys.stdout)
 
 
 def print_json(result: dict[str, Any]) -> None:

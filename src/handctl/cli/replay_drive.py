@@ -1,14 +1,13 @@
 """``handctl replay drive``: a recorded run on the hand again, and how the two differ."""
 
 import argparse
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from handctl.cli.commission import ensure_calibration
 from handctl.cli.exit_codes import Exit
-from handctl.cli.options import print_json
+from handctl.cli.options import print_json, say
 from handctl.cli.plan import default_log, find_calibration, make_plan
 from handctl.cli.session import make_controller, run_live
 from handctl.log.reader import RunLog
@@ -25,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
         path, calibration, why = find_calibration(args, plan.hand)
         begin, end = stretch(before)
         if args.dry_run:
-            print(f"{plan.hand.name}: would drive {end - begin:.2f} s of {args.recorded} at {plan.rate_hz:g} Hz")
+            say(f"{plan.hand.name}: would drive {end - begin:.2f} s of {args.recorded} at {plan.rate_hz:g} Hz")
             return Exit.DONE
         log = args.log or default_log(plan.hand, "replay")
         if calibration is None:
@@ -33,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
         plan = replace(plan, attachments=plan.attachments | {"calibration.toml": path.read_bytes()})
         outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
         if outcome.state.failure:
-            print(f"handctl: {outcome.state.failure}", file=sys.stderr)
+            say(f"handctl: {outcome.state.failure}", error=True)
             return outcome.exit
         with RunLog(log) as after:
             result = difference(before, after)
@@ -50,5 +49,5 @@ def _tell(args: argparse.Namespace, result: dict[str, Any], log: Path) -> None:
         unit = signal.partition("_")[2]
         for name, row in rows.items():
             late = "" if row["delay_s"] != row["delay_s"] else f", {1e3 * row['delay_s']:+.1f} ms behind"
-            print(f"{name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}")
-    print(f"new log: {log}")
+            say(f"{name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}")
+    say(f"new log: {log}")

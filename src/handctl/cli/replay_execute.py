@@ -4,11 +4,10 @@ This module and all that it imports know no bus.
 """
 
 import argparse
-import sys
 from typing import Any
 
 from handctl.cli.exit_codes import Exit
-from handctl.cli.options import print_json
+from handctl.cli.options import print_json, say
 
 
 def run(args: argparse.Namespace) -> int:
@@ -17,7 +16,7 @@ def run(args: argparse.Namespace) -> int:
 
     with RunLog(args.recorded) as log:
         if log.warning:
-            print(f"handctl: {log.warning}: the part before is executed", file=sys.stderr)
+            say(f"handctl: {log.warning}: the part before is executed", error=True)
         return _other_gains(args, log) if args.gains else _same(args, log)
 
 
@@ -45,13 +44,13 @@ def _same(args: argparse.Namespace, log: Any) -> int:
     if args.json:
         print_json(result)
     else:
-        print(f"{found.ticks} ticks, {found.differing} differ, {found.undecided} decide something else")
+        say(f"{found.ticks} ticks, {found.differing} differ, {found.undecided} decide something else")
         for word, one in (("first", found.first), ("largest", found.largest)):
             if one:
-                print(f"{word}: {_sentence(one)}")
-        print(f"{found.wall_s:.2f} s, {found.times_real_time:.1f} times real time")
+                say(f"{word}: {_sentence(one)}")
+        say(f"{found.wall_s:.2f} s, {found.times_real_time:.1f} times real time")
         if found.differing and logged_by != version("handctl"):
-            print(f"the log was written by version {logged_by}, this is {version('handctl')}")
+            say(f"the log was written by version {logged_by}, this is {version('handctl')}")
     return Exit.DONE if good else Exit.FAILED
 
 
@@ -77,11 +76,11 @@ def _other_gains(args: argparse.Namespace, log: Any) -> int:
         counts = {"ticks": found.ticks, "differing": found.differing, "first": first}
         print_json(counts | {"gains": str(args.gains), "picture": str(picture), "change": change})
         return Exit.DONE
-    print(f"{found.ticks} ticks, {found.differing} commanded or estimated otherwise")
+    say(f"{found.ticks} ticks, {found.differing} commanded or estimated otherwise")
     if found.first:
-        print(f"first: {_sentence(found.first)}")
+        say(f"first: {_sentence(found.first)}")
     for unit, rows in change.items():
         for name, size in rows.items():
-            print(f"{name:<18} {unit:<18} rms {size['rms']:.4g}, peak {size['peak']:.4g}")
-    print(f"picture: {picture}")
+            say(f"{name:<18} {unit:<18} rms {size['rms']:.4g}, peak {size['peak']:.4g}")
+    say(f"picture: {picture}")
     return Exit.DONE

@@ -3,7 +3,7 @@
 import argparse
 
 from handctl.cli.exit_codes import Exit
-from handctl.cli.options import print_json
+from handctl.cli.options import print_json, say
 from handctl.log.reader import RunLog
 from handctl.replay.limits import judge_again
 
@@ -17,9 +17,9 @@ def run(args: argparse.Namespace) -> int:
         counts = {"ticks": found.ticks, "stopped": found.stopped, "stopped_logged": found.stopped_logged}
         print_json({"log": str(args.recorded), **counts, "by_fault": found.by_fault, "stops": stops})
         return Exit.DONE
-    print(f"{found.ticks} ticks; these limits stop {found.stopped}, the run's own {found.stopped_logged}")
+    say(f"{found.ticks} ticks; these limits stop {found.stopped}, the run's own {found.stopped_logged}")
     for stop in found.stops:
         also = "as in the run" if stop.logged else "new"
         place = f"tick {stop.k} ({stop.t_s:.3f} s)"
-        print(f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {also}")
+        say(f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {also}")
     return Exit.DONE

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from handctl.cli.exit_codes import Exit
-from handctl.cli.options import json_option, print_json
+from handctl.cli.options import json_option, print_json, say
 
 EXAMPLE = "handctl report --help   # with a log: handctl report logs/RUN.mcap"
 
@@ -34,5 +34,5 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"log": str(args.log), "page": str(out), "bytes": size})
     else:
-        print(f"{out}: {size / 1e6:.1f} MB")
+        say(f"{out}: {size / 1e6:.1f} MB")
     return Exit.LOSSY_LOG if lossy else Exit.DONE

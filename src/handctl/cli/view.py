@@ -2,13 +2,12 @@
 
 import argparse
 import os
-import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
 from handctl.cli.exit_codes import Exit
-from handctl.cli.options import json_option, print_json
+from handctl.cli.options import json_option, print_json, say
 from handctl.errors import ConfigError
 
 EXAMPLE = "handctl view logs/run.mcap --png run.png --at 4.2"
@@ -50,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
             raise ConfigError(f"{at_s:g}", "--at", f"seconds of this run, 0 to {end_s:.3f}")
         warning = log.warning
     if warning:
-        print(f"handctl: {args.log}: {warning}", file=sys.stderr)
+        say(f"handctl: {args.log}: {warning}", error=True)
     result = _write(args, subject, at_s)
     if args.json:
         print_json(result | {"log": args.log, "warning": warning})
@@ -96,7 +95,7 @@ def _picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]
 
     reports = draw(rrd, at_s, args.png)
     for report in reports:
-        print(f"handctl: {report}", file=sys.stderr)
+        say(f"handctl: {report}", error=True)
     _say(args, f"wrote {args.png}: the hand at {at_s:.3f} s")
     return {"png": args.png, "at_s": at_s, "reports": reports}
 
@@ -114,4 +113,4 @@ def _window(rrd: Path) -> None:
 
 def _say(args: argparse.Namespace, text: str) -> None:
     if not args.json:
-        print(text)
+        say(text)

@@ -10,7 +10,7 @@ from mcap.records import Channel, Schema
 
 from handctl.errors import LogError
 from handctl.log.container import Container, Run
-from handctl.log.logfile import ChunkPlace, LogFile
+from handctl.log.logfile import ChunkPlace, LogFile, reading
 from handctl.log.messages_in import definitions, rows
 from handctl.log.scan import Scan, scan
 
@@ -122,16 +122,17 @@ def _end(found: Scan, problem: str) -> dict[str, str]:
 
 def _copy_chunk(file: LogFile, place: ChunkPlace, new: Container) -> None:
     content = file.content(place)
-    known = definitions(content)
-    schemas = [Schema(number, data, encoding, name) for number, name, encoding, data in known.schemas]
-    channels = [
-        Channel(number, topic, encoding, metadata, schema)
-        for number, schema, topic, encoding, metadata in known.channels
-    ]
-    runs = [
-        Run(one.channel, one.records.tobytes(), one.log_times(), _offsets(one.records.shape))
-        for one in rows(content, place.end - place.data)
-    ]
+    with reading(file.at(place.offset)):
+        known = definitions(content)
+        schemas = [Schema(number, data, encoding, name) for number, name, encoding, data in known.schemas]
+        channels = [
+            Channel(number, topic, encoding, metadata, schema)
+            for number, schema, topic, encoding, metadata in known.channels
+        ]
+        runs = [
+            Run(one.channel, one.records.tobytes(), one.log_times(), _offsets(one.records.shape))
+            for one in rows(content, place.end - place.data)
+        ]
     new.chunk(runs, schemas, channels)
 
 

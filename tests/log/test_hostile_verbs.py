@@ -1,0 +1,75 @@
+"""Files made to harm: every verb that reads a log ends with one clear line, within a second and 256 MiB."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import synthetic
+from hostile import hostile
+
+from handctl.cli.main import main
+from handctl.log.record import FRAMING, pack
+from handctl.log.writer import LogWriter
+
+PROBE = """
+import contextlib, io, json, resource, sys, time
+from pathlib import Path
+from handctl.cli.main import main
+import handctl.log.reader, handctl.log.recover, handctl.replay.check, handctl.replay.damage, handctl.replay.execute
+import handctl.report.page
+folder, found = Path(sys.argv[1]), []
+limit = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 + (256 << 20)
+for path in sorted(folder.glob("*.mcap")):
+    for words in (["log", "info"], ["log", "check"], ["log", "recover"], ["report"], ["replay", "execute"]):
+        out, err = io.StringIO(), io.StringIO()
+        begin = time.process_time()
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            code = main([*words, str(path)])
+        said = (err.getvalue() + out.getvalue()).splitlines()
+        found.append([path.name, words, code, said, time.process_time() - begin])
+    for made in folder.glob("*.recovered.mcap"):
+        made.unlink()
+peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+print(json.dumps([found, peak <= limit]))
+"""
+
+
+def test_every_verb_refuses_it_in_one_line(small_log: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "hostile"
+    folder.mkdir()
+    for name, data in hostile(small_log).items():
+        (folder / f"{name}\x1b[2J.mcap").write_bytes(data)
+    done = subprocess.run([sys.executable, "-c", PROBE, str(folder)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found, little_memory = json.loads(done.stdout)
+    assert little_memory
+    assert len(found) > 60
+    for name, words, code, said, seconds in found:
+        what = f"{words} on {name}: {said}"
+        assert code in ((1, 2, 3) if words[1:] in (["recover"], ["check"]) else (2,)), what
+        assert len(said) <= 2, what
+        assert "\x1b" not in "".join(said), what
+        assert "Traceback" not in "".join(said), what
+        assert seconds < 1.0, what
+
+
+def test_names_out_of_a_file_command_neither_the_terminal_nor_the_disk(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    inner = tmp_path / "inner"
+    inner.mkdir()
+    evil = "\x1b]0;mine\x07\x1b[2J"
+    more = {"metadata": {"hand": evil, "note": evil}, "gains": {evil: evil}, "attachments": {f"../{evil}": b"x"}}
+    run = synthetic.header(rate_hz=50, **more)
+    writer = LogWriter(inner / "run.mcap", run, lambda *what: None, 1)
+    for tick in synthetic.Synthetic(run, 0.5):
+        writer.add(pack(*tick)[FRAMING.size :])
+    writer.finish(evil, 0)
+    for words in (["log", "info"], ["log", "check"], ["log", "recover"], ["log", "export", "--csv"], ["report"]):
+        main([*words, str(inner / "run.mcap")])
+        out, err = capsys.readouterr()
+        assert "\x1b" not in out + err, words
+    assert list(tmp_path.iterdir()) == [inner]
+    assert {one.name for one in inner.iterdir()} <= {"run.mcap", "run.recovered.mcap", "run.csv", "run.html"}

@@ -1,0 +1,74 @@
+"""Ten minutes with faults, executed again: nightly; ``python tests/replay/test_long.py OUT.mcap`` keeps the log."""
+
+import random
+import sys
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+import runs
+
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.task import load_task
+from handctl.controller.types import IoEvent
+from handctl.log.reader import RunLog
+from handctl.replay.execute import execute
+from handctl.runtime.lockstep import Peer
+
+RATE_HZ, SECONDS = 200.0, 600.0
+DEAF_S = 598.0
+MOVE = '[[phase]]\nkind = "move"\nname = "move {n}"\nangle_deg = {angle:.3f}\nduration_s = 2.0\n'
+
+
+@dataclass
+class Lossy:
+    """A peer of whose answers one in a hundred is lost, and now and then three ticks of them."""
+
+    peer: Peer
+    chance: random.Random = field(default_factory=lambda: random.Random(6))
+    silent: int = 0
+
+    def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
+        """As the peer, but for what is lost."""
+        replies = self.peer.step(t_ns, frames)
+        if self.chance.random() < 0.002:
+            self.silent = 3
+        self.silent -= 1
+        return [reply for reply in replies if self.silent < 0 and self.chance.random() > 0.01]
+
+    def close(self) -> None:
+        """Close the peer."""
+        self.peer.close()
+
+
+def write(log: Path) -> None:
+    """Ten minutes: a grasp, then moves; frames are lost all the time, and in the end a motor falls silent for good."""
+    chance = random.Random(7)
+    moves = [MOVE.format(n=n, angle=chance.uniform(2.0, 60.0)) for n in range(int((SECONDS - 4) / 2))]
+    task = log.with_suffix(".task.toml")
+    task.write_text(runs.TASK + "".join(moves))
+    ticks = range(400, int(SECONDS * RATE_HZ), 1999)
+    told = {k: (IoEvent("recorder", "dropped", 1),) for k in ticks}
+    asked = {k + 7: ("no request",) for k in ticks}
+
+    def spoil(peer: Peer) -> Peer:
+        return runs.DeafTo(Lossy(peer), 0x12, int(DEAF_S * 1e9))
+
+    runs.run(log, TaskProgram(load_task(task)), rate_hz=RATE_HZ, spoil=spoil, told=told, asked=asked)
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+def test_ten_minutes_with_faults_repeat_to_the_last_bit(tmp_path: Path) -> None:
+    write(tmp_path / "ten.mcap")
+    with RunLog(tmp_path / "ten.mcap") as log:
+        faults = {event.event.text[:3] for event in log.events if event.event.name == "fault"}
+        assert {"B01", "B02", "H09"} <= faults
+        found = execute(log)
+        assert found.ticks == len(log) > 0.99 * SECONDS * RATE_HZ
+    assert (found.differing, found.first) == (0, None)
+
+
+if __name__ == "__main__":
+    write(Path(sys.argv[1]))
