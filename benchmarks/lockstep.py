@@ -1,0 +1,127 @@
+"""The whole stack in lockstep beside the bare ``mj_step`` of the same motion: simulated seconds a second, and who asks.
+
+``python benchmarks/lockstep.py [--quick] [--json]``. A run is made three times: once to write down what pulls at the
+joints in each step, which the bare rollout then repeats (and must end in the same place, to the bit); once for the
+clock; once under the profiler, for who spends it. CPU time of this process counts, so that a busy machine does not.
+"""
+
+import argparse
+import json
+import time
+from typing import NamedTuple
+
+import numpy as np
+from stack import RATES, Free, Grasp, Stack
+from who import spent
+
+SECONDS, QUICK_SECONDS = 4.0, 1.2
+
+
+class Rollout(NamedTuple):
+    """What acts on the bodies in each step, and where they end.
+
+    Attributes:
+        torque: (steps, joints) [N m]. damping: (steps, tendons) [N s/m]. table: (steps, bodies, 3) [m].
+        end: (joints,) [rad].
+        contacts: mean number of contacts.
+    """
+
+    torque: np.ndarray
+    damping: np.ndarray
+    table: np.ndarray
+    end: np.ndarray
+    contacts: float
+
+
+def main() -> None:
+    """Measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="under half a minute")
+    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    args = parser.parse_args()
+    result = {
+        hand: {name: measure(hand, rate, name, QUICK_SECONDS if args.quick else SECONDS) for name in SCENES}
+        for hand, rate in RATES.items()
+    }
+    print(json.dumps(result, indent=2)) if args.json else show(result)
+
+
+SCENES = {"free": Free, "contact": Grasp}
+
+
+def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
+    """One hand in one scene."""
+    made = SCENES[scene]
+    rollout = written_down(Stack(hand, rate_hz, made), seconds)
+    bare = repeated(Stack(hand, rate_hz, made), rollout)
+    stack = Stack(hand, rate_hz, made)
+    began = time.process_time()
+    stack.run(seconds)
+    whole = time.process_time() - began
+    ticks = round(seconds * rate_hz)
+    return {
+        "rate_hz": rate_hz,
+        "simulated_s": seconds,
+        "contacts": rollout.contacts,
+        "bare_times_real_time": seconds / bare,
+        "whole_times_real_time": seconds / whole,
+        "share_of_bare": bare / whole,
+        "bare_us_a_tick": bare / ticks * 1e6,
+        "rest_us_a_tick": (whole - bare) / ticks * 1e6,
+        "spent": spent(lambda: Stack(hand, rate_hz, made).run(seconds)),
+    }
+
+
+def written_down(stack: Stack, seconds: float) -> Rollout:
+    """Run the stack and note what it does to the bodies."""
+    engine = stack.engine
+    model_step, rows, contacts = engine.step, [], []
+
+    def step() -> None:
+        rows.append((engine.applied.copy(), engine.rope_damping.copy(), engine._data.mocap_pos.copy()))
+        model_step()
+        contacts.append(engine._data.ncon)
+
+    engine.step = step
+    stack.run(seconds)
+    torque, damping, table = (np.array(column) for column in zip(*rows, strict=True))
+    return Rollout(torque, damping, table, engine.q.copy(), float(np.mean(contacts)))
+
+
+def repeated(stack: Stack, rollout: Rollout) -> float:
+    """The same motion by the engine alone: CPU time [s].
+
+    Raises:
+        RuntimeError: it is not the same motion.
+    """
+    engine = stack.engine
+    step, applied, damping, table = engine.step, engine.applied, engine.rope_damping, engine._data.mocap_pos
+    began = time.process_time()
+    for torque, slope, place in zip(rollout.torque, rollout.damping, rollout.table, strict=True):
+        applied[:] = torque
+        damping[:] = slope
+        table[:] = place
+        step()
+    took = time.process_time() - began
+    if not np.array_equal(engine.q, rollout.end):
+        raise RuntimeError("the bare rollout went another way than the run that it repeats")
+    return took
+
+
+def show(result: dict) -> None:
+    """The same for people."""
+    for hand, scenes in result.items():
+        for scene, found in scenes.items():
+            print(
+                f"{hand}, {scene} ({found['contacts']:.1f} contacts), {found['rate_hz']:g} Hz: bare "
+                f"{found['bare_times_real_time']:.1f}, whole stack {found['whole_times_real_time']:.1f} times real "
+                f"time: {100 * found['share_of_bare']:.0f} %"
+            )
+            print(f"  mj_step {found['bare_us_a_tick']:.0f} us a tick, the rest {found['rest_us_a_tick']:.0f} us:")
+            rest = {who: share for who, share in found["spent"].items() if who != "mj_step"}
+            for who, share in sorted(rest.items(), key=lambda row: -row[1]):
+                print(f"    {100 * share / sum(rest.values()):5.1f} %  {who}")
+
+
+if __name__ == "__main__":
+    main()

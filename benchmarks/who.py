@@ -1,0 +1,53 @@
+"""Who spends the time of a run: a profile's own times, those of libraries given to the part that called them."""
+
+import cProfile
+import pstats
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+
+PARTS = {
+    "mj_step": ("mj_step",),
+    "plant: ropes and rotors in Python": ("firmware_sim/plant", "firmware_sim/tendon", "firmware_sim/motor",
+        "firmware_sim/engine", "firmware_sim/table"),
+    "simulated drives and sensors, their codec": ("firmware_sim/",),
+    "host's codec and drive states": ("handctl/drives/",),
+    "filter": ("controller/estimator", "controller/filter_design", "controller/statics", "filterpy/"),
+    "law: goals, inverse dynamics, allocation": ("controller/computed_torque", "controller/goal",
+        "controller/trajectory", "controller/allocation", "controller/all_digits", "handctl/hand/"),
+    "program": ("controller/grasp", "controller/program", "controller/grip", "controller/task"),
+    "safety": ("handctl/safety/", "controller/guard"),
+    "hash of the state": ("controller/digest", "controller/state", "controller/kept"),
+    "telemetry": ("controller/telemetry",),
+    "tick and modes": ("handctl/controller/",),
+    "lockstep clock and bus": ("handctl/runtime/", "benchmarks/"),
+}  # fmt: skip
+"""Name of a part to pieces of the paths (or names) of its functions; the first that fits counts."""
+
+Function = tuple[str, int, str]
+
+
+def spent(work: Callable[[], None]) -> dict[str, float]:
+    """Share of each part, by Python's profiler: it makes calls dearer, so compiled code has less than is due to it."""
+    profile = cProfile.Profile()
+    profile.runcall(work)
+    stats = pstats.Stats(profile).stats
+    total: dict[str, float] = defaultdict(float)
+    for function, (_, _, own, _, _) in stats.items():
+        for part, share in _owners(stats, function, 6):
+            total[part] += own * share
+    whole = sum(total.values())
+    return {part: value / whole for part, value in sorted(total.items(), key=lambda row: -row[1])}
+
+
+def _owners(stats: dict, function: Function, depth: int) -> Iterator[tuple[str, float]]:
+    """Parts to which a function belongs, with their shares: its own, or those of its callers by time."""
+    name = f"{function[0]}/{function[2]}"
+    part = next((part for part, marks in PARTS.items() if any(mark in name for mark in marks)), None)
+    callers = stats[function][4]
+    if part or not callers or not depth:
+        yield part or "other", 1.0
+        return
+    whole = sum(times[3] for times in callers.values()) or 1.0
+    for caller, times in callers.items():
+        for owner, share in _owners(stats, caller, depth - 1):
+            yield owner, share * times[3] / whole
