@@ -6,6 +6,7 @@ gains that are stable in the drive are stable here, without sub-steps.
 
 import math
 from dataclasses import dataclass
+from math import tanh
 
 from firmware_sim.description import MotorSpec
 
@@ -71,22 +72,24 @@ class Motor:
 
     def advance(self, load: float) -> None:
         """Integrate one step, semi-implicitly, against the rope's torque [N m]."""
-        h, servo, omega = self._step, self.servo, self.omega
-        command = servo.torque
-        bend = math.tanh(omega / COULOMB_SPEED)
-        slope = self._coulomb * (bend / omega if abs(omega) > 1e-6 else 1.0 / COULOMB_SPEED)
+        h, servo, omega, torque = self._step, self.servo, self.omega, self.torque
+        command, limit, coulomb = servo.torque, servo.limit, self._coulomb
+        bend = tanh(omega / COULOMB_SPEED)
+        slope = coulomb * (bend / omega if omega > 1e-6 or omega < -1e-6 else 1.0 / COULOMB_SPEED)
         inertia = self._inertia / h + slope
-        drag = load + self._coulomb * bend
+        drag = load + coulomb * bend
         if servo.kp or servo.kd:
             command = self._regulate(inertia, drag)
-        limit = servo.limit
-        command = -limit if command < -limit else min(limit, command)
-        self.torque += self._lag * (command - self.torque)
-        omega = (inertia * omega + self._gain * self.torque - drag) / (inertia + self._viscous)
-        self.omega = omega
+        if command > limit:
+            command = limit
+        elif command < -limit:
+            command = -limit
+        torque += self._lag * (command - torque)
+        omega = (inertia * omega + self._gain * torque - drag) / (inertia + self._viscous)
+        self.torque, self.omega = torque, omega
         self.theta += h * omega
         self.velocity += self._velocity_lag * (omega - self.velocity)
-        self.heat += h * self.torque * self.torque
+        self.heat += h * torque * torque
 
     def _regulate(self, inertia: float, drag: float) -> float:
         """Return the law's torque [N m] at the velocity that the rotor will have at the end of the step."""

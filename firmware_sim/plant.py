@@ -99,10 +99,12 @@ class Plant:
         slopes = []
         for rope, motor in self._ropes:
             motor.advance(rope.radius * rope.pull(q, dq, motor.theta, motor.omega, torque))
-            slopes.append(rope.slope)
-            push = rope.slope * rope.speed
-            for joint, arm in rope.path:
-                torque[joint] += arm * push
+            slope = rope.slope
+            slopes.append(slope)
+            if slope:
+                push = slope * rope.speed
+                for joint, arm in rope.path:
+                    torque[joint] += arm * push
         engine.rope_damping[:] = slopes
         engine.applied[:] = torque
         engine.step()

@@ -78,8 +78,8 @@ class Rig:
         stamped = []
         for answer in answers:
             busy_ns[answer.bus] += _duration_ns(answer)
-            arrival_ns = t_ns + min(busy_ns[answer.bus], self._period_ns - 1)
-            stamped.append(answer._replace(t_ns=arrival_ns))
+            can_id, data, flags, bus, _ = answer
+            stamped.append(Frame(can_id, data, flags, bus, t_ns + min(busy_ns[bus], self._period_ns - 1)))
         self.world.advance(t_ns + self._period_ns)
         return sorted(stamped + self.world.take_spoken(), key=_arrival_ns)
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from math import exp, tanh
 
 from firmware_sim.description import TendonSpec
 
@@ -67,8 +68,9 @@ class Tendon:
 
         The tension at a pulley is that behind it, its own joint angle's wrap included. Source: MODEL, section 3.
         """
-        stretch, speed = self.radius * theta, 0.0
-        for joint, arm in self.path:
+        path, radius = self.path, self.radius
+        stretch, speed = radius * theta, 0.0
+        for joint, arm in path:
             stretch -= arm * q[joint]
             speed += arm * dq[joint]
         self.speed = speed
@@ -76,16 +78,20 @@ class Tendon:
             self.tension = self.slope = 0.0
             return 0.0
         elastic = self._k * stretch if stretch <= self._knee_stretch else self.elastic(stretch)
-        tension = elastic + self._c * (self.radius * omega - speed)
+        tension = elastic + self._c * (radius * omega - speed)
         if tension <= 0.0:
             self.tension = self.slope = 0.0
             return 0.0
-        rub, angle, loss = self._friction * math.tanh(speed / CAPSTAN_SPEED), self._wrap, 0.0
-        for joint, arm in self.path:
+        rub, angle, least, most = self._friction * tanh(speed / CAPSTAN_SPEED), self._wrap, tension, tension
+        for joint, arm in path:
             angle += q[joint]
-            local = tension * math.exp(-rub * angle)
+            local = tension * exp(-rub * angle)
             torque[joint] += arm * local
-            loss = max(loss, abs(tension - local))
+            if local < least:
+                least = local
+            elif local > most:
+                most = local
+        loss = tension - least if tension - least > most - tension else most - tension
         self.slope = self._c + self._secant(loss, tension * angle, speed)
         self.tension = tension
         return tension

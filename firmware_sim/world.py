@@ -85,31 +85,43 @@ class World:
     def receive(self, frame: Frame) -> list[Frame]:
         """Hand a frame to the nodes of its bus and return their answers, stamped with the present time."""
         answers: list[Frame] = []
-        known = False
-        for node in self.nodes[frame.bus]:
-            replies = node.receive(frame, self.t_ns)
+        known, t_ns, bus = False, self.t_ns, frame.bus
+        for node in self.nodes[bus]:
+            replies = node.receive(frame, t_ns)
             if replies is not None:
                 known = True
-                answers += [reply._replace(bus=frame.bus, t_ns=self.t_ns) for reply in replies]
+                answers += [
+                    reply
+                    if reply.bus == bus and reply.t_ns == t_ns
+                    else Frame(reply.can_id, reply.data, reply.flags, bus, t_ns)
+                    for reply in replies
+                ]
         if not known:
             self.foreign += 1
         return answers
 
     def advance(self, t_ns: int) -> None:
         """Let time pass until t_ns, in whole steps; what is left over waits for the next call."""
-        plant, nodes, truth = self.plant, self._all, self._truth
+        plant, truth = self.plant, self._truth
         now_ns = self.t_ns
+        wake_ns = min([node.wake_ns for _, node in self._all], default=t_ns)
         while now_ns + STEP_NS <= t_ns:
             if truth is not None and plant.t_ns >= truth.due_ns:
                 truth.write(now_ns + self.slip_ns, plant)
             plant.step()
             now_ns += STEP_NS
-            for bus, node in nodes:
-                if now_ns >= node.wake_ns:
-                    spoken = node.wake(now_ns)
-                    if spoken:
-                        self._spoken += [frame._replace(bus=bus, t_ns=now_ns) for frame in spoken]
+            if now_ns >= wake_ns:
+                self._wake(now_ns)
+                wake_ns = min([node.wake_ns for _, node in self._all], default=t_ns)
         self.t_ns = now_ns
+
+    def _wake(self, now_ns: int) -> None:
+        """Wake the nodes whose time has come, and keep what they say."""
+        for bus, node in self._all:
+            if now_ns >= node.wake_ns:
+                spoken = node.wake(now_ns)
+                if spoken:
+                    self._spoken += [frame._replace(bus=bus, t_ns=now_ns) for frame in spoken]
 
     def take_spoken(self) -> list[Frame]:
         """Return what nodes have sent of their own accord since the last call."""

@@ -1,7 +1,9 @@
 """MIT frames as Damiao motors speak them: bytes <-> values. Source: facts, mit_damiao."""
 
+import struct
 from typing import NamedTuple
 
+_FEEDBACK = struct.Struct(">BH5B")
 KP_MAX, KD_MAX = 500.0, 5.0
 """Ranges of the gains [N m/rad], [N m s/rad]."""
 
@@ -26,9 +28,8 @@ class Command(NamedTuple):
 
 def to_code(value: float, limit: float, bits: int) -> int:
     """Return the code of a value in -limit .. limit: clamped, then truncated as the firmware does."""
-    top = (1 << bits) - 1
-    clamped = min(limit, max(-limit, value))
-    return int((clamped + limit) * top / (2.0 * limit))
+    clamped = -limit if value < -limit else limit if value > limit else value
+    return int((clamped + limit) * ((1 << bits) - 1) / (2.0 * limit))
 
 
 def from_code(code: int, limit: float, bits: int) -> float:
@@ -39,12 +40,13 @@ def from_code(code: int, limit: float, bits: int) -> float:
 def decode_command(data: bytes, ranges: Ranges) -> Command:
     """Return the command in 8 bytes; the first field is in the highest bits."""
     word = int.from_bytes(data, "big")
+    position, velocity, torque = ranges
     return Command(
-        from_code(word >> 48, ranges.position, 16),
-        from_code(word >> 36 & 0xFFF, ranges.velocity, 12),
+        from_code(word >> 48, position, 16),
+        from_code(word >> 36 & 0xFFF, velocity, 12),
         (word >> 24 & 0xFFF) * KP_MAX / 4095.0,
         (word >> 12 & 0xFFF) * KD_MAX / 4095.0,
-        from_code(word & 0xFFF, ranges.torque, 12),
+        from_code(word & 0xFFF, torque, 12),
     )
 
 
@@ -63,5 +65,12 @@ def encode_feedback(
     p = to_code(motion[0], ranges.position, 16)
     v = to_code(motion[1], ranges.velocity, 12)
     t = to_code(motion[2], ranges.torque, 12)
-    hot = [min(255, max(0, int(value))) for value in temperatures]
-    return bytes((state << 4 | node_id & 0xF, p >> 8, p & 0xFF, v >> 4, (v & 0xF) << 4 | t >> 8, t & 0xFF, *hot))
+    mosfet, winding = temperatures
+    return _FEEDBACK.pack(
+        state << 4 | node_id & 0xF, p, v >> 4, (v & 0xF) << 4 | t >> 8, t & 0xFF, _degrees(mosfet), _degrees(winding)
+    )
+
+
+def _degrees(value: float) -> int:
+    """Return a temperature as a byte, saturated."""
+    return 0 if value < 0.0 else 255 if value > 255.0 else int(value)

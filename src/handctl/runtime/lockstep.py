@@ -67,14 +67,11 @@ class LockstepClock:
         """Step the peer from the last tick to tick k; never late."""
         if k > 0:
             replies = self.peer.step(self.offset_ns + (k - 1) * self.period_ns, self.outgoing)
-            self.incoming.extend(self._frame(reply) for reply in replies)
+            begin_ns = self.offset_ns
+            self.incoming += [Frame(can_id, data, flags, bus, t - begin_ns) for can_id, data, flags, bus, t in replies]
             self.outgoing = []
         self.k = k
         return 0
-
-    def _frame(self, reply: Any) -> Frame:
-        frame = Frame(*reply)
-        return frame._replace(t_ns=frame.t_ns - self.offset_ns)
 
     def now_ns(self) -> int:
         """Scheduled time of the present tick [ns]."""
