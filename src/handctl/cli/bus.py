@@ -1,10 +1,13 @@
-"""``handctl bus plan``: how full each bus of a hand is in the worst case, and how to split it if it does not fit."""
+"""``handctl bus plan``: how full each bus of a hand is in the worst case, and how to split it if it does not fit.
+
+``handctl bus doctor`` is in ``bus_doctor``.
+"""
 
 import argparse
 from typing import Any
 
 from handctl.cli.exit_codes import Exit
-from handctl.cli.options import hand_option, json_option, print_json
+from handctl.cli.options import bus_option, json_option, print_json
 from handctl.cli.plan import tick_times_s
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.drives.load import MOST, bus_time_s, highest_rate
@@ -16,15 +19,24 @@ EXAMPLE = "handctl bus plan --hand jamia11 --rate 200"
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("what", choices=["plan"], help="plan: worst-case load of each bus, stuff bits included")
-    hand_option(parser)
+    told = "plan: worst-case load of each bus of a hand, stuff bits included; doctor: look at buses, and what to type"
+    parser.add_argument("what", choices=["plan", "doctor"], help=told)
+    about = "packaged hand or file (plan: jamia; doctor: none)"
+    parser.add_argument("--hand", metavar="NAME|FILE", help=about)
+    bus_option(parser, required=False)
     json_option(parser)
+    parser.add_argument("--bitrate", type=int, default=1_000_000, metavar="BIT/S", help="without a hand (1000000)")
+    parser.add_argument("--data-bitrate", type=int, metavar="BIT/S", help="without a hand: of CAN FD's data phase")
     parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: the highest that fits)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Compute and print; 1 if the hand does not fit at the rate."""
-    hand = load_hand(args.hand)
+    """Compute and print; 1 if the hand does not fit at the rate, or something is to be mended."""
+    if args.what == "doctor":
+        from handctl.cli.bus_doctor import doctor
+
+        return doctor(args, load_hand(args.hand) if args.hand else None)
+    hand = load_hand(args.hand or "jamia")
     times = tick_times_s(hand)
     rate = highest_rate(times) if args.rate is None else args.rate
     if not 0 < rate <= 10_000:

@@ -24,7 +24,7 @@ VERBS = {
     "config": "show a hand and where each value comes from, or check files",
     "gains": "which gains a hand uses and why; other ones, the way back, live changes",
     "paper": "reproduce the source paper, with what is wrong in it",
-    "bus": "plan the load of a hand's buses, and how to split them",
+    "bus": "plan the load of a hand's buses, or look at buses and say what to mend",
     "scan": "find the drives on a bus without moving anything",
     "conformance": "check the contract of one drive on the drive itself",
     "doctor": "check this machine: priority, buses, viewer",

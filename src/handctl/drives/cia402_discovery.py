@@ -55,3 +55,13 @@ def foreign(seen: Seen) -> tuple[Frame, ...]:
     """SYNC, NMT, the heartbeat of another handctl."""
     known = (codec.NMT, codec.SYNC, codec.HEARTBEAT + MASTER)
     return tuple(frame for frame in seen if frame.can_id & ~REMOTE in known)
+
+
+def ping(node: Found) -> Frame:
+    """The device type."""
+    return Frame(codec.SDO_REQUEST + node.node_id, codec.upload(DEVICE_TYPE, 0))
+
+
+def pong(node: Found, frame: Frame) -> bool:
+    """Whether this is its device type."""
+    return frame.can_id == codec.SDO_REPLY + node.node_id and len(frame.data) == 8

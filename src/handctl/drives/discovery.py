@@ -52,12 +52,15 @@ class Discovery(NamedTuple):
         found: nodes in what was seen.
         orders: identifiers that a node takes as an order, whoever sends them.
         foreign: frames that only another host can have sent.
+        ping: a question to one node that moves nothing. pong: whether a frame is the answer to it.
     """
 
     questions: Callable[[int, Seen], tuple[Frame, ...]]
     found: Callable[[Seen], tuple[Found, ...]]
     orders: Callable[[Found], frozenset[int]]
     foreign: Callable[[Seen], tuple[Frame, ...]]
+    ping: Callable[[Found], Frame]
+    pong: Callable[[Found, Frame], bool]
 
 
 def allowed(

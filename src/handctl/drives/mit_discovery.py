@@ -96,3 +96,14 @@ def _read(number: int, register: int) -> Frame:
 
 def _integer(raw: bytes) -> int:
     return int.from_bytes(raw, "little")
+
+
+def ping(motor: Found) -> Frame:
+    """Its MST_ID."""
+    return _read(motor.node_id, MST_ID)
+
+
+def pong(motor: Found, frame: Frame) -> bool:
+    """Whether this is its MST_ID."""
+    answer = frame.can_id != codec.BROADCAST_ID and len(frame.data) == 8
+    return answer and frame.data[:4] == codec.register_request(motor.node_id, codec.READ, MST_ID)[:4]

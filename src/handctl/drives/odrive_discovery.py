@@ -87,3 +87,13 @@ def foreign(seen: Seen) -> tuple[Frame, ...]:
         if (frame.can_id & ~REMOTE) >> 5 in nodes
         and (frame.can_id & REMOTE or frame.can_id & 0x1F not in _CYCLIC | {codec.TX_SDO, ADDRESS})
     )
+
+
+def ping(drive: Found) -> Frame:
+    """Version, which no drive sends by itself as often as it could be asked."""
+    return Frame(codec.can_id(drive.node_id, codec.GET_VERSION) | REMOTE, b"")
+
+
+def pong(drive: Found, frame: Frame) -> bool:
+    """Whether this is its version."""
+    return frame.can_id == codec.can_id(drive.node_id, codec.GET_VERSION) and len(frame.data) == 8

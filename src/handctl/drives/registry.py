@@ -19,7 +19,7 @@ PROTOCOLS: dict[str, Callable[[MotorDescription, int], Drive]] = {
 
 
 DISCOVERIES: dict[str, Discovery] = {
-    name: Discovery(module.questions, module.found, module.orders, module.foreign)
+    name: Discovery(module.questions, module.found, module.orders, module.foreign, module.ping, module.pong)
     for name, module in (("odrive", odrive_discovery), ("mit", mit_discovery), ("cia402", cia402_discovery))
 }
 """How each protocol is looked for on a bus."""

@@ -153,7 +153,7 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
         BusError: no SocketCAN here, or the interface is missing, down, not FD as needed, or has too short a queue.
     """
     name, fd_mode = f"socketcan:{channel}", data_bitrate is not None
-    advice = "type: " + _advice(channel, bitrate, data_bitrate)
+    hint = "type: " + advice(channel, bitrate, data_bitrate)
     try:
         link = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     except OSError as error:
@@ -168,7 +168,7 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
         problem = f"cannot be opened: {os.strerror(error.errno or 0)}"
     if problem:
         link.close()
-        raise BusError(problem, name, advice)
+        raise BusError(problem, name, hint)
     return SocketCanBus(link, name, index, fd_mode, stamp)
 
 
@@ -190,7 +190,7 @@ def _ask(link: socket.socket, channel: str, request: int) -> int:
     return int(number)
 
 
-def _advice(channel: str, bitrate: int, data_bitrate: int | None) -> str:
+def advice(channel: str, bitrate: int, data_bitrate: int | None) -> str:
     """Command that sets an interface up as the hand needs it."""
     if channel.startswith("vcan"):
         mtu = " && sudo ip link set {0} mtu 72" if data_bitrate else ""

@@ -1,0 +1,81 @@
+"""What is right and wrong with an interface, and the command that mends it."""
+
+from typing import NamedTuple
+
+from handctl.runtime.link import Link
+from handctl.runtime.socketcan import QUEUE, advice
+
+UDEV_QUEUE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queue_len}}="128"'
+UDEV_NAME = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="THE ADAPTER\'S", NAME="{0}"'
+UDEV_FILE = "/etc/udev/rules.d/90-can.rules"
+WIRING = "check that the drives have power, both ends have 120 ohm, and all have the same bit rate"
+ERRORS = {
+    "bus_error": "bus errors", "error_warning": "times error warning", "error_passive": "times error passive",
+    "bus_off": "times bus-off", "arbitration_lost": "arbitrations lost", "restarts": "restarts",
+    "rx_dropped": "received frames dropped", "tx_dropped": "frames to be sent dropped",
+}  # fmt: skip
+HARMLESS = {"arbitration_lost"}
+"""Counts that say nothing is wrong."""
+
+
+class Finding(NamedTuple):
+    """What was looked at, whether it is as it should be, what to type if not, and whether the bus can be of no use."""
+
+    what: str
+    good: bool
+    fix: str = ""
+    fatal: bool = False
+
+
+def absent(name: str, bitrate: int, data_bitrate: int | None) -> Finding:
+    """There is no such interface."""
+    if name.startswith("vcan"):
+        return Finding(f"{name} does not exist", False, advice(name, bitrate, data_bitrate), fatal=True)
+    fix = f"plug the adapter in and look: sudo dmesg | tail; to give it this name, in {UDEV_FILE}: "
+    return Finding(f"{name} does not exist", False, fix + UDEV_NAME.format(name), fatal=True)
+
+
+def findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> list[Finding]:
+    """Judge an interface.
+
+    Args:
+        name: of the interface.
+        link: its state.
+        bitrate, data_bitrate: what the hand wants [bit/s]; None: a classical bus.
+    """
+    set_up = advice(name, bitrate, data_bitrate)
+    found = [Finding(f"{name} is {'up' if link.up else 'down'}", link.up, set_up, fatal=not link.up)]
+    if link.bitrate is not None or link.kind == "can":
+        found.append(_rate("bit rate", link.bitrate, bitrate, set_up))
+    if data_bitrate is not None:
+        found.append(Finding("carries CAN FD" if link.fd else "does not carry CAN FD", link.fd, set_up))
+        if link.kind == "can":
+            found.append(_rate("bit rate of the data phase", link.data_bitrate, data_bitrate, set_up))
+    queue = f"sudo ip link set {name} txqueuelen 128; for good, in {UDEV_FILE}: {UDEV_QUEUE.format(name)}"
+    found.append(Finding(f"transmit queue of {link.queue} frames", link.queue >= QUEUE, queue))
+    return [*found, *_controller(name, link), *_counts(link)]
+
+
+def _rate(what: str, has: int | None, wanted: int, fix: str) -> Finding:
+    return Finding(f"{what} {has or 'not set'}, the hand wants {wanted}", has == wanted, fix)
+
+
+def _controller(name: str, link: Link) -> list[Finding]:
+    """State, error counters and restart of a real controller."""
+    if not link.state:
+        return []
+    restart = f"sudo ip link set {name} type can restart; " if link.state == "BUS-OFF" else ""
+    counters = f"{link.state}, error counters {link.sending} sending, {link.receiving} receiving"
+    good = link.state == "ERROR-ACTIVE" and link.sending + link.receiving == 0
+    found = [Finding(counters, good or not link.up, restart + WIRING)]
+    if link.restart_ms is not None:
+        command = f"sudo ip link set {name} down; sudo ip link set {name} up type can restart-ms 100"
+        found.append(Finding(f"restarts {link.restart_ms} ms after bus-off", link.restart_ms > 0, command))
+    return found
+
+
+def _counts(link: Link) -> list[Finding]:
+    told = [f"{number} {ERRORS[key]}" for key, number in link.counts.items() if number and key in ERRORS]
+    bad = any(number for key, number in link.counts.items() if key in ERRORS and key not in HARMLESS)
+    fix = f"since it was made; {WIRING}; look again after a run"
+    return [Finding("counted: " + (", ".join(told) or "no errors"), not bad, fix)]

@@ -1,0 +1,39 @@
+"""``handctl bus doctor``: the bus, the nodes on it and how fast they answer, or what to type."""
+
+import json
+
+import pytest
+
+from handctl.cli.main import main
+from tests.drives.bench_process import drives
+
+
+def test_a_local_bus_and_its_nodes(capsys):
+    with drives("local:d", "mit", "--ids", "1,2"):
+        main(["bus", "doctor", "--bus", "local:d", "--json"])
+        (bus,) = json.loads(capsys.readouterr().out)["buses"]
+    assert [(node["node_id"], node["answers"]) for node in bus["nodes"]] == [(1, 20), (2, 20)]
+    assert all(0.0 < node["shortest"] <= node["median"] <= node["longest"] for node in bus["nodes"])
+    assert bus["findings"][0] == {"what": "can be opened", "good": True, "fix": ""}
+
+
+def test_motors_of_the_hand_that_do_not_answer_are_named(capsys):
+    with drives("local:d", "mit", "--ids", "1,2"):
+        assert main(["bus", "doctor", "--hand", "jamia", "--bus", "local:d"]) == 1
+    out = capsys.readouterr().out
+    assert "ring_motor (mit 3) does not answer" in out
+    assert "index_motor" not in out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(["--bus", "local:nobody"], "type: python -m firmware_sim"), (["--bus", "virtual:x"], "120 ohm")],
+)
+def test_what_is_not_there_comes_with_what_to_type(capsys, words, said):
+    assert main(["bus", "doctor", *words]) == 1
+    assert said in capsys.readouterr().out
+
+
+def test_no_bus_is_bad_input(capsys):
+    assert main(["bus", "doctor"]) == 2
+    assert "--bus" in capsys.readouterr().err

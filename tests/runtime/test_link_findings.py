@@ -1,0 +1,78 @@
+"""What ``ip`` tells of an interface, and what follows: in the form of iproute2's output, written for these tests."""
+
+import json
+
+import pytest
+
+from handctl.runtime.link import parse_link
+from handctl.runtime.link_findings import absent, findings
+
+MEGABIT = 1_000_000
+
+
+def told(**changes) -> str:
+    """Output of ``ip -details -statistics -json`` for a good real interface, with changes in its parts."""
+    data = {
+        "state": "ERROR-ACTIVE",
+        "berr_counter": {"tx": 0, "rx": 0},
+        "restart_ms": 100,
+        "bittiming": {"bitrate": MEGABIT, "sample_point": "0.875"},
+    } | changes.get("data", {})
+    link = {
+        "ifname": "can0", "flags": ["NOARP", "UP", "LOWER_UP", "ECHO"], "mtu": 16, "txqlen": 128, "link_type": "can",
+        "linkinfo": {"info_kind": "can", "info_data": data, "info_xstats": changes.get("xstats", {"bus_off": 0})},
+        "stats64": {"rx": {"dropped": 0}, "tx": {"dropped": 0}},
+    }  # fmt: skip
+    return json.dumps([link | changes.get("link", {})])
+
+
+def bad(text, data_bitrate=None):
+    link = parse_link(text)
+    assert link is not None
+    return [finding for finding in findings("can0", link, MEGABIT, data_bitrate) if not finding.good]
+
+
+def test_a_good_interface_has_nothing_to_mend():
+    assert bad(told()) == []
+    fast = {"link": {"mtu": 72}, "data": {"data_bittiming": {"bitrate": 5 * MEGABIT}}}
+    assert bad(told(**fast), 5 * MEGABIT) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "what", "fix"),
+    [
+        ({"link": {"flags": ["NOARP"]}}, "is down", "sudo ip link set can0 up"),
+        ({"data": {"bittiming": {"bitrate": 500_000}}}, "500000, the hand wants 1000000", "bitrate 1000000"),
+        ({"data": {"bittiming": {}}}, "not set", "bitrate 1000000"),
+        ({"link": {"txqlen": 10}}, "queue of 10", 'ATTR{tx_queue_len}="128"'),
+        ({"data": {"state": "BUS-OFF"}}, "BUS-OFF", "sudo ip link set can0 type can restart"),
+        ({"data": {"berr_counter": {"tx": 128, "rx": 0}}}, "128 sending", "120 ohm"),
+        ({"data": {"restart_ms": 0}}, "0 ms after bus-off", "restart-ms 100"),
+        ({"xstats": {"error_passive": 3, "arbitration_lost": 7}}, "3 times error passive", "120 ohm"),
+        ({"link": {"stats64": {"tx": {"dropped": 9}}}}, "9 frames to be sent dropped", "after a run"),
+    ],
+)
+def test_each_fault_is_told_with_what_mends_it(changes, what, fix):
+    (finding,) = bad(told(**changes))
+    assert what in finding.what
+    assert fix in finding.fix
+
+
+def test_fd_is_missed_where_the_hand_wants_it():
+    found = bad(told(), 5 * MEGABIT)
+    assert ["does not carry CAN FD" in finding.what for finding in found] == [True, False]
+    assert "dbitrate 5000000 fd on" in found[0].fix
+
+
+def test_lost_arbitration_alone_is_no_fault():
+    assert bad(told(xstats={"arbitration_lost": 7})) == []
+
+
+def test_an_interface_that_is_not_there():
+    assert "udev" in absent("can3", MEGABIT, None).fix
+    assert "type vcan" in absent("vcan3", MEGABIT, None).fix
+
+
+@pytest.mark.parametrize("text", ["", "[]", "Device does not exist", "{"])
+def test_what_is_no_link_is_none(text):
+    assert parse_link(text) is None

@@ -1,0 +1,48 @@
+"""``handctl bus doctor`` and ``scan`` on real SocketCAN: what the kernel tells of an interface is what they say."""
+
+import json
+import subprocess
+
+import pytest
+
+from handctl.cli.main import main
+from handctl.runtime.link import read_link
+from tests.drives.bench_process import drives
+
+
+def test_the_kernel_s_interfaces_are_read() -> None:
+    link = read_link("vcan0")
+    assert link is not None
+    assert (link.up, link.kind, link.fd, link.bitrate, link.state) == (True, "vcan", True, None, "")
+    assert link.queue >= 32
+    assert read_link("vcan7") is None
+
+
+def test_an_interface_that_is_down_or_absent_comes_with_the_command(capsys: pytest.CaptureFixture[str]) -> None:
+    subprocess.run(["ip", "link", "set", "vcan1", "down"], check=True)
+    try:
+        assert main(["bus", "doctor", "--bus", "socketcan:vcan1"]) == 1
+        assert "ip link set vcan1 up" in capsys.readouterr().out
+    finally:
+        subprocess.run(["ip", "link", "set", "vcan1", "up"], check=True)
+    assert main(["bus", "doctor", "--bus", "socketcan:vcan7"]) == 1
+    assert "sudo ip link add vcan7 type vcan" in capsys.readouterr().out
+
+
+def test_a_short_queue_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    subprocess.run(["ip", "link", "set", "vcan1", "txqueuelen", "10"], check=True)
+    try:
+        assert main(["bus", "doctor", "--bus", "socketcan:vcan1"]) == 1
+        assert "txqueuelen 128" in capsys.readouterr().out
+    finally:
+        subprocess.run(["ip", "link", "set", "vcan1", "txqueuelen", "1000"], check=True)
+
+
+def test_nodes_are_found_and_timed(capsys: pytest.CaptureFixture[str]) -> None:
+    with drives("socketcan:vcan0", "cia402", "--ids", "32"):
+        main(["bus", "doctor", "--bus", "socketcan:vcan0", "--json"])
+        (bus,) = json.loads(capsys.readouterr().out)["buses"]
+        assert main(["scan", "--bus", "socketcan:vcan0", "--json"]) == 0
+    assert bus["nodes"][0]["answers"] == 20
+    (node,) = json.loads(capsys.readouterr().out)["buses"][0]["nodes"]
+    assert (node["protocol"], node["serial"]) == ("cia402", "0x53494d20")
