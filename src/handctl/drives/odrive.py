@@ -48,6 +48,7 @@ class OdriveDrive:
         limits: payload of Set_Limits: velocity [turn/s], current [A].
         settings: to be verified by SDO.
         polled: whether position is asked for in every tick.
+        cyclic_s: period of the drive's own messages if it is not [s]; else 0.
         torque_feedback: whether torque is asked for in every tick.
         patience_ns: longest time without a heartbeat [ns].
     """
@@ -61,6 +62,7 @@ class OdriveDrive:
     limits: bytes
     settings: tuple[endpoints.Setting, ...]
     polled: bool
+    cyclic_s: float
     torque_feedback: bool
     patience_ns: int
 
@@ -97,6 +99,7 @@ class OdriveDrive:
             limits=codec.floats(motor.velocity_range_rad_s * ratio / math.tau, current),
             settings=settings,
             polled=cyclic is None,
+            cyclic_s=(cyclic or 0.0) / 1e3,
             torque_feedback=feedback,
             patience_ns=round(heartbeat * HEARTBEATS_MISSED * 1e6),
         )
