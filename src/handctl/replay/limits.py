@@ -15,7 +15,7 @@ from handctl.log.reader import RunLog
 from handctl.replay.rebuild import rebuild
 from handctl.safety import judge as safety
 from handctl.safety.action import Action
-from handctl.safety.table import LEAST_SILENT, LEAST_STALLED, Limits, ticks_for
+from handctl.safety.signals import LEAST_SILENT, LEAST_STALLED, Limits, ticks_for
 
 Tension = Annotated[float, Field(gt=0, le=1000)]
 

@@ -1,6 +1,6 @@
 """One row of the fault table, and the simplest detectors."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from handctl.safety.action import Action
@@ -46,8 +46,10 @@ class Fault:
         return self.id.rstrip("abcd")
 
 
-def above(names: tuple[str, ...], values: Iterable[float], limit: float) -> Sequence[Reading]:
-    """Instances whose value is above a limit; what is not a number is not."""
+def above(names: tuple[str, ...], values: Sequence[float], limit: float) -> Sequence[Reading]:
+    """Instances whose value is above a limit; what is not a number is not, wherever it stands."""
+    if not values or max(values) <= limit:
+        return NOTHING
     return [(name, value) for name, value in zip(names, values, strict=False) if value > limit]
 
 

@@ -33,7 +33,7 @@ def step(state: Ropes, tension: list[float], wanted: list[float]) -> Ropes:
 
     Args:
         state: from the last tick.
-        tension: load cells [N], NaN if missing.
+        tension: load cells, filtered [N].
         wanted: tension commanded [N]; NaN for a limp tendon.
     """
     n = len(tension)
@@ -46,7 +46,7 @@ def step(state: Ropes, tension: list[float], wanted: list[float]) -> Ropes:
             ago, ticks = 0, 0
         elif ago >= 0:
             ago += 1
-            ticks = ticks + 1 if cell < SLACK_N and goal > TAUT_N else ticks if cell != cell else 0
+            ticks = ticks + 1 if cell < SLACK_N and goal > TAUT_N else 0
         taut_ago.append(ago)
         slack.append(ticks)
     return Ropes(tuple(taut_ago), tuple(slack))

@@ -1,7 +1,7 @@
 """What safety may know of one tick, and the thresholds of one hand."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from handctl.drives.causes import Cause
 
@@ -35,6 +35,7 @@ class Limits:
         temperature_hard: of a drive [degC].
         temperature_soft: of a drive [degC].
         frames_most: frames in one tick that are more than all nodes together can have sent.
+        trip_least: tension below which no tendon's limit is met [N].
         noise_most: mean squared jerk of a motor's position that means a noise burst [rad^2].
     """
 
@@ -50,6 +51,10 @@ class Limits:
     temperature_hard: float = 85.0
     frames_most: int = 64
     noise_most: float = math.inf
+    trip_least: float = field(init=False, default=math.inf)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "trip_least", min((*self.tension_trip, *self.drive_limit), default=math.inf))
 
     @property
     def nodes(self) -> tuple[str, ...]:

@@ -25,18 +25,28 @@ def _slack_long(limits: Limits, s: Signals) -> Sequence[Reading]:
 
 
 def _over_tension(limits: Limits, s: Signals) -> Sequence[Reading]:
+    if max(s.tension, default=0.0) <= limits.trip_least:
+        return NOTHING
     rows = zip(limits.tendons, s.tension, limits.tension_trip, strict=False)
     return [(name, f) for name, f, trip in rows if trip < f < limits.tension_rail]
 
 
 def _beyond_drive(limits: Limits, s: Signals) -> Sequence[Reading]:
+    if max(s.tension, default=0.0) <= limits.trip_least:
+        return NOTHING
     rows = zip(limits.tendons, s.tension, limits.drive_limit, strict=False)
     return [(name, f) for name, f, most in rows if most < f < limits.tension_rail]
 
 
+def _within(limits: Limits, tension: tuple[float, ...]) -> bool:
+    return not tension or (max(tension) < limits.tension_rail and min(tension) > limits.tension_low)
+
+
 def _saturated(limits: Limits, s: Signals) -> Sequence[Reading]:
+    if not s.armed or _within(limits, s.tension):
+        return NOTHING
     rows = zip(limits.tendons, s.tension, strict=False)
-    return [(name, f) for name, f in rows if s.armed and (f >= limits.tension_rail or f <= limits.tension_low)]
+    return [(name, f) for name, f in rows if (f >= limits.tension_rail or f <= limits.tension_low)]
 
 
 def _drifts(limits: Limits, s: Signals) -> Sequence[Reading]:
@@ -60,7 +70,7 @@ def _rubs(limits: Limits, s: Signals) -> Sequence[Reading]:
 
 
 TENDON_FAULTS: tuple[Fault, ...] = (
-    Fault("T01", "a rope snapped", "no tension where there was some, and the spool runs", 1, Action.RELAX, PERSON,
+    Fault("T01", "a rope snapped", "no tension where there was some, and the spool runs", 2, Action.RELAX, PERSON,
           _snapped),
     Fault("T02a", "a rope is slack", "below 2 N for 50 ms where tension is wanted", 1, Action.WARN, ITSELF, _slack),
     Fault("T02b", "a rope stays slack", "the same for 500 ms", 1, Action.RELAX, PERSON, _slack_long),

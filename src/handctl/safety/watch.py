@@ -65,6 +65,8 @@ class Watcher:
             asked=np.full(n, np.nan),
             wanted=np.full(n, np.nan),
             goal=np.full(n, np.nan),
+            ropes=ropes.Ropes(),
+            counts=counts.Counts(),
         )
 
 
@@ -94,8 +96,8 @@ class WatchState:
     asked: Vector
     wanted: Vector
     goal: Vector
-    ropes: ropes.Ropes = ropes.Ropes()
-    counts: counts.Counts = counts.Counts()
+    ropes: ropes.Ropes
+    counts: counts.Counts
 
     def key(self) -> bytes:
         """Bytes that change with the state."""
@@ -165,7 +167,7 @@ def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tu
     state, slip = _slip(watcher, state, seen)
     rope = residuals.Rope(seen.travel / watcher.spool, seen.speed, seen.tension, seen.force, state.asked, slip)
     filtered = residuals.step(watcher.rotor, state.filtered, rope)
-    tense = ropes.step(state.ropes, cell, wanted)
+    tense = ropes.step(state.ropes, filtered.low[residuals.TENSION].tolist(), wanted)
     state = replace(state, filtered=filtered, ropes=tense)
     state, stands = _stands(watcher, state, seen)
     low = filtered.low
@@ -203,7 +205,7 @@ def _stands(watcher: Watcher, state: WatchState, seen: Seen) -> tuple[WatchState
     long = motor.ticks * period > STUCK_S
     still = long & ((moved[0] > STUCK_GOAL_MM) | (moved[1] > STUCK_TENSION_N))
     cell, pushed = stuck.step(state.stuck_cell, seen.tension, low[residuals.QUICK_FORCE][None])
-    same = (cell.ticks >= CELL_TICKS) & (pushed[0] > CELL_FORCE_N)
+    same = (cell.ticks >= CELL_TICKS) & (pushed[0] > CELL_FORCE_N) & (cell.value > ropes.TAUT_N)
     by_spool = watcher.spool_to_joints @ (seen.travel - quick / watcher.stiffness) * DEG
     joint, turned = stuck.step(state.stuck_joint, seen.joints, by_spool[None])
     stiff = (joint.ticks > 0) & (joint.ticks * period > STUCK_S) & (turned[0] > STUCK_JOINT_DEG)
