@@ -105,11 +105,12 @@ class Guard:
         shapes = self._misshapen(before, state, strange)
         refused = sum(event.level == "warn" for event in told)
         watch, raw = counted(self.watcher, state.watch, raw, shapes, (len(strange), refused), entry.k)
+        torque = np.array([drive.torque for drive in state.drives])
         seen = Seen(
             tension=measured.tension,
             travel=measured.travel,
             speed=estimate.speed,
-            force=np.array([drive.torque for drive in state.drives]) / self.model.space.spool,
+            force=np.where(np.isnan(measured.travel), np.nan, torque / self.model.space.spool),
             excursion=measured.excursion,
             joints=measured.joints,
             cut=state.mode in CUT_OFF,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from handctl.safety.action import Action
 from handctl.safety.fault import ITSELF, NOTHING, PERSON, Fault, Reading, above, io
-from handctl.safety.signals import LEAST_SILENT, Limits, Signals
+from handctl.safety.signals import Limits, Signals
 
 WINDOW = 100
 """Ticks over which losses are counted."""
@@ -26,7 +26,7 @@ def _motor_silent(limits: Limits, s: Signals) -> Sequence[Reading]:
 
 def _one_silent(limits: Limits, s: Signals) -> Sequence[Reading]:
     """Some nodes are silent while others answer."""
-    late = above(limits.motors, s.motor_age, LEAST_SILENT - 1) if s.armed else NOTHING
+    late = above(limits.motors, s.motor_age, limits.one_silent_ticks - 1) if s.armed else NOTHING
     return late if late and min(s.motor_age) == 0 else NOTHING
 
 

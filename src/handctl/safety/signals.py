@@ -31,6 +31,7 @@ class Limits:
         motors: names, (M,).
         drive_limit: (N,) tension that the drive's own torque limit can make; above it, cut [N].
         silent_ticks: replies in a row that may be missing before a node counts as silent.
+        one_silent_ticks: the same for a motor while another one answers.
         stalled_ticks: ticks in a row that may be missed before the host counts as standing still.
         temperature_hard: of a drive [degC].
         temperature_soft: of a drive [degC].
@@ -46,6 +47,7 @@ class Limits:
     tension_low: float = -math.inf
     drive_limit: tuple[float, ...] = ()
     silent_ticks: int = 4
+    one_silent_ticks: int = LEAST_SILENT
     stalled_ticks: int = 3
     temperature_soft: float = 70.0
     temperature_hard: float = 85.0
