@@ -2,61 +2,18 @@
 
 import pytest
 
-from firmware_sim.bench import Bench
 from firmware_sim.broken import FAULTS
-from firmware_sim.drive_types import ENDPOINTS, drive_spec
-from firmware_sim.frame import Frame as SimFrame
-from handctl.drives.frame import Frame
-from handctl.drives.registry import PROTOCOLS, make_drive
+from handctl.drives.registry import PROTOCOLS
 from handctl.runtime.conformance import Check, Subject, Verdict, checks
-from handctl.runtime.drive_rig import PERIOD_NS, DriveRig
-from tests.drives.protocol_bench import described
+from handctl.runtime.drive_rig import DriveRig
+from tests.drives.virtual_bench import VirtualBench, rig_on
 
-NODE, LIMIT = 0x21, 0.1
-OPTIONS = {
-    "mit": {},
-    "odrive": {**ENDPOINTS, "torque_feedback": True},
-    "cia402": {"rated_torque_N_m": 1.0, "counts_per_turn": 65536, "sync": True},
-}
-
-
-class VirtualBench:
-    """A bench as bus and clock at once: waiting for a tick lets the drives' time pass."""
-
-    name = "bench"
-
-    def __init__(self, protocol, fault="", inertia=None):
-        self.bench = Bench([drive_spec(protocol, NODE, inertia=inertia)], fault=fault)
-        self.waiting, self.top = [], 0.0
-
-    def begin(self):
-        pass
-
-    def wait(self, k):
-        self.bench.advance(k * PERIOD_NS)
-        self.top = max(self.top, abs(self.bench.motors[0].servo.torque))
-        return 0
-
-    def now_ns(self):
-        return self.bench.t_ns
-
-    def send(self, frames):
-        for frame in frames:
-            self.waiting += self.bench.receive(SimFrame(*frame))
-        return len(frames)
-
-    def drain(self):
-        frames, self.waiting = self.waiting + self.bench.take_spoken(), []
-        return [Frame(*frame) for frame in frames]
-
-    def take_events(self):
-        return []
+LIMIT = 0.1
 
 
 def judged(protocol, fault="", options=None, inertia=None) -> tuple[dict[str, Check], VirtualBench, DriveRig]:
     place = VirtualBench(protocol, fault, inertia)
-    drive = make_drive(described(protocol, NODE, LIMIT, OPTIONS[protocol] if options is None else options), 0)
-    rig = DriveRig(drive, place, place)
+    rig = rig_on(place, protocol, LIMIT, options)
     return {check.name: check for check in checks(Subject(rig, LIMIT, 0.05))}, place, rig
 
 

@@ -7,6 +7,7 @@ from handctl.cli.gains_layers import LayeredGains, gains_options, layered_gains
 from handctl.cli.options import hand_option, json_option, print_json
 from handctl.cli.plan import TASKS, find_calibration, find_task, tick_times_s
 from handctl.controller.gain_bounds import flat
+from handctl.controller.setup import caveats, make_drives
 from handctl.drives.load import highest_rate
 from handctl.hand.description import Hand, hand_path, load_hand, packaged_hands
 
@@ -44,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
                 "identity": hand.identity,
                 "rate_hz": rate,
                 "bus_load": load,
+                "caveats": list(caveats(make_drives(hand))),
                 "hand": hand.content,
                 "gains": layers.gains.model_dump(by_alias=True),
                 "gains_file": str(layers.file) if layers.file else "packaged",
@@ -56,6 +58,8 @@ def run(args: argparse.Namespace) -> int:
         print(hand.to_toml(), end="")
         print("\n".join(_gains_with_sources(layers)))
         print(f"# {_calibration_line(args, hand)}")
+    for text in caveats(make_drives(hand)):
+        print(f"# caution: {text}")
     loads = ", ".join(f"bus {name} {100 * share:.0f} %" for name, share in load.items())
     print(f"# default rate {rate:g} Hz: {loads}; gains: {layers.file or 'packaged'}; all files are good")
     return 0

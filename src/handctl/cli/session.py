@@ -116,6 +116,8 @@ def run_live(plan: Plan, controller: Controller, log: Path, live_view: bool = Fa
         BusError: a bus cannot be opened, or another controller runs on it.
         LogError: the log cannot be written.
     """
+    for text in setup.caveats(controller.drives):
+        print(f"handctl: caution: {text}", file=sys.stderr)
     clock = RealClock(plan.period_ns, plan.time_scale)
     with ExitStack() as stack:
         mailbox = Mailbox(plan.buses[0])
@@ -262,6 +264,8 @@ def run_header(plan: Plan, controller: Controller, priority: Priority | None, lo
         "rate_hz": f"{plan.rate_hz:g}",
         "time_scale": f"{plan.time_scale:g}",
     }
+    if caveats := setup.caveats(controller.drives):
+        metadata["caveats"] = "; ".join(caveats)
     return RunHeader.of_hand(
         hand.to_toml(),
         plan.period_ns,

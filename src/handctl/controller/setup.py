@@ -1,5 +1,6 @@
 """Putting a controller together from data, so that a log can put the same one together again."""
 
+from collections.abc import Iterable
 from typing import Annotated, Literal
 
 import numpy as np
@@ -95,6 +96,11 @@ class Setup(Document):
         tare, zero = np.array(self.tare_N), np.array(self.zero_rad)
         drives, sensors = make_drives(hand), make_sensors(hand)
         return Controller.of(model, drives, sensors, _made(self.program, hand), tare, zero, self.arm_at_once)
+
+
+def caveats(drives: Iterable[Drive]) -> tuple[str, ...]:
+    """Guards of drives that no read-back can verify, a line each, for a person to read before arming."""
+    return tuple(f"{drive.name}: {text}" for drive in drives for text in drive.caveats)
 
 
 def make_drives(hand: Hand) -> tuple[Drive, ...]:

@@ -79,6 +79,7 @@ class Drive(Protocol):
         exchange: worst-case frames of one control tick, both ways, as (payload bytes, CAN FD?) for the bus load.
         host_ids: identifiers that only the host sends for this drive; from elsewhere they mean a second controller.
         node_ids: identifiers that the drive answers on.
+        caveats: guards that cannot be verified with this configuration, for a person to read before arming.
     """
 
     @property
@@ -93,6 +94,8 @@ class Drive(Protocol):
     def host_ids(self) -> frozenset[int]: ...
     @property
     def node_ids(self) -> frozenset[int]: ...
+    @property
+    def caveats(self) -> tuple[str, ...]: ...
 
     def initial(self) -> DriveState:
         """State before anything was heard."""

@@ -126,6 +126,11 @@ class MitDrive:
         return frozenset((self.reply_id,))
 
     @property
+    def caveats(self) -> tuple[str, ...]:
+        """All that is asked of it is read back."""
+        return ()
+
+    @property
     def wanted(self) -> tuple[tuple[int, float], ...]:
         """(register, value) that the motor must have before it is armed."""
         return (

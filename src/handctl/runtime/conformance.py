@@ -88,8 +88,7 @@ def _configured(subject: Subject) -> str:
     rig = subject.rig
     if not rig.until(Want.POLL, lambda state: state.phase == Phase.READY, 5.0):
         raise Failed(rig.state.error_text or f"nothing that leads on from {rig.state.phase.name}")
-    caveats: tuple[str, ...] = getattr(rig.drive, "caveats", ())
-    return "; ".join(("settings read back", *caveats))
+    return "; ".join(("settings read back", *rig.drive.caveats))
 
 
 def _enabled(rig: DriveRig) -> None:
@@ -197,8 +196,7 @@ def _lets_go(subject: Subject) -> str:
     silence = max(SILENCE_S, 3.0 * subject.watchdog_s)
     rig.keep(Want.LISTEN, silence)
     if not rig.until(Want.ENABLE, lambda state: state.phase != Phase.ENABLED, 0.5):
-        caveats: tuple[str, ...] = getattr(rig.drive, "caveats", ())
-        hint = f" ({caveats[0]})" if caveats else ""
+        hint = f" ({rig.drive.caveats[0]})" if rig.drive.caveats else ""
         raise Failed(f"still enabled after {silence * 1e3:.0f} ms without a command{hint}")
     text = rig.state.error_text
     rig.keep(Want.ENABLE, 0.3)

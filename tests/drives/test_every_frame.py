@@ -1,0 +1,98 @@
+"""Every identifier and every length of random data on every decoder; and every number on every encoder."""
+
+import functools
+import math
+import random
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from handctl.drives.contract import DriveState, Phase, Want
+from handctl.drives.frame import BRS, FDF, Frame
+from handctl.drives.registry import PROTOCOLS
+from handctl.runtime.drive_rig import DriveRig
+from tests.drives.protocol_bench import Bench, hand_file
+from tests.drives.virtual_bench import VirtualBench, rig_on
+
+LIMIT = 0.8
+IDENTIFIERS, LENGTHS = range(0x800), range(65)
+
+
+@pytest.fixture(params=sorted(PROTOCOLS), scope="module")
+def bench(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    folder: Path = tmp_path_factory.mktemp("hand")
+    made = Bench(hand_file(folder, [request.param]))
+    made.until(Want.ENABLE, Phase.ENABLED)
+    yield made
+    made.rig.close()
+
+
+def every_frame(seed: int, t_ns: int) -> Iterator[Frame]:
+    """Each identifier with each length, classical where it can be and FD elsewhere."""
+    chance = random.Random(seed)
+    for can_id in IDENTIFIERS:
+        data = chance.randbytes(64)
+        for length in LENGTHS:
+            yield Frame(can_id, data[:length], FDF | BRS if length > 8 else 0, 0, t_ns)
+
+
+def states_of(bench: Bench) -> list[DriveState]:
+    """Silent, ready and enabled; enabled is where the bench has brought its drives."""
+    ready = bench.states[0]._replace(phase=Phase.READY)
+    return [bench.drives[0].initial(), ready, bench.states[0]]
+
+
+@pytest.mark.parametrize("number", range(3), ids=["silent", "ready", "enabled"])
+def test_a_frame_of_somebody_else_changes_nothing_and_no_frame_raises(bench: Bench, number: int) -> None:
+    drive, before = bench.drives[0], states_of(bench)[number]
+    receive, ours, t_ns = drive.receive, drive.node_ids, bench.k * 2_000_000
+    for frame in every_frame(number, t_ns):
+        after = receive(before, frame)
+        if frame.can_id not in ours:
+            assert after is before, frame
+        elif after is not before:
+            drive.advance(after, t_ns, Want.DISABLE, 0.0)
+
+
+def test_the_sensor_node_s_decoder_takes_its_own_frames_only(bench: Bench) -> None:
+    before = bench.sensors
+    for frame in every_frame(9, bench.k * 2_000_000):
+        after = bench.node.receive(before, frame)
+        if frame.can_id not in bench.node.node_ids:
+            assert after is before, frame
+
+
+def test_simulated_drives_survive_every_frame(bench: Bench) -> None:
+    node, t_ns = bench.rig.world.nodes[0][0], bench.rig.world.t_ns
+    for frame in every_frame(10, t_ns):
+        node.receive(frame, t_ns)  # type: ignore[arg-type]
+
+
+@functools.cache
+def enabled(protocol: str) -> tuple[VirtualBench, DriveRig]:
+    place = VirtualBench(protocol)
+    rig = rig_on(place, protocol, LIMIT)
+    assert rig.until(Want.ENABLE, lambda state: state.phase == Phase.ENABLED, 10.0)
+    return place, rig
+
+
+@pytest.mark.parametrize("protocol", sorted(PROTOCOLS))
+@given(torque=st.floats(width=64) | st.floats(-LIMIT, LIMIT))
+@example(torque=LIMIT)
+@example(torque=-LIMIT)
+@example(torque=math.nextafter(LIMIT, 1.0))
+@example(torque=5e-324)
+@example(torque=math.nan)
+@example(torque=-math.inf)
+def test_a_number_is_refused_or_arrives_as_it_is(protocol: str, torque: float) -> None:
+    place, rig = enabled(protocol)
+    if abs(torque) <= LIMIT:
+        _, frames = rig.drive.advance(rig.state, rig.t_ns, Want.ENABLE, torque)
+        place.send(frames)
+        assert place.bench.motors[0].servo.torque == pytest.approx(torque, abs=LIMIT / 1000)
+    else:
+        with pytest.raises(ValueError, match="expected at most"):
+            rig.drive.advance(rig.state, rig.t_ns, Want.ENABLE, torque)

@@ -1,0 +1,79 @@
+"""A drive is not armed while one of its guards reads back wrong: watchdog, heartbeat supervision, torque limit."""
+
+import pytest
+
+from firmware_sim.nodes.cia402 import Cia402Node
+from firmware_sim.nodes.mit import MitNode
+from firmware_sim.nodes.odrive import OdriveNode
+from handctl.cli.main import main
+from handctl.drives.contract import Phase, Want
+from tests.drives.protocol_bench import OPTIONS, hand_file
+from tests.drives.virtual_bench import VirtualBench, rig_on
+
+GUARDS = {
+    "mit": {9: "TIMEOUT", 23: "TMAX", 10: "CTRL_MODE"},
+    "odrive": {201: "enable_watchdog", 202: "watchdog_timeout", 203: "torque_max", 204: "torque_min"},
+    "cia402": {(0x1016, 1): "0x1016:1", (0x1017, 0): "0x1017:0", (0x6007, 0): "0x6007:0", (0x6072, 0): "0x6072:0"},
+}
+CASES = [(protocol, guard, name) for protocol, guards in GUARDS.items() for guard, name in guards.items()]
+
+
+def hold(place: VirtualBench, guard) -> None:
+    """Have a setting keep its value, whatever is written; a write is answered as if it had been taken."""
+    node = place.bench.nodes[0]
+    if isinstance(node, MitNode):
+        write = node.registers.write
+        node.registers.write = lambda register, raw: None if register == guard else write(register, raw)
+    elif isinstance(node, OdriveNode):
+        node.endpoints = _Stubborn(node.endpoints, guard)
+    else:
+        assert isinstance(node, Cia402Node)
+        write_object = node.objects.write
+        node.objects.write = lambda key, raw: None if key == guard else write_object(key, raw)
+
+
+class _Stubborn(dict):
+    def __init__(self, values, key):
+        super().__init__(values)
+        self.key = key
+
+    def __setitem__(self, key, value):
+        if key != self.key:
+            super().__setitem__(key, value)
+
+
+@pytest.mark.parametrize(("protocol", "guard", "name"), CASES, ids=[f"{case[0]}-{case[2]}" for case in CASES])
+def test_a_guard_that_does_not_read_back_keeps_the_drive_off(protocol, guard, name):
+    place = VirtualBench(protocol)
+    if guard == 10:
+        place.bench.nodes[0].registers.show(10, 2.0)
+    if guard == (0x6007, 0):
+        place.bench.nodes[0].objects[guard] = 0
+    rig = rig_on(place, protocol, 0.5)
+    hold(place, guard)
+    seen = set()
+
+    def note(state):
+        seen.add(state.phase)
+        return False
+
+    rig.until(Want.ENABLE, note, 3.0)
+    assert Phase.FAULT in seen
+    assert Phase.ENABLED not in seen
+    assert name in rig.state.error_text
+    assert place.top == 0.0
+
+
+@pytest.mark.parametrize("protocol", sorted(GUARDS))
+def test_the_same_drive_is_armed_when_all_read_back(protocol):
+    rig = rig_on(VirtualBench(protocol), protocol, 0.5)
+    assert rig.until(Want.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)
+
+
+def test_a_guard_that_nobody_can_verify_is_shown(tmp_path, capsys):
+    path = hand_file(tmp_path, ["odrive"])
+    assert main(["config", "check", "--hand", str(path)]) == 0
+    assert "caution" not in capsys.readouterr().out
+    path.write_text(path.read_text().replace(OPTIONS["odrive"], ""))
+    assert main(["config", "check", "--hand", str(path)]) == 0
+    assert "# caution: index_motor: watchdog not verified" in capsys.readouterr().out

@@ -1,0 +1,55 @@
+"""A simulated drive alone on a bench, in virtual time, and the host's side of it."""
+
+from firmware_sim.bench import Bench
+from firmware_sim.drive_types import ENDPOINTS, drive_spec
+from firmware_sim.frame import Frame as SimFrame
+from handctl.drives.frame import Frame
+from handctl.drives.registry import make_drive
+from handctl.runtime.drive_rig import PERIOD_NS, DriveRig
+from tests.drives.protocol_bench import described
+
+NODE = 0x21
+OPTIONS = {
+    "mit": {},
+    "odrive": {**ENDPOINTS, "torque_feedback": True},
+    "cia402": {"rated_torque_N_m": 1.0, "counts_per_turn": 65536, "sync": True},
+}
+
+
+class VirtualBench:
+    """A bench as bus and clock at once: waiting for a tick lets the drives' time pass."""
+
+    name = "bench"
+
+    def __init__(self, protocol, fault="", inertia=None):
+        self.bench = Bench([drive_spec(protocol, NODE, inertia=inertia)], fault=fault)
+        self.waiting, self.top = [], 0.0
+
+    def begin(self):
+        pass
+
+    def wait(self, k):
+        self.bench.advance(k * PERIOD_NS)
+        self.top = max(self.top, abs(self.bench.motors[0].servo.torque))
+        return 0
+
+    def now_ns(self):
+        return self.bench.t_ns
+
+    def send(self, frames):
+        for frame in frames:
+            self.waiting += self.bench.receive(SimFrame(*frame))
+        return len(frames)
+
+    def drain(self):
+        frames, self.waiting = self.waiting + self.bench.take_spoken(), []
+        return [Frame(*frame) for frame in frames]
+
+    def take_events(self):
+        return []
+
+
+def rig_on(place, protocol, limit, options=None):
+    """The host's side of the drive, with a torque limit [N m]."""
+    motor = described(protocol, NODE, limit, OPTIONS[protocol] if options is None else options)
+    return DriveRig(make_drive(motor, 0), place, place)
