@@ -3,15 +3,15 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from handctl.controller.filter_design import STATES, D, E, O, Regime, V, W
-from handctl.controller.model import HandModel, _excursion_noise
+from handctl.controller.filter_design import STATES, Block, D, E, O, Regime, V, W
+from handctl.controller.model import HandModel
 
-SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
+SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
 """Units in which the states are of the order of one."""
 
 
 def rates_of_change(
-    model: HandModel, i: int, regime: Regime, state: np.ndarray, force: float, load: float
+    model: HandModel, i: int, regime: Regime, state: np.ndarray, force: float, rate: float
 ) -> np.ndarray:
     """The equations of tendon i, state by state."""
     space, gains = model.space, model.gains.filter
@@ -21,12 +21,10 @@ def rates_of_change(
         f = space.stiffness[i] * (x - s - o) + space.damping[i] * (v - w)
     dv = (force + d - f - space.motor_damping[i] * v) / space.motor_mass[i]
     if regime == Regime.FREE:
-        ds = w
-        dw = (f + load + e - space.load_stiffness[i] * s - space.load_damping[i] * w) / space.load_mass[i]
+        ds, dw = w - rate / space.stiffness[i], dv - (w - v) / gains.free_time_s
     else:
         ds, dw = w - s / 1e4, -w / gains.held_time_s
-    decay = (d / gains.motor_disturbance_time_s, e / gains.load_disturbance_time_s, o / 1e4)
-    return np.array([v, dv, ds, dw, -decay[0], -decay[1], -decay[2]])
+    return np.array([v, dv, ds, dw, -d / gains.motor_disturbance_time_s, -e / 1e4, -o / 1e4])
 
 
 def jacobians(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarray, np.ndarray]:
@@ -37,18 +35,26 @@ def jacobians(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarray, np.
 
 
 def intensity(model: HandModel, i: int, regime: Regime) -> np.ndarray:
-    """Spectral density of the noise on each state: a Gauss-Markov state of sigma and tau has 2 sigma^2 / tau, and the
-    offset is as restless, but not drawn back."""
+    """Spectral density of the noise on the states, by what drives them: a Gauss-Markov state of sigma and tau has
+    2 sigma^2 / tau, a walk sigma^2 / tau; what shakes the spool shakes the free digit that follows it."""
     space, gains = model.space, model.gains.filter
-    q = np.zeros(STATES)
-    q[V] = (gains.motor_acceleration_noise_N / space.motor_mass[i]) ** 2
-    q[W] = (gains.load_acceleration_noise_N / space.load_mass[i]) ** 2
-    if regime != Regime.FREE:
-        q[W] = 2 * gains.held_speed_m_s**2 / gains.held_time_s
-    q[D] = 2 * gains.motor_disturbance_N**2 / gains.motor_disturbance_time_s
-    q[E] = 2 * gains.load_disturbance_N**2 / gains.load_disturbance_time_s
-    q[O] = 2 * gains.offset_m**2 / gains.offset_time_s
-    return np.diag(q)
+    spool = np.zeros(STATES)
+    spool[V] = gains.motor_acceleration_noise_N / space.motor_mass[i]
+    digit = np.zeros(STATES)
+    if regime == Regime.FREE:
+        spool[W] = spool[V]
+        digit[W] = np.sqrt(2 / gains.free_time_s) * gains.free_rate_N_per_s / space.stiffness[i]
+    else:
+        digit[W] = np.sqrt(2 / gains.held_time_s) * gains.held_speed_m_s
+    unit = np.eye(STATES)
+    sources = [
+        spool,
+        digit,
+        unit[D] * gains.motor_disturbance_N * np.sqrt(2 / gains.motor_disturbance_time_s),
+        unit[E] * gains.cell_drift_N / np.sqrt(gains.cell_drift_time_s),
+        unit[O] * gains.offset_m * np.sqrt(2 / gains.offset_time_s),
+    ]
+    return sum(np.outer(source, source) for source in sources)
 
 
 def over_one_period(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -68,10 +74,9 @@ def over_one_period(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarra
 
 
 def measurement_noise(model: HandModel, i: int) -> np.ndarray:
-    """Standard deviation of encoder, load cell and excursion that the gains are for; inf where there is none."""
+    """Standard deviation of encoder and load cell that the gains are for."""
     space, gains = model.space, model.gains.filter
-    excursion = _excursion_noise(model.hand)[i]
-    return np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i], excursion])
+    return np.array([space.encoder_step[i] * gains.encoder_noise_counts, space.tension_noise[i]])
 
 
 def by_doubling(F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.ndarray) -> np.ndarray:
@@ -86,9 +91,8 @@ def by_doubling(F: np.ndarray, H: np.ndarray, Q: np.ndarray, R: np.ndarray) -> n
     raise AssertionError("the Riccati equation did not converge")
 
 
-def steady_covariance(model: HandModel, i: int, regime: Regime) -> np.ndarray:
-    """Covariance of the prediction of tendon i in scaled units."""
-    F, _, Q = over_one_period(model, i, regime)
-    H, sigma = model.filter.blocks[i][regime].H, measurement_noise(model, i)
-    seen = np.isfinite(sigma) & np.any(H != 0.0, axis=1)
-    return by_doubling(F, H[seen] * SCALE, Q, np.diag(sigma[seen] ** 2))
+def assumed_measurements(block: Block, regime: Regime) -> np.ndarray:
+    """H (2, 7) for which the gain is designed: the load cell's error is looked for in slack only."""
+    H = block.H[:2].copy()
+    H[1, E] = float(regime == Regime.SLACK)
+    return H

@@ -30,6 +30,7 @@ def known(model: HandModel, x: np.ndarray) -> Estimate:
         motor_disturbance=nothing,
         external=nothing,
         offset=nothing,
+        cell_error=nothing,
         innovation=nothing,
         nis=nothing,
         slack=np.zeros(n, dtype=bool),

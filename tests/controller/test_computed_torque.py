@@ -42,7 +42,7 @@ def test_torque_is_within_its_limits_for_any_finite_input(data: st.DataObject, j
     names = ("tension", "travel", "speed", "excursion", "rate", "motor_disturbance", "external", "offset")
     estimate = replace(known(jamia, np.zeros((n, STATES))), **{name: data.draw(column) for name in names})
     estimate = replace(estimate, slack=np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n))))
-    state = LawState(data.draw(column), data.draw(column), data.draw(column))
+    state = LawState(*(data.draw(column) for _ in range(5)))
     angle = st.floats(-0.5, 2.6)
     kinds = {
         Kind.LIMP: st.just(DigitGoal()),
@@ -207,7 +207,7 @@ def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
     x = np.zeros((model.tendon_count, STATES))
     x[:, X] = 10.0 / model.space.stiffness
     plant = Plant(model, x, held=True)
-    plant.law = LawState(np.full(len(x), 10.0), np.zeros(len(x)), np.zeros(len(x)))
+    plant.law = LawState.idle(np.full(len(x), 10.0))
     peak = 0.0
     for k in range(round(2.0 / model.period)):
         plant.tick(holding(model, 30.0, rate=60.0), k)

@@ -40,18 +40,28 @@ class LawState:
         setpoint: present tension set-point of the tension loop [N].
         integral: its integral part [N].
         force: motor force at the cable that was commanded, friction taken off [N]: the filter's input.
+        planned: tension that the motion asks for [N]; 0 where nothing moves.
+        rate: at which that changes [N/s]: the filter's other input.
         trim: motor force that still makes up for a change of gains [N]; None long after one.
     """
 
     setpoint: Vector
     integral: Vector
     force: Vector
+    planned: Vector
+    rate: Vector
     trim: Vector | None = None
 
     @staticmethod
     def initial(tendons: int) -> "LawState":
         """Nothing commanded."""
-        return LawState(np.zeros(tendons), np.zeros(tendons), np.zeros(tendons))
+        return LawState.idle(np.zeros(tendons))
+
+    @staticmethod
+    def idle(tension: Vector) -> "LawState":
+        """Nothing commanded while the ropes carry a tension (N,) [N]."""
+        nothing = np.zeros(len(tension))
+        return LawState(tension, nothing, nothing, nothing, nothing)
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,13 +105,21 @@ def step(
     tension = table.chosen(motion.tension, hold.setpoint, np.nan)
     load = table.chosen(motion.load, hold.setpoint, 0.0)
     held = table.held
+    planned = motion.tension if table.all_moving else np.where(table.moving, motion.tension, 0.0)
     law = LawState(
         np.where(held, hold.setpoint, estimate.tension) if table.holds else estimate.tension,
         np.where(held, hold.integral, 0.0),
         asked - _motor_friction(model, estimate, asked),
+        planned,
+        _change(model, state.planned, planned),
         None if state.trim is None else _faded(state.trim, model.period),
     )
     return law, Command(asked * model.space.spool, tension, load.dot(model.hand.moment_arms), motion.q, motion.dq)
+
+
+def _change(model: HandModel, before: Vector, now: Vector) -> Vector:
+    """(N,) rate at which planned tensions change [N/s]; none where nothing was or is planned."""
+    return np.where((before > 0.0) & (now > 0.0), (now - before) / model.period, 0.0)
 
 
 TRIM_TIME_S = 0.2

@@ -2,11 +2,12 @@
 
 import functools
 import hashlib
+import itertools
 import struct
 from dataclasses import fields
 
 from handctl.controller.computed_torque import LawState
-from handctl.controller.estimator import FilterState
+from handctl.controller.filter_state import FilterState
 from handctl.controller.gains import Gains
 from handctl.controller.kept import Kept
 from handctl.controller.program import Progress
@@ -23,7 +24,7 @@ LAW_FIELDS = tuple(field.name for field in fields(LawState))
 
 @functools.lru_cache(maxsize=8)
 def _regimes(tendons: int) -> struct.Struct:
-    return struct.Struct(f"<{tendons}B{tendons}?{tendons}I?")
+    return struct.Struct(f"<{tendons}B{tendons}?{tendons}I{tendons}?{tendons}??")
 
 
 def _printed(thing: object) -> bytes:
@@ -48,8 +49,9 @@ def law_bytes(law: LawState) -> bytes:
 
 def filter_bytes(state: FilterState) -> bytes:
     """The filter's state."""
-    plain = _regimes(len(state.regimes)).pack(*state.regimes, *state.stopped, *state.turning, state.started)
-    return plain + state.x.tobytes()
+    plain = itertools.chain(state.regimes, state.stopped, state.turning, state.measured, state.doubtful)
+    told = _regimes(len(state.regimes)).pack(*plain, state.started)
+    return told + state.x.tobytes() + state.surprise.tobytes() + state.nis.tobytes()
 
 
 def drive_bytes(drive: DriveState) -> bytes:

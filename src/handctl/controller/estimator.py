@@ -1,9 +1,9 @@
 """The tension filter in motion: load cell and encoder (and joint encoders) to tension, excursion and contact force.
 
-All tendons are one linear filter, run with filterpy's steady-state ``predict``/``update``. Friction, gravity, springs
-beyond the linear part and the digit's stops enter as known load forces. A missing measurement has no innovation, so
-the tick is a prediction. The result is the prediction to the present instant: the measurements of a tick were taken
-one period earlier, just before the previous command acted.
+All tendons are one linear filter, run with filterpy's steady-state ``predict``/``update``. A missing measurement has no
+innovation, so the tick is a prediction; the same holds for a saturated one and for a single one that is too far off to
+be true. The result is the prediction to the present instant: the measurements of a tick were taken one period earlier,
+just before the previous command acted.
 """
 
 from dataclasses import dataclass, replace
@@ -13,6 +13,8 @@ from filterpy.kalman import predict_steadystate, update_steadystate
 from numpy.typing import NDArray
 
 from handctl.controller.filter_design import MEASUREMENTS, STATES, D, E, O, Regime, S, Stacked, V, W, X
+from handctl.controller.filter_state import FilterState
+from handctl.controller.innovation import gate, watch
 from handctl.controller.model import HandModel
 from handctl.controller.statics import LoadStatics, load_statics
 from handctl.controller.types import Vector
@@ -28,31 +30,8 @@ STOP_BAND_M = (2e-5, 1e-4)
 """Excursion below which a digit may be on its open stop: to come to rest there, and to stay [m]."""
 STOP_PULL = (1.0, 1.05)
 """Pull, as a share of what the springs ask, below which it is: to come to rest, and to stay."""
-
-
-@dataclass(frozen=True, slots=True)
-class FilterState:
-    """What the filter carries from tick to tick.
-
-    Attributes:
-        x: (7N,) stacked state, the prediction for the coming measurement's instant.
-        regimes: per tendon, a ``Regime``.
-        stopped: per tendon, whether springs hold its digit on the open stop.
-        turning: per tendon, consecutive ticks that spoke for leaving (or entering) slack.
-        started: False until encoder and load cell of every tendon were read once.
-    """
-
-    x: Vector
-    regimes: tuple[int, ...]
-    stopped: tuple[bool, ...]
-    turning: tuple[int, ...]
-    started: bool = False
-
-    @staticmethod
-    def initial(tendons: int) -> "FilterState":
-        """Nothing known: slack, hand open."""
-        zero = (0,) * tendons
-        return FilterState(np.zeros(STATES * tendons), (int(Regime.SLACK),) * tendons, (True,) * tendons, zero)
+LOOSE_M = 2e-4
+"""Rope that must hang loose for its load cell to show nothing but its error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,12 +43,14 @@ class Measured:
         tension: load cell, tared [N].
         excursion: from joint encoders [m].
         joints: (J,) the joint encoders themselves [rad].
+        railed: tendons whose load cell is at an end of its range: that is no measurement.
     """
 
     travel: Vector
     tension: Vector
     excursion: Vector
     joints: Vector
+    railed: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +65,7 @@ class Estimate:
         motor_disturbance: force on the motor that the model lacks [N].
         external: load force that the model lacks, positive against closing: contact [N].
         offset: stretch offset [m].
+        cell_error: load-cell error, as last seen in slack [N].
         innovation: load cell minus prediction [N]; NaN if missing.
         nis: normalised innovation squared of encoder and load cell; NaN if missing.
         slack: boolean.
@@ -99,6 +81,7 @@ class Estimate:
     motor_disturbance: Vector
     external: Vector
     offset: Vector
+    cell_error: Vector
     innovation: Vector
     nis: Vector
     slack: NDArray[np.bool_]
@@ -107,7 +90,12 @@ class Estimate:
 
 
 def step(
-    model: HandModel, state: FilterState, measured: Measured, force: Vector, contact: tuple[bool, ...]
+    model: HandModel,
+    state: FilterState,
+    measured: Measured,
+    force: Vector,
+    rate: Vector,
+    contact: tuple[bool, ...],
 ) -> tuple[FilterState, Estimate]:
     """Take in the measurements of one tick and predict to the present.
 
@@ -116,6 +104,7 @@ def step(
         state: from the last tick.
         measured: taken at the last tick's instant.
         force: (N,) motor force at the cable that acted since, without what friction takes [N].
+        rate: (N,) at which the tension was meant to change since [N/s]; it counts where a digit moves freely.
         contact: per digit, whether it is known to touch.
 
     Returns:
@@ -124,24 +113,38 @@ def step(
     if not state.started:
         state = _start(model, state, measured)
     if not state.started:
-        nothing = np.full((model.tendon_count, MEASUREMENTS), np.nan)
-        return state, _estimate(model, state, state.x, nothing, np.zeros(model.tendon_count))
+        nothing = np.full(model.tendon_count, np.nan)
+        return state, _estimate(model, state, state.x, nothing, nothing, np.zeros(model.tendon_count))
     filters = model.filter.stacked(state.regimes)
-    z = _interleaved(measured.travel, measured.tension, measured.excursion)
-    expected = filters.H.dot(state.x)
-    innovation = z - expected
+    z, expected = _usable(state, filters, measured), filters.H.dot(state.x)
+    innovation, surprise, believed = gate(filters, state.surprise, z - expected)
     x = update_steadystate(state.x, np.where(np.isnan(innovation), expected, z), filters.K, filters.H)
+    for i, change in believed:
+        x[STATES * i + S] -= change / model.space.stiffness[i]
     tension = filters.tension.dot(x)
     statics = load_statics(model, x.reshape(-1, STATES), tension)
     judged = _regimes(model, state, x, tension, statics, measured, contact)
+    nis = _nis(filters, innovation)
     if judged.x is not x:
         x, filters = judged.x, model.filter.stacked(judged.regimes)
-        tension = filters.tension.dot(x)
-        statics = load_statics(model, x.reshape(-1, STATES), tension)
-    external = _unexplained(judged, filters, statics)
-    x = predict_steadystate(x, filters.F, _interleaved(force, _known_load(model, x, statics, tension)), filters.B)
-    state = FilterState(x, judged.regimes, judged.stopped, judged.turning, started=True)
-    return state, _estimate(model, state, x, innovation.reshape(-1, MEASUREMENTS), external)
+        statics = load_statics(model, x.reshape(-1, STATES), filters.tension.dot(x))
+    external = _unexplained(model, judged, filters, statics)
+    x = predict_steadystate(x, filters.F, _interleaved(force, rate), filters.B)
+    watched = watch(model.period, state.nis, state.doubtful, nis)
+    after = FilterState(x, judged.regimes, judged.stopped, judged.turning, judged.measured, surprise, *watched, True)
+    return after, _estimate(model, after, x, innovation[1::MEASUREMENTS], nis, external)
+
+
+def _usable(state: FilterState, filters: Stacked, measured: Measured) -> Vector:
+    """(3N,) measurements, NaN where none: lost, at an end of the range, or of a rope neither taut nor loose."""
+    z = _interleaved(measured.travel, measured.tension, measured.excursion)
+    for i in measured.railed:
+        z[MEASUREMENTS * i + 1] = np.nan
+    if SLACK in state.regimes:
+        x = state.x.reshape(-1, STATES)
+        loose = (x[:, X] - x[:, S] - x[:, O] < -LOOSE_M) & state.measured
+        z[1::MEASUREMENTS][filters.slack & ~loose] = np.nan
+    return z
 
 
 def _interleaved(*columns: Vector) -> Vector:
@@ -177,7 +180,7 @@ def _regimes(
     cells, tensions, excursions = measured.tension.tolist(), tension.tolist(), x[S::STATES].tolist()
     pull, resistance = statics.pull.tolist(), statics.resistance.tolist()
     regimes, stopped, turning = list(state.regimes), list(state.stopped), list(state.turning)
-    table: Vector | None = None
+    ropes, table = state.measured, None
     for tendons, touches in zip(model.digit_tendons, contact, strict=True):
         for i in range(tendons.start, tendons.stop):
             turning[i] = _turning(regimes[i], turning[i], tensions[i], cells[i])
@@ -187,6 +190,7 @@ def _regimes(
                     table = x.reshape(-1, STATES).copy() if table is None else table
                     _take_up(model, table[i], i, cells[i], stopped[i])
                     excursions[i] = float(table[i, S])
+                    ropes = (*ropes[:i], True, *ropes[i + 1 :])
                 regimes[i] = FREE if regimes[i] == SLACK else SLACK
             was, stopped[i] = stopped[i], _at_stop(stopped[i], excursions[i], pull[i], resistance[i])
             if regimes[i] == SLACK:
@@ -199,7 +203,7 @@ def _regimes(
     vector = x if table is None else table.reshape(-1)
     if vector is x and judged != state.regimes:
         vector = x.copy()
-    return FilterState(vector, judged, tuple(stopped), tuple(turning), started=True)
+    return replace(state, x=vector, regimes=judged, stopped=tuple(stopped), turning=tuple(turning), measured=ropes)
 
 
 def _turning(regime: int, ticks: int, tension: float, cell: float) -> int:
@@ -213,14 +217,14 @@ def _take_up(model: HandModel, x: Vector, i: int, cell: float, stopped: bool) ->
     """The rope has become taut: the offset is what makes stretch and load cell agree."""
     if stopped:
         x[S] = 0.0
-    x[O] = x[X] - x[S] - cell / model.space.stiffness[i]
-    x[W] = x[D] = x[E] = 0.0
+    x[O] = x[X] - x[S] - (cell - x[E]) / model.space.stiffness[i]
+    x[W] = x[D] = 0.0
 
 
 def _on_stop(x: Vector) -> None:
     """The digit has come to rest on its open stop: its excursion is known to be zero, the rest was offset."""
     x[O] += x[S]
-    x[S] = x[W] = x[E] = 0.0
+    x[S] = x[W] = 0.0
 
 
 def _at_stop(was: bool, excursion: float, pull: float, resistance: float) -> bool:
@@ -228,25 +232,28 @@ def _at_stop(was: bool, excursion: float, pull: float, resistance: float) -> boo
     return bool(excursion < STOP_BAND_M[was] and pull < resistance * STOP_PULL[was])
 
 
-def _known_load(model: HandModel, x: Vector, statics: LoadStatics, tension: Vector) -> Vector:
-    """(N,) load force that the linear model lacks: springs' preload, gravity, capstan loss [N]."""
-    linear = model.space.load_stiffness * x[S::STATES]
-    return np.asarray(statics.pull - tension - (statics.resistance - linear))
+def _unexplained(model: HandModel, state: FilterState, filters: Stacked, statics: LoadStatics) -> Vector:
+    """(N,) load force that the model lacks, positive against closing [N]; nothing in slack and on the open stop."""
+    external = statics.pull - statics.resistance - model.space.load_damping * state.x[W::STATES]
+    if SLACK not in state.regimes and True not in state.stopped:
+        return external
+    return np.where(filters.slack | state.stopped, 0.0, external)
 
 
-def _unexplained(state: FilterState, filters: Stacked, statics: LoadStatics) -> Vector:
-    """(N,) load force that the model lacks, positive against closing [N]; nothing on the open stop."""
-    external: Vector = np.where(filters.free, -state.x[E::STATES], statics.pull - statics.resistance)
-    return np.where(state.stopped, 0.0, external) if any(state.stopped) else external
+def _nis(filters: Stacked, innovation: Vector) -> Vector:
+    """(N,) normalised innovation squared of encoder and load cell; NaN where one is missing."""
+    encoder, cell = innovation[0::MEASUREMENTS], innovation[1::MEASUREMENTS]
+    own, mixed, other = filters.information
+    return np.asarray(own * encoder * encoder + mixed * encoder * cell + other * cell * cell)
 
 
-def _estimate(model: HandModel, state: FilterState, x: Vector, innovation: Vector, external: Vector) -> Estimate:
-    """Args: x: (7N,) prediction. innovation: (N, 3), NaN where missing. external: (N,)."""
+def _estimate(
+    model: HandModel, state: FilterState, x: Vector, innovation: Vector, nis: Vector, external: Vector
+) -> Estimate:
+    """Args: x: (7N,) prediction. innovation: (N,) of the load cells, NaN where missing. nis, external: (N,)."""
     filters = model.filter.stacked(state.regimes)
     table = x.reshape(-1, STATES)
     q, dq = joint_angles(model, table[:, S], table[:, W])
-    encoder, cell = innovation[:, 0], innovation[:, 1]
-    own, mixed, other = filters.information
     return Estimate(
         np.maximum(filters.tension.dot(x), 0.0),
         filters.sigma,
@@ -257,8 +264,9 @@ def _estimate(model: HandModel, state: FilterState, x: Vector, innovation: Vecto
         table[:, D],
         external,
         table[:, O],
-        cell,
-        own * encoder * encoder + mixed * encoder * cell + other * cell * cell,
+        table[:, E],
+        innovation,
+        nis,
         filters.slack,
         q,
         dq,

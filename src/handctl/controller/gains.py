@@ -11,22 +11,29 @@ from handctl.hand.toml_text import toml_text
 class FilterGains(Document):
     """Noise assumed by the tension filter.
 
-    The disturbances stand for what the model lacks: friction error, gravity sag, contact. Their correlation times are
-    those of the motions they come from.
+    The disturbances stand for what the model lacks: friction, springs, contact. Their correlation times are those of
+    the motions they come from.
     """
 
-    motor_disturbance_N: float = Field(1.0, gt=0, le=50)
+    motor_disturbance_N: float = Field(0.25, gt=0, le=50)
     motor_disturbance_time_s: float = Field(0.05, gt=0, le=10)
-    load_disturbance_N: float = Field(1.0, gt=0, le=100)
-    load_disturbance_time_s: float = Field(0.1, gt=0, le=10)
-    held_speed_m_s: float = Field(1e-3, gt=0, le=1)
+    free_rate_N_per_s: float = Field(40.0, gt=0, le=1e4)
+    """How fast the tension of a freely moving digit changes, beside what the motion asks."""
+    free_time_s: float = Field(0.05, gt=0, le=10)
+    held_speed_m_s: float = Field(1.2e-3, gt=0, le=1)
     """Along the tendon, of a digit that rests on something."""
     held_time_s: float = Field(0.05, gt=0, le=10)
     motor_acceleration_noise_N: float = Field(0.02, gt=0, le=10)
-    load_acceleration_noise_N: float = Field(0.01, gt=0, le=10)
+    joint_time_s: float = Field(0.1, gt=0, le=10)
+    """In which joint encoders part excursion from stretch offset."""
+    cell_drift_N: float = Field(1.0, gt=0, le=100)
+    """Drift of a load cell in ``cell_drift_time_s``, a random walk."""
+    cell_drift_time_s: float = Field(100.0, gt=0, le=1e5)
+    cell_tared_s: float = Field(5.0, ge=0, le=1e5)
+    """Time since a rope was loose, for which the variance of a taut one is told."""
     offset_m: float = Field(1e-5, gt=0, le=0.01)
     offset_time_s: float = Field(60.0, gt=0, le=1e4)
-    encoder_noise_counts: float = Field(0.5, gt=0, le=100)
+    encoder_noise_counts: float = Field(0.4, gt=0, le=100)
 
 
 class MotionGains(Document):

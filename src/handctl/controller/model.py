@@ -79,7 +79,7 @@ class HandModel:
             all_digits=AllDigits.of(digits),
             digit_tendons=tuple(digit.tendons for digit in digits),
             space=space,
-            filter=design_filter(space, gains.filter, 1.0 / rate_hz, _excursion_noise(hand)),
+            filter=design_filter(space, gains.filter, 1.0 / rate_hz, _joint_period(hand, 1.0 / rate_hz)),
             motion=design_motion(space, gains, 1.0 / rate_hz),
             excursion_to_joints=block_diag(*(digit.excursion_to_joints for digit in digits)),
             torque_to_tension=block_diag(*(digit.torque_to_tension for digit in digits)),
@@ -106,14 +106,9 @@ class HandModel:
         return len(self.floor)
 
 
-def _excursion_noise(hand: Hand) -> Vector:
-    """(N,) standard deviation of a tendon's excursion by joint encoders [m]; inf if a joint of it has none.
-
-    A decimated joint frame is there on every d-th tick only; the steady gain is that of d times the variance.
-    """
+def _joint_period(hand: Hand, period: float) -> Vector:
+    """(N,) time from one reading of all joints of a tendon to the next [s]; inf if one of them has no encoder."""
     sensors = hand.sensor_node
     measured = np.array([joint in sensors.joints for joint in hand.joints])
-    arms = np.abs(hand.moment_arms)
-    noise = np.sqrt((arms**2).sum(axis=1) * sensors.joint_decimation) * sensors.joint_noise_rad
-    covered = ~((arms > 0) & ~measured).any(axis=1)
-    return np.where(covered, noise, np.inf)
+    covered = ~((hand.moment_arms != 0.0) & ~measured).any(axis=1)
+    return np.where(covered, sensors.joint_decimation * period, np.inf)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from handctl.controller import digest as packing
 from handctl.controller.computed_torque import LawState
-from handctl.controller.estimator import FilterState
+from handctl.controller.filter_state import FilterState
 from handctl.controller.gains import Gains
 from handctl.controller.program import Progress
 from handctl.controller.retune import Coming
@@ -12,7 +12,6 @@ from handctl.controller.types import Mode
 from handctl.drives.contract import DriveState
 from handctl.drives.sensor_node import SensorState
 from handctl.safety.judge import SafetyState
-from handctl.safety.watch import WatchState
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +31,6 @@ class State:
         law: the controller.
         progress: of the program.
         safety: debounce and latches.
-        watch: what safety remembers besides.
         commanded: (motor torques of the last tick are in ``law.force``); frames cut so far, for mode CUT.
         failure: why the run ends early, one line; empty if it does not.
         unconfirmed: motors that have not confirmed that they are disabled.
@@ -51,7 +49,6 @@ class State:
     law: LawState
     progress: Progress
     safety: SafetyState
-    watch: WatchState
     failure: str = ""
     unconfirmed: tuple[str, ...] = ()
     clearing: bool = False
@@ -69,7 +66,6 @@ class State:
             packing.law_bytes(self.law),
             packing.sensor_bytes(self.sensors),
             packing.progress_bytes(self.progress),
-            self.watch.key(),
             packing.gains_bytes(self.gains),
             packing.gains_bytes(self.coming),
             *map(packing.drive_bytes, self.drives),

@@ -10,16 +10,16 @@ encode    what each drive shall do -> frames
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
 from handctl.controller import computed_torque, estimator, retune
 from handctl.controller.answers import answer
 from handctl.controller.computed_torque import Command, LawState
-from handctl.controller.estimator import Estimate, FilterState, Measured
+from handctl.controller.estimator import Estimate, Measured
+from handctl.controller.filter_state import FilterState
 from handctl.controller.goal import DigitGoal
-from handctl.controller.guard import Guard
+from handctl.controller.innovation import doubts
 from handctl.controller.model import HandModel
 from handctl.controller.modes import ACTING, next_mode, wanted_of_drives
 from handctl.controller.program import Program, Progress
@@ -28,27 +28,16 @@ from handctl.controller.telemetry import telemetry
 from handctl.controller.types import Event, Mode, TickIn, TickOut, Vector
 from handctl.drives.contract import Drive, DriveState, Phase
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.sensor_node import SensorNode, SensorState
+from handctl.drives.sensor_node import SensorNode, SensorState, saturated
 from handctl.safety import judge as safety
 from handctl.safety.action import Action
-from handctl.safety.signals import Limits, Named, Signals
-from handctl.safety.watch import WatchState
+from handctl.safety.table import LEAST_SILENT, LEAST_STALLED, SILENT_S, STALLED_S, Limits, Signals, ticks_for
 
 ACTIVE, CUT, DONE, RELAX, SILENT = Mode.ACTIVE, Mode.CUT, Mode.DONE, Mode.RELAX, Mode.SILENT
 FAULT, HOLD = Phase.FAULT, Action.HOLD
 """As names of this module: looking a member up in its enumeration costs more than comparing it."""
 SENSORS = -1
 """Owner of the sensor node's frames, where drives are owners by index."""
-
-
-class Received(NamedTuple):
-    """What the frames of a tick amount to: the last three are foreign identifiers, strange frames, dropped jumps."""
-
-    measured: Measured
-    estimate: Estimate
-    foreign: tuple[str, ...]
-    strange: tuple[Frame, ...]
-    jumped: Named
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +49,7 @@ class Controller:
         drives: the motor of each tendon, in the order of the tendons.
         sensors: the sensor node.
         program: what decides the goals.
-        guard: what shows each tick to safety.
+        limits: thresholds of safety.
         tare: (N,) load-cell tare [N].
         zero: (N,) motor zero [rad].
         owners: (bus, identifier) to the index of the drive that sends it, or SENSORS.
@@ -73,7 +62,7 @@ class Controller:
     drives: tuple[Drive, ...]
     sensors: SensorNode
     program: Program
-    guard: Guard
+    limits: Limits
     tare: Vector
     zero: Vector
     owners: dict[tuple[int, int], int]
@@ -92,17 +81,21 @@ class Controller:
         arm_at_once: bool = True,
     ) -> "Controller":
         """Put a controller together; see the attributes."""
+        tendons = model.hand.tendon
+        limits = Limits(
+            tendons=model.hand.tendon_names,
+            tension_trip=tuple(tendon.tension_trip_N for tendon in tendons),
+            tension_rail=sensors.tension_rail,
+            tension_low=sensors.tension_low,
+            motors=tuple(drive.name for drive in drives),
+            silent_ticks=ticks_for(SILENT_S, model.period, LEAST_SILENT),
+            stalled_ticks=ticks_for(STALLED_S, model.period, LEAST_STALLED),
+        )
         owners = {(drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids}
         owners |= {(sensors.bus, can_id): SENSORS for can_id in sensors.node_ids}
         ours = {(drive.bus, can_id) for drive in drives for can_id in drive.host_ids}
         ours |= {(sensors.bus, can_id) for can_id in sensors.host_ids}
-        guard = Guard.of(model, drives, sensors)
-        return Controller(model, drives, sensors, program, guard, tare, zero, owners, frozenset(ours), arm_at_once)
-
-    @property
-    def limits(self) -> Limits:
-        """Thresholds of safety."""
-        return self.guard.watcher.limits
+        return Controller(model, drives, sensors, program, limits, tare, zero, owners, frozenset(ours), arm_at_once)
 
     def initial(self) -> State:
         """State before the first tick; the same for the same configuration, so that a log can be executed again."""
@@ -119,7 +112,6 @@ class Controller:
             law=LawState.initial(n),
             progress=self.program.begin(self.model),
             safety=safety.SafetyState(),
-            watch=self.guard.watcher.initial(),
         )
 
     def cut_frames(self) -> tuple[Frame, ...]:
@@ -142,60 +134,49 @@ class Controller:
 
     def _tick(self, state: State, entry: TickIn) -> tuple[State, TickOut]:
         """One tick with the gains that are this controller's."""
-        before = state
-        state, received = self._take_in(state, entry)
-        state, wishes, asked = answer(self.model, state, received.estimate, entry.requests)
-        watch, signals = self._signals(before, state, entry, received, asked)
-        measured, estimate, foreign = received.measured, received.estimate, received.foreign
+        missed = entry.k - state.k - 1
+        drives, sensors, foreign = self._receive(state, entry)
+        measured = self._measured(state, drives, sensors)
+        filters, estimate = self._estimate(state, measured)
+        told = doubts(self.model.hand.tendon_names, state.filter, filters)
+        state = replace(state, k=entry.k, drives=drives, sensors=sensors, filter=filters)
+        state, wishes, asked = answer(self.model, state, estimate, entry.requests)
+        signals = self._signals(state, entry, measured, foreign, missed)
         judged, verdict = safety.judge(state.safety, self.limits, signals)
         state = replace(state, safety=judged)
         state, moved = next_mode(self.model, self.drives, state, verdict.action, wishes, foreign, entry.t_ns / 1e9)
         progress, goal_time, stepped = self._program(state, verdict.action, estimate, measured)
         law, command = self._command(state, estimate, progress.goals, goal_time)
         drives, sensors, frames = self._encode(state, entry, command)
-        old_law = state.law
-        watch = self.guard.commanded(watch, state.mode, command)
-        state = replace(
-            state, progress=progress, goal_time=goal_time, law=law, drives=drives, sensors=sensors, watch=watch
-        )
-        state, retuned = (state, ()) if state.coming is None else self._retune(state, old_law, estimate, command)
-        events = asked + tuple(_told(finding) for finding in verdict.findings) + moved + stepped + retuned
+        before = state.law
+        state = replace(state, progress=progress, goal_time=goal_time, law=law, drives=drives, sensors=sensors)
+        state, retuned = (state, ()) if state.coming is None else self._retune(state, before, estimate, command)
+        events = told + asked + tuple(_told(finding) for finding in verdict.findings) + moved + stepped + retuned
         numbers = telemetry(self.model, state, measured, estimate, command, entry.t_ns)
         phase = state.progress.phase if state.mode == Mode.ACTIVE else state.mode.name.lower()
         return state, TickOut(frames, state.mode, phase, verdict.action, numbers, events, state.digest())
 
     def signals(self, state: State, entry: TickIn) -> Signals:
         """What safety judges in a tick, from the state before it; for judging a recorded run by other limits."""
-        after, received = self._take_in(state, entry)
-        after, _, asked = answer(self.model, after, received.estimate, entry.requests)
-        return self._signals(state, after, entry, received, asked)[1]
+        drives, sensors, foreign = self._receive(state, entry)
+        measured = self._measured(state, drives, sensors)
+        missed = entry.k - state.k - 1
+        return self._signals(replace(state, drives=drives, sensors=sensors), entry, measured, foreign, missed)
 
-    def _take_in(self, state: State, entry: TickIn) -> tuple[State, Received]:
-        """Frames to drive states, measurements and the estimate."""
-        drives, sensors, foreign, strange = self._receive(state, entry)
-        watch, measured, jumped = self.guard.screen(state, self._measured(state, drives, sensors))
-        filters, estimate = self._estimate(state, measured)
-        state = replace(state, k=entry.k, drives=drives, sensors=sensors, filter=filters, watch=watch)
-        return state, Received(measured, estimate, foreign, strange, jumped)
-
-    def _receive(
-        self, state: State, entry: TickIn
-    ) -> tuple[tuple[DriveState, ...], SensorState, tuple[str, ...], tuple[Frame, ...]]:
-        """Give each frame to its drive or sensor; identifiers that only we may send are foreign, others strange."""
-        drives, sensors, foreign, strange = list(state.drives), state.sensors, list[str](), list[Frame]()
+    def _receive(self, state: State, entry: TickIn) -> tuple[tuple[DriveState, ...], SensorState, tuple[str, ...]]:
+        """Give each frame to the drive or sensor it belongs to; identifiers that only we may send are foreign."""
+        drives, sensors, foreign = list(state.drives), state.sensors, []
         for frame in entry.frames:
             can_id, _, _, bus, _ = frame
             owner = self.owners.get((bus, can_id & ~ERROR))
             if owner is None:
                 if (bus, can_id) in self.ours:
                     foreign.append(f"{can_id:#05x}")
-                else:
-                    strange.append(frame)
             elif owner == SENSORS:
                 sensors = self.sensors.receive(sensors, frame)
             else:
                 drives[owner] = self.drives[owner].receive(drives[owner], frame)
-        return tuple(drives), sensors, tuple(dict.fromkeys(foreign)), tuple(strange)
+        return tuple(drives), sensors, tuple(dict.fromkeys(foreign))
 
     def _measured(self, state: State, drives: tuple[DriveState, ...], sensors: SensorState) -> Measured:
         """Measurements that are new in this tick; NaN for the rest."""
@@ -203,15 +184,13 @@ class Controller:
             new.position if new.feedback_count != old.feedback_count else math.nan
             for new, old in zip(drives, state.drives, strict=True)
         ]
-        tension = [math.nan] * self.model.tendon_count
-        for index, value in self.sensors.new_tensions(state.sensors, sensors):
+        tension, cells = [math.nan] * self.model.tendon_count, self.sensors.new_tensions(state.sensors, sensors)
+        for index, value in cells:
             tension[index] = value
-        tare = state.progress.tare
-        taken_off = self.tare + tare if tare else self.tare
+        taken_off = self.tare + state.progress.tare if state.progress.tare else self.tare
         joints, excursion = self._joints(state, sensors)
-        return Measured(
-            (np.array(position) - self.zero) * self.model.space.spool, np.array(tension) - taken_off, excursion, joints
-        )
+        travel = (np.array(position) - self.zero) * self.model.space.spool
+        return Measured(travel, np.array(tension) - taken_off, excursion, joints, saturated(cells))
 
     def _joints(self, state: State, sensors: SensorState) -> tuple[Vector, Vector]:
         """Joint encoders that are new [rad], and the excursions that follow from them [m]; NaN for the rest."""
@@ -224,16 +203,32 @@ class Controller:
         return joints, self.model.excursion_of(joints)
 
     def _estimate(self, state: State, measured: Measured) -> tuple[FilterState, Estimate]:
-        model = self.model
         held = tuple(c and state.mode in ACTING for c in state.progress.contact)
-        return estimator.step(model, state.filter, measured, state.law.force, held)
+        return estimator.step(self.model, state.filter, measured, state.law.force, state.law.rate, held)
 
     def _signals(
-        self, before: State, state: State, entry: TickIn, received: Received, asked: tuple[Event, ...]
-    ) -> tuple[WatchState, Signals]:
-        """Facts of this tick for safety, and what it remembers."""
-        measured, estimate, foreign, strange, jumped = received
-        return self.guard.look(before, state, entry, measured, estimate, strange, foreign, jumped, asked)
+        self, state: State, entry: TickIn, measured: Measured, foreign: tuple[str, ...], missed: int
+    ) -> Signals:
+        """Facts of this tick for safety."""
+        period_ns = round(self.model.period * 1e9)
+        return Signals(
+            armed=state.mode in ACTING,
+            missed=missed,
+            late=entry.late_ns / period_ns,
+            motor_age=tuple(_ticks_since(drive.feedback_t_ns, entry.t_ns, period_ns) for drive in state.drives),
+            sensor_age=tuple(
+                _ticks_since(t_ns, entry.t_ns, period_ns) for t_ns in self.sensors.tension_times(state.sensors)
+            ),
+            tension=tuple(measured.tension.tolist()),
+            drive_errors=tuple(
+                (drive.name, known.error)
+                for drive, known in zip(self.drives, state.drives, strict=True)
+                if known.phase == FAULT
+            ),
+            temperature=tuple(drive.temperature for drive in state.drives),
+            foreign=foreign,
+            io=tuple((event.kind, event.where, event.number) for event in entry.io_events),
+        )
 
     def _program(
         self, state: State, action: Action, estimate: Estimate, measured: Measured
@@ -253,7 +248,7 @@ class Controller:
             n, joints = self.model.tendon_count, len(self.model.hand.joints)
             nothing = np.full(joints, math.nan)
             idle = Command(np.zeros(n), np.full(n, math.nan), np.zeros(joints), nothing, nothing)
-            return LawState(estimate.tension, np.zeros(n), np.zeros(n)), idle
+            return LawState.idle(estimate.tension), idle
         return computed_torque.step(self.model, state.law, estimate, goals, t)
 
     def _retune(
@@ -291,6 +286,11 @@ class Controller:
             frames += sent
         sent_now = (*self.cut_frames(), sync) if state.mode == CUT else tuple(frames)
         return tuple(drives), sensors, sent_now
+
+
+def _ticks_since(t_ns: int, now_ns: int, period_ns: int) -> int:
+    """Whole ticks by which a reading is overdue; one that came within the last period is on time."""
+    return max(0, (now_ns - t_ns) // period_ns) if t_ns >= 0 else 1_000_000
 
 
 def _told(finding: safety.Finding) -> Event:

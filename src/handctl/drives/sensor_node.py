@@ -7,6 +7,7 @@ a count from -180 degrees; joint frames come on every ``joint_decimation``-th SY
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, Self
 
@@ -19,6 +20,8 @@ SHIFTS = tuple(range(COUNTER_BITS, COUNTER_BITS + CHANNELS * CHANNEL_BITS, CHANN
 FULL = (1 << CHANNEL_BITS) - 1
 TENSION_STEP_N = 0.0625
 TENSION_ZERO_N = -6.0
+TENSION_TOP_N = TENSION_ZERO_N + FULL * TENSION_STEP_N
+"""Reading of a channel that is full, as zero is of one that is empty: the cell is saturated."""
 LOW_MARGIN_N = 2.0
 TARE_MOST_N = 6.0
 """Largest tare: a load cell that is further off cannot be read down to zero tension any more."""
@@ -136,7 +139,7 @@ class SensorNode:
     @property
     def tension_rail(self) -> float:
         """Tension, after any tare, from which on a load cell may be saturated [N]."""
-        return TENSION_ZERO_N + FULL * TENSION_STEP_N - TARE_MOST_N
+        return TENSION_TOP_N - TARE_MOST_N
 
     @property
     def tension_low(self) -> float:
@@ -204,6 +207,11 @@ class SensorNode:
             if new.frames != old.frames
             for pair in zip(channels, new.raw, strict=True)
         ]
+
+
+def saturated(cells: Iterable[tuple[int, float]]) -> tuple[int, ...]:
+    """Those of (tendon index, tension [N]) whose channel is empty or full."""
+    return tuple([index for index, value in cells if not TENSION_ZERO_N < value < TENSION_TOP_N])
 
 
 def _groups(channels: list[int]) -> list[tuple[int, ...]]:

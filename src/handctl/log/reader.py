@@ -248,14 +248,14 @@ class RunLog:
 
     def _messages(self) -> Iterator[tuple[ChunkPlace, bytes]]:
         for place, one in self._rows(self._tick):
-            yield from ((place, message) for message in one.messages())
+            yield from ((place, row.tobytes()) for row in one.data())
 
     def ticks(self) -> Iterator[TickRecord]:
         """All ticks in order, for re-execution."""
-        for place, one in self._rows(self._tick):
+        for place, message in self._messages():
             with reading(self._file.at(place.offset)):
-                ticks = [unpack_tick(message) for message in one.messages()]
-            yield from ticks
+                tick = unpack_tick(message)
+            yield tick
 
     @functools.cached_property
     def _told(self) -> tuple[list[LoggedEvent], list[PhaseChange]]:

@@ -1,7 +1,6 @@
 """The fault table as a page, so that what the README promises is what the code does."""
 
-from handctl.safety.fault import Fault
-from handctl.safety.table import TABLE
+from handctl.safety.table import TABLE, Fault
 
 
 def fault_table(table: tuple[Fault, ...] = TABLE) -> str:

@@ -1,0 +1,208 @@
+"""How true the tension estimate is: against the raw load cell, simpler filters, and the limit of what is possible.
+
+``python benchmarks/estimation.py [--quick] [--json] [--seeds N] [--page]``. Both hands move freely, grasp a cylinder
+and go slack in the simulator, in lockstep over the simulated bus; a bench hand pulls beyond the knee of its ropes.
+The plant's effects are those of the hand files and of firmware_sim (capstan and motor friction, rope damping, current
+loop, encoder and load-cell resolution, noise, drift, one period of bus delay), and its parameters are made wrong by the
+factors below, which the controller does not know. All errors are against the plant's truth at the present instant;
+the raw load cell alone is forgiven its age and compared with the instant at which it was read.
+"""
+
+import argparse
+import json
+import time
+from functools import cache
+
+import numpy as np
+from trials.filters import RATES, WEIGHTS, averaged, cell_alone
+from trials.hands import CLEAR, known
+from trials.limits import DRIFT_N2_PER_S, limit
+from trials.lockstep import RATES_HZ, Course, Trial, run, spread_over_cores
+from trials.script import Script, Step
+from trials.windows import REGIMES, windows
+
+from handctl.controller.gains import Gains
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.model import HandModel
+from handctl.controller.task import Task
+from handctl.document import validated
+
+HANDS = ("jamia", "jamia11")
+PLANTS: dict[str, dict[str, float]] = {
+    "as known": {},
+    "stiffness +20 %": {"stiffness": 1.2},
+    "stiffness -20 %": {"stiffness": 0.8},
+    "mass +20 %": {"mass": 1.2},
+    "mass -20 %": {"mass": 0.8},
+    "friction +50 %": {"friction": 1.5},
+    "friction -50 %": {"friction": 0.5},
+    "bias 1 N": {"bias": 1.0},
+}
+MOVES = Script(
+    (
+        Step("slow", 1.0, angle_deg=30.0, move_s=0.8),
+        Step("medium", 0.5, angle_deg=55.0, move_s=0.3),
+        Step("back", 0.3, angle_deg=20.0, move_s=0.25),
+        Step("and again", 0.3, angle_deg=45.0, move_s=0.2),
+        Step("open", 0.5, angle_deg=5.0, move_s=0.3),
+        Step("let go", 0.4, tension_N=0.0, rate_N_per_s=100.0),
+        Step("take up", 0.4, tension_N=6.0, rate_N_per_s=60.0),
+    )
+)
+GRASP = {
+    "schema": 1,
+    "name": "estimation",
+    "phase": [
+        {"kind": "move", "name": "preshape", "angle_deg": {"index": 18.0, "middle": 18.0, "ring": 18.0, "thumb": 3.0},
+         "duration_s": 0.4},
+        {"kind": "close", "name": "close", "angle_deg": 85.0, "speed_deg_s": 60.0, "contact_tension_N": 14.0},
+        {"kind": "hold", "name": "hold", "tension_N": 30.0, "rate_N_per_s": 60.0, "duration_s": 1.5},
+        {"kind": "release", "name": "release", "tension_N": 9.0, "rate_N_per_s": 100.0},
+    ],
+}  # fmt: skip
+STRONG = {
+    **GRASP,
+    "name": "beyond the knee",
+    "phase": [
+        *GRASP["phase"][:2],
+        {"kind": "hold", "name": "hold", "tension_N": 180.0, "rate_N_per_s": 200.0, "duration_s": 1.2},
+        {"kind": "hold", "name": "strong", "tension_N": 232.0, "rate_N_per_s": 100.0, "duration_s": 1.2},
+        {"kind": "hold", "name": "less", "tension_N": 160.0, "rate_N_per_s": 200.0, "duration_s": 0.6},
+    ],
+}  # fmt: skip
+SCENE = "cylinder"
+WAYS = ("estimate", "one period late", "raw", "raw now", "average", "cell alone")
+
+
+def trials(hand: str, plant: str, seed: int) -> list[Trial]:
+    """What is run for one seed."""
+    if hand == "jamia_bench":
+        return [Trial(hand, _task(STRONG), seed, SCENE, PLANTS[plant])]
+    free = Trial(hand + CLEAR, MOVES, seed, None, PLANTS[plant])
+    return [free, Trial(hand, _task(GRASP), seed, SCENE, PLANTS[plant])]
+
+
+def _task(content: dict) -> TaskProgram:
+    return TaskProgram(validated(content, Task, "benchmark"))
+
+
+def judge(job: tuple[str, str, int]) -> dict[str, dict[str, list[float]]]:
+    """Sums of one seed: for each regime, samples and squared errors of each way, and of the limit."""
+    sums: dict[str, dict[str, list[float]]] = {}
+    for trial in trials(*job):
+        course = run(trial)
+        if course.failure:
+            raise SystemExit(f"{job}: {course.failure}")
+        for regime, mask in windows(course).items():
+            if mask.any():
+                row = sums.setdefault(regime, {})
+                for name, values in _squares(course, regime).items():
+                    row.setdefault(name, []).extend(_summed(values, mask))
+    return sums
+
+
+def _summed(values: np.ndarray, mask: np.ndarray) -> list[float]:
+    """[sum, count] over the ticks of a regime."""
+    kept = values[mask]
+    kept = kept[~np.isnan(kept)]
+    return [float(kept.sum()), float(len(kept))]
+
+
+def _squares(course: Course, regime: str) -> dict[str, np.ndarray]:
+    """(ticks, N) squared errors [N^2] of each way, the limit's variance, NIS a degree of freedom, innovations."""
+    numbers, period_ns = course.numbers, int(course.t_ns[1] - course.t_ns[0])
+    real, before, raw = course.tension(), course.tension(period_ns), numbers["tension_raw"]
+    estimate, late = numbers["tension"], np.vstack((numbers["tension"][:1], numbers["tension"][:-1]))
+    period, model = period_ns * 1e-9, course.controller.model
+    found = {"estimate": estimate - real, "one period late": late - real, "raw": raw - before, "raw now": raw - real}
+    found |= {f"average {w:g}": averaged(raw, float(w)) - real for w in WEIGHTS}
+    noise = float(model.space.tension_noise[0])
+    found |= {f"cell alone {r:g}": cell_alone(raw, period, noise, float(r)) - real for r in RATES}
+    squares = {name: error**2 for name, error in found.items()}
+    drift = DRIFT_N2_PER_S * course.times[:, None]
+    squares["limit"] = drift + np.square(_limits(course.hand.name, regime in ("hold", "beyond 200 N")))
+    squares["sigma"] = numbers["tension_sigma"] ** 2
+    squares["nis"] = numbers["nis"] / 2.0
+    scaled = numbers["innovation"]
+    squares["innovation"] = scaled**2
+    squares["innovation lag 1"] = np.vstack((scaled[:1] * np.nan, scaled[1:] * scaled[:-1]))
+    return squares
+
+
+@cache
+def _limits(hand: str, held: bool) -> np.ndarray:
+    """(N,) [N]."""
+    name = hand.removesuffix(CLEAR)
+    model = HandModel.of(known(name), Gains(), RATES_HZ[name])
+    return np.array([limit(model, i, held) for i in range(model.tendon_count)])
+
+
+def tabulate(found: list[dict]) -> dict[str, dict[str, float]]:
+    """For each regime RMSE [N] of each way with its spread over the seeds, ratios, NIS and whiteness."""
+    table = {}
+    for regime in REGIMES:
+        seeds = [_means(sums[regime]) for sums in found if regime in sums]
+        if not seeds:
+            continue
+        mean = {name: float(np.sqrt(np.mean([row[name] for row in seeds]))) for name in seeds[0] if "lag" not in name}
+        best = {way: min((n for n in mean if n.startswith(f"{way} ")), key=mean.__getitem__) for way in WAYS[4:]}
+        row = {way: mean[best.get(way, way)] for way in WAYS} | {"limit": mean["limit"], "sigma": mean["sigma"]}
+        row["estimate spread"] = float(np.std([np.sqrt(row["estimate"]) for row in seeds]))
+        row |= {"best weight": float(best["average"].split()[1]), "nis": mean["nis"] ** 2}
+        row["whiteness"] = float(
+            np.mean([row["innovation lag 1"] for row in seeds]) / np.mean([row["innovation"] for row in seeds])
+        )
+        row |= {f"estimate / {other}": row["estimate"] / row[other] for other in ("limit", "raw", "average")}
+        table[regime] = row
+    return table
+
+
+def _means(sums: dict[str, list[float]]) -> dict[str, float]:
+    """Mean of each quantity, from [sum, count, sum, count, ..]."""
+    return {name: sum(parts[::2]) / max(sum(parts[1::2]), 1.0) for name, parts in sums.items()}
+
+
+def measure(seeds: int, wrong_seeds: int, plants: list[str]) -> dict:
+    """All tables."""
+    cases = [(hand, plant) for plant in plants for hand in HANDS] + [("jamia_bench", "as known")]
+    jobs = [(*case, seed) for case in cases for seed in range(seeds if case[1] == "as known" else wrong_seeds)]
+    found = spread_over_cores(judge, jobs)
+    tables: dict = {"seeds": seeds, "seeds of a wrong plant": wrong_seeds, "hands": {}}
+    for case in cases:
+        of_case = [sums for job, sums in zip(jobs, found, strict=True) if job[:2] == case]
+        tables["hands"].setdefault(case[0], {})[case[1]] = tabulate(of_case)
+    return tables
+
+
+def show(result: dict) -> None:
+    """For people."""
+    columns = (*WAYS, "limit", "estimate / limit", "estimate / raw", "nis", "whiteness")
+    print(f"RMSE of tension [N], {result['seeds']} seeds ({result['seeds of a wrong plant']} where the plant is wrong)")
+    for hand, plants in result["hands"].items():
+        for plant, table in plants.items():
+            print(
+                f"\n{hand}, plant {plant}\n{'':14}"
+                + "".join(f"{name.replace('estimate', 'est'):>12.11}" for name in columns)
+            )
+            for regime, row in table.items():
+                print(f"{regime:<14}" + "".join(f"{row[name]:12.3f}" for name in columns))
+
+
+def main() -> None:
+    """Measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="under a minute: two seeds, wrong stiffness only")
+    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    parser.add_argument("--seeds", type=int, default=10, help="of the plant as known (default 10)")
+    parser.add_argument("--wrong-seeds", type=int, default=3, help="of each plant that is wrong (default 3)")
+    parser.add_argument("--page", action="store_true", help="write the section of docs/control.md and its pictures")
+    args = parser.parse_args()
+    begin = time.monotonic()
+    counts = (2, 1, list(PLANTS)[:3]) if args.quick else (args.seeds, args.wrong_seeds, list(PLANTS))
+    result = measure(*counts)
+    result["wall_s"] = time.monotonic() - begin
+    print(json.dumps(result, indent=2)) if args.json else show(result)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What the benchmarks of the controller share: a trial against the simulator's plant, and the page they write."""

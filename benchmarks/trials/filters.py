@@ -1,0 +1,42 @@
+"""What one would use instead of the controller's tension filter: an exponential average, a filter on the load cell."""
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from trials.lockstep import Array
+
+WEIGHTS = np.concatenate((np.arange(0.05, 0.5, 0.05), np.arange(0.5, 1.01, 0.1)))
+"""Of the newest sample, to choose the best from with hindsight."""
+RATES = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0])
+"""Spectral density of the tension's rate [N/s^1.5], to choose the best from with hindsight."""
+
+
+def averaged(raw: Array, weight: float) -> Array:
+    """Exponential average (ticks, N); a missing sample is left out."""
+    smooth, last = np.empty_like(raw), np.nan_to_num(raw[0])
+    for k, sample in enumerate(raw):
+        last = last + weight * np.where(np.isnan(sample), 0.0, sample - last)
+        smooth[k] = last
+    return smooth
+
+
+def cell_alone(raw: Array, period: float, noise: float, rate: float) -> Array:
+    """Kalman filter of tension and its rate on the load cell alone, predicted to the present, (ticks, N).
+
+    Args:
+        raw: (ticks, N) samples, one period old [N].
+        period: [s].
+        noise: of a sample [N].
+        rate: square root of the density of the rate's noise.
+    """
+    F = np.array([[1.0, period], [0.0, 1.0]])
+    Q = rate**2 * np.array([[period**3 / 3, period**2 / 2], [period**2 / 2, period]])
+    P = solve_discrete_are(F.T, np.array([[1.0], [0.0]]), Q, np.array([[noise**2]]))
+    gain = P[:, 0] / (P[0, 0] + noise**2)
+    f, df, out = np.nan_to_num(raw[0]), np.zeros(raw.shape[1]), np.empty_like(raw)
+    for k, sample in enumerate(raw):
+        innovation = np.where(np.isnan(sample), 0.0, sample - f)
+        f, df = f + gain[0] * innovation, df + gain[1] * innovation
+        f = f + period * df
+        out[k] = f
+    return out

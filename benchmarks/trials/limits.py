@@ -1,0 +1,60 @@
+"""The least error that any linear filter can reach on a tendon, from a noise model that no gain can change.
+
+Per tendon the state is cable travel and speed, excursion and its rate, Gauss-Markov forces on motor and joint, and
+the stretch offset; load cell and encoder are measured. The disturbances are fixed here. The digit is free on its
+springs, or presses on a stiff object. Solved by ``scipy``, beside the controller's own design.
+"""
+
+import numpy as np
+from scipy.linalg import expm, solve_discrete_are
+
+from handctl.controller.model import HandModel
+
+MOTOR_N_M, MOTOR_S = 10e-3, 0.05
+JOINT_N_M, JOINT_S = 5e-3, 0.02
+OFFSET_M, OFFSET_S = 0.2e-3, 60.0
+CONTACT_N_M_PER_RAD = 40.0
+"""Stiffness of what is held, all of a digit's joints together. Source of all: MODEL, section 5."""
+DRIFT_N2_PER_S = 1.0 / 100.0
+"""Of the load cells: 1 N in 100 s, a random walk. No filter can see it while the rope is taut."""
+SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
+
+
+def limit(model: HandModel, i: int, held: bool, encoder: bool = True) -> float:
+    """Standard deviation of the best estimate of tendon i's tension at the instant of the last sample [N].
+
+    The controller's estimate is for the present, one period later; it is judged by this limit all the same.
+
+    Args:
+        model: hand and rate.
+        i: tendon.
+        held: whether the digit presses on an object.
+        encoder: whether the motor's encoder is used beside the load cell.
+    """
+    space, arm = model.space, float(np.abs(model.hand.moment_arms[i]).sum())
+    spring = CONTACT_N_M_PER_RAD / arm**2 if held else space.load_stiffness[i]
+    k, c, m, load = space.stiffness[i], space.damping[i], space.motor_mass[i], space.load_mass[i]
+    tension = np.array([k, c, -k, -c, 0.0, 0.0, -k])
+    A = np.zeros((7, 7))
+    A[0, 1] = A[2, 3] = 1.0
+    A[1] = -tension / m
+    A[1, 1] -= space.motor_damping[i] / m
+    A[1, 4] = 1.0 / m
+    A[3] = tension / load
+    A[3, 2] -= spring / load
+    A[3, 3] -= space.load_damping[i] / load
+    A[3, 5] = 1.0 / load
+    A[4, 4], A[5, 5], A[6, 6] = -1.0 / MOTOR_S, -1.0 / JOINT_S, -1.0 / OFFSET_S
+    sigma = (MOTOR_N_M / space.spool[i], JOINT_N_M / arm, OFFSET_M)
+    noise = [0.0] * 4 + [2.0 * s**2 / t for s, t in zip(sigma, (MOTOR_S, JOINT_S, OFFSET_S), strict=True)]
+    A, Q = A * SCALE / SCALE[:, None], np.diag(noise) / np.outer(SCALE, SCALE)
+    loan = expm(np.block([[-A, Q], [np.zeros((7, 7)), A.T]]) * model.period)
+    F = loan[7:, 7:].T
+    H = np.vstack((np.eye(7)[0], tension)) * SCALE
+    R = np.diag([(space.encoder_step[i] / np.sqrt(6.0)) ** 2, space.tension_noise[i] ** 2])
+    rows = [0, 1] if encoder else [1]
+    spread = np.sqrt(np.diag(R)[rows])
+    P = solve_discrete_are(F.T, (H[rows] / spread[:, None]).T, F @ loan[:7, 7:], np.eye(len(rows)))
+    seen, row = H[rows] / spread[:, None], tension * SCALE
+    gain = P @ seen.T @ np.linalg.inv(seen @ P @ seen.T + np.eye(len(rows)))
+    return float(np.sqrt(row @ (P - gain @ seen @ P) @ row))

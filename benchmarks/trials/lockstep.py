@@ -1,0 +1,175 @@
+"""A trial: the real controller over the simulated bus in lockstep, tick by tick, beside the plant's truth."""
+
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.controller.gains import Gains
+from handctl.controller.program import Program
+from handctl.controller.setup import make_controller
+from handctl.controller.state import State
+from handctl.controller.tick import Controller
+from handctl.controller.types import Mode, TickIn, TickOut
+from handctl.drives.frame import Frame
+from handctl.hand.description import Hand
+from handctl.report.truth import Truth, read_truth
+from handctl.runtime.lockstep import load_peer
+from trials.hands import CLEAR, file_of, known
+
+PEER = "firmware_sim.rig:Rig"
+RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
+"""Default control rates: what one classical CAN bus carries."""
+DEFAULTS = Gains()
+Array = NDArray[np.float64]
+Change = Callable[[Controller], Controller]
+
+
+def unchanged(controller: Controller) -> Controller:
+    """The controller as a user gets it."""
+    return controller
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What to run.
+
+    Attributes:
+        hand: name of ``hands.known``.
+        program: the controller's.
+        seed: of noise, drift and encoder offsets.
+        scene: of the simulator; None for a free hand.
+        perturb: factors on the plant's parameters that the controller does not know.
+        gains: of the controller.
+        rate_hz: control rate; 0 for the hand's default.
+        limit_s: end of the trial if the program does not end before.
+        change: made to the controller before the run; a top-level function or partial of one.
+    """
+
+    hand: str
+    program: Program
+    seed: int = 0
+    scene: str | None = None
+    perturb: Mapping[str, float] | None = None
+    gains: Gains = DEFAULTS
+    rate_hz: float = 0.0
+    limit_s: float = 30.0
+    change: Change = unchanged
+
+
+@dataclass(frozen=True)
+class Course:
+    """What a trial came to, one row a tick while the hand was active.
+
+    Attributes:
+        hand: description.
+        controller: that ran.
+        t_ns: (ticks,) of each tick [ns].
+        phase: (ticks,) name.
+        numbers: telemetry by field, (ticks, ..) each.
+        force: (ticks, N) motor force that acted before each tick, the filter's input [N].
+        real: the plant's truth.
+        failure: why the run ended early.
+        events: (t [s], name, where, text).
+    """
+
+    hand: Hand
+    controller: Controller
+    t_ns: NDArray[np.int64]
+    phase: NDArray[np.str_]
+    numbers: dict[str, Array]
+    force: Array
+    real: Truth
+    failure: str
+    events: tuple[tuple[float, str, str, str], ...]
+
+    @property
+    def times(self) -> Array:
+        """(ticks,) [s]."""
+        return self.t_ns / 1e9
+
+    def truth(self, names: Iterable[str], delay_ns: int = 0) -> Array:
+        """(ticks, names) columns of the truth at each tick, or so much before it."""
+        return self.real.table(list(names), self.t_ns - delay_ns)
+
+    def tension(self, delay_ns: int = 0) -> Array:
+        """(ticks, N) true tension [N]."""
+        return self.truth((f"tension/{name}" for name in self.hand.tendon_names), delay_ns)
+
+    def q(self) -> Array:
+        """(ticks, J) true joint angles [rad]."""
+        return self.truth(f"q/{name}" for name in self.hand.joints)
+
+    def contact_force(self) -> Array:
+        """(ticks, D) what the plant feels on each digit [N]."""
+        axes = [self.truth(f"contact_force/{name}/{axis}" for name in self.hand.digit_names) for axis in "xyz"]
+        return np.sqrt(sum(axis**2 for axis in axes))
+
+    def of_tendons(self, per_digit: NDArray[Any]) -> NDArray[Any]:
+        """(ticks, N) of a value (ticks, D) per digit."""
+        slices = [self.hand.digit_tendons[name] for name in self.hand.digit_names]
+        index = np.repeat(np.arange(len(slices)), [s.stop - s.start for s in slices])
+        return per_digit[:, index]
+
+
+def run(trial: Trial) -> Course:
+    """Run a trial; the same trial gives the same course, bit for bit."""
+    hand, rate = known(trial.hand), trial.rate_hz or RATES_HZ[trial.hand.removesuffix(CLEAR)]
+    period_ns = round(1e9 / rate)
+    controller = trial.change(make_controller(hand, trial.gains, rate, trial.program, None, arm_at_once=True))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "truth"
+        options: dict[str, object] = {"scene": trial.scene, "seed": trial.seed, "perturb": dict(trial.perturb or {})}
+        file = str(file_of(trial.hand, Path(folder)))
+        peer = load_peer(PEER, hand_path=file, truth_path=str(path), period_ns=period_ns, homed=True, **options)
+        rows: list[tuple[TickIn, TickOut, Array]] = []
+        state, waiting, end = controller.initial(), list[Frame](), round(trial.limit_s * rate)
+        for k in range(end):
+            entry = TickIn(k, k * period_ns, 0, tuple(Frame(*frame) for frame in waiting))
+            force = state.law.force
+            state, out = controller.tick(state, entry)
+            rows.append((entry, out, force))
+            if out.mode == Mode.DONE:
+                break
+            waiting = peer.step(entry.t_ns, list(out.frames))
+        peer.close()
+        return _course(hand, controller, rows, read_truth(path), state)
+
+
+def _course(
+    hand: Hand, controller: Controller, rows: list[tuple[TickIn, TickOut, Array]], real: Truth, state: State
+) -> Course:
+    active = [row for row in rows if row[1].mode == Mode.ACTIVE]
+    fields = active[0][1].telemetry.__slots__
+    events = [(entry.t_ns / 1e9, *event[1:]) for entry, out, _ in rows for event in out.events]
+    return Course(
+        hand,
+        controller,
+        np.array([entry.t_ns for entry, _, _ in active]),
+        np.array([out.phase for _, out, _ in active]),
+        {name: np.array([getattr(out.telemetry, name) for _, out, _ in active]) for name in fields},
+        np.array([force for _, _, force in active]),
+        real,
+        state.failure,
+        tuple(events),
+    )
+
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+def spread_over_cores(work: Callable[[T], R], jobs: list[T], workers: int = 0) -> list[R]:
+    """Results in the order of the jobs; each process computes with one thread."""
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
+    workers = workers or os.cpu_count() or 1
+    if workers == 1:
+        return [work(job) for job in jobs]
+    with ProcessPoolExecutor(workers) as pool:
+        return list(pool.map(work, jobs))

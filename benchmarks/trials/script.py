@@ -1,0 +1,72 @@
+"""A program that does one thing after another at fixed times, whatever it meets."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from handctl.controller.estimator import Estimate, Measured
+from handctl.controller.goal import DigitGoal, Kind
+from handctl.controller.live import LiveProgram
+from handctl.controller.model import HandModel
+from handctl.controller.program import Progress, motion_to
+from handctl.controller.types import Event
+
+
+@dataclass(frozen=True)
+class Step:
+    """One thing that all digits do.
+
+    Attributes:
+        name: of the phase in the log.
+        lasts_s: time until the next step.
+        angle_deg: move there in ``move_s``; None not to move.
+        move_s: duration of the move.
+        tension_N: hold it instead; None not to.
+        rate_N_per_s: of the tension.
+    """
+
+    name: str
+    lasts_s: float
+    angle_deg: float | None = None
+    move_s: float = 1.0
+    tension_N: float | None = None
+    rate_N_per_s: float = 100.0
+
+
+@dataclass(frozen=True)
+class Script:
+    """Takes up the slack, then step after step."""
+
+    steps: tuple[Step, ...]
+
+    def begin(self, model: HandModel) -> Progress:
+        """See ``Program``."""
+        return LiveProgram().begin(model)
+
+    def advance(
+        self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
+    ) -> tuple[Progress, tuple[Event, ...]]:
+        """See ``Program``."""
+        if progress.finished:
+            return progress, ()
+        if progress.phase in ("start", "tighten"):
+            progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
+            return (replace(progress, step=-1), events) if progress.phase == "live" else (progress, events)
+        if progress.step >= 0 and t - progress.since < self.steps[progress.step].lasts_s - 0.5 * model.period:
+            return progress, ()
+        if progress.step + 1 >= len(self.steps):
+            return replace(progress, finished=True), ()
+        step = self.steps[progress.step + 1]
+        goals = tuple(_goal(model, d, step, progress.goals[d], estimate, t) for d in range(len(model.digits)))
+        return replace(progress, step=progress.step + 1, since=t, phase=step.name, goals=goals), ()
+
+
+def _goal(model: HandModel, d: int, step: Step, old: DigitGoal, estimate: Estimate, t: float) -> DigitGoal:
+    if step.angle_deg is not None:
+        return motion_to(model.digits[d], estimate, math.radians(step.angle_deg), step.move_s, t)
+    if step.tension_N is None:
+        return old
+    tendons = model.digit_tendons[d]
+    tension = np.full(tendons.stop - tendons.start, step.tension_N)
+    return DigitGoal(Kind.TENSION, tension=tension, rate=step.rate_N_per_s)

@@ -1,0 +1,71 @@
+"""What happens to each tendon at each tick, by the plant's truth: free, reversal, impact, hold, slack, beyond."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trials.lockstep import Array, Course
+
+REVERSAL_S = 0.05
+"""Half width of the window around a change of the direction of winding."""
+IMPACT_S = 0.1
+SETTLED_S = 0.3
+"""After the first touch."""
+TAUT_N, TOUCH_N, SLACK_S = 0.5, 0.05, 0.05
+TURNING_RAD_S = 0.2
+"""Spool speed below which there is no direction to change."""
+KNEE_N = 200.0
+REGIMES = ("free", "reversal", "impact", "hold", "beyond 200 N", "slack")
+Mask = NDArray[np.bool_]
+
+
+def windows(course: Course) -> dict[str, Mask]:
+    """(ticks, N) for each regime; a tick belongs to one at most."""
+    tension, t = course.tension(), course.times
+    touched = course.of_tendons(course.contact_force() > TOUCH_N)
+    ready = ~np.isin(course.phase, ("start", "tighten", "live"))[:, None]
+    taut = tension > TAUT_N
+    since = _since_rise(touched, t)
+    turning = _near(_reversals(course), t, REVERSAL_S) & ~touched
+    hold = ready & taut & touched & (since > SETTLED_S)
+    return {
+        "free": ready & taut & ~touched & ~turning,
+        "reversal": ready & taut & turning,
+        "impact": ready & taut & touched & (since <= IMPACT_S),
+        "hold": hold & (tension <= KNEE_N),
+        "beyond 200 N": hold & (tension > KNEE_N),
+        "slack": ready & ~_near(taut, t, SLACK_S),
+    }
+
+
+def _since_rise(on: Mask, t: Array) -> Array:
+    """(ticks, N) time since each signal has last become true, where it has been false for a while before [s]."""
+    since = np.full(on.shape, np.inf)
+    for i in range(on.shape[1]):
+        rise, fall = -np.inf, -np.inf
+        for k, value in enumerate(on[:, i]):
+            if value and not (k and on[k - 1, i]) and t[k] - fall > SETTLED_S:
+                rise = t[k]
+            if value:
+                fall = t[k]
+            since[k, i] = t[k] - rise
+    return since
+
+
+def _reversals(course: Course) -> Mask:
+    """(ticks, N) where the spool has begun to turn the other way."""
+    period = course.t_ns[1] - course.t_ns[0]
+    angle = [course.truth((f"motor/{tendon.motor}" for tendon in course.hand.tendon), delay) for delay in (0, period)]
+    speed = (angle[0] - angle[1]) / (period * 1e-9)
+    direction = np.where(np.abs(speed) > TURNING_RAD_S, np.sign(speed), 0.0)
+    turned = np.zeros(direction.shape, dtype=bool)
+    for i in range(direction.shape[1]):
+        moving = np.flatnonzero(direction[:, i])
+        turned[moving[1:], i] = direction[moving[1:], i] != direction[moving[:-1], i]
+    return turned
+
+
+def _near(on: Mask, t: Array, distance: float) -> Mask:
+    """(ticks, N) within a distance [s] of a tick where the signal is true."""
+    reach = round(distance / (t[1] - t[0]))
+    kernel = np.ones(2 * reach + 1)
+    return np.column_stack([np.convolve(column, kernel, "same") > 0.5 for column in on.T.astype(float)])

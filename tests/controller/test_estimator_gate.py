@@ -1,0 +1,135 @@
+"""What the tension filter does with samples that cannot be right, with a load cell that drifts, and how it doubts."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handctl.controller import estimator
+from handctl.controller.estimator import LOOSE_M, Estimate
+from handctl.controller.filter_design import STATES, E, Regime, X
+from handctl.controller.filter_state import FilterState
+from handctl.controller.innovation import DOUBT_S, doubts
+from handctl.controller.model import HandModel
+from tests.controller.synthetic import nothing_read
+
+TENSION = 20.0
+
+
+class Held:
+    """A hand whose tendons are held at a tension, sample after sample."""
+
+    def __init__(self, model: HandModel, regime: Regime = Regime.HELD) -> None:
+        self.model, n = model, model.tendon_count
+        x = np.zeros((n, STATES))
+        x[:, 2] = 2e-3
+        x[:, X] = x[:, 2] + TENSION / model.space.stiffness
+        self.travel = x[:, X]
+        self.state = FilterState.of(x.ravel(), regime, stopped=False)
+
+    def sample(self, cell: float, *, railed: tuple[int, ...] = (), travel: float = 0.0) -> Estimate:
+        """One tick in which tendon 0 reads ``cell`` [N]."""
+        model, n = self.model, self.model.tendon_count
+        read = replace(nothing_read(model), travel=self.travel + travel, tension=np.full(n, TENSION), railed=railed)
+        read.tension[0] = cell
+        push, still, contact = np.full(n, TENSION), np.zeros(n), (True,) * len(model.digits)
+        self.state, estimate = estimator.step(model, self.state, read, push, still, contact)
+        return estimate
+
+    def settled(self) -> "Held":
+        """After a while of good samples."""
+        for _ in range(200):
+            self.sample(TENSION)
+        return self
+
+
+def test_a_single_absurd_sample_is_left_out(model: HandModel) -> None:
+    quiet, hit = Held(model).settled(), Held(model).settled()
+    before = quiet.sample(TENSION).tension
+    after = hit.sample(TENSION + 60.0)
+    np.testing.assert_allclose(after.tension, before, atol=0.02)
+    assert after.innovation[0] != after.innovation[0], "as if it had not come"
+    np.testing.assert_allclose(hit.sample(TENSION).tension, quiet.sample(TENSION).tension, atol=0.02)
+
+
+@pytest.mark.parametrize("jump", [-8.0, 6.0, 30.0])
+def test_two_in_a_row_are_believed(model: HandModel, jump: float) -> None:
+    """An impact is no outlier: the second sample is followed at once."""
+    hand = Held(model).settled()
+    hand.sample(TENSION + jump)
+    estimate = hand.sample(TENSION + jump)
+    assert abs(estimate.tension[0] - (TENSION + jump)) < 0.35 * abs(jump)
+    assert abs(estimate.tension[1] - TENSION) < 0.1, "the others are left alone"
+
+
+def test_two_on_either_side_are_not(model: HandModel) -> None:
+    hand = Held(model).settled()
+    for k in range(6):
+        estimate = hand.sample(TENSION + (-1) ** k * 30.0)
+        assert abs(estimate.tension[0] - TENSION) < 0.1
+
+
+def test_a_saturated_cell_is_no_measurement(model: HandModel) -> None:
+    hand = Held(model).settled()
+    for _ in range(20):
+        estimate = hand.sample(243.9, railed=(0,))
+        assert np.isnan(estimate.innovation[0])
+        assert abs(estimate.tension[0] - TENSION) < 0.5
+    assert not np.isnan(estimate.innovation[1:]).any()
+
+
+def rest(hand: Held, error: float, loose: float, seconds: float) -> Estimate:
+    """Slack ropes, of which that of tendon 0 has a cell that reads its error."""
+    model = hand.model
+    x = np.zeros((model.tendon_count, STATES))
+    hand.travel = np.full(model.tendon_count, -loose)
+    x[:, X] = hand.travel
+    known = (True,) * model.tendon_count
+    hand.state = replace(FilterState.of(x.ravel(), Regime.SLACK, stopped=True), measured=known)
+    for _ in range(round(seconds / model.period)):
+        n = model.tendon_count
+        read = replace(nothing_read(model), travel=hand.travel, tension=np.zeros(n))
+        read.tension[0] = error
+        untouched = (False,) * len(model.digits)
+        hand.state, estimate = estimator.step(model, hand.state, read, np.zeros(n), np.zeros(n), untouched)
+    return estimate
+
+
+def test_a_loose_rope_tells_the_error_of_its_load_cell(model: HandModel) -> None:
+    hand = Held(model)
+    told = rest(hand, 0.8, 2 * LOOSE_M, 2.0)
+    np.testing.assert_allclose(told.cell_error, [0.8] + [0.0] * (model.tendon_count - 1), atol=0.02)
+    np.testing.assert_allclose(told.tension, 0.0, atol=1e-9)
+    assert hand.state.regimes == (Regime.SLACK,) * model.tendon_count
+
+
+def test_a_rope_that_is_hardly_loose_tells_nothing(model: HandModel) -> None:
+    assert not rest(Held(model), 0.8, 0.5 * LOOSE_M, 1.0).cell_error.any()
+
+
+def test_the_error_stays_as_it_is_while_the_rope_is_taut(model: HandModel) -> None:
+    hand = Held(model)
+    x = hand.state.x.copy()
+    x[E] = 0.7
+    hand.state = replace(hand.state, x=x)
+    for _ in range(300):
+        estimate = hand.sample(TENSION + 0.7)
+    np.testing.assert_allclose(estimate.cell_error[0], 0.7, atol=1e-3)
+    np.testing.assert_allclose(estimate.tension, TENSION, atol=0.1)
+
+
+def test_a_model_that_does_not_fit_is_told_once(model: HandModel) -> None:
+    hand = Held(model).settled()
+    names, told = model.hand.tendon_names, []
+    for k in range(round(3 * DOUBT_S / model.period)):
+        before = hand.state
+        hand.sample(TENSION, travel=4e-5 * (-1) ** k)
+        told += doubts(names, before, hand.state)
+    assert sorted(event.where for event in told) == sorted(names), "every tendon, each once"
+    assert {event.level for event in told} == {"warn"}
+    for _ in range(round(5 * DOUBT_S / model.period)):
+        before = hand.state
+        hand.sample(TENSION)
+        told += doubts(names, before, hand.state)
+    assert [event.level for event in told].count("info") == len(names)
+    assert len(told) == 2 * len(names)
