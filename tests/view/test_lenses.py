@@ -144,8 +144,8 @@ def test_the_layout_is_saved_with_the_recording(rrd: Path, log_path: Path) -> No
 
 
 def test_windows_do_not_show(found: dict[str, Entity], log_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(feed, "WINDOW_NS", 333_000_000)
-    again = entities(feed.run_chunks(log_path, subject_of(log_path)))
+    monkeypatch.setattr("handctl.view.windows.SPAN_NS", 333_000_000)
+    again = entities(feed.run_chunks(log_path, subject_of(log_path), 333_000_000))
     assert again.keys() == found.keys() - {"/__properties"}
     for path in again.keys() - {"/tension/limit"}:
         one = again[path]

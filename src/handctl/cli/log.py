@@ -1,6 +1,7 @@
 """``handctl log``: what is in a log, whether it is sound, how two differ; export it, or repair a broken one."""
 
 import argparse
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -147,6 +148,7 @@ def _rows(unit: str, rows: dict[str, Any]) -> None:
 
 
 def _export(args: argparse.Namespace) -> int:
+    os.environ.setdefault("RUST_LOG", "error")  # Rerun's own notes; what matters is said by us
     out = args.output or args.log.with_suffix(f".{args.format}")
     if args.format == "rrd":
         from handctl.view.feed import write_rrd

@@ -37,16 +37,11 @@ def run(args: argparse.Namespace) -> int:
         follow(args.log)
         return Exit.DONE
     from handctl.log.reader import RunLog
-    from handctl.view.moment import moment
     from handctl.view.subject import Subject
 
-    with RunLog(args.log) as log:
+    with RunLog(args.log, checked=False) as log:
         subject = Subject.of(log.header, args.log.stem)
-        at_s, end_s = args.at, float(log.times[-1]) if len(log) else 0.0
-        if at_s is None:
-            at_s = moment(log)
-        elif not 0 <= at_s <= end_s:
-            raise ConfigError(f"{at_s:g}", "--at", f"seconds of this run, 0 to {end_s:.3f}")
+        at_s = _moment(args, log) if args.png else 0.0
         warning = log.warning
     if warning:
         say(f"handctl: {args.log}: {warning}", error=True)
@@ -54,6 +49,18 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(result | {"log": args.log, "warning": warning})
     return Exit.LOSSY_LOG if warning else Exit.DONE
+
+
+def _moment(args: argparse.Namespace, log: Any) -> float:
+    """Moment of the picture [s]."""
+    from handctl.view.moment import moment
+
+    end_s = float(log.times[-1]) if len(log) else 0.0
+    if args.at is None:
+        return moment(log)
+    if not 0 <= args.at <= end_s:
+        raise ConfigError(f"{args.at:g}", "--at", f"seconds of this run, 0 to {end_s:.3f}")
+    return float(args.at)
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -75,6 +82,9 @@ def _check(args: argparse.Namespace) -> None:
 
 def _write(args: argparse.Namespace, subject: Any, at_s: float) -> dict[str, Any]:
     """The recording, and the picture or the window."""
+    if not (args.save or args.png):
+        _window(args.log, subject)
+        return {}
     from handctl.view.feed import write_rrd
 
     if args.save and not args.png:
@@ -84,10 +94,7 @@ def _write(args: argparse.Namespace, subject: Any, at_s: float) -> dict[str, Any
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
         rrd = args.save or Path(folder) / f"{args.log.stem}.rrd"
         size = write_rrd(args.log, subject, rrd)
-        if args.png:
-            return _picture(args, rrd, at_s) | ({"rrd": args.save, "bytes": size} if args.save else {})
-        _window(rrd)
-        return {}
+        return _picture(args, rrd, at_s) | ({"rrd": args.save, "bytes": size} if args.save else {})
 
 
 def _picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]:
@@ -100,11 +107,11 @@ def _picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]
     return {"png": args.png, "at_s": at_s, "reports": reports}
 
 
-def _window(rrd: Path) -> None:
-    """Open the viewer and wait until it is closed."""
-    from handctl.view.viewer import viewer
+def _window(log: Path, subject: Any) -> None:
+    """Open the viewer, send it the log, and wait until it is closed."""
+    from handctl.view.browse import browse
 
-    with viewer([str(rrd)], {}) as running:
+    with browse(log, subject, [], {}) as running:
         try:
             running.process.wait()
         except KeyboardInterrupt:

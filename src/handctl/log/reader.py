@@ -71,8 +71,12 @@ class RunLog:
         warning: why the file is not whole; empty if it is. What is there is complete up to then.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, checked: bool = True) -> None:
         """Open a log.
+
+        Args:
+            path: of the file.
+            checked: read all of it for its checksum; without, each chunk's own is compared when it is read.
 
         Raises:
             LogError: not a log of handctl, damaged, or beyond a limit. A file that only ends early is no error.
@@ -80,7 +84,7 @@ class RunLog:
         self._file = LogFile(path)
         try:
             found = Scan()
-            scan(self._file, found)
+            scan(self._file, found, checked)
             self._chunks, self.metadata, self.warning = found.chunks, found.metadata, found.problem
             if "handctl.run" not in found.metadata or not found.chunks:
                 raise LogError("no run of handctl in it", self._file.name, "a log that handctl wrote")

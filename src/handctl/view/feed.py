@@ -6,20 +6,20 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import rerun as rr
-from rerun.chunk import Chunk, ChunkStore, McapReader
+from rerun.chunk import Chunk, McapReader
 
 from handctl.errors import LogError
 from handctl.log.logfile import LogFile
 from handctl.log.recover import Status, recover
 from handctl.log.scan import Scan, scan
+from handctl.view.arrow import LOG_TIME, run_times
 from handctl.view.blueprint import dashboard
 from handctl.view.lenses import Lenses
 from handctl.view.styles import styles
 from handctl.view.subject import Subject
+from handctl.view.windows import SPAN_NS, windows
 
 DECODERS = ("ros2msg", "ros2_reflection", "urdf")
-WINDOW_NS = 20_000_000_000
-"""Chunks of so much of a run are joined before they are written: few of them, and memory that does not grow."""
 
 
 @contextmanager
@@ -31,15 +31,22 @@ def reading(name: str) -> Iterator[None]:
         raise LogError(f"damaged log: {error}", name, "an intact file; see `handctl log recover`") from error
 
 
-def run_chunks(path: Path, subject: Subject) -> Iterator[Chunk]:
-    """All chunks of a log, whole or ending early.
+def run_chunks(path: Path, subject: Subject, first_ns: int = SPAN_NS) -> Iterator[Chunk]:
+    """All chunks of a log, whole or ending early, in the order of time.
+
+    Args:
+        path: a log.
+        subject: its run.
+        first_ns: so much of the run comes first [ns].
 
     Raises:
         LogError: the log is damaged.
     """
     yield from styles(subject)
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
-        yield from log_chunks(whole(path, Path(folder)), Lenses(subject), subject.name)
+        lenses = Lenses(subject)
+        for part, since_ns in windows(whole(path, Path(folder)), Path(folder), first_ns):
+            yield from log_chunks(part, lenses, subject.name, since_ns)
 
 
 def whole(path: Path, folder: Path) -> Path:
@@ -50,7 +57,7 @@ def whole(path: Path, folder: Path) -> Path:
     """
     file, found = LogFile(path), Scan()
     try:
-        scan(file, found)
+        scan(file, found, checked=False)
     finally:
         file.close()
     if not found.problem:
@@ -76,11 +83,13 @@ def log_chunks(path: Path, lenses: Lenses, name: str, since_ns: int = 0) -> Iter
     with reading(name):
         reader = McapReader(path, decoders=DECODERS, include_topic_regex=lenses.topics, recover=True)
         first, last = reader.time_bounds()
-    for begin in range(max(first, since_ns), last + 1, WINDOW_NS):
-        with reading(name):
-            raw = reader.stream(start_time_ns=begin, end_time_ns=begin + WINDOW_NS).to_chunks()
-        store = ChunkStore.from_chunks([new for chunk in raw for new in lenses(chunk)])
-        yield from store.stream()
+        raw = reader.stream(start_time_ns=max(first, since_ns), end_time_ns=last + 1).collect().stream().to_chunks()
+    yield from (new for chunk in sorted(raw, key=_begin) for new in lenses(chunk))
+
+
+def _begin(chunk: Chunk) -> int:
+    """Log time of the first row of a chunk [ns]; before all others if it has none."""
+    return int(run_times(chunk, 0)[0]) if LOG_TIME in chunk.timeline_names else -1
 
 
 def recording(subject: Subject) -> rr.RecordingStream:

@@ -1,0 +1,48 @@
+"""A log in a viewer of its own: the first of it comes first, and all of it comes."""
+
+from pathlib import Path
+
+import pytest
+
+from handctl.log.reader import RunLog
+from handctl.view.arrow import TIMELINE
+from handctl.view.browse import browse
+from handctl.view.feed import run_chunks
+from handctl.view.picture import connected
+from handctl.view.subject import Subject
+from handctl.view.windows import windows
+
+GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
+pytestmark = pytest.mark.timeout(120)
+
+
+def test_the_parts_of_a_log_are_all_of_it(tmp_path: Path) -> None:
+    with RunLog(GOLDEN) as log:
+        ticks, subject = len(log), Subject.of(log.header, "x")
+    sizes, since = [], []
+    for part, since_ns in windows(GOLDEN, tmp_path, 1_000_000_000):
+        with RunLog(part) as log:
+            sizes.append(len(log))
+            since.append(since_ns)
+    assert sizes[0] in (200, 201), "up to the end of a chunk"
+    assert sum(sizes) == ticks
+    assert since[0] == 0
+    assert 1_000_000_000 <= since[1] < 1_250_000_000
+    late: list[int] = []
+    for chunk in run_chunks(GOLDEN, subject, 1_000_000_000):
+        if chunk.entity_path == "/loop/late" and TIMELINE in chunk.timeline_names:
+            late.append(chunk.num_rows)
+    assert late[0] == sizes[0]
+    assert sum(late) == ticks
+
+
+def test_a_viewer_gets_all_of_a_log(vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in vulkan.items():
+        monkeypatch.setenv(name, value)
+    with RunLog(GOLDEN) as log:
+        subject, end_ns = Subject.of(log.header, "x"), int(log.t_ns[-1])
+    with browse(GOLDEN, subject, ["--headless", "--window-size", "800x600"], vulkan) as running:
+        state = connected(running).get_state()
+        (shown,) = state.recordings
+        assert len(state.views) > 5
+        assert end_ns in [line.end for line in shown.timelines if line.name == TIMELINE]
