@@ -5,13 +5,15 @@ import gc
 import math
 import select
 import sys
+from contextlib import closing
 from pathlib import Path
 
 from firmware_sim import bench
 from firmware_sim.command import Parser, until_signal
 from firmware_sim.description import SimulatorError, load_hand
+from firmware_sim.fault_socket import FaultSocket
 from firmware_sim.perturb import KEYS, perturbed
-from firmware_sim.places import truth_path
+from firmware_sim.places import faults_path, truth_path
 from firmware_sim.ports import Port, assign, open_port
 from firmware_sim.priority import take_priority
 from firmware_sim.scene import load_scene, packaged
@@ -87,7 +89,8 @@ def _simulate(args: argparse.Namespace) -> None:
         for bus, spec in enumerate(specs):
             ports.append(open_port(spec, bus, wired))
         path = args.truth or truth_path(specs[0])
-        _serve(Server(world, ports, clock), world, path, factors, " ".join(args.bus), args.time_scale)
+        with closing(FaultSocket(faults_path(specs[0]), world.faults)) as faults:
+            _serve(Server(world, ports, clock, faults), world, path, factors, " ".join(args.bus), args.time_scale)
     finally:
         for port in ports:
             port.close()

@@ -68,6 +68,16 @@ class Engine:
     def _sensor(self, name: str) -> int:
         return int(self._model.sensor_adr[self._model.sensor(name).id])
 
+    def brake(self, joints: list[int], damping: float) -> Callable[[], None]:
+        """Damp joints so much [N m s/rad] that they stand; returns what lets them go."""
+        before = self._model.dof_damping[joints].copy()
+        self._model.dof_damping[joints] = damping
+
+        def let_go() -> None:
+            self._model.dof_damping[joints] = before
+
+        return let_go
+
     def lower_table(self, distance: float) -> None:
         """Move the table down [m]."""
         self._table[0, 2] -= distance

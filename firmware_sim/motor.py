@@ -5,6 +5,7 @@ gains that are stable in the drive are stable here, without sub-steps.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from math import tanh
 
@@ -50,16 +51,20 @@ class Motor:
         velocity: the drive's estimate [rad/s].
         heat: integral of torque squared since the node last asked [N2 m2 s].
         servo: what the drive regulates.
+        coulomb: friction [N m].
+        misread, disobeys: faults of its encoder, and of its power stage, on an angle [rad] and a torque [N m].
     """
 
     __slots__ = (
-        "_coulomb", "_gain", "_inertia", "_lag", "_step", "_velocity_lag", "_viscous",
-        "heat", "omega", "servo", "theta", "torque", "velocity",
+        "_gain", "_inertia", "_lag", "_step", "_velocity_lag", "_viscous",
+        "coulomb", "disobeys", "heat", "misread", "omega", "servo", "theta", "torque", "velocity",
     )  # fmt: skip
 
     def __init__(self, spec: MotorSpec, step_s: float) -> None:
         """Args: the motor; the plant's step [s]."""
-        self._inertia, self._viscous, self._coulomb = spec.inertia, spec.viscous, spec.coulomb
+        self._inertia, self._viscous, self.coulomb = spec.inertia, spec.viscous, spec.coulomb
+        self.misread: Callable[[float], float] | None = None
+        self.disobeys: Callable[[float], float] | None = None
         self._gain, self._step = spec.torque_gain, step_s
         self._lag = 1.0 - math.exp(-step_s / CURRENT_LAG_S)
         self._velocity_lag = 1.0 - math.exp(-step_s / VELOCITY_LAG_S)
@@ -68,12 +73,13 @@ class Motor:
 
     def encoder(self) -> float:
         """Return the spool angle as the drive measures it [rad]."""
-        return math.floor(self.theta / ENCODER_STEP) * ENCODER_STEP
+        angle = math.floor(self.theta / ENCODER_STEP) * ENCODER_STEP
+        return self.misread(angle) if self.misread else angle
 
     def advance(self, load: float) -> None:
         """Integrate one step, semi-implicitly, against the rope's torque [N m]."""
         h, servo, omega, torque = self._step, self.servo, self.omega, self.torque
-        command, limit, coulomb = servo.torque, servo.limit, self._coulomb
+        command, limit, coulomb = servo.torque, servo.limit, self.coulomb
         bend = tanh(omega / COULOMB_SPEED)
         slope = coulomb * (bend / omega if omega > 1e-6 or omega < -1e-6 else 1.0 / COULOMB_SPEED)
         inertia = self._inertia / h + slope
@@ -84,6 +90,8 @@ class Motor:
             command = limit
         elif command < -limit:
             command = -limit
+        if self.disobeys:
+            command = self.disobeys(command)
         torque += self._lag * (command - torque)
         omega = (inertia * omega + self._gain * torque - drag) / (inertia + self._viscous)
         self.torque, self.omega = torque, omega

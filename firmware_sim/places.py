@@ -44,6 +44,11 @@ def bus_path(name: str) -> Path:
     return path
 
 
+def faults_path(spec: str) -> Path:
+    """Return the socket on which a simulator on this bus takes faults; a joined bus counts as local."""
+    return truth_path(spec).with_suffix(".faults")
+
+
 def truth_path(spec: str) -> Path:
     """Return where the truth of a simulator on this bus is kept unless told otherwise; a joined bus counts as local."""
     name = spec.replace("join:", "local:", 1) if spec.startswith("join:") else spec

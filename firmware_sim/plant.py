@@ -28,6 +28,7 @@ class Plant:
         scene: object and support.
         engine: rigid bodies and contact.
         motors: the rotors by name.
+        ropes: each with the rotor that winds it.
         table: what the object stands on; None without support.
         load: what pulls at the object; None in most scenes.
         stages: what is done to the object once it is held; None in most scenes.
@@ -50,7 +51,7 @@ class Plant:
         except ValueError as error:
             raise SimulatorError(f"hand {hand.name}: {str(error).splitlines()[0]}") from error
         self.motors = {motor.name: Motor(motor, STEP_S) for motor in hand.motors}
-        self._ropes = self._routing()
+        self.ropes = self._routing()
         self.table = Table(scene.support, opposed_digits(hand)) if scene.support else None
         self.contact_forces = self.engine.forces_on("contact", [digit.name for digit in hand.digits])
         self.load = scene.load
@@ -74,7 +75,7 @@ class Plant:
 
     def _slacken(self, seed: int) -> None:
         chance = random.Random(f"slack {seed}")
-        for rope, motor in self._ropes:
+        for rope, motor in self.ropes:
             motor.theta = -chance.uniform(*SLACK_M) / rope.radius
 
     @property
@@ -97,7 +98,7 @@ class Plant:
             raise SimulatorError(f"the plant diverged at {self.steps * STEP_S:.4f} s; expected less extreme parameters")
         torque = [0.0] * len(q)
         slopes = []
-        for rope, motor in self._ropes:
+        for rope, motor in self.ropes:
             motor.advance(rope.radius * rope.pull(q, dq, motor.theta, motor.omega, torque))
             slope = rope.slope
             slopes.append(slope)
@@ -136,4 +137,4 @@ class Plant:
     def tensions(self) -> list[float]:
         """Return the tension of each tendon at its load cell, now [N]."""
         q, dq = self.engine.q.tolist(), self.engine.dq.tolist()
-        return [rope.tension_at(q, dq, motor.theta, motor.omega) for rope, motor in self._ropes]
+        return [rope.tension_at(q, dq, motor.theta, motor.omega) for rope, motor in self.ropes]

@@ -83,6 +83,23 @@ class Rig:
         self.world.advance(t_ns + self._period_ns)
         return sorted(stamped + self.world.take_spoken(), key=_arrival_ns)
 
+    def inject(self, text: str) -> None:
+        """Let a fault begin now, or ``at`` a time from now; see ``fault_text``.
+
+        Raises:
+            SimulatorError: there is no such fault in this hand.
+        """
+        self.world.faults.inject(text)
+
+    def told(self) -> list[dict[str, object]]:
+        """Every fault so far, and what was felt of it."""
+        return self.world.faults.told()
+
+    def truth(self) -> dict[str, list[float]]:
+        """What a judge behind the wire may know: tensions [N], and the torque that each motor is asked for [N m]."""
+        motors = self.world.plant.motors.values()
+        return {"tension": self.world.plant.tensions(), "torque": [motor.servo.torque for motor in motors]}
+
     def close(self) -> None:
         """Complete the truth file."""
         if self._truth is not None:

@@ -8,6 +8,7 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Protocol
 
+from firmware_sim.fault_socket import FaultSocket
 from firmware_sim.frame import Frame
 from firmware_sim.ports import Port
 from firmware_sim.wired import WiredPort
@@ -91,8 +92,9 @@ class Server:
         running: set to False, from a signal handler too, and ``run`` returns.
     """
 
-    def __init__(self, world: Served, ports: list[Port], clock: Clock) -> None:
-        """Args: world, whose clock is at the present time; ports in the order of the hand's buses; clock."""
+    def __init__(self, world: Served, ports: list[Port], clock: Clock, faults: FaultSocket | None = None) -> None:
+        """Args: world, whose clock is at the present time; ports in the order of the hand's buses; clock; faults."""
+        self._faults = faults
         self._world, self._ports, self._clock = world, ports, clock
         self.overruns = self.slips = 0
         self.running = True
@@ -104,9 +106,12 @@ class Server:
 
     def turn(self) -> None:
         """Wait for frames or for the next millisecond, let the plant catch up, answer."""
-        frames = self._receive(self._wait())
+        ready = self._wait()
+        frames = self._receive(ready)
         self._catch_up()
         self._answer(frames)
+        if self._faults and self._faults.readers()[0] in ready:
+            self._faults.serve()
         for _ in range(ROUNDS):
             if not (frames := self._receive(())):
                 break
@@ -121,6 +126,7 @@ class Server:
         due_ns = min(due_ns, *(port.due_ns for port in self._ports))
         timeout = max(0.0, (due_ns - self._clock.now_ns()) / self._clock.scale * 1e-9)
         readers = [link for port in self._ports for link in port.readers()]
+        readers += self._faults.readers() if self._faults else []
         writers = [link for port in self._ports for link in port.writers()]
         readable, _, _ = select.select(readers, writers, [], timeout)
         return readable

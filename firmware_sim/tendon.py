@@ -1,7 +1,7 @@
 """One tendon: an elastic rope that pulls and never pushes, and rubs on the pulleys it passes."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import exp, tanh
 
 from firmware_sim.description import TendonSpec
@@ -16,12 +16,13 @@ class Tendon:
     Attributes:
         tension: at the load cell, between spool and first pulley, as of the last ``pull`` [N].
         speed: of the rope towards the spool, positive when the digit closes, as of the last ``pull`` [m/s].
+        longer: by how much it is longer than described [m].
         slope: rope damping plus friction over speed, for an implicit integrator [N s/m].
     """
 
     __slots__ = (
         "_c", "_friction", "_k", "_k2", "_knee", "_knee_stretch", "_width", "_wrap",
-        "path", "radius", "slope", "speed", "tension",
+        "longer", "path", "radius", "slope", "speed", "tension",
     )  # fmt: skip
 
     def __init__(self, spec: TendonSpec, joints: list[str], spool_radius: float) -> None:
@@ -32,7 +33,17 @@ class Tendon:
         self._k2, self._width, self._knee = spec.stiffness * spec.beyond_ratio, spec.knee_width, spec.knee
         self._knee_stretch = spec.knee / spec.stiffness if spec.stiffness else math.inf
         self._friction, self._wrap = spec.friction, spec.wrap
-        self.tension = self.speed = self.slope = 0.0
+        self.tension = self.speed = self.slope = self.longer = 0.0
+
+    def tear(self) -> Callable[[], None]:
+        """Bear nothing any more; returns what mends the rope."""
+        before = self._k, self._c, self._knee_stretch
+        self._k, self._c, self._knee_stretch = 0.0, 0.0, math.inf
+
+        def mend() -> None:
+            self._k, self._c, self._knee_stretch = before
+
+        return mend
 
     def elastic(self, stretch: float) -> float:
         """Return the tension of a rope at rest [N] stretched by so much [m]: linear, then softer beyond the knee.
@@ -55,7 +66,7 @@ class Tendon:
             theta: spool angle, positive winds, 0 where the rope is just taut at q = 0 [rad].
             omega: spool velocity [rad/s].
         """
-        stretch, rate = self.radius * theta, self.radius * omega
+        stretch, rate = self.radius * theta - self.longer, self.radius * omega
         for joint, arm in self.path:
             stretch -= arm * q[joint]
             rate -= arm * dq[joint]
@@ -69,7 +80,7 @@ class Tendon:
         The tension at a pulley is that behind it, its own joint angle's wrap included. Source: MODEL, section 3.
         """
         path, radius = self.path, self.radius
-        stretch, speed = radius * theta, 0.0
+        stretch, speed = radius * theta - self.longer, 0.0
         for joint, arm in path:
             stretch -= arm * q[joint]
             speed += arm * dq[joint]

@@ -1,11 +1,12 @@
 """Plant and nodes together, driven by time and frames; knows neither sockets nor clocks.
 
-Faults enter between ``receive`` and the nodes (wire), in a node (``trip``, registers) or in the plant.
+What is injected stands between the nodes and the wire, in a node, a sensor or the plant: see ``faults``.
 """
 
 import random
 
 from firmware_sim.description import Hand, MotorSpec, SensorSpec, SimulatorError
+from firmware_sim.faults import Faults
 from firmware_sim.frame import Frame
 from firmware_sim.nodes import PROTOCOLS, Node
 from firmware_sim.nodes.sensors import SensorNode
@@ -29,6 +30,8 @@ class World:
         nodes: for each bus of the hand, what sits on it.
         t_ns: the clock of plant and nodes [ns]; a multiple of the step from the origin.
         foreign: frames that no node knew.
+        sensor_node: the load cells and joint encoders.
+        faults: what is injected.
         encoder_offset: angle each encoder shows at theta = 0, by motor [rad].
     """
 
@@ -42,12 +45,15 @@ class World:
         spread = 0.0 if homed else MAX_ENCODER_OFFSET_RAD
         self.encoder_offset = {motor.name: motor.zero + chance.uniform(-spread, spread) for motor in hand.motors}
         self.nodes: list[list[Node]] = [[] for _ in hand.buses]
+        self._motor_nodes = {motor.name: self._motor_node(motor) for motor in hand.motors}
         for motor in hand.motors:
-            self.nodes[self._bus(motor.bus)].append(self._motor_node(motor))
+            self.nodes[self._bus(motor.bus)].append(self._motor_nodes[motor.name])
         if hand.sensors:
-            self.nodes[self._bus(hand.sensors.bus)].append(self._sensor_node(hand.sensors))
+            self.sensor_node = self._sensor_node(hand.sensors)
+            self.nodes[self._bus(hand.sensors.bus)].append(self.sensor_node)
         self._all = [(index, node) for index, bus in enumerate(self.nodes) for node in bus]
         self._spoken: list[Frame] = []
+        self.faults = Faults(self)
         self._truth: TruthWriter | None = None
         self.slip_ns = 0
 
@@ -62,7 +68,7 @@ class World:
             raise SimulatorError(f"{motor.name}: protocol {motor.protocol} is not simulated; expected one of {known}")
         return PROTOCOLS[motor.protocol](motor, self.plant.motors[motor.name], self.encoder_offset[motor.name])
 
-    def _sensor_node(self, spec: SensorSpec) -> Node:
+    def _sensor_node(self, spec: SensorSpec) -> SensorNode:
         plant, joints = self.plant, self.hand.joints
         names = [tendon.name for tendon in self.hand.tendons]
         tendon_order = [names.index(name) for name in spec.tendons]
@@ -78,6 +84,24 @@ class World:
 
         return SensorNode(spec, tensions, angles, self.seed)
 
+    def motor_spec(self, name: str) -> MotorSpec:
+        """Return the description of a motor."""
+        return next(motor for motor in self.hand.motors if motor.name == name)
+
+    def node_of(self, name: str) -> Node:
+        """Return the node of a motor."""
+        return self._motor_nodes[name]
+
+    def host_frame(self, name: str) -> Frame:
+        """Return a frame that only the host of a motor may send, and that does nothing to it."""
+        spec = self.motor_spec(name)
+        can_id, data = {
+            "mit": (spec.node_id, bytes(8)),
+            "odrive": (spec.node_id << 5 | 0x18, b""),
+            "cia402": (0x600 + spec.node_id, b"\x40\x00\x10" + bytes(5)),
+        }[spec.protocol]
+        return Frame(can_id, data, 0, self._bus(spec.bus), self.t_ns)
+
     def record(self, truth: TruthWriter) -> None:
         """Have every millisecond of plant time written down."""
         self._truth = truth
@@ -85,9 +109,9 @@ class World:
     def receive(self, frame: Frame) -> list[Frame]:
         """Hand a frame to the nodes of its bus and return their answers, stamped with the present time."""
         answers: list[Frame] = []
-        known, t_ns, bus = False, self.t_ns, frame.bus
+        known, t_ns, bus, faults = False, self.t_ns, frame.bus, self.faults
         for node in self.nodes[bus]:
-            replies = node.receive(frame, t_ns)
+            replies = faults.exchange(node, frame, t_ns) if faults.on else node.receive(frame, t_ns)
             if replies is not None:
                 known = True
                 answers += [
@@ -102,7 +126,7 @@ class World:
 
     def advance(self, t_ns: int) -> None:
         """Let time pass until t_ns, in whole steps; what is left over waits for the next call."""
-        plant, truth = self.plant, self._truth
+        plant, truth, faults = self.plant, self._truth, self.faults
         now_ns = self.t_ns
         wake_ns = min([node.wake_ns for _, node in self._all], default=t_ns)
         while now_ns + STEP_NS <= t_ns:
@@ -113,6 +137,9 @@ class World:
             if now_ns >= wake_ns:
                 self._wake(now_ns)
                 wake_ns = min([node.wake_ns for _, node in self._all], default=t_ns)
+            if faults.on:
+                self.t_ns = wake_ns = now_ns
+                self._spoken += faults.advance(now_ns)
         self.t_ns = now_ns
 
     def _wake(self, now_ns: int) -> None:
@@ -121,7 +148,8 @@ class World:
             if now_ns >= node.wake_ns:
                 spoken = node.wake(now_ns)
                 if spoken:
-                    self._spoken += [frame._replace(bus=bus, t_ns=now_ns) for frame in spoken]
+                    told = [frame._replace(bus=bus, t_ns=now_ns) for frame in spoken]
+                    self._spoken += self.faults.spoken(node, told, now_ns) if self.faults.on else told
 
     def take_spoken(self) -> list[Frame]:
         """Return what nodes have sent of their own accord since the last call."""

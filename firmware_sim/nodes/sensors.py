@@ -39,7 +39,12 @@ def pack(counter: int, codes: Sequence[int]) -> bytes:
 
 
 class SensorNode:
-    """Attributes: bias: slow error of each load cell [N]; malformed: SYNC frames of a wrong length; wake_ns: never."""
+    """The node.
+
+    Attributes:
+        bias: slow error of each load cell [N]. misread, misread_joints: faults by channel.
+        malformed: SYNC frames of a wrong length. wake_ns: never.
+    """
 
     def __init__(
         self, spec: SensorSpec, tensions: Callable[[], list[float]], angles: Callable[[], list[float]], seed: int
@@ -48,6 +53,8 @@ class SensorNode:
         self._spec, self._tensions, self._angles = spec, tensions, angles
         self._chance = random.Random(f"sensors {seed}")
         self.bias = [spec.tension_bias] * len(spec.tendons)
+        self.misread: dict[int, Callable[[float], float]] = {}
+        self.misread_joints: dict[int, Callable[[float], float]] = {}
         self._sampled_ns = -1
         self.malformed = 0
         self.wake_ns = _NEVER_NS
@@ -63,14 +70,16 @@ class SensorNode:
         payloads = self._group(base, counter, [tension_code(value) for value in self._sample(t_ns)])
         if self._spec.joints and counter % self._spec.joint_decimation == 0:
             noise = self._spec.joint_noise
-            codes = [joint_code(angle + self._chance.gauss(0.0, noise)) for angle in self._angles()]
+            read = [angle + self._chance.gauss(0.0, noise) for angle in self._angles()]
+            codes = [joint_code(angle) for angle in _wrong(read, self.misread_joints)]
             payloads += self._group(base + JOINT_OFFSET, counter, codes)
         return [Frame(can_id, data, frame.flags, frame.bus, t_ns) for can_id, data in payloads]
 
     def _sample(self, t_ns: int) -> list[float]:
         self._drift(t_ns)
         gauss, noise = self._chance.gauss, self._spec.tension_noise
-        return [f + bias + gauss(0.0, noise) for f, bias in zip(self._tensions(), self.bias, strict=True)]
+        read = [f + bias + gauss(0.0, noise) for f, bias in zip(self._tensions(), self.bias, strict=True)]
+        return _wrong(read, self.misread)
 
     def _drift(self, t_ns: int) -> None:
         """Let each bias walk at random: after 100 s its standard deviation is ``bias_drift``."""
@@ -86,3 +95,8 @@ class SensorNode:
 
     def wake(self, t_ns: int) -> None:
         """Do nothing: this node acts on SYNC only."""
+
+
+def _wrong(read: list[float], faults: dict[int, Callable[[float], float]]) -> list[float]:
+    """Readings with the faults of some channels."""
+    return [faults[i](value) if i in faults else value for i, value in enumerate(read)] if faults else read

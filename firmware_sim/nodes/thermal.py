@@ -11,11 +11,12 @@ MOSFET_K_PER_W, MOSFET_S = 2.0, 20.0
 
 
 class Thermal:
-    """Attributes: winding, mosfet: temperatures [degC]."""
+    """Attributes: winding, mosfet: temperatures [degC]. held: what a fault holds the winding at [degC]."""
 
     def __init__(self, torque_constant: float) -> None:
         """Args: torque constant [N m/A]."""
         self.winding = self.mosfet = ROOM_C
+        self.held: float | None = None
         self._ohm_per_kt2 = PHASE_RESISTANCE_OHM / torque_constant**2
 
     def advance(self, elapsed_s: float, torque_squared: float) -> None:
@@ -29,6 +30,8 @@ class Thermal:
             return
         watt = torque_squared / elapsed_s * self._ohm_per_kt2
         self.winding = _towards(self.winding, ROOM_C + WINDING_K_PER_W * watt, elapsed_s / WINDING_S)
+        if self.held is not None:
+            self.winding = self.held
         self.mosfet = _towards(self.mosfet, ROOM_C + MOSFET_K_PER_W * watt, elapsed_s / MOSFET_S)
 
 

@@ -21,6 +21,7 @@ VERBS = {
     "log": "say what is in a log, check, compare, export or repair it",
     "report": "one self-contained HTML page of a run",
     "sim": "start a simulated hand on a bus",
+    "fault": "inject faults into a simulated hand, or try the whole matrix",
     "config": "show a hand and where each value comes from, or check files",
     "gains": "which gains a hand uses and why; other ones, the way back, live changes",
     "paper": "reproduce the source paper, with what is wrong in it",

@@ -32,6 +32,11 @@ def watcher_path() -> Path:
     return run_dir() / f"watcher-{os.getpid()}"
 
 
+def faults_path(spec: str) -> Path:
+    """Socket on which a simulator on this bus takes faults."""
+    return run_dir() / f"{_flat(spec)}.faults"
+
+
 def truth_path(spec: str) -> Path:
     """Where a simulator on this bus keeps its truth, unless told otherwise."""
     return run_dir() / f"{_flat(spec)}.truth"

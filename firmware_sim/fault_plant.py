@@ -1,0 +1,167 @@
+"""Faults of sensors, motors, ropes and digits: what is changed while one lasts, and put back when it ends."""
+
+import math
+import random
+from collections.abc import Callable
+from typing import Any, cast
+
+from firmware_sim.fault_text import CELL, ENCODER, Fault
+from firmware_sim.fault_wire import Active
+from firmware_sim.frame import Frame
+from firmware_sim.nodes.cia402 import Cia402Node
+from firmware_sim.nodes.mit import MitNode, State
+from firmware_sim.nodes.odrive import OdriveNode
+
+Undo = Callable[[], None]
+RAIL_N = 1e4
+"""More than any load cell can tell [N]."""
+BLOCK = 1e3
+"""Damping of a joint that cannot move [N m s/rad]."""
+ERRORS = {
+    "error": (State.WINDING_HOT, 1 << 13, 0x4310),
+    "watchdog": (State.COMMUNICATION_LOST, 1 << 24, 0x8130),
+    "voltage": (0x9, 1 << 9, 0x3220),
+}
+"""Codes by kind for MIT, ODrive, CiA 402."""
+
+
+def begin(world: Any, one: Active) -> Undo:
+    """Let a fault begin; what ends it."""
+    kind = one.fault.kind
+    if kind in ("stuck", "offset", "drift", "noise", "saturate"):
+        return _misread(world, one)
+    return _BEGIN[kind](world, one) if kind in _BEGIN else lambda: None
+
+
+def _misread(world: Any, one: Active) -> Undo:
+    """Put something between a quantity and its sensor."""
+    fault, change = one.fault, _reading(one, lambda: int(world.t_ns))
+    if fault.component == ENCODER:
+        motor = world.plant.motors[fault.instance]
+        motor.misread = change
+        return lambda: setattr(motor, "misread", None)
+    node, spec = world.sensor_node, world.hand.sensors
+    names, table = (spec.tendons, node.misread) if fault.component == CELL else (spec.joints, node.misread_joints)
+    index = names.index(fault.instance)
+    table[index] = change
+    return lambda: table.pop(index, None) and None
+
+
+def _reading(one: Active, now: Callable[[], int]) -> Callable[[float], float]:
+    """The law of a wrong reading."""
+    fault, begun, held = one.fault, now(), list[float]()
+    chance = random.Random(f"reading {fault.seed} {fault.text}")
+
+    def wrong(value: float) -> float:
+        if not held:
+            held.append(value)
+        if fault.kind == "stuck":
+            other = held[0]
+        elif fault.kind == "offset":
+            other = value + fault.size
+        elif fault.kind == "drift":
+            other = value + fault.size * (now() - begun) * 1e-9
+        elif fault.kind == "noise":
+            other = value + chance.gauss(0.0, fault.size)
+        else:
+            other = math.copysign(RAIL_N, fault.size)
+        if other != value:
+            one.feel(now())
+        return other
+
+    return wrong
+
+
+def _snap(world: Any, one: Active) -> Undo:
+    rope = _rope(world, one.fault)
+    one.feel(world.t_ns)
+    mend: Undo = rope.tear()
+    return mend
+
+
+def _slack(world: Any, one: Active) -> Undo:
+    rope = _rope(world, one.fault)
+    one.feel(world.t_ns)
+    rope.longer = one.fault.size * 1e-3
+    return lambda: setattr(rope, "longer", 0.0)
+
+
+def _friction(world: Any, one: Active) -> Undo:
+    tendon = next(spec for spec in world.hand.tendons if spec.name == one.fault.instance)
+    motor = world.plant.motors[tendon.motor]
+    before = motor.coulomb
+    motor.coulomb += one.fault.size * _rope(world, one.fault).radius
+    one.feel(world.t_ns)
+    return lambda: setattr(motor, "coulomb", before)
+
+
+def _rope(world: Any, fault: Fault) -> Any:
+    names = [spec.name for spec in world.hand.tendons]
+    return world.plant.ropes[names.index(fault.instance)][0]
+
+
+def _block(world: Any, one: Active) -> Undo:
+    digit = next(digit for digit in world.hand.digits if digit.name == one.fault.instance)
+    one.feel(world.t_ns)
+    let_go: Undo = world.plant.engine.brake([world.hand.joints.index(joint) for joint in digit.joints], BLOCK)
+    return let_go
+
+
+def _trip(world: Any, one: Active) -> Undo:
+    node, codes = world.node_of(one.fault.instance), ERRORS[one.fault.kind]
+    size = int(one.fault.size)
+    one.feel(world.t_ns)
+    match node:
+        case MitNode():
+            node.trip(cast(State, size or codes[0]))
+        case OdriveNode():
+            node.disarm(size or codes[1])
+        case Cia402Node():
+            node.trip(size or codes[2])
+            node.wake_ns = 0
+    return lambda: None
+
+
+def _reset(world: Any, one: Active) -> Undo:
+    node = world.node_of(one.fault.instance)
+    one.feel(world.t_ns)
+    match node:
+        case MitNode():
+            node.power_cycle()
+        case OdriveNode():
+            node.receive(Frame(world.motor_spec(one.fault.instance).node_id << 5 | 0x16, b""), world.t_ns)
+        case Cia402Node():
+            node.receive(Frame(0x000, bytes((0x81, world.motor_spec(one.fault.instance).node_id))), world.t_ns)
+            node.wake_ns = 0
+    return lambda: None
+
+
+def _hot(world: Any, one: Active) -> Undo:
+    thermal = world.node_of(one.fault.instance).thermal
+    one.feel(world.t_ns)
+    thermal.held = one.fault.size
+    thermal.winding = one.fault.size
+    return lambda: setattr(thermal, "held", None)
+
+
+def _servo(world: Any, one: Active) -> Undo:
+    """The drive's power stage does something else than it is told."""
+    motor, fault = world.plant.motors[one.fault.instance], one.fault
+    kept = motor.servo.torque
+    most = world.motor_spec(fault.instance).torque_max
+
+    def law(command: float) -> float:
+        other: float = {"disobey": fault.size * command, "runaway": fault.size * most, "off": 0.0}.get(fault.kind, kept)
+        if abs(other - command) > 1e-9:
+            one.feel(int(world.t_ns))
+        return other
+
+    motor.disobeys = law
+    return lambda: setattr(motor, "disobeys", None)
+
+
+_BEGIN: dict[str, Callable[[Any, Active], Undo]] = {
+    "snap": _snap, "slack": _slack, "friction": _friction, "block": _block, "error": _trip, "watchdog": _trip,
+    "voltage": _trip, "reset": _reset, "hot": _hot, "disobey": _servo, "runaway": _servo, "hold_on": _servo,
+    "off": _servo,
+}  # fmt: skip

@@ -1,0 +1,55 @@
+"""Asking a running simulator for faults."""
+
+import json
+import os
+import socket
+from pathlib import Path
+from typing import Any
+
+from handctl.errors import BusError, ConfigError
+from handctl.runtime.places import faults_path, run_dir
+
+PATIENCE_S = 5.0
+LARGEST = 1 << 18
+
+
+def find_simulator(bus: str | None) -> Path:
+    """The fault socket of the simulator on a bus, or of the only one that runs.
+
+    Raises:
+        BusError: there is none, or several and no bus is named.
+    """
+    if bus is not None:
+        return faults_path(bus)
+    found = sorted(run_dir().glob("*.faults"))
+    if len(found) != 1:
+        running = ", ".join(path.stem.replace("_", ":", 1) for path in found) or "none"
+        raise BusError(f"simulators that run: {running}", "--bus", "the bus of one, as in --bus local:demo")
+    return found[0]
+
+
+def ask_simulator(path: Path, question: dict[str, Any]) -> list[dict[str, Any]]:
+    """Ask, and wait for the answer: the simulator's faults.
+
+    Raises:
+        BusError: no simulator answers there.
+        ConfigError: it does not know such a fault.
+    """
+    own = run_dir() / f"asking-{os.getpid()}"
+    own.unlink(missing_ok=True)
+    where, right = f"bus {path.stem.replace('_', ':', 1)}", "a running handctl sim"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
+        try:
+            asking.bind(str(own))
+            asking.settimeout(PATIENCE_S)
+            asking.sendto(json.dumps(question).encode(), str(path))
+            answer: dict[str, Any] = json.loads(asking.recv(LARGEST))
+        except OSError as error:
+            reason = os.strerror(error.errno) if error.errno else "no answer"
+            raise BusError(f"no simulator answers ({reason})", where, right) from None
+        finally:
+            own.unlink(missing_ok=True)
+    if "error" in answer:
+        raise ConfigError(str(answer["error"]), where)
+    faults: list[dict[str, Any]] = answer["faults"]
+    return faults

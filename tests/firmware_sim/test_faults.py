@@ -1,0 +1,115 @@
+"""Faults as a schedule: read, begun and ended in time, felt, the same every time."""
+
+import pytest
+
+from firmware_sim.description import SimulatorError, load_hand
+from firmware_sim.fault_text import KINDS, instances, parse_fault
+from firmware_sim.frame import Frame
+from firmware_sim.rig import Rig
+
+HAND = load_hand("jamia")
+SYNC = 0x080
+REFRESH = Frame(0x7FF, bytes((1, 0, 0xCC, 0)))
+
+
+def rig(seed=0):
+    return Rig("jamia", seed=seed, homed=True)
+
+
+def ask(world, ticks, frames=(REFRESH,)):
+    """Answers of so many ticks, each with a SYNC."""
+    answers = []
+    for _ in range(ticks):
+        k = world.world.t_ns // 2_000_000
+        answers.append(world.step(world.world.t_ns, [Frame(SYNC, bytes((k & 0xFF,))), *frames]))
+    return answers
+
+
+def test_a_line_becomes_a_fault():
+    fault = parse_fault("drop node=3 p=0.05 at=3s for=2s seed=7", HAND, 10)
+    assert (fault.kind, fault.component, fault.instance) == ("drop", "node", HAND.motors[2].name)
+    assert (fault.start_ns, fault.duration_ns, fault.p, fault.seed) == (3_000_000_010, 2_000_000_000, 0.05, 7)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no such kind"), ("explode node=1", "expected one of drop, deaf"),
+        ("drop", "drop needs node=NAME or bus"),
+        ("drop node=9", "no node '9'"), ("drop tendon=index_tendon", "drop needs"),
+        ("snap node=1", "snap needs tendon"),
+        ("drop node=1 node=1", "not one new KEY=VALUE"), ("drop node=1 p=2", "p=2: expected a number from 0 to 1"),
+        ("drop node=1 at=3", "at=3: expected"), ("drop node=1 at=nans", "at=na: expected"),
+        ("drop node=1 foo=3", "'foo'"),
+        ("drop node=1 bus=main", "drop needs"), ("stuck joint=index_j1", "no joint"), ("drop node=1 p=", "KEY=VALUE"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_one_line(text, words):
+    with pytest.raises(SimulatorError) as caught:
+        parse_fault(text, HAND)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+EVERYTHING = [
+    f"{kind} {component}={instances(component, HAND)[0]}"
+    for kind, known in KINDS.items()
+    for component in known.components
+    if instances(component, HAND)
+]
+
+
+@pytest.mark.parametrize("text", EVERYTHING)
+def test_everything_that_can_be_injected_is_felt_and_ends(text):
+    run = rig()
+    run.world.plant.motors["index_motor"].servo.torque = 0.1
+    run.world.plant.motors["index_motor"].servo.limit = 0.8
+    ask(run, 5)
+    run.inject(f"{text} at=4ms for=40ms")
+    assert run.told()[0]["state"] == "waiting"
+    ask(run, 10)
+    assert run.told()[0]["state"] == "acting"
+    run.world.plant.motors["index_motor"].servo.torque = 0.02
+    ask(run, 20)
+    told = run.told()[0]
+    assert told["state"] == "over"
+    assert told["felt"] > 0, "the disturbance was there"
+    assert 14_000_000 <= told["first_ns"] <= 54_000_000
+    before = told["felt"]
+    ask(run, 10)
+    assert run.told()[0]["felt"] == before
+
+
+def test_the_same_seed_is_the_same_loss():
+    runs = []
+    for seed in (1, 1, 2):
+        run = rig()
+        run.inject(f"drop node=sensors p=0.3 seed={seed}")
+        runs.append([len(answers) for answers in ask(run, 200)])
+    assert runs[0] == runs[1] != runs[2]
+    lost = 400 - sum(runs[0])
+    assert 30 <= lost <= 95
+
+
+def test_a_delayed_frame_comes_late_and_a_reordered_one_behind_the_next():
+    run = rig()
+    run.inject("delay node=sensors size=5")
+    answers = ask(run, 10, ())
+    assert [len(a) for a in answers[:3]] == [0, 0, 1]
+    run = rig()
+    run.inject("reorder node=sensors")
+    counters = [frame.data[0] & 0xF for a in ask(run, 6, ()) for frame in a if frame.can_id == 0x1A0]
+    assert counters == [1, 0, 3, 2, 5, 4]
+
+
+def test_a_torn_rope_bears_nothing_and_a_mended_one_does():
+    run = rig()
+    motor = run.world.plant.motors["index_motor"]
+    motor.servo.torque, motor.servo.limit = 0.15, 0.8
+    ask(run, 150)
+    assert run.truth()["tension"][0] > 15.0
+    run.inject("snap tendon=index_tendon for=20ms")
+    ask(run, 1)
+    assert run.truth()["tension"][0] == 0.0
+    ask(run, 10)
+    assert run.truth()["tension"][0] > 15.0

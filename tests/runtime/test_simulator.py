@@ -1,0 +1,42 @@
+"""A person's fault reaches a running simulator, and what was felt comes back."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from handctl.cli.main import main
+from handctl.runtime.places import run_dir
+
+
+@pytest.fixture
+def simulator(tmp_path, monkeypatch):
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
+    command = [sys.executable, "-m", "firmware_sim", "--hand", "jamia", "--bus", "local:lab"]
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    assert "ready" in child.stdout.readline()
+    yield child
+    child.terminate()
+    child.wait(20)
+    assert not list(run_dir().glob("*.faults")), "it takes its socket away"
+
+
+def test_inject_and_list(simulator, capsys):
+    assert main(["fault", "inject", "hot node=1 size=95", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["faults"]
+    assert [(fault["fault"], fault["state"], fault["felt"]) for fault in told] == [("hot node=1 size=95", "acting", 1)]
+    assert main(["fault", "inject", "snap tendon=thumb_tendon at=100s", "--bus", "local:lab"]) == 0
+    assert main(["fault", "list"]) == 0
+    assert "waiting felt 0" in capsys.readouterr().out
+    assert main(["fault", "inject", "explode node=1"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert simulator.poll() is None, "nonsense does not end it"
+
+
+def test_without_a_simulator_it_is_said(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
+    assert main(["fault", "list"]) == 1
+    assert "none" in capsys.readouterr().err
+    assert main(["fault", "list", "--bus", "local:nope"]) == 1
+    assert "no simulator answers" in capsys.readouterr().err
