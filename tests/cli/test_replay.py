@@ -106,7 +106,7 @@ def test_the_report_is_one_page_that_loads_nothing(tmp_path: Path) -> None:
     assert {"svg", "img", "table", "style"} <= page.seen
     assert "script" not in page.seen
     assert all(place.startswith("data:image/png;base64,") for place in page.loads)
-    assert "B02 a motor has gone silent: index_motor" in text
+    assert "B17 some nodes do not hear: index_motor" in text
     assert load_hand("jamia").identity in text
 
 

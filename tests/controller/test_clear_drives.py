@@ -43,7 +43,7 @@ def test_the_order_holds_for_what_was_latched_before_not_for_what_comes_later(or
     orphaned.run(0.5)
     orphaned.peer.motors[1].nibble = COMMUNICATION_LOST
     orphaned.until(Mode.DONE)
-    assert "N11" in orphaned.state.failure
+    assert "N08" in orphaned.state.failure
     assert orphaned.peer.motors[1].nibble == COMMUNICATION_LOST
 
 

@@ -252,7 +252,7 @@ def test_a_motor_that_falls_silent_relaxes_the_others_and_both_troubles_are_told
     hand.until(Mode.DONE)
     assert hand.modes == HAPPY + HOME
     assert hand.state.unconfirmed == ("index_motor",)
-    assert "B02 index_motor" in hand.state.failure
+    assert "B17 index_motor" in hand.state.failure
     assert "REMOVE POWER" in hand.state.failure
     assert all(motor.nibble != 1 for motor in hand.peer.motors[1:])
 
@@ -272,14 +272,14 @@ def test_a_lost_bus_cuts(hand: Bench) -> None:
     out = hand.tick(io=(IoEvent("enodev", "local:x"),))
     assert (out.mode, out.action) == (Mode.CUT, Action.CUT)
     hand.until(Mode.DONE)
-    assert "B14" in hand.state.failure
+    assert "B16" in hand.state.failure
 
 
 @pytest.mark.parametrize("mode", [Mode.SILENT, Mode.INVENTORY, Mode.READY])
 def test_a_lost_bus_before_arming_ends_the_run(hand: Bench, mode: Mode) -> None:
     hand.until(mode)
     assert hand.tick(io=(IoEvent("enodev", "local:x"),)).mode == Mode.DONE
-    assert "B14" in hand.state.failure
+    assert "B16" in hand.state.failure
     assert sent(hand, ENABLE) == []
 
 
@@ -324,7 +324,7 @@ def test_a_program_that_gives_up_relaxes_and_tells_why(quick: HandModel) -> None
     run.peer.order = [1, 0, 2, 3]
     run.peer.stiffness[0] = 0.0  # a rope that tore: its load cell stays at zero
     run.until(Mode.DONE, 20.0)
-    assert "not taut" in run.state.failure
+    assert "T04b index_tendon" in run.state.failure, "a motor that winds and a load cell that feels nothing"
     assert run.modes == HAPPY + HOME
 
 

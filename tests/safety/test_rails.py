@@ -6,7 +6,7 @@ import pytest
 
 from handctl.safety.action import Action
 from handctl.safety.judge import SafetyState, judge
-from handctl.safety.table import Limits, Signals
+from handctl.safety.signals import Limits, Signals
 
 LIMITS = Limits(("a", "b"), (140.0, 140.0), 243.9, ("m", "n"), tension_low=-4.0)
 

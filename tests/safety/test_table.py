@@ -6,15 +6,23 @@ from typing import NamedTuple
 
 import pytest
 
+from handctl.drives.causes import Cause
 from handctl.safety.action import Action
+from handctl.safety.fault import Fault
 from handctl.safety.judge import SafetyState, Verdict, clear, judge
-from handctl.safety.table import TABLE, Fault, Limits, Signals, ticks_for
+from handctl.safety.signals import Limits, Signals, ticks_for
+from handctl.safety.table import TABLE
 
 LIMITS = Limits(
     tendons=("t0", "t1"), tension_trip=(140.0, 50.0), tension_rail=244.0, motors=("m0", "m1"),
     silent_ticks=6, stalled_ticks=5, temperature_soft=70.0, temperature_hard=85.0, tension_low=-5.0,
+    drive_limit=(160.0, 60.0), frames_most=64, noise_most=1e-4,
 )  # fmt: skip
-CALM = Signals(armed=True, motor_age=(0, 0), sensor_age=(0, 0), tension=(20.0, 20.0), temperature=(40.0, math.nan))
+ZERO = (0.0, 0.0)
+CALM = Signals(
+    armed=True, motor_age=(0, 0), sensor_age=(0, 0), tension=(20.0, 20.0), temperature=(40.0, math.nan),
+    residual=ZERO, disobeyed=ZERO, friction=ZERO, slip=ZERO, derailed=ZERO, noise=ZERO,
+)  # fmt: skip
 
 
 class Case(NamedTuple):
@@ -47,29 +55,84 @@ def heat(*values: float) -> Signals:
     return replace(CALM, temperature=values)
 
 
+def with_(**signals: object) -> Signals:
+    return replace(CALM, **signals)  # type: ignore[arg-type]
+
+
+def error(cause: Cause, code: int = 9) -> Signals:
+    return with_(drive_errors=(("m1", code, cause),))
+
+
+ACK = ("error_frame", "can0 no acknowledge", 3)
 CASES = {
-    "B01": Case(replace(CALM, motor_age=(0, 1)), CALM, "m1", 1, Action.WARN, False, True),
-    "B02": Case(replace(CALM, motor_age=(6, 0)), replace(CALM, motor_age=(5, 5)), "m0", 1, Action.RELAX, True, True),
+    "B01": Case(with_(motor_age=(0, 1)), CALM, "m1", 1, Action.WARN, False, True),
+    "B02": Case(with_(motor_age=(6, 0)), with_(motor_age=(5, 5)), "m0", 1, Action.RELAX, True, True),
+    "B03a": Case(with_(lost=(0, 21, 0)), with_(lost=(20, 20, 20)), "m1", 1, Action.HOLD, False, True),
+    "B03b": Case(with_(lost=(0, 0, 41)), with_(lost=(40, 40, 40)), "load cells", 1, Action.RELAX, True, True),
+    "B04": Case(with_(stale=(("load cells", 0.0),)), CALM, "load cells", 1, Action.WARN, False, True),
+    "B05": Case(with_(twice=(("m0", 0.0),)), CALM, "m0", 1, Action.WARN, False, True),
+    "B06": Case(with_(twice=(("m0", 1.0),)), with_(twice=(("m0", 0.0),)), "m0", 1, Action.RELAX, True, True),
+    "B07": Case(with_(stale=(("load cells", 1.0),)), CALM, "load cells", 1, Action.WARN, False, True),
+    "B08": Case(with_(misshapen=(("m1", 3.0),)), with_(misshapen=(("m1", 2.0),)), "m1", 1, Action.RELAX, True, True),
+    "B09": Case(with_(misshapen=(("m1", 1.0),)), CALM, "m1", 1, Action.WARN, False, True),
+    "B10": Case(with_(unknown=50.1), with_(unknown=50.0), "bus", 1, Action.WARN, False),
+    "B11a": Case(with_(frames=65), with_(frames=64), "bus", 2, Action.RELAX, True, True),
+    "B11b": Case(with_(frames=65), with_(frames=128, missed=1), "bus", 10, Action.CUT, True, True),
     "B12": Case(io("bus_off"), io("bus_on"), "can0", 1, Action.CUT, True),
     "B13": Case(io("error_passive"), io("error_warning"), "can0", 20, Action.RELAX, True),
-    "B14": Case(io("enodev"), io("enobufs"), "can0", 1, Action.CUT, True),
+    "B14": Case(io("enetdown"), io("enobufs"), "can0", 1, Action.CUT, True),
     "B15": Case(io("enobufs"), io("dropped"), "can0", 2, Action.RELAX, True),
-    "N02": Case(replace(CALM, sensor_age=(0, 6)), replace(CALM, sensor_age=(5, 5)), "t1", 1, Action.RELAX, True, True),
+    "B16": Case(io("enodev"), io("enetdown"), "can0", 1, Action.CUT, True),
+    "B17": Case(with_(motor_age=(4, 0)), with_(motor_age=(4, 4)), "m0", 1, Action.RELAX, True, True),
+    "B18": Case(
+        with_(armed=False, heard=False, io=(ACK,)), with_(armed=False, io=(ACK,)),
+        "can0 no acknowledge", 20, Action.RELAX, True,
+    ),
+    "N01": Case(error(Cause.DROPPED_OUT), error(Cause.OTHER), "m1", 1, Action.RELAX, True, True),
+    "N02": Case(with_(sensor_age=(0, 6)), with_(sensor_age=(5, 5)), "t1", 1, Action.RELAX, True, True),
+    "N04": Case(with_(stuck_motor=(("m0", 0.6),)), CALM, "m0", 1, Action.RELAX, True),
+    "N05a": Case(with_(jumped=(("m0", 0.4),)), CALM, "m0", 1, Action.WARN, False),
+    "N05b": Case(with_(jumped=(("m0", 0.4),)), CALM, "m0", 2, Action.RELAX, True),
+    "N06a": Case(with_(slip=(0.0, 3.1)), with_(slip=(3.0, 0.0)), "t1", 1, Action.WARN, False),
+    "N06b": Case(with_(slip=(6.1, 0.0)), with_(slip=(0.0, 6.0)), "t0", 1, Action.RELAX, True),
+    "N07": Case(with_(noise=(0.0, 1.1e-4)), with_(noise=(1e-4, 0.0)), "m1", 1, Action.HOLD, False),
+    "N08": Case(error(Cause.WATCHDOG), error(Cause.VOLTAGE), "m1", 1, Action.RELAX, True, True),
     "N09a": Case(heat(70.1, 0), heat(70.0, 0), "m0", 20, Action.WARN, False),
     "N09b": Case(heat(0, 85.1), heat(0, 85.0), "m1", 20, Action.RELAX, True),
-    "N11": Case(replace(CALM, drive_errors=(("m1", 9),)), CALM, "m1", 1, Action.RELAX, True, True),
+    "N10": Case(error(Cause.VOLTAGE), error(Cause.HOT), "m1", 1, Action.RELAX, True, True),
+    "N11": Case(error(Cause.OTHER), CALM, "m1", 1, Action.RELAX, True, True),
+    "N11b": Case(error(Cause.UNKNOWN), error(Cause.OTHER), "m1", 1, Action.CUT, True, True),
+    "N12": Case(error(Cause.MISMATCH), error(Cause.OTHER), "m1", 1, Action.CUT, True, True),
+    "N13": Case(with_(twice=(("m0", 0.0),)), CALM, "m0", 3, Action.RELAX, True, True),
+    "N14": Case(with_(disobeyed=(15.1, 0.0)), with_(disobeyed=(0.0, 15.0)), "m0", 1, Action.RELAX, True),
+    "N15": Case(with_(halved=("m1",)), CALM, "m1", 1, Action.WARN, False),
+    "N16": Case(with_(limp=(("t0", 30.0),)), CALM, "t0", 1, Action.CUT, True),
+    "T01": Case(with_(snapped=(("t0", 0.1),)), CALM, "t0", 2, Action.RELAX, True),
+    "T02a": Case(with_(slack=(("t0", 0.051),)), with_(slack=(("t0", 0.05),)), "t0", 1, Action.WARN, False),
+    "T02b": Case(with_(slack=(("t0", 0.51),)), with_(slack=(("t0", 0.5),)), "t0", 1, Action.RELAX, True),
     "T03": Case(tensions(20.0, 50.1), tensions(139.9, 50.0), "t1", 1, Action.RELAX, True),
+    "T03b": Case(tensions(20.0, 60.1), tensions(159.9, 60.0), "t1", 1, Action.CUT, True),
+    "T04a": Case(with_(residual=(5.1, 0.0)), with_(residual=(0.0, 5.0)), "t0", 1, Action.WARN, False),
+    "T04b": Case(with_(residual=(0.0, 10.1)), with_(residual=(10.0, 0.0)), "t1", 1, Action.RELAX, True),
+    "T05": Case(with_(stuck_cell=(("t1", 6.0),)), CALM, "t1", 1, Action.RELAX, True),
     "T06": Case(tensions(244.0, 20.0), tensions(243.9, -4.9), "t0", 3, Action.RELAX, True, True),
-    "H01": Case(replace(CALM, late=0.26), replace(CALM, late=0.25), "loop", 1, Action.PASS, False),
-    "H02": Case(replace(CALM, missed=1), CALM, "loop", 1, Action.WARN, False),
-    "H03": Case(replace(CALM, missed=5), replace(CALM, missed=4), "loop", 1, Action.RELAX, True, True),
+    "T08": Case(with_(derailed=(0.0, 15.1)), with_(derailed=(15.0, 0.0)), "t1", 3, Action.RELAX, True),
+    "T09": Case(with_(friction=(3.1, 0.0)), with_(friction=(0.0, 3.0)), "t0", 1, Action.WARN, False),
+    "H01": Case(with_(late=0.26), with_(late=0.25), "loop", 1, Action.PASS, False),
+    "H02": Case(with_(missed=1), CALM, "loop", 1, Action.WARN, False),
+    "H03": Case(with_(missed=5), with_(missed=4), "loop", 1, Action.RELAX, True, True),
+    "H04": Case(io("suspended", "host", 900), io("recorder", "host"), "host", 1, Action.RELAX, True),
     "H08": Case(io("recorder", "disk_full"), io("recorder", "misshapen"), "disk_full", 1, Action.WARN, False),
     "H09": Case(io("recorder", "dropped"), io("dropped", "dropped"), "dropped", 1, Action.WARN, False),
     "H10": Case(io("recorder", "gone"), io("recorder", "misshapen"), "gone", 1, Action.WARN, False),
-    "H13": Case(replace(CALM, foreign=("0x001",)), CALM, "0x001", 1, Action.RELAX, True),
+    "H13": Case(with_(foreign=("0x001",)), CALM, "0x001", 1, Action.RELAX, True),
+    "I07a": Case(with_(refused=1), CALM, "goal", 1, Action.WARN, False, True),
+    "I07b": Case(with_(refused=3), with_(refused=2), "goal", 1, Action.RELAX, True, True),
 }  # fmt: skip
 OTHER_SIGNS = {
-    "B14": [io("enetdown"), io("ebadf")],
+    "B16": [io("ebadf")],
+    "N04": [with_(stuck_joint=(("j0", 11.0),))],
+    "N11": [error(Cause.HOT), error(Cause.LOST)],
     "T06": [tensions(-5.0, 0.0), tensions(300.0, 0.0)],
     "H08": [io("recorder", "disk_low")],
     "H09": [io("recorder", "filling")],

@@ -129,7 +129,7 @@ def next_mode(
     names = seen.names
     level = "error" if failure else "info"
     text = f"{state.mode.name} -> {mode.name}" + (f": {failure}" if failure else "")
-    unconfirmed = _may_pull(state, names) if mode == Mode.DONE else ()
+    unconfirmed = _may_pull(model, state, names) if mode == Mode.DONE else ()
     told = f"{state.failure}; {failure}" if state.failure and unconfirmed else state.failure or failure
     entered = replace(state, mode=mode, mode_since=t, failure=told, unconfirmed=unconfirmed)
     return _on_entry(model, entered), (Event(level, "mode", "", text),)
@@ -207,6 +207,9 @@ def _relax(state: State, seen: Circumstances) -> Next:
 
 
 def _disarm(state: State, seen: Circumstances) -> Next:
+    pulling = _pulling(seen.model, state, seen.names)
+    if pulling:
+        return Mode.DONE, f"REMOVE POWER: still pulling after the cut: {', '.join(pulling)}"
     enabled = _enabled(state, seen.names)
     if not enabled:
         return Mode.DONE, ""
@@ -246,6 +249,12 @@ def _enabled(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name for name, drive in zip(names, state.drives, strict=True) if drive.phase not in disabled)
 
 
+def _pulling(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Motors whose tendon still bears tension after the torque was cut (N16)."""
+    tendons = {mark.instance for mark in state.safety.latched if mark.id == "N16"}
+    return tuple(name for name, tendon in zip(names, model.hand.tendon_names, strict=True) if tendon in tendons)
+
+
 def _on_entry(model: HandModel, state: State) -> State:
     """Goals that belong to a mode."""
     if state.mode != Mode.RELAX:
@@ -257,8 +266,8 @@ def _on_entry(model: HandModel, state: State) -> State:
     return replace(state, progress=replace(state.progress, goals=goals))
 
 
-def _may_pull(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
+def _may_pull(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
     """Motors that may have torque at the end of a run; one that was never enabled by it only if it says so."""
     if state.mode not in BEFORE_ARMING:
-        return _enabled(state, names)
+        return tuple(dict.fromkeys((*_enabled(state, names), *_pulling(model, state, names))))
     return tuple(name for name, drive in zip(names, state.drives, strict=True) if drive.phase == Phase.ENABLED)

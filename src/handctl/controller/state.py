@@ -12,6 +12,7 @@ from handctl.controller.types import Mode
 from handctl.drives.contract import DriveState
 from handctl.drives.sensor_node import SensorState
 from handctl.safety.judge import SafetyState
+from handctl.safety.watch import WatchState
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +32,7 @@ class State:
         law: the controller.
         progress: of the program.
         safety: debounce and latches.
+        watch: what safety remembers besides.
         commanded: (motor torques of the last tick are in ``law.force``); frames cut so far, for mode CUT.
         failure: why the run ends early, one line; empty if it does not.
         unconfirmed: motors that have not confirmed that they are disabled.
@@ -49,6 +51,7 @@ class State:
     law: LawState
     progress: Progress
     safety: SafetyState
+    watch: WatchState
     failure: str = ""
     unconfirmed: tuple[str, ...] = ()
     clearing: bool = False
@@ -66,6 +69,7 @@ class State:
             packing.law_bytes(self.law),
             packing.sensor_bytes(self.sensors),
             packing.progress_bytes(self.progress),
+            self.watch.key(),
             packing.gains_bytes(self.gains),
             packing.gains_bytes(self.coming),
             *map(packing.drive_bytes, self.drives),

@@ -10,6 +10,7 @@ encode    what each drive shall do -> frames
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from handctl.controller.computed_torque import Command, LawState
 from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.filter_state import FilterState
 from handctl.controller.goal import DigitGoal
+from handctl.controller.guard import Guard
 from handctl.controller.innovation import doubts
 from handctl.controller.model import HandModel
 from handctl.controller.modes import ACTING, next_mode, wanted_of_drives
@@ -31,13 +33,24 @@ from handctl.drives.frame import ERROR, Frame
 from handctl.drives.sensor_node import SensorNode, SensorState, saturated
 from handctl.safety import judge as safety
 from handctl.safety.action import Action
-from handctl.safety.table import LEAST_SILENT, LEAST_STALLED, SILENT_S, STALLED_S, Limits, Signals, ticks_for
+from handctl.safety.signals import Limits, Named, Signals
+from handctl.safety.watch import WatchState
 
 ACTIVE, CUT, DONE, RELAX, SILENT = Mode.ACTIVE, Mode.CUT, Mode.DONE, Mode.RELAX, Mode.SILENT
 FAULT, HOLD = Phase.FAULT, Action.HOLD
 """As names of this module: looking a member up in its enumeration costs more than comparing it."""
 SENSORS = -1
 """Owner of the sensor node's frames, where drives are owners by index."""
+
+
+class Received(NamedTuple):
+    """What the frames of a tick amount to: the last three are foreign identifiers, strange frames, dropped jumps."""
+
+    measured: Measured
+    estimate: Estimate
+    foreign: tuple[str, ...]
+    strange: tuple[Frame, ...]
+    jumped: Named
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +62,7 @@ class Controller:
         drives: the motor of each tendon, in the order of the tendons.
         sensors: the sensor node.
         program: what decides the goals.
-        limits: thresholds of safety.
+        guard: what shows each tick to safety.
         tare: (N,) load-cell tare [N].
         zero: (N,) motor zero [rad].
         owners: (bus, identifier) to the index of the drive that sends it, or SENSORS.
@@ -62,7 +75,7 @@ class Controller:
     drives: tuple[Drive, ...]
     sensors: SensorNode
     program: Program
-    limits: Limits
+    guard: Guard
     tare: Vector
     zero: Vector
     owners: dict[tuple[int, int], int]
@@ -81,21 +94,17 @@ class Controller:
         arm_at_once: bool = True,
     ) -> "Controller":
         """Put a controller together; see the attributes."""
-        tendons = model.hand.tendon
-        limits = Limits(
-            tendons=model.hand.tendon_names,
-            tension_trip=tuple(tendon.tension_trip_N for tendon in tendons),
-            tension_rail=sensors.tension_rail,
-            tension_low=sensors.tension_low,
-            motors=tuple(drive.name for drive in drives),
-            silent_ticks=ticks_for(SILENT_S, model.period, LEAST_SILENT),
-            stalled_ticks=ticks_for(STALLED_S, model.period, LEAST_STALLED),
-        )
         owners = {(drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids}
         owners |= {(sensors.bus, can_id): SENSORS for can_id in sensors.node_ids}
         ours = {(drive.bus, can_id) for drive in drives for can_id in drive.host_ids}
         ours |= {(sensors.bus, can_id) for can_id in sensors.host_ids}
-        return Controller(model, drives, sensors, program, limits, tare, zero, owners, frozenset(ours), arm_at_once)
+        guard = Guard.of(model, drives, sensors)
+        return Controller(model, drives, sensors, program, guard, tare, zero, owners, frozenset(ours), arm_at_once)
+
+    @property
+    def limits(self) -> Limits:
+        """Thresholds of safety."""
+        return self.guard.watcher.limits
 
     def initial(self) -> State:
         """State before the first tick; the same for the same configuration, so that a log can be executed again."""
@@ -112,6 +121,7 @@ class Controller:
             law=LawState.initial(n),
             progress=self.program.begin(self.model),
             safety=safety.SafetyState(),
+            watch=self.guard.watcher.initial(),
         )
 
     def cut_frames(self) -> tuple[Frame, ...]:
@@ -134,23 +144,24 @@ class Controller:
 
     def _tick(self, state: State, entry: TickIn) -> tuple[State, TickOut]:
         """One tick with the gains that are this controller's."""
-        missed = entry.k - state.k - 1
-        drives, sensors, foreign = self._receive(state, entry)
-        measured = self._measured(state, drives, sensors)
-        filters, estimate = self._estimate(state, measured)
-        told = doubts(self.model.hand.tendon_names, state.filter, filters)
-        state = replace(state, k=entry.k, drives=drives, sensors=sensors, filter=filters)
-        state, wishes, asked = answer(self.model, state, estimate, entry.requests)
-        signals = self._signals(state, entry, measured, foreign, missed)
+        before = state
+        state, received = self._take_in(state, entry)
+        state, wishes, asked = answer(self.model, state, received.estimate, entry.requests)
+        told = doubts(self.model.hand.tendon_names, before.filter, state.filter)
+        watch, signals = self._signals(before, state, entry, received, asked)
+        measured, estimate, foreign = received.measured, received.estimate, received.foreign
         judged, verdict = safety.judge(state.safety, self.limits, signals)
         state = replace(state, safety=judged)
         state, moved = next_mode(self.model, self.drives, state, verdict.action, wishes, foreign, entry.t_ns / 1e9)
         progress, goal_time, stepped = self._program(state, verdict.action, estimate, measured)
         law, command = self._command(state, estimate, progress.goals, goal_time)
         drives, sensors, frames = self._encode(state, entry, command)
-        before = state.law
-        state = replace(state, progress=progress, goal_time=goal_time, law=law, drives=drives, sensors=sensors)
-        state, retuned = (state, ()) if state.coming is None else self._retune(state, before, estimate, command)
+        old_law = state.law
+        watch = self.guard.commanded(watch, state.mode, command)
+        state = replace(
+            state, progress=progress, goal_time=goal_time, law=law, drives=drives, sensors=sensors, watch=watch
+        )
+        state, retuned = (state, ()) if state.coming is None else self._retune(state, old_law, estimate, command)
         events = told + asked + tuple(_told(finding) for finding in verdict.findings) + moved + stepped + retuned
         numbers = telemetry(self.model, state, measured, estimate, command, entry.t_ns)
         phase = state.progress.phase if state.mode == Mode.ACTIVE else state.mode.name.lower()
@@ -158,25 +169,36 @@ class Controller:
 
     def signals(self, state: State, entry: TickIn) -> Signals:
         """What safety judges in a tick, from the state before it; for judging a recorded run by other limits."""
-        drives, sensors, foreign = self._receive(state, entry)
-        measured = self._measured(state, drives, sensors)
-        missed = entry.k - state.k - 1
-        return self._signals(replace(state, drives=drives, sensors=sensors), entry, measured, foreign, missed)
+        after, received = self._take_in(state, entry)
+        after, _, asked = answer(self.model, after, received.estimate, entry.requests)
+        return self._signals(state, after, entry, received, asked)[1]
 
-    def _receive(self, state: State, entry: TickIn) -> tuple[tuple[DriveState, ...], SensorState, tuple[str, ...]]:
-        """Give each frame to the drive or sensor it belongs to; identifiers that only we may send are foreign."""
-        drives, sensors, foreign = list(state.drives), state.sensors, []
+    def _take_in(self, state: State, entry: TickIn) -> tuple[State, Received]:
+        """Frames to drive states, measurements and the estimate."""
+        drives, sensors, foreign, strange = self._receive(state, entry)
+        watch, measured, jumped = self.guard.screen(state, self._measured(state, drives, sensors))
+        filters, estimate = self._estimate(state, measured)
+        state = replace(state, k=entry.k, drives=drives, sensors=sensors, filter=filters, watch=watch)
+        return state, Received(measured, estimate, foreign, strange, jumped)
+
+    def _receive(
+        self, state: State, entry: TickIn
+    ) -> tuple[tuple[DriveState, ...], SensorState, tuple[str, ...], tuple[Frame, ...]]:
+        """Give each frame to its drive or sensor; identifiers that only we may send are foreign, others strange."""
+        drives, sensors, foreign, strange = list(state.drives), state.sensors, list[str](), list[Frame]()
         for frame in entry.frames:
             can_id, _, _, bus, _ = frame
             owner = self.owners.get((bus, can_id & ~ERROR))
             if owner is None:
                 if (bus, can_id) in self.ours:
                     foreign.append(f"{can_id:#05x}")
+                else:
+                    strange.append(frame)
             elif owner == SENSORS:
                 sensors = self.sensors.receive(sensors, frame)
             else:
                 drives[owner] = self.drives[owner].receive(drives[owner], frame)
-        return tuple(drives), sensors, tuple(dict.fromkeys(foreign))
+        return tuple(drives), sensors, tuple(dict.fromkeys(foreign)), tuple(strange)
 
     def _measured(self, state: State, drives: tuple[DriveState, ...], sensors: SensorState) -> Measured:
         """Measurements that are new in this tick; NaN for the rest."""
@@ -207,28 +229,11 @@ class Controller:
         return estimator.step(self.model, state.filter, measured, state.law.force, state.law.rate, held)
 
     def _signals(
-        self, state: State, entry: TickIn, measured: Measured, foreign: tuple[str, ...], missed: int
-    ) -> Signals:
-        """Facts of this tick for safety."""
-        period_ns = round(self.model.period * 1e9)
-        return Signals(
-            armed=state.mode in ACTING,
-            missed=missed,
-            late=entry.late_ns / period_ns,
-            motor_age=tuple(_ticks_since(drive.feedback_t_ns, entry.t_ns, period_ns) for drive in state.drives),
-            sensor_age=tuple(
-                _ticks_since(t_ns, entry.t_ns, period_ns) for t_ns in self.sensors.tension_times(state.sensors)
-            ),
-            tension=tuple(measured.tension.tolist()),
-            drive_errors=tuple(
-                (drive.name, known.error)
-                for drive, known in zip(self.drives, state.drives, strict=True)
-                if known.phase == FAULT
-            ),
-            temperature=tuple(drive.temperature for drive in state.drives),
-            foreign=foreign,
-            io=tuple((event.kind, event.where, event.number) for event in entry.io_events),
-        )
+        self, before: State, state: State, entry: TickIn, received: Received, asked: tuple[Event, ...]
+    ) -> tuple[WatchState, Signals]:
+        """Facts of this tick for safety, and what it remembers."""
+        measured, estimate, foreign, strange, jumped = received
+        return self.guard.look(before, state, entry, measured, estimate, strange, foreign, jumped, asked)
 
     def _program(
         self, state: State, action: Action, estimate: Estimate, measured: Measured
@@ -286,11 +291,6 @@ class Controller:
             frames += sent
         sent_now = (*self.cut_frames(), sync) if state.mode == CUT else tuple(frames)
         return tuple(drives), sensors, sent_now
-
-
-def _ticks_since(t_ns: int, now_ns: int, period_ns: int) -> int:
-    """Whole ticks by which a reading is overdue; one that came within the last period is on time."""
-    return max(0, (now_ns - t_ns) // period_ns) if t_ns >= 0 else 1_000_000
 
 
 def _told(finding: safety.Finding) -> Event:

@@ -47,7 +47,7 @@ class OdriveDrive:
         zero: angle at the shaft of the spool's zero [rad].
         limits: payload of Set_Limits: velocity [turn/s], current [A].
         settings: to be verified by SDO.
-        polled: whether position is asked for in every tick.
+        cyclic_s: period of the drive's own messages [s]; 0 if position is asked for in every tick.
         torque_feedback: whether torque is asked for in every tick.
         patience_ns: longest time without a heartbeat [ns].
     """
@@ -60,7 +60,7 @@ class OdriveDrive:
     zero: float
     limits: bytes
     settings: tuple[endpoints.Setting, ...]
-    polled: bool
+    cyclic_s: float
     torque_feedback: bool
     patience_ns: int
 
@@ -96,7 +96,7 @@ class OdriveDrive:
             zero=motor.zero_rad,
             limits=codec.floats(motor.velocity_range_rad_s * ratio / math.tau, current),
             settings=settings,
-            polled=cyclic is None,
+            cyclic_s=(cyclic or 0.0) / 1e3,
             torque_feedback=feedback,
             patience_ns=round(heartbeat * HEARTBEATS_MISSED * 1e6),
         )
@@ -104,7 +104,7 @@ class OdriveDrive:
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
         """Torque, position, what is asked for by remote frames; heartbeats are rare enough to leave out."""
-        asked = ((0, False),) if self.polled else ()
+        asked = ((0, False),) if not self.cyclic_s else ()
         return ((4, False), *asked, (8, False), *(((0, False), (8, False)) if self.torque_feedback else ()))
 
     @property
@@ -257,7 +257,7 @@ class OdriveDrive:
 
     def _questions(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """What is asked for in a tick."""
-        frames = [self._ask(codec.ENCODER)] if self.polled else []
+        frames = [self._ask(codec.ENCODER)] if not self.cyclic_s else []
         if self.torque_feedback:
             frames.append(self._ask(codec.TORQUES))
         progress = progress_of(state)

@@ -72,6 +72,7 @@ class LogFile:
 
     def __init__(self, path: Path) -> None:
         self.name = printable(str(path))
+        self._latest: tuple[ChunkPlace, bytes] | None = None
         try:
             self._fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0))
         except OSError as error:
@@ -118,6 +119,8 @@ class LogFile:
         Raises:
             LogError: they do not have the declared size or checksum.
         """
+        if self._latest and self._latest[0] == place:
+            return self._latest[1]
         with reading(self.at(place.offset)):
             packed = self.read(place.data, place.end - place.data)
             content = _unpacked(packed, place)
@@ -125,6 +128,8 @@ class LogFile:
                 raise ValueError(f"chunk of {len(content)} bytes or more; declared are {place.size}")
             if checked and place.crc and zlib.crc32(content) != place.crc:
                 raise ValueError("checksum of a chunk does not match")
+        if checked:
+            self._latest = (place, content)
         return content
 
 

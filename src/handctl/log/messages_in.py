@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 MAX_CHANNELS = 1000
 MIN_RUNS, BYTES_PER_RUN = 128, 16
 """Runs and definitions that a chunk may have at least, and one more for so many compressed bytes."""
-_RECORD = struct.Struct("<BQ")
+_RECORD, _CHANNEL = struct.Struct("<BQ"), struct.Struct("<H")
+MESSAGE = int(Opcode.MESSAGE)
 _HEADER = 11
 """Opcode, length and channel: what the messages of a run have in common."""
 _BODY = 31
@@ -30,6 +31,11 @@ class Rows(NamedTuple):
     channel: int
     start: int
     records: NDArray[np.uint8]
+
+    def messages(self) -> list[bytes]:
+        """The messages, one after the other."""
+        size, whole = self.records.shape[1], self.records.tobytes()
+        return [whole[at + _BODY : at + size] for at in range(0, len(whole), size)]
 
     def data(self) -> NDArray[np.uint8]:
         """(n, size of a message)."""
@@ -78,11 +84,12 @@ def rows(content: bytes, packed: int, wanted: frozenset[int] | None = None) -> I
         if at + size > len(content):
             raise ValueError("a record ends behind its chunk")
         count = 1
-        if code == Opcode.MESSAGE:
+        if code == MESSAGE:
             if size < _BODY:
                 raise ValueError("a message that is too short")
-            count = _run(raw[at:], size)
-            (channel,) = struct.unpack_from("<H", content, at + 9)
+            if content[at : at + _HEADER] == content[at + size : at + size + _HEADER]:
+                count = _run(raw[at:], size)
+            (channel,) = _CHANNEL.unpack_from(content, at + 9)
             if wanted is None or channel in wanted:
                 yield Rows(channel, at, raw[at : at + count * size].reshape(count, size))
         elif code not in (Opcode.SCHEMA, Opcode.CHANNEL):
@@ -93,8 +100,6 @@ def rows(content: bytes, packed: int, wanted: frozenset[int] | None = None) -> I
 def _run(raw: NDArray[np.uint8], size: int) -> int:
     """How many records follow that have the size and channel of the first."""
     most, count, step = len(raw) // size, 1, 8
-    if raw[size : size + _HEADER].tobytes() != raw[:_HEADER].tobytes():
-        return 1
     while count < most:
         heads = raw[count * size : min(count + step, most) * size].reshape(-1, size)[:, :_HEADER]
         equal = (heads == raw[:_HEADER]).all(axis=1)

@@ -252,14 +252,14 @@ class RunLog:
 
     def _messages(self) -> Iterator[tuple[ChunkPlace, bytes]]:
         for place, one in self._rows(self._tick):
-            yield from ((place, row.tobytes()) for row in one.data())
+            yield from ((place, message) for message in one.messages())
 
     def ticks(self) -> Iterator[TickRecord]:
         """All ticks in order, for re-execution."""
-        for place, message in self._messages():
+        for place, one in self._rows(self._tick):
             with reading(self._file.at(place.offset)):
-                tick = unpack_tick(message)
-            yield tick
+                ticks = [unpack_tick(message) for message in one.messages()]
+            yield from ticks
 
     @functools.cached_property
     def _told(self) -> tuple[list[LoggedEvent], list[PhaseChange]]:

@@ -6,6 +6,7 @@ A record is ``u32 length, u32 kind`` and length bytes. The body of a tick is ``u
 
 import functools
 import struct
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -116,48 +117,6 @@ def pack(tick_in: TickIn, out: TickOut) -> bytes:
     return b"".join((FRAMING.pack(12 + len(message) + len(values), TICK), sizes, message, values))
 
 
-def _read_frames(reader: CdrReader) -> list[tuple[int, int, int, int, int, bytes]]:
-    count = reader.count()
-    if not count:
-        return []
-    reader.align(8)
-    return list(FRAME.iter_unpack(reader.take(FRAME.size * count)))
-
-
-def _whole_frames(parts: list[tuple[int, int, int, int, int, bytes]], long_data: bytes) -> tuple[list[Frame], bytes]:
-    frames = []
-    for t_ns, can_id, flags, bus, length, data in parts:
-        more = max(length - 8, 0)
-        if more > len(long_data):
-            raise ValueError("less data than frames")
-        frames.append(Frame(can_id, data[:length] + long_data[:more], flags, bus, t_ns))
-        long_data = long_data[more:]
-    return frames, long_data
-
-
-def unpack_tick(message: bytes) -> TickRecord:
-    """Inverse of ``pack_tick``.
-
-    Raises:
-        ValueError: not a Tick message.
-    """
-    reader = CdrReader(message)
-    k, t_ns, late_ns, state_hash, mode, action, _ = FIXED.unpack(reader.take(FIXED.size))
-    reader = CdrReader(message)
-    reader.take(FIXED.size - 4)
-    received, sent = _read_frames(reader), _read_frames(reader)
-    frames_in, rest = _whole_frames(received, reader.take(reader.count()))
-    frames_out, rest = _whole_frames(sent, rest)
-    if rest:
-        raise ValueError("more data than frames")
-    phase = reader.text()
-    io_events = tuple(IoEvent(reader.text(), reader.text(), reader.i64()) for _ in range(reader.count()))
-    requests = tuple(reader.text() for _ in range(reader.count()))
-    events = tuple(Event(reader.text(), reader.text(), reader.text(), reader.text()) for _ in range(reader.count()))
-    tick_in = TickIn(k, t_ns, late_ns, tuple(frames_in), io_events, requests)
-    return TickRecord(tick_in, tuple(frames_out), Mode(mode), phase, Action(action), events, state_hash)
-
-
 class Layout(NamedTuple):
     """Where the parts of a Tick message are.
 
@@ -187,6 +146,60 @@ def layout(message: bytes) -> Layout:
     (size,) = _COUNT.unpack_from(message, sent_end)
     long_data = slice(sent_end + 4, sent_end + 4 + size)
     return Layout(slice(start, end), slice(sent_start, sent_end), long_data, long_data.stop + -size % 4)
+
+
+def _whole_frames(
+    parts: Iterable[tuple[int, int, int, int, int, bytes]], long_data: bytes
+) -> tuple[list[Frame], bytes]:
+    frames = []
+    for t_ns, can_id, flags, bus, length, data in parts:
+        if length <= 8:
+            frames.append(Frame(can_id, data[:length], flags, bus, t_ns))
+            continue
+        if length - 8 > len(long_data):
+            raise ValueError("less data than frames")
+        frames.append(Frame(can_id, data + long_data[: length - 8], flags, bus, t_ns))
+        long_data = long_data[length - 8 :]
+    return frames, long_data
+
+
+@functools.lru_cache(maxsize=256)
+def _quiet_phase(tail: bytes) -> str | None:
+    """The phase, if it is all that there is to tell."""
+    phase = CdrReader(ENCAPSULATION + tail).text()
+    return phase if _quiet_tail(phase) == tail else None
+
+
+def unpack_tick(message: bytes) -> TickRecord:
+    """Inverse of ``pack_tick``.
+
+    Raises:
+        ValueError: not a Tick message.
+    """
+    if message[:4] != ENCAPSULATION:
+        raise ValueError("not little-endian CDR")
+    try:
+        k, t_ns, late_ns, state_hash, mode, action, _ = FIXED.unpack_from(message, 4)
+        places = layout(message)
+        received = FRAME.iter_unpack(message[places.received])
+        frames_in, rest = _whole_frames(received, message[places.long_data])
+        frames_out, rest = _whole_frames(FRAME.iter_unpack(message[places.sent]), rest)
+    except struct.error as error:
+        raise ValueError(f"the message ends early: {error}") from None
+    if rest:
+        raise ValueError("more data than frames")
+    phase = _quiet_phase(message[places.tail :])
+    if phase is not None:
+        tick_in = TickIn(k, t_ns, late_ns, tuple(frames_in))
+        return TickRecord(tick_in, tuple(frames_out), Mode(mode), phase, Action(action), (), state_hash)
+    reader = CdrReader(message)
+    reader.take(places.tail - 4)
+    phase = reader.text()
+    io_events = tuple(IoEvent(reader.text(), reader.text(), reader.i64()) for _ in range(reader.count()))
+    requests = tuple(reader.text() for _ in range(reader.count()))
+    events = tuple(Event(reader.text(), reader.text(), reader.text(), reader.text()) for _ in range(reader.count()))
+    tick_in = TickIn(k, t_ns, late_ns, tuple(frames_in), io_events, requests)
+    return TickRecord(tick_in, tuple(frames_out), Mode(mode), phase, Action(action), events, state_hash)
 
 
 def unpack(record: bytes) -> tuple[TickIn, TickOut]:

@@ -15,7 +15,7 @@ from handctl.log.reader import RunLog
 from handctl.replay.rebuild import rebuild
 from handctl.safety import judge as safety
 from handctl.safety.action import Action
-from handctl.safety.table import LEAST_SILENT, LEAST_STALLED, Limits, ticks_for
+from handctl.safety.signals import LEAST_SILENT, LEAST_STALLED, Limits, ticks_for
 
 Tension = Annotated[float, Field(gt=0, le=1000)]
 
@@ -93,6 +93,7 @@ def load_limits(path: Path, controller: Controller) -> Limits:
         old,
         tension_trip=trip,
         silent_ticks=ticks_for(silent / 1e3, period, LEAST_SILENT) if silent else old.silent_ticks,
+        one_silent_ticks=ticks_for(silent / 1e3, period, LEAST_SILENT) if silent else old.one_silent_ticks,
         stalled_ticks=ticks_for(stalled / 1e3, period, LEAST_STALLED) if stalled else old.stalled_ticks,
         temperature_soft=soft or old.temperature_soft,
         temperature_hard=hard or old.temperature_hard,

@@ -1,10 +1,13 @@
 """Debounce, latch, and the largest action wins: the last word before encoding."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from handctl.safety.action import Action
-from handctl.safety.table import TABLE, Fault, Limits, Signals
+from handctl.safety.fault import Fault, Reading
+from handctl.safety.signals import Limits, Signals
+from handctl.safety.table import TABLE
 
 
 class Latched(NamedTuple):
@@ -48,6 +51,9 @@ class Verdict:
     findings: tuple[Finding, ...]
 
 
+CALM, NOTHING = SafetyState(), Verdict(Action.PASS, ())
+
+
 def judge(
     state: SafetyState, limits: Limits, signals: Signals, table: tuple[Fault, ...] = TABLE
 ) -> tuple[SafetyState, Verdict]:
@@ -59,25 +65,38 @@ def judge(
         signals: facts of this tick.
         table: the fault table.
     """
+    present = []
+    for fault in table:
+        readings = fault.detect(limits, signals)
+        if readings:
+            present.append((fault, readings))
+    if not present and not state.latched:
+        return CALM, NOTHING
+    return _count(state, present, table)
+
+
+def _count(
+    state: SafetyState, present: list[tuple[Fault, Sequence[Reading]]], table: tuple[Fault, ...]
+) -> tuple[SafetyState, Verdict]:
+    """Count what is present, latch what has been there for long enough, and take the largest action."""
     before = {(id_, instance): ticks for id_, instance, ticks in state.counting}
     counting: list[tuple[str, str, int]] = []
     latched = list(state.latched)
     findings: list[Finding] = []
     action = Action.PASS
-    for fault in table:
-        for instance, value in fault.detect(limits, signals):
-            ticks = before.get((fault.id, instance), 0) + 1
-            counting.append((fault.id, instance, ticks))
-            if ticks < fault.debounce:
-                continue
-            action = max(action, fault.action)
-            mark = Latched(fault.id, instance)
-            if ticks == fault.debounce and mark not in latched:
-                findings.append(Finding(fault, instance, value))
-            if fault.latched and mark not in latched:
-                latched.append(mark)
-    by_id = {fault.id: fault for fault in table}
-    action = max([action, *(by_id[mark.id].action for mark in latched)])
+    for fault, instance, value in [(fault, *reading) for fault, readings in present for reading in readings]:
+        ticks = before.get((fault.id, instance), 0) + 1
+        counting.append((fault.id, instance, ticks))
+        if ticks < fault.debounce:
+            continue
+        action = max(action, fault.action)
+        mark = Latched(fault.id, instance)
+        if ticks == fault.debounce and mark not in latched:
+            findings.append(Finding(fault, instance, value))
+        if fault.latched and mark not in latched:
+            latched.append(mark)
+    actions = {fault.id: fault.action for fault in table}
+    action = max([action, *(actions[mark.id] for mark in latched)])
     return SafetyState(tuple(counting), tuple(latched)), Verdict(action, tuple(findings))
 
 

@@ -1,6 +1,7 @@
 """The fault table as a page, so that what the README promises is what the code does."""
 
-from handctl.safety.table import TABLE, Fault
+from handctl.safety.fault import Fault
+from handctl.safety.table import TABLE
 
 
 def fault_table(table: tuple[Fault, ...] = TABLE) -> str:

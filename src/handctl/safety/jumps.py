@@ -1,0 +1,43 @@
+"""Steps of a position that no rotor and no joint makes: the sample is dropped, and said."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Accepted:
+    """Attributes: value: (n,) last accepted [rad], NaN before the first. gap: (n,) ticks since then."""
+
+    value: Vector
+    gap: Vector
+
+    @staticmethod
+    def initial(n: int) -> "Accepted":
+        """Nothing accepted yet."""
+        return Accepted(np.full(n, np.nan), np.zeros(n))
+
+    def key(self) -> bytes:
+        """Bytes that change with the state."""
+        return self.value.tobytes() + self.gap.tobytes()
+
+
+def screen(state: Accepted, value: Vector, step_most: Vector) -> tuple[Accepted, Vector]:
+    """Drop what cannot be.
+
+    Args:
+        state: from the last tick.
+        value: (n,) new positions [rad], NaN where missing.
+        step_most: (n,) largest step of one tick [rad].
+
+    Returns:
+        state, and how far each dropped sample jumped [rad], 0 where none was.
+    """
+    step = np.abs(value - state.value)
+    wrong = step > step_most * (state.gap + 1.0)
+    fresh = (value == value) & ~wrong
+    jumped = np.where(wrong, step, 0.0)
+    return Accepted(np.where(fresh, value, state.value), np.where(fresh, 0.0, state.gap + 1.0)), jumped

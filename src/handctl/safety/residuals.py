@@ -1,0 +1,120 @@
+"""What remains when motor torque, inertia and friction are taken off a rope's tension, and the like, filtered.
+
+A rotor at the cable: m a = F - T - b v - c sign(v). What the load cell says besides, over a fifth of a second, is the
+cell's, the motor's or the friction's fault. Thresholds leave the stated rate of false alarms to the noise.
+"""
+
+import math
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+
+SLOW_S, QUICK_S, ASKED_S, SLIP_S, NOISE_S, RUB_S = 0.2, 0.02, 0.1, 0.3, 0.1, 5.0
+"""Time constants of the filters [s]."""
+GAIN_SHARE = 0.1
+"""Share of the motor's force that its torque constant may be wrong by. Source: usual tolerance of K_t."""
+RUB_SPEED = 5e-3
+"""Cable speed above which friction is fully developed [m/s]."""
+FALSE_ALARMS_PER_H = 1e-4
+"""What the noise alone may raise, for each row and instance: one in ten thousand hours."""
+
+BALANCE, FORCE, ASKED, TENSION, QUICK_FORCE, SLIP, JERK, RUB = range(8)
+"""Rows of ``Filtered.low``."""
+_TIMES = np.array([SLOW_S, SLOW_S, ASKED_S, QUICK_S, QUICK_S, SLIP_S, NOISE_S, RUB_S])
+
+
+@dataclass(frozen=True, slots=True)
+class Rotor:
+    """Constants of the motors seen at the cable, (N,) each.
+
+    Attributes:
+        mass: [kg]. damping: [N s/m]. coulomb: [N].
+        period: control period [s].
+    """
+
+    mass: Vector
+    damping: Vector
+    coulomb: Vector
+    period: float
+
+
+@dataclass(frozen=True, slots=True)
+class Filtered:
+    """Attributes: low: (8, N) low-passed rows. speed: (N,) of the cable, last tick [m/s]. last: (2, N) positions."""
+
+    low: Vector
+    speed: Vector
+    last: Vector
+
+    @staticmethod
+    def initial(n: int) -> "Filtered":
+        """Nothing seen."""
+        return Filtered(np.zeros((8, n)), np.full(n, np.nan), np.full((2, n), np.nan))
+
+    def key(self) -> bytes:
+        """Bytes that change with the state."""
+        return self.low.tobytes() + self.speed.tobytes() + self.last.tobytes()
+
+
+class Rope(NamedTuple):
+    """One tick along the ropes, (N,) each, NaN where nothing is known.
+
+    Attributes:
+        position: of the motor [rad]. speed: of the cable, estimated [m/s].
+        tension: load cell [N].
+        force: that the motor made, at the cable [N]. asked: that it was asked to make [N].
+        slip: joint encoders against spool, as a mean joint angle [deg].
+    """
+
+    position: Vector
+    speed: Vector
+    tension: Vector
+    force: Vector
+    asked: Vector
+    slip: Vector
+
+
+def step(rotor: Rotor, state: Filtered, rope: Rope) -> Filtered:
+    """Filter one tick."""
+    made = np.where(rope.force == rope.force, rope.force, rope.asked)
+    drag = rotor.damping * rope.speed + rotor.coulomb * np.tanh(rope.speed / 1e-3)
+    balance = made - rope.tension - rotor.mass * (rope.speed - state.speed) / rotor.period - drag
+    jerk = (rope.position - 2.0 * state.last[0] + state.last[1]) ** 2
+    rub = np.where(np.abs(rope.speed) > RUB_SPEED, balance * np.sign(rope.speed), np.nan)
+    asked = rope.asked - rope.force
+    now = np.array([balance, made, asked, rope.tension, made, rope.slip, jerk, rub])
+    away = now - state.low
+    low = state.low + (1.0 - np.exp(-rotor.period / _TIMES))[:, None] * np.where(away == away, away, 0.0)
+    return Filtered(low, rope.speed, np.array([rope.position, state.last[0]]))
+
+
+def unexplained(rotor: Rotor, state: Filtered) -> Vector:
+    """(N,) tension that neither friction nor the tolerance of the torque constant explains [N], 0 or more."""
+    known = rotor.coulomb + GAIN_SHARE * np.abs(state.low[FORCE])
+    return np.asarray(np.maximum(np.abs(state.low[BALANCE]) - known, 0.0))
+
+
+def friction(state: Filtered) -> Vector:
+    """(N,) friction of a moving rotor beyond the modelled [N]."""
+    return np.asarray(np.maximum(state.low[RUB] - GAIN_SHARE * np.abs(state.low[FORCE]), 0.0))
+
+
+def noise_threshold(sigma: float, rate_hz: float, alarms_per_h: float = FALSE_ALARMS_PER_H) -> float:
+    """The threshold that Gaussian noise passes so often only.
+
+    Args:
+        sigma: standard deviation of the judged number.
+        rate_hz: independent samples a second.
+        alarms_per_h: false alarms an hour.
+    """
+    return sigma * NormalDist().inv_cdf(1.0 - alarms_per_h / (3600.0 * rate_hz) / 2.0)
+
+
+def filtered_sigma(sigma: float, period: float, time_s: float) -> float:
+    """Standard deviation of white noise behind a low-pass of first order."""
+    return sigma * math.sqrt(period / (2.0 * time_s))

@@ -1,0 +1,86 @@
+"""What a rope has been through: when it was taut, since when it is slack, and what it bore when the torque was cut."""
+
+from typing import NamedTuple
+
+from handctl.safety.signals import Named
+
+TAUT_N, SLACK_N = 2.5, 2.0
+SNAP_SHARE, SNAP_LEAST_N, SNAP_SPEED, SNAP_MEMORY_S = 0.2, 8.0, 0.05, 0.1
+"""A rope has snapped if it bears less than this share of at least so much, its spool winds at least so fast [m/s], and
+it was taut not longer ago than this [s]: a rope that is taken up was not taut, one that lost its load is still taut."""
+LIMP_AFTER_S, LIMP_SHARE, LIMP_LEAST_N = 0.1, 0.8, 15.0
+"""A rope that still bears this share, and so much, so long after the torque was cut is being pulled."""
+
+
+class Ropes(NamedTuple):
+    """Per tendon; empty as long as nothing is wanted of any.
+
+    Attributes:
+        taut_ago: ticks since the rope was taut; -1 if it was not since tension is wanted.
+        slack: ticks for which it has been slack.
+        cut: ticks since the torque was cut; -1 if it is not.
+        cut_from: tension back then [N].
+    """
+
+    taut_ago: tuple[int, ...] = ()
+    slack: tuple[int, ...] = ()
+    cut: int = -1
+    cut_from: tuple[float, ...] = ()
+
+
+def step(state: Ropes, tension: list[float], wanted: list[float]) -> Ropes:
+    """One tick under torque.
+
+    Args:
+        state: from the last tick.
+        tension: load cells, filtered [N].
+        wanted: tension commanded [N]; NaN for a limp tendon.
+    """
+    n = len(tension)
+    taut_ago, slack = [], []
+    rows = zip(tension, wanted, state.taut_ago or (-1,) * n, state.slack or (0,) * n, strict=True)
+    for cell, goal, ago, ticks in rows:
+        if goal != goal:
+            ago, ticks = -1, 0
+        elif cell > TAUT_N:
+            ago, ticks = 0, 0
+        elif ago >= 0:
+            ago += 1
+            ticks = ticks + 1 if cell < SLACK_N and goal > TAUT_N else 0
+        taut_ago.append(ago)
+        slack.append(ticks)
+    return Ropes(tuple(taut_ago), tuple(slack))
+
+
+def cut(state: Ropes, tension: list[float]) -> Ropes:
+    """One tick after the torque was cut; a missing sample counts as the last one."""
+    if state.cut < 0:
+        return Ropes(cut=0, cut_from=tuple(tension))
+    return state._replace(cut=state.cut + 1)
+
+
+def slack(state: Ropes, names: tuple[str, ...], period: float) -> Named:
+    """Slack tendons and for how long [s]."""
+    return tuple([(name, ticks * period) for name, ticks in zip(names, state.slack, strict=False) if ticks])
+
+
+def snapped(
+    state: Ropes, names: tuple[str, ...], tension: list[float], wanted: list[float], speed: list[float], period: float
+) -> Named:
+    """Tendons that lost their tension while their spool runs [m/s]."""
+    rows = zip(names, state.taut_ago, tension, wanted, speed, strict=False)
+    return tuple(
+        [
+            (name, v)
+            for name, ago, cell, goal, v in rows
+            if v > SNAP_SPEED and goal > SNAP_LEAST_N and cell < SNAP_SHARE * goal and 0 <= ago * period < SNAP_MEMORY_S
+        ]
+    )
+
+
+def limp(state: Ropes, names: tuple[str, ...], tension: list[float], period: float) -> Named:
+    """Tendons that somebody still pulls after the cut [N]."""
+    if state.cut * period < LIMP_AFTER_S:
+        return ()
+    rows = zip(names, state.cut_from, tension, strict=True)
+    return tuple([(name, f) for name, before, f in rows if f > LIMP_LEAST_N and f > LIMP_SHARE * before])

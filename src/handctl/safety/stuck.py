@@ -1,0 +1,44 @@
+"""A reading that stands still although it must move: an expectation, not a variance; what rests is healthy."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Stuck:
+    """Attributes: value: (n,) last reading. ticks: (n,) for how long the same. anchor: (c, n) witnesses back then."""
+
+    value: Vector
+    ticks: NDArray[np.int64]
+    anchor: Vector
+
+    @staticmethod
+    def initial(n: int, witnesses: int) -> "Stuck":
+        """Nothing read yet."""
+        return Stuck(np.full(n, np.nan), np.zeros(n, dtype=np.int64), np.full((witnesses, n), np.nan))
+
+    def key(self) -> bytes:
+        """Bytes that change with the state."""
+        return self.value.tobytes() + self.ticks.tobytes() + self.anchor.tobytes()
+
+
+def step(state: Stuck, value: Vector, witnesses: Vector) -> tuple[Stuck, Vector]:
+    """One tick.
+
+    Args:
+        state: from the last tick.
+        value: (n,) new readings, NaN where missing: a missing one is neither the same nor another one.
+        witnesses: (c, n) what must not move while the reading stands; NaN for what says nothing.
+
+    Returns:
+        state, and how far each witness has moved since the reading stands, (c, n), 0 where it says nothing.
+    """
+    moved = (value != state.value) & (value == value)
+    anchor = np.where(moved | (state.anchor != state.anchor), witnesses, state.anchor)
+    ticks = np.where(moved, 0, state.ticks + (value == value))
+    away = np.abs(witnesses - anchor)
+    return Stuck(np.where(moved, value, state.value), ticks, anchor), np.where(away == away, away, 0.0)

@@ -1,0 +1,223 @@
+"""What safety remembers between ticks, and what it makes of one tick's raw facts before they are judged."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.safety import counts, jumps, residuals, ropes, stuck
+from handctl.safety.signals import Limits, Named, Signals
+
+Vector = NDArray[np.float64]
+
+JUMP_MARGIN = 1.5
+STUCK_S, STUCK_GOAL_MM, STUCK_TENSION_N = 0.1, 0.5, 8.0
+"""A motor's position may stand so long while its goal moves by so much, or the tension (rope stretch is 80 um)."""
+STUCK_JOINT_DEG = 10.0
+CELL_TICKS, CELL_FORCE_N = 40, 5.0
+"""A load cell may repeat one count so often while the motor's force moves by so much; its noise is eight counts."""
+SLIP_SETTLE_S = 0.1
+"""Time after a rope has become taut before joint and spool are compared with how they stood then."""
+DEG = 180.0 / np.pi
+
+
+@dataclass(frozen=True, slots=True)
+class Watcher:
+    """Constants of one hand.
+
+    Attributes:
+        limits: thresholds and names.
+        joints: names, (J,).
+        rotor: motors at the cable.
+        stiffness: (N,) of the ropes [N/m]. spool: (N,) radius [m]. arms: (N,) sum of a tendon's moment arms [m].
+        spool_to_joints: (J, N) joint angles that excursions stand for [rad/m].
+        motor_step, joint_step: (N,), (J,) largest step of a tick [rad].
+    """
+
+    limits: Limits
+    joints: tuple[str, ...]
+    rotor: residuals.Rotor
+    stiffness: Vector
+    spool: Vector
+    arms: Vector
+    spool_to_joints: Vector
+    motor_step: Vector
+    joint_step: Vector
+
+    @property
+    def period(self) -> float:
+        """Control period [s]."""
+        return self.rotor.period
+
+    def initial(self) -> "WatchState":
+        """Nothing known."""
+        n, j = len(self.spool), len(self.joints)
+        return WatchState(
+            motor=jumps.Accepted.initial(n),
+            joint=jumps.Accepted.initial(j),
+            filtered=residuals.Filtered.initial(n),
+            stuck_motor=stuck.Stuck.initial(n, 2),
+            stuck_joint=stuck.Stuck.initial(j, 1),
+            stuck_cell=stuck.Stuck.initial(n, 1),
+            taut=np.zeros(n),
+            slip_from=np.full(n, np.nan),
+            asked=np.full(n, np.nan),
+            wanted=np.full(n, np.nan),
+            goal=np.full(n, np.nan),
+            ropes=ropes.Ropes(),
+            counts=counts.Counts(),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class WatchState:
+    """What is remembered; all but the counts begins anew whenever the hand is armed.
+
+    Attributes:
+        motor, joint: last accepted positions.
+        filtered: residuals.
+        stuck_motor, stuck_joint, stuck_cell: readings that stand.
+        taut: (N,) time for which the rope has been taut [s].
+        slip_from: (N,) joint against spool when it became so [m].
+        asked, wanted, goal: (N,) motor force [N], tension [N] and excursion [m] that the last tick commanded.
+        ropes: taut, slack and cut.
+        counts: losses and the like.
+    """
+
+    motor: jumps.Accepted
+    joint: jumps.Accepted
+    filtered: residuals.Filtered
+    stuck_motor: stuck.Stuck
+    stuck_joint: stuck.Stuck
+    stuck_cell: stuck.Stuck
+    taut: Vector
+    slip_from: Vector
+    asked: Vector
+    wanted: Vector
+    goal: Vector
+    ropes: ropes.Ropes
+    counts: counts.Counts
+
+    def key(self) -> bytes:
+        """Bytes that change with the state."""
+        parts = (self.motor, self.joint, self.filtered, self.stuck_motor, self.stuck_joint, self.stuck_cell)
+        arrays = (self.taut, self.slip_from, self.asked, self.wanted, self.goal)
+        plain = repr((self.ropes, self.counts)).encode()
+        return b"".join((*[part.key() for part in parts], *[array.tobytes() for array in arrays], plain))
+
+
+class Seen(NamedTuple):
+    """One tick's raw facts, (N,) each unless said otherwise, NaN where nothing came.
+
+    Attributes:
+        tension: load cells [N]. travel: cable at the spool [m]. speed: estimated [m/s].
+        force: that the motors made, at the cable [N].
+        excursion: by joint encoders [m]. joints: (J,) [rad].
+        cut: whether the torque has been taken away.
+    """
+
+    tension: Vector
+    travel: Vector
+    speed: Vector
+    force: Vector
+    excursion: Vector
+    joints: Vector
+    cut: bool
+
+
+def screen(watcher: Watcher, state: WatchState, motors: Vector, joints: Vector) -> tuple[WatchState, Vector, Vector]:
+    """Look at positions before anything else does; how far each jumped, (N,) and (J,), 0 where it did not."""
+    motor, motor_jump = jumps.screen(state.motor, motors, watcher.motor_step)
+    joint, joint_jump = jumps.screen(state.joint, joints, watcher.joint_step)
+    return replace(state, motor=motor, joint=joint), motor_jump, joint_jump
+
+
+def counted(
+    watcher: Watcher, state: WatchState, raw: Signals, misshapen: tuple[bool, ...], strange: tuple[int, int], k: int
+) -> tuple[WatchState, Signals]:
+    """Count what came and did not come; ``strange``: frames of nobody's, and refused goals."""
+    late = (*[age > 0 for age in raw.motor_age], max(raw.sensor_age, default=0) > 0)
+    lost = late if raw.armed and not raw.missed else (False,) * len(late)
+    new = counts.step(state.counts, lost, misshapen, *strange, k, 1.0 / watcher.period)
+    if new == state.counts == counts.Counts():
+        return state, raw
+    nodes = watcher.limits.nodes
+    shapes = tuple([(nodes[i], float(counts.lately(bits))) for i, bits in enumerate(new.misshapen) if bits & 1])
+    return replace(state, counts=new), replace(
+        raw,
+        lost=counts.number(new.lost),
+        halved=tuple([nodes[i] for i, bits in enumerate(new.lost) if counts.halved(bits)]),
+        misshapen=shapes,
+        unknown=new.unknown,
+        refused=len(new.refused) if strange[1] else 0,
+    )
+
+
+def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tuple[WatchState, Signals]:
+    """Filter and remember; only under torque, or just after it."""
+    names = watcher.limits.tendons
+    if seen.cut:
+        cell = seen.tension.tolist()
+        state = replace(state, ropes=ropes.cut(state.ropes, cell))
+        return state, replace(raw, limp=ropes.limp(state.ropes, names, cell, watcher.period))
+    if not raw.armed:
+        return replace(watcher.initial(), counts=state.counts), raw
+    cell, wanted = seen.tension.tolist(), state.wanted.tolist()
+    state, slip = _slip(watcher, state, seen)
+    rope = residuals.Rope(seen.travel / watcher.spool, seen.speed, seen.tension, seen.force, state.asked, slip)
+    filtered = residuals.step(watcher.rotor, state.filtered, rope)
+    tense = ropes.step(state.ropes, filtered.low[residuals.TENSION].tolist(), wanted)
+    state = replace(state, filtered=filtered, ropes=tense)
+    state, stands = _stands(watcher, state, seen)
+    low = filtered.low
+    return state, replace(
+        raw,
+        slack=ropes.slack(tense, names, watcher.period),
+        snapped=ropes.snapped(tense, names, cell, wanted, seen.speed.tolist(), watcher.period),
+        residual=tuple(residuals.unexplained(watcher.rotor, filtered).tolist()),
+        disobeyed=tuple(np.abs(low[residuals.ASKED]).tolist()),
+        friction=tuple(residuals.friction(filtered).tolist()),
+        slip=tuple(np.abs(low[residuals.SLIP]).tolist()),
+        derailed=tuple(np.abs(slip).tolist()),
+        noise=tuple(low[residuals.JERK].tolist()),
+        stuck_motor=stands[0],
+        stuck_joint=stands[1],
+        stuck_cell=stands[2],
+    )
+
+
+def _slip(watcher: Watcher, state: WatchState, seen: Seen) -> tuple[WatchState, Vector]:
+    """(N,) joint encoders against the spool since the rope became taut, as a mean joint angle [deg]."""
+    taut = np.where(seen.tension > ropes.TAUT_N, state.taut + watcher.period, state.taut)
+    taut = np.where(seen.tension < ropes.SLACK_N, 0.0, taut)
+    apart = seen.travel - seen.tension / watcher.stiffness - seen.excursion
+    settled = taut > SLIP_SETTLE_S
+    begin = np.where(settled, np.where(np.isnan(state.slip_from), apart, state.slip_from), np.nan)
+    return replace(state, taut=taut, slip_from=begin), (apart - begin) / watcher.arms * DEG
+
+
+def _stands(watcher: Watcher, state: WatchState, seen: Seen) -> tuple[WatchState, tuple[Named, Named, Named]]:
+    """Readings that stand although they must move: motors, joints, load cells."""
+    low, period, limits = state.filtered.low, watcher.period, watcher.limits
+    quick = low[residuals.TENSION]
+    motor, moved = stuck.step(state.stuck_motor, seen.travel, np.array([state.goal * 1e3, quick]))
+    long = motor.ticks * period > STUCK_S
+    still = long & ((moved[0] > STUCK_GOAL_MM) | (moved[1] > STUCK_TENSION_N))
+    cell, pushed = stuck.step(state.stuck_cell, seen.tension, low[residuals.QUICK_FORCE][None])
+    same = (cell.ticks >= CELL_TICKS) & (pushed[0] > CELL_FORCE_N) & (cell.value > ropes.TAUT_N)
+    by_spool = watcher.spool_to_joints @ (seen.travel - quick / watcher.stiffness) * DEG
+    joint, turned = stuck.step(state.stuck_joint, seen.joints, by_spool[None])
+    stiff = (joint.ticks > 0) & (joint.ticks * period > STUCK_S) & (turned[0] > STUCK_JOINT_DEG)
+    state = replace(state, stuck_motor=motor, stuck_joint=joint, stuck_cell=cell)
+    return state, (
+        _named(limits.motors, still, np.maximum(moved[0], moved[1])),
+        _named(watcher.joints, stiff, turned[0]),
+        _named(limits.tendons, same, pushed[0]),
+    )
+
+
+def _named(names: tuple[str, ...], which: NDArray[np.bool_], value: Vector) -> Named:
+    if not which.any():
+        return ()
+    return tuple([(name, float(v)) for name, w, v in zip(names, which, value, strict=True) if w])
