@@ -261,18 +261,15 @@ def changes(state: State) -> Iterator[tuple[str, State]]:
         yield f"goal {name}", replace(state, progress=replace(progress, goals=(goal, *progress.goals[1:])))
     yield "goals swapped", replace(state, progress=replace(progress, goals=progress.goals[::-1]))
     safety = state.safety
-    yield "watch.counts", replace(state, watch=replace(state.watch, counts=Counts(unknown=1.0)))
-    yield "watch.ropes", replace(state, watch=replace(state.watch, ropes=Ropes(cut=3)))
+    yield "watch.counts", replace(state, watch=state.watch._replace(counts=Counts(unknown=1.0)))
+    yield "watch.ropes", replace(state, watch=state.watch._replace(ropes=Ropes(cut=3)))
     for name in ("taut", "slip_from", "asked", "wanted", "goal"):
-        yield f"watch.{name}", replace(state, watch=replace(state.watch, **{name: np.full(4, 7.5)}))
+        yield f"watch.{name}", replace(state, watch=state.watch._replace(**{name: np.full(4, 7.5)}))
     low = state.watch.filtered.low + 1.0
-    yield "watch.filtered", replace(state, watch=replace(state.watch, filtered=replace(state.watch.filtered, low=low)))
-    for name in ("motor", "joint"):
-        part = replace(getattr(state.watch, name), gap=getattr(state.watch, name).gap + 1.0)
-        yield f"watch.{name}", replace(state, watch=replace(state.watch, **{name: part}))
-    for name in ("stuck_motor", "stuck_joint", "stuck_cell"):
-        part = replace(getattr(state.watch, name), ticks=getattr(state.watch, name).ticks + 1)
-        yield f"watch.{name}", replace(state, watch=replace(state.watch, **{name: part}))
+    yield "watch.filtered", replace(state, watch=state.watch._replace(filtered=state.watch.filtered._replace(low=low)))
+    position, stuck = state.watch.position, state.watch.stuck
+    yield "watch.position", replace(state, watch=state.watch._replace(position=position._replace(gap=position.gap + 1)))
+    yield "watch.stuck", replace(state, watch=state.watch._replace(stuck=stuck._replace(ticks=stuck.ticks + 1)))
     yield "safety.counting", replace(state, safety=replace(safety, counting=(*safety.counting, ("B01", "x", 1))))
     yield "safety.latched", replace(state, safety=replace(safety, latched=(*safety.latched, ("B01", "x"))))  # type: ignore[arg-type]
 

@@ -1,6 +1,5 @@
 """Several faults, in sequences: the largest action wins, latches outlive everything, more trouble is never less."""
 
-from dataclasses import fields, replace
 from itertools import pairwise
 from typing import Any
 
@@ -37,7 +36,7 @@ def merged(*signals: Signals) -> Signals:
         return tuple(pick(list(column), default) for default, *column in zip(calm or (0,) * 3, *(
             value or (0,) * 3 for value in values), strict=True))  # fmt: skip
 
-    return Signals(**{field.name: one(field.name, getattr(CALM, field.name)) for field in fields(Signals)})
+    return Signals(**{name: one(name, getattr(CALM, name)) for name in Signals._fields})
 
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)
@@ -72,21 +71,21 @@ def test_a_second_fault_neither_ends_nor_hides_the_first(first: str, second: str
 
 
 def test_the_same_fault_of_two_instances_is_two_faults() -> None:
-    state, (one,) = course(replace(CALM, motor_age=(6, 0)))
-    state, (two,) = course(replace(CALM, motor_age=(0, 6)), state=state)
+    state, (one,) = course(CALM._replace(motor_age=(6, 0)))
+    state, (two,) = course(CALM._replace(motor_age=(0, 6)), state=state)
     assert [f.instance for f in one.findings if f.fault.id == "B02"] == ["m0"]
     assert [f.instance for f in two.findings if f.fault.id == "B02"] == ["m1"]
     assert [mark.instance for mark in state.latched if mark.id == "B02"] == ["m0", "m1"]
 
 
 def test_instances_do_not_help_each_other_over_the_debounce() -> None:
-    left, right = (replace(CALM, tension=t) for t in ((244.0, 0.0), (0.0, 244.0)))
+    left, right = (CALM._replace(tension=t) for t in ((244.0, 0.0), (0.0, 244.0)))
     _, verdicts = course(left, right, left, right, left, right, only="T06")
     assert {verdict.action for verdict in verdicts} == {Action.PASS}
 
 
 def test_two_events_of_one_bus_in_one_tick_are_one_tick() -> None:
-    twice = replace(CALM, io=(("enobufs", "can0", 1), ("enobufs", "can0", 2)))
+    twice = CALM._replace(io=(("enobufs", "can0", 1), ("enobufs", "can0", 2)))
     _, verdicts = course(twice, only="B15")
     assert verdicts[0].action == Action.PASS
     _, verdicts = course(twice, twice, only="B15")

@@ -44,19 +44,19 @@ class Case(NamedTuple):
 
 
 def io(kind: str, where: str = "can0", number: int = 1) -> Signals:
-    return replace(CALM, io=((kind, where, number),))
+    return CALM._replace(io=((kind, where, number),))
 
 
 def tensions(*values: float) -> Signals:
-    return replace(CALM, tension=values)
+    return CALM._replace(tension=values)
 
 
 def heat(*values: float) -> Signals:
-    return replace(CALM, temperature=values)
+    return CALM._replace(temperature=values)
 
 
 def with_(**signals: object) -> Signals:
-    return replace(CALM, **signals)  # type: ignore[arg-type]
+    return CALM._replace(**signals)  # type: ignore[arg-type]
 
 
 def error(cause: Cause, code: int = 9) -> Signals:
@@ -227,13 +227,13 @@ def test_clearing_what_is_still_there_does_not_help(id_: str) -> None:
 @pytest.mark.parametrize("id_", CASES)
 def test_without_torque_silence_is_no_fault(id_: str) -> None:
     case = CASES[id_]
-    unarmed = replace(case.present, armed=False)
+    unarmed = case.present._replace(armed=False)
     _, verdicts = course(*[unarmed] * (case.debounce + 1), only=id_)
     assert verdicts[-1].action == (Action.PASS if case.asleep else case.action)
 
 
 def test_a_missing_sample_is_neither_tension_nor_temperature() -> None:
-    nothing = replace(CALM, tension=(math.nan, math.nan), temperature=(math.nan, math.nan))
+    nothing = CALM._replace(tension=(math.nan, math.nan), temperature=(math.nan, math.nan))
     _, verdicts = course(*[nothing] * 30)
     assert {verdict.action for verdict in verdicts} == {Action.PASS}
 

@@ -70,7 +70,7 @@ class Guard:
             return state.watch, measured, ()
         spool = self.model.space.spool
         watch, motors, joints = screen(self.watcher, state.watch, measured.travel / spool, measured.joints)
-        if not motors.any() and not joints.any():
+        if not np.count_nonzero(motors) and not np.count_nonzero(joints):
             return watch, measured, ()
         read = np.where(joints > 0.0, np.nan, measured.joints)
         travel = np.where(motors > 0.0, np.nan, measured.travel)
@@ -205,8 +205,7 @@ class Guard:
         """Remember what this tick commands, for what the next one measures."""
         acts = mode in (Mode.ACTIVE, Mode.RELAX)
         nothing = np.full(len(command.torque), np.nan)
-        return replace(
-            watch,
+        return watch._replace(
             asked=command.torque / self.model.space.spool if acts else nothing,
             wanted=command.tension if mode == Mode.ACTIVE else nothing,
             goal=self.model.excursion_of(command.q) if mode == Mode.ACTIVE else nothing,
@@ -216,7 +215,7 @@ class Guard:
 def make_watcher(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) -> Watcher:
     """The watcher of a hand."""
     hand, space = model.hand, model.space
-    motors = [hand.motor_of(name) for name in hand.tendon_names]
+    rates = [hand.motor_of(name).velocity_range_rad_s for name in hand.tendon_names]
     arms = np.abs(hand.moment_arms)
     limits = Limits(
         tendons=hand.tendon_names,
@@ -237,8 +236,9 @@ def make_watcher(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNod
         spool=space.spool,
         arms=arms.sum(axis=1),
         spool_to_joints=model.excursion_to_joints,
-        motor_step=np.array([JUMP_MARGIN * motor.velocity_range_rad_s * model.period for motor in motors]),
-        joint_step=np.full(len(hand.joints), JUMP_MARGIN * JOINT_RATE_RAD_S * model.period),
+        step_most=np.array(
+            [JUMP_MARGIN * model.period * rate for rate in (*rates, *[JOINT_RATE_RAD_S] * len(hand.joints))]
+        ),
     )
 
 

@@ -95,7 +95,10 @@ class HandModel:
     def excursion_of(self, joints: Vector) -> Vector:
         """(N,) excursion of joint readings (J,) [rad]; NaN where a joint of the tendon was not read."""
         unread = np.isnan(joints)
-        if unread.all():
+        missing = np.count_nonzero(unread)
+        if not missing:
+            return np.asarray(self.hand.moment_arms.dot(joints))
+        if missing == len(joints):
             return np.full(self.tendon_count, np.nan)
         excursion = self.hand.moment_arms @ np.where(unread, 0.0, joints)
         return np.where(self.pulleys @ unread > 0.0, np.nan, excursion)

@@ -1,6 +1,6 @@
 """Steps of a position that no rotor and no joint makes: the sample is dropped, and said."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Accepted:
+class Accepted(NamedTuple):
     """Attributes: value: (n,) last accepted [rad], NaN before the first. gap: (n,) ticks since then."""
 
     value: Vector
@@ -19,10 +18,6 @@ class Accepted:
     def initial(n: int) -> "Accepted":
         """Nothing accepted yet."""
         return Accepted(np.full(n, np.nan), np.zeros(n))
-
-    def key(self) -> bytes:
-        """Bytes that change with the state."""
-        return self.value.tobytes() + self.gap.tobytes()
 
 
 def screen(state: Accepted, value: Vector, step_most: Vector) -> tuple[Accepted, Vector]:
@@ -36,8 +31,8 @@ def screen(state: Accepted, value: Vector, step_most: Vector) -> tuple[Accepted,
     Returns:
         state, and how far each dropped sample jumped [rad], 0 where none was.
     """
-    step = np.abs(value - state.value)
-    wrong = step > step_most * (state.gap + 1.0)
+    step, gap = np.abs(value - state.value), state.gap + 1.0
+    wrong = step > step_most * gap
     fresh = (value == value) & ~wrong
     jumped = np.where(wrong, step, 0.0)
-    return Accepted(np.where(fresh, value, state.value), np.where(fresh, 0.0, state.gap + 1.0)), jumped
+    return Accepted(np.where(fresh, value, state.value), gap * ~fresh), jumped

@@ -4,6 +4,7 @@ A rotor at the cable: m a = F - T - b v - c sign(v). What the load cell says bes
 cell's, the motor's or the friction's fault. Thresholds leave the stated rate of false alarms to the noise.
 """
 
+import functools
 import math
 from dataclasses import dataclass
 from statistics import NormalDist
@@ -43,8 +44,7 @@ class Rotor:
     period: float
 
 
-@dataclass(frozen=True, slots=True)
-class Filtered:
+class Filtered(NamedTuple):
     """Attributes: low: (8, N) low-passed rows. speed: (N,) of the cable, last tick [m/s]. last: (2, N) positions."""
 
     low: Vector
@@ -55,10 +55,6 @@ class Filtered:
     def initial(n: int) -> "Filtered":
         """Nothing seen."""
         return Filtered(np.zeros((8, n)), np.full(n, np.nan), np.full((2, n), np.nan))
-
-    def key(self) -> bytes:
-        """Bytes that change with the state."""
-        return self.low.tobytes() + self.speed.tobytes() + self.last.tobytes()
 
 
 class Rope(NamedTuple):
@@ -89,8 +85,14 @@ def step(rotor: Rotor, state: Filtered, rope: Rope) -> Filtered:
     asked = rope.asked - rope.force
     now = np.array([balance, made, asked, rope.tension, made, rope.slip, jerk, rub])
     away = now - state.low
-    low = state.low + (1.0 - np.exp(-rotor.period / _TIMES))[:, None] * np.where(away == away, away, 0.0)
+    low = state.low + _shares(rotor.period) * np.where(away == away, away, 0.0)
     return Filtered(low, rope.speed, np.array([rope.position, state.last[0]]))
+
+
+@functools.lru_cache(maxsize=8)
+def _shares(period: float) -> Vector:
+    """(8, 1) of what is new, that each row takes in a tick."""
+    return np.asarray((1.0 - np.exp(-period / _TIMES))[:, None])
 
 
 def unexplained(rotor: Rotor, state: Filtered) -> Vector:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from handctl.drives.causes import Cause
 
@@ -68,8 +69,7 @@ LOAD_CELLS = "load cells"
 """The sensor node among the nodes."""
 
 
-@dataclass(frozen=True, slots=True)
-class Signals:
+class Signals(NamedTuple):
     """What safety may know of one tick; an empty tuple stands for nothing to be seen.
 
     Attributes:

@@ -1,6 +1,6 @@
 """A reading that stands still although it must move: an expectation, not a variance; what rests is healthy."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 Vector = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True)
-class Stuck:
+class Stuck(NamedTuple):
     """Attributes: value: (n,) last reading. ticks: (n,) for how long the same. anchor: (c, n) witnesses back then."""
 
     value: Vector
@@ -20,10 +19,6 @@ class Stuck:
     def initial(n: int, witnesses: int) -> "Stuck":
         """Nothing read yet."""
         return Stuck(np.full(n, np.nan), np.zeros(n, dtype=np.int64), np.full((witnesses, n), np.nan))
-
-    def key(self) -> bytes:
-        """Bytes that change with the state."""
-        return self.value.tobytes() + self.ticks.tobytes() + self.anchor.tobytes()
 
 
 def step(state: Stuck, value: Vector, witnesses: Vector) -> tuple[Stuck, Vector]:
@@ -37,8 +32,9 @@ def step(state: Stuck, value: Vector, witnesses: Vector) -> tuple[Stuck, Vector]
     Returns:
         state, and how far each witness has moved since the reading stands, (c, n), 0 where it says nothing.
     """
-    moved = (value != state.value) & (value == value)
+    fresh = value == value
+    moved = fresh & (value != state.value)
     anchor = np.where(moved | (state.anchor != state.anchor), witnesses, state.anchor)
-    ticks = np.where(moved, 0, state.ticks + (value == value))
-    away = np.abs(witnesses - anchor)
-    return Stuck(np.where(moved, value, state.value), ticks, anchor), np.where(away == away, away, 0.0)
+    ticks = (state.ticks + fresh) * ~moved
+    away = np.fmax(np.abs(witnesses - anchor), 0.0)
+    return Stuck(np.where(fresh, value, state.value), ticks, anchor), away

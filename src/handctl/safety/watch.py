@@ -1,6 +1,6 @@
 """What safety remembers between ticks, and what it makes of one tick's raw facts before they are judged."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -32,7 +32,7 @@ class Watcher:
         rotor: motors at the cable.
         stiffness: (N,) of the ropes [N/m]. spool: (N,) radius [m]. arms: (N,) sum of a tendon's moment arms [m].
         spool_to_joints: (J, N) joint angles that excursions stand for [rad/m].
-        motor_step, joint_step: (N,), (J,) largest step of a tick [rad].
+        step_most: (N + J,) largest step of a motor's and a joint's position in a tick [rad].
     """
 
     limits: Limits
@@ -42,8 +42,7 @@ class Watcher:
     spool: Vector
     arms: Vector
     spool_to_joints: Vector
-    motor_step: Vector
-    joint_step: Vector
+    step_most: Vector
 
     @property
     def period(self) -> float:
@@ -54,12 +53,9 @@ class Watcher:
         """Nothing known."""
         n, j = len(self.spool), len(self.joints)
         return WatchState(
-            motor=jumps.Accepted.initial(n),
-            joint=jumps.Accepted.initial(j),
+            position=jumps.Accepted.initial(n + j),
             filtered=residuals.Filtered.initial(n),
-            stuck_motor=stuck.Stuck.initial(n, 2),
-            stuck_joint=stuck.Stuck.initial(j, 1),
-            stuck_cell=stuck.Stuck.initial(n, 1),
+            stuck=stuck.Stuck.initial(2 * n + j, 2),
             taut=np.zeros(n),
             slip_from=np.full(n, np.nan),
             asked=np.full(n, np.nan),
@@ -70,14 +66,13 @@ class Watcher:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class WatchState:
+class WatchState(NamedTuple):
     """What is remembered; all but the counts begins anew whenever the hand is armed.
 
     Attributes:
-        motor, joint: last accepted positions.
+        position: last accepted positions of motors and joints, (N + J,).
         filtered: residuals.
-        stuck_motor, stuck_joint, stuck_cell: readings that stand.
+        stuck: readings that stand, of motors, load cells and joints, (2 N + J,).
         taut: (N,) time for which the rope has been taut [s].
         slip_from: (N,) joint against spool when it became so [m].
         asked, wanted, goal: (N,) motor force [N], tension [N] and excursion [m] that the last tick commanded.
@@ -85,12 +80,9 @@ class WatchState:
         counts: losses and the like.
     """
 
-    motor: jumps.Accepted
-    joint: jumps.Accepted
+    position: jumps.Accepted
     filtered: residuals.Filtered
-    stuck_motor: stuck.Stuck
-    stuck_joint: stuck.Stuck
-    stuck_cell: stuck.Stuck
+    stuck: stuck.Stuck
     taut: Vector
     slip_from: Vector
     asked: Vector
@@ -101,10 +93,9 @@ class WatchState:
 
     def key(self) -> bytes:
         """Bytes that change with the state."""
-        parts = (self.motor, self.joint, self.filtered, self.stuck_motor, self.stuck_joint, self.stuck_cell)
-        arrays = (self.taut, self.slip_from, self.asked, self.wanted, self.goal)
-        plain = repr((self.ropes, self.counts)).encode()
-        return b"".join((*[part.key() for part in parts], *[array.tobytes() for array in arrays], plain))
+        own = (self.taut, self.slip_from, self.asked, self.wanted, self.goal)
+        arrays = [array.tobytes() for array in (*self.position, *self.filtered, *self.stuck, *own)]
+        return b"".join(arrays) + repr((*self.ropes, *self.counts)).encode()
 
 
 class Seen(NamedTuple):
@@ -128,9 +119,8 @@ class Seen(NamedTuple):
 
 def screen(watcher: Watcher, state: WatchState, motors: Vector, joints: Vector) -> tuple[WatchState, Vector, Vector]:
     """Look at positions before anything else does; how far each jumped, (N,) and (J,), 0 where it did not."""
-    motor, motor_jump = jumps.screen(state.motor, motors, watcher.motor_step)
-    joint, joint_jump = jumps.screen(state.joint, joints, watcher.joint_step)
-    return replace(state, motor=motor, joint=joint), motor_jump, joint_jump
+    position, jump = jumps.screen(state.position, np.concatenate((motors, joints)), watcher.step_most)
+    return state._replace(position=position), jump[: len(motors)], jump[len(motors) :]
 
 
 def counted(
@@ -144,8 +134,7 @@ def counted(
         return state, raw
     nodes = watcher.limits.nodes
     shapes = tuple([(nodes[i], float(counts.lately(bits))) for i, bits in enumerate(new.misshapen) if bits & 1])
-    return replace(state, counts=new), replace(
-        raw,
+    return state._replace(counts=new), raw._replace(
         lost=counts.number(new.lost),
         halved=tuple([nodes[i] for i, bits in enumerate(new.lost) if counts.halved(bits)]),
         misshapen=shapes,
@@ -159,20 +148,19 @@ def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tu
     names = watcher.limits.tendons
     if seen.cut:
         cell = seen.tension.tolist()
-        state = replace(state, ropes=ropes.cut(state.ropes, cell))
-        return state, replace(raw, limp=ropes.limp(state.ropes, names, cell, watcher.period))
+        state = state._replace(ropes=ropes.cut(state.ropes, cell))
+        return state, raw._replace(limp=ropes.limp(state.ropes, names, cell, watcher.period))
     if not raw.armed:
-        return replace(watcher.initial(), counts=state.counts), raw
+        return watcher.initial()._replace(counts=state.counts), raw
     cell, wanted = seen.tension.tolist(), state.wanted.tolist()
     state, slip = _slip(watcher, state, seen)
     rope = residuals.Rope(seen.travel / watcher.spool, seen.speed, seen.tension, seen.force, state.asked, slip)
     filtered = residuals.step(watcher.rotor, state.filtered, rope)
     tense = ropes.step(state.ropes, filtered.low[residuals.TENSION].tolist(), wanted)
-    state = replace(state, filtered=filtered, ropes=tense)
+    state = state._replace(filtered=filtered, ropes=tense)
     state, stands = _stands(watcher, state, seen)
     low = filtered.low
-    return state, replace(
-        raw,
+    return state, raw._replace(
         slack=ropes.slack(tense, names, watcher.period),
         snapped=ropes.snapped(tense, names, cell, wanted, seen.speed.tolist(), watcher.period),
         residual=tuple(residuals.unexplained(watcher.rotor, filtered).tolist()),
@@ -194,30 +182,31 @@ def _slip(watcher: Watcher, state: WatchState, seen: Seen) -> tuple[WatchState, 
     apart = seen.travel - seen.tension / watcher.stiffness - seen.excursion
     settled = taut > SLIP_SETTLE_S
     begin = np.where(settled, np.where(np.isnan(state.slip_from), apart, state.slip_from), np.nan)
-    return replace(state, taut=taut, slip_from=begin), (apart - begin) / watcher.arms * DEG
+    return state._replace(taut=taut, slip_from=begin), (apart - begin) / watcher.arms * DEG
 
 
 def _stands(watcher: Watcher, state: WatchState, seen: Seen) -> tuple[WatchState, tuple[Named, Named, Named]]:
     """Readings that stand although they must move: motors, joints, load cells."""
-    low, period, limits = state.filtered.low, watcher.period, watcher.limits
+    low, period, limits, n = state.filtered.low, watcher.period, watcher.limits, len(seen.travel)
     quick = low[residuals.TENSION]
-    motor, moved = stuck.step(state.stuck_motor, seen.travel, np.array([state.goal * 1e3, quick]))
-    long = motor.ticks * period > STUCK_S
-    still = long & ((moved[0] > STUCK_GOAL_MM) | (moved[1] > STUCK_TENSION_N))
-    cell, pushed = stuck.step(state.stuck_cell, seen.tension, low[residuals.QUICK_FORCE][None])
-    same = (cell.ticks >= CELL_TICKS) & (pushed[0] > CELL_FORCE_N) & (cell.value > ropes.TAUT_N)
-    by_spool = watcher.spool_to_joints @ (seen.travel - quick / watcher.stiffness) * DEG
-    joint, turned = stuck.step(state.stuck_joint, seen.joints, by_spool[None])
-    stiff = (joint.ticks > 0) & (joint.ticks * period > STUCK_S) & (turned[0] > STUCK_JOINT_DEG)
-    state = replace(state, stuck_motor=motor, stuck_joint=joint, stuck_cell=cell)
-    return state, (
-        _named(limits.motors, still, np.maximum(moved[0], moved[1])),
-        _named(watcher.joints, stiff, turned[0]),
-        _named(limits.tendons, same, pushed[0]),
+    witnesses = np.full((2, 2 * n + len(seen.joints)), np.nan)
+    witnesses[0, :n], witnesses[1, :n] = state.goal * 1e3, quick
+    witnesses[0, n : 2 * n] = low[residuals.QUICK_FORCE]
+    witnesses[0, 2 * n :] = watcher.spool_to_joints.dot(seen.travel - quick / watcher.stiffness) * DEG
+    value = np.concatenate((seen.travel, seen.tension, seen.joints))
+    stands, (first, second) = stuck.step(state.stuck, value, witnesses)
+    ticks, long = stands.ticks, stands.ticks * period > STUCK_S
+    still = long[:n] & ((first[:n] > STUCK_GOAL_MM) | (second[:n] > STUCK_TENSION_N))
+    pushed, turned = first[n : 2 * n], first[2 * n :]
+    same = (ticks[n : 2 * n] >= CELL_TICKS) & (pushed > CELL_FORCE_N) & (stands.value[n : 2 * n] > ropes.TAUT_N)
+    return state._replace(stuck=stands), (
+        _named(limits.motors, still, np.maximum(first[:n], second[:n])),
+        _named(watcher.joints, long[2 * n :] & (turned > STUCK_JOINT_DEG), turned),
+        _named(limits.tendons, same, pushed),
     )
 
 
 def _named(names: tuple[str, ...], which: NDArray[np.bool_], value: Vector) -> Named:
-    if not which.any():
+    if True not in which.tolist():
         return ()
     return tuple([(name, float(v)) for name, w, v in zip(names, which, value, strict=True) if w])
