@@ -82,6 +82,7 @@ def _parser() -> Parser:
     add("--bus", required=True, metavar="SPEC", help="local:NAME, join:NAME or socketcan:INTERFACE")
     add("--fd", action="store_true", help="MIT motors set to CAN FD (1/5 Mbit/s); they answer as they are asked")
     add("--motor-type", metavar="TYPE", help=f"of MIT motors: {', '.join(MIT_TYPES)} (dm4310)")
+    add("--firmware", choices=["0.5", "0.6"], help="of ODrives (0.6)")
     add("--inertia", type=float, metavar="KG_M2", help="of each shaft (the motor's own, an assumption)")
     add("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time (they take none)")
     faults = "; ".join(f"{key}: {text}" for key, text in FAULTS.items())
@@ -96,6 +97,8 @@ def _specs(args: argparse.Namespace) -> list[MotorSpec]:
     Raises:
         SimulatorError: an argument that makes no drive.
     """
+    if args.protocol != "odrive" and args.firmware:
+        raise SimulatorError("--firmware: only drive odrive has it")
     if args.protocol != "mit" and (args.fd or args.motor_type):
         raise SimulatorError(f"{'--fd' if args.fd else '--motor-type'}: only drive mit has it")
     for name, value in (("--inertia", args.inertia), ("--time-scale", args.time_scale)):
@@ -107,7 +110,8 @@ def _specs(args: argparse.Namespace) -> list[MotorSpec]:
         raise SimulatorError(f"--ids {args.ids}: expected numbers with commas, as in 1,2,0x10") from None
     if len(set(numbers)) < len(numbers):
         raise SimulatorError(f"--ids {args.ids}: every number once")
-    return [drive_spec(args.protocol, n, args.motor_type or "dm4310", args.fd, args.inertia) for n in numbers]
+    kind, firmware = args.motor_type or "dm4310", args.firmware or "0.6"
+    return [drive_spec(args.protocol, n, kind, args.fd, args.inertia, firmware) for n in numbers]
 
 
 def run(words: list[str]) -> None:

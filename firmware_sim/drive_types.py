@@ -3,6 +3,8 @@
 Ranges of MIT motors: facts, mit_damiao. Inertia and friction of a free shaft are assumptions: makers seldom tell.
 """
 
+from typing import Any
+
 from firmware_sim.description import MotorSpec, SimulatorError
 
 MIT_TYPES = {
@@ -26,6 +28,7 @@ _SHAFTS = {"odrive": (2.0, 1e-4, 0.05), "cia402": (1.0, 5e-5, 0.08)}
 ENDPOINTS = {"endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202, "endpoint_torque_max": 203,
              "endpoint_torque_min": 204}  # fmt: skip
 """Of an ODrive's settings, made up here: real ones differ from firmware to firmware."""
+ODRIVES: dict[str, dict[str, Any]] = {"0.6": dict(ENDPOINTS), "0.5": {"firmware": "0.5"}}
 INERTIA_PER_TORQUE = 2e-4
 """Of a geared MIT motor at its output, for each N m of TMAX [kg m2/N m]: 2e-3 for the 10 N m of a DM-J4310."""
 FRICTION_PART, SLOWING_S = 2e-3, 4.0
@@ -33,7 +36,12 @@ FRICTION_PART, SLOWING_S = 2e-3, 4.0
 
 
 def drive_spec(
-    protocol: str, node_id: int, motor_type: str = "dm4310", fd: bool = False, inertia: float | None = None
+    protocol: str,
+    node_id: int,
+    motor_type: str = "dm4310",
+    fd: bool = False,
+    inertia: float | None = None,
+    firmware: str = "0.6",
 ) -> MotorSpec:
     """Return the description of a drive with a free shaft.
 
@@ -43,6 +51,7 @@ def drive_spec(
         motor_type: of MIT_TYPES; counts for MIT only.
         fd: whether an MIT motor is set to CAN FD.
         inertia: of the shaft [kg m2]; None for the type's own.
+        firmware: 0.6 or 0.5; counts for ODrives only.
 
     Raises:
         SimulatorError: no such number or type.
@@ -55,10 +64,11 @@ def drive_spec(
     own, torque_constant = INERTIA_PER_TORQUE * peak, 1.0
     if protocol != "mit":
         peak, own, torque_constant = _SHAFTS[protocol]
+    options: dict[str, Any] = ODRIVES[firmware] if protocol == "odrive" else {"fd": True} if fd else {}
     mass = own if inertia is None else inertia
     return MotorSpec(
         name=f"{protocol}{node_id}", protocol=protocol, bus="bench", node_id=node_id, spool_radius=1.0,
         inertia=mass, viscous=mass / SLOWING_S, coulomb=FRICTION_PART * peak, torque_constant=torque_constant,
         torque_max=peak, torque_peak=peak, position_range=position, velocity_range=velocity, direction=1, zero=0.0,
-        options={"fd": True} if fd else ENDPOINTS if protocol == "odrive" else {},
+        options=options,
     )  # fmt: skip

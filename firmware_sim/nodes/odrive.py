@@ -1,4 +1,4 @@
-"""A motor with the firmware of an ODrive, 0.6.x, on CANSimple. Source: facts, odrive_cansimple.
+"""A motor with the firmware of an ODrive, 0.6.x or 0.5.x, on CANSimple. Source: facts, odrive_cansimple.
 
 Choices where the fact sheet says "assumption": the heartbeat's error is active errors or else the disarm reason; only
 setpoints feed the watchdog; NaN as a setpoint disarms with "missing input"; a disarm reason is kept until Clear_Errors
@@ -28,6 +28,9 @@ SERIAL = 0x0D_5A_11_00_00_00
 HOT_C = 120.0
 _SIZES = {0x02: 0, 0x04: 4, 0x07: 4, 0x0B: 8, 0x0C: 8, 0x0D: 8, 0x0E: 4, 0x0F: 8, 0x16: 0, 0x18: 0, 0x1A: 4, 0x1B: 8}
 """Shortest payload of each message that is taken."""
+_OLD_ANSWERS = {0x09, 0x14, 0x17}
+_OLD_ERRORS = {MISSING_INPUT: 1 << 0, MOTOR_HOT: 1 << 6, WATCHDOG: 1 << 11, ESTOP: 1 << 14}
+"""Firmware 0.5.x: what it tells, and its axis errors."""
 _TURN = 2.0 * math.pi
 
 
@@ -66,6 +69,10 @@ class OdriveNode:
             self._numbers["torque_min"]: struct.pack("<f", -math.inf),
         }
         self.endpoints.pop(0, None)
+        self._old = options.get("firmware") == "0.5"
+        if usb := options.get("usb_watchdog_s"):  # set where no frame can reach it
+            self._numbers |= {"enable_watchdog": -1, "watchdog_timeout": -2}
+            self.endpoints |= {-1: b"\1", -2: struct.pack("<f", usb)}
         self._setpoint = 0.0
         self._periods = {0x01: HEARTBEAT_MS, 0x09: int(options.get("encoder_period_ms", ENCODER_MS))}
         self._due = dict.fromkeys(self._periods, 0)
@@ -97,6 +104,8 @@ class OdriveNode:
     def _answer(self, command: int) -> bytes:
         """Return the payload of a Get message; empty if there is no such message."""
         gear, sign = self._gear, self._sign
+        if self._old and command not in _OLD_ANSWERS:
+            return b""
         if command == 0x00:
             return bytes((2, 4, 4, 58, 0, 6, 10, 0))
         if command == 0x03:
@@ -198,7 +207,7 @@ class OdriveNode:
         """Answer a read; a write is taken without a word, as firmware before 0.6.11 does."""
         operation, endpoint = data[0], int.from_bytes(data[1:3], "little")
         held = self.endpoints.get(endpoint)
-        if held is None or operation > 1:
+        if held is None or operation > 1 or self._old:
             return []
         if operation == 1:
             if len(data) - 4 >= len(held):
@@ -236,6 +245,9 @@ class OdriveNode:
         return frames
 
     def _heartbeat(self) -> bytes:
+        if self._old:
+            errors = sum(old for new, old in _OLD_ERRORS.items() if (self.active | self.reason) & new)
+            return struct.pack("<IBBBB", errors, self.state, errors == _OLD_ERRORS[MOTOR_HOT], 0, 0)
         return struct.pack("<IBBBB", self.active | self.reason, self.state, self.result, 0, 0)
 
     def _watched(self) -> bool:

@@ -1,5 +1,7 @@
 """A simulated drive alone on a bench, in virtual time, and the host's side of it."""
 
+from dataclasses import replace
+
 from firmware_sim.bench import Bench
 from firmware_sim.drive_types import ENDPOINTS, drive_spec
 from firmware_sim.frame import Frame as SimFrame
@@ -21,8 +23,9 @@ class VirtualBench:
 
     name = "bench"
 
-    def __init__(self, protocol, fault="", inertia=None):
-        self.bench = Bench([drive_spec(protocol, NODE, inertia=inertia)], fault=fault)
+    def __init__(self, protocol, fault="", inertia=None, **options):
+        spec = drive_spec(protocol, NODE, inertia=inertia)
+        self.bench = Bench([replace(spec, options=options or spec.options)], fault=fault)
         self.waiting, self.top = [], 0.0
 
     def begin(self):

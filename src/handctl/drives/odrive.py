@@ -1,4 +1,4 @@
-"""An ODrive (firmware 0.6.x) on CANSimple: from its heartbeat to torque, and back to a confirmed standstill.
+"""An ODrive (firmware 0.6.x, or 0.5.x) on CANSimple: from its heartbeat to torque, and back to a confirmed standstill.
 
 Position is asked for in every tick by a remote frame, so that it is as old as the command and not as old as the drive's
 own cycle; with ``encoder_period_ms`` the drive's cyclic messages are trusted instead. Mode and limits cannot be read
@@ -14,6 +14,7 @@ from handctl.drives import odrive_endpoints as endpoints
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
 from handctl.drives.frame import REMOTE, Frame
+from handctl.drives.odrive_options import KNOWN, take_options
 from handctl.drives.odrive_progress import (
     CLEAR_TRIES,
     HEARTBEATS_MISSED,
@@ -50,6 +51,7 @@ class OdriveDrive:
         cyclic_s: period of the drive's own messages [s]; 0 if position is asked for in every tick.
         torque_feedback: whether torque is asked for in every tick.
         patience_ns: longest time without a heartbeat [ns].
+        old: firmware 0.5, see ``odrive_05``.
     """
 
     name: str
@@ -63,6 +65,7 @@ class OdriveDrive:
     cyclic_s: float
     torque_feedback: bool
     patience_ns: int
+    old: bool = False
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "OdriveDrive":
@@ -74,31 +77,23 @@ class OdriveDrive:
         options, where = dict(motor.options), f"motor[{motor.name}].options"
         if not 0 < motor.node_id <= codec.LAST_NODE:
             raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {codec.LAST_NODE}")
-        ratio = _positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", 1000)
-        current = _positive(options.pop("current_limit_A", 10.0), f"{where}.current_limit_A", 1000)
-        heartbeat = _positive(options.pop("heartbeat_ms", 100), f"{where}.heartbeat_ms", 1000)
-        feedback = options.pop("torque_feedback", False)
-        if type(feedback) is not bool:
-            raise ConfigError(repr(feedback), f"{where}.torque_feedback", "true or false")
-        cyclic = options.pop("encoder_period_ms", None)
-        if cyclic is not None:
-            _positive(cyclic, f"{where}.encoder_period_ms", 1000)
-        settings = endpoints.take_settings(options, where, motor.watchdog_ms / 1e3, motor.torque_max_N_m / ratio)
+        told = take_options(options, where)
+        settings = endpoints.take_settings(options, where, motor.watchdog_ms / 1e3, motor.torque_max_N_m / told.ratio)
         if options:
-            known = "gear_ratio, current_limit_A, heartbeat_ms, encoder_period_ms, torque_feedback or endpoint_..."
-            raise ConfigError("unknown key", f"{where}.{next(iter(options))}", known)
+            raise ConfigError("unknown key", f"{where}.{next(iter(options))}", KNOWN)
         return OdriveDrive(
             name=motor.name,
             bus=bus,
             node_id=motor.node_id,
             torque_limit=motor.torque_max_N_m,
-            ratio=motor.direction * ratio,
+            ratio=motor.direction * told.ratio,
             zero=motor.zero_rad,
-            limits=codec.floats(motor.velocity_range_rad_s * ratio / math.tau, current),
+            limits=codec.floats(motor.velocity_range_rad_s * told.ratio / math.tau, told.current),
             settings=settings,
-            cyclic_s=(cyclic or 0.0) / 1e3,
-            torque_feedback=feedback,
-            patience_ns=round(heartbeat * HEARTBEATS_MISSED * 1e6),
+            cyclic_s=told.cyclic_s,
+            torque_feedback=told.torque_feedback,
+            patience_ns=round(told.heartbeat * HEARTBEATS_MISSED * 1e6),
+            old=told.old,
         )
 
     @property
@@ -131,7 +126,7 @@ class OdriveDrive:
 
     def initial(self) -> DriveState:
         """Silent."""
-        return DriveState(private=Progress())
+        return DriveState(private=Progress(version=self.old))
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """See ``contract.Drive``."""
@@ -143,7 +138,7 @@ class OdriveDrive:
         if len(frame.data) != 8 and not (command == codec.TX_SDO and 4 < len(frame.data) < 8):
             return state._replace(misread=state.misread + 1)
         if command == codec.HEARTBEAT:
-            return take_heartbeat(state, frame)
+            return take_heartbeat(state, frame, self.old)
         if command == codec.GET_VERSION:
             return self._take_version(state, frame.data)
         if command == codec.TX_SDO:
@@ -207,7 +202,7 @@ class OdriveDrive:
         """No heartbeat: enabled, that is an error; else it may have lost power and with it its mode."""
         if state.phase == ENABLED or progress.asked_ns >= 0:
             return fault(state, LOST, "no heartbeat")
-        return state._replace(phase=SILENT, private=Progress(clearing=progress.clearing))
+        return state._replace(phase=SILENT, private=Progress(version=self.old, clearing=progress.clearing))
 
     def _ready(self, state: DriveState, t_ns: int, want: Want) -> tuple[DriveState, tuple[Frame, ...]]:
         """Poll; told to enable, send 0 N m as well: the drive's watchdog runs from the moment it is enabled."""
@@ -261,7 +256,7 @@ class OdriveDrive:
         if self.torque_feedback:
             frames.append(self._ask(codec.TORQUES))
         progress = progress_of(state)
-        if t_ns - progress.warmed_ns >= TEMPERATURE_NS:
+        if t_ns - progress.warmed_ns >= TEMPERATURE_NS and not self.old:
             frames.append(self._ask(codec.TEMPERATURE))
             state = state._replace(private=progress._replace(warmed_ns=t_ns))
         return state, tuple(frames)
@@ -277,7 +272,7 @@ class OdriveDrive:
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Clear the latched error and begin with the inventory again."""
-        fresh = Progress(axis=progress_of(state).axis, clearing=CLEAR_TRIES)
+        fresh = Progress(version=self.old, axis=progress_of(state).axis, clearing=CLEAR_TRIES)
         known = state._replace(phase=SILENT, error=0, error_text="", private=fresh)
         return known, (self._frame(codec.CLEAR_ERRORS, b""),)
 
@@ -292,9 +287,3 @@ class OdriveDrive:
 
     def _id(self, command: int) -> int:
         return codec.can_id(self.node_id, command)
-
-
-def _positive(value: object, where: str, most: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= most:
-        raise ConfigError(repr(value), where, f"a number above 0, at most {most:g}")
-    return float(value)

@@ -6,6 +6,7 @@ tells neither version nor serial number this way. Source: facts, odrive_cansimpl
 
 import struct
 
+from handctl.drives import odrive_05
 from handctl.drives import odrive_codec as codec
 from handctl.drives.discovery import Found, Seen
 from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
@@ -41,10 +42,12 @@ def found(seen: Seen) -> tuple[Found, ...]:
 
 def _drive(node: int, beat: codec.Heartbeat | None, serial: str, version: bytes) -> Found:
     notes = ["watchdog and torque limit: give endpoint_... keys in the hand file, or set them over USB and trust that"]
+    options: dict[str, bool | int | float | str] = {}
     if version and version[0] != codec.PROTOCOL:
         notes.append(f"speaks CANSimple version {version[0]}, and handctl {codec.PROTOCOL}")
     if not version:
-        notes.append("does not tell its version: firmware 0.5.x, which handctl does not drive?")
+        options["firmware"] = "0.5"
+        notes = ["does not tell its version: taken for firmware 0.5.x, whose watchdog and limits only USB can set"]
     if not serial and version:
         notes.append("does not tell its serial number")
     if node == BROADCAST:
@@ -53,8 +56,8 @@ def _drive(node: int, beat: codec.Heartbeat | None, serial: str, version: bytes)
         notes.append("node 0 shares its identifiers with CANopen's NMT; give it 0x10 to 0x1f")
     firmware = ".".join(map(str, version[4:7])) if version else ""
     state = _STATES.get(beat.state, f"axis state {beat.state}") if beat else "no heartbeat"
-    error = codec.error_text(beat.errors) if beat else ""
-    return Found("odrive", node, firmware, serial, state, error, {}, {}, tuple(notes))
+    error = (codec.error_text if version else odrive_05.error_text)(beat.errors) if beat else ""
+    return Found("odrive", node, firmware, serial, state, error, {}, options, tuple(notes))
 
 
 def _sorted(seen: Seen, command: int) -> dict[int, list[bytes]]:
@@ -68,9 +71,9 @@ def _sorted(seen: Seen, command: int) -> dict[int, list[bytes]]:
 
 
 def _beat(data: bytes) -> bool:
-    """Whether 8 bytes can be a heartbeat: a known axis state and result."""
+    """Whether 8 bytes can be a heartbeat: a known axis state and result, and in byte 7 only 0.5's two flags."""
     _, state, result = struct.unpack_from("<IBB", data)
-    return 1 <= state <= 14 and result <= 15 and data[7] == 0
+    return 1 <= state <= 14 and result <= 15 and not data[7] & 0x7E
 
 
 def orders(drive: Found) -> frozenset[int]:

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple, cast
 
+from handctl.drives import odrive_05
 from handctl.drives import odrive_codec as codec
 from handctl.drives import odrive_endpoints as endpoints
 from handctl.drives.contract import DriveState, Phase
@@ -65,23 +66,24 @@ def fault(state: DriveState, error: int, text: str) -> DriveState:
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
-def take_heartbeat(state: DriveState, frame: Frame) -> DriveState:
-    """Take in a heartbeat of 8 bytes."""
-    beat = codec.heartbeat(frame.data)
+def take_heartbeat(state: DriveState, frame: Frame, old: bool) -> DriveState:
+    """Take in a heartbeat of 8 bytes, of firmware 0.5 if ``old``."""
+    beat = odrive_05.heartbeat(frame.data) if old else codec.heartbeat(frame.data)
     progress = progress_of(state)._replace(axis=beat.state, heard_ns=frame.t_ns)
     if beat.errors and progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     known = state._replace(private=progress._replace(clearing=0))
     if beat.errors:
-        return _is_wrong(known, progress, beat)
+        return _is_wrong(known, progress, beat, old)
     if beat.state == codec.CLOSED_LOOP:
         return _is_enabled(known, progress)
     return _is_disabled(known, progress, beat) if beat.state == codec.IDLE else known
 
 
-def _is_wrong(state: DriveState, progress: Progress, beat: codec.Heartbeat) -> DriveState:
+def _is_wrong(state: DriveState, progress: Progress, beat: codec.Heartbeat, old: bool) -> DriveState:
     """An error disarms; a drive that reports one and is not idle may still make torque."""
-    wrong = fault(state, beat.errors, codec.error_text(beat.errors))
+    words = odrive_05.error_text if old else codec.error_text
+    wrong = fault(state, beat.errors, words(beat.errors))
     if beat.state == codec.IDLE:
         return wrong._replace(private=progress._replace(asked_ns=-1, disabling_ns=-1, clearing=0))
     return wrong._replace(phase=ENABLED) if progress.disabling_ns >= 0 else wrong
@@ -104,7 +106,8 @@ def _is_disabled(state: DriveState, progress: Progress, beat: codec.Heartbeat) -
             return state
         return off._replace(phase=FAULT if state.error else READY)
     if state.phase == ENABLED:
-        return fault(off, DROPPED_OUT, f"disabled by itself: {codec.result_text(beat.result)}")
+        why = f": {codec.result_text(beat.result)}" if beat.result else ""
+        return fault(off, DROPPED_OUT, f"disabled by itself{why}")
     if 0 <= progress.asked_ns < progress.heard_ns - SETTLE_NS and beat.result not in (codec.SUCCESS, codec.BUSY):
         return fault(off, REFUSED, f"refuses to enable: {codec.result_text(beat.result)}")
     return state._replace(phase=CONFIGURING) if state.phase == SILENT else state

@@ -1,0 +1,66 @@
+"""The options of an ODrive in the hand file."""
+
+from collections.abc import MutableMapping
+from typing import Any, NamedTuple
+
+from handctl.drives import odrive_endpoints as endpoints
+from handctl.drives.odrive_05 import FIRMWARE
+from handctl.errors import ConfigError
+
+KNOWN = "gear_ratio, current_limit_A, heartbeat_ms, encoder_period_ms, firmware, torque_feedback or endpoint_..."
+
+
+class Options(NamedTuple):
+    """What the options say.
+
+    Attributes:
+        ratio: turns of the motor's shaft per turn of the spool. current: limit [A]. heartbeat: its period [ms].
+        torque_feedback: whether torque is asked for in every tick.
+        cyclic_s: period of the drive's own messages [s]; 0 if position is asked for in every tick.
+        old: firmware 0.5.
+    """
+
+    ratio: float
+    current: float
+    heartbeat: float
+    torque_feedback: bool
+    cyclic_s: float
+    old: bool
+
+
+def take_options(options: MutableMapping[str, Any], where: str) -> Options:
+    """Read the options and take their keys out; those of endpoints stay.
+
+    Args:
+        options: of the motor.
+        where: key path of the options.
+
+    Raises:
+        ConfigError: a value that cannot be, or one that this firmware does not have.
+    """
+    firmware, feedback = options.pop("firmware", FIRMWARE[0]), options.pop("torque_feedback", False)
+    if firmware not in FIRMWARE:
+        raise ConfigError(repr(firmware), f"{where}.firmware", " or ".join(map(repr, FIRMWARE)))
+    old = firmware == "0.5"
+    if type(feedback) is not bool or (feedback and old):
+        right = "false: firmware 0.5 tells no torque" if feedback is True else "true or false"
+        raise ConfigError(repr(feedback), f"{where}.torque_feedback", right)
+    if old and (keys := [key for key in options if key in endpoints.KEYS]):
+        raise ConfigError("firmware 0.5 has no SDO", f"{where}.{keys[0]}", "no such key")
+    cyclic = options.pop("encoder_period_ms", None)
+    if cyclic is not None:
+        _positive(cyclic, f"{where}.encoder_period_ms")
+    return Options(
+        ratio=_positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio"),
+        current=_positive(options.pop("current_limit_A", 10.0), f"{where}.current_limit_A"),
+        heartbeat=_positive(options.pop("heartbeat_ms", 100), f"{where}.heartbeat_ms"),
+        torque_feedback=feedback,
+        cyclic_s=(cyclic or 0.0) / 1e3,
+        old=old,
+    )
+
+
+def _positive(value: object, where: str) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 1000:
+        raise ConfigError(repr(value), where, "a number above 0, at most 1000")
+    return float(value)

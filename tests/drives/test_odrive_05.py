@@ -1,0 +1,107 @@
+"""ODrive firmware 0.5.x: the same walk to torque and back, its own heartbeat, and guards that nobody can verify."""
+
+import struct
+from pathlib import Path
+
+import cantools.database
+import odrive_can
+import pytest
+
+from handctl.drives import odrive_05
+from handctl.drives.contract import Phase, Want
+from handctl.drives.frame import REMOTE, Frame
+from handctl.drives.registry import make_drive
+from handctl.errors import ConfigError
+from handctl.runtime.conformance import Subject, Verdict, checks
+from handctl.runtime.scan import scan
+from tests.drives.protocol_bench import described
+from tests.drives.virtual_bench import NODE, VirtualBench, rig_on
+
+OLD = {"firmware": "0.5"}
+
+
+def test_it_keeps_every_promise_if_its_watchdog_was_set_over_usb():
+    place = VirtualBench("odrive", usb_watchdog_s=0.05, **OLD)
+    rig = rig_on(place, "odrive", 0.1, OLD)
+    assert [check for check in checks(Subject(rig, 0.1, 0.05)) if check.verdict is not Verdict.PASSED] == []
+    assert len(rig.drive.caveats) == 2
+    assert 0.0 < place.top <= 0.1001
+
+
+def test_without_its_watchdog_it_fails_by_that():
+    rig = rig_on(VirtualBench("odrive", **OLD), "odrive", 0.1, OLD)
+    failed = [check.name for check in checks(Subject(rig, 0.1, 0.05)) if check.verdict is Verdict.FAILED]
+    assert failed == ["lets go of a dead host, and stays off"]
+
+
+@pytest.mark.parametrize(("error", "words"), [(1 << 25, "emergency stop"), (1 << 13, "motor failed")])
+def test_its_errors_are_told_in_words(error, words):
+    place = VirtualBench("odrive", **OLD)
+    rig = rig_on(place, "odrive", 0.1, OLD)
+    assert rig.until(Want.ENABLE, lambda state: state.phase == Phase.ENABLED, 3.0)
+    place.bench.nodes[0].disarm(error)
+    assert rig.until(Want.ENABLE, lambda state: state.phase == Phase.FAULT, 1.0)
+    assert words in rig.state.error_text
+
+
+def test_it_is_not_asked_for_what_it_does_not_have():
+    place = VirtualBench("odrive", **OLD)
+    rig = rig_on(place, "odrive", 0.1, OLD)
+    sent = []
+    send = place.send
+    place.send = lambda frames: (sent.extend(frames), send(frames))[1]
+    rig.until(Want.ENABLE, lambda state: False, 1.0)
+    asked = {frame.can_id & 0x1F for frame in sent if frame.can_id & REMOTE}
+    assert asked == {0x09}
+    assert rig.state.phase == Phase.ENABLED
+
+
+def test_a_scan_names_it():
+    place = VirtualBench("odrive", **OLD)
+
+    def hear(bus, for_s, seen):
+        bus.bench.advance(bus.bench.t_ns + round(for_s * 1e9))
+        seen += bus.drain()
+
+    (found,) = scan(place, hear=hear).found
+    assert (found.protocol, found.node_id, found.options) == ("odrive", NODE, OLD)
+    assert "0.5" in found.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"firmware": "0.4"}, "'0.6' or '0.5'"),
+        ({"firmware": 0.5}, "'0.6' or '0.5'"),
+        ({"torque_feedback": True, **OLD}, "tells no torque"),
+        ({"endpoint_torque_max": 3, **OLD}, "no SDO"),
+    ],
+)
+def test_what_it_does_not_have_is_refused(options, said):
+    with pytest.raises(ConfigError, match=said):
+        make_drive(described("odrive", NODE, 0.1, options), 0)
+
+
+def test_its_heartbeat_is_the_vendors():
+    folder = Path(odrive_can.__file__).parent
+    dbc = cantools.database.load_file(next(folder.rglob("odrive-cansimple-0.5*.dbc")))
+    message = dbc.get_message_by_name("Axis1_Heartbeat")
+    choices = message.get_signal_by_name("Axis_Error").choices
+    for bit in odrive_05.ERRORS:
+        assert 1 << bit in choices, bit
+    flags = {"Motor_Error_Flag": 64, "Encoder_Error_Flag": 256, "Controller_Error_Flag": 512}
+    values = {signal.name: 0 for signal in message.signals} | {"Axis_State": 8}
+    for name, error in flags.items():
+        data = message.encode(values | {name: 1})
+        assert odrive_05.heartbeat(data) == (error, 8, 0)
+    place = VirtualBench("odrive", **OLD)
+    place.bench.nodes[0].disarm(1 << 24)
+    place.bench.advance(200_000_000)
+    beat = next(frame for frame in place.drain() if frame.can_id & 0x1F == 1)
+    assert message.decode(beat.data, decode_choices=True)["Axis_Error"] == "WATCHDOG_TIMER_EXPIRED"
+
+
+def test_a_heartbeat_of_the_new_kind_is_not_taken_for_an_old_one_with_flags():
+    drive = make_drive(described("odrive", NODE, 0.1, {}), 0)
+    beat = Frame(NODE << 5 | 1, struct.pack("<IBBBB", 0, 1, 3, 0, 0), 0, 0, 10)
+    assert drive.receive(drive.initial(), beat).phase != Phase.FAULT
