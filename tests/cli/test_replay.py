@@ -114,3 +114,15 @@ def test_text_of_a_log_cannot_become_markup() -> None:
     from handctl.report.page import _text
 
     assert _text("<script>\x1b[31m&") == "&lt;script&gt;\\x1b[31m&amp;"
+
+
+def test_a_report_tells_its_faults_and_contacts_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("handctl.report.page.MOST_EVENTS", 3)
+    out = tmp_path / "page.html"
+    assert main(["report", str(GOLDEN / "jamia-fault.mcap"), "--output", str(out)]) == 0
+    text = out.read_text()
+    head = text[: text.index("The hand in each phase")]
+    assert "B02 a motor has gone silent: 1, first at" in head
+    for digit in ("index", "middle", "ring", "thumb"):
+        assert f"{digit} touches" in head
+    assert "more: handctl log info" in text

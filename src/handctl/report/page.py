@@ -3,18 +3,25 @@
 import base64
 import html
 import tempfile
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from handctl.hand.description import Hand
+from handctl.log.clock_pairs import steps
 from handctl.log.logfile import printable
+from handctl.log.moments import LoggedEvent
 from handctl.log.reader import RunLog
 from handctl.report.figure import draw_run
 from handctl.report.pictures import lateness, loads, poses
 from handctl.report.summary import summarise
 from handctl.report.truth import Truth
+
+MOST_EVENTS, MOST_CONTACTS = 500, 20
+"""Of a run that had more, the page shows the first."""
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; max-width: 1100px; margin: 2em auto;
@@ -88,6 +95,9 @@ def _numbers(
         ("ticks", f"{found['ticks']} at {found['rate_hz']:g} Hz, {found['missed']} missed"),
         ("lateness p50 / p99.9 / max", f"{late['p50']:.0f} / {late['p99_9']:.0f} / {late['max']:.0f} us"),
         ("gaps in the log", f"{len(log.gaps)}"),
+        ("faults", _faults(log)),
+        ("contacts", _contacts(log)),
+        ("steps of the wall clock", ", ".join(f"{s.step_s:+.1f} s at {s.t_s:.0f} s" for s in steps(log.clock_pairs))),
         (
             "largest bus load, by frames",
             ", ".join(f"{n} {100 * x:.0f} %" for n, x in zip(hand.bus_names, load, strict=True)),
@@ -122,10 +132,32 @@ def _run(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> str:
     return f'<img alt="angles, tensions, contact forces and lateness over time" src="data:image/png;base64,{data}">'
 
 
+def _faults(log: RunLog) -> str:
+    """How often each fault was told, and when first."""
+    first: dict[str, float] = {}
+    counts: Counter[str] = Counter()
+    for event in _named(log, "fault"):
+        kind = event.event.text.partition(":")[0]
+        first.setdefault(kind, event.t_ns / 1e9)
+        counts[kind] += 1
+    return "<br>".join(f"{_text(kind)}: {counts[kind]}, first at {t:.3f} s" for kind, t in first.items()) or "none"
+
+
+def _contacts(log: RunLog) -> str:
+    found = (f"{_text(event.event.text)} at {event.t_ns / 1e9:.3f} s" for event in _named(log, "contact"))
+    return "<br>".join(islice(found, MOST_CONTACTS))
+
+
+def _named(log: RunLog, name: str) -> Iterator[LoggedEvent]:
+    return (event for event in log.events if event.event.name == name)
+
+
 def _events(log: RunLog) -> str:
+    left = len(log.events) - MOST_EVENTS
+    more = f"<p>and {left} more: handctl log info</p>" if left > 0 else ""
     rows = (
         f'<tr class="{_text(event.level)}"><td class=n>{t_ns / 1e9:.3f} s</td><td>{_text(event.level)}</td>'
         f"<td>{_text(event.name)}</td><td>{_text(event.text)}</td></tr>"
-        for _, t_ns, event in log.events
+        for _, t_ns, event in log.events[:MOST_EVENTS]
     )
-    return "<table>" + "".join(rows) + "</table>"
+    return "<table>" + "".join(rows) + "</table>" + more

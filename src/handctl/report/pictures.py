@@ -73,7 +73,7 @@ def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
             if frame.bus < len(hand.bus):
                 bus = hand.bus[frame.bus]
                 fd = bool(frame.flags & FDF)
-                busy[i, frame.bus] += frame_time_s(len(frame.data), fd, bus.bitrate)
+                busy[i, frame.bus] += frame_time_s(len(frame.data), fd, bus.bitrate, bus.data_bitrate)
     window = max(1, round(LOAD_WINDOW_S * 1e9 / log.header.period_ns))
     kernel = np.ones(window) / (window * log.header.period_ns * 1e-9)
     share = np.column_stack([np.convolve(column, kernel, "same") for column in busy.T])

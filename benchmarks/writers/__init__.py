@@ -1,0 +1,1 @@
+"""The log writers that benchmarks/logging.py compares."""

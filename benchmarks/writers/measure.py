@@ -1,0 +1,185 @@
+"""Writes the same run with every writer, reads it back, and prints what it cost."""
+
+import argparse
+import json
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import synthetic
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from benchmarks.writers.others import OTHERS, Message
+from handctl.log.reader import RunLog
+from handctl.log.record import FRAMING, pack
+from handctl.log.recorder import Recorder
+from handctl.log.writer import LogWriter
+
+RATE_HZ = 1000
+
+
+def main(about: str) -> None:
+    """Measure, print."""
+    parser = argparse.ArgumentParser(description=about.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="a fifth of a second of the run instead of two")
+    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="h-") as folder:
+        result = measure(Path(folder), 0.2 if args.quick else 2.0, 2.0 if args.quick else 20.0)
+    print(json.dumps(result, indent=2)) if args.json else show(result)
+
+
+def measure(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
+    """All numbers."""
+    run = synthetic.header("jamia11", RATE_HZ)
+    ticks = list(synthetic.Synthetic(run, seconds))
+    writers = {"handctl": ours(folder / "ours.mcap", run, ticks)}
+    messages = decoded(folder / "ours.mcap")
+    for name, make in OTHERS.items():
+        try:
+            writers[name] = other(folder / f"{name}.mcap", make, messages, len(ticks))
+        except ImportError as error:
+            writers[name] = {"skipped": f"{error.name} is not installed: make bench brings it"}
+    return {
+        "hand": "jamia11",
+        "rate_hz": RATE_HZ,
+        "ticks": len(ticks),
+        "messages": len(messages),
+        "frames": sum(len(tick_in.frames) + len(out.frames) for tick_in, out in ticks),
+        "writers": writers,
+        "sustained": sustained(folder / "sustained.mcap", sustained_s),
+    }
+
+
+def _spent(work: Callable[[], object]) -> float:
+    """Processor time [s]."""
+    begin = time.process_time()
+    work()
+    return time.process_time() - begin
+
+
+def ours(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
+    """The loop's share is packing and handing over; the recorder's is measured beside it, without its process."""
+    records: list[bytes] = []
+    packing = _spent(lambda: records.extend(pack(*tick) for tick in ticks))
+    recorder = Recorder.start(path.with_suffix(".pipe.mcap"), run)
+    handing = _spent(lambda: [(recorder.record(record), recorder.events()) for record in records])
+    recorder.close("finished")
+    writer = LogWriter(path, run, print, 1)
+
+    def write() -> None:
+        for record in records:
+            writer.add(record[FRAMING.size :])
+        writer.finish("finished", 0)
+
+    writing = _spent(write)
+
+    def read() -> None:
+        with RunLog(path) as log:
+            assert sum(1 for _ in log.ticks()) == len(log.field("tension")) == len(ticks)
+
+    return _row(packing + handing, packing + handing + writing, path.stat().st_size, _spent(read), len(ticks))
+
+
+def other(path: Path, make: Any, messages: list[Message], ticks: int) -> dict[str, float]:
+    """All of its cost is in the loop: it writes where it is called. It reads all; ours, ticks and telemetry."""
+    writer = make(path)
+
+    def write() -> None:
+        for one in messages:
+            writer.write(one)
+        writer.close()
+
+    spent, count = _spent(write), 0
+
+    def read() -> None:
+        nonlocal count
+        count = sum(1 for _ in writer.read())
+
+    reading = _spent(read)
+    assert count == len(messages), f"{path}: {count} of {len(messages)} messages came back"
+    files = path.rglob("*") if path.is_dir() else [path]
+    return _row(spent, spent, sum(file.stat().st_size for file in files), reading, ticks)
+
+
+def _row(loop: float, total: float, size: int, reading: float, ticks: int) -> dict[str, float]:
+    return {
+        "loop_us_per_tick": 1e6 * loop / ticks,
+        "total_us_per_tick": 1e6 * total / ticks,
+        "bytes_per_tick": size / ticks,
+        "read_times_real_time": ticks / RATE_HZ / reading,
+    }
+
+
+def decoded(path: Path) -> list[Message]:
+    """Every message of a log as plain values."""
+    found = []
+    factory = DecoderFactory()
+    with path.open("rb") as file:
+        for schema, channel, one in make_reader(file).iter_messages(log_time_order=False):
+            decode = factory.decoder_for(channel.message_encoding, schema)
+            content = _plain(decode(one.data))
+            found.append(Message(channel.topic, schema.name, schema.data.decode(), one.log_time, content))
+    return found
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "__slots__") and not isinstance(value, (str, bytes, list, tuple)):
+        return {name: _plain(getattr(value, name)) for name in value.__slots__}
+    if isinstance(value, bytes):
+        return list(value)
+    return [_plain(one) for one in value] if isinstance(value, (list, tuple)) else value
+
+
+def sustained(path: Path, seconds: float) -> dict[str, float]:
+    """11 motors at 1 kHz in real time, feeder and recorder on one core: what was dropped, the recorder's share of it.
+
+    The feeder does not catch up on what a stalled machine made it miss: it is late, as the loop would be.
+    """
+    import psutil
+
+    run = synthetic.header("jamia11", RATE_HZ, deterministic=False)
+    records = [pack(*tick) for tick in synthetic.Synthetic(run, seconds)]
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})  # the recorder inherits it
+    recorder = Recorder.start(path, run)
+    begin, late = time.perf_counter(), 0.0
+    for k, record in enumerate(records):
+        left = begin + k / RATE_HZ - time.perf_counter()
+        if left > 0:
+            time.sleep(left)
+        late = max(late, -left)
+        recorder.record(record)
+        recorder.events()
+    spent = psutil.Process(recorder._child.pid).cpu_times()
+    wall = time.perf_counter() - begin
+    summary = recorder.close("finished")
+    os.sched_setaffinity(0, cores)
+    share = (spent.user + spent.system) / wall
+    dropped = int(str(summary["dropped"]))
+    return {"seconds": wall, "dropped": dropped, "recorder_core_share": share, "latest_ms": 1e3 * late}
+
+
+def show(result: dict[str, Any]) -> None:
+    """For a person."""
+    print(f"{result['ticks']} ticks of {result['hand']} at {result['rate_hz']} Hz: {result['messages']} messages")
+    print(f"{'':<18} {'in the loop':>14} {'in all':>14} {'size':>14} {'read':>16}")
+    base = result["writers"]["handctl"]
+    for name, row in result["writers"].items():
+        if "skipped" in row:
+            print(f"{name:<18} {row['skipped']}")
+            continue
+        loop, total, size, read = row.values()
+        print(f"{name:<18} {loop:8.0f} us/tick {total:8.0f} us/tick {size:8.0f} B/tick {read:8.1f} x real time")
+        if row is not base:
+            ratios = (loop / base["loop_us_per_tick"], total / base["total_us_per_tick"], size / base["bytes_per_tick"])
+            print(f"{'':<18} {ratios[0]:8.1f} times    {ratios[1]:8.1f} times    {ratios[2]:8.2f} times")
+    held = result["sustained"]
+    print(
+        f"in real time for {held['seconds']:.1f} s on one core: {held['dropped']} ticks dropped, recorder "
+        f"{100 * held['recorder_core_share']:.0f} % of it, the feeder itself late by up to {held['latest_ms']:.0f} ms"
+    )

@@ -1,0 +1,141 @@
+"""What one would use instead: each writes the same decoded messages into a file, and reads the file back."""
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+
+class Message(NamedTuple):
+    """One message: topic, type, definition, time [ns], and its content as plain values."""
+
+    topic: str
+    kind: str
+    schema: str
+    t_ns: int
+    content: dict[str, Any]
+
+
+class Writer(NamedTuple):
+    """How a log is written: a function that takes one message, one that ends the file, one that reads all of it."""
+
+    write: Callable[[Message], None]
+    close: Callable[[], None]
+    read: Callable[[], Iterator[Any]]
+
+
+def mcap_ros2(path: Path) -> Writer:
+    """mcap-ros2-support, with its own settings."""
+    from mcap_ros2.reader import read_ros2_messages
+    from mcap_ros2.writer import Writer as Ros2Writer
+
+    file = path.open("wb")
+    writer, schemas = Ros2Writer(file), {}
+
+    def write(one: Message) -> None:
+        if one.kind not in schemas:
+            schemas[one.kind] = writer.register_msgdef(one.kind, one.schema)
+        writer.write_message(one.topic, schemas[one.kind], one.content, one.t_ns, one.t_ns)
+
+    def close() -> None:
+        writer.finish()
+        file.close()
+
+    return Writer(write, close, lambda: (one.ros_msg for one in read_ros2_messages(str(path))))
+
+
+def rosbags(path: Path) -> Writer:
+    """rosbags: a folder with MCAP storage, each message as an object of its type."""
+    from rosbags.highlevel import AnyReader
+    from rosbags.rosbag2 import StoragePlugin
+    from rosbags.rosbag2 import Writer as BagWriter
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store, connections = get_typestore(Stores.EMPTY), {}
+    bag = BagWriter(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    bag.open()
+
+    def write(one: Message) -> None:
+        if one.topic not in connections:
+            types = get_types_from_msg(one.schema, one.kind)
+            store.register({name: kind for name, kind in types.items() if name not in store.fielddefs})
+            connections[one.topic] = bag.add_connection(one.topic, one.kind, typestore=store)
+        data = store.serialize_cdr(_object(store, one.kind, one.content), one.kind)
+        bag.write(connections[one.topic], one.t_ns, bytes(data))
+
+    def read() -> Iterator[Any]:
+        with AnyReader([path]) as reader:
+            for connection, _, raw in reader.messages():
+                yield reader.deserialize(raw, connection.msgtype)
+
+    return Writer(write, bag.close, read)
+
+
+def _object(store: Any, kind: str, content: dict[str, Any]) -> Any:
+    """Plain values as an object of the type store."""
+    import numpy as np
+
+    fields = {}
+    for name, (node, inner) in store.fielddefs[kind][1]:
+        value = content[name]
+        if node.name == "NAME":
+            fields[name] = _object(store, inner, value)
+        elif node.name == "BASE":
+            fields[name] = value
+        elif inner[0][0].name == "NAME":
+            fields[name] = [_object(store, inner[0][1], one) for one in value]
+        else:
+            word = inner[0][1][0]
+            fields[name] = list(value) if word == "string" else np.array(value, word.replace("byte", "uint8"))
+    return store.types[kind](**fields)
+
+
+def json_mcap(path: Path) -> Writer:
+    """JSON in MCAP: json.dumps and the mcap package."""
+    from mcap.reader import make_reader
+    from mcap.writer import Writer as McapWriter
+
+    file = path.open("wb")
+    writer, channels = McapWriter(file), {}
+    writer.start("", "benchmark")
+
+    def write(one: Message) -> None:
+        if one.topic not in channels:
+            schema = writer.register_schema(one.kind, "jsonschema", b'{"type": "object"}')
+            channels[one.topic] = writer.register_channel(one.topic, "json", schema)
+        writer.add_message(channels[one.topic], one.t_ns, json.dumps(one.content).encode(), one.t_ns)
+
+    def close() -> None:
+        writer.finish()
+        file.close()
+
+    def read() -> Iterator[Any]:
+        with path.open("rb") as opened:
+            for _, _, one in make_reader(opened).iter_messages(log_time_order=False):
+                yield json.loads(one.data)
+
+    return Writer(write, close, read)
+
+
+def foxglove(path: Path) -> Writer:
+    """The Foxglove SDK: its own channels for dictionaries, which it writes as JSON."""
+    import foxglove as sdk
+    from mcap.reader import make_reader
+
+    context, channels = sdk.Context(), {}
+    file = sdk.open_mcap(path, context=context)
+
+    def write(one: Message) -> None:
+        if one.topic not in channels:
+            channels[one.topic] = sdk.Channel(one.topic, schema={"type": "object"}, context=context)
+        channels[one.topic].log(one.content, log_time=one.t_ns)
+
+    def read() -> Iterator[Any]:
+        with path.open("rb") as opened:
+            for _, _, one in make_reader(opened).iter_messages(log_time_order=False):
+                yield json.loads(one.data)
+
+    return Writer(write, file.close, read)
+
+
+OTHERS = {"mcap-ros2-support": mcap_ros2, "rosbags": rosbags, "JSON": json_mcap, "foxglove-sdk": foxglove}
