@@ -15,6 +15,8 @@ from handctl.drives.registry import make_drive
 from handctl.hand.sections import Bus, Motor
 from handctl.runtime.scan import Scan, all_questions, scan
 from tests.drives.bench_process import drives
+from tests.drives.protocol_bench import Bench as HandBench
+from tests.drives.protocol_bench import hand_file
 
 
 class BenchBus:
@@ -92,6 +94,19 @@ def test_beside_another_host_it_only_listens(talk):
     assert result.foreign
     assert bus.heard == []
     assert scanned(("mit", 1), talk=[talk], force=True)[0].found
+
+
+def test_the_sensor_node_of_a_hand_is_found_but_not_beside_drives_that_know_sync(tmp_path):
+    beside = {"mit": True, "cia402": False}
+    for protocol, seen in beside.items():
+        bench = HandBench(hand_file(tmp_path, [protocol]))
+        result = scan(BenchBus(bench.rig.world), hear=hear)
+        bench.rig.close()
+        assert len([node for node in result.found if node.protocol == protocol]) == 4
+        sensors = [node for node in result.found if node.protocol == "sensor"]
+        assert [node.node_id for node in sensors] == ([0x1A0] if seen else [])
+        assert (0x080 in {frame.can_id for frame in result.unasked}) is not seen
+        assert not seen or "4 channels" in sensors[0].notes[0]
 
 
 def test_an_odrive_that_talks_by_itself_is_no_other_host():

@@ -148,7 +148,8 @@ def _print(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> None:
 def _print_drive(drive: Found) -> None:
     known = (("firmware", drive.firmware), ("serial", drive.serial), ("", drive.state), ("ERROR", drive.error))
     words = "  ".join(f"{key} {text}".strip() for key, text in known if text)
-    print(f"  {drive.protocol:<8}{drive.node_id:>4}  {words}")
+    number = f"{drive.node_id:#x}" if drive.protocol == "sensor" else str(drive.node_id)
+    print(f"  {drive.protocol:<8}{number:>5}  {words}")
     for note in drive.notes:
         print(f"                {note}")
 

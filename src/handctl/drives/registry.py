@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from handctl.drives import cia402_discovery, mit_discovery, odrive_discovery
+from handctl.drives import cia402_discovery, mit_discovery, odrive_discovery, sensor_discovery
 from handctl.drives.cia402 import Cia402Drive
 from handctl.drives.contract import Drive
 from handctl.drives.description import MotorDescription
@@ -20,9 +20,14 @@ PROTOCOLS: dict[str, Callable[[MotorDescription, int], Drive]] = {
 
 DISCOVERIES: dict[str, Discovery] = {
     name: Discovery(module.questions, module.found, module.orders, module.foreign, module.ping, module.pong)
-    for name, module in (("odrive", odrive_discovery), ("mit", mit_discovery), ("cia402", cia402_discovery))
+    for name, module in (
+        ("odrive", odrive_discovery),
+        ("mit", mit_discovery),
+        ("cia402", cia402_discovery),
+        ("sensor", sensor_discovery),
+    )
 }
-"""How each protocol is looked for on a bus."""
+"""How each protocol, and the sensor node, is looked for on a bus."""
 
 
 def make_drive(motor: MotorDescription, bus: int) -> Drive:
