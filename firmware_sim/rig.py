@@ -1,6 +1,6 @@
 """The simulator in lockstep: the caller's ticks are its clock, and nobody sleeps."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +9,8 @@ from firmware_sim.frame import FDF, Frame
 from firmware_sim.perturb import perturbed
 from firmware_sim.scene import load_scene
 from firmware_sim.truth import TruthWriter
+from firmware_sim.wire.options import parse
+from firmware_sim.wired_tick import WiredTick
 from firmware_sim.world import World
 
 FRAME_NS = 135_000
@@ -22,6 +24,7 @@ class Rig:
 
     Attributes:
         world: plant and nodes, for tests that look behind the wire.
+        wired: the wires; None without.
     """
 
     def __init__(
@@ -34,6 +37,7 @@ class Rig:
         perturb: dict[str, float] | None = None,
         period_ns: int = 2_000_000,
         homed: bool = False,
+        wire: Sequence[str] | None = None,
     ) -> None:
         """Build the hand.
 
@@ -45,13 +49,15 @@ class Rig:
             perturb: factors on plant parameters, see ``perturb.KEYS``.
             period_ns: length of a tick [ns].
             homed: start with taut ropes and encoders at zero.
+            wire: KEY=VALUE words of a simulated wire, see ``wire.options``; None for answers that are never late.
 
         Raises:
-            SimulatorError: hand, scene or factors are wrong.
+            SimulatorError: hand, scene, factors or wire are wrong.
         """
         hand = perturbed(load_hand(hand_path), perturb or {})
         self.world = World(hand, load_scene(scene), seed, homed)
         self._period_ns = period_ns
+        self.wired = None if wire is None else WiredTick(self.world, parse(wire))
         self._truth: TruthWriter | None = None
         if truth_path is not None:
             header = {**self.world.header("virtual"), "perturb": perturb or {}}
@@ -66,8 +72,11 @@ class Rig:
             frames: can_id, data, flags, bus, t_ns of each frame.
 
         Returns:
-            The answers, stamped as if they followed one another on each bus, all within the tick.
+            The answers, stamped as if they followed one another on each bus, all within the tick; with a wire those
+            that have arrived by the end of the tick, and the error frames of the host's controllers.
         """
+        if self.wired is not None:
+            return self.wired.step(t_ns, [Frame(*frame) for frame in frames], t_ns + self._period_ns)
         self.world.advance(t_ns)
         busy_ns = [0] * len(self.world.nodes)
         answers = []
@@ -103,8 +112,14 @@ class Rig:
     def close(self) -> None:
         """Complete the truth file."""
         if self._truth is not None:
-            self._truth.close({"foreign_frames": self.world.foreign, "malformed_frames": self.world.malformed})
+            counts = {"foreign_frames": self.world.foreign, "malformed_frames": self.world.malformed}
+            self._truth.close(counts | ({"wire_load": self._loads()} if self.wired else {}))
             self._truth = None
+
+    def _loads(self) -> list[float]:
+        """Share of the time that each wire was occupied."""
+        assert self.wired
+        return [round(wire.load(0, max(1, self.world.t_ns)), 4) for wire in self.wired.wires]
 
 
 def _arrival_ns(frame: Frame) -> int:

@@ -60,9 +60,10 @@ def on_two_buses(path: Path, motors: Sequence[int] = (2, 3)) -> Path:
 class Bench:
     """All drives and the sensor node of a hand, ticked together against the simulator."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, wire: Sequence[str] | None = None, period_ns: int = PERIOD_NS) -> None:
         self.hand = load_hand(str(path))
-        self.rig = Rig(str(path), seed=3, period_ns=PERIOD_NS)
+        self.period_ns = period_ns
+        self.rig = Rig(str(path), seed=3, period_ns=period_ns, wire=wire)
         buses = self.hand.bus_names
         motors = [self.hand.motor_of(name) for name in self.hand.tendon_names]
         self.drives: list[Drive] = [make_drive(motor, buses.index(motor.bus)) for motor in motors]
@@ -80,10 +81,10 @@ class Bench:
         self.sensors, sync = self.node.sync(self.sensors, self.k)
         outgoing = [sync, *extra]
         for i, drive in enumerate(self.drives):
-            self.states[i], frames = drive.advance(self.states[i], self.k * PERIOD_NS, want, torque)
+            self.states[i], frames = drive.advance(self.states[i], self.k * self.period_ns, want, torque)
             outgoing += frames
         self.sent = outgoing
-        self.incoming = [Frame(*reply) for reply in self.rig.step(self.k * PERIOD_NS, list(outgoing))]
+        self.incoming = [Frame(*reply) for reply in self.rig.step(self.k * self.period_ns, list(outgoing))]
         self.k += 1
 
     def until(self, want: Want, phase: Phase, ticks: int = 400) -> None:

@@ -102,5 +102,5 @@ def test_the_load_is_that_of_the_table(tmp_path: Path, protocol: str, extra: str
     """Of the table the motors' frames; it counts 8 bytes of tensions, and SYNC (empty) with CiA 402 alone."""
     bench = Bench(hand_file(tmp_path, [protocol], extra))
     frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.exchange] + [(8, False, 1.0)]
-    frames += [(0, False, 1.0)] if protocol == "cia402" else []
+    frames += [(0, False, 1.0)] if protocol == "cia402" else [(8, False, 4.0)] if protocol == "odrive" else []
     assert bus_time_s(frames, 1e6) * 1e6 == pytest.approx(microseconds, rel=0.02)

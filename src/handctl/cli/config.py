@@ -5,10 +5,10 @@ from pathlib import Path
 
 from handctl.cli.gains_layers import LayeredGains, gains_options, layered_gains
 from handctl.cli.options import hand_option, json_option, print_json
-from handctl.cli.plan import TASKS, find_calibration, find_task, tick_times_s
+from handctl.cli.plan import TASKS, fastest, find_calibration, find_task
+from handctl.controller.bus_load import bus_loads
 from handctl.controller.gain_bounds import flat
 from handctl.controller.setup import caveats, make_drives
-from handctl.drives.load import highest_rate
 from handctl.hand.description import Hand, hand_path, load_hand, packaged_hands
 
 EXAMPLE = "handctl config show --hand jamia"
@@ -34,9 +34,9 @@ def run(args: argparse.Namespace) -> int:
     layers = layered_gains(args, hand.name)
     if args.task:
         find_task(args.task, hand)
-    times = tick_times_s(hand)
-    rate = highest_rate(times)
-    load = {name: rate * busy for name, busy in zip(hand.bus_names, times, strict=True)}
+    loads = bus_loads(hand)
+    rate = fastest(loads)
+    load = {one.name: one.at(rate) for one in loads}
     source = str(hand_path(args.hand).name)
     if args.json:
         print_json(
@@ -60,8 +60,8 @@ def run(args: argparse.Namespace) -> int:
         print(f"# {_calibration_line(args, hand)}")
     for text in caveats(make_drives(hand)):
         print(f"# caution: {text}")
-    loads = ", ".join(f"bus {name} {100 * share:.0f} %" for name, share in load.items())
-    print(f"# default rate {rate:g} Hz: {loads}; gains: {layers.file or 'packaged'}; all files are good")
+    told = ", ".join(f"bus {name} {100 * share:.0f} %" for name, share in load.items())
+    print(f"# default rate {rate:g} Hz: {told}; gains: {layers.file or 'packaged'}; all files are good")
     return 0
 
 

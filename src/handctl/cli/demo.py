@@ -12,7 +12,7 @@ from typing import Any
 
 from handctl.cli.commission import commission, write_calibration
 from handctl.cli.exit_codes import Exit
-from handctl.cli.options import dry_run_option, hand_option, json_option
+from handctl.cli.options import dry_run_option, hand_option, json_option, wire_option, wire_words
 from handctl.cli.plan import default_log, find_task, make_plan
 from handctl.cli.run import report
 from handctl.cli.session import Outcome, Plan, Runner, make_controller, refuse_blind_view, run_live, run_lockstep
@@ -42,6 +42,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--scene", default="cylinder", metavar="NAME|FILE", help="what the hand meets (default: cylinder)"
     )
     parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
+    wire_option(parser)
     parser.add_argument(
         "--lockstep", action="store_true", help="virtual time: faster than real time, the same every time"
     )
@@ -67,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     if args.lockstep:
         outcome, truth = _in_lockstep(args, plan, TaskProgram(task), log)
     else:
-        with simulator(args, plan.buses[0]):
+        with simulator(args, plan):
             outcome = _commission_and_run(plan, TaskProgram(task), log, run_live, _live(args.view))
         truth = truth_path(plan.buses[0])
     wall = time.monotonic() - started
@@ -123,6 +124,7 @@ def _peer(args: argparse.Namespace, plan: Plan, truth: Path | None) -> Peer:
         seed=args.seed,
         period_ns=plan.period_ns,
         truth_path=str(truth) if truth else None,
+        wire=args.wire,
     )
 
 
@@ -133,14 +135,16 @@ def _speed(outcome: Outcome, plan: Plan, wall: float) -> dict[str, Any]:
 
 
 @contextmanager
-def simulator(args: argparse.Namespace, spec: str) -> Iterator[None]:
+def simulator(args: argparse.Namespace, plan: Plan) -> Iterator[None]:
     """The simulator as a process of its own, ready when the body begins.
 
     Raises:
         BusError: it does not start.
     """
-    command = [sys.executable, "-m", SIMULATOR, "--hand", str(args.hand), "--bus", spec]
-    command += ["--scene", str(args.scene), "--seed", str(args.seed)]
+    command = [sys.executable, "-m", SIMULATOR, "--hand", str(args.hand)]
+    command += ["--scene", str(args.scene), "--seed", str(args.seed), *wire_words(args)]
+    for name, spec in zip(plan.hand.bus_names, plan.buses, strict=True):
+        command += ["--bus", f"{name}={spec}"]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
     try:
         assert child.stdout is not None

@@ -58,6 +58,17 @@ def say(text: str, error: bool = False) -> None:
     print(printable(text, LONGEST_LINE), file=sys.stderr if error else sys.stdout)
 
 
+def wire_option(parser: argparse.ArgumentParser) -> None:
+    """--wire: simulated frames take the time of a real bus."""
+    text = "the simulated bus has a bit rate, queues and errors; e.g. --wire queue=10 (python -m firmware_sim --help)"
+    parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help=text)
+
+
+def wire_words(args: argparse.Namespace) -> list[str]:
+    """The option as the simulator takes it."""
+    return [] if args.wire is None else ["--wire", *args.wire]
+
+
 def print_json(result: dict[str, Any]) -> None:
     """Print a result for programs; NaN becomes null."""
     json.dump(_plain(result), sys.stdout, indent=2, allow_nan=False)

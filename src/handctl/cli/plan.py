@@ -9,10 +9,10 @@ from pathlib import Path
 
 from handctl.cli.gains_layers import layered_gains
 from handctl.cli.session import Plan
+from handctl.controller.bus_load import BusLoad, bus_loads
 from handctl.controller.calibration import Calibration, load_calibration
-from handctl.controller.setup import make_drives, make_sensors
 from handctl.controller.task import Task, check_task, load_task, load_trajectory
-from handctl.drives.load import MOST, bus_time_s, highest_rate
+from handctl.drives.load import MOST, highest_rate
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand, load_hand
 
@@ -32,14 +32,14 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> Plan:
     hand = load_hand(args.hand)
     layers = layered_gains(args, hand.name)
     buses = () if lockstep else bus_specs(hand, args.bus)
-    times = tick_times_s(hand)
-    rate = highest_rate(times) if args.rate is None else _rate(args.rate, hand)
-    load = tuple(rate * busy for busy in times)
+    loads = bus_loads(hand)
+    rate = fastest(loads) if args.rate is None else _rate(args.rate, hand)
+    load = tuple(one.at(rate) for one in loads)
     if not 0 < args.time_scale <= 100:
         raise ConfigError(f"{args.time_scale:g}", "--time-scale", "more than 0, at most 100")
     for name, share in zip(hand.bus_names, load, strict=True):
         if share > MOST:
-            best = highest_rate(times)
+            best = fastest(loads)
             raise ConfigError(
                 f"bus {name} would be {100 * share:.0f} % full at {rate:g} Hz", "--rate", f"at most {best:g}"
             )
@@ -85,15 +85,12 @@ def bus_specs(hand: Hand, given: Sequence[str]) -> tuple[str, ...]:
 
 def tick_times_s(hand: Hand) -> tuple[float, ...]:
     """Worst-case time that one tick's frames take on each bus of a hand [s]."""
-    drives, sensors = make_drives(hand), make_sensors(hand)
-    times = []
-    for index, bus in enumerate(hand.bus):
-        frames = [(size, fd, 1.0) for drive in drives if drive.bus == index for size, fd in drive.exchange]
-        if any(fd for _, fd, _ in frames) and bus.data_bitrate is None:
-            raise ConfigError("missing, and a motor on it is set to CAN FD", f"bus[{bus.name}].data_bitrate", "bit/s")
-        frames += [(size, False, number) for size, number in sensors.exchange] if sensors.bus == index else []
-        times.append(bus_time_s(frames, bus.bitrate, bus.data_bitrate))
-    return tuple(times)
+    return tuple(load.tick_s for load in bus_loads(hand))
+
+
+def fastest(loads: Sequence[BusLoad]) -> float:
+    """The highest usual control rate that all buses can carry [Hz]."""
+    return highest_rate((load.tick_s for load in loads), (load.share for load in loads))
 
 
 def find_task(name: Path, hand: Hand) -> tuple[Task, bytes]:

@@ -4,7 +4,7 @@ import argparse
 import os
 import sys
 
-from handctl.cli.options import bus_option, hand_option, json_option
+from handctl.cli.options import bus_option, hand_option, json_option, wire_option, wire_words
 from handctl.hand.description import load_hand
 
 EXAMPLE = "handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"
@@ -18,6 +18,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dry-run", action="store_true", help="print the command and end")
     parser.add_argument("--scene", default="cylinder", help="cylinder, sphere, box, none, or a scene file")
     parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
+    wire_option(parser)
     parser.add_argument("--time-scale", type=float, default=1.0, help="simulated time per wall time")
 
 
@@ -28,6 +29,7 @@ def run(args: argparse.Namespace) -> int:
     command += ["--seed", str(args.seed), "--time-scale", str(args.time_scale)]
     for bus in args.bus:
         command += ["--bus", bus]
+    command += wire_words(args)
     if args.dry_run:
         print(" ".join(["python", *command[1:]]))
         return 0

@@ -24,6 +24,7 @@ from handctl.drives.cia402_progress import (
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
 from handctl.drives.frame import Frame
+from handctl.drives.options import positive, switch
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = Want
@@ -76,15 +77,13 @@ class Cia402Drive:
         options, where = dict(motor.options), f"motor[{motor.name}].options"
         if not 0 < motor.node_id < setup.MASTER:
             raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {setup.MASTER - 1}")
-        ratio = _number(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", 1000)
-        rated = _number(options.pop("rated_torque_N_m", None), f"{where}.rated_torque_N_m", 1000)
-        counts = _number(options.pop("counts_per_turn", None), f"{where}.counts_per_turn", 1 << 24)
-        heartbeat = _number(options.pop("heartbeat_ms", 50), f"{where}.heartbeat_ms", 1000)
-        unit, sync = options.pop("rated_torque_unit", "mN_m"), options.pop("sync", False)
+        ratio = positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", 1000)
+        rated = positive(options.pop("rated_torque_N_m", None), f"{where}.rated_torque_N_m", 1000)
+        counts = positive(options.pop("counts_per_turn", None), f"{where}.counts_per_turn", 1 << 24)
+        heartbeat = positive(options.pop("heartbeat_ms", 50), f"{where}.heartbeat_ms", 1000)
+        unit, sync = options.pop("rated_torque_unit", "mN_m"), switch(options.pop("sync", False), f"{where}.sync")
         if unit not in UNITS:
             raise ConfigError(repr(unit), f"{where}.rated_torque_unit", " or ".join(UNITS))
-        if type(sync) is not bool:
-            raise ConfigError(repr(sync), f"{where}.sync", "true or false")
         if options:
             known = "rated_torque_N_m, rated_torque_unit, counts_per_turn, gear_ratio, heartbeat_ms or sync"
             raise ConfigError("unknown key", f"{where}.{next(iter(options))}", known)
@@ -109,8 +108,13 @@ class Cia402Drive:
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """RPDO, TPDO, perhaps SYNC; heartbeats are rare enough to leave out."""
+        """RPDO, TPDO, perhaps SYNC."""
         return ((4, False), (8, False), *(((0, False),) if self.sync else ()))
+
+    @property
+    def background(self) -> tuple[tuple[int, bool, float], ...]:
+        """Its heartbeat and this host's."""
+        return ((1, False, HEARTBEATS_MISSED * 1e9 / self.patience_ns), (1, False, 1e9 / self.beat_every_ns))
 
     @property
     def host_ids(self) -> frozenset[int]:
@@ -254,9 +258,3 @@ class Cia402Drive:
 
 
 _MASTER_BEAT = codec.HEARTBEAT + setup.MASTER
-
-
-def _number(value: object, where: str, most: float) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= most:
-        raise ConfigError("missing" if value is None else repr(value), where, f"a number above 0, at most {most:g}")
-    return float(value)

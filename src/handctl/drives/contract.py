@@ -77,6 +77,7 @@ class Drive(Protocol):
         bus: index of its bus.
         torque_limit: largest torque that can be commanded [N m at the spool].
         exchange: worst-case frames of one control tick, both ways, as (payload bytes, CAN FD?) for the bus load.
+        background: frames that come by time, whatever the tick, as (payload bytes, CAN FD?, how many a second).
         host_ids: identifiers that only the host sends for this drive; from elsewhere they mean a second controller.
         node_ids: identifiers that the drive answers on.
         caveats: guards that cannot be verified with this configuration, for a person to read before arming.
@@ -90,6 +91,8 @@ class Drive(Protocol):
     def torque_limit(self) -> float: ...
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]: ...
+    @property
+    def background(self) -> tuple[tuple[int, bool, float], ...]: ...
     @property
     def host_ids(self) -> frozenset[int]: ...
     @property

@@ -56,7 +56,14 @@ def bus_time_s(frames: Iterable[tuple[int, bool, float]], bitrate: float, data_b
     return sum(number * frame_time_s(size, fd, bitrate, data_bitrate) for size, fd, number in frames)
 
 
-def highest_rate(tick_times_s: Iterable[float]) -> float:
-    """The highest usual control rate [Hz] at which no bus is loaded beyond ``MOST``."""
-    longest = max(tick_times_s)
-    return next((rate for rate in NICE_RATES_HZ if rate * longest <= MOST), NICE_RATES_HZ[-1])
+def highest_rate(tick_times_s: Iterable[float], shares: Iterable[float] | None = None) -> float:
+    """The highest usual control rate [Hz] at which no bus is loaded beyond ``MOST``.
+
+    Args:
+        tick_times_s: of one tick's frames on each bus [s].
+        shares: of each bus that frames take which come by time; none if not given.
+    """
+    times = tuple(tick_times_s)
+    pairs = tuple(zip(times, (0.0,) * len(times) if shares is None else shares, strict=True))
+    fits = (rate for rate in NICE_RATES_HZ if all(rate * busy + share <= MOST for busy, share in pairs))
+    return next(fits, NICE_RATES_HZ[-1])

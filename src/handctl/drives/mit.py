@@ -15,6 +15,7 @@ from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
 from handctl.drives.frame import BRS, FDF, Frame
 from handctl.drives.mit_registers import Walk
+from handctl.drives.options import switch
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = Want
@@ -86,13 +87,11 @@ class MitDrive:
             ConfigError: an option that MIT mode does not have.
         """
         options, where = dict(motor.options), f"motor[{motor.name}].options"
-        reply, fd = options.pop("reply_id", motor.node_id + 0x10), options.pop("fd", False)
+        reply, fd = options.pop("reply_id", motor.node_id + 0x10), switch(options.pop("fd", False), f"{where}.fd")
         if options:
             raise ConfigError("unknown key", f"{where}.{next(iter(options))}", "reply_id or fd")
         if type(reply) is not int or not 0 < reply < codec.BROADCAST_ID:
             raise ConfigError(repr(reply), f"{where}.reply_id", "an identifier from 1 to 0x7fe")
-        if type(fd) is not bool:
-            raise ConfigError(repr(fd), f"{where}.fd", "true for a motor set to CAN FD, or false")
         return MitDrive(
             name=motor.name,
             bus=bus,
@@ -116,6 +115,11 @@ class MitDrive:
         return ((8, bool(self.flags)), (8, bool(self.flags)))
 
     @property
+    def background(self) -> tuple[tuple[int, bool, float], ...]:
+        """Nothing: a motor speaks only when spoken to."""
+        return ()
+
+    @property
     def host_ids(self) -> frozenset[int]:
         """Command identifiers of all modes, and the register identifier."""
         return frozenset(mode + self.node_id for mode in (0x000, 0x100, 0x200, 0x300)) | {codec.BROADCAST_ID}
@@ -133,13 +137,8 @@ class MitDrive:
     @property
     def wanted(self) -> tuple[tuple[int, float], ...]:
         """(register, value) that the motor must have before it is armed."""
-        return (
-            (codec.CTRL_MODE, codec.MIT_MODE),
-            (codec.PMAX, self.ranges.position),
-            (codec.VMAX, self.ranges.velocity),
-            (codec.TMAX, self.ranges.torque),
-            (codec.TIMEOUT, self.timeout),
-        )
+        ranges = zip((codec.PMAX, codec.VMAX, codec.TMAX), self.ranges, strict=True)
+        return ((codec.CTRL_MODE, codec.MIT_MODE), *ranges, (codec.TIMEOUT, self.timeout))
 
     def initial(self) -> DriveState:
         """Silent."""

@@ -98,9 +98,15 @@ class OdriveDrive:
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """Torque, position, what is asked for by remote frames; heartbeats are rare enough to leave out."""
-        asked = ((0, False),) if not self.cyclic_s else ()
-        return ((4, False), *asked, (8, False), *(((0, False), (8, False)) if self.torque_feedback else ()))
+        """Torque, and what is asked for by remote frames."""
+        return ((4, False), *(((0, False), (8, False)) * ((not self.cyclic_s) + self.torque_feedback)))
+
+    @property
+    def background(self) -> tuple[tuple[int, bool, float], ...]:
+        """Heartbeat, the cyclic position (on by default, used or not), and temperatures, which are asked for."""
+        warm = 0.0 if self.old else 1e9 / TEMPERATURE_NS
+        told = 1.0 / (self.cyclic_s or codec.ENCODER_MS * 1e-3)
+        return ((8, False, HEARTBEATS_MISSED * 1e9 / self.patience_ns + told), (0, False, warm), (8, False, warm))
 
     @property
     def host_ids(self) -> frozenset[int]:

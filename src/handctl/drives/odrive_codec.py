@@ -16,6 +16,8 @@ ASKED = frozenset((GET_VERSION, ENCODER, TEMPERATURE, TORQUES))
 """Messages that are asked for by a remote frame."""
 ANSWERS = ASKED | {HEARTBEAT, TX_SDO}
 LAST_NODE = 0x3E
+ENCODER_MS = 10
+"""Period of the cyclic position unless somebody has changed it."""
 PROTOCOL = 2
 IDLE, CLOSED_LOOP = 1, 8
 TORQUE_MODE, PASSTHROUGH = 1, 1

@@ -7,8 +7,9 @@ import importlib
 from collections.abc import Sequence
 from typing import Any, Protocol
 
-from handctl.drives.frame import Frame
+from handctl.drives.frame import ERROR, Frame
 from handctl.errors import ConfigError
+from handctl.runtime.bus_events import BusEvents
 
 
 class Peer(Protocol):
@@ -85,11 +86,18 @@ class LockstepBus:
 
     def __init__(self, clock: LockstepClock) -> None:
         self.clock = clock
+        self._events: dict[int, BusEvents] = {}
 
     def drain(self) -> list[Frame]:
-        """Frames that the peer answered."""
+        """Frames that the peer answered; error frames become events."""
         frames, self.clock.incoming = self.clock.incoming, []
-        return frames
+        if not any(frame.can_id & ERROR for frame in frames):
+            return frames
+        for frame in frames:
+            if frame.can_id & ERROR:
+                events = self._events.setdefault(frame.bus, BusEvents(f"{self.name}:{frame.bus}"))
+                events.error_frame(frame.can_id, frame.data)
+        return [frame for frame in frames if not frame.can_id & ERROR]
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Keep frames for the peer's next step; all are accepted."""
@@ -97,8 +105,8 @@ class LockstepBus:
         return len(frames)
 
     def take_events(self) -> list[tuple[str, str, int]]:
-        """Nothing happens to a bus of this kind."""
-        return []
+        """What the peer's wires have told; nothing if it simulates none."""
+        return [event for events in self._events.values() for event in events.take()]
 
     def close(self) -> None:
         """Nothing to close."""

@@ -12,6 +12,7 @@ from handctl.errors import BusError
 from handctl.runtime import mmsg
 from handctl.runtime.bus import Stamp, check_size
 from handctl.runtime.bus_events import BusEvents, Event
+from handctl.runtime.interface import wrong_rate
 
 CLASSICAL = struct.Struct("=IB3x8s")
 FD = struct.Struct("=IBB2x64s")
@@ -150,7 +151,8 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
         stamp: makes the run's time of a CLOCK_MONOTONIC time.
 
     Raises:
-        BusError: no SocketCAN here, or the interface is missing, down, not FD as needed, or has too short a queue.
+        BusError: no SocketCAN here, or the interface is missing, down, not FD as needed, set to another
+            bit rate, or has too short a queue.
     """
     name, fd_mode = f"socketcan:{channel}", data_bitrate is not None
     hint = "type: " + advice(channel, bitrate, data_bitrate)
@@ -163,7 +165,7 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
         link.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, ALL_ERRORS)
         link.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, int(fd_mode))
         link.bind((channel,))
-        problem = _problem(link, channel, fd_mode)
+        problem = _problem(link, channel, fd_mode) or wrong_rate(channel, bitrate, data_bitrate)
     except OSError as error:
         problem = f"cannot be opened: {os.strerror(error.errno or 0)}"
     if problem:

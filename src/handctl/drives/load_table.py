@@ -1,0 +1,55 @@
+"""The protocols beside each other, bare: what a tick of four or eleven motors costs on a bus of the usual bit rates.
+
+Only command, feedback and the frames of the load cells count (four tendons in 8 bytes, or all in one CAN FD frame);
+SYNC where the protocol cannot do without. What a hand file really puts on its bus is in ``controller.bus_load``.
+"""
+
+from typing import Any, NamedTuple
+
+from handctl.drives.load import bus_time_s
+
+NOMINAL, DATA = 1_000_000, 5_000_000
+TABLE_MOST = 0.80
+TABLE_RATES_HZ = (250.0, 500.0, 1000.0)
+
+
+class TableRow(NamedTuple):
+    """One line.
+
+    Attributes:
+        protocol: and what of it is used.
+        fd: CAN FD at 1/5 Mbit/s, or classical at 1 Mbit/s.
+        motors: how many.
+        per_motor: payloads of a tick's frames of one motor [bytes].
+        shared: payloads of frames that are for all: tensions, SYNC [bytes].
+    """
+
+    protocol: str
+    fd: bool
+    motors: int
+    per_motor: tuple[int, ...]
+    shared: tuple[int, ...]
+
+    @property
+    def tick_s(self) -> float:
+        """Time of one tick's frames [s]."""
+        sizes = [*self.per_motor * self.motors, *self.shared]
+        return bus_time_s([(size, self.fd, 1.0) for size in sizes], NOMINAL, DATA)
+
+    def numbers(self) -> dict[str, Any]:
+        """The line for programs."""
+        loads = {f"{rate:g}": rate * self.tick_s for rate in TABLE_RATES_HZ}
+        return self._asdict() | {"tick_us": self.tick_s * 1e6, "load": loads, "max_hz": TABLE_MOST / self.tick_s}
+
+
+TABLE = (
+    TableRow("MIT", False, 4, (8, 8), (8,)),
+    TableRow("MIT", False, 11, (8, 8), (8, 8, 8)),
+    TableRow("MIT", True, 4, (8, 8), (12,)),
+    TableRow("MIT", True, 11, (8, 8), (32,)),
+    TableRow("CiA 402", False, 4, (4, 8), (0, 8)),
+    TableRow("CiA 402", False, 11, (4, 8), (0, 8, 8, 8)),
+    TableRow("CiA 402, four torques in one RPDO", False, 4, (8,), (0, 8, 8)),
+    TableRow("ODrive, torque and encoder", False, 4, (4, 8), (8,)),
+    TableRow("ODrive, with torque feedback", False, 4, (8, 8, 8), (8,)),
+)

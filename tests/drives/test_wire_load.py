@@ -1,0 +1,102 @@
+"""The load that a simulated wire really has, against what ``bus plan`` says before; and a hand on a bad wire."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from handctl.controller.bus_load import bus_loads
+from handctl.drives.contract import Phase, Want
+from handctl.drives.frame import ERROR
+from handctl.hand.description import hand_path, load_hand
+from handctl.runtime.lockstep import LockstepBus, LockstepClock
+from tests.drives.protocol_bench import Bench, hand_file, on_two_buses
+
+TICKS = 400
+PERIOD_NS = 4_000_000
+
+
+def planned_s(path: Path, period_ns: int = PERIOD_NS) -> list[float]:
+    """Time of a tick on each bus, frames that come by time included."""
+    return [load.at(1e9 / period_ns) * period_ns * 1e-9 for load in bus_loads(load_hand(str(path)))]
+
+
+def busy_s(path: Path, wire: Sequence[str], period_ns: int = PERIOD_NS) -> list[float]:
+    """Time of an enabled hand's tick on each bus, averaged over many."""
+    bench = Bench(path, wire, period_ns)
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    assert bench.rig.wired
+    wires = bench.rig.wired.wires
+    for _ in range(20):
+        bench.tick(Want.ENABLE, 0.05)
+    before = [one.busy_ns for one in wires]
+    for _ in range(TICKS):
+        bench.tick(Want.ENABLE, 0.05)
+    assert [state.phase for state in bench.states] == [Phase.ENABLED] * len(bench.states)
+    bench.rig.close()
+    return [(one.busy_ns - start) * 1e-9 / TICKS for one, start in zip(wires, before, strict=True)]
+
+
+@pytest.mark.parametrize("protocol", ["cia402", "mit", "odrive"])
+def test_the_wire_is_as_full_as_the_plan_says(protocol: str, tmp_path: Path) -> None:
+    path = hand_file(tmp_path, [protocol])
+    planned = planned_s(path)
+    assert busy_s(path, []) == pytest.approx(planned, rel=0.02)
+    assert 0.8 * planned[0] < busy_s(path, ["stuffing=actual"])[0] < planned[0]
+
+
+def test_so_is_each_of_two_with_can_fd_among_them(tmp_path: Path) -> None:
+    path = on_two_buses(hand_file(tmp_path, ["mit", "mit", "odrive"]), (0, 1))
+    classical = '"second"\nbitrate = 1_000_000'
+    text = path.read_text().replace(classical, classical + "\ndata_bitrate = 5_000_000")
+    head, *motors = text.split("[[motor]]")
+    for i in (0, 1):
+        motors[i] += "\noptions = { fd = true }\n"
+    path.write_text("[[motor]]".join([head, *motors]))
+    planned = planned_s(path)
+    assert len(planned) == 2
+    assert busy_s(path, []) == pytest.approx(planned, rel=0.02)
+
+
+def test_eleven_motors_fit_where_the_plan_says() -> None:
+    path = hand_path("jamia11")
+    planned = planned_s(path, 5_000_000)
+    assert busy_s(path, [], 5_000_000) == pytest.approx(planned, rel=0.02)
+
+
+def test_a_wire_that_is_asked_for_too_much_is_full_and_answers_come_late(tmp_path: Path) -> None:
+    bench = Bench(hand_file(tmp_path, ["mit"]), ["queue=16"], period_ns=1_000_000)
+    for _ in range(400):
+        bench.tick(Want.POLL)
+    assert bench.rig.wired
+    assert bench.rig.wired.wires[0].load(0, 400 * 1_000_000) > 0.9
+    assert bench.rig.wired.wires[0].next_ns() < bench.k * 1_000_000 + 200_000, "frames wait"
+
+
+def test_lockstep_tells_what_the_wire_tells(tmp_path: Path) -> None:
+    bench = Bench(hand_file(tmp_path, ["mit"]), [])
+    assert bench.rig.wired
+    clock = LockstepClock(bench.rig, 2_000_000)
+    bus = LockstepBus(clock)
+    bench.rig.wired.wires[0].disturbed = 32
+    bus.send([bench.node.sync(bench.sensors, 0)[1]])
+    for k in range(1, 5):
+        clock.wait(k)
+    assert not any(frame.can_id & ERROR for frame in bus.drain())
+    assert {"error_warning", "error_passive", "bus_off"} <= {kind for kind, _, _ in bus.take_events()}
+    assert ("bus_off", "lockstep:0", 1) in bus.take_events()
+    bench.rig.close()
+
+
+def test_the_same_wire_gives_the_same_answers(tmp_path: Path) -> None:
+    path, heard = hand_file(tmp_path, ["odrive"]), []
+    for _ in range(2):
+        bench = Bench(path, ["error_rate=0.02", "stuffing=actual", "seed=5"])
+        frames = []
+        for _ in range(200):
+            bench.tick(Want.ENABLE, 0.02)
+            frames += bench.incoming
+        heard.append(frames)
+        bench.rig.close()
+    assert heard[0] == heard[1]
+    assert len(heard[0]) > 400

@@ -1,0 +1,41 @@
+"""What is said of an interface that runs at other bit rates than the hand file's."""
+
+import json
+
+import pytest
+
+from handctl.runtime.interface import compared, wrong_rate
+from handctl.runtime.link import parse_link
+
+
+def shown(nominal: int | None, data: int | None) -> str:
+    """As iproute2 6.1 prints a CAN interface, shortened."""
+    info = {} if nominal is None else {"state": "ERROR-ACTIVE", "bittiming": {"bitrate": nominal}}
+    info |= {} if data is None else {"data_bittiming": {"bitrate": data}}
+    return json.dumps([{"ifname": "can0", "mtu": 72, "linkinfo": {"info_kind": "can", "info_data": info}}])
+
+
+@pytest.mark.parametrize(
+    ("nominal", "data", "wanted", "says"),
+    [
+        (None, None, None, ""),
+        (1_000_000, None, None, ""),
+        (1_000_000, 5_000_000, 5_000_000, ""),
+        (1_000_000, 5_000_000, None, ""),
+        (500_000, None, None, "can0 runs at 500000 bit/s, the hand file says 1000000"),
+        (1_000_000, None, 5_000_000, "without CAN FD"),
+        (1_000_000, 2_000_000, 5_000_000, "at 2000000 bit/s"),
+    ],
+)
+def test_another_bit_rate_than_the_hand_files_is_said(
+    nominal: int | None, data: int | None, wanted: int | None, says: str
+) -> None:
+    link = parse_link(shown(nominal, data))
+    assert link
+    line = compared("can0", link, 1_000_000, wanted)
+    assert says in line
+    assert bool(line) == bool(says)
+
+
+def test_of_an_interface_that_is_not_there_nothing_is_said() -> None:
+    assert wrong_rate("no-such-if", 1_000_000, None) == ""
