@@ -54,7 +54,7 @@ class Run:
     tension: np.ndarray
     external: np.ndarray
     excursion: np.ndarray
-    travel: np.ndarray
+    filter: np.ndarray
     tip_force: np.ndarray
     q: np.ndarray
     turn: np.ndarray
@@ -108,7 +108,7 @@ def simulate(
         pose, numbers = plant.engine.object_pose(), out.telemetry
         rows.append(
             (k / rate, pose, force, numbers.contact, numbers.tension, numbers.external_tension, numbers.excursion,
-             state.filter.x[0::7], numbers.tip_force, plant.engine.q.copy())
+             state.filter.x, numbers.tip_force, plant.engine.q.copy())
         )  # fmt: skip
         phases.append(out.phase)
         stages.append(plant.stage)
