@@ -16,6 +16,7 @@ from handctl.controller.grasp import TaskProgram
 from handctl.controller.model import HandModel
 from handctl.controller.program import Program
 from handctl.controller.setup import make_drives, make_sensors
+from handctl.controller.task import Hold
 from handctl.controller.tick import Controller
 from handctl.controller.types import Event, Mode, TickIn
 from handctl.drives.frame import Frame
@@ -23,6 +24,7 @@ from handctl.drives.load import highest_rate
 from handctl.hand.description import hand_path, load_hand
 
 TIMEOUT_S = 120.0
+GONE_M = 0.3
 DEFAULT = Gains()
 
 
@@ -41,6 +43,7 @@ class Run:
     Attributes:
         t: (ticks,) [s]. phase: names. stage: of the scene.
         place: (ticks, 3) object [m]. force: (ticks, D) contact force on each digit [N].
+        normal: (ticks, D) sum of normal forces, in scenes with a load.
         contact: (ticks, D). tension, external, travel: (ticks, N). q: (ticks, J) true joint angles.
         events: tick and event. failure: of the controller. dropped_at: when the table began to sink [s].
     """
@@ -57,16 +60,21 @@ class Run:
     filter: np.ndarray
     tip_force: np.ndarray
     q: np.ndarray
+    normal: np.ndarray
     turn: np.ndarray
     events: list[tuple[int, Event]] = field(default_factory=list)
     failure: str = ""
     dropped_at: float | None = None
 
 
-def task_program(task: str, hand: str, **changes: object) -> TaskProgram:
-    """A packaged task or a task file for a hand."""
+def task_program(task: str, hand: str, hold_s: float | None = None) -> TaskProgram:
+    """A packaged task or a task file for a hand, its holds as long as asked [s]."""
     found, _ = find_task(Path(task), load_hand(hand))
-    return TaskProgram(found)
+    phases = [
+        phase.model_copy(update={"duration_s": hold_s}) if hold_s is not None and isinstance(phase, Hold) else phase
+        for phase in found.phase
+    ]
+    return TaskProgram(found.model_copy(update={"phase": tuple(phases)}))
 
 
 def simulate(
@@ -79,6 +87,7 @@ def simulate(
     until: str = "",
     gains: Gains = DEFAULT,
     timeout: float = TIMEOUT_S,
+    give_up: float = TIMEOUT_S,
 ) -> Run:
     """Carry out a program on a homed hand.
 
@@ -86,6 +95,7 @@ def simulate(
         hand: packaged name. program: what to do. scene: text of a scene file, or a packaged name, or None.
         seed: of the simulator. perturb: factors on the plant.
         until: the run ends where this phase begins. timeout: or here [s].
+        give_up: or here, if the table still stands [s].
     """
     model, rate = hand_model(hand, gains)
     n = model.tendon_count
@@ -108,20 +118,20 @@ def simulate(
         pose, numbers = plant.engine.object_pose(), out.telemetry
         rows.append(
             (k / rate, pose, force, numbers.contact, numbers.tension, numbers.external_tension, numbers.excursion,
-             state.filter.x, numbers.tip_force, plant.engine.q.copy())
+             state.filter.x, numbers.tip_force, plant.engine.q.copy(), plant.normal_forces())
         )  # fmt: skip
         phases.append(out.phase)
         stages.append(plant.stage)
         events += [(k, event) for event in out.events]
         if state.mode in (Mode.DONE, Mode.RELAX) or (until and out.phase == until):
             break
-        if _over(plant):
+        if _over(plant) or _gone(plant) or (k / rate > give_up and plant.table and plant.table.dropped_at is None):
             break
         frames = tuple(Frame(*reply) for reply in rig.step(k * period_ns, out.frames))
     rig.close()
     columns = [np.array(column) for column in zip(*rows, strict=True)]
     return Run(
-        columns[0], phases, np.array(stages), columns[1][:, :3], *columns[2:10], columns[1][:, 3:],
+        columns[0], phases, np.array(stages), columns[1][:, :3], *columns[2:11], columns[1][:, 3:],
         events, state.failure or state.progress.failure, plant.table.dropped_at if plant.table else None,
     )  # fmt: skip
 
@@ -130,6 +140,11 @@ def _over(plant: Plant) -> bool:
     """Whether all stages of the scene have passed."""
     dropped = plant.table.dropped_at if plant.table else None
     return bool(plant.stages) and dropped is not None and plant.steps * STEP_S - dropped > plant.stages.duration
+
+
+def _gone(plant: Plant) -> bool:
+    """Whether the object has left the hand."""
+    return plant.scene.thing is not None and np.linalg.norm(plant.engine.object_pose()[:3]) > GONE_M
 
 
 def stage_motion(run: Run) -> list[float]:

@@ -59,10 +59,11 @@ class TensionGains(Document):
 
 
 class ContactGains(Document):
-    """When a tension that the model does not explain counts as contact."""
+    """When tension that the model does not explain counts as contact of a closing digit."""
 
-    threshold_N: float = Field(5.0, gt=0, le=100)
-    ticks: int = Field(5, ge=1, le=1000)
+    threshold_N: float = Field(0.5, gt=0, le=100)
+    """As a force at the tip, smoothed over 5 ms."""
+    ticks: int = Field(2, ge=1, le=1000)
 
 
 class Gains(Document):

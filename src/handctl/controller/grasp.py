@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handctl.controller.allocation import allocate
+from handctl.controller.contact import feel
 from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.grip import Grip, GripPlan, hold
@@ -92,7 +93,8 @@ class TaskProgram:
         if isinstance(phase, Hold) and not any(contact):
             events.append(Event("warn", "phase", "", f"{phase.name}: no digit is in contact"))
         grip = Grip.of(model, goals, estimate, t) if isinstance(phase, Hold) and any(contact) else None
-        return replace(progress, goals=goals, contact=contact, touching=(0,) * len(names), grip=grip), tuple(events)
+        progress = replace(progress, goals=goals, contact=contact, touching=(0,) * len(names), felt=(), grip=grip)
+        return progress, tuple(events)
 
     def _goal(self, model: HandModel, progress: Progress, d: int, name: str, estimate: Estimate, t: float) -> DigitGoal:
         """Goal of one digit at the beginning of the present phase."""
@@ -153,20 +155,21 @@ class TaskProgram:
         if not isinstance(phase, Close):
             return progress, ()
         gains = model.gains.contact
+        closing = [
+            goal.kind == Kind.MOTION and not known for goal, known in zip(progress.goals, progress.contact, strict=True)
+        ]
+        forces = feel(model, progress.felt, estimate, closing)
         goals, contact, touching = list(progress.goals), list(progress.contact), list(progress.touching)
         events: list[Event] = []
         for d, tendons in enumerate(model.digit_tendons):
-            if contact[d] or goals[d].kind != Kind.MOTION:
-                continue
-            external = float(estimate.external[tendons].mean())
-            touching[d] = touching[d] + 1 if external > gains.threshold_N else 0
+            touching[d] = touching[d] + 1 if closing[d] and forces[d] > gains.threshold_N else 0
             if touching[d] >= gains.ticks:
                 contact[d] = True
                 start = np.maximum(estimate.tension[tendons], phase.contact_tension_N)
                 goals[d] = DigitGoal(Kind.TENSION, tension=start, rate=model.gains.tension.rate_N_per_s)
                 name = model.hand.digit_names[d]
-                events.append(Event("info", "contact", name, f"{name} touches, {external:.1f} N unexplained"))
-        changed = replace(progress, goals=tuple(goals), contact=tuple(contact), touching=tuple(touching))
+                events.append(Event("info", "contact", name, f"{name} touches, {forces[d]:.2f} N at its tip"))
+        changed = replace(progress, goals=tuple(goals), contact=tuple(contact), touching=tuple(touching), felt=forces)
         return changed, tuple(events)
 
     def _phase_over(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> bool:

@@ -29,6 +29,7 @@ class Progress:
         finished: True when nothing more is to come.
         failure: why the program gave up; empty if it did not.
         record: numbers that the program keeps for its result.
+        felt: per digit, smoothed force at the tip while it closes [N]; empty otherwise.
         grip: of a hold; None otherwise.
         tare: what every load cell is to read less from now on [N]; empty for what the controller knows anyway.
     """
@@ -43,6 +44,7 @@ class Progress:
     failure: str = ""
     record: tuple[float, ...] = ()
     tare: tuple[float, ...] = ()
+    felt: tuple[float, ...] = ()
     grip: Grip | None = None
 
     @staticmethod
@@ -52,7 +54,7 @@ class Progress:
 
     def key(self) -> bytes:
         """Everything in it as bytes, for the state's hash."""
-        place = (self.step, self.since, self.phase, self.finished, self.failure, self.record, self.tare)
+        place = (self.step, self.since, self.phase, self.finished, self.failure, self.record, self.tare, self.felt)
         goals = b"".join(map(_goal, self.goals)) + (self.grip.key() if self.grip else b"")
         return repr((place, self.contact, self.touching)).encode() + goals
 

@@ -11,8 +11,8 @@ from handctl.controller.types import Vector
 from handctl.hand.dynamics import DigitModel
 
 
-def tip_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Generalised lever of a force normal to the last link at the tip: B^T J^T n, (n_c,) [m].
+def joint_lever(digit: DigitModel, q: Vector) -> Vector:
+    """Lever of a force normal to the last link at the tip about each joint: J^T n, (n,) [m].
 
     Args:
         digit: the digit.
@@ -23,7 +23,12 @@ def tip_lever(digit: DigitModel, q: Vector) -> Vector:
         reach += length * math.cos(beyond)
         beyond += angle
         lever.append(reach)
-    return np.asarray(digit.coupling.T @ lever[::-1])
+    return np.array(lever[::-1])
+
+
+def tip_lever(digit: DigitModel, q: Vector) -> Vector:
+    """The same in the digit's coordinates: B^T J^T n, (n_c,) [m]."""
+    return np.asarray(digit.coupling.T @ joint_lever(digit, q))
 
 
 def tip_force(digit: DigitModel, q: Vector, external: Vector) -> float:

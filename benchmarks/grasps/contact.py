@@ -1,0 +1,85 @@
+"""How fast contact of a fingertip is found, and how often where there is none, against the plant's truth."""
+
+import json
+import random
+from typing import Any
+
+import numpy as np
+
+from grasps.trial import Run, hand_model, simulate
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.task import Task
+
+CONTACT_N, WITHIN_S = 1.0, 0.020
+SPEED_DEG_S = (20.0, 100.0)
+"""Of closing; that of the packaged tasks is 40 to 50."""
+TOUCHED_N = 0.01
+WALL = """name = "wall"
+[object]
+shape = "box"
+size_m = [0.04, 0.02, 0.093]
+mass_kg = 50.0
+friction = 0.5
+position_m = [{x:.5f}, {y:.5f}, 0.0]
+[support]
+drop_when = "never"
+"""
+"""Heavy, and where only the last link of each digit can meet it."""
+
+
+def _task(phases: list[dict[str, Any]]) -> TaskProgram:
+    return TaskProgram(Task.model_validate_json(json.dumps({"schema": 1, "name": "contact", "phase": phases})))
+
+
+def find_contacts(hand: str, seed: int) -> list[float]:
+    """Seconds from 1 N on a digit to its contact event; negative if found before, inf if never. One per digit."""
+    chance = random.Random(f"wall {seed}")
+    wall = WALL.format(x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3))
+    speed = chance.uniform(*SPEED_DEG_S)
+    phases = [
+        {"kind": "move", "angle_deg": {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}, "duration_s": 0.6},
+        {"kind": "close", "angle_deg": 60.0, "speed_deg_s": speed},
+        {"kind": "hold", "tension_N": 20.0, "duration_s": 0.3},
+    ]
+    run = simulate(hand, _task(phases), wall, seed=seed, until="end", timeout=12.0)
+    return _latencies(run, hand_model(hand)[0].hand.digit_names)
+
+
+def _latencies(run: Run, digits: tuple[str, ...]) -> list[float]:
+    found = {event.where: float(run.t[k]) for k, event in run.events if event.name == "contact"}
+    latencies = []
+    for d, name in enumerate(digits):
+        above = np.flatnonzero(run.force[:, d] > CONTACT_N)
+        if name in found:
+            at = float(run.t[above[0]]) if len(above) else np.inf
+            touched = run.force[: np.searchsorted(run.t, found[name]) + 1, d].max() > TOUCHED_N
+            latencies += [max(found[name] - at, -1.0)] if touched else []
+        elif len(above):
+            latencies.append(np.inf)
+    return latencies
+
+
+def free_motion(hand: str, seconds: float, seed: int) -> dict[str, float]:
+    """Simulated minutes of closing on nothing at all, and contacts found in them."""
+    chance = random.Random(f"free {seed}")
+    phases: list[dict[str, Any]] = []
+    planned = 0.0
+    while planned < seconds:
+        speed = chance.uniform(*SPEED_DEG_S)
+        home = {name: chance.uniform(0, most) for name, most in {"index": 15, "middle": 8, "ring": 15, "thumb": 3}.items()}
+        goal = {"index": chance.uniform(25, 50)}
+        # the middle finger and the thumb would meet each other
+        if chance.random() < 0.6:
+            goal |= {"middle": chance.uniform(12, 25), "ring": chance.uniform(25, 50)}
+        else:
+            goal |= {"thumb": chance.uniform(15, 50)}
+        phases += [
+            {"kind": "move", "angle_deg": home, "duration_s": 0.5},
+            {"kind": "close", "angle_deg": goal, "speed_deg_s": speed},
+        ]
+        planned += 0.8 + 35.0 / speed * 1.875
+    run = simulate(hand, _task(phases), None, seed=seed, until="end", timeout=seconds)
+    assert run.force.max() < TOUCHED_N, "the digits met each other"
+    alarms = sum(event.name == "contact" for _, event in run.events)
+    moving = np.isin(run.phase, ("move", "close")).sum() * (run.t[1] - run.t[0])
+    return {"minutes": float(moving) / 60.0, "alarms": alarms}

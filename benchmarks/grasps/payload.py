@@ -1,0 +1,49 @@
+"""The largest mass at the paper's 6 N a finger: a load at the held cylinder grows until it slides."""
+
+from typing import Any
+
+import numpy as np
+
+from grasps.objects import CASES
+from grasps.trial import simulate, task_program
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.task import Hold
+
+PAPER_KG = 0.915
+"""Source: the paper's section 5: 18 N at friction 0.5."""
+TENSION_N = {"jamia": 56.0, "jamia11": 28.0}
+"""Of every tendon, such that the fingers press with about 6 N each."""
+ALONG = {"along the hinges": (0.0, 0.0, -1.0), "out of the palm": (1.0, 0.0, 0.0), "towards the thumb": (0.0, -1.0, 0.0)}
+START_S, RATE_N_PER_S, SLIDES_M_S = 6.0, 2.0, 1e-3
+LAST_S = 20.0
+
+
+def try_load(hand: str, direction: str) -> dict[str, Any]:
+    """Mass whose weight the grasp bears in a direction, the object's own included where it is its weight [kg]."""
+    case = CASES[1]
+    load = f"[load]\ndirection = {list(ALONG[direction])}\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"
+    run = simulate(hand, _at(hand, TENSION_N[hand]), case.scene(0, stages=False) + load, timeout=LAST_S)
+    before = run.t < START_S
+    settled = run.t > START_S - 0.5
+    normal = run.normal[before & settled].mean(axis=0)
+    window = max(1, int(0.2 / (run.t[1] - run.t[0])))
+    speed = np.linalg.norm(run.place[window:] - run.place[:-window], axis=1) / (run.t[window] - run.t[0])
+    sliding = np.flatnonzero((speed > SLIDES_M_S) & (run.t[window:] > START_S))
+    slid_at = float(run.t[window + sliding[0]]) if len(sliding) else float(run.t[-1])
+    newtons = RATE_N_PER_S * (slid_at - START_S) + (case.mass * 9.81 if direction == "along the hinges" else 0.0)
+    return {
+        "hand": hand, "direction": direction, "mass_kg": round(newtons / 9.81, 3), "slid": bool(len(sliding)),
+        "normal_N": np.round(normal, 2).tolist(), "coulomb_kg": round(float(case.friction * normal.sum() / 9.81), 3),
+    }  # fmt: skip
+
+
+def _at(hand: str, tension: float) -> TaskProgram:
+    """The packaged power grasp at another tension, without an answer to slip."""
+    program = task_program("grasp", hand, hold_s=60.0)
+    phases = [
+        phase.model_copy(update={"tension_N": tension, "slip_limit_N": None, "stiffness_N_per_mm": 0.0})
+        if isinstance(phase, Hold)
+        else phase
+        for phase in program.task.phase
+    ]
+    return TaskProgram(program.task.model_copy(update={"phase": tuple(phases)}))

@@ -1,0 +1,42 @@
+"""Does the object stay: every object of the set, both hands, turned three ways and pushed."""
+
+from typing import Any
+
+import numpy as np
+
+from grasps.objects import DOWN, MOST_M, Case
+from grasps.trial import Run, simulate, stage_motion, task_program
+
+TASKS = {"power": "grasp", "pinch": "pinch", "hook": "hook"}
+PALM_GAP_M = 0.5e-3
+"""A pinched object that is nearer to the palm leans on it."""
+GIVE_UP_S = 10.0
+"""A grasp that has not lifted its object by now does not."""
+
+
+def try_case(hand: str, case: Case, seed: int) -> dict[str, Any]:
+    """One grasp: largest motion in each stage [mm], whether that is a success, and if not, why."""
+    program = task_program(TASKS[case.grasp], hand, hold_s=60.0)
+    run = simulate(hand, program, case.scene(seed), seed=seed, until="release", give_up=GIVE_UP_S)
+    motion = [round(1e3 * value, 2) for value in stage_motion(run)]
+    why = failure(run, case, motion)
+    return {
+        "hand": hand, "grasp": case.grasp, "object": case.name, "seed": seed, "motion_mm": motion,
+        "ok": not why, "why": why, "force_N": np.round(run.force[-1], 1).tolist(),
+    }  # fmt: skip
+
+
+def failure(run: Run, case: Case, motion: list[float]) -> str:
+    """Why a grasp is no success; empty if it is one."""
+    if run.failure:
+        return run.failure
+    if run.dropped_at is None:
+        return "not grasped: too few digits press"
+    if max(motion) >= 1e3 * MOST_M:
+        stage = int(np.argmax([value >= 1e3 * MOST_M for value in motion]))
+        return f"moves {motion[stage]:.1f} mm when down is {DOWN[case.grasp][stage]}"
+    if len(motion) < len(DOWN[case.grasp]):
+        return "ended early"
+    if case.grasp == "pinch" and run.place[-1, 0] - case.width / 2 < PALM_GAP_M:
+        return "drawn to the palm: held, but not pinched"
+    return ""
