@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handctl.controller.contact import SMOOTH_S, felt
 from handctl.controller.estimator import Estimate
 from handctl.controller.goal import Kind
 from handctl.controller.grasp import SETTLE_AFTER_CLOSE_S, TaskProgram
 from handctl.controller.model import HandModel
 from handctl.controller.program import TIGHTEN_TIMEOUT_S, Progress
 from handctl.controller.task import Task
-from handctl.controller.tip import tip_force
+from handctl.controller.tip import joint_lever, tip_force
 from handctl.controller.types import Event
 from handctl.hand.dynamics import static_torque
 from tests.controller.synthetic import nothing_read, slack, under
@@ -55,6 +56,11 @@ class Run:
         self.events += events
         return events
 
+    def touch(self, estimate: Estimate) -> None:
+        """Ticks for as long as any contact needs to be found."""
+        for _ in range(round(5 * SMOOTH_S / self.model.period) + self.model.gains.contact.ticks):
+            self.tick(estimate)
+
     def until(self, phase: str, estimate: Estimate, timeout: float = 20.0) -> float:
         """Ticks until a phase begins; how long it took [s]."""
         began = self.t
@@ -91,8 +97,8 @@ def test_phases_come_in_the_order_of_the_task_and_last_as_long(model: HandModel,
     assert {goal.kind for goal in run.progress.goals} == {Kind.MOTION}
     assert run.until("preshape", taut) == pytest.approx(0.2, abs=1.1 * model.period)
     assert run.until("close", taut) == pytest.approx(0.3, abs=1.1 * model.period)
-    everything = touching(model, dict.fromkeys(model.hand.digit_names, 9.0))
-    assert run.until("hold", everything) == pytest.approx(5 * model.period, abs=1.1 * model.period), "all touch: go on"
+    everything = touching(model, dict.fromkeys(model.hand.digit_names, 12.0))
+    assert run.until("hold", everything) == pytest.approx(0.01, abs=0.01), "all touch: go on"
     assert run.until("release", everything) == pytest.approx(0.4, abs=1.1 * model.period)
     assert run.until("open", taut) == pytest.approx(0.1, abs=1.1 * model.period)
     assert run.until("end", taut) == pytest.approx(0.2, abs=1.1 * model.period)
@@ -150,17 +156,25 @@ def closing(model: HandModel, taut: Estimate) -> Run:
     return run
 
 
-def test_contact_takes_as_many_ticks_in_a_row_as_the_gains_say(model: HandModel, taut: Estimate) -> None:
-    run, ticks = closing(model, taut), model.gains.contact.ticks
-    touch, threshold = touching(model, {"index": 9.0}), model.gains.contact.threshold_N
+def strong(model: HandModel, newtons: float) -> float:
+    """Unexplained tension, the same in each tendon of the index, that stands for a force at its tip [N]."""
+    digit = model.digits[model.hand.digit_names.index("index")]
+    ones = np.ones(len(digit.reduced_moment_arms))
+    return newtons / felt(digit, np.full(digit.joint_count, 0.5), ones)
+
+
+def test_contact_is_a_force_at_the_tip_that_lasts(model: HandModel, taut: Estimate) -> None:
+    run, threshold = closing(model, taut), model.gains.contact.threshold_N
+    weak = touching(model, {"index": strong(model, 0.95 * threshold)})
+    run.touch(weak)
     for _ in range(3):
-        for _ in range(ticks - 1):
-            run.tick(touch)
-        run.tick(touching(model, {"index": threshold - 0.01}))
-    assert not any(run.progress.contact), "never long enough"
-    for _ in range(ticks):
-        assert not any(run.progress.contact)
+        run.tick(touching(model, {"index": strong(model, 1.5 * threshold)}))
+        run.tick(touching(model, {"index": strong(model, -0.5 * threshold)}))
+    assert not any(run.progress.contact), "never strong and long enough"
+    began, touch = run.t, touching(model, {"index": strong(model, 3.0 * threshold)})
+    while not any(run.progress.contact):
         events = run.tick(touch)
+        assert run.t - began < 0.02, "found in time"
     index = model.hand.digit_names.index("index")
     assert [i for i, c in enumerate(run.progress.contact) if c] == [index], "only the digit that touches"
     assert [(event.name, event.where) for event in events] == [("contact", "index")]
@@ -170,17 +184,25 @@ def test_contact_takes_as_many_ticks_in_a_row_as_the_gains_say(model: HandModel,
     assert {g.kind for i, g in enumerate(run.progress.goals) if i != index} == {Kind.MOTION}
 
 
-def test_two_digits_in_one_tick_and_a_third_later(model: HandModel, taut: Estimate) -> None:
+def test_the_tip_is_felt_as_it_is(model: HandModel) -> None:
+    """Tensions that balance a force at the tip are felt as that force, at any pose."""
+    for digit in model.digits:
+        q = np.linspace(0.2, 0.6, digit.joint_count)
+        if len(digit.reduced_moment_arms) < digit.joint_count:
+            q[:] = 0.4
+        balance = digit.torque_to_tension @ joint_lever(digit, q)
+        assert felt(digit, q, 2.5 * balance) == pytest.approx(2.5)
+
+
+def test_two_digits_and_a_third_later(model: HandModel, taut: Estimate) -> None:
     run = closing(model, taut)
-    for _ in range(model.gains.contact.ticks):
-        events = run.tick(touching(model, {"index": 9.0, "thumb": 6.0}, tension=5.0))
-    assert {event.where for event in events} == {"index", "thumb"}
+    run.touch(touching(model, {"index": 12.0, "thumb": 12.0}, tension=5.0))
     held = [model.hand.digit_names.index(name) for name in ("index", "thumb")]
+    assert [i for i, c in enumerate(run.progress.contact) if c] == held
     for d in held:
         np.testing.assert_allclose(run.progress.goals[d].tension, 12.0, err_msg="at least the contact tension")
     before = run.progress.goals[held[0]]
-    for _ in range(model.gains.contact.ticks):
-        run.tick(touching(model, {"ring": 9.0}))
+    run.touch(touching(model, {"ring": 12.0}))
     assert sum(run.progress.contact) == 3
     assert run.progress.goals[held[0]] is before, "contact lost is not contact undone"
 
@@ -199,9 +221,8 @@ def test_closing_on_nothing_ends_and_says_so(model: HandModel, taut: Estimate) -
 
 def test_only_what_touches_and_is_named_holds(model: HandModel, taut: Estimate) -> None:
     run = closing(model, taut)
-    touch = touching(model, {"index": 9.0, "ring": 9.0})
-    for _ in range(model.gains.contact.ticks):
-        run.tick(touch)
+    touch = touching(model, {"index": 12.0, "ring": 12.0})
+    run.touch(touch)
     names = model.hand.digit_names
     before = run.progress.goals[names.index("ring")]
     run.until("hold", touch)
@@ -212,9 +233,8 @@ def test_only_what_touches_and_is_named_holds(model: HandModel, taut: Estimate) 
 
 def test_release_waits_for_the_tension_to_fall(model: HandModel, taut: Estimate) -> None:
     run = closing(model, taut)
-    touch = touching(model, {"index": 9.0})
-    for _ in range(model.gains.contact.ticks):
-        run.tick(touch)
+    touch = touching(model, {"index": 12.0})
+    run.touch(touch)
     run.until("release", touch)
     for _ in range(round(1.0 / model.period)):
         run.tick(under(model, 20.0))
@@ -222,8 +242,7 @@ def test_release_waits_for_the_tension_to_fall(model: HandModel, taut: Estimate)
     run.until("open", under(model, 9.0))
     assert not any(run.progress.contact), "free again"
     stuck = closing(model, taut)
-    for _ in range(model.gains.contact.ticks):
-        stuck.tick(touch)
+    stuck.touch(touch)
     stuck.until("release", touch)
     assert stuck.until("open", under(model, 50.0)) == pytest.approx(10.0, abs=0.1), "but not for ever"
 
@@ -232,9 +251,8 @@ def test_a_tip_force_becomes_the_tension_that_stands_for_it(model: HandModel, ta
     phases = [{"kind": "close"}, {"kind": "hold", "tip_force_N": {"index": 4.0}}]
     run = Run(model, {**TASK, "phase": phases})
     run.until("close", taut)
-    touch = touching(model, {"index": 9.0})
-    for _ in range(model.gains.contact.ticks):
-        run.tick(touch)
+    touch = touching(model, {"index": 12.0})
+    run.touch(touch)
     run.until("hold", touch)
     d = model.hand.digit_names.index("index")
     digit, tension = model.digits[d], run.progress.goals[d].tension
@@ -252,8 +270,7 @@ def test_contact_ends_with_the_next_move(model: HandModel, taut: Estimate) -> No
     ]
     run = Run(model, {**TASK, "phase": phases})
     run.until("close", taut)
-    for _ in range(model.gains.contact.ticks):
-        run.tick(touching(model, {"index": 9.0}))
+    run.touch(touching(model, {"index": 12.0}))
     run.until("move", taut)
     assert not any(run.progress.contact)
     assert {goal.kind for goal in run.progress.goals} == {Kind.MOTION}

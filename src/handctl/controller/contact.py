@@ -15,8 +15,8 @@ from handctl.controller.tip import joint_lever
 from handctl.controller.types import Vector
 from handctl.hand.dynamics import DigitModel
 
-SMOOTH_S = 5e-3
-"""Time constant: a quarter of the time in which a contact is to be found."""
+SMOOTH_S = 10e-3
+"""Time constant: half of the time in which a contact is to be found."""
 
 
 def felt(digit: DigitModel, q: Vector, external: Vector) -> float:

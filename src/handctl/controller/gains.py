@@ -61,8 +61,8 @@ class TensionGains(Document):
 class ContactGains(Document):
     """When tension that the model does not explain counts as contact of a closing digit."""
 
-    threshold_N: float = Field(0.5, gt=0, le=100)
-    """As a force at the tip, smoothed over 5 ms."""
+    threshold_N: float = Field(0.6, gt=0, le=100)
+    """As a force at the tip, smoothed over 10 ms."""
     ticks: int = Field(2, ge=1, le=1000)
 
 
