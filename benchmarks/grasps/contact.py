@@ -66,7 +66,9 @@ def free_motion(hand: str, seconds: float, seed: int) -> dict[str, float]:
     planned = 0.0
     while planned < seconds:
         speed = chance.uniform(*SPEED_DEG_S)
-        home = {name: chance.uniform(0, most) for name, most in {"index": 15, "middle": 8, "ring": 15, "thumb": 3}.items()}
+        home = {
+            name: chance.uniform(0, most) for name, most in {"index": 15, "middle": 8, "ring": 15, "thumb": 3}.items()
+        }
         goal = {"index": chance.uniform(25, 50)}
         # the middle finger and the thumb would meet each other
         if chance.random() < 0.6:

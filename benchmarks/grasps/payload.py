@@ -13,7 +13,11 @@ PAPER_KG = 0.915
 """Source: the paper's section 5: 18 N at friction 0.5."""
 TENSION_N = {"jamia": 56.0, "jamia11": 28.0}
 """Of every tendon, such that the fingers press with about 6 N each."""
-ALONG = {"along the hinges": (0.0, 0.0, -1.0), "out of the palm": (1.0, 0.0, 0.0), "towards the thumb": (0.0, -1.0, 0.0)}
+ALONG = {
+    "along the hinges": (0.0, 0.0, -1.0),
+    "out of the palm": (1.0, 0.0, 0.0),
+    "towards the thumb": (0.0, -1.0, 0.0),
+}
 START_S, RATE_N_PER_S, SLIDES_M_S = 6.0, 2.0, 1e-3
 LAST_S = 20.0
 

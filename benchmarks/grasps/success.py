@@ -7,7 +7,14 @@ import numpy as np
 from grasps.objects import DOWN, MOST_M, Case
 from grasps.trial import Run, simulate, stage_motion, task_program
 
-TASKS = {"power": "grasp", "pinch": "pinch", "hook": "hook"}
+TASKS = {
+    ("jamia", "power"): "grasp",
+    ("jamia", "pinch"): "pinch",
+    ("jamia", "hook"): "hook",
+    ("jamia11", "power"): "grasp",
+    ("jamia11", "pinch"): "pinch-joints",
+    ("jamia11", "hook"): "hook",
+}
 PALM_GAP_M = 0.5e-3
 """A pinched object that is nearer to the palm leans on it."""
 GIVE_UP_S = 10.0
@@ -16,7 +23,7 @@ GIVE_UP_S = 10.0
 
 def try_case(hand: str, case: Case, seed: int) -> dict[str, Any]:
     """One grasp: largest motion in each stage [mm], whether that is a success, and if not, why."""
-    program = task_program(TASKS[case.grasp], hand, hold_s=60.0)
+    program = task_program(TASKS[hand, case.grasp], hand, hold_s=60.0)
     run = simulate(hand, program, case.scene(seed), seed=seed, until="release", give_up=GIVE_UP_S)
     motion = [round(1e3 * value, 2) for value in stage_motion(run)]
     why = failure(run, case, motion)

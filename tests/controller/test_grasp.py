@@ -167,9 +167,10 @@ def test_contact_is_a_force_at_the_tip_that_lasts(model: HandModel, taut: Estima
     run, threshold = closing(model, taut), model.gains.contact.threshold_N
     weak = touching(model, {"index": strong(model, 0.95 * threshold)})
     run.touch(weak)
-    for _ in range(3):
+    run.touch(touching(model, {"index": 0.0}))
+    for _ in range(10):
         run.tick(touching(model, {"index": strong(model, 1.5 * threshold)}))
-        run.tick(touching(model, {"index": strong(model, -0.5 * threshold)}))
+        run.tick(touching(model, {"index": strong(model, -1.5 * threshold)}))
     assert not any(run.progress.contact), "never strong and long enough"
     began, touch = run.t, touching(model, {"index": strong(model, 3.0 * threshold)})
     while not any(run.progress.contact):
@@ -276,3 +277,22 @@ def test_contact_ends_with_the_next_move(model: HandModel, taut: Estimate) -> No
     assert {goal.kind for goal in run.progress.goals} == {Kind.MOTION}
     run.until("again", taut)
     assert not any(run.progress.touching)
+
+
+def test_a_list_gives_each_joint_its_angle_and_each_tendon_its_tension(model: HandModel, taut: Estimate) -> None:
+    size = len(model.digits[0].reduced_moment_arms)
+    angles, tensions = [10.0, 20.0, 30.0][:size], [11.0, 12.0, 13.0][:size]
+    phases = [
+        {"kind": "move", "angle_deg": {"index": angles}, "duration_s": 0.1},
+        {"kind": "close"},
+        {"kind": "hold", "tension_N": {"index": tensions}},
+    ]
+    run = Run(model, {**TASK, "phase": phases})
+    run.until("move", taut)
+    goal = run.progress.goals[0]
+    assert goal.trajectory is not None
+    np.testing.assert_allclose(np.degrees(goal.trajectory.end), angles)
+    run.until("close", taut)
+    run.touch(touching(model, {"index": 12.0}))
+    run.until("hold", taut)
+    np.testing.assert_allclose(run.progress.goals[0].tension, tensions)

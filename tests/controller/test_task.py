@@ -6,7 +6,7 @@ import pytest
 
 from handctl.controller.task import Close, Hold, Move, Release, check_task, for_digit, load_task
 from handctl.errors import ConfigError
-from handctl.hand.description import load_hand, packaged_hands
+from handctl.hand.description import Hand, load_hand, packaged_hands
 
 GOOD = """schema = 1
 name = "t"
@@ -36,16 +36,41 @@ def refusal(tmp_path: Path):  # type: ignore[no-untyped-def]
     return refuse
 
 
-def test_packaged_tasks_suit_every_packaged_hand() -> None:
+def tendons_of(hand: Hand) -> dict[str, int]:
+    return {name: part.stop - part.start for name, part in hand.digit_tendons.items()}
+
+
+def test_packaged_tasks_suit_every_packaged_hand_that_can_follow_them() -> None:
+    """One that names single joints needs a tendon at each; every other one suits all hands."""
     import handctl
 
-    paths = list((Path(handctl.__file__).parent / "tasks").glob("*.toml"))
-    assert paths
-    for path in paths:
+    paths = {path.stem: path for path in (Path(handctl.__file__).parent / "tasks").glob("*.toml")}
+    assert paths.keys() >= {"grasp", "pinch", "hook", "pinch-joints"}
+    for stem, path in paths.items():
         task = load_task(path)
         for name in packaged_hands():
             hand = load_hand(name)
-            check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), path.name)
+            if stem.endswith("-joints") and set(tendons_of(hand).values()) == {1}:
+                continue
+            ceiling = min(tendon.tension_max_N for tendon in hand.tendon)
+            check_task(task, hand.digit_names, ceiling, path.name, tendons_of(hand))
+
+
+def test_a_list_needs_a_digit_with_as_many_tendons(tmp_path: Path) -> None:
+    path = tmp_path / "t.toml"
+    path.write_text(GOOD.replace("angle_deg = 10.0", "angle_deg = { index = [10.0, 5.0, 5.0], thumb = 3.0 }"))
+    task = load_task(path)
+    check_task(task, ("index", "thumb"), 110.0, "t", {"index": 3, "thumb": 2})
+    with pytest.raises(ConfigError, match=r"t: phase\[0\]\.angle_deg.*3 numbers for index.*one tendon"):
+        check_task(task, ("index", "thumb"), 110.0, "t", {"index": 1, "thumb": 1})
+    tense = load_task(_written(tmp_path, GOOD.replace("{ index = 20.0 }", "{ index = [20.0, 120.0] }")))
+    with pytest.raises(ConfigError, match="120 N"):
+        check_task(tense, ("index", "thumb"), 110.0, "t", {"index": 2, "thumb": 1})
+
+
+def _written(folder: Path, text: str) -> Path:
+    (folder / "written.toml").write_text(text)
+    return folder / "written.toml"
 
 
 def test_phases_are_what_their_kind_says(tmp_path: Path) -> None:
@@ -67,6 +92,9 @@ def test_phases_are_what_their_kind_says(tmp_path: Path) -> None:
         (("tension_N = { index = 20.0 }", "tension_N = 111.0"), "phase[1].tension_N", "110"),
         (("tension_N = { index = 20.0 }", "duration_s = 1.0"), "phase[1]", "tension_N or tip_force_N"),
         (("tension_N = { index = 20.0 }", "tension_N = 5.0\ntip_force_N = 5.0"), "phase[1]", "either"),
+        (("tension_N = { index = 20.0 }", "tension_N = 20.0\nslip_limit_N = 111.0"), "phase[1].slip_limit_N", "110"),
+        (("tension_N = { index = 20.0 }", "tension_N = 20.0\nstiffness_N_per_mm = -1.0"), "stiffness_N_per_mm", "0"),
+        (("angle_deg = 10.0", "angle_deg = { index = [] }"), "phase[0]", ""),
         (('name = "t"', ""), "name", "this key"),
     ],
 )  # fmt: skip

@@ -7,8 +7,6 @@ digit adds stays, what a chattering rope adds comes and goes.
 
 import math
 
-import numpy as np
-
 from handctl.controller.estimator import Estimate
 from handctl.controller.model import HandModel
 from handctl.controller.tip import joint_lever

@@ -61,9 +61,9 @@ class TensionGains(Document):
 class ContactGains(Document):
     """When tension that the model does not explain counts as contact of a closing digit."""
 
-    threshold_N: float = Field(0.6, gt=0, le=100)
+    threshold_N: float = Field(0.55, gt=0, le=100)
     """As a force at the tip, smoothed over 10 ms."""
-    ticks: int = Field(2, ge=1, le=1000)
+    ticks: int = Field(1, ge=1, le=1000)
 
 
 class Gains(Document):

@@ -101,7 +101,7 @@ class TaskProgram:
         phase, old, digit = self.task.phase[progress.step - 1], progress.goals[d], model.digits[d]
         if isinstance(phase, Move):
             angle = for_digit(phase.angle_deg, name)
-            return old if angle is None else motion_to(digit, estimate, math.radians(angle), phase.duration_s, t)
+            return old if angle is None else motion_to(digit, estimate, np.radians(angle), phase.duration_s, t)
         if isinstance(phase, Follow):
             angles = phase.angle_deg.get(name)
             if angles is None:
@@ -112,9 +112,9 @@ class TaskProgram:
             angle = for_digit(phase.angle_deg, name)
             if angle is None or progress.contact[d]:
                 return old
-            way = float(np.abs(math.radians(angle) - coordinates(digit, estimate)).max())
+            way = float(np.abs(np.radians(angle) - coordinates(digit, estimate)).max())
             duration = duration_for(way, math.radians(phase.speed_deg_s), SHORTEST_MOVE_S)
-            return motion_to(digit, estimate, math.radians(angle), duration, t)
+            return motion_to(digit, estimate, np.radians(angle), duration, t)
         if not progress.contact[d]:
             return old
         if isinstance(phase, Release):

@@ -102,7 +102,7 @@ def coordinates(digit: DigitModel, estimate: Estimate) -> Vector:
     return np.asarray(digit.joints_to_coordinates @ estimate.q[digit.joints])
 
 
-def motion_to(digit: DigitModel, estimate: Estimate, angle: float, duration: float, t: float) -> DigitGoal:
-    """Goal that moves every coordinate of a digit from where it is to an angle [rad] in a duration [s]."""
+def motion_to(digit: DigitModel, estimate: Estimate, angle: float | Vector, duration: float, t: float) -> DigitGoal:
+    """Goal that moves the coordinates of a digit from where they are to an angle, or one each [rad], in a time [s]."""
     start = coordinates(digit, estimate)
     return DigitGoal(Kind.MOTION, MinimumJerk(start, np.full_like(start, angle), duration), since=t)

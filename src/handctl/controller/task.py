@@ -1,9 +1,10 @@
 """Task files: the phases of a grasp as a person writes them."""
 
 import math
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field, model_validator
 
@@ -14,6 +15,10 @@ from handctl.errors import ConfigError
 Angle = Annotated[float, Field(ge=-30, le=150)]
 Tension = Annotated[float, Field(ge=0, le=1000)]
 Force = Annotated[float, Field(ge=0, le=200)]
+Angles = Angle | Annotated[tuple[Angle, ...], Field(min_length=1)]
+"""Of a digit: one for all its joints, or one for each of its coordinates."""
+Tensions = Tension | Annotated[tuple[Tension, ...], Field(min_length=1)]
+"""Of a digit: one for all its tendons, or one for each."""
 Duration = Annotated[float, Field(gt=0, le=3600)]
 
 
@@ -26,8 +31,9 @@ class Move(Document):
 
     kind: Literal["move"]
     name: str = "move"
-    angle_deg: Angle | dict[str, Angle]
-    """One angle for all joints, or one per digit; of a one-tendon digit the mean joint angle."""
+    angle_deg: Angle | dict[str, Angles]
+    """One angle for all joints, or one per digit; of a one-tendon digit the mean joint angle. Of a digit with a tendon
+    for each joint also a list, from the palm outwards."""
     duration_s: Duration = 1.0
 
 
@@ -36,7 +42,7 @@ class Close(Document):
 
     kind: Literal["close"]
     name: str = "close"
-    angle_deg: Angle | dict[str, Angle] = 90.0
+    angle_deg: Angle | dict[str, Angles] = 90.0
     """How far to close where there is nothing to touch."""
     speed_deg_s: float = Field(60.0, gt=0, le=2000)
     contact_tension_N: Tension = 8.0
@@ -49,7 +55,7 @@ class Hold(Document):
 
     kind: Literal["hold"]
     name: str = "hold"
-    tension_N: Tension | dict[str, Tension] | None = None
+    tension_N: Tension | dict[str, Tensions] | None = None
     tip_force_N: Force | dict[str, Force] | None = None
     slip_limit_N: Tension | dict[str, Tension] | None = None
     """Slip raises the tensions up to this; without it slip is told, not answered."""
@@ -141,7 +147,9 @@ def load_task(path: Path) -> Task:
     return load_document(path, Task)
 
 
-def check_task(task: Task, digits: tuple[str, ...], ceiling: float, where: str) -> None:
+def check_task(
+    task: Task, digits: tuple[str, ...], ceiling: float, where: str, tendons: Mapping[str, int] | None = None
+) -> None:
     """Check a task against a hand.
 
     Args:
@@ -149,25 +157,38 @@ def check_task(task: Task, digits: tuple[str, ...], ceiling: float, where: str) 
         digits: the hand's digit names.
         ceiling: the hand's smallest tension limit [N].
         where: the file's name, for the message.
+        tendons: how many each digit has; None: not checked.
 
     Raises:
-        ConfigError: it names a digit that is not there, or asks for more tension than the limit.
+        ConfigError: it names a digit that is not there, gives it too many numbers, or asks for too much tension.
     """
     for i, phase in enumerate(task.phase):
         for key in ("angle_deg", "tension_N", "tip_force_N", "contact_tension_N", "slip_limit_N"):
-            value = getattr(phase, key, None)
+            value, place = getattr(phase, key, None), f"{where}: phase[{i}].{key}"
             per_digit = value if isinstance(value, dict) else {}
             for digit in per_digit.keys() - set(digits):
-                raise ConfigError(f"no digit {digit!r}", f"{where}: phase[{i}].{key}", "one of " + ", ".join(digits))
-            if key not in ("tension_N", "contact_tension_N", "slip_limit_N"):
+                raise ConfigError(f"no digit {digit!r}", place, "one of " + ", ".join(digits))
+            if key.endswith("deg") and isinstance(phase, Follow):
                 continue
-            largest = max(per_digit.values(), default=value if isinstance(value, float | int) else 0.0)
-            if largest > ceiling:
-                raise ConfigError(
-                    f"{largest:g} N", f"{where}: phase[{i}].{key}", f"at most tension_max_N = {ceiling:g} N"
-                )
+            for digit, given in per_digit.items():
+                _count(digit, given, tendons, place)
+            numbers = [n for v in per_digit.values() or [value] for n in (v if isinstance(v, tuple) else (v,))]
+            largest = max((n for n in numbers if n is not None), default=0.0)
+            if key in ("tension_N", "contact_tension_N", "slip_limit_N") and largest > ceiling:
+                raise ConfigError(f"{largest:g} N", place, f"at most tension_max_N = {ceiling:g} N")
 
 
-def for_digit(value: float | dict[str, float], digit: str) -> float | None:
+def _count(digit: str, given: object, tendons: Mapping[str, int] | None, place: str) -> None:
+    """Refuse a list that does not fit its digit."""
+    if tendons is None or not isinstance(given, tuple) or len(given) == tendons[digit]:
+        return
+    has = "one tendon" if tendons[digit] == 1 else f"{tendons[digit]} tendons"
+    raise ConfigError(f"{len(given)} numbers for {digit}", place, f"one number, or {tendons[digit]}: it has {has}")
+
+
+Value = TypeVar("Value")
+
+
+def for_digit(value: float | dict[str, Value], digit: str) -> float | Value | None:
     """The value that a phase gives a digit; None if it names others only."""
     return value.get(digit) if isinstance(value, dict) else float(value)

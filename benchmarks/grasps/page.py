@@ -1,0 +1,144 @@
+"""The benchmark's numbers for a person: text, and the page with its picture."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from grasps import payload, slip
+from grasps.objects import MOST_M
+
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE, PICTURE = DOCS / "control-grasps.md", DOCS / "figures" / "grasps.png"
+BEGIN, END = "<!-- grasps: written by benchmarks/grasp.py -->", "<!-- end of grasps -->"
+
+
+def text(result: dict[str, Any]) -> str:
+    """All tables."""
+    parts = [(_success, "success"), (_payload, "payload"), (_contact, "contact"), (_slip, "slip")]
+    return "\n\n".join(write(result[key]) for write, key in parts if key in result)
+
+
+def _table(head: list[str], rows: list[list[str]]) -> str:
+    lines = ["| " + " | ".join(row) + " |" for row in [head, ["---"] * len(head), *rows]]
+    return "\n".join(lines)
+
+
+def _groups(rows: list[dict[str, Any]], *keys: str) -> dict[tuple[str, ...], list[dict[str, Any]]]:
+    found: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for row in rows:
+        found.setdefault(tuple(row[key] for key in keys), []).append(row)
+    return found
+
+
+def _success(rows: list[dict[str, Any]]) -> str:
+    hands = list(dict.fromkeys(row["hand"] for row in rows))
+    table = []
+    for (grasp, thing), tried in _groups(rows, "grasp", "object").items():
+        cells = []
+        for hand in hands:
+            own = [row for row in tried if row["hand"] == hand]
+            worst = max((max(row["motion_mm"]) for row in own if row["motion_mm"]), default=float("nan"))
+            cells.append(f"{sum(row['ok'] for row in own)} of {len(own)}, {min(worst, 99.0):.1f} mm" if own else "-")
+        table.append([grasp, thing, *cells])
+    totals = []
+    for grasp in dict.fromkeys(row["grasp"] for row in rows):
+        for hand in hands:
+            own = [row for row in rows if row["hand"] == hand and row["grasp"] == grasp]
+            totals.append(f"{hand} {grasp} {100 * np.mean([row['ok'] for row in own]):.0f} % of {len(own)}")
+    failures = [
+        f"* {row['hand']}, {row['grasp']}, {row['object']}, seed {row['seed']}: {row['why']}"
+        for row in rows
+        if row["why"]
+    ]
+    named = "\n\nFailures:\n\n" + "\n".join(failures) if failures else "\n\nNo failures."
+    head = ["grasp", "object", *[f"{hand}: held, worst motion" for hand in hands]]
+    return f"{_table(head, table)}\n\nIn total: {'; '.join(totals)}.{named}"
+
+
+def _payload(rows: list[dict[str, Any]]) -> str:
+    table = [
+        [row["hand"], row["direction"], ("" if row["slid"] else "over ") + f"{row['mass_kg']:.2f}",
+         " / ".join(f"{value:.1f}" for value in row["normal_N"]), f"{row['coulomb_kg']:.2f}"]
+        for row in rows
+    ]  # fmt: skip
+    head = ["hand", "load", "mass borne, kg", "normal forces before, N", "friction x their sum, kg"]
+    return f"{_table(head, table)}\n\nThe paper says {payload.PAPER_KG} kg at 6 N a finger and friction 0.5."
+
+
+def _contact(rows: list[dict[str, Any]]) -> str:
+    table = [
+        [row["hand"], str(row["contacts"]), f"{100 * row['within_20_ms']:.0f} %", f"{100 * row['before_1_N']:.0f} %",
+         f"{row['p95_ms']:.0f} ms", f"{row['free_minutes']:.1f}", str(row["false_alarms"])]
+        for row in rows
+    ]  # fmt: skip
+    head = [
+        "hand",
+        "contacts",
+        "found within 20 ms of 1 N",
+        "found before 1 N",
+        "95 % within",
+        "free minutes",
+        "alarms",
+    ]
+    return _table(head, table)
+
+
+def _slip(rows: list[dict[str, Any]]) -> str:
+    table = []
+    for (hand, answered), tried in _groups(rows, "hand", "answered").items():
+        lost = [row["lost_at_N"] for row in tried if row["lost_at_N"] is not None]
+        noticed = [row["first_event_mm"] for row in tried if row["first_event_mm"] is not None]
+        table.append([
+            hand, f"up to {slip.LIMIT_N:g} N" if answered else "no",
+            f"{len(lost)} of {len(tried)}" + (f", from {min(lost):.1f} N" if lost else ""),
+            " / ".join(f"{min(row['motion_mm'], 99.0):.1f}" for row in tried),
+            " / ".join(f"{value:.2f}" for value in noticed) or "never",
+            " / ".join(f"{row['tension_end_N']:.0f}" for row in tried),
+        ])  # fmt: skip
+    load = max(row["load_end_N"] for row in rows)
+    head = ["hand", "answer", "lost", f"motion by {load:.0f} N, mm", "first told after, mm", "tension at the end, N"]
+    return _table(head, table)
+
+
+def write(result: dict[str, Any]) -> None:
+    """Write the tables into the page, between its marks, and draw the picture."""
+    page = PAGE.read_text("utf-8")
+    before, _, rest = page.partition(BEGIN)
+    _, _, after = rest.partition(END)
+    PAGE.write_text(f"{before}{BEGIN}\n{text(result)}\n{END}{after}", "utf-8")
+    draw(result)
+
+
+def draw(result: dict[str, Any]) -> None:
+    """Largest motion of each object, and what an answer to slip does."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 5), width_ratios=(3, 2), layout="constrained")
+    names = list(dict.fromkeys(f"{row['grasp']}: {row['object']}" for row in result["success"]))
+    for hand, marker, shift in (("jamia", "o", -0.15), ("jamia11", "s", 0.15)):
+        rows = [row for row in result["success"] if row["hand"] == hand and row["motion_mm"]]
+        x = [min(max(row["motion_mm"]), 50.0) for row in rows]
+        y = [names.index(f"{row['grasp']}: {row['object']}") + shift for row in rows]
+        left.scatter(x, y, marker=marker, s=22, label=hand, alpha=0.8)
+        bad = [i for i, row in enumerate(rows) if not row["ok"]]
+        left.scatter([x[i] for i in bad], [y[i] for i in bad], marker="x", color="black", s=40, zorder=3)
+    left.axvline(1e3 * MOST_M, color="grey", ls="--")
+    left.set(xscale="log", xlabel="largest motion in 5 s, of three orientations with a push of 1 N [mm]")
+    left.set_yticks(range(len(names)), names, fontsize=8)
+    left.invert_yaxis()
+    left.legend(title="x: no success", loc="lower right", fontsize=8)
+    for row in result["slip"]:
+        if row["seed"] == 0:
+            style = "-" if row["answered"] else ":"
+            color = "C0" if row["hand"] == "jamia" else "C1"
+            label = f"{row['hand']}, {'force raised on slip' if row['answered'] else 'no answer'}"
+            right.plot(*row["curve"], style, color=color, label=label)
+    right.set(xlabel="pull out of the palm [N]", ylabel="motion of the cylinder [mm]", ylim=(0, 12))
+    right.legend(fontsize=8)
+    PICTURE.parent.mkdir(exist_ok=True)
+    figure.savefig(PICTURE, dpi=110)
+    plt.close(figure)

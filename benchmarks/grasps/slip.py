@@ -1,0 +1,46 @@
+"""A load on a held cylinder grows: where does it go with an answer to slip, and where without."""
+
+from typing import Any
+
+import numpy as np
+
+from grasps.objects import CASES
+from grasps.trial import simulate, task_program
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.task import Hold
+
+START_S, RATE_N_PER_S, LAST_S = 6.0, 2.0, 14.0
+SLIPPERY = {"jamia": 0.3, "jamia11": 0.2}
+"""Friction at which a grasp of 20 N a tendon loses the cylinder within the load's range."""
+TENSION_N, LIMIT_N = 20.0, 60.0
+LOST_M = 10e-3
+
+
+def pull(hand: str, answered: bool, seed: int) -> dict[str, Any]:
+    """Pull out of the palm: load [N] over motion [mm], and the load at which the object is lost."""
+    scene = CASES[1].scene(seed, stages=False).replace("friction = 0.5", f"friction = {SLIPPERY[hand]}")
+    scene += f"[load]\ndirection = [1.0, 0.0, 0.0]\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"
+    program = task_program("grasp", hand, hold_s=60.0)
+    change = {"tension_N": TENSION_N, "slip_limit_N": LIMIT_N if answered else None}
+    phases = [phase.model_copy(update=change) if isinstance(phase, Hold) else phase for phase in program.task.phase]
+    program = TaskProgram(program.task.model_copy(update={"phase": tuple(phases)}))
+    run = simulate(hand, program, scene, seed=seed, timeout=LAST_S)
+    after = np.flatnonzero(run.t >= START_S)
+    motion = np.linalg.norm(run.place[after] - run.place[after[0]], axis=1)
+    load = RATE_N_PER_S * (run.t[after] - START_S)
+    lost = np.flatnonzero(motion > LOST_M)
+    every = slice(None, None, 10)
+    return {
+        "hand": hand, "answered": answered, "seed": seed,
+        "lost_at_N": round(float(load[lost[0]]), 1) if len(lost) else None,
+        "motion_mm": round(1e3 * float(motion[-1]), 2), "load_end_N": round(float(load[-1]), 1),
+        "tension_end_N": round(float(run.tension[-1].max()), 1),
+        "first_event_mm": _first(run, motion, after),
+        "curve": np.round([load[every], 1e3 * np.minimum(motion[every], 0.05)], 3).tolist(),
+    }  # fmt: skip
+
+
+def _first(run: Any, motion: np.ndarray, after: np.ndarray) -> float | None:
+    """How far the object had moved when slip was first told [mm]."""
+    ticks = [k for k, event in run.events if event.name == "slip" and k >= after[0]]
+    return round(1e3 * float(motion[ticks[0] - after[0]]), 2) if ticks else None
