@@ -203,7 +203,8 @@ def _regimes(
     vector = x if table is None else table.reshape(-1)
     if vector is x and judged != state.regimes:
         vector = x.copy()
-    return replace(state, x=vector, regimes=judged, stopped=tuple(stopped), turning=tuple(turning), measured=ropes)
+    kept = (state.surprise, state.nis, state.doubtful, state.started)
+    return FilterState(vector, judged, tuple(stopped), tuple(turning), ropes, *kept)
 
 
 def _turning(regime: int, ticks: int, tension: float, cell: float) -> int:

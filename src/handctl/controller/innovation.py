@@ -30,9 +30,10 @@ def gate(filters: Stacked, before: Vector, innovation: Vector) -> tuple[Vector, 
         by tendon, to be made beside the update.
     """
     cell = innovation[1::MEASUREMENTS]
-    surprise = np.nan_to_num(cell / filters.cell_sigma)
+    surprise = cell / filters.cell_sigma
+    surprise[surprise != surprise] = 0.0
     strange = np.abs(surprise) > SURPRISE
-    if not strange.any():
+    if not np.count_nonzero(strange):
         return innovation, surprise, []
     again = strange & (before * surprise > 0.0) & (np.abs(before) > SURPRISE)
     believed = []
@@ -56,7 +57,7 @@ def watch(period: float, mean: Vector, doubtful: tuple[bool, ...], nis: Vector) 
         nis: (N,) of this tick; NaN where nothing was measured.
     """
     mean = mean + period / DOUBT_S * np.where(np.isnan(nis), 0.0, np.minimum(nis, MOST_NIS) - mean)
-    if float(mean.max()) < DOUBT_BELOW and True not in doubtful:
+    if max(mean.tolist()) < DOUBT_BELOW and True not in doubtful:
         return mean, doubtful
     limits = [DOUBT_BELOW if before else DOUBT_ABOVE for before in doubtful]
     return mean, tuple((mean > limits).tolist())

@@ -24,12 +24,11 @@ def telemetry(
         command: what was commanded, NaN where nothing was.
         t_ns: time of the tick [ns].
     """
-    rows = [(d.velocity, d.torque, d.temperature, _age(d.feedback_t_ns, t_ns), d.phase) for d in state.drives]
-    motors = np.array(rows, dtype=np.float64).T
+    drives = state.drives
+    velocity, torque = np.array([[drive.velocity for drive in drives], [drive.torque for drive in drives]])
     missing = np.isnan(measured.travel)
-    if missing.any():
-        motors[:2, missing] = np.nan
-    velocity, torque, temperature, age, phase = motors
+    if np.count_nonzero(missing):
+        velocity[missing] = torque[missing] = np.nan
     return Telemetry(
         q=estimate.q,
         dq=estimate.dq,
@@ -51,9 +50,9 @@ def telemetry(
         motor_velocity=velocity,
         motor_torque=torque,
         motor_torque_goal=command.torque,
-        motor_temperature=temperature,
-        motor_age=age,
-        drive_phase=phase,
+        motor_temperature=np.array([drive.temperature for drive in drives]),
+        motor_age=np.array([_age(drive.feedback_t_ns, t_ns) for drive in drives]),
+        drive_phase=np.array([float(drive.phase) for drive in drives]),
         tip_force=model.all_digits.tip_force(estimate.q, estimate.external),
         contact=np.array(state.progress.contact, dtype=np.float64),
     )

@@ -151,7 +151,7 @@ class Controller:
         watch, signals = self._signals(before, state, entry, received, asked)
         measured, estimate, foreign = received.measured, received.estimate, received.foreign
         judged, verdict = safety.judge(state.safety, self.limits, signals)
-        state = replace(state, safety=judged)
+        state = state if judged is state.safety else replace(state, safety=judged)
         state, moved = next_mode(self.model, self.drives, state, verdict.action, wishes, foreign, entry.t_ns / 1e9)
         progress, goal_time, stepped = self._program(state, verdict.action, estimate, measured)
         law, command = self._command(state, estimate, progress.goals, goal_time)

@@ -159,16 +159,16 @@ def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tu
     tense = ropes.step(state.ropes, filtered.low[residuals.TENSION].tolist(), wanted)
     state = state._replace(filtered=filtered, ropes=tense)
     state, stands = _stands(watcher, state, seen)
-    low = filtered.low
+    size = np.abs(filtered.low).tolist()
     return state, raw._replace(
         slack=ropes.slack(tense, names, watcher.period),
         snapped=ropes.snapped(tense, names, cell, wanted, seen.speed.tolist(), watcher.period),
         residual=tuple(residuals.unexplained(watcher.rotor, filtered).tolist()),
-        disobeyed=tuple(np.abs(low[residuals.ASKED]).tolist()),
+        disobeyed=tuple(size[residuals.ASKED]),
         friction=tuple(residuals.friction(filtered).tolist()),
-        slip=tuple(np.abs(low[residuals.SLIP]).tolist()),
+        slip=tuple(size[residuals.SLIP]),
         derailed=tuple(np.abs(slip).tolist()),
-        noise=tuple(low[residuals.JERK].tolist()),
+        noise=tuple(size[residuals.JERK]),
         stuck_motor=stands[0],
         stuck_joint=stands[1],
         stuck_cell=stands[2],
