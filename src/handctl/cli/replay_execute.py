@@ -39,6 +39,7 @@ def _same(args: argparse.Namespace, log: Any) -> int:
         "version": version("handctl"),
         "version_logged": logged_by,
         "wall_s": found.wall_s,
+        "cpu_s": found.cpu_s,
         "times_real_time": found.times_real_time,
     }
     if args.json:
