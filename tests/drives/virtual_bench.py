@@ -23,10 +23,11 @@ class VirtualBench:
 
     name = "bench"
 
-    def __init__(self, protocol, fault="", inertia=None, **options):
+    def __init__(self, protocol, fault="", inertia=None, delay=0, **options):
         spec = drive_spec(protocol, NODE, inertia=inertia)
         self.bench = Bench([replace(spec, options=options or spec.options)], fault=fault)
         self.waiting, self.top = [], 0.0
+        self.late = [[] for _ in range(delay)]  # what the wire still holds, tick by tick
 
     def begin(self):
         pass
@@ -45,8 +46,9 @@ class VirtualBench:
         return len(frames)
 
     def drain(self):
-        frames, self.waiting = self.waiting + self.bench.take_spoken(), []
-        return [Frame(*frame) for frame in frames]
+        self.late.append(self.waiting + self.bench.take_spoken())
+        self.waiting = []
+        return [Frame(*frame) for frame in self.late.pop(0)]
 
     def take_events(self):
         return []

@@ -11,8 +11,8 @@ from tests.drives.virtual_bench import VirtualBench, rig_on
 LIMIT = 0.1
 
 
-def judged(protocol, fault="", options=None, inertia=None) -> tuple[dict[str, Check], VirtualBench, DriveRig]:
-    place = VirtualBench(protocol, fault, inertia)
+def judged(protocol, fault="", options=None, inertia=None, delay=0) -> tuple[dict[str, Check], VirtualBench, DriveRig]:
+    place = VirtualBench(protocol, fault, inertia, delay)
     rig = rig_on(place, protocol, LIMIT, options)
     return {check.name: check for check in checks(Subject(rig, LIMIT, 0.05))}, place, rig
 
@@ -32,6 +32,14 @@ def test_a_good_drive_keeps_every_promise(protocol):
     assert 0.0 < place.top <= LIMIT * 1.001
     assert rig.confirm_off(0.05)
     assert place.bench.motors[0].servo.torque == 0.0
+
+
+@pytest.mark.parametrize("inertia", [2e-5, 1e-4, 2e-3])
+@pytest.mark.parametrize("delay", [1, 3])
+def test_a_light_shaft_and_a_slow_wire_make_no_failure(protocol, inertia, delay):
+    found, place, _ = judged(protocol, inertia=inertia, delay=delay)
+    assert failed(found) == []
+    assert abs(place.bench.motors[0].omega) < 20.0
 
 
 BROKEN_PROMISE = {

@@ -17,13 +17,14 @@ from handctl.drives.registry import PROTOCOLS, make_drive
 from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.sections import Motor
 from handctl.runtime.bus import open_bus
-from handctl.runtime.clock import RealClock
+from handctl.runtime.clock import RealClock, give_back_priority, take_priority
 from handctl.runtime.conformance import PROMISES, Check, Subject, Verdict, checks
 from handctl.runtime.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.scan import scan
 
 EXAMPLE = "handctl conformance --drive odrive --node 3 --bus socketcan:can0 --torque-limit-Nm 0.1 --dry-run"
-WATCHDOG_MS = 50
+WATCHDOG_MS = 100
+"""Longer than what a desktop without real-time priority may keep this process waiting."""
 TORQUE_TOP = 50.0
 """Largest torque that a hand file takes [N m]."""
 DEFAULTS: dict[str, dict[str, Any]] = {"mit": {}, "odrive": {"torque_feedback": True}, "cia402": {"sync": True}}
@@ -158,6 +159,7 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
     clock = RealClock(PERIOD_NS)
     bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.of)
     results: list[Check] = []
+    clock.spin = take_priority().realtime
     try:
         rig = DriveRig(drive, bus, clock)
         try:
@@ -172,6 +174,7 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
                 rig.take(restoring)
                 rig.until(Want.POLL, lambda state: state.phase == Phase.READY, 3.0)
     finally:
+        give_back_priority()
         bus.close()
     return results, off
 

@@ -20,13 +20,14 @@ class DriveRig:
         drive: immutable. state: what is known of it. k: next tick.
         torque: last one commanded [N m].
         events: what happened to the bus.
+        inertia: of the shaft as measured [kg m2]; NaN before.
     """
 
     def __init__(self, drive: Drive, bus: Bus, clock: Clock) -> None:
         """Args: drive; its open bus; a clock with PERIOD_NS, which begins now."""
         self.drive, self._bus, self._clock = drive, bus, clock
         self.state: DriveState = drive.initial()
-        self.k, self.torque = 0, 0.0
+        self.k, self.torque, self.inertia = 0, 0.0, math.nan
         self.events: list[tuple[str, str, int]] = []
         self._positions = [math.nan] * (SPAN + 1)
         clock.begin()
