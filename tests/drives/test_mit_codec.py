@@ -203,7 +203,7 @@ def test_options() -> None:
         ({"reply_id": 0}, "motor[index_motor].options.reply_id: 0; expected an identifier from 1 to 0x7fe"),
         ({"reply_id": 0x7FF}, "motor[index_motor].options.reply_id: 2047; expected"),
         ({"reply_id": True}, "motor[index_motor].options.reply_id: True; expected"),
-        ({"fd": 1}, "motor[index_motor].options.fd: 1; expected true for a motor set to CAN FD, or false"),
+        ({"fd": 1}, "motor[index_motor].options.fd: 1; expected true or false"),
     ],
 )
 def test_wrong_options_are_refused(options: dict[str, object], text: str) -> None:

@@ -21,6 +21,8 @@ SIZE = RECORD.size
 BUFFER = 1 << 20
 """Asked of the kernel for either direction [bytes]."""
 ROOM = 4096 * SIZE
+CLASSICAL_MOST = 8
+"""Payload that any frame can carry [bytes]."""
 READS = 4
 """Reads of one drain: a flood cannot make a tick long."""
 CONNECT_TIMEOUT_S = 2.0
@@ -105,11 +107,13 @@ class LocalBus:
         """Take the whole records out of the first ``filled`` bytes, keep the beginning of the next."""
         whole = filled - filled % SIZE
         t_ns, index, dropped = self._stamp(time.monotonic_ns()), self._index, self._dropped
-        for can_id, length, flags, dropped, data in RECORD.iter_unpack(self._buffer[:whole]):  # noqa: B007 - the last
-            if can_id & ERROR:
-                self._events.error_frame(can_id, data[:length])
-            else:
-                frames.append(Frame(can_id, data[:length], flags, index, t_ns))
+        rows = list(RECORD.iter_unpack(self._buffer[:whole]))
+        told = [Frame(can_id, data[:length], flags, index, t_ns) for can_id, length, flags, _, data in rows]
+        if rows:
+            dropped = rows[-1][3]
+            if [row for row in rows if row[0] & ERROR]:
+                told = self._without_errors(told)
+            frames += told
         if dropped != self._dropped:
             self._events.add("dropped", (dropped - self._dropped) & 0xFFFF)
             self._dropped = dropped
@@ -117,11 +121,19 @@ class LocalBus:
         if self._kept:
             self._buffer[: self._kept] = self._buffer[whole:filled]
 
+    def _without_errors(self, frames: list[Frame]) -> list[Frame]:
+        """Error frames become events."""
+        for frame in frames:
+            if frame.can_id & ERROR:
+                self._events.error_frame(frame.can_id, frame.data)
+        return [frame for frame in frames if not frame.can_id & ERROR]
+
     def send(self, frames: Sequence[Frame]) -> int:
         """See ``bus.Bus``."""
         pack = RECORD.pack
-        for frame in frames:
-            check_size(frame)
+        if frames and max([len(frame[1]) for frame in frames]) > CLASSICAL_MOST:
+            for frame in frames:
+                check_size(frame)
         records = b"".join([pack(can_id, len(data), flags, 0, data) for can_id, data, flags, _, _ in frames])
         waiting = self._rest + records if self._rest else records
         if self._gone or not waiting:

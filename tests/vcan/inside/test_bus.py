@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 
 import pytest
 
-from handctl.drives.frame import BRS, EXTENDED, FDF, Frame
+from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, Frame
 from handctl.runtime.bus import Bus, open_bus
 
 CLASSICAL = struct.Struct("=IB3x8s")
@@ -111,3 +111,60 @@ def test_every_frame_that_was_not_read_in_time_is_counted(peer: Bus) -> None:
     dropped = sum(number for kind, _, number in peer.take_events() if kind == "dropped")
     assert 0 < received < sent
     assert received + dropped == sent
+
+
+def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None:
+    """Any socket can send one: as a controller's driver does it, warning, then bus-off, then the restart."""
+    with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as driver:
+        driver.bind(("vcan0",))
+        driver.send(CLASSICAL.pack(ERROR | 0x04, 8, bytes((0, 0x08, 0, 0, 0, 0, 96, 0))))
+        assert wait_for(bus, "error_warning") == []
+        driver.send(CLASSICAL.pack(ERROR | 0x40, 8, bytes(8)))
+        assert wait_for(bus, "bus_off") == []
+        assert ("bus_off", "socketcan:vcan0", 1) in bus.take_events(), "as long as it lasts"
+        driver.send(CLASSICAL.pack(ERROR | 0x100, 8, bytes(8)))
+        assert wait_for(bus, "restarted") == []
+    assert bus.take_events() == []
+
+
+def wait_for(bus: Bus, kind: str) -> list[Frame]:
+    """Frames that came before an event of this kind did."""
+    frames, end = bus.drain(), time.monotonic() + WAIT_S
+    while kind not in {told for told, _, _ in bus.take_events()}:
+        assert time.monotonic() < end, f"no {kind} in {WAIT_S} s"
+        time.sleep(0.005)
+        frames += bus.drain()
+    return frames
+
+
+def test_a_full_transmit_queue_refuses_and_is_an_event(slow: tuple[str, str]) -> None:
+    """A queue of ten frames in front of a wire of 50 kbit/s, as netem makes it; vcan alone never refuses."""
+    sender, receiver = (open_bus(f"socketcan:{name}", INDEX, NOMINAL, stamp=int) for name in slow)
+    batch = [Frame(n, bytes(8), bus=INDEX) for n in range(60)]
+    accepted = sender.send(batch)
+    assert 1 <= accepted < len(batch)
+    assert sender.take_events() == [("enobufs", f"socketcan:{slow[0]}", len(batch) - accepted)]
+    received = drained(receiver, accepted)
+    assert [frame.can_id for frame in received] == list(range(accepted)), "none of the refused goes out late"
+    assert sender.send(batch[:1]) == 1, "there is room again"
+    sender.close()
+    receiver.close()
+
+
+@pytest.fixture
+def slow() -> Iterator[tuple[str, str]]:
+    """Two ends of a CAN tunnel, with a slow wire behind the first."""
+    made = subprocess.run(["bash", "-c", SLOW], capture_output=True, text=True, check=False)
+    if made.returncode:
+        pytest.skip(f"no vxcan with netem here: {made.stderr.strip()}")
+    yield "vxcan0", "vxcan1"
+    subprocess.run(["ip", "link", "del", "vxcan0"], check=True)
+
+
+SLOW = """
+set -e
+ip link add dev vxcan0 type vxcan peer name vxcan1
+ip link set vxcan0 up
+ip link set vxcan1 up
+tc qdisc add dev vxcan0 root netem rate 50kbit limit 10
+"""

@@ -1,0 +1,136 @@
+"""Ways to send a torque to each of some MIT motors and to read what they answer: ``send(torques)``, ``receive()``."""
+
+import struct
+from functools import partial
+
+LIMIT, POSITION, VELOCITY = 0.8, 12.5, 50.0
+FEEDBACK = struct.Struct(">BH5B")
+DBC = """VERSION ""
+NS_ :
+BS_:
+BU_: H
+BO_ 1 Command: 8 H
+ SG_ position : 7|16@0+ (0.00038147554741741055,-12.5) [-12.5|12.5] "rad" H
+ SG_ velocity : 23|12@0+ (0.02442002442002442,-50) [-50|50] "rad/s" H
+ SG_ kp : 27|12@0+ (0.1221001221001221,0) [0|500] "" H
+ SG_ kd : 47|12@0+ (0.001221001221001221,0) [0|5] "" H
+ SG_ torque : 51|12@0+ (0.0003907203907203907,-0.8) [-0.8|0.8] "Nm" H
+BO_ 17 Feedback: 8 H
+ SG_ state : 7|4@0+ (1,0) [0|15] "" H
+ SG_ id : 3|4@0+ (1,0) [0|15] "" H
+ SG_ position : 15|16@0+ (0.00038147554741741055,-12.5) [-12.5|12.5] "rad" H
+ SG_ velocity : 31|12@0+ (0.02442002442002442,-50) [-50|50] "rad/s" H
+ SG_ torque : 35|12@0+ (0.0003907203907203907,-0.8) [-0.8|0.8] "Nm" H
+ SG_ mosfet : 55|8@0+ (1,0) [0|255] "C" H
+ SG_ winding : 63|8@0+ (1,0) [0|255] "C" H
+"""
+
+
+class Ours:
+    """handctl's bus and codec; the frames are those of the drives."""
+
+    def __init__(self, interface, channel, motors):
+        from handctl.drives.frame import Frame
+        from handctl.drives.mit_codec import Ranges, decode_feedback, encode_torque
+        from handctl.runtime.bus import open_bus
+
+        self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)
+        self.frame, self.encode, self.ids = Frame, encode_torque, range(1, motors + 1)
+        self.decode, self.ranges = decode_feedback, Ranges(POSITION, VELOCITY, LIMIT)
+
+    def send(self, torques):
+        frame, encode = self.frame, self.encode
+        self.bus.send([frame(i, encode(t, LIMIT)) for i, t in zip(self.ids, torques, strict=True)])
+
+    def receive(self):
+        decode, ranges = self.decode, self.ranges
+        return [decode(frame.data, ranges) for frame in self.bus.drain()]
+
+    def close(self):
+        self.bus.close()
+
+
+class Drives(Ours):
+    """The same with each drive's state machine, as the tick runs it."""
+
+    def __init__(self, interface, channel, motors):
+        super().__init__(interface, channel, motors)
+        from handctl.drives.contract import DriveState, Phase, Want
+        from handctl.drives.mit import MitDrive, Progress
+
+        self.want = Want.ENABLE
+        make = partial(MitDrive, bus=0, ranges=self.ranges, direction=1, zero=0.0, timeout=1000)
+        self.drives = [make(name=str(i), node_id=i, reply_id=i + 0x10) for i in self.ids]
+        state = DriveState(phase=Phase.ENABLED, private=Progress(configured=True, asked=True))
+        self.states = [state] * motors
+        self.by_id = {drive.reply_id: i for i, drive in enumerate(self.drives)}
+
+    def send(self, torques):
+        frames = []
+        for i, drive in enumerate(self.drives):
+            self.states[i], out = drive.advance(self.states[i], 0, self.want, torques[i])
+            frames += out
+        self.bus.send(frames)
+
+    def receive(self):
+        frames = self.bus.drain()
+        for frame in frames:
+            i = self.by_id[frame.can_id]
+            self.states[i] = self.drives[i].receive(self.states[i], frame)
+        return frames
+
+
+class Scalar:
+    """python-can, a message at a time, and the codec most people write."""
+
+    def __init__(self, interface, channel, motors):
+        import can
+
+        self.can, self.ids = can, range(1, motors + 1)
+        self.bus = can.Bus(channel, interface=interface, ignore_config=True)
+
+    def encode(self, torque):
+        raw = int((torque + LIMIT) * 4095 / (2 * LIMIT))
+        return bytes((0x7F, 0xFF, 0x7F, 0xF0, 0, 0, raw >> 8, raw & 0xFF))
+
+    def decode(self, data):
+        position = (data[1] << 8 | data[2]) * 2 * POSITION / 65535 - POSITION
+        velocity = (data[3] << 4 | data[4] >> 4) * 2 * VELOCITY / 4095 - VELOCITY
+        torque = ((data[4] & 0xF) << 8 | data[5]) * 2 * LIMIT / 4095 - LIMIT
+        return data[0] >> 4, position, velocity, torque, max(data[6], data[7])
+
+    def send(self, torques):
+        for i, torque in zip(self.ids, torques, strict=True):
+            self.bus.send(self.can.Message(arbitration_id=i, data=self.encode(torque), is_extended_id=False))
+
+    def receive(self):
+        return [self.decode(self.bus.recv(0).data) for _ in self.ids]
+
+    def close(self):
+        self.bus.shutdown()
+
+
+class Cantools(Scalar):
+    """python-can, and cantools by a DBC."""
+
+    def __init__(self, interface, channel, motors):
+        super().__init__(interface, channel, motors)
+        import cantools
+
+        database = cantools.database.load_string(DBC, "dbc")
+        self.command, self.feedback = (database.get_message_by_name(name) for name in ("Command", "Feedback"))
+
+    def encode(self, torque):
+        values = {"position": 0.0, "velocity": 0.0, "kp": 0.0, "kd": 0.0, "torque": torque}
+        return self.command.encode(values, strict=False)
+
+    def decode(self, data):
+        return self.feedback.decode(bytes(data))
+
+
+WAYS = {
+    "handctl": Ours,
+    "handctl, drives and all": Drives,
+    "python-can, scalar codec": Scalar,
+    "python-can, cantools": Cantools,
+}
