@@ -13,6 +13,7 @@ from handctl.log.batch import Batcher
 from handctl.log.clock_pairs import PERIOD_NS
 from handctl.log.container import Container, Run
 from handctl.log.header import RunHeader
+from handctl.log.syncer import sync_now
 from handctl.log.topics import Topics
 
 CHUNK_SPAN_NS = 250_000_000
@@ -67,15 +68,22 @@ class LogWriter:
         report: called with disk_low, disk_full, error or misshapen and a number (free bytes, errno, 1).
         floor_bytes: free space at which the file is finished early.
         clocks: wall and monotonic clock [ns]; not asked in a deterministic run.
+        to_disk: brings the file of a descriptor to the disk.
 
     Raises:
         OSError: only from here; later failures are reported.
     """
 
     def __init__(
-        self, path: Path, header: RunHeader, report: Report, floor_bytes: int, clocks: Clocks = _both_clocks
+        self,
+        path: Path,
+        header: RunHeader,
+        report: Report,
+        floor_bytes: int,
+        clocks: Clocks = _both_clocks,
+        to_disk: Callable[[int], None] = sync_now,
     ) -> None:
-        self._clocks, self._next_pair_ns = clocks, 0
+        self._clocks, self._next_pair_ns, self._to_disk = clocks, 0, to_disk
         self._path, self._header, self._report, self._floor = path, header, report, floor_bytes
         self._topics, self._batcher = Topics(header), Batcher(header)
         self._fd = _create(path)
@@ -146,7 +154,7 @@ class LogWriter:
         if self.dead:
             return
         try:
-            getattr(os, "fdatasync", os.fsync)(self._fd)
+            self._to_disk(self._fd)
         except OSError as error:
             self._fail(error)
             return

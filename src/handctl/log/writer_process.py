@@ -16,6 +16,7 @@ from pathlib import Path
 
 from handctl.log.header import RunHeader
 from handctl.log.record import END, FRAMING, HEADER, TICK
+from handctl.log.syncer import Syncer
 from handctl.log.writer import LogWriter
 
 READ_BYTES = 1 << 20
@@ -95,7 +96,7 @@ class Session:
         elif kind == HEADER:
             header = RunHeader.load(body)
             self._wall_flush = not header.deterministic
-            self._writer = LogWriter(self._path, header, report, self._floor)
+            self._writer = LogWriter(self._path, header, report, self._floor, to_disk=Syncer())
             tell({"ready": True})
         elif kind == END:
             end = json.loads(body)

@@ -1,0 +1,34 @@
+"""Bringing a file to the disk without waiting for it."""
+
+import os
+import select
+from pathlib import Path
+
+import psutil
+import pytest
+
+from handctl.log.syncer import Syncer
+
+
+def test_a_process_of_its_own_syncs_and_ends_with_its_parent(tmp_path: Path) -> None:
+    before = set(psutil.Process().children())
+    descriptor = os.open(tmp_path / "x", os.O_WRONLY | os.O_CREAT)
+    syncer = Syncer()
+    for _ in range(100):
+        syncer(descriptor)
+    (child,) = set(psutil.Process().children()) - before
+    assert {one.fd for one in child.open_files()} == {descriptor}
+    os.close(syncer._ask)
+    assert child.wait(10.0) is not None or not child.is_running()
+    os.close(descriptor)
+
+
+def test_an_error_comes_with_a_later_call() -> None:
+    reading, writing = os.pipe()
+    syncer = Syncer()
+    syncer(writing)
+    assert select.select([syncer._told], [], [], 10.0)[0]
+    with pytest.raises(OSError, match="Invalid argument"):
+        syncer(writing)
+    os.close(reading)
+    os.close(writing)
