@@ -1,0 +1,271 @@
+"""Both loops as linear systems: the controller differentiated where it runs, the plant from the hand file.
+
+The controller's matrices are finite differences of the very functions that a tick calls, so whatever changes in the
+filter or the law changes here too. Each tendon is taken by itself, as the gains are designed. Friction is left out: in
+motion it is saturated and has no slope. The delay is the bus's: a tick acts on samples of the tick before.
+"""
+
+import enum
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from handctl.controller import computed_torque, estimator
+from handctl.controller.computed_torque import LawState
+from handctl.controller.estimator import FilterState, Measured
+from handctl.controller.filter_design import Regime, S, V, W, X
+from handctl.controller.goal import DigitGoal, Kind
+from handctl.controller.model import HandModel
+from handctl.controller.trajectory import Sample
+
+Matrix = NDArray[np.float64]
+
+CURRENT_LAG_S = 0.3e-3
+"""First-order lag of a drive's torque. Source: current loops of 500 Hz and more, as all three protocols' drives have."""
+TENSION_N = 20.0
+"""Operating point: tension, far from slack and from the limits."""
+SPEED_M_S = 0.015
+"""Operating point: cable speed at which friction is saturated."""
+ANGLE_RAD = 0.6
+"""Operating point: joint angle, between the stops."""
+STEP = {"travel": 1e-7, "tension": 1e-2, "state": 1e-6}
+"""Steps of the differences [m], [N], and as a share of what a state usually is."""
+
+
+class LoopKind(enum.StrEnum):
+    """Which feedback loop of a tendon."""
+
+    MOTION = "motion"
+    """The digit moves freely along a trajectory."""
+    TENSION = "tension"
+    """The digit is blocked and the tendon holds a tension."""
+
+
+@dataclass(frozen=True, slots=True)
+class System:
+    """A discrete linear system x' = A x + B u, y = C x + D u, over one control period.
+
+    Attributes:
+        A: (n, n). B: (n, m). C: (p, n). D: (p, m).
+        period: [s].
+    """
+
+    A: Matrix
+    B: Matrix
+    C: Matrix
+    D: Matrix
+    period: float
+
+    def response(self, omega: Matrix) -> NDArray[np.complex128]:
+        """Frequency response (len(omega), p, m) at angular frequencies [rad/s]."""
+        z = np.exp(1j * omega * self.period)
+        inverse = np.linalg.solve(z[:, None, None] * np.eye(len(self.A)) - self.A, self.B.astype(complex))
+        return np.asarray(self.C @ inverse + self.D)
+
+
+@dataclass(frozen=True, slots=True)
+class PlantFactors:
+    """How a real plant differs from its hand file: factors on what the linear plant is made of."""
+
+    stiffness: float = 1.0
+    damping: float = 1.0
+    mass: float = 1.0
+    spring: float = 1.0
+    motor_inertia: float = 1.0
+    torque_constant: float = 1.0
+
+
+def plant(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = PlantFactors()) -> System:
+    """Rotor, rope and digit of one tendon, sampled: motor force at the cable [N] to travel [m], tension [N], excursion [m].
+
+    Args:
+        model: the hand.
+        tendon: index.
+        kind: of loop; in TENSION the digit is blocked.
+        factors: what is different from the hand file.
+
+    Source: two masses on a rope; torque with a first-order lag; zero-order hold.
+    """
+    space, i = model.space, tendon
+    m, b = space.motor_mass[i] * factors.motor_inertia, space.motor_damping[i] * factors.damping
+    k, c = space.stiffness[i] * factors.stiffness, space.damping[i] * factors.damping
+    rope = np.array([k, c, -k, -c, 0.0])
+    A, B = np.zeros((5, 5)), np.zeros((5, 1))
+    A[0, 1] = 1.0
+    A[1] = -rope / m
+    A[1, 1] -= b / m
+    A[1, 4] = 1.0 / m
+    A[4, 4], B[4, 0] = -1.0 / CURRENT_LAG_S, factors.torque_constant / CURRENT_LAG_S
+    if kind == LoopKind.MOTION:
+        load = space.load_mass[i] * factors.mass
+        A[2, 3] = 1.0
+        A[3] = rope / load
+        A[3, 2] -= space.load_stiffness[i] * factors.spring / load
+        A[3, 3] -= space.load_damping[i] * factors.damping / load
+    else:
+        keep = [0, 1, 4]
+        A, B, rope = A[np.ix_(keep, keep)], B[keep], rope[keep]
+    n = len(A)
+    held = expm(np.block([[A, B], [np.zeros((1, n + 1))]]) * model.period)
+    C = np.zeros((3, n))
+    C[0, 0], C[1] = 1.0, rope
+    if kind == LoopKind.MOTION:
+        C[2, 2] = 1.0
+    return System(held[:n, :n], held[:n, n:], C, np.zeros((3, 1)), model.period)
+
+
+def controller(model: HandModel, tendon: int, kind: LoopKind) -> System:
+    """Filter and law of one tendon: travel [m], tension [N], excursion [m] of the tick before to motor force at the cable [N].
+
+    Args:
+        model: the hand.
+        tendon: index.
+        kind: of loop.
+    """
+    tick, state, reading, scale = _operating_point(model, tendon, kind)
+    n, centre = len(state), tick(state, reading)
+    columns = [_slope(partial(_at, tick, state, reading, j), scale[j]) for j in range(n)]
+    steps = (STEP["travel"], STEP["tension"], STEP["travel"])
+    entries = [_slope(partial(_with, tick, state, reading, j), steps[j]) for j in range(3)]
+    J, E = np.column_stack(columns), np.column_stack(entries)
+    assert len(centre) == n + 1
+    return System(J[:n], E[:n], J[n:], E[n:], model.period)
+
+
+def loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = PlantFactors()) -> System:
+    """The loop broken at the motor's force: what comes back, with its sign, for a force that goes in.
+
+    Negative feedback is taken out of it, so that margins are read from 1 + L.
+    """
+    P, K = plant(model, tendon, kind, factors), controller(model, tendon, kind)
+    p, n, y = len(P.A), len(K.A), len(P.C)
+    A = np.zeros((p + y + n, p + y + n))
+    A[:p, :p] = P.A
+    A[p : p + y, :p] = P.C  # the samples that the next tick acts on
+    A[p + y :, p : p + y] = K.B
+    A[p + y :, p + y :] = K.A  # the filter hears of the force that its own law commands
+    B = np.vstack([P.B, np.zeros((y + n, 1))])
+    C = np.hstack([np.zeros((1, p)), K.D, K.C])
+    return System(A, B, -C, np.zeros((1, 1)), model.period)
+
+
+_Tick = Callable[[Matrix, Matrix], Matrix]
+"""(state, reading) to (next state, force): one tick of one tendon as a function of flat vectors."""
+
+
+def _slope(function: Callable[[float], Matrix], step: float) -> Matrix:
+    """Central difference."""
+    return np.asarray((function(step) - function(-step)) / (2.0 * step))
+
+
+def _at(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
+    moved = state.copy()
+    moved[j] += step
+    return tick(moved, reading)
+
+
+def _with(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
+    moved = reading.copy()
+    moved[j] += step
+    return tick(state, moved)
+
+
+_USUAL = {"x": np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])}
+"""Size of the filter's states, by which the differences are scaled; other states are forces [N]."""
+
+
+def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Tick, Matrix, Matrix, Matrix]:
+    """The tick of one tendon about a point, that point's state and reading, and the step of each state."""
+    filters, law, measured, goals, contact = _point(model, kind)
+    parts = [("filter", name) for name in _floats(filters)] + [("law", name) for name in _floats(law)]
+    owners = {"filter": filters, "law": law}
+    n = model.tendon_count
+
+    def share(owner: object, name: str) -> Matrix:
+        table: Matrix = np.reshape(getattr(owner, name), (n, -1))[tendon]
+        return table
+
+    def with_share(values: Matrix) -> tuple[FilterState, LawState]:
+        changed: dict[str, dict[str, Matrix]] = {"filter": {}, "law": {}}
+        at = 0
+        for owner, name in parts:
+            whole = getattr(owners[owner], name).copy()
+            table = whole.reshape(n, -1)
+            table[tendon] = values[at : at + table.shape[1]]
+            at += table.shape[1]
+            changed[owner][name] = whole
+        return replace(filters, **changed["filter"]), replace(law, **changed["law"])  # type: ignore[arg-type]
+
+    def tick(values: Matrix, reading: Matrix) -> Matrix:
+        own_filters, own_law = with_share(values)
+        now = replace(measured, **{name: _put(getattr(measured, name), tendon, reading[j]) for j, name in _READ})
+        next_filters, estimate = estimator.step(model, own_filters, now, own_law.force, contact)
+        next_law, command = computed_torque.step(model, own_law, estimate, goals, 0.0)
+        after = {"filter": next_filters, "law": next_law}
+        force = command.torque[tendon] / model.space.spool[tendon]
+        return np.concatenate([*(share(after[owner], name) for owner, name in parts), [force]])
+
+    state = np.concatenate([share(owners[owner], name) for owner, name in parts])
+    sizes = [_USUAL.get(name, np.ones(share(owners[owner], name).size)) for owner, name in parts]
+    reading = np.array([getattr(measured, name)[tendon] for _, name in _READ])
+    return tick, state, reading, np.concatenate(sizes) * STEP["state"]
+
+
+_READ = tuple(enumerate(("travel", "tension", "excursion")))
+
+
+def _put(values: Matrix, index: int, value: float) -> Matrix:
+    changed = values.copy()
+    changed[index] = value
+    return changed
+
+
+def _floats(record: object) -> list[str]:
+    """Names of a record's fields that hold float arrays."""
+    names = [field.name for field in fields(record)]  # type: ignore[arg-type]
+    return [name for name in names if getattr(getattr(record, name), "dtype", None) == np.float64]
+
+
+def _point(
+    model: HandModel, kind: LoopKind
+) -> tuple[FilterState, LawState, Measured, tuple[DigitGoal, ...], tuple[bool, ...]]:
+    """Every digit half closed, every tendon taut and winding, along the goal or (blocked) into the rope."""
+    n = model.tendon_count
+    moving = kind == LoopKind.MOTION
+    q = np.full(len(model.hand.joints), ANGLE_RAD)
+    excursion = model.hand.moment_arms @ q
+    x = np.zeros((n, 7))
+    x[:, S] = excursion
+    x[:, X] = excursion + TENSION_N / model.space.stiffness
+    x[:, V], x[:, W] = SPEED_M_S, SPEED_M_S if moving else 0.0
+    regime = Regime.FREE if moving else Regime.HELD
+    filters = replace(
+        FilterState.initial(n), x=x.ravel(), regimes=(int(regime),) * n, stopped=(False,) * n, started=True
+    )
+    winding = model.motion.tension_speed * SPEED_M_S / (1.0 + model.motion.tension)  # set-point error that asks for it
+    law = replace(LawState.initial(n), setpoint=TENSION_N + winding, force=np.full(n, TENSION_N))
+    joints = model.excursion_of(q)
+    seen = np.isfinite(_joint_gain(model))
+    measured = Measured(x[:, X].copy(), np.full(n, TENSION_N), np.where(seen, joints, math.nan), q)
+    goals = tuple(_goal(model, d, moving, q) for d in range(len(model.digits)))
+    return filters, law, measured, goals, (not moving,) * len(model.digits)
+
+
+def _joint_gain(model: HandModel) -> Matrix:
+    """(N,) 1 where joint encoders give a tendon's excursion, NaN where they do not."""
+    seen = [bool(np.any(blocks[Regime.FREE].K[:, 2])) for blocks in model.filter.blocks]
+    return np.where(seen, 1.0, math.nan)
+
+
+def _goal(model: HandModel, d: int, moving: bool, q: Matrix) -> DigitGoal:
+    digit, tendons = model.digits[d], model.digit_tendons[d]
+    if not moving:
+        return DigitGoal(Kind.TENSION, tension=np.full(tendons.stop - tendons.start, TENSION_N), rate=0.0)
+    rate = digit.joints_to_coordinates @ (model.excursion_to_joints @ np.full(model.tendon_count, SPEED_M_S))[digit.joints]
+    own = digit.joints_to_coordinates @ q[digit.joints]
+    return DigitGoal(Kind.MOTION, Sample(np.asarray(own), np.asarray(rate), np.zeros_like(own)))
