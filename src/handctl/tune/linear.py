@@ -138,11 +138,15 @@ def controller(model: HandModel, tendon: int, kind: LoopKind) -> System:
 
 
 def loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = PlantFactors()) -> System:
-    """The loop broken at the motor's force: what comes back, with its sign, for a force that goes in.
+    """The loop of one tendon; see ``joined``."""
+    return joined(plant(model, tendon, kind, factors), controller(model, tendon, kind))
+
+
+def joined(P: System, K: System) -> System:
+    """The loop of a plant and a controller, broken at the motor's force: what comes back, with its sign, for a force that goes in.
 
     Negative feedback is taken out of it, so that margins are read from 1 + L.
     """
-    P, K = plant(model, tendon, kind, factors), controller(model, tendon, kind)
     p, n, y = len(P.A), len(K.A), len(P.C)
     A = np.zeros((p + y + n, p + y + n))
     A[:p, :p] = P.A
@@ -151,7 +155,7 @@ def loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = 
     A[p + y :, p + y :] = K.A  # the filter hears of the force that its own law commands
     B = np.vstack([P.B, np.zeros((y + n, 1))])
     C = np.hstack([np.zeros((1, p)), K.D, K.C])
-    return System(A, B, -C, np.zeros((1, 1)), model.period)
+    return System(A, B, -C, np.zeros((1, 1)), P.period)
 
 
 _Tick = Callable[[Matrix, Matrix], Matrix]

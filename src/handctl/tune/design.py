@@ -1,0 +1,177 @@
+"""Gains by design: as much authority as the margins allow on every plant, or poles where a person wants them.
+
+Authority is LQR's one knob: the force that counts like the errors of Bryson's rule. More of it makes a loop faster and
+its margins smaller, so a bisection finds the most.
+
+Poles: for a plant with one input and weights on position and speed, the closed loop's characteristic polynomial d
+satisfies d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r. Two poles and two ratios of weights: each pole pair
+with a damping above 1/sqrt(2) has its weights, in closed form. Source: Kalman's symmetric root locus.
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+from handctl.controller.gains import Gains
+from handctl.controller.model import HandModel
+from handctl.controller.motion_design import design_motion
+from handctl.tune.linear import LoopKind, PlantFactors, controller, joined, plant
+from handctl.tune.margins import Margins, all_margins, margins
+
+LEAST_FORCE_N, MOST_FORCE_N = 0.2, 400.0
+STEPS = 9
+"""Of the bisection: within two per cent."""
+REJECTION = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0)
+"""Shares of disturbance rejection to try, from the largest: what a filter of this hand may leave no margin for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Design:
+    """What a design came to.
+
+    Attributes:
+        gains: new ones.
+        before, after: margins by tendon and loop, on the nominal plant.
+        worst_before, worst_after: the loop with the largest shortfall over the ensemble.
+    """
+
+    gains: Gains
+    before: dict[tuple[str, LoopKind], Margins]
+    after: dict[tuple[str, LoopKind], Margins]
+    worst_before: Margins
+    worst_after: Margins
+
+
+def linear_factors(factors: Mapping[str, float]) -> PlantFactors:
+    """A plant of the ensemble as far as it is linear; friction is not."""
+    known = PlantFactors.__dataclass_fields__
+    return PlantFactors(**{key: value for key, value in factors.items() if key in known})
+
+
+def with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float) -> Gains:
+    """Gains whose weights put a loop's poles at a natural frequency.
+
+    Args:
+        model: the hand, with the gains to begin from.
+        kind: of loop.
+        hz: natural frequency of the pole pair.
+        damping: at least 1/sqrt(2), below which no weights lead there.
+
+    Raises:
+        ValueError: no weights have these poles.
+    """
+    w = 2.0 * math.pi * hz
+    position, speed = (_motion_weights if kind == LoopKind.MOTION else _tension_weights)(model, w, damping)
+    if kind == LoopKind.MOTION:
+        own = model.gains.motion
+        table = {"position_error_m": own.force_N / position, "speed_error_m_s": own.force_N / speed}
+        return _checked(model.gains, motion={**own.model_dump(), **table})
+    tension = model.gains.tension
+    table = {"tension_error_N": tension.force_N / position, "speed_error_m_s": tension.force_N / speed}
+    return _checked(model.gains, tension={**tension.model_dump(), **table})
+
+
+def _checked(gains: Gains, **sections: dict[str, float]) -> Gains:
+    """The gains with other sections, bounds checked (pydantic's error is a ValueError)."""
+    return Gains.model_validate(gains.model_dump(by_alias=True) | sections)
+
+
+def _motion_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
+    """force / error and force / speed error of one mass: d(s) = s^2 + 2 z w s + w^2."""
+    mass = float((model.space.motor_mass + model.space.load_mass).mean())
+    return mass * w**2, mass * w * _root(4.0 * damping**2 - 2.0)
+
+
+def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
+    """The same of a rotor on its rope, whose own frequency is the least there is."""
+    space = model.space
+    m, k = float(space.motor_mass.mean()), float(space.stiffness.mean())
+    a0, a1 = k / m, float((space.motor_damping + space.damping).mean()) / m
+    return _root(w**4 - a0**2) * m / k, m * _root(2.0 * a0 - a1**2 - 2.0 * w**2 * (1.0 - 2.0 * damping**2))
+
+
+def _root(square: float) -> float:
+    if square <= 0.0:
+        raise ValueError("no weights have these poles")
+    return math.sqrt(square)
+
+
+def redesigned(model: HandModel, gains: Gains) -> HandModel:
+    """The model with other gains of motion and tension; its filter stays."""
+    return replace(model, gains=gains, motion=design_motion(model.space, gains, model.period))
+
+
+def worst_of(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind) -> Margins:
+    """The margins with the largest shortfall over plants, loops and unlike tendons."""
+    return max(_each(model, plants, kinds), key=lambda one: one.shortfall)
+
+
+def keeps(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind) -> bool:
+    """Whether every loop keeps its margins on every plant; looks no further than the first that does not."""
+    return all(one.enough for one in _each(model, plants, kinds))
+
+
+def _each(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind]) -> Iterator[Margins]:
+    for kind in kinds:
+        for i in unlike_tendons(model):
+            own = controller(model, i, kind)
+            yield from (margins(joined(plant(model, i, kind, factors), own)) for factors in plants)
+
+
+def unlike_tendons(model: HandModel) -> tuple[int, ...]:
+    """One tendon of each kind, so that like ones are not judged again."""
+    space, seen = model.space, dict[tuple[str, ...], int]()
+    for i in range(model.tendon_count):
+        numbers = (space.motor_mass, space.stiffness, space.load_mass, space.load_stiffness, space.spool)
+        seen.setdefault(tuple(f"{values[i]:.6g}" for values in numbers), i)
+    return tuple(seen.values())
+
+
+def design(model: HandModel, plants: tuple[PlantFactors, ...]) -> Design:
+    """The most authority of each loop, and the most disturbance rejection, that keep the margins on every plant.
+
+    Args:
+        model: the hand with its present gains; its filter is kept.
+        plants: ensemble to keep the margins on.
+
+    Raises:
+        ValueError: not even without authority are the margins kept.
+    """
+    for share in REJECTION:
+        if share > model.gains.motion.disturbance_rejection:
+            continue
+        found = _boldest(_with_motion(model, disturbance_rejection=share), LoopKind.MOTION, plants)
+        found = found and _boldest(found, LoopKind.TENSION, plants)
+        if found:
+            before, after = worst_of(model, plants), worst_of(found, plants)
+            return Design(found.gains, all_margins(model), all_margins(found), before, after)
+    raise ValueError("no authority keeps the margins with this filter; expected a filter that trusts its sensors less")
+
+
+def _with_motion(model: HandModel, **values: float) -> HandModel:
+    gains = _checked(model.gains, motion={**model.gains.motion.model_dump(), **values})
+    return redesigned(model, gains)
+
+
+def _boldest(model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]) -> HandModel | None:
+    """Bisection on the authority of one loop; None if the least of it is too much."""
+    low, high, best = math.log(LEAST_FORCE_N), math.log(MOST_FORCE_N), None
+    tried = _with_force(model, kind, LEAST_FORCE_N)
+    if not keeps(tried, plants, (kind,)):
+        return None
+    best = tried
+    for _ in range(STEPS):
+        middle = (low + high) / 2.0
+        tried = _with_force(model, kind, math.exp(middle))
+        if keeps(tried, plants, (kind,)):
+            low, best = middle, tried
+        else:
+            high = middle
+    return best
+
+
+def _with_force(model: HandModel, kind: LoopKind, force: float) -> HandModel:
+    if kind == LoopKind.MOTION:
+        return _with_motion(model, force_N=force)
+    table = {**model.gains.tension.model_dump(), "force_N": force}
+    return redesigned(model, _checked(model.gains, tension=table))
