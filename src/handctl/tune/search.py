@@ -1,0 +1,212 @@
+"""The search for gains on the twin: Optuna asks in fixed batches and is told in order, so only the seed decides.
+
+Each batch has a sampler of its own, seeded by the study's seed and the batch's number. That makes the result the same
+for one process, several and a cluster, and lets a study that was interrupted go on where it stopped: trials that were
+asked and not told are asked again with the same values.
+"""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from handctl.controller.gains import Gains
+from handctl.errors import ConfigError
+from handctl.tune.space import SPACE, with_values, within
+from handctl.tune.trial import Score
+from handctl.tune.workers import Workers
+
+BATCH = 8
+"""Trials asked at once; more workers than this would wait."""
+RANDOM_BATCHES = 2
+"""Before the sampler has seen enough to learn from."""
+NAME = "handctl"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What a search does.
+
+    Attributes:
+        hand: name or path.
+        rate_hz: control rate.
+        gains: to begin from; the first trial.
+        others: more points to try first, e.g. a design's.
+        plants: ensemble of factors.
+        seed: of sampler, plants' noise.
+        trials: number in all.
+    """
+
+    hand: str
+    rate_hz: float
+    gains: Gains
+    plants: tuple[dict[str, float], ...]
+    seed: int
+    trials: int
+    others: tuple[Gains, ...] = ()
+
+    def job(self, values: Mapping[str, float], first: bool = False) -> dict[str, Any]:
+        """One trial for a worker; the first is simulated whatever its margins, to compare with."""
+        gains = with_values(self.gains, values)
+        return {
+            "hand": self.hand,
+            "rate_hz": self.rate_hz,
+            "gains": gains.model_dump(by_alias=True),
+            "plants": list(self.plants),
+            "seed": self.seed,
+            "must_keep_margins": not first,
+        }
+
+    @property
+    def identity(self) -> str:
+        """What must be the same for a study to be continued."""
+        plain = {"hand": self.hand, "rate_hz": self.rate_hz, "plants": self.plants, "seed": self.seed}
+        return json.dumps(plain | {"gains": self.gains.model_dump(by_alias=True)}, sort_keys=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A finished trial."""
+
+    number: int
+    values: dict[str, float]
+    score: Score
+
+    @property
+    def good(self) -> bool:
+        """Whether it got through and keeps the margins."""
+        return not self.score.failure and self.score.shortfall <= 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Where a search stands.
+
+    Attributes:
+        trials: finished ones, in order; the first is of the gains to begin from.
+        best: the good one with the least cost; None if none is good.
+        front: numbers of the good trials that no other good one beats in every objective.
+    """
+
+    trials: tuple[Trial, ...]
+    best: Trial | None
+    front: tuple[int, ...]
+
+    @staticmethod
+    def of(trials: tuple[Trial, ...]) -> "Found":
+        """Judge trials."""
+        good = [one for one in trials if one.good]
+        scale = trials[0].score if trials and not trials[0].score.failure else (good[0].score if good else None)
+        best = min(good, key=lambda one: (one.score.cost(scale), one.number)) if good and scale else None
+        front = [one.number for one in good if not any(_beats(other.score, one.score) for other in good)]
+        return Found(trials, best, tuple(front))
+
+    def cost(self, trial: Trial) -> float:
+        """Cost of a trial in terms of the first."""
+        return trial.score.cost(self.trials[0].score)
+
+
+def _beats(one: Score, other: Score) -> bool:
+    pairs = list(zip(one.objectives, other.objectives, strict=True))
+    return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
+
+
+def search(plan: Plan, storage: Path, crew: Workers, show: Callable[[Found], None]) -> Found:
+    """Run a search, or go on with it.
+
+    Args:
+        plan: what to search.
+        storage: Optuna journal; a new file, or one of the same plan.
+        crew: who computes.
+        show: called after each trial.
+
+    Raises:
+        ConfigError: the storage holds another search.
+    """
+    study = _study(plan, storage)
+    while len(_finished(study)) < plan.trials:
+        _batch(study, plan, crew, show)
+    return Found.of(_finished(study))
+
+
+def _study(plan: Plan, path: Path) -> Any:
+    import optuna
+    from optuna.storages import JournalStorage
+    from optuna.storages.journal import JournalFileBackend
+
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    try:
+        backend = JournalStorage(JournalFileBackend(str(path)))
+        study = optuna.create_study(
+            storage=backend, study_name=NAME, directions=["minimize"] * 3, load_if_exists=True
+        )
+    except (OSError, ValueError, KeyError) as error:
+        raise ConfigError(f"cannot be used: {error}", str(path), "a new file, or a journal of `tune search`") from None
+    if study.user_attrs.get("plan", plan.identity) != plan.identity:
+        raise ConfigError("holds another search", str(path), "the same hand, gains, rate, plants and seed, or a new file")
+    study.set_user_attr("plan", plan.identity)
+    if not study.trials:
+        for gains in (plan.gains, *plan.others):
+            study.enqueue_trial(within(gains))
+    _ask_again(study)
+    return study
+
+
+def _ask_again(study: Any) -> None:
+    """Trials that an interruption left open: closed, and queued with the values they had."""
+    from optuna.trial import TrialState
+
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        if len(trial.params) == len(SPACE):
+            study.enqueue_trial(trial.params)
+        study.tell(trial.number, state=TrialState.FAIL)
+
+
+def _batch(study: Any, plan: Plan, crew: Workers, show: Callable[[Found], None]) -> None:
+    """Ask as many as the present batch lacks, compute, and tell in the order in which they were asked."""
+    done = len(_finished(study))
+    study.sampler = _sampler(plan.seed, done // BATCH)
+    count = min(BATCH - done % BATCH, plan.trials - done)
+    asked = [study.ask(_distributions()) for _ in range(count)]
+    jobs = [plan.job(trial.params, first=done + i == 0) for i, trial in enumerate(asked)]
+    scores: dict[int, dict[str, Any]] = {}
+    told = 0
+    for i, score in crew.scores(jobs):
+        scores[i] = score
+        while told in scores:
+            _tell(study, asked[told], Score(**scores[told]))
+            told += 1
+            show(Found.of(_finished(study)))
+
+
+def _tell(study: Any, trial: Any, score: Score) -> None:
+    trial.set_user_attr("score", asdict(score))
+    study.tell(trial, list(score.objectives))
+
+
+def _sampler(seed: int, batch: int) -> Any:
+    from optuna.samplers import RandomSampler, TPESampler
+
+    own = (seed * 7919 + batch) % (1 << 31)
+    if batch < RANDOM_BATCHES:
+        return RandomSampler(seed=own)
+    return TPESampler(seed=own, multivariate=True, constant_liar=True, constraints_func=_constraints)
+
+
+def _constraints(trial: Any) -> tuple[float, ...]:
+    """Margins, as Optuna wants them: above 0 is a violation."""
+    return (float(trial.user_attrs["score"]["shortfall"]),)
+
+
+def _distributions() -> dict[str, Any]:
+    from optuna.distributions import FloatDistribution
+
+    return {key: FloatDistribution(one.low, one.high, log=one.log) for key, one in SPACE.items()}
+
+
+def _finished(study: Any) -> tuple[Trial, ...]:
+    from optuna.trial import TrialState
+
+    done = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    return tuple(Trial(i, dict(one.params), Score(**one.user_attrs["score"])) for i, one in enumerate(done))

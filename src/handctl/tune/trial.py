@@ -1,0 +1,171 @@
+"""Gains on trial: the whole controller does the exercise on simulated plants in lockstep, and the truth judges it."""
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handctl.controller.gains import Gains
+from handctl.controller.model import HandModel
+from handctl.controller.setup import make_drives, make_sensors
+from handctl.controller.tick import Controller
+from handctl.controller.types import Mode, TickIn, TickOut
+from handctl.hand.description import Hand, hand_path, load_hand
+from handctl.report.summary import mean_angles, rms
+from handctl.report.truth import Truth, read_truth
+from handctl.runtime.lockstep import LockstepBus, LockstepClock, load_peer
+from handctl.runtime.loop import Loop
+from handctl.tune.design import linear_factors, worst_of
+from handctl.tune.exercise import Exercise, stages
+
+PEER = "firmware_sim.rig:Rig"
+FAILED = 1e3
+"""Objective of gains that did not get through the exercise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """What gains are worth, the root mean square over the plants.
+
+    Attributes:
+        tracking_deg: error of the mean joint angle while moving, against the truth.
+        tension_N: error of the true tension against its set-point while holding.
+        effort_Nm_per_s: rate of the commanded motor torque, which is what wears and what is heard.
+        peak_tension_N: largest true tension on any plant.
+        shortfall: of the margins on the worst plant, as a share; 0 or less is enough.
+        failure: why the exercise ended early; empty if it did not.
+    """
+
+    tracking_deg: float
+    tension_N: float
+    effort_Nm_per_s: float
+    peak_tension_N: float
+    shortfall: float
+    failure: str = ""
+
+    @property
+    def objectives(self) -> tuple[float, float, float]:
+        """What a search makes small."""
+        return self.tracking_deg, self.tension_N, self.effort_Nm_per_s
+
+    def cost(self, scale: "Score") -> float:
+        """One number: each objective as a multiple of another score's, effort at a tenth.
+
+        What is measured first is tracking and tension; effort decides between gains that are alike in these.
+        """
+        parts = [own / max(other, 1e-9) for own, other in zip(self.objectives, scale.objectives, strict=True)]
+        return (parts[0] + parts[1] + 0.1 * parts[2]) / 2.1
+
+
+def evaluate(job: Mapping[str, Any]) -> dict[str, Any]:
+    """Score gains; a plain function of plain data, for whoever computes.
+
+    Args:
+        job: hand (name or path), rate_hz, gains (table), plants (factor tables), seed, and optionally
+            must_keep_margins: do not simulate gains that fall short of them.
+
+    Returns:
+        a ``Score`` as a table.
+    """
+    hand = load_hand(str(job["hand"]))
+    gains = Gains.model_validate(job["gains"])
+    model = HandModel.of(hand, gains, float(job["rate_hz"]))
+    plants = job["plants"]
+    shortfall = worst_of(model, tuple(linear_factors(factors) for factors in plants)).shortfall
+    if shortfall > 0.0 and job.get("must_keep_margins", False):
+        return _table(Score(FAILED, FAILED, FAILED, 0.0, shortfall, "margins"))
+    runs = []
+    for i, factors in enumerate(plants):
+        runs.append(exercise(hand, str(job["hand"]), model, factors, int(job["seed"]) + i))
+        if runs[-1].failure:
+            return _table(Score(FAILED, FAILED, FAILED, runs[-1].peak_tension_N, shortfall, runs[-1].failure))
+    mean = np.sqrt(np.mean([np.square(run.objectives) for run in runs], axis=0)).tolist()
+    return _table(Score(*mean, max(run.peak_tension_N for run in runs), shortfall))
+
+
+def _table(score: Score) -> dict[str, Any]:
+    return {name: getattr(score, name) for name in Score.__dataclass_fields__}
+
+
+def exercise(hand: Hand, hand_name: str, model: HandModel, factors: Mapping[str, float], seed: int) -> Score:
+    """One run of the exercise on one plant, with nothing said of margins.
+
+    Args:
+        hand: description.
+        hand_name: name or path, for the simulator.
+        model: the hand with the gains.
+        factors: of the plant.
+        seed: of its noise.
+    """
+    period_ns = round(model.period * 1e9)
+    ticks: list[tuple[TickIn, TickOut]] = []
+    with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
+        truth_file = Path(folder) / "truth"
+        peer = load_peer(
+            PEER,
+            hand_path=str(hand_path(hand_name)),
+            seed=seed,
+            period_ns=period_ns,
+            perturb=dict(factors),
+            homed=True,
+            truth_path=str(truth_file),
+        )
+        clock = LockstepClock(peer, period_ns)
+        controller = _controller(hand, model)
+        try:
+            loop = Loop(
+                clock,
+                period_ns,
+                [LockstepBus(clock)],
+                controller.tick,
+                controller.cut_frames(),
+                lambda: (),
+                lambda: [],
+                lambda entry, out: ticks.append((entry, out)),
+                lambda entry, out: None,
+            )
+            state = loop.run(controller.initial())
+        finally:
+            peer.close()
+        truth = read_truth(truth_file)
+    return judge(hand, ticks, truth, state.failure)
+
+
+def _controller(hand: Hand, model: HandModel) -> Controller:
+    nothing = np.zeros(model.tendon_count)
+    return Controller.of(model, make_drives(hand), make_sensors(hand), Exercise(stages()), nothing, nothing, True)
+
+
+def judge(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: Truth, failure: str) -> Score:
+    """Score of one run by the simulator's truth.
+
+    Args:
+        hand: that ran.
+        ticks: of the run.
+        truth: of the plant.
+        failure: why it ended early, or empty.
+    """
+    kept = [(entry.t_ns, out) for entry, out in ticks if out.mode == Mode.ACTIVE]
+    tension = truth.values[:, [truth.columns.index(f"tension/{name}") for name in hand.tendon_names]]
+    peak = float(tension.max(initial=0.0))
+    if failure or not kept:
+        return Score(FAILED, FAILED, FAILED, peak, 0.0, failure or "never active")
+    t_ns = np.array([t for t, _ in kept])
+    phase = np.array([out.phase for _, out in kept])
+    goal, pull, torque = (
+        np.array([getattr(out.telemetry, name) for _, out in kept])
+        for name in ("q_goal", "tension_goal", "motor_torque_goal")
+    )
+    angles = mean_angles(hand, goal) - mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns))
+    tensions = pull - truth.table([f"tension/{name}" for name in hand.tendon_names], t_ns)
+    rate = np.diff(torque, axis=0) / (np.diff(t_ns)[:, None] / 1e9)
+    return Score(
+        tracking_deg=float(np.degrees(rms(angles[phase == "move"]))),
+        tension_N=rms(tensions[phase == "hold"]),
+        effort_Nm_per_s=rms(rate[np.isin(phase[1:], ("move", "hold"))]),
+        peak_tension_N=peak,
+        shortfall=0.0,
+    )

@@ -1,0 +1,24 @@
+"""A worker of a search: jobs as JSON lines on standard input, scores as JSON lines on standard output."""
+
+import json
+import signal
+import sys
+
+from handctl.errors import HandctlError
+from handctl.tune.trial import evaluate
+
+
+def main() -> int:
+    """Work until the input ends; Ctrl-C is the search's business."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for line in sys.stdin:
+        try:
+            result: dict[str, object] = evaluate(json.loads(line))
+        except HandctlError as error:
+            result = {"error": str(error)}
+        print(json.dumps(result), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
