@@ -28,6 +28,7 @@ VERBS = {
     "bus": "plan the load of a hand's buses, or look at buses and say what to mend",
     "scan": "find the drives on a bus without moving anything",
     "conformance": "check the contract of one drive on the drive itself",
+    "tune": "gains by design, by search on the twin, verified on the hand",
     "doctor": "check this machine: priority, buses, viewer",
 }
 """Each verb and what a person wants with it."""

@@ -175,3 +175,17 @@ def _with_force(model: HandModel, kind: LoopKind, force: float) -> HandModel:
         return _with_motion(model, force_N=force)
     table = {**model.gains.tension.model_dump(), "force_N": force}
     return redesigned(model, _checked(model.gains, tension=table))
+
+
+def placed(
+    model: HandModel, plants: tuple[PlantFactors, ...], motion_hz: float, tension_hz: float, damping: float
+) -> Design:
+    """Poles of both loops where a person wants them, and the margins that they have there.
+
+    Raises:
+        ValueError: no weights have these poles.
+    """
+    moved = redesigned(model, with_poles(model, LoopKind.MOTION, motion_hz, damping))
+    moved = redesigned(moved, with_poles(moved, LoopKind.TENSION, tension_hz, damping))
+    before, after = worst_of(model, plants), worst_of(moved, plants)
+    return Design(moved.gains, all_margins(model), all_margins(moved), before, after)

@@ -11,9 +11,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from handctl.controller.gain_bounds import with_values
 from handctl.controller.gains import Gains
 from handctl.errors import ConfigError
-from handctl.tune.space import SPACE, with_values, within
+from handctl.tune.space import SPACE, within
 from handctl.tune.trial import Score
 from handctl.tune.workers import Workers
 
@@ -48,7 +49,7 @@ class Plan:
 
     def job(self, values: Mapping[str, float], first: bool = False) -> dict[str, Any]:
         """One trial for a worker; the first is simulated whatever its margins, to compare with."""
-        gains = with_values(self.gains, values)
+        gains = with_values(self.gains, values, "study")
         return {
             "hand": self.hand,
             "rate_hz": self.rate_hz,

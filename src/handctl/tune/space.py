@@ -1,10 +1,9 @@
 """What a search may turn: gains by key, with the range of each."""
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from handctl.controller.gain_bounds import flat
 from handctl.controller.gains import Gains
-from handctl.errors import ConfigError
 
 
 class Range(NamedTuple):
@@ -29,30 +28,7 @@ SPACE = {
 """Weights, rejection and filter; the force of Bryson's rule is left alone, for only ratios count."""
 
 
-def value_of(gains: Gains, key: str) -> float:
-    """The value of ``section.name``."""
-    section, _, name = key.partition(".")
-    return float(getattr(getattr(gains, section), name))
-
-
-def with_values(gains: Gains, values: Mapping[str, float]) -> Gains:
-    """The gains with other values.
-
-    Raises:
-        ConfigError: no such key, or a value out of its bounds.
-    """
-    table: dict[str, Any] = gains.model_dump(by_alias=True)
-    for key, value in values.items():
-        section, _, name = key.partition(".")
-        if not isinstance(table.get(section), dict) or name not in table[section]:
-            raise ConfigError("no such gain", key, f"one of {', '.join(SPACE)}")
-        table[section][name] = value
-    try:
-        return Gains.model_validate(table)
-    except ValueError as error:
-        raise ConfigError(str(error).splitlines()[0], "gains", "values in their bounds") from None
-
-
 def within(gains: Gains) -> dict[str, float]:
     """The gains as a point of the space, moved to its edge where they are outside."""
-    return {key: min(max(value_of(gains, key), one.low), one.high) for key, one in SPACE.items()}
+    values = flat(gains)
+    return {key: min(max(values[key], one.low), one.high) for key, one in SPACE.items()}

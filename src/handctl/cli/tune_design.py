@@ -1,0 +1,98 @@
+"""``handctl tune design``: margins before and after, and the gains that have them."""
+
+import argparse
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.exit_codes import Exit
+from handctl.cli.gains_layers import layered_gains
+from handctl.cli.options import print_json
+from handctl.cli.plan import tick_times_s
+from handctl.cli.tune_files import output_files, spread_of, write_gains
+from handctl.controller.model import HandModel
+from handctl.drives.load import highest_rate
+from handctl.errors import ConfigError
+from handctl.hand.description import load_hand
+
+
+def run(args: argparse.Namespace) -> int:
+    """Design, draw, write."""
+    from handctl.tune.design import Design, design, linear_factors
+    from handctl.tune.ensemble import ensemble
+    from handctl.tune.plots import draw_loops
+
+    hand = load_hand(args.hand)
+    gains = layered_gains(args, hand.name).gains
+    rate = args.rate or highest_rate(tick_times_s(hand))
+    out, picture = output_files(args, hand.name, "design")
+    factors = ensemble(_positive(args.plants), args.seed, spread_of(args.fit))
+    plants = tuple(linear_factors(one) for one in factors)
+    model = HandModel.of(hand, gains, rate)
+    try:
+        found: Design = _placed(args, model, plants) if args.poles else design(model, plants)
+    except ValueError as error:
+        raise ConfigError(str(error), "tune design") from None
+    after = HandModel.of(hand, found.gains, rate)
+    note = f"tune design at {rate:g} Hz on {len(plants)} plants, seed {args.seed}"
+    write_gains(out, found.gains, hand, note, fit=args.fit)
+    draw_loops(picture, model, after, f"{hand.name} at {rate:g} Hz")
+    good = found.worst_after.enough
+    if args.json:
+        print_json(_plain(found, out, picture, rate, len(plants)))
+    else:
+        _print(found, rate, len(plants))
+        print(f"gains: {out}\npicture: {picture}\nnext: handctl tune verify {out} --lockstep --hand {args.hand}")
+    return Exit.DONE if good else Exit.FAILED
+
+
+def _positive(number: int) -> int:
+    if not 1 <= number <= 1024:
+        raise ConfigError(str(number), "--plants", "1 to 1024")
+    return number
+
+
+def _placed(args: argparse.Namespace, model: HandModel, plants: Any) -> Any:
+    """Poles where the person wants them."""
+    from handctl.tune.design import placed
+
+    try:
+        motion, tension = (float(word) for word in args.poles.split(","))
+    except ValueError:
+        raise ConfigError(repr(args.poles), "--poles-Hz", "two numbers, e.g. 6,25") from None
+    return placed(model, plants, motion, tension, args.damping)
+
+
+def _plain(found: Any, out: Path, picture: Path, rate: float, plants: int) -> dict[str, Any]:
+    return {
+        "gains": str(out),
+        "picture": str(picture),
+        "rate_hz": rate,
+        "plants": plants,
+        "before": {f"{name}/{kind}": asdict(one) for (name, kind), one in found.before.items()},
+        "after": {f"{name}/{kind}": asdict(one) for (name, kind), one in found.after.items()},
+        "worst_before": asdict(found.worst_before),
+        "worst_after": asdict(found.worst_after),
+        "enough": found.worst_after.enough,
+    }
+
+
+def _print(found: Any, rate: float, plants: int) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"loops at {rate:g} Hz, before -> after; the worst of {plants} plants below")
+    for heading in ("tendon", "loop", "gain margin [dB]", "phase margin [deg]", "disk", "delay [ms]", "crossover [Hz]"):
+        table.add_column(heading)
+    for (name, kind), after in found.after.items():
+        table.add_row(name, str(kind), *_cells(found.before[name, kind], after))
+    table.add_section()
+    table.add_row("worst", "", *_cells(found.worst_before, found.worst_after))
+    Console().print(table)
+
+
+def _cells(before: Any, after: Any) -> list[str]:
+    def pair(name: str, scale: float = 1.0, digits: int = 1) -> str:
+        return f"{getattr(before, name) * scale:.{digits}f} -> {getattr(after, name) * scale:.{digits}f}"
+
+    return [pair("gain_db"), pair("phase_deg", 1.0, 0), pair("disk", 1.0, 2), pair("delay_s", 1e3), pair("crossover_hz")]

