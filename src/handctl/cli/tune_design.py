@@ -9,7 +9,7 @@ from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import layered_gains
 from handctl.cli.options import print_json
 from handctl.cli.plan import tick_times_s
-from handctl.cli.tune_files import output_files, spread_of, write_gains
+from handctl.cli.tune_files import checked_count, output_files, spread_of, write_gains
 from handctl.controller.model import HandModel
 from handctl.drives.load import highest_rate
 from handctl.errors import ConfigError
@@ -18,6 +18,8 @@ from handctl.hand.description import load_hand
 
 def run(args: argparse.Namespace) -> int:
     """Design, draw, write."""
+    from rich.console import Console
+
     from handctl.tune.design import Design, design, linear_factors
     from handctl.tune.ensemble import ensemble
     from handctl.tune.plots import draw_loops
@@ -26,13 +28,14 @@ def run(args: argparse.Namespace) -> int:
     gains = layered_gains(args, hand.name).gains
     rate = args.rate or highest_rate(tick_times_s(hand))
     out, picture = output_files(args, hand.name, "design")
-    factors = ensemble(_positive(args.plants), args.seed, spread_of(args.fit))
+    factors = ensemble(checked_count(args.plants, "--plants", 1024), args.seed, spread_of(args.fit))
     plants = tuple(linear_factors(one) for one in factors)
     model = HandModel.of(hand, gains, rate)
-    try:
-        found: Design = _placed(args, model, plants) if args.poles else design(model, plants)
-    except ValueError as error:
-        raise ConfigError(str(error), "tune design") from None
+    with Console(stderr=True).status(f"keeping margins on {len(plants)} plants"):
+        try:
+            found: Design = _placed(args, model, plants) if args.poles else design(model, plants)
+        except ValueError as error:
+            raise ConfigError(str(error), "tune design") from None
     after = HandModel.of(hand, found.gains, rate)
     note = f"tune design at {rate:g} Hz on {len(plants)} plants, seed {args.seed}"
     write_gains(out, found.gains, hand, note, fit=args.fit)
@@ -44,12 +47,6 @@ def run(args: argparse.Namespace) -> int:
         _print(found, rate, len(plants))
         print(f"gains: {out}\npicture: {picture}\nnext: handctl tune verify {out} --lockstep --hand {args.hand}")
     return Exit.DONE if good else Exit.FAILED
-
-
-def _positive(number: int) -> int:
-    if not 1 <= number <= 1024:
-        raise ConfigError(str(number), "--plants", "1 to 1024")
-    return number
 
 
 def _placed(args: argparse.Namespace, model: HandModel, plants: Any) -> Any:

@@ -22,6 +22,17 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
     return out, picture
 
 
+def checked_count(number: int, option: str, most: int) -> int:
+    """A count from the command line.
+
+    Raises:
+        ConfigError: it is not between 1 and ``most``.
+    """
+    if not 1 <= number <= most:
+        raise ConfigError(str(number), option, f"1 to {most}")
+    return number
+
+
 def write_gains(path: Path, gains: Gains, hand: Hand, note: str, fit: Path | None = None, study: str = "") -> None:
     """A gains file that says where it comes from."""
     told = Provenance(hand=hand.name, identity=hand.identity, note=note, fit=str(fit or ""), study=study)

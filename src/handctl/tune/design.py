@@ -41,6 +41,19 @@ class Design:
     worst_before: Margins
     worst_after: Margins
 
+    def as_weights(self) -> Gains:
+        """The same gains with the force of each loop put into its weights, for only ratios count (LQR)."""
+        fresh, gains = Gains(), self.gains
+        motion, tension = fresh.motion.force_N / gains.motion.force_N, fresh.tension.force_N / gains.tension.force_N
+        own, hold = gains.motion, gains.tension
+        table = {"position_error_m": own.position_error_m * motion, "speed_error_m_s": own.speed_error_m_s * motion}
+        held = {"tension_error_N": hold.tension_error_N * tension, "speed_error_m_s": hold.speed_error_m_s * tension}
+        return _checked(
+            gains,
+            motion={**own.model_dump(), **table, "force_N": fresh.motion.force_N},
+            tension={**hold.model_dump(), **held, "force_N": fresh.tension.force_N},
+        )
+
 
 def linear_factors(factors: Mapping[str, float]) -> PlantFactors:
     """A plant of the ensemble as far as it is linear; friction is not."""

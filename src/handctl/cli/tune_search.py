@@ -1,0 +1,138 @@
+"""``handctl tune search``: the best gains on an ensemble of twins; goes on where it was interrupted."""
+
+import argparse
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.exit_codes import Exit
+from handctl.cli.gains_layers import layered_gains
+from handctl.cli.options import print_json
+from handctl.cli.plan import tick_times_s
+from handctl.cli.tune_files import checked_count, output_files, spread_of, write_gains
+from handctl.controller.gain_bounds import with_values
+from handctl.controller.gains import Gains
+from handctl.controller.model import HandModel
+from handctl.drives.load import highest_rate
+from handctl.hand.description import Hand, hand_path, load_hand
+
+
+def run(args: argparse.Namespace) -> int:
+    """Search, draw, write."""
+    from handctl.tune.ensemble import ensemble
+    from handctl.tune.plots import draw_search
+    from handctl.tune.search import Plan, search
+    from handctl.tune.workers import workers
+
+    hand = load_hand(args.hand)
+    gains = layered_gains(args, hand.name).gains
+    rate = args.rate or highest_rate(tick_times_s(hand))
+    out, picture = output_files(args, hand.name, "search")
+    plants = ensemble(checked_count(args.plants, "--plants", 256), args.seed, spread_of(args.fit))
+    trials = checked_count(args.trials, "--trials", 100_000)
+    crew_size = checked_count(args.workers, "--workers", 64)
+    storage = args.study or Path(f"{hand.name}.study")
+    plan = Plan(str(hand_path(args.hand)), rate, gains, plants, args.seed, trials, _designed(hand, gains, rate, plants))
+    with _Progress(trials, args.json) as progress:
+        crew = workers(crew_size, args.scheduler)
+        try:
+            found = search(plan, storage, crew, progress.show)
+        except KeyboardInterrupt:
+            progress.interrupted(storage)
+            return Exit.FAILED
+        finally:
+            crew.close()
+    draw_search(picture, found, f"{hand.name} at {rate:g} Hz: {len(found.trials)} trials on {len(plants)} plants")
+    if found.best is None:
+        print(f"no trial keeps the margins on every plant; look at {picture}, and try --trials {2 * trials}")
+        return Exit.FAILED
+    best = with_values(gains, found.best.values, "study")
+    note = f"tune search, trial {found.best.number} of {len(found.trials)} on {len(plants)} plants, seed {args.seed}"
+    write_gains(out, best, hand, note, fit=args.fit, study=str(storage))
+    result = _result(found, storage, out, picture)
+    if args.json:
+        print_json(result)
+    else:
+        _print(found, result)
+        print(f"next: handctl tune verify {out} --lockstep --hand {args.hand}")
+    return Exit.DONE
+
+
+def _designed(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]) -> tuple[Gains, ...]:
+    """The design for the same plants as a second point to begin from, if there is one."""
+    from handctl.tune.design import design, linear_factors
+
+    try:
+        found = design(HandModel.of(hand, gains, rate), tuple(linear_factors(one) for one in plants))
+    except ValueError:
+        return ()
+    return (found.as_weights(),)
+
+
+class _Progress:
+    """How far a search is, what the best is, and how long it will take."""
+
+    def __init__(self, trials: int, quiet: bool) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = (TextColumn("search"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
+        self._console = Console(stderr=True)
+        self._bar = Progress(*columns, console=self._console, disable=quiet or not self._console.is_terminal)
+        self._task = self._bar.add_task("designing", total=trials)
+        self._quiet, self._next = quiet, 0.0
+
+    def __enter__(self) -> "_Progress":
+        self._bar.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()
+
+    def show(self, found: Any) -> None:
+        """After a trial; without a terminal, a line now and then."""
+        text = f"best {found.cost(found.best):.3f}, trial {found.best.number}" if found.best else "none good yet"
+        self._bar.update(self._task, completed=len(found.trials), description=text)
+        if not self._quiet and self._bar.disable and time.monotonic() >= self._next:
+            self._next = time.monotonic() + 5.0
+            self._console.print(f"trial {len(found.trials)}: {text}", highlight=False)
+
+    def interrupted(self, storage: Path) -> None:
+        """What a person who pressed Ctrl-C wants to know."""
+        self._bar.stop()
+        self._console.print(f"interrupted; the same command goes on with {storage}", highlight=False)
+
+
+def _result(found: Any, storage: Path, out: Path, picture: Path) -> dict[str, Any]:
+    best, first = found.best, found.trials[0]
+    return {
+        "trials": len(found.trials),
+        "good": sum(one.good for one in found.trials),
+        "best": {"trial": best.number, "values": best.values, "score": asdict(best.score), "cost": found.cost(best)},
+        "first": asdict(first.score),
+        "front": list(found.front),
+        "study": str(storage),
+        "gains": str(out),
+        "picture": str(picture),
+    }
+
+
+def _print(found: Any, result: dict[str, Any]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=f"{result['trials']} trials, {result['good']} good, {len(result['front'])} on the Pareto front")
+    for heading in ("", "where it began", f"trial {found.best.number}"):
+        table.add_column(heading)
+    rows = (
+        ("tracking error [deg rms]", "tracking_deg", 2),
+        ("tension error [N rms]", "tension_N", 2),
+        ("effort [N m/s]", "effort_Nm_per_s", 1),
+        ("peak tension [N]", "peak_tension_N", 0),
+        ("shortfall of margins", "shortfall", 2),
+    )
+    for name, key, digits in rows:
+        table.add_row(name, *(f"{getattr(one.score, key):.{digits}f}" for one in (found.trials[0], found.best)))
+    Console().print(table)
+    Console().print(f"gains: {result['gains']}\npicture: {result['picture']}\nstudy: {result['study']}", highlight=False)
