@@ -9,6 +9,7 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from importlib.metadata import distributions, version
 from pathlib import Path
+from typing import Protocol
 
 from handctl.cli.display import Display
 from handctl.cli.exit_codes import Exit
@@ -103,7 +104,21 @@ def make_controller(plan: Plan, program: Program, calibration: Calibration | Non
     return setup.make_controller(plan.hand, plan.gains, plan.rate_hz, program, calibration, arm_at_once)
 
 
-def run_live(plan: Plan, controller: Controller, log: Path, live_view: bool = False) -> Outcome:
+class Attendant(Protocol):
+    """Somebody who watches a run from this process, and asks as a person would."""
+
+    def take(self) -> tuple[str, ...]:
+        """Requests since the last call."""
+        ...
+
+    def see(self, entry: TickIn, out: TickOut) -> None:
+        """A tick is over."""
+        ...
+
+
+def run_live(
+    plan: Plan, controller: Controller, log: Path, live_view: bool = False, attendant: Attendant | None = None
+) -> Outcome:
     """Run on real time and real (or simulated) buses.
 
     Args:
@@ -111,6 +126,7 @@ def run_live(plan: Plan, controller: Controller, log: Path, live_view: bool = Fa
         controller: with its program.
         log: file to write.
         live_view: show the growing log in Rerun, from a process of its own.
+        attendant: who watches and asks, if anybody.
 
     Raises:
         BusError: a bus cannot be opened, or another controller runs on it.
@@ -136,16 +152,20 @@ def run_live(plan: Plan, controller: Controller, log: Path, live_view: bool = Fa
             stack.callback(_start_view(log))
         signals = Signals()
         stack.enter_context(signals.installed())
-        show = _shows(display, mailbox, plan.rate_hz)
-        loop = _loop(plan, controller, clock, buses, recorder, _requests(plan, signals, mailbox), show)
+        show = _attended(attendant, _shows(display, mailbox, plan.rate_hz))
+        asks = _asking(attendant, _requests(plan, signals, mailbox))
+        loop = _loop(plan, controller, clock, buses, recorder, asks, show)
         return _finish(loop, controller, recorder, display, priority, lambda: int(clock.start_ns * clock.scale))
 
 
-def run_lockstep(plan: Plan, controller: Controller, log: Path, clock: LockstepClock) -> Outcome:
+def run_lockstep(
+    plan: Plan, controller: Controller, log: Path, clock: LockstepClock, attendant: Attendant | None = None
+) -> Outcome:
     """Run in virtual time against the clock's peer; may be called again with the same clock."""
     clock.restart()
     recorder = Recorder.start(log, run_header(plan, controller, None, lockstep=True))
-    loop = _loop(plan, controller, clock, [LockstepBus(clock)], recorder, lambda: (), _show_nothing)
+    asks, show = _asking(attendant, lambda: ()), _attended(attendant, _show_nothing)
+    loop = _loop(plan, controller, clock, [LockstepBus(clock)], recorder, asks, show)
     return _finish(loop, controller, recorder, None, None, lambda: clock.offset_ns)
 
 
@@ -194,6 +214,27 @@ def _requests(plan: Plan, signals: Signals, mailbox: Mailbox) -> Callable[[], tu
         return first + signals.take() + mailbox.read()
 
     return take
+
+
+Asks = Callable[[], tuple[str, ...]]
+Shows = Callable[[TickIn, TickOut], None]
+
+
+def _asking(attendant: Attendant | None, others: Asks) -> Asks:
+    if attendant is None:
+        return others
+    return lambda: others() + attendant.take()
+
+
+def _attended(attendant: Attendant | None, others: Shows) -> Shows:
+    if attendant is None:
+        return others
+
+    def show(entry: TickIn, out: TickOut) -> None:
+        attendant.see(entry, out)
+        others(entry, out)
+
+    return show
 
 
 WATCH_HZ = 50.0

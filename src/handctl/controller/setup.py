@@ -8,6 +8,7 @@ from pydantic import Field
 
 from handctl.controller.calibration import Calibration
 from handctl.controller.commission import CommissionProgram
+from handctl.controller.exercise import Exercise
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.live import JogProgram, LiveProgram
@@ -62,9 +63,15 @@ class PlaybackSetup(Document):
     rows: str
 
 
-ProgramSetup = Annotated[
-    TaskSetup | LiveSetup | JogSetup | CommissionSetup | PlaybackSetup, Field(discriminator="program")
-]
+class ExerciseSetup(Document):
+    """The exercise by which gains are judged."""
+
+    program: Literal["exercise"] = "exercise"
+    amplitudes: tuple[float, ...]
+
+
+AnySetup = TaskSetup | LiveSetup | JogSetup | CommissionSetup | PlaybackSetup | ExerciseSetup
+ProgramSetup = Annotated[AnySetup, Field(discriminator="program")]
 
 
 class Setup(Document):
@@ -126,7 +133,7 @@ def make_controller(
     return Controller.of(model, make_drives(hand), make_sensors(hand), program, tare, zero, arm_at_once)
 
 
-def _described(program: Program) -> TaskSetup | LiveSetup | JogSetup | CommissionSetup | PlaybackSetup:
+def _described(program: Program) -> AnySetup:
     match program:
         case TaskProgram(task):
             return TaskSetup(task=task)
@@ -136,12 +143,14 @@ def _described(program: Program) -> TaskSetup | LiveSetup | JogSetup | Commissio
             return PlaybackSetup(raw=raw, rows=recording.text())
         case CommissionProgram():
             return CommissionSetup()
+        case Exercise(amplitudes):
+            return ExerciseSetup(amplitudes=amplitudes)
         case LiveProgram():
             return LiveSetup()
     raise TypeError(f"{type(program).__name__} cannot be written into a log")
 
 
-def _made(setup: TaskSetup | LiveSetup | JogSetup | CommissionSetup | PlaybackSetup, hand: Hand) -> Program:
+def _made(setup: AnySetup, hand: Hand) -> Program:
     match setup:
         case TaskSetup():
             return TaskProgram(setup.task)
@@ -152,5 +161,7 @@ def _made(setup: TaskSetup | LiveSetup | JogSetup | CommissionSetup | PlaybackSe
             return PlaybackProgram(recording, setup.raw)
         case CommissionSetup():
             return CommissionProgram()
+        case ExerciseSetup():
+            return Exercise(setup.amplitudes)
         case LiveSetup():
             return LiveProgram()

@@ -6,9 +6,14 @@ from typing import Any
 import numpy as np
 
 from handctl.controller.model import HandModel
+from handctl.hand.description import Hand
+from handctl.log.reader import RunLog
+from handctl.report.summary import mean_angles
+from handctl.report.truth import Truth
 from handctl.tune.linear import LoopKind, loop
 from handctl.tune.margins import GAIN_MARGIN_DB, PHASE_MARGIN_DEG, grid, step_response
 from handctl.tune.search import Found
+from handctl.tune.verify import OLD_ROUNDS, Return
 
 BEFORE, AFTER, GREY = "#d9822b", "#3b6fb6", "#9a9a9a"
 STEP_S = {LoopKind.MOTION: 0.4, LoopKind.TENSION: 0.4}
@@ -114,4 +119,43 @@ def draw_search(path: Path, found: Found, title: str) -> None:
     right.set(xlabel="trial", ylabel="cost, the first trial's is 1", title="the best so far")
     for axes in (left, right):
         axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=110)
+
+
+def draw_verify(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, back: Return | None) -> None:
+    """Angles, tensions and motor torques of a verification, with where new gains came and went.
+
+    Args:
+        path: PNG to write.
+        log: of the verification.
+        hand: that ran.
+        truth: of the simulator, or None.
+        offset_ns: the run's t = 0 on the simulator's clock [ns].
+        back: the way back, if it was taken.
+    """
+    figure = _figure(12, 7.5)
+    figure.suptitle(f"{hand.name}: {hand.digit_names[0]}, old gains first, new ones shaded")
+    angle, tension, torque = figure.subplots(3, 1, sharex=True)
+    goal, estimate = (np.degrees(mean_angles(hand, log.field(name)))[:, 0] for name in ("q_goal", "q"))
+    angle.plot(log.times, goal, "--", color=GREY, label="goal")
+    angle.plot(log.times, estimate, color=AFTER, linewidth=0.9, label="estimate")
+    tension.plot(log.times, log.field("tension_goal")[:, 0], "--", color=GREY)
+    tension.plot(log.times, log.field("tension")[:, 0], color=AFTER, linewidth=0.9)
+    if truth is not None:
+        t_ns = log.t_ns + offset_ns
+        real = mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns))[:, 0]
+        angle.plot(log.times, np.degrees(real), color=BEFORE, linewidth=0.7, label="truth")
+        tension.plot(log.times, truth.at(f"tension/{hand.tendon_names[0]}", t_ns), color=BEFORE, linewidth=0.7)
+    torque.plot(log.times, log.field("motor_torque_goal")[:, 0], color=AFTER, linewidth=0.6)
+    begins = [change.t_ns / 1e9 for change in log.phases if change.name == "settle"]
+    for axes, name in ((angle, "mean angle [deg]"), (tension, "tension [N]"), (torque, "motor torque [N m]")):
+        if len(begins) > OLD_ROUNDS:
+            axes.axvspan(begins[OLD_ROUNDS], back.t_s if back else float(log.times[-1]), color=AFTER, alpha=0.1)
+        if back:
+            axes.axvline(back.t_s, color="#b03030")
+        axes.set(ylabel=name)
+        axes.grid(alpha=0.3)
+        axes.margins(x=0)
+    angle.legend(loc="upper right")
+    torque.set(xlabel=f"time [s]{'; red: ' + back.why if back else ''}")
     figure.savefig(path, dpi=110)

@@ -49,7 +49,7 @@ class Plan:
 
     def job(self, values: Mapping[str, float], first: bool = False) -> dict[str, Any]:
         """One trial for a worker; the first is simulated whatever its margins, to compare with."""
-        gains = with_values(self.gains, values, "study")
+        gains = self.gains if first else with_values(self.gains, values, "study")
         return {
             "hand": self.hand,
             "rate_hz": self.rate_hz,

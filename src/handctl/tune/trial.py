@@ -4,10 +4,12 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from handctl.controller.exercise import Exercise
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
 from handctl.controller.setup import make_drives, make_sensors
@@ -19,7 +21,8 @@ from handctl.report.truth import Truth, read_truth
 from handctl.runtime.lockstep import LockstepBus, LockstepClock, load_peer
 from handctl.runtime.loop import Loop
 from handctl.tune.design import linear_factors, worst_of
-from handctl.tune.exercise import Exercise, stages
+
+Array = NDArray[np.float64]
 
 PEER = "firmware_sim.rig:Rig"
 FAILED = 1e3
@@ -136,7 +139,7 @@ def exercise(hand: Hand, hand_name: str, model: HandModel, factors: Mapping[str,
 
 def _controller(hand: Hand, model: HandModel) -> Controller:
     nothing = np.zeros(model.tendon_count)
-    return Controller.of(model, make_drives(hand), make_sensors(hand), Exercise(stages()), nothing, nothing, True)
+    return Controller.of(model, make_drives(hand), make_sensors(hand), Exercise(), nothing, nothing, True)
 
 
 def judge(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: Truth, failure: str) -> Score:
@@ -154,18 +157,46 @@ def judge(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: Truth, fai
     if failure or not kept:
         return Score(FAILED, FAILED, FAILED, peak, 0.0, failure or "never active")
     t_ns = np.array([t for t, _ in kept])
-    phase = np.array([out.phase for _, out in kept])
     goal, pull, torque = (
         np.array([getattr(out.telemetry, name) for _, out in kept])
         for name in ("q_goal", "tension_goal", "motor_torque_goal")
     )
-    angles = mean_angles(hand, goal) - mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns))
-    tensions = pull - truth.table([f"tension/{name}" for name in hand.tendon_names], t_ns)
+    real = Reality(
+        mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns)),
+        truth.table([f"tension/{name}" for name in hand.tendon_names], t_ns),
+    )
+    phase = np.array([out.phase for _, out in kept])
+    return score(t_ns, phase, mean_angles(hand, goal), pull, torque, real)
+
+
+class Reality(NamedTuple):
+    """What a run is judged by: the simulator's truth, or on hardware the estimates.
+
+    Attributes:
+        angle: (ticks, D) mean joint angle [rad].
+        tension: (ticks, N) [N].
+    """
+
+    angle: Array
+    tension: Array
+
+
+def score(t_ns: NDArray[np.int64], phase: NDArray[Any], angle: Array, tension: Array, torque: Array, real: Reality) -> Score:
+    """Score of ticks of an exercise, with nothing said of margins.
+
+    Args:
+        t_ns: (ticks,) [ns].
+        phase: (ticks,) names.
+        angle: (ticks, D) goals of the mean joint angle [rad].
+        tension: (ticks, N) goals [N].
+        torque: (ticks, M) commanded [N m].
+        real: what really was.
+    """
     rate = np.diff(torque, axis=0) / (np.diff(t_ns)[:, None] / 1e9)
     return Score(
-        tracking_deg=float(np.degrees(rms(angles[phase == "move"]))),
-        tension_N=rms(tensions[phase == "hold"]),
+        tracking_deg=float(np.degrees(rms((angle - real.angle)[phase == "move"]))),
+        tension_N=rms((tension - real.tension)[phase == "hold"]),
         effort_Nm_per_s=rms(rate[np.isin(phase[1:], ("move", "hold"))]),
-        peak_tension_N=peak,
+        peak_tension_N=float(real.tension.max(initial=0.0)),
         shortfall=0.0,
     )

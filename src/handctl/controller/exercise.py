@@ -54,13 +54,18 @@ def stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[Stage, ...]
 
 @dataclass(frozen=True, slots=True)
 class Exercise:
-    """Tightens, then does its stages.
+    """Tightens, then does the exercise once for each amplitude.
 
     Attributes:
-        stages: in order.
+        amplitudes: shares of the full angles and tensions, in order.
     """
 
-    stages: tuple[Stage, ...]
+    amplitudes: tuple[float, ...] = (1.0,)
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """All parts, in order."""
+        return tuple(stage for amplitude in self.amplitudes for stage in stages(amplitude))
 
     def begin(self, model: HandModel) -> Progress:
         """Limp until the hand is armed."""
@@ -73,9 +78,10 @@ class Exercise:
         if progress.phase in ("start", "tighten"):
             progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
             return self._enter(model, progress, estimate, 0, t) if progress.phase == "live" else (progress, events)
-        if t - progress.since < self.stages[progress.step].duration:
+        own = self.stages
+        if t - progress.since < own[progress.step].duration:
             return progress, ()
-        if progress.step + 1 == len(self.stages):
+        if progress.step + 1 == len(own):
             return replace(progress, finished=True, phase="end"), (Event("info", "phase", "", "exercise complete"),)
         return self._enter(model, progress, estimate, progress.step + 1, t)
 
@@ -85,7 +91,8 @@ class Exercise:
         stage = self.stages[step]
         goals = tuple(_goal(model, d, stage, estimate, t) for d in range(len(model.digits)))
         told = Event("info", "phase", "", f"{stage.name} {step + 1} of {len(self.stages)}")
-        return replace(progress, step=step, since=t, phase=stage.name, goals=goals), (told,)
+        blocked = (stage.name == "hold",) * len(goals)  # by then every digit rests on its closed stop
+        return replace(progress, step=step, since=t, phase=stage.name, goals=goals, contact=blocked), (told,)
 
 
 def _goal(model: HandModel, d: int, stage: Stage, estimate: Estimate, t: float) -> DigitGoal:

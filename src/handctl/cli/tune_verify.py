@@ -1,0 +1,134 @@
+"""``handctl tune verify``: new gains on the hand at rising amplitude, with the old ones to fall back on."""
+
+import argparse
+import sys
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.commission import ensure_calibration
+from handctl.cli.exit_codes import Exit
+from handctl.cli.gains_layers import assignments
+from handctl.cli.options import print_json
+from handctl.cli.plan import default_log, find_calibration, make_plan
+from handctl.cli.session import Outcome, Plan, make_controller, run_live, run_lockstep
+from handctl.controller.gains import load_gains_file
+from handctl.errors import ConfigError
+from handctl.hand.description import hand_path
+
+PEER = "firmware_sim.rig:Rig"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Verify; 0 only if the new gains went through at full amplitude."""
+    from handctl.controller.exercise import Exercise
+    from handctl.tune.verify import AMPLITUDES, Watch
+
+    if bool(args.bus) == args.lockstep:
+        raise ConfigError("one of them is needed", "--bus or --lockstep", "--lockstep for a simulated hand")
+    plan = make_plan(args, lockstep=args.lockstep)
+    new = load_gains_file(args.candidate)
+    if new.provenance.identity not in ("", plan.hand.identity):
+        raise ConfigError("is for another hand", str(args.candidate), f"gains made for {plan.hand.name}")
+    old = plan.gains
+    base = old.model_copy(update={"filter": new.gains.filter})
+    watch = Watch(plan.hand, base, new.gains)
+    if old.filter != new.gains.filter:
+        print("the filter's gains cannot change in a run: both halves use the new ones", file=sys.stderr)
+    if args.dry_run:
+        print(f"{plan.hand.name}: would verify {args.candidate} in {len(AMPLITUDES)} rounds")
+        return Exit.DONE
+    log = args.log or default_log(plan.hand, "verify")
+    plan = _with_gains(plan, base, args.candidate)
+    outcome, truth = _run(args, plan, Exercise(AMPLITUDES), watch, log)
+    return _report(args, plan, outcome, watch, log, truth)
+
+
+def _with_gains(plan: Plan, gains: Any, candidate: Path) -> Plan:
+    from dataclasses import replace
+
+    return replace(plan, gains=gains, attachments=plan.attachments | {"candidate.toml": candidate.read_bytes()})
+
+
+def _run(args: argparse.Namespace, plan: Plan, program: Any, watch: Any, log: Path) -> tuple[Outcome, Path | None]:
+    if not args.lockstep:
+        path, calibration, why = find_calibration(args, plan.hand)
+        if calibration is None:
+            calibration = ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))
+        return run_live(plan, make_controller(plan, program, calibration, True), log, attendant=watch), None
+    from handctl.runtime.lockstep import LockstepClock, load_peer
+
+    truth = log.with_suffix(".truth")
+    peer = load_peer(
+        PEER,
+        hand_path=str(hand_path(args.hand)),
+        seed=args.seed,
+        period_ns=plan.period_ns,
+        perturb=assignments(args.perturb, "--perturb"),
+        homed=True,
+        truth_path=str(truth),
+    )
+    try:
+        clock = LockstepClock(peer, plan.period_ns)
+        return run_lockstep(plan, make_controller(plan, program, None, True), log, clock, watch), truth
+    finally:
+        peer.close()
+
+
+def _report(
+    args: argparse.Namespace, plan: Plan, outcome: Outcome, watch: Any, log: Path, truth_file: Path | None
+) -> int:
+    from handctl.log.reader import RunLog
+    from handctl.report.truth import read_truth
+    from handctl.tune.plots import draw_verify
+    from handctl.tune.verify import AMPLITUDES, scores
+
+    truth = read_truth(truth_file) if truth_file else None
+    with RunLog(log) as record:
+        rounds = scores(record, plan.hand, truth, outcome.offset_ns)
+        picture = log.with_suffix(".png")
+        draw_verify(picture, record, plan.hand, truth, outcome.offset_ns, watch.returned)
+    through = watch.returned is None and not outcome.state.failure and len(rounds) == len(AMPLITUDES)
+    result = {
+        "verified": through,
+        "returned": asdict(watch.returned) if watch.returned else None,
+        "failure": outcome.state.failure,
+        "rounds": [asdict(one) for one in rounds],
+        "judged_by": "truth" if truth else "estimates",
+        "log": str(log),
+        "picture": str(picture),
+    }
+    if args.json:
+        print_json(result)
+    else:
+        _print(result, rounds, args)
+    if outcome.exit != Exit.DONE:
+        return outcome.exit
+    return Exit.DONE if through else Exit.FAILED
+
+
+def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespace) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    from handctl.tune.verify import AMPLITUDES, OLD_ROUNDS
+
+    table = Table(title=f"judged by the {result['judged_by']}")
+    for heading in ("gains", "amplitude", "tracking [deg]", "tension [N]", "effort [N m/s]", "peak tension [N]"):
+        table.add_column(heading)
+    for i, (one, amplitude) in enumerate(zip(rounds, AMPLITUDES, strict=False)):
+        numbers = (one.tracking_deg, one.tension_N, one.effort_Nm_per_s, one.peak_tension_N)
+        table.add_row("new" if i >= OLD_ROUNDS else "old", f"{amplitude:g}", *(f"{number:.2f}" for number in numbers))
+    console = Console()
+    console.print(table)
+    back = result["returned"]
+    if back:
+        console.print(
+            f"back to the old gains at {back['t_s']:.3f} s (tick {back['k']}), amplitude {back['amplitude']:g}: {back['why']}"
+        )
+    elif result["verified"]:
+        console.print(f"verified; to use them: handctl gains apply {args.candidate} --hand {args.hand}", highlight=False)
+    if result["failure"]:
+        console.print(f"the run failed: {result['failure']}")
+    console.print(f"log: {result['log']}\npicture: {result['picture']}", highlight=False)
