@@ -18,7 +18,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
     _design(_kind(kinds, "design", "gains with margins on every plant of an ensemble, from linear models"))
     _search(_kind(kinds, "search", "the best gains on an ensemble of simulated plants"))
-    _verify(_kind(kinds, "verify", "new gains on the hand at rising amplitude; back to the old ones when a limit is met"))
+    _verify(
+        _kind(kinds, "verify", "new gains on the hand at rising amplitude; back to the old ones when a limit is met")
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -58,7 +60,9 @@ def _design(parser: argparse.ArgumentParser) -> None:
 def _search(parser: argparse.ArgumentParser) -> None:
     _plants(parser, 3)
     parser.add_argument("--trials", type=int, default=64, metavar="N", help="in all, a resumed study's included")
-    parser.add_argument("--study", type=Path, metavar="FILE", help="journal to write or go on with (default: HAND.study)")
+    parser.add_argument(
+        "--study", type=Path, metavar="FILE", help="journal to write or go on with (default: HAND.study)"
+    )
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes (default: 1)")
     parser.add_argument("--scheduler", metavar="tcp://...", help="an existing Dask cluster instead")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="default: beside --out")

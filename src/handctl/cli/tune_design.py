@@ -92,4 +92,10 @@ def _cells(before: Any, after: Any) -> list[str]:
     def pair(name: str, scale: float = 1.0, digits: int = 1) -> str:
         return f"{getattr(before, name) * scale:.{digits}f} -> {getattr(after, name) * scale:.{digits}f}"
 
-    return [pair("gain_db"), pair("phase_deg", 1.0, 0), pair("disk", 1.0, 2), pair("delay_s", 1e3), pair("crossover_hz")]
+    return [
+        pair("gain_db"),
+        pair("phase_deg", 1.0, 0),
+        pair("disk", 1.0, 2),
+        pair("delay_s", 1e3),
+        pair("crossover_hz"),
+    ]

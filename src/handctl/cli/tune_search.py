@@ -77,7 +77,13 @@ class _Progress:
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-        columns = (TextColumn("search"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
+        columns = (
+            TextColumn("search"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.description}"),
+        )
         self._console = Console(stderr=True)
         self._bar = Progress(*columns, console=self._console, disable=quiet or not self._console.is_terminal)
         self._task = self._bar.add_task("designing", total=trials)
@@ -135,4 +141,6 @@ def _print(found: Any, result: dict[str, Any]) -> None:
     for name, key, digits in rows:
         table.add_row(name, *(f"{getattr(one.score, key):.{digits}f}" for one in (found.trials[0], found.best)))
     Console().print(table)
-    Console().print(f"gains: {result['gains']}\npicture: {result['picture']}\nstudy: {result['study']}", highlight=False)
+    Console().print(
+        f"gains: {result['gains']}\npicture: {result['picture']}\nstudy: {result['study']}", highlight=False
+    )

@@ -125,10 +125,13 @@ def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespa
     back = result["returned"]
     if back:
         console.print(
-            f"back to the old gains at {back['t_s']:.3f} s (tick {back['k']}), amplitude {back['amplitude']:g}: {back['why']}"
+            f"back to the old gains at {back['t_s']:.3f} s (tick {back['k']}), "
+            f"amplitude {back['amplitude']:g}: {back['why']}"
         )
     elif result["verified"]:
-        console.print(f"verified; to use them: handctl gains apply {args.candidate} --hand {args.hand}", highlight=False)
+        console.print(
+            f"verified; to use them: handctl gains apply {args.candidate} --hand {args.hand}", highlight=False
+        )
     if result["failure"]:
         console.print(f"the run failed: {result['failure']}")
     console.print(f"log: {result['log']}\npicture: {result['picture']}", highlight=False)

@@ -42,12 +42,8 @@ def stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[Stage, ...]
         amplitude: share of the full angles and tensions.
         fastest_s: duration of the fastest move [s].
     """
-    far, hold = HOME_RAD + amplitude * math.radians(55.0), 30.0 + 25.0 * amplitude
-    moves = [
-        Stage("move", duration + REST_S, angle)
-        for duration in (0.6, fastest_s)
-        for angle in (far, HOME_RAD)
-    ]
+    far, hold = HOME_RAD + amplitude * math.radians(30.0), 30.0 + 25.0 * amplitude
+    moves = [Stage("move", duration + REST_S, angle) for duration in (0.6, fastest_s) for angle in (far, HOME_RAD)]
     holds = [Stage("close", 0.8, tension=30.0), Stage("hold", 0.5, tension=hold), Stage("hold", 0.5, tension=30.0)]
     return (Stage("settle", 0.6, HOME_RAD), *moves, *holds)
 

@@ -4,8 +4,8 @@ Authority is LQR's one knob: the force that counts like the errors of Bryson's r
 its margins smaller, so a bisection finds the most.
 
 Poles: for a plant with one input and weights on position and speed, the closed loop's characteristic polynomial d
-satisfies d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r. Two poles and two ratios of weights: each pole pair
-with a damping above 1/sqrt(2) has its weights, in closed form. Source: Kalman's symmetric root locus.
+satisfies d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r. Two poles and two ratios of weights: each pole
+pair with a damping above 1/sqrt(2) has its weights, in closed form. Source: Kalman's symmetric root locus.
 """
 
 import math

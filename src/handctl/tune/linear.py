@@ -26,7 +26,7 @@ from handctl.controller.trajectory import Sample
 Matrix = NDArray[np.float64]
 
 CURRENT_LAG_S = 0.3e-3
-"""First-order lag of a drive's torque. Source: current loops of 500 Hz and more, as all three protocols' drives have."""
+"""First-order lag of a drive's torque. Source: current loops of some 500 Hz, as all three protocols' drives have."""
 TENSION_N = 20.0
 """Operating point: tension, far from slack and from the limits."""
 SPEED_M_S = 0.015
@@ -80,8 +80,12 @@ class PlantFactors:
     torque_constant: float = 1.0
 
 
-def plant(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = PlantFactors()) -> System:
-    """Rotor, rope and digit of one tendon, sampled: motor force at the cable [N] to travel [m], tension [N], excursion [m].
+NOMINAL = PlantFactors()
+"""As the hand file says."""
+
+
+def plant(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL) -> System:
+    """Rotor, rope and digit of one tendon, sampled: motor force [N] to travel [m], tension [N] and excursion [m].
 
     Args:
         model: the hand.
@@ -120,7 +124,7 @@ def plant(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors =
 
 
 def controller(model: HandModel, tendon: int, kind: LoopKind) -> System:
-    """Filter and law of one tendon: travel [m], tension [N], excursion [m] of the tick before to motor force at the cable [N].
+    """Filter and law of one tendon: travel [m], tension [N], excursion [m] of the tick before to motor force [N].
 
     Args:
         model: the hand.
@@ -137,13 +141,13 @@ def controller(model: HandModel, tendon: int, kind: LoopKind) -> System:
     return System(J[:n], E[:n], J[n:], E[n:], model.period)
 
 
-def loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = PlantFactors()) -> System:
+def loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL) -> System:
     """The loop of one tendon; see ``joined``."""
     return joined(plant(model, tendon, kind, factors), controller(model, tendon, kind))
 
 
 def joined(P: System, K: System) -> System:
-    """The loop of a plant and a controller, broken at the motor's force: what comes back, with its sign, for a force that goes in.
+    """The loop of a plant and a controller, broken at the motor's force: what comes back for a force that goes in.
 
     Negative feedback is taken out of it, so that margins are read from 1 + L.
     """
@@ -270,6 +274,8 @@ def _goal(model: HandModel, d: int, moving: bool, q: Matrix) -> DigitGoal:
     digit, tendons = model.digits[d], model.digit_tendons[d]
     if not moving:
         return DigitGoal(Kind.TENSION, tension=np.full(tendons.stop - tendons.start, TENSION_N), rate=0.0)
-    rate = digit.joints_to_coordinates @ (model.excursion_to_joints @ np.full(model.tendon_count, SPEED_M_S))[digit.joints]
+    rate = (
+        digit.joints_to_coordinates @ (model.excursion_to_joints @ np.full(model.tendon_count, SPEED_M_S))[digit.joints]
+    )
     own = digit.joints_to_coordinates @ q[digit.joints]
     return DigitGoal(Kind.MOTION, Sample(np.asarray(own), np.asarray(rate), np.zeros_like(own)))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.controller.model import HandModel
-from handctl.tune.linear import LoopKind, Matrix, PlantFactors, System, loop, plant
+from handctl.tune.linear import NOMINAL, LoopKind, Matrix, PlantFactors, System, loop, plant
 
 GAIN_MARGIN_DB = 6.0
 PHASE_MARGIN_DEG = 45.0
@@ -96,12 +96,10 @@ def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float,
     return list(zip(angle.tolist(), (omega[i] * (omega[i + 1] / omega[i]) ** share).tolist(), strict=True))
 
 
-def all_margins(model: HandModel, factors: PlantFactors = PlantFactors()) -> dict[tuple[str, LoopKind], Margins]:
+def all_margins(model: HandModel, factors: PlantFactors = NOMINAL) -> dict[tuple[str, LoopKind], Margins]:
     """Margins of every tendon's two loops."""
     names = model.hand.tendon_names
-    return {
-        (name, kind): margins(loop(model, i, kind, factors)) for i, name in enumerate(names) for kind in LoopKind
-    }
+    return {(name, kind): margins(loop(model, i, kind, factors)) for i, name in enumerate(names) for kind in LoopKind}
 
 
 def worst(found: dict[tuple[str, LoopKind], Margins]) -> tuple[tuple[str, LoopKind], Margins]:
@@ -130,4 +128,4 @@ def step_response(model: HandModel, tendon: int, kind: LoopKind, duration: float
     for _ in times:
         values.append(float(row @ state))
         state = closed @ state + L.B[:, 0]
-    return times, np.array(values)
+    return np.asarray(times, dtype=np.float64), np.array(values)

@@ -139,13 +139,13 @@ def _study(plan: Plan, path: Path) -> Any:
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:
         backend = JournalStorage(JournalFileBackend(str(path)))
-        study = optuna.create_study(
-            storage=backend, study_name=NAME, directions=["minimize"] * 3, load_if_exists=True
-        )
+        study = optuna.create_study(storage=backend, study_name=NAME, directions=["minimize"] * 3, load_if_exists=True)
     except (OSError, ValueError, KeyError) as error:
         raise ConfigError(f"cannot be used: {error}", str(path), "a new file, or a journal of `tune search`") from None
     if study.user_attrs.get("plan", plan.identity) != plan.identity:
-        raise ConfigError("holds another search", str(path), "the same hand, gains, rate, plants and seed, or a new file")
+        raise ConfigError(
+            "holds another search", str(path), "the same hand, gains, rate, plants and seed, or a new file"
+        )
     study.set_user_attr("plan", plan.identity)
     if not study.trials:
         for gains in (plan.gains, *plan.others):

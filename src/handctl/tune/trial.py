@@ -85,8 +85,8 @@ def evaluate(job: Mapping[str, Any]) -> dict[str, Any]:
         runs.append(exercise(hand, str(job["hand"]), model, factors, int(job["seed"]) + i))
         if runs[-1].failure:
             return _table(Score(FAILED, FAILED, FAILED, runs[-1].peak_tension_N, shortfall, runs[-1].failure))
-    mean = np.sqrt(np.mean([np.square(run.objectives) for run in runs], axis=0)).tolist()
-    return _table(Score(*mean, max(run.peak_tension_N for run in runs), shortfall))
+    tracking, tension, effort = np.sqrt(np.mean([np.square(run.objectives) for run in runs], axis=0)).tolist()
+    return _table(Score(tracking, tension, effort, max(run.peak_tension_N for run in runs), shortfall))
 
 
 def _table(score: Score) -> dict[str, Any]:
@@ -126,7 +126,7 @@ def exercise(hand: Hand, hand_name: str, model: HandModel, factors: Mapping[str,
                 controller.tick,
                 controller.cut_frames(),
                 lambda: (),
-                lambda: [],
+                list,
                 lambda entry, out: ticks.append((entry, out)),
                 lambda entry, out: None,
             )
@@ -181,7 +181,9 @@ class Reality(NamedTuple):
     tension: Array
 
 
-def score(t_ns: NDArray[np.int64], phase: NDArray[Any], angle: Array, tension: Array, torque: Array, real: Reality) -> Score:
+def score(
+    t_ns: NDArray[np.int64], phase: NDArray[Any], angle: Array, tension: Array, torque: Array, real: Reality
+) -> Score:
     """Score of ticks of an exercise, with nothing said of margins.
 
     Args:

@@ -22,7 +22,7 @@ from handctl.tune.trial import Reality, Score, score
 
 OLD_ROUNDS = 2
 AMPLITUDES = (0.3, 1.0, 0.3, 0.6, 1.0)
-"""The old gains, then the new ones, rising; the old ones have a round before the one that counts, as the new ones do."""
+"""The old gains, then the new ones, rising; like them the old ones have a round before the one that counts."""
 WINDOW_S = 0.1
 """Over which ringing is judged: two periods of a drive on a blocked rope."""
 
@@ -69,6 +69,8 @@ class Watch:
         hand: that runs.
         old, new: gains; they differ in what a running controller takes.
         limits: to keep.
+        amplitudes: of the rounds of the exercise.
+        old_rounds: how many of them are for the old gains.
         returned: set when it went back.
     """
 
@@ -76,6 +78,8 @@ class Watch:
     old: Gains
     new: Gains
     limits: Limits = Limits()
+    amplitudes: tuple[float, ...] = AMPLITUDES
+    old_rounds: int = OLD_ROUNDS
     returned: Return | None = None
     _round: int = 0
     _phase: str = ""
@@ -93,14 +97,14 @@ class Watch:
         """See ``Attendant``."""
         if out.phase == "settle" and self._phase != "settle":
             self._round += 1
-            if self._round == OLD_ROUNDS + 1:
+            if self._round == self.old_rounds + 1:
                 self._ask(self.new)
         self._phase = out.phase
         ringing = self._ringing(entry, out)
-        if self._round <= OLD_ROUNDS:
+        if self._round <= self.old_rounds:
             self._most = max(self._most, ringing)
         elif self.returned is None and (why := self._passed(out, ringing)):
-            amplitude = AMPLITUDES[min(self._round, len(AMPLITUDES)) - 1]
+            amplitude = self.amplitudes[self._round - 1]
             self.returned = Return(entry.t_ns / 1e9, entry.k, amplitude, why)
             self._ask(self.old)
 
@@ -163,8 +167,8 @@ def scores(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> list
     for begin, end in zip(begins, [*begins[1:], int(log.k[-1]) + 1], strict=True):
         part = (log.k >= begin) & (log.k < end) & (log.mode == int(Mode.ACTIVE))
         own = Reality(real.angle[part], real.tension[part])
-        columns = (angle, log.field("tension_goal"), log.field("motor_torque_goal"))
-        found.append(score(log.t_ns[part], phase[part], *(column[part] for column in columns), own))
+        tension, torque = log.field("tension_goal")[part], log.field("motor_torque_goal")[part]
+        found.append(score(log.t_ns[part], phase[part], angle[part], tension, torque, own))
     return found
 
 

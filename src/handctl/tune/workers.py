@@ -6,8 +6,8 @@ import select
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Iterator, Sequence
-from typing import Any, Protocol
+from collections.abc import Iterable, Iterator, Sequence
+from typing import IO, Any, Protocol
 
 from handctl.errors import ConfigError
 from handctl.tune.trial import evaluate
@@ -74,11 +74,8 @@ class Processes:
                 if place not in busy and waiting:
                     busy[place] = waiting.popleft()
                     self._give(place, jobs[busy[place]])
-            outputs = {self._crew[place].stdout: place for place in busy}
-            ready, _, _ = select.select(list(outputs), [], [])
-            for output in ready:
-                place = outputs[output]
-                i, line = busy.pop(place), output.readline()
+            for place in self._answering(busy):
+                i, line = busy.pop(place), _output(self._crew[place]).readline()
                 if line.endswith(b"\n"):
                     yield i, _checked(json.loads(line))
                     continue
@@ -87,6 +84,12 @@ class Processes:
                 if tried[i] == ATTEMPTS:
                     raise ConfigError(f"a worker died {ATTEMPTS} times on one trial", "tune search", "--workers 1")
                 waiting.appendleft(i)
+
+    def _answering(self, busy: Iterable[int]) -> list[int]:
+        """Wait for those who have something to say, an end included."""
+        outputs = {_output(self._crew[place]): place for place in busy}
+        ready, _, _ = select.select(list(outputs), [], [])
+        return [outputs[output] for output in ready]
 
     def _give(self, place: int, job: Job) -> None:
         """Hand over a job; a worker found dead is replaced first."""
@@ -144,6 +147,11 @@ class Cluster:
     def close(self) -> None:
         """Leave the cluster as it is."""
         self._client.close()
+
+
+def _output(worker: "subprocess.Popen[bytes]") -> IO[bytes]:
+    assert worker.stdout is not None
+    return worker.stdout
 
 
 def _checked(result: Result) -> Result:

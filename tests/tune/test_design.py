@@ -1,0 +1,64 @@
+"""A design keeps what it promises on plants that it was not told of."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete
+
+from handctl.controller.model import HandModel
+from handctl.tune.design import design, keeps, linear_factors, placed, redesigned, with_poles, worst_of
+from handctl.tune.ensemble import LEAST_SPREAD, ensemble
+from handctl.tune.linear import LoopKind, PlantFactors
+
+
+def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel) -> None:
+    plants = tuple(linear_factors(one) for one in ensemble(2, 0))
+    assert not keeps(jamia, plants)
+    found = design(jamia, plants)
+    assert found.worst_after.enough
+    assert not found.worst_before.enough
+    assert keeps(redesigned(jamia, found.gains), plants)
+    bolder = found.gains.model_copy(
+        update={"tension": found.gains.tension.model_copy(update={"force_N": 1.3 * found.gains.tension.force_N})}
+    )
+    assert not keeps(redesigned(jamia, bolder), plants)
+    same = redesigned(jamia, found.as_weights())
+    assert np.allclose(same.motion.stiffness, redesigned(jamia, found.gains).motion.stiffness, rtol=1e-6)
+
+
+def test_a_filter_that_leaves_no_margin_is_refused(jamia: HandModel) -> None:
+    with pytest.raises(ValueError, match="margins"):
+        design(jamia, (PlantFactors(torque_constant=30.0),))
+
+
+@pytest.mark.parametrize("hz", [3.0, 6.0])
+def test_poles_are_where_they_were_asked_for(jamia: HandModel, hz: float) -> None:
+    """Of the rotor and digit as one mass under the sampled state feedback, at a rate far above them."""
+    gains = with_poles(jamia, LoopKind.MOTION, hz, 1.0)
+    fast = HandModel.of(jamia.hand, gains, 4000.0)
+    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
+    F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), fast.period)
+    K = np.array([[fast.motion.stiffness[0], fast.motion.damping[0]]])
+    poles = np.log(np.linalg.eigvals(F - G @ K)) / fast.period
+    assert np.abs(poles) / (2.0 * math.pi) == pytest.approx([hz, hz], rel=0.03)
+
+
+def test_placed_poles_that_no_weights_have_are_refused(jamia: HandModel) -> None:
+    with pytest.raises(ValueError, match="no weights"):
+        placed(jamia, (PlantFactors(),), 5.0, 3.0, 1.0)
+
+
+def test_an_ensemble_is_never_narrower_than_service_makes_it() -> None:
+    drawn = ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4})
+    assert drawn[0] == dict.fromkeys(LEAST_SPREAD, 1.0)
+    assert ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4}) == drawn != ensemble(65, 4)
+    stiffness, mass = (np.array([one[key] for one in drawn]) for key in ("stiffness", "mass"))
+    assert 0.8 <= stiffness.min() < 0.83
+    assert 1.17 < stiffness.max() <= 1.2
+    assert mass.min() < 0.65
+
+
+def test_the_worst_of_an_ensemble_is_no_better_than_the_nominal_plant(jamia: HandModel) -> None:
+    plants = tuple(linear_factors(one) for one in ensemble(3, 1))
+    assert worst_of(jamia, plants).shortfall >= worst_of(jamia, plants[:1]).shortfall

@@ -1,0 +1,72 @@
+"""The linear loops are the running code's: they predict what it does, and their margins are those of ``control``."""
+
+import math
+
+import numpy as np
+import pytest
+from control import frd, stability_margins
+
+from handctl.controller.model import HandModel
+from handctl.tune import linear
+from handctl.tune.linear import LoopKind, PlantFactors, controller, loop, plant
+from handctl.tune.margins import grid, margins, step_response
+
+KINDS = list(LoopKind)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_the_linear_controller_predicts_the_running_one(
+    hand: str, kind: LoopKind, request: pytest.FixtureRequest
+) -> None:
+    """A tick from a state and a reading that are a little different."""
+    model: HandModel = request.getfixturevalue(hand)
+    K = controller(model, 0, kind)
+    tick, state, reading, steps = linear._operating_point(model, 0, kind)
+    still, random = tick(state, reading), np.random.default_rng(0)
+    for _ in range(10):
+        moved = steps * random.normal(size=len(state))
+        told = np.array([1e-7, 1e-2, 1e-7]) * random.normal(size=3)
+        after = tick(state + moved, reading + told) - still
+        predicted = np.concatenate([K.A @ moved + K.B @ told, K.C @ moved + K.D @ told])
+        scale = np.append(steps, 1e-6)
+        assert np.abs((predicted - after) / scale).max() < 1e-3 * np.abs(after / scale).max()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_tick_acts_on_the_samples_of_the_tick_before(jamia: HandModel, kind: LoopKind) -> None:
+    """The loop's impulse response, beside plant and controller stepped as the bus steps them."""
+    P, K, L = plant(jamia, 0, kind), controller(jamia, 0, kind), loop(jamia, 0, kind)
+    p, own, sample, state = P.B[:, 0], np.zeros(len(K.A)), np.zeros(3), L.B[:, 0]
+    for k in range(1, 30):
+        back = float((K.C @ own + K.D @ sample)[0])
+        assert float((L.C @ state)[0]) == pytest.approx(-back, rel=1e-9, abs=1e-12)
+        assert k > 1 or back == 0.0
+        own, sample, p = K.A @ own + K.B @ sample, P.C @ p, P.A @ p
+        state = L.A @ state
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_margins_are_those_of_control(hand: str, kind: LoopKind, request: pytest.FixtureRequest) -> None:
+    model: HandModel = request.getfixturevalue(hand)
+    system = loop(model, 0, kind)
+    omega = grid(system.period)
+    found = margins(system)
+    gain, phase, _, _, _, _ = stability_margins(frd(system.response(omega)[:, 0, 0], omega, smooth=True))
+    assert found.gain_db == pytest.approx(20.0 * abs(math.log10(gain)), abs=0.02)
+    assert found.phase_deg == pytest.approx(phase, abs=0.05)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_gain_margin_is_where_the_loop_becomes_unstable(jamia: HandModel, kind: LoopKind) -> None:
+    """Positive control: a plant whose torque is stronger by the margin and a little more is lost, by less is not."""
+    margin = 10.0 ** (margins(loop(jamia, 0, kind)).gain_db / 20.0)
+    assert margins(loop(jamia, 0, kind, PlantFactors(torque_constant=0.97 * margin))).stable
+    assert not margins(loop(jamia, 0, kind, PlantFactors(torque_constant=1.03 * margin))).stable
+
+
+def test_a_push_is_answered(jamia: HandModel) -> None:
+    """A held tension comes back from a push of 1 N; a blocked rotor without a controller would keep all of it."""
+    _, tension = step_response(jamia, 0, LoopKind.TENSION, 0.5)
+    assert abs(tension[-1]) < 0.3 < np.abs(tension).max() < 2.0

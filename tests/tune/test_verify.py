@@ -1,0 +1,48 @@
+"""Gains that ring are sent back by the watch, in the run, and the log says so."""
+
+from pathlib import Path
+
+import pytest
+
+from handctl.cli.plan import tick_times_s
+from handctl.cli.session import Plan, make_controller, run_lockstep
+from handctl.controller.exercise import Exercise
+from handctl.controller.gains import Gains, MotionGains, TensionGains
+from handctl.drives.load import highest_rate
+from handctl.hand.description import hand_path, load_hand
+from handctl.log.reader import RunLog
+from handctl.replay.execute import execute
+from handctl.runtime.lockstep import LockstepClock, load_peer
+from handctl.tune.verify import Watch, scores
+
+CALM = Gains(motion=MotionGains(force_N=12.0, disturbance_rejection=0.5), tension=TensionGains(force_N=2.7))
+WILD = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(force_N=300.0))
+
+
+def _verified(new: Gains, log: Path) -> Watch:
+    hand = load_hand("jamia")
+    rate = highest_rate(tick_times_s(hand))
+    plan = Plan(hand, CALM, rate, (0.5,))
+    amplitudes = (0.2, 0.2)
+    watch = Watch(hand, CALM, new, amplitudes=amplitudes, old_rounds=1)
+    peer = load_peer("firmware_sim.rig:Rig", hand_path=str(hand_path("jamia")), period_ns=plan.period_ns, homed=True)
+    try:
+        clock = LockstepClock(peer, plan.period_ns)
+        run_lockstep(plan, make_controller(plan, Exercise(amplitudes), None, True), log, clock, watch)
+    finally:
+        peer.close()
+    return watch
+
+
+@pytest.mark.parametrize(("new", "goes_back"), [pytest.param(CALM, False, marks=pytest.mark.nightly), (WILD, True)])
+def test_gains_that_ring_are_sent_back(new: Gains, goes_back: bool, tmp_path: Path) -> None:
+    watch = _verified(new, tmp_path / "run.mcap")
+    assert (watch.returned is not None) == goes_back
+    with RunLog(tmp_path / "run.mcap") as log:
+        asked = [event for event in log.events if event.event.text == "asked: gains"]
+        assert len(asked) == 1 + goes_back
+        assert len(scores(log, watch.hand, None, 0)) == 2
+        assert execute(log).differing == 0
+    if watch.returned:
+        assert "ring" in watch.returned.why
+        assert watch.returned.k < asked[1].k <= watch.returned.k + 2
