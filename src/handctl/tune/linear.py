@@ -17,8 +17,9 @@ from scipy.linalg import expm
 
 from handctl.controller import computed_torque, estimator
 from handctl.controller.computed_torque import LawState
-from handctl.controller.estimator import FilterState, Measured
-from handctl.controller.filter_design import Regime, S, V, W, X
+from handctl.controller.estimator import Measured
+from handctl.controller.filter_design import STATES, Regime, S, V, W, X
+from handctl.controller.filter_state import FilterState
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.model import HandModel
 from handctl.controller.trajectory import Sample
@@ -211,8 +212,9 @@ def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Ti
 
     def tick(values: Matrix, reading: Matrix) -> Matrix:
         own_filters, own_law = with_share(values)
-        now = replace(measured, **{name: _put(getattr(measured, name), tendon, reading[j]) for j, name in _READ})
-        next_filters, estimate = estimator.step(model, own_filters, now, own_law.force, contact)
+        travel, tension, excursion = (_put(getattr(measured, name), tendon, reading[j]) for j, name in _READ)
+        now = replace(measured, travel=travel, tension=tension, excursion=excursion)
+        next_filters, estimate = estimator.step(model, own_filters, now, own_law.force, own_law.rate, contact)
         next_law, command = computed_torque.step(model, own_law, estimate, goals, 0.0)
         after = {"filter": next_filters, "law": next_law}
         force = command.torque[tendon] / model.space.spool[tendon]
@@ -247,14 +249,12 @@ def _point(
     moving = kind == LoopKind.MOTION
     q = np.full(len(model.hand.joints), ANGLE_RAD)
     excursion = model.hand.moment_arms @ q
-    x = np.zeros((n, 7))
+    x = np.zeros((n, STATES))
     x[:, S] = excursion
     x[:, X] = excursion + TENSION_N / model.space.stiffness
     x[:, V], x[:, W] = SPEED_M_S, SPEED_M_S if moving else 0.0
     regime = Regime.FREE if moving else Regime.HELD
-    filters = replace(
-        FilterState.initial(n), x=x.ravel(), regimes=(int(regime),) * n, stopped=(False,) * n, started=True
-    )
+    filters = FilterState.of(x.ravel(), regime, stopped=False)
     winding = model.motion.tension_speed * SPEED_M_S / (1.0 + model.motion.tension)  # set-point error that asks for it
     law = replace(LawState.initial(n), setpoint=TENSION_N + winding, force=np.full(n, TENSION_N))
     joints = model.excursion_of(q)

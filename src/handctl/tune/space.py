@@ -22,8 +22,8 @@ SPACE = {
     "tension.tension_error_N": Range(1.0, 60.0, True),
     "tension.speed_error_m_s": Range(0.01, 0.4, True),
     "tension.integral_per_s": Range(0.3, 20.0, True),
-    "filter.motor_disturbance_N": Range(0.1, 5.0, True),
-    "filter.load_disturbance_N": Range(0.1, 5.0, True),
+    "filter.motor_disturbance_N": Range(0.03, 3.0, True),
+    "filter.free_rate_N_per_s": Range(5.0, 400.0, True),
 }
 """Weights, rejection and filter; the force of Bryson's rule is left alone, for only ratios count."""
 
