@@ -4,7 +4,8 @@ import select
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from handctl.cli.session import Plan, make_controller
+from handctl.cli.plan import Plan
+from handctl.cli.session import make_controller
 from handctl.controller.gains import Gains
 from handctl.controller.program import Progress, motion_to
 from handctl.controller.types import Mode

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.session import Plan, run_header
+from handctl.cli.plan import Plan
+from handctl.cli.run_header import run_header
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.program import Program

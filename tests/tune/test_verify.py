@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.plan import tick_times_s
-from handctl.cli.session import Plan, make_controller, run_lockstep
+from handctl.cli.plan import Plan, tick_times_s
+from handctl.cli.session import make_controller, run_lockstep
 from handctl.controller.exercise import Exercise
 from handctl.controller.gains import Gains, MotionGains, TensionGains
 from handctl.drives.load import highest_rate

@@ -6,8 +6,8 @@ import sys
 from pathlib import Path
 
 from handctl.cli.options import print_json, run_options
-from handctl.cli.plan import default_log, find_calibration, make_plan
-from handctl.cli.session import Outcome, Plan, Runner, make_controller, run_live
+from handctl.cli.plan import Plan, default_log, find_calibration, make_plan
+from handctl.cli.session import Outcome, Runner, make_controller, run_live
 from handctl.controller.calibration import Calibration
 from handctl.controller.commission import CommissionProgram, result
 from handctl.errors import DriveError

@@ -13,9 +13,9 @@ from typing import Any
 from handctl.cli.commission import commission, write_calibration
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import dry_run_option, hand_option, json_option, wire_option, wire_words
-from handctl.cli.plan import default_log, find_task, make_plan
+from handctl.cli.plan import Plan, default_log, find_task, make_plan
 from handctl.cli.run import report
-from handctl.cli.session import Outcome, Plan, Runner, make_controller, refuse_blind_view, run_live, run_lockstep
+from handctl.cli.session import Outcome, Runner, make_controller, refuse_blind_view, run_live, run_lockstep
 from handctl.cli.verdict import judge
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.tick import Controller

@@ -5,12 +5,13 @@ import datetime
 import math
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from handctl.cli.gains_layers import layered_gains
-from handctl.cli.session import Plan
 from handctl.controller.bus_load import BusLoad, bus_loads
 from handctl.controller.calibration import Calibration, load_calibration
+from handctl.controller.gains import Gains
 from handctl.controller.task import Task, check_task, load_task, load_trajectory
 from handctl.drives.load import MOST, highest_rate
 from handctl.errors import ConfigError
@@ -21,6 +22,42 @@ TICKS_IN_WATCHDOG = 2
 """Ticks in a drive's watchdog time, at least: one lost frame is no reason to let go."""
 FRESH_S = 24 * 3600.0
 """A calibration older than this is not armed with: load cells drift and ropes creep."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything about a run that is known, and checked, before a bus is opened.
+
+    Attributes:
+        hand: description.
+        gains: weights and noise assumptions.
+        rate_hz: control rate.
+        load: worst-case share of each bus, in the hand's order.
+        buses: specification of each bus; empty in lockstep.
+        attachments: files that go into the log.
+        time_scale: run time per wall time.
+        quiet: no display.
+        clear: a person has ordered that what the drives have latched be cleared.
+    """
+
+    hand: Hand
+    gains: Gains
+    rate_hz: float
+    load: tuple[float, ...]
+    buses: tuple[str, ...] = ()
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    time_scale: float = 1.0
+    quiet: bool = False
+    clear: bool = False
+
+    @property
+    def period_ns(self) -> int:
+        """Control period [ns]."""
+        return round(1e9 / self.rate_hz)
+
+    def on(self, buses: tuple[str, ...]) -> "Plan":
+        """The same plan on other buses."""
+        return replace(self, buses=buses)
 
 
 def make_plan(args: argparse.Namespace, lockstep: bool = False) -> Plan:

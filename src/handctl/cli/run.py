@@ -8,8 +8,8 @@ from typing import Any
 from handctl.cli.commission import ensure_calibration
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import print_json, run_options
-from handctl.cli.plan import default_log, find_calibration, find_task, find_trajectory, make_plan
-from handctl.cli.session import Outcome, Plan, make_controller, refuse_blind_view, run_live
+from handctl.cli.plan import Plan, default_log, find_calibration, find_task, find_trajectory, make_plan
+from handctl.cli.session import Outcome, make_controller, refuse_blind_view, run_live
 from handctl.cli.verdict import judge, print_summary
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.live import LiveProgram

@@ -1,28 +1,23 @@
 """A run from checked files to its log: the wiring that ``run``, ``demo``, ``commission`` and ``jog`` have in common."""
 
-import platform
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
-from importlib.metadata import distributions, version
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 from handctl.cli.display import Display
 from handctl.cli.exit_codes import Exit
+from handctl.cli.plan import Plan
+from handctl.cli.run_header import run_header
 from handctl.controller import setup
 from handctl.controller.calibration import Calibration
-from handctl.controller.gains import Gains
 from handctl.controller.program import Program
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.controller.types import TickIn, TickOut
-from handctl.hand.description import Hand
-from handctl.hand.urdf import urdf
-from handctl.log.header import RunHeader
 from handctl.log.record import pack
 from handctl.log.recorder import Recorder
 from handctl.runtime.bus import open_bus
@@ -31,42 +26,6 @@ from handctl.runtime.lockstep import LockstepBus, LockstepClock
 from handctl.runtime.loop import Loop, LoopBus, LoopStats, Signals
 from handctl.runtime.mailbox import Mailbox
 from handctl.runtime.status import status
-
-
-@dataclass(frozen=True)
-class Plan:
-    """Everything about a run that is known, and checked, before a bus is opened.
-
-    Attributes:
-        hand: description.
-        gains: weights and noise assumptions.
-        rate_hz: control rate.
-        load: worst-case share of each bus, in the hand's order.
-        buses: specification of each bus; empty in lockstep.
-        attachments: files that go into the log.
-        time_scale: run time per wall time.
-        quiet: no display.
-        clear: a person has ordered that what the drives have latched be cleared.
-    """
-
-    hand: Hand
-    gains: Gains
-    rate_hz: float
-    load: tuple[float, ...]
-    buses: tuple[str, ...] = ()
-    attachments: dict[str, bytes] = field(default_factory=dict)
-    time_scale: float = 1.0
-    quiet: bool = False
-    clear: bool = False
-
-    @property
-    def period_ns(self) -> int:
-        """Control period [ns]."""
-        return round(1e9 / self.rate_hz)
-
-    def on(self, buses: tuple[str, ...]) -> "Plan":
-        """The same plan on other buses."""
-        return replace(self, buses=buses)
 
 
 @dataclass(frozen=True)
@@ -276,51 +235,3 @@ def _finish(
             display.close()
         summary = recorder.close(reason)
     return Outcome(state, loop.stats, summary, priority, offset_ns())
-
-
-def run_header(plan: Plan, controller: Controller, priority: Priority | None, lockstep: bool) -> RunHeader:
-    """Everything known before the first tick."""
-    hand = plan.hand
-    installed = sorted({f"{dist.name}=={dist.version}" for dist in distributions()})
-    attachments = {
-        "hand.toml": hand.to_toml().encode(),
-        "hand.urdf": urdf(hand).encode(),
-        setup.ATTACHMENT: setup.Setup.of(controller, plan.rate_hz).model_dump_json(by_alias=True, indent=2).encode(),
-        "gains.json": plan.gains.model_dump_json(by_alias=True, indent=2).encode(),
-        "pip-freeze.txt": "\n".join(installed).encode(),
-        **plan.attachments,
-    }
-    wall = {
-        "host": platform.node(),
-        "kernel": platform.release(),
-        "python": sys.version.split()[0],
-        "priority": str(priority),
-        "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-    }
-    metadata = {
-        "version": version("handctl"),
-        "hand": hand.name,
-        "identity": hand.identity,
-        "bus": " ".join(plan.buses) or "lockstep",
-        "rate_hz": f"{plan.rate_hz:g}",
-        "time_scale": f"{plan.time_scale:g}",
-    }
-    if caveats := setup.caveats(controller.drives):
-        metadata["caveats"] = "; ".join(caveats)
-    return RunHeader.of_hand(
-        hand.to_toml(),
-        plan.period_ns,
-        offset_ns=0 if lockstep else time.time_ns(),
-        metadata=metadata,
-        gains=_flat(plan.gains.model_dump(by_alias=True)),
-        attachments=attachments,
-        wall=wall,
-        deterministic=lockstep,
-    )
-
-
-def _flat(table: dict[str, object], prefix: str = "") -> dict[str, str]:
-    flat: dict[str, str] = {}
-    for key, value in table.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": str(value)}
-    return flat

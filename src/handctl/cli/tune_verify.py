@@ -11,8 +11,8 @@ from handctl.cli.commission import ensure_calibration
 from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import assignments
 from handctl.cli.options import print_json
-from handctl.cli.plan import default_log, find_calibration, make_plan
-from handctl.cli.session import Outcome, Plan, make_controller, run_live, run_lockstep
+from handctl.cli.plan import Plan, default_log, find_calibration, make_plan
+from handctl.cli.session import Outcome, make_controller, run_live, run_lockstep
 from handctl.controller.gains import load_gains_file
 from handctl.errors import ConfigError
 from handctl.hand.description import hand_path

@@ -4,7 +4,8 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.session import Outcome, Plan
+from handctl.cli.plan import Plan
+from handctl.cli.session import Outcome
 from handctl.log.reader import RunLog
 from handctl.report.figure import draw_run
 from handctl.report.summary import summarise

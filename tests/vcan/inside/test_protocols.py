@@ -19,8 +19,8 @@ import pytest
 from firmware_sim.__main__ import main as firmware_sim
 from firmware_sim.truth import Truth, read_truth
 from handctl.cli.exit_codes import Exit
-from handctl.cli.plan import tick_times_s
-from handctl.cli.session import Outcome, Plan, make_controller, run_live
+from handctl.cli.plan import Plan, tick_times_s
+from handctl.cli.session import Outcome, make_controller, run_live
 from handctl.controller.gains import Gains
 from handctl.controller.live import JogProgram
 from handctl.controller.requests import HoldTension

@@ -1,0 +1,61 @@
+"""What the log of a run says before its first tick: the hand, the gains, the machine, and how to run it again."""
+
+import platform
+import sys
+import time
+from importlib.metadata import distributions, version
+
+from handctl.cli.plan import Plan
+from handctl.controller import setup
+from handctl.controller.tick import Controller
+from handctl.hand.urdf import urdf
+from handctl.log.header import RunHeader
+from handctl.runtime.clock import Priority
+
+
+def run_header(plan: Plan, controller: Controller, priority: Priority | None, lockstep: bool) -> RunHeader:
+    """Everything known before the first tick."""
+    hand = plan.hand
+    installed = sorted({f"{dist.name}=={dist.version}" for dist in distributions()})
+    attachments = {
+        "hand.toml": hand.to_toml().encode(),
+        "hand.urdf": urdf(hand).encode(),
+        setup.ATTACHMENT: setup.Setup.of(controller, plan.rate_hz).model_dump_json(by_alias=True, indent=2).encode(),
+        "gains.json": plan.gains.model_dump_json(by_alias=True, indent=2).encode(),
+        "pip-freeze.txt": "\n".join(installed).encode(),
+        **plan.attachments,
+    }
+    wall = {
+        "host": platform.node(),
+        "kernel": platform.release(),
+        "python": sys.version.split()[0],
+        "priority": str(priority),
+        "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+    }
+    metadata = {
+        "version": version("handctl"),
+        "hand": hand.name,
+        "identity": hand.identity,
+        "bus": " ".join(plan.buses) or "lockstep",
+        "rate_hz": f"{plan.rate_hz:g}",
+        "time_scale": f"{plan.time_scale:g}",
+    }
+    if caveats := setup.caveats(controller.drives):
+        metadata["caveats"] = "; ".join(caveats)
+    return RunHeader.of_hand(
+        hand.to_toml(),
+        plan.period_ns,
+        offset_ns=0 if lockstep else time.time_ns(),
+        metadata=metadata,
+        gains=_flat(plan.gains.model_dump(by_alias=True)),
+        attachments=attachments,
+        wall=wall,
+        deterministic=lockstep,
+    )
+
+
+def _flat(table: dict[str, object], prefix: str = "") -> dict[str, str]:
+    flat: dict[str, str] = {}
+    for key, value in table.items():
+        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": str(value)}
+    return flat
