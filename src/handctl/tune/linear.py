@@ -256,7 +256,8 @@ def _point(
     regime = Regime.FREE if moving else Regime.HELD
     filters = FilterState.of(x.ravel(), regime, stopped=False)
     winding = model.motion.tension_speed * SPEED_M_S / (1.0 + model.motion.tension)  # set-point error that asks for it
-    law = replace(LawState.initial(n), setpoint=TENSION_N + winding, force=np.full(n, TENSION_N))
+    planned = np.full(n, TENSION_N)  # what one plans for is no feedback, but must be there
+    law = replace(LawState.initial(n), setpoint=TENSION_N + winding, force=planned.copy(), planned=planned)
     joints = model.excursion_of(q)
     seen = np.isfinite(_joint_gain(model))
     measured = Measured(x[:, X].copy(), np.full(n, TENSION_N), np.where(seen, joints, math.nan), q)
