@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.plan import Plan, tick_times_s
+from handctl.cli.plan import Plan, fastest
 from handctl.cli.session import make_controller, run_lockstep
+from handctl.controller.bus_load import bus_loads
 from handctl.controller.exercise import Exercise
 from handctl.controller.gains import Gains, MotionGains, TensionGains
-from handctl.drives.load import highest_rate
 from handctl.hand.description import hand_path, load_hand
 from handctl.log.reader import RunLog
 from handctl.replay.execute import execute
@@ -21,7 +21,7 @@ WILD = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(force_N=300
 
 def _verified(new: Gains, log: Path) -> Watch:
     hand = load_hand("jamia")
-    rate = highest_rate(tick_times_s(hand))
+    rate = fastest(bus_loads(hand))
     plan = Plan(hand, CALM, rate, (0.5,))
     amplitudes = (0.2, 0.2)
     watch = Watch(hand, CALM, new, amplitudes=amplitudes, old_rounds=1)

@@ -120,11 +120,6 @@ def bus_specs(hand: Hand, given: Sequence[str]) -> tuple[str, ...]:
     return tuple(found[name] for name in names)
 
 
-def tick_times_s(hand: Hand) -> tuple[float, ...]:
-    """Worst-case time that one tick's frames take on each bus of a hand [s]."""
-    return tuple(load.tick_s for load in bus_loads(hand))
-
-
 def fastest(loads: Sequence[BusLoad]) -> float:
     """The highest usual control rate that all buses can carry [Hz]."""
     return highest_rate((load.tick_s for load in loads), (load.share for load in loads))

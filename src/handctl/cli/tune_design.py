@@ -8,10 +8,10 @@ from typing import Any
 from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import layered_gains
 from handctl.cli.options import print_json
-from handctl.cli.plan import tick_times_s
+from handctl.cli.plan import fastest
 from handctl.cli.tune_files import checked_count, output_files, spread_of, write_gains
+from handctl.controller.bus_load import bus_loads
 from handctl.controller.model import HandModel
-from handctl.drives.load import highest_rate
 from handctl.errors import ConfigError
 from handctl.hand.description import load_hand
 
@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
 
     hand = load_hand(args.hand)
     gains = layered_gains(args, hand.name).gains
-    rate = args.rate or highest_rate(tick_times_s(hand))
+    rate = args.rate or fastest(bus_loads(hand))
     out, picture = output_files(args, hand.name, "design")
     factors = ensemble(checked_count(args.plants, "--plants", 1024), args.seed, spread_of(args.fit))
     plants = tuple(linear_factors(one) for one in factors)

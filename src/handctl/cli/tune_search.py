@@ -9,12 +9,12 @@ from typing import Any
 from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import layered_gains
 from handctl.cli.options import print_json
-from handctl.cli.plan import tick_times_s
+from handctl.cli.plan import fastest
 from handctl.cli.tune_files import checked_count, output_files, spread_of, write_gains
+from handctl.controller.bus_load import bus_loads
 from handctl.controller.gain_bounds import with_values
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
-from handctl.drives.load import highest_rate
 from handctl.hand.description import Hand, hand_path, load_hand
 
 
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
 
     hand = load_hand(args.hand)
     gains = layered_gains(args, hand.name).gains
-    rate = args.rate or highest_rate(tick_times_s(hand))
+    rate = args.rate or fastest(bus_loads(hand))
     out, picture = output_files(args, hand.name, "search")
     plants = ensemble(checked_count(args.plants, "--plants", 256), args.seed, spread_of(args.fit))
     trials = checked_count(args.trials, "--trials", 100_000)

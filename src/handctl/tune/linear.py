@@ -235,9 +235,13 @@ def _put(values: Matrix, index: int, value: float) -> Matrix:
     return changed
 
 
+_WATCHED = ("nis", "surprise")
+"""What the filter keeps of its innovations, only to judge them."""
+
+
 def _floats(record: object) -> list[str]:
-    """Names of a record's fields that hold float arrays."""
-    names = [field.name for field in fields(record)]  # type: ignore[arg-type]
+    """Names of a record's fields that hold float arrays and take part in the feedback."""
+    names = [field.name for field in fields(record) if field.name not in _WATCHED]  # type: ignore[arg-type]
     return [name for name in names if getattr(getattr(record, name), "dtype", None) == np.float64]
 
 
