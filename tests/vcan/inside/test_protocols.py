@@ -19,8 +19,9 @@ import pytest
 from firmware_sim.__main__ import main as firmware_sim
 from firmware_sim.truth import Truth, read_truth
 from handctl.cli.exit_codes import Exit
-from handctl.cli.plan import Plan, tick_times_s
+from handctl.cli.plan import Plan
 from handctl.cli.session import Outcome, make_controller, run_live
+from handctl.controller.bus_load import bus_loads
 from handctl.controller.gains import Gains
 from handctl.controller.live import JogProgram
 from handctl.controller.requests import HoldTension
@@ -145,7 +146,7 @@ def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:
 def pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[Outcome, Truth]:
     """Arm, pull every tendon for a moment, relax, disarm; what the run came to, and what really happened."""
     hand, time_scale = load_hand(str(path)), 0.1
-    load = tuple(RATE_HZ * busy for busy in tick_times_s(hand))
+    load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
     plan = Plan(hand, Gains(), RATE_HZ, load, tuple(buses), time_scale=time_scale, quiet=True)
     program = JogProgram(HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), PULL_S)
     with simulated(path, buses, time_scale, folder / "truth"):
