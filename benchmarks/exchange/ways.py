@@ -128,9 +128,33 @@ class Cantools(Scalar):
         return self.feedback.decode(bytes(data))
 
 
+class Damiao:
+    """damiao-motor, its polling thread stopped and its polling done by hand."""
+
+    def __init__(self, interface, channel, motors):
+        from damiao_motor import DaMiaoController
+
+        self.controller = DaMiaoController(channel=channel, bustype=interface)
+        add = self.controller.add_motor
+        self.motors = [add(motor_id=i, feedback_id=i + 0x10, motor_type="4310") for i in range(1, motors + 1)]
+        self.controller._stop_polling()
+
+    def send(self, torques):
+        for motor, torque in zip(self.motors, torques, strict=True):
+            motor.send_cmd_mit(feedforward_torque=torque)
+
+    def receive(self):
+        self.controller.poll_feedback()
+        return [motor.get_states() for motor in self.motors]
+
+    def close(self):
+        self.controller.shutdown()
+
+
 WAYS = {
     "handctl": Ours,
     "handctl, drives and all": Drives,
     "python-can, scalar codec": Scalar,
     "python-can, cantools": Cantools,
+    "damiao-motor": Damiao,
 }

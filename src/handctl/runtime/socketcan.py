@@ -19,6 +19,8 @@ FD = struct.Struct("=IBB2x64s")
 """``struct can_frame`` and ``struct canfd_frame``. Source: Linux ``can.h``."""
 _SLOT = struct.Struct("=IBB2x8s56x")
 """Either of them on a socket that gets classical frames only: 8 bytes of payload are all there can be."""
+CLASSICAL_MOST = 8
+"""Payload that any frame can carry [bytes]."""
 SLOTS = 128
 READS = 64
 """Reads of one drain: a flood cannot make a tick long."""
@@ -106,8 +108,9 @@ class SocketCanBus:
     def _pack(self, frames: Sequence[Frame]) -> None:
         buffer, offset = self._out.data, 0
         for i, frame in enumerate(frames):
-            check_size(frame)
             can_id, data, flags, _, _ = frame
+            if len(data) > CLASSICAL_MOST:
+                check_size(frame)
             if flags & FDF:
                 FD.pack_into(buffer, offset, can_id, len(data), flags, data)
                 self._out.set_length(i, FD.size)
