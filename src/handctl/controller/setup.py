@@ -9,6 +9,7 @@ from pydantic import Field
 from handctl.controller.calibration import Calibration
 from handctl.controller.commission import CommissionProgram
 from handctl.controller.exercise import Exercise
+from handctl.controller.excite import ExciteProgram, ExciteStep
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.live import JogProgram, LiveProgram
@@ -70,7 +71,14 @@ class ExerciseSetup(Document):
     amplitudes: tuple[float, ...]
 
 
-AnySetup = TaskSetup | LiveSetup | JogSetup | CommissionSetup | PlaybackSetup | ExerciseSetup
+class ExciteSetup(Document):
+    """Identification."""
+
+    program: Literal["excite"] = "excite"
+    steps: tuple[ExciteStep, ...]
+
+
+AnySetup = TaskSetup | LiveSetup | JogSetup | CommissionSetup | PlaybackSetup | ExerciseSetup | ExciteSetup
 ProgramSetup = Annotated[AnySetup, Field(discriminator="program")]
 
 
@@ -141,6 +149,8 @@ def _described(program: Program) -> AnySetup:
             return JogSetup(request=request, duration_s=duration)
         case PlaybackProgram(recording, raw):
             return PlaybackSetup(raw=raw, rows=recording.text())
+        case ExciteProgram(steps):
+            return ExciteSetup(steps=steps)
         case CommissionProgram():
             return CommissionSetup()
         case Exercise(amplitudes):
@@ -159,6 +169,8 @@ def _made(setup: AnySetup, hand: Hand) -> Program:
         case PlaybackSetup():
             recording = Recording.read(setup.rows, len(hand.joints), len(hand.tendon))
             return PlaybackProgram(recording, setup.raw)
+        case ExciteSetup():
+            return ExciteProgram(setup.steps)
         case CommissionSetup():
             return CommissionProgram()
         case ExerciseSetup():

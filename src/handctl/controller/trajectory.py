@@ -1,5 +1,6 @@
 """Ways of a digit through its coordinates: minimum jerk to a pose, or a curve through given points."""
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -130,6 +131,56 @@ class Sample:
     def key(self) -> bytes:
         """See ``Trajectory``."""
         return self.position.tobytes() + self.velocity.tobytes() + self.acceleration.tobytes()
+
+
+@dataclass(frozen=True, slots=True)
+class Chirp:
+    """A swing about an angle whose frequency rises evenly, growing from rest and dying down to rest.
+
+    Attributes:
+        centre: [rad].
+        amplitude: [rad].
+        low, high: frequency at the beginning and at the end [Hz].
+        duration: [s].
+        coordinates: of the digit; all swing alike.
+    """
+
+    centre: float
+    amplitude: float
+    low: float
+    high: float
+    duration: float
+    coordinates: int
+
+    def at(self, t: float) -> tuple[Vector, Vector, Vector]:
+        """See ``Trajectory``."""
+        s = min(max(t, 0.0), self.duration)
+        size, growth, bend = self._envelope(s)
+        rise = 2.0 * math.pi * (self.high - self.low) / self.duration
+        speed = 2.0 * math.pi * self.low + rise * s
+        phase = (math.pi * self.low + 0.5 * speed) * s
+        sine, cosine = math.sin(phase), math.cos(phase)
+        way = size * sine
+        velocity = growth * sine + size * speed * cosine
+        acceleration = bend * sine + 2.0 * growth * speed * cosine + size * (rise * cosine - speed**2 * sine)
+        moving = self.amplitude if s == t else 0.0
+        values = (self.centre + self.amplitude * way, moving * velocity, moving * acceleration)
+        position, velocity_, acceleration_ = (np.full(self.coordinates, value) for value in values)
+        return position, velocity_, acceleration_
+
+    def _envelope(self, t: float) -> tuple[float, float, float]:
+        """Size of the swing at t [s], its rate [1/s] and the rate of that [1/s^2]: smooth within a tenth at each end."""
+        ramp = 0.1 * self.duration
+        left = min(t, self.duration - t)
+        if left >= ramp:
+            return 1.0, 0.0, 0.0
+        w = math.pi / ramp
+        sign = 1.0 if t <= self.duration - t else -1.0
+        return 0.5 - 0.5 * math.cos(w * left), sign * 0.5 * w * math.sin(w * left), 0.5 * w * w * math.cos(w * left)
+
+    def key(self) -> bytes:
+        """See ``Trajectory``."""
+        return repr((self.centre, self.amplitude, self.low, self.high, self.duration, self.coordinates)).encode()
 
 
 PEAK_SPEED = 1.875

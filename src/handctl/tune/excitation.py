@@ -1,0 +1,88 @@
+"""What a digit does so that its parameters show: within its limits, in about fifteen seconds."""
+
+import math
+
+from handctl.controller.excite import ExciteStep
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+
+LOW_DEG, HIGH_DEG = 8.0, 45.0
+"""Range of free sweeps: clear of the open stop, and short of where a finger of the packaged hands meets the palm."""
+SWING_DEG, SWING_LOW_HZ, SWING_HIGH_HZ = 9.0, 0.7, 6.0
+PRESS_SHARE = (0.16, 0.4, 0.8)
+"""Tensions at which a digit has met something, and between which it is pressed, as shares of the most allowed."""
+LEAST_N, LIFT_SHARE = 1.3, 0.7
+"""A digit on its open stop is stretched between the first, above what counts as slack, and the second, a share of the
+tension that lifts it off against springs as in the hand file."""
+STRETCH_S, STRETCHES = 0.25, 8
+
+
+def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
+    """Steps of the named digits, one digit after the other.
+
+    Raises:
+        ConfigError: there is no such digit.
+    """
+    for name in digits:
+        if name not in hand.digit_names:
+            raise ConfigError(repr(name), "--digits", "some of " + ", ".join(hand.digit_names))
+    return tuple(step for name in digits for step in _steps(hand, name))
+
+
+def _steps(hand: Hand, digit: str) -> list[ExciteStep]:
+    """Tare, stop, free sweeps slow and fast, a swing of rising frequency, presses against whatever stops it, tare."""
+    tendons = hand.tendon[hand.digit_tendons[digit]]
+    most = min(tendon.tension_max_N for tendon in tendons)
+    floor = max(tendon.tension_floor_N for tendon in tendons)
+    low, high = (math.radians(angle) for angle in _range(hand, digit))
+    middle, swing = 0.5 * (low + high), math.radians(SWING_DEG)
+    lift = LIFT_SHARE * lift_off_N(hand, digit)
+    meet, soft, hard = (share * most for share in PRESS_SHARE)
+
+    def step(
+        name: str, kind: str, duration_s: float, target: float = 0.0, rate: float = 100.0, held: bool = False
+    ) -> ExciteStep:
+        return ExciteStep.model_validate(
+            {"digit": digit, "name": name, "kind": kind, "duration_s": duration_s}
+            | {"target": target, "rate": rate, "held": held}
+        )
+
+    chirp = step("swing", "chirp", 3.0, middle)
+    chirp = chirp.model_copy(update={"amplitude": swing, "low_Hz": SWING_LOW_HZ, "high_Hz": SWING_HIGH_HZ})
+    sweeps = [step("sweep", "move", s, goal) for s in (1.1, 0.35) for goal in (high, low)]
+    presses = [step("press", "tension", 0.22, goal, 250.0, held=True) for _ in range(3) for goal in (hard, soft)]
+    stretch = [
+        step("stretch", "tension", STRETCH_S, goal, (lift - LEAST_N) / STRETCH_S)
+        for _ in range(STRETCHES)
+        for goal in (lift, LEAST_N)
+    ]
+    return [
+        step("tare", "limp", 0.4),
+        step("taut", "taut", 0.4, floor, 40.0),
+        *stretch,
+        step("approach", "move", 0.4, low),
+        *sweeps,
+        step("approach", "move", 0.4, middle),
+        chirp,
+        step("close", "tension", 0.5, meet, 30.0),
+        step("close", "tension", 0.5, soft, 50.0, held=True),
+        *presses,
+        step("open", "tension", 0.4, meet, 50.0, held=True),
+        step("open", "tension", 0.8, floor, 30.0),
+        step("end tare", "limp", 0.5),
+    ]
+
+
+def _range(hand: Hand, digit: str) -> tuple[float, float]:
+    """Free range of the digit's joints [deg]."""
+    known = hand.digit_named(digit)
+    least, most = max(known.joint_min_deg), min(known.joint_max_deg)
+    return least + LOW_DEG, min(least + HIGH_DEG, most - LOW_DEG)
+
+
+def lift_off_N(hand: Hand, digit: str) -> float:
+    """Tension that lifts a joint of the digit off its open stop, without friction and weight [N]."""
+    known, joints = hand.digit_named(digit), hand.digit_joints[digit]
+    arms = abs(hand.moment_arms[hand.digit_tendons[digit], joints]).sum(axis=0)
+    preload = zip(known.spring_stiffness_N_m_per_rad, known.spring_preload_rad, arms.tolist(), strict=True)
+    return min(stiffness * angle / arm for stiffness, angle, arm in preload if arm > 0.0)
