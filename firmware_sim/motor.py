@@ -81,7 +81,7 @@ class Motor:
         h, servo, omega, torque = self._step, self.servo, self.omega, self.torque
         command, limit, coulomb = servo.torque, servo.limit, self.coulomb
         bend = tanh(omega / COULOMB_SPEED)
-        slope = coulomb * (bend / omega if omega > 1e-6 or omega < -1e-6 else 1.0 / COULOMB_SPEED)
+        slope = coulomb * (1.0 - bend * bend) / COULOMB_SPEED
         inertia = self._inertia / h + slope
         drag = load + coulomb * bend
         if servo.kp or servo.kd:

@@ -124,3 +124,21 @@ def test_the_encoder_has_fourteen_bits() -> None:
         motor.theta = float(theta)
         assert 0.0 <= motor.theta - motor.encoder() < ENCODER_STEP
     assert pytest.approx(2 * math.pi / 16384) == ENCODER_STEP
+
+
+@pytest.mark.parametrize("torque", [-0.03, 0.045])
+def test_friction_takes_no_inertia_along(torque: float) -> None:
+    """A rotor that already turns gains speed by torque less friction over its inertia, as slowly as it may turn."""
+    motor = Motor(replace(SPEC, viscous=0.0), STEP)
+    motor.omega, motor.torque = 2.0, torque
+    motor.servo.torque, motor.servo.limit = torque, 1.0
+    spin(motor, 0.005)
+    assert (motor.omega - 2.0) / 0.005 == pytest.approx((torque - SPEC.coulomb) / SPEC.inertia, rel=1e-3)
+
+
+def test_friction_stops_a_rotor_and_does_not_turn_it_around() -> None:
+    for start in np.linspace(0.005, 0.5, 100):
+        motor = Motor(SPEC, STEP)
+        motor.omega = float(start)
+        spin(motor, 0.02)
+        assert -1e-3 <= motor.omega <= 1e-3 + 0.2 * start

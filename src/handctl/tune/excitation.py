@@ -9,12 +9,13 @@ from handctl.hand.description import Hand
 LOW_DEG, HIGH_DEG = 8.0, 45.0
 """Range of free sweeps: clear of the open stop, and short of where a finger of the packaged hands meets the palm."""
 SWING_DEG, SWING_LOW_HZ, SWING_HIGH_HZ = 9.0, 0.7, 6.0
-PRESS_SHARE = (0.16, 0.4, 0.8)
-"""Tensions at which a digit has met something, and between which it is pressed, as shares of the most allowed."""
-LEAST_N, LIFT_SHARE = 1.3, 0.7
+PRESS_SHARE = (0.08, 0.4, 0.8)
+"""Tension to which a press ends, and between which a digit is pressed, as shares of the most allowed."""
+LEAST_N, LIFT_SHARE = 1.1, 0.6
 """A digit on its open stop is stretched between the first, above what counts as slack, and the second, a share of the
 tension that lifts it off against springs as in the hand file."""
 STRETCH_S, STRETCHES = 0.25, 8
+SWEEP_S = (1.1, 0.35, 0.7)
 
 
 def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
@@ -30,14 +31,14 @@ def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
 
 
 def _steps(hand: Hand, digit: str) -> list[ExciteStep]:
-    """Tare, stop, free sweeps slow and fast, a swing of rising frequency, presses against whatever stops it, tare."""
+    """Tare, stop, free sweeps slow and fast, a swing of rising frequency, presses against whatever stops it."""
     tendons = hand.tendon[hand.digit_tendons[digit]]
     most = min(tendon.tension_max_N for tendon in tendons)
     floor = max(tendon.tension_floor_N for tendon in tendons)
     low, high = (math.radians(angle) for angle in _range(hand, digit))
     middle, swing = 0.5 * (low + high), math.radians(SWING_DEG)
     lift = LIFT_SHARE * lift_off_N(hand, digit)
-    meet, soft, hard = (share * most for share in PRESS_SHARE)
+    let_go, soft, hard = (share * most for share in PRESS_SHARE)
 
     def step(
         name: str, kind: str, duration_s: float, target: float = 0.0, rate: float = 100.0, held: bool = False
@@ -47,9 +48,9 @@ def _steps(hand: Hand, digit: str) -> list[ExciteStep]:
             | {"target": target, "rate": rate, "held": held}
         )
 
-    chirp = step("swing", "chirp", 3.0, middle)
-    chirp = chirp.model_copy(update={"amplitude": swing, "low_Hz": SWING_LOW_HZ, "high_Hz": SWING_HIGH_HZ})
-    sweeps = [step("sweep", "move", s, goal) for s in (1.1, 0.35) for goal in (high, low)]
+    swing_step = step("swing", "chirp", 2.4, middle)
+    swing_step = swing_step.model_copy(update={"amplitude": swing, "low_Hz": SWING_LOW_HZ, "high_Hz": SWING_HIGH_HZ})
+    sweeps = [step("sweep", "move", duration, goal) for duration in SWEEP_S for goal in (high, low)]
     presses = [step("press", "tension", 0.22, goal, 250.0, held=True) for _ in range(3) for goal in (hard, soft)]
     stretch = [
         step("stretch", "tension", STRETCH_S, goal, (lift - LEAST_N) / STRETCH_S)
@@ -57,19 +58,20 @@ def _steps(hand: Hand, digit: str) -> list[ExciteStep]:
         for goal in (lift, LEAST_N)
     ]
     return [
-        step("tare", "limp", 0.4),
+        step("tare", "limp", 0.5),
         step("taut", "taut", 0.4, floor, 40.0),
         *stretch,
         step("approach", "move", 0.4, low),
         *sweeps,
-        step("approach", "move", 0.4, middle),
-        chirp,
-        step("close", "tension", 0.5, meet, 30.0),
-        step("close", "tension", 0.5, soft, 50.0, held=True),
+        step("approach", "move", 0.3, middle),
+        swing_step,
+        step("approach", "move", 0.3, high),
+        step("close", "tension", 0.5, soft, 80.0, held=True),
         *presses,
-        step("open", "tension", 0.4, meet, 50.0, held=True),
-        step("open", "tension", 0.8, floor, 30.0),
-        step("end tare", "limp", 0.5),
+        step("open", "tension", 0.7, let_go, 60.0, held=True),
+        step("open", "move", 0.5, low),
+        step("stop", "tension", 0.6, floor, 20.0),
+        step("rest", "limp", 0.1),
     ]
 
 

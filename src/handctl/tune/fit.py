@@ -1,0 +1,214 @@
+"""Fitting one tendon: all equations at once, with the load cell's slow drift as part of what is unknown.
+
+Parameters are scaled by what the hand file says, so that they are all of the order of one. Residuals are in standard
+deviations of the load cell. Intervals come from the spread of the residuals' scores in blocks of time, so that what the
+model lacks widens them, and not from the assumption that every row is a new measurement.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from handctl.errors import LogError
+from handctl.hand.description import Hand
+from handctl.hand.dynamics import DigitModel
+from handctl.tune.fit_load import Bins, DigitLoad, LoadParameters, bins
+from handctl.tune.fit_motor import MotorWindows, motor_windows
+from handctl.tune.identify_data import Array, TendonData
+
+NAMES = (
+    "torque_gain", "motor_inertia", "motor_viscous", "motor_coulomb", "delay",
+    "rope_stiffness", "spring_stiffness", "spring_preload", "capstan", "joint_damping", "link_mass", "stretch_offset", "stop_softness",
+)  # fmt: skip
+"""Parameters of a tendon, in the order of the fit; the load cell's drift follows."""
+SCALE_DELAY_S, SCALE_OFFSET_M = 1e-3, 1e-4
+PRIOR = {"link_mass": 0.3}
+"""Relative spread of what is known beforehand: masses are weighed. The rest is as good as unknown."""
+SOFTNESS = 0.02
+"""A stop gives way, too: by this share of what the rope does, give or take as much. An assumption: at the load cell
+rope and stop are springs in a row, and nothing that is measured tells them apart."""
+VAGUE = 3.0
+"""Relative spread of everything else: it keeps a fit finite that has no data for a parameter."""
+OFFSET_N = 1.0
+"""Spread of what a tared load cell reads without tension [N]."""
+KNOT_S = 1.0
+"""Distance of the knots of the drift."""
+STOP_BIN_S = 0.05
+"""On the stop the cable creeps: only over this long does it cross enough encoder counts for their steps to average."""
+OUTLIER = 2.5
+"""Residuals beyond so many standard deviations count less and less: contact that nobody expected."""
+BLOCK_S = 0.25
+"""Blocks of time whose residuals are taken to be independent of one another."""
+INFORMED = 0.5
+"""A parameter whose interval is wider than this share of its value is not identified."""
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Everything that one fit looks at.
+
+    Attributes:
+        spool: [m]. nominal: (13,) scale of each parameter. load: the digit; None if it has several tendons.
+        motor: windows. free, stop, limp: bins. knots: (k,) times of the drift's knots [s].
+        sigma: of a load-cell sample [N]. step: of the drift from knot to knot [N].
+    """
+
+    spool: float
+    nominal: Array
+    load: DigitLoad | None
+    motor: MotorWindows
+    free: Bins
+    stop: Bins
+    limp: Bins
+    knots: Array
+    sigma: float
+    step: float
+
+    @staticmethod
+    def of(data: TendonData, hand: Hand) -> "Problem":
+        """Put the problem of a tendon together.
+
+        Raises:
+            LogError: nothing of it moves in the log.
+        """
+        index = hand.tendon_names.index(data.tendon)
+        tendon, motor, digit = hand.tendon[index], hand.motor_of(data.tendon), DigitModel.of(hand, data.digit)
+        spool = motor.spool_radius_m
+        if not data.acting.any() or len(data.t) < 2:
+            raise LogError(f"{data.tendon} is never driven", "the log", "a run with the hand armed")
+        span = float(data.t[-1] - data.t[0])
+        windows = motor_windows(data, spool)
+        if len(windows.t) < 20:
+            raise LogError(f"{data.tendon} hardly moves", "the log", "a run in which it moves")
+        nominal = np.array(
+            [1.0, motor.inertia_kg_m2, motor.viscous_N_m_s_per_rad, motor.coulomb_N_m, SCALE_DELAY_S]
+            + [tendon.stiffness_N_per_m, 1.0, 1.0, tendon.friction_coefficient, 1.0, 1.0, SCALE_OFFSET_M, SOFTNESS]
+        )
+        single = digit.moment_arms.shape[0] == 1
+        return Problem(
+            spool=spool,
+            nominal=np.where(nominal > 0.0, nominal, 1e-3),
+            load=DigitLoad.of(digit) if single else None,
+            motor=windows,
+            free=bins(data, data.free, moving=True),
+            stop=bins(data, data.stop, moving=False, bin_s=STOP_BIN_S),
+            limp=bins(data, data.limp, moving=False, bin_s=STOP_BIN_S),
+            knots=np.linspace(data.t[0], data.t[-1], max(2, round(span / KNOT_S) + 1)),
+            sigma=_noise(data, hand.sensor_node.tension_noise_N),
+            step=max(hand.sensor_node.tension_bias_drift_N, 1e-3) * (KNOT_S / 100.0) ** 0.5,
+        )
+
+    def start(self) -> Array:
+        """(13 + k,) scaled parameters to begin with: what the hand file says."""
+        first = np.ones(len(NAMES))
+        first[NAMES.index("delay")] = 1.0
+        first[NAMES.index("stretch_offset")] = self._first_offset() / SCALE_OFFSET_M
+        return np.append(first, np.zeros(len(self.knots)))
+
+    def _first_offset(self) -> float:
+        """Stretch offset that the data on the stop speak for [m]; else the least travel in free motion."""
+        stiffness = self.nominal[NAMES.index("rope_stiffness")]
+        if len(self.stop.t):
+            return float(np.mean(self.stop.travel - self.stop.tension / stiffness))
+        return float(self.free.travel.min()) if len(self.free.t) else 0.0
+
+    def residuals(self, z: Array) -> Array:
+        """(rows,) in standard deviations: motor, free, stop, limp, drift, priors."""
+        p = z[: len(NAMES)] * self.nominal
+        drift = z[len(NAMES) :]
+        return np.concatenate([*self._data(p, drift), *self._prior(z, drift)])
+
+    def _data(self, p: Array, drift: Array) -> list[Array]:
+        gain, inertia, viscous, coulomb, delay, stiffness = p[:6].tolist()
+        m, r = self.motor, self.spool
+        asked = gain * m.command(delay)
+        lost = (inertia / r * m.acceleration + viscous / r * m.speed) / r + coulomb / r * m.sign
+        rows = [(asked - lost - (m.tension - self._offset(m.t, drift))) / (self.sigma * m.spread)]
+        for seen, model in self._expected(p, stiffness):
+            rows.append((seen.tension - self._offset(seen.t, drift) - model) / (self.sigma / seen.count**0.5))
+        return rows
+
+    def _expected(self, p: Array, stiffness: float) -> list[tuple[Bins, Array]]:
+        """Bins and the tension that they should show."""
+        rows = [(self.stop, stiffness / (1.0 + p[-1]) * (self.stop.travel - p[-2])), (self.limp, np.zeros_like(self.limp.t))]
+        if self.load is not None and len(self.free.t):
+            rows.append((self.free, self.load.tension(LoadParameters(*p[5:-1].tolist()), self.free)))
+        return rows
+
+    def _offset(self, t: Array, drift: Array) -> Array:
+        return np.asarray(np.interp(t, self.knots, drift))
+
+    def _prior(self, z: Array, drift: Array) -> list[Array]:
+        spread = np.array([PRIOR.get(name, 1.0 if name == "stop_softness" else VAGUE) for name in NAMES])
+        known = np.arange(len(NAMES)) != NAMES.index("stretch_offset")
+        return [np.diff(drift) / self.step, drift[:1] / OFFSET_N, ((z[: len(NAMES)] - 1.0) / spread)[known]]
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """What a fit found.
+
+    Attributes:
+        z: scaled parameters, drift included. covariance: of them. jacobian: weighted, of all rows.
+        nominal: (13,) scales. residual: (rows,). rows: of each kind: motor, stop, limp, free.
+    """
+
+    problem: Problem
+    z: Array
+    covariance: Array
+    jacobian: Array
+    residual: Array
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters in SI units, or as factors."""
+        return dict(zip(NAMES, (self.z[: len(NAMES)] * self.problem.nominal).tolist(), strict=True))
+
+    @property
+    def half_widths(self) -> dict[str, float]:
+        """Half of each 95 % interval, in the parameter's unit."""
+        spread = np.sqrt(np.diag(self.covariance))[: len(NAMES)] * self.problem.nominal
+        return dict(zip(NAMES, (1.96 * spread).tolist(), strict=True))
+
+
+def fit(problem: Problem) -> Fit:
+    """Solve for all parameters of a tendon."""
+    first = least_squares(problem.residuals, problem.start(), x_scale="jac", loss="soft_l1", f_scale=OUTLIER)
+    weight = np.ones_like(first.fun)
+    data = len(_times(problem))
+    weight[:data] = np.abs(first.fun[:data]) < 2.0 * OUTLIER
+    found = least_squares(lambda z: problem.residuals(z) * weight, first.x, x_scale="jac")
+    jacobian = np.asarray(found.jac)
+    return Fit(problem, found.x, _covariance(problem, jacobian, found.fun), jacobian, found.fun)
+
+
+def _covariance(problem: Problem, jacobian: Array, residual: Array) -> Array:
+    """Covariance of the parameters: scores summed in blocks of time, priors as they are."""
+    times = _times(problem)
+    data = len(times)
+    bread = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
+    scores = jacobian[:data] * residual[:data, None]
+    blocks = np.floor((times - times.min()) / BLOCK_S).astype(int)
+    sums = np.zeros((blocks.max() + 1, jacobian.shape[1]))
+    np.add.at(sums, blocks, scores)
+    prior = jacobian[data:].T @ jacobian[data:]
+    robust = bread @ (sums.T @ sums + prior) @ bread
+    plain = bread
+    ratio = np.sqrt(np.maximum(np.diag(robust) / np.diag(plain), 1.0))
+    return np.asarray(plain * np.outer(ratio, ratio))
+
+
+def _times(problem: Problem) -> Array:
+    """Time of every row that is data, in the order of the residuals."""
+    parts = [problem.motor.t, problem.stop.t, problem.limp.t]
+    if problem.load is not None and len(problem.free.t):
+        parts.append(problem.free.t)
+    return np.concatenate(parts)
+
+
+def _noise(data: TendonData, stated: float) -> float:
+    """Standard deviation of a load-cell sample [N]: from rest and slow stretching, where neighbours differ by noise."""
+    quiet = data.tension[data.limp | data.stop]
+    quiet = quiet[np.isfinite(quiet)]
+    return stated if len(quiet) < 200 else max(float(np.std(np.diff(quiet))) / 2**0.5, 0.1 * stated, 1e-3)

@@ -1,0 +1,128 @@
+"""What a log tells of one tendon: travel, tension and torque at the same instants, and what each instant is good for."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.controller.types import Mode
+from handctl.hand.description import Hand
+from handctl.log.reader import RunLog
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+TARES = ("tare",)
+ON_STOP, BACK_ON_STOP = ("stretch",), ("stop",)
+FREE = ("sweep",)
+UNSURE = ("close", "open")
+"""Steps in which something is met or left: the motor's force may jump within a sample."""
+SETTLE_S = 0.02
+LATE_S = 0.35
+"""Time at the beginning of a step in which the digit still falls open, or the rope becomes slack."""
+LEAST_TENSION_N = 2.0
+"""Mean tension of a stretch of a log that counts as taut."""
+
+
+@dataclass(frozen=True, slots=True)
+class TendonData:
+    """One tendon during the time of its digit; row j of every array belongs to the instant t = j periods.
+
+    Attributes:
+        tendon: name.
+        digit: name.
+        period: [s].
+        t: (n,) [s] on the log's clock.
+        travel: (n,) cable travel at the spool [m]; NaN where it was not read.
+        tension: (n,) load cell, tared [N]; NaN where it was not read.
+        command: (n,) motor force at the cable that the drive was told from this instant on [N].
+        limp: rope slack: the load cell shows its offset.
+        stop: taut, on the open stop.
+        free: taut, moving with nothing in the way.
+        acting: the motor equation holds.
+    """
+
+    tendon: str
+    digit: str
+    period: float
+    t: Array
+    travel: Array
+    tension: Array
+    command: Array
+    limp: Mask
+    stop: Mask
+    free: Mask
+    acting: Mask
+
+
+def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
+    """Data of every tendon that was excited, or of all tendons if the log is not one of an excitation.
+
+    A tick's measurements were taken at the instant of the tick before, so they are moved there.
+
+    Args:
+        log: of any run.
+        hand: that ran.
+    """
+    period = log.header.period_ns * 1e-9
+    phases = _phases(log)
+    excited = {name.partition(" ")[0] for name in phases if name.partition(" ")[2] in (*ON_STOP, *FREE)}
+    settle, late = round(SETTLE_S / period), round(LATE_S / period)
+    active = (log.mode == Mode.ACTIVE)[:-1]
+    whole = np.append(np.diff(log.k) == 1, True)[:-1]
+    contact = log.field("contact")[:-1]
+    found = []
+    for i, tendon in enumerate(hand.tendon):
+        d = next(d for d, name in enumerate(hand.digit_names) if _has(hand, name, i))
+        digit, spool = hand.digit_names[d], hand.motor_of(tendon.name).spool_radius_m
+        data = TendonData(
+            tendon=tendon.name,
+            digit=digit,
+            period=period,
+            t=log.times[:-1],
+            travel=log.field("motor_position")[1:, i] * spool,
+            tension=log.field("tension_raw")[1:, i],
+            command=log.field("motor_torque_goal")[:-1, i] / spool,
+            limp=_during(phases, digit, TARES, late)[:-1],
+            stop=(_during(phases, digit, ON_STOP, settle) | _during(phases, digit, BACK_ON_STOP, late))[:-1] & active,
+            free=_during(phases, digit, FREE, settle)[:-1] & active,
+            acting=active & whole & ~_during(phases, digit, UNSURE, 0)[:-1],
+        )
+        if excited:
+            found += [_cut(data, phases, digit)] if digit in excited else []
+        else:
+            free = active & (contact[:, d] < 0.5) & (log.field("tension_goal")[:-1, i] > LEAST_TENSION_N)
+            found.append(replace(data, free=free & (data.tension > LEAST_TENSION_N)))
+    return found
+
+
+def _has(hand: Hand, digit: str, tendon: int) -> bool:
+    place = hand.digit_tendons[digit]
+    return place.start <= tendon < place.stop
+
+
+def _phases(log: RunLog) -> NDArray[np.str_]:
+    """(ticks,) name of the phase of every tick."""
+    starts = np.array([change.k for change in log.phases])
+    names = np.array([change.name for change in log.phases])
+    return np.asarray(names[np.searchsorted(starts, log.k, side="right") - 1])
+
+
+def _during(phases: NDArray[np.str_], digit: str, steps: tuple[str, ...], settle: int) -> Mask:
+    """Ticks of some steps of a digit, each without its first ``settle`` ticks."""
+    inside = np.isin(phases, [f"{digit} {step}" for step in steps])
+    settled = inside.copy()
+    for shift in range(1, settle):
+        settled[shift:] &= phases[shift:] == phases[:-shift]
+    return np.asarray(settled)
+
+
+def _cut(data: TendonData, phases: NDArray[np.str_], digit: str) -> TendonData:
+    """Only the time in which the digit was excited."""
+    own = np.flatnonzero(np.char.startswith(phases[:-1], f"{digit} "))
+    place = slice(int(own[0]), int(own[-1]) + 1)
+    parts = {
+        name: getattr(data, name)[place]
+        for name in ("t", "travel", "tension", "command", "limp", "stop", "free", "acting")
+    }
+    return replace(data, **parts)
