@@ -8,10 +8,13 @@ from pathlib import Path
 from handctl.cli.options import print_json, run_options
 from handctl.cli.plan import Plan, default_log, find_calibration, make_plan
 from handctl.cli.session import Outcome, Runner, make_controller, run_live
-from handctl.controller.calibration import Calibration
+from handctl.controller.calibration import Calibration, load_calibration
 from handctl.controller.commission import CommissionProgram, result
-from handctl.errors import DriveError
+from handctl.controller.identified import Identified
+from handctl.errors import ConfigError, DriveError
+from handctl.hand.description import Hand
 from handctl.hand.toml_text import toml_text
+from handctl.tune.gains_store import write_whole
 
 EXAMPLE = "handctl commission --hand jamia --bus local:demo --calibration /tmp/jamia.calibration.toml --dry-run"
 
@@ -30,6 +33,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     log = args.log or default_log(plan.hand, "commission")
     calibration, outcome = commission(plan, log, run_live)
+    calibration = calibration.model_copy(update={"identified": kept(path, plan.hand)})
     write_calibration(path, calibration)
     if args.json:
         print_json({"calibration": str(path), "log": str(log), **calibration.model_dump(by_alias=True)})
@@ -60,14 +64,24 @@ def commission(plan: Plan, log: Path, runner: Runner) -> tuple[Calibration, Outc
 def write_calibration(path: Path, calibration: Calibration) -> None:
     """Write the file; its rows are tables by tendon."""
     rows = calibration.model_dump(by_alias=True)
-    tendons = rows.pop("tendon")
-    text = toml_text(rows) + "".join(f"\n[tendon.{name}]\n{toml_text(row)}" for name, row in tendons.items())
-    path.write_text(text)
+    tables = {f"tendon.{name}": row for name, row in rows.pop("tendon").items()}
+    tables |= {f"identified.{name}": row for name, row in rows.pop("identified").items()}
+    text = toml_text(rows) + "".join(f"\n[{name}]\n{toml_text(row)}" for name, row in tables.items())
+    write_whole(path, text)
+
+
+def kept(path: Path, hand: Hand) -> dict[str, Identified]:
+    """What was identified before: a new tare does not change what the hand is made of; nothing of another hand."""
+    try:
+        return load_calibration(path, hand).identified if path.exists() else {}
+    except ConfigError:
+        return {}
 
 
 def ensure_calibration(plan: Plan, path: Path, why: str, runner: Runner, log: Path) -> Calibration:
     """Commission a hand that cannot be armed otherwise, and say so."""
     print(f"commissioning {plan.hand.name} first: {why}", file=sys.stderr)
     calibration, _ = commission(plan, log, runner)
+    calibration = calibration.model_copy(update={"identified": kept(path, plan.hand)})
     write_calibration(path, calibration)
     return calibration

@@ -23,6 +23,7 @@ VERBS = {
     "sim": "start a simulated hand on a bus",
     "fault": "inject faults into a simulated hand, or try the whole matrix",
     "config": "show a hand and where each value comes from, or check files",
+    "identify": "find out what a hand is made of: stiffness, friction, springs, inertia",
     "gains": "which gains a hand uses and why; other ones, the way back, live changes",
     "paper": "reproduce the source paper, with what is wrong in it",
     "bus": "plan the load of a hand's buses, or look at buses and say what to mend",

@@ -37,10 +37,10 @@ def dry_run_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dry-run", action="store_true", help="check all files and the bus load, open no bus")
 
 
-def run_options(parser: argparse.ArgumentParser) -> None:
+def run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> None:
     """Options of the verbs that run the controller."""
     hand_option(parser)
-    bus_option(parser)
+    bus_option(parser, bus_required)
     json_option(parser)
     dry_run_option(parser)
     parser.add_argument("--clear", action="store_true", help="clear what the drives have latched: you have looked why")

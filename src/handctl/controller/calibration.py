@@ -1,4 +1,4 @@
-"""What commissioning found out about one hand: tares, zeros, and that every tendon pulls what it should."""
+"""What was found out about one hand: tares, zeros, that every tendon pulls what it should, and what it is made of."""
 
 import datetime
 from pathlib import Path
@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field, field_validator
 
+from handctl.controller.identified import Identified, check_identified
 from handctl.controller.types import Vector
 from handctl.document import Document, load_document
 from handctl.errors import ConfigError
@@ -35,6 +36,8 @@ class Calibration(Document):
     made: str
     """Date and time, ISO 8601, UTC."""
     tendon: dict[str, TendonCalibration]
+    identified: dict[str, Identified] = Field(default_factory=dict)
+    """What identification found, by tendon; what is not there is as the hand file says."""
 
     @field_validator("made")
     @classmethod
@@ -66,4 +69,5 @@ def load_calibration(path: Path, hand: Hand) -> Calibration:
         )
     for name in set(hand.tendon_names) - calibration.tendon.keys():
         raise ConfigError("missing", f"{path}: tendon.{name}", "an entry for every tendon")
+    check_identified(hand, calibration.identified, str(path))
     return calibration

@@ -25,9 +25,9 @@ TAUT_TIMEOUT_S = 4.0
 class ExciteStep(Document):
     """One thing that one digit does.
 
-    ``limp``: no torque; ``taut``: take up slack, to ``target`` [N]; ``move``: to ``target`` [rad] within ``duration_s``;
-    ``chirp``: swing by ``amplitude`` [rad] about ``target`` [rad], from ``low_Hz`` to ``high_Hz``; ``tension``: to
-    ``target`` [N] at ``rate`` [N/s].
+    ``limp``: no torque; ``taut``: take up slack, to ``target`` [N]; ``move``: to ``target`` [rad] in
+    ``duration_s``; ``chirp``: swing by ``amplitude`` [rad] about ``target`` [rad], from ``low_Hz`` to ``high_Hz``;
+    ``tension``: to ``target`` [N] at ``rate`` [N/s].
     """
 
     digit: str

@@ -37,6 +37,7 @@ class HandModel:
         wrap: (N,), wrap angle before the first joint pulley [rad].
         floor, ceiling: (N,) tension limits at the load cell [N].
         torque_limit: (N,) largest motor torque the host may ask [N m].
+        torque_gain: (N,) torque at the spool over what the drive is told; None where that is not known.
     """
 
     hand: Hand
@@ -57,15 +58,17 @@ class HandModel:
     floor: Vector
     ceiling: Vector
     torque_limit: Vector
+    torque_gain: Vector | None = None
 
     @staticmethod
-    def of(hand: Hand, gains: Gains, rate_hz: float) -> "HandModel":
+    def of(hand: Hand, gains: Gains, rate_hz: float, torque_gain: Vector | None = None) -> "HandModel":
         """Derive the model; designs all gains, which takes a second (``control`` is imported here).
 
         Args:
             hand: description.
             gains: weights and noise assumptions.
             rate_hz: control rate [Hz].
+            torque_gain: (N,) as identified.
         """
         digits = tuple(DigitModel.of(hand, digit.name) for digit in hand.digit)
         space = tendon_space(hand, digits)
@@ -89,7 +92,8 @@ class HandModel:
             wrap=np.array([tendon.wrap_angle_rad for tendon in tendons]),
             floor=np.array([tendon.tension_floor_N for tendon in tendons]),
             ceiling=np.array([tendon.tension_max_N for tendon in tendons]),
-            torque_limit=np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in tendons]),
+            torque_limit=_torque_limit(hand, torque_gain),
+            torque_gain=torque_gain,
         )
 
     def excursion_of(self, joints: Vector) -> Vector:
@@ -107,6 +111,15 @@ class HandModel:
     def tendon_count(self) -> int:
         """N."""
         return len(self.floor)
+
+
+def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
+    """(N,) torque that the host may ask, at the spool: what the hand file says, and no more than the drive can be told.
+
+    A drive that makes less than it is told has to be told more; a hair is left for the division to come.
+    """
+    most = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon])
+    return most if gain is None else most * np.minimum(gain, 1.0) * (1.0 - 1e-12)
 
 
 def _joint_period(hand: Hand, period: float) -> Vector:

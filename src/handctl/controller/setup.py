@@ -1,5 +1,6 @@
 """Putting a controller together from data, so that a log can put the same one together again."""
 
+import tomllib
 from collections.abc import Iterable
 from typing import Annotated, Literal
 
@@ -8,10 +9,11 @@ from pydantic import Field
 
 from handctl.controller.calibration import Calibration
 from handctl.controller.commission import CommissionProgram
-from handctl.controller.exercise import Exercise
 from handctl.controller.excite import ExciteProgram, ExciteStep
+from handctl.controller.exercise import Exercise
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
+from handctl.controller.identified import identified_hand, torque_gain
 from handctl.controller.live import JogProgram, LiveProgram
 from handctl.controller.model import HandModel
 from handctl.controller.playback import PlaybackProgram, Recording
@@ -23,7 +25,7 @@ from handctl.document import Document
 from handctl.drives.contract import Drive
 from handctl.drives.registry import make_drive
 from handctl.drives.sensor_node import SensorNode
-from handctl.hand.description import Hand
+from handctl.hand.description import Hand, hand_from
 
 ATTACHMENT = "setup.json"
 """Name under which a log keeps its ``Setup``."""
@@ -93,6 +95,10 @@ class Setup(Document):
     zero_rad: tuple[float, ...]
     """(N,) motor zero."""
     program: ProgramSetup
+    identified_hand: str = ""
+    """The hand as identified, TOML; empty: as its file says."""
+    torque_gain: tuple[float, ...] = ()
+    """(N,) as identified; empty: 1."""
 
     @staticmethod
     def of(controller: Controller, rate_hz: float) -> "Setup":
@@ -103,11 +109,14 @@ class Setup(Document):
             tare_N=tuple(controller.tare.tolist()),
             zero_rad=tuple(controller.zero.tolist()),
             program=_described(controller.program),
+            identified_hand="" if controller.model.torque_gain is None else controller.model.hand.to_toml(),
+            torque_gain=() if controller.model.torque_gain is None else tuple(controller.model.torque_gain.tolist()),
         )
 
     def controller(self, hand: Hand, gains: Gains) -> Controller:
         """The controller again; designs all gains."""
-        model = HandModel.of(hand, gains, self.rate_hz)
+        known = hand_from(tomllib.loads(self.identified_hand), "setup.json") if self.identified_hand else hand
+        model = HandModel.of(known, gains, self.rate_hz, np.array(self.torque_gain) if self.torque_gain else None)
         tare, zero = np.array(self.tare_N), np.array(self.zero_rad)
         drives, sensors = make_drives(hand), make_sensors(hand)
         return Controller.of(model, drives, sensors, _made(self.program, hand), tare, zero, self.arm_at_once)
@@ -133,11 +142,16 @@ def make_sensors(hand: Hand) -> SensorNode:
 def make_controller(
     hand: Hand, gains: Gains, rate_hz: float, program: Program, calibration: Calibration | None, arm_at_once: bool
 ) -> Controller:
-    """Design the gains and put the controller together; without a calibration nothing is tared."""
+    """Design the gains and put the controller together; without a calibration nothing is tared.
+
+    What a calibration has identified takes the place of what the hand file says; drives and limits stay the file's.
+    """
     n = len(hand.tendon)
     tare = calibration.tare(hand) if calibration else np.zeros(n)
     zero = calibration.zero(hand) if calibration else np.zeros(n)
-    model = HandModel.of(hand, gains, rate_hz)
+    found = calibration.identified if calibration else {}
+    gain = torque_gain(hand, found) if found else None
+    model = HandModel.of(identified_hand(hand, found) if found else hand, gains, rate_hz, gain)
     return Controller.of(model, make_drives(hand), make_sensors(hand), program, tare, zero, arm_at_once)
 
 

@@ -282,7 +282,9 @@ class Controller:
         frames = [sync]
         want, drives, t_ns = wanted_of_drives(state.mode), [], entry.t_ns
         clearing = state.clearing and state.mode == Mode.INVENTORY
-        for drive, known, torque in zip(self.drives, state.drives, command.torque.tolist(), strict=True):
+        gain = self.model.torque_gain
+        told = command.torque if gain is None else command.torque / gain
+        for drive, known, torque in zip(self.drives, state.drives, told.tolist(), strict=True):
             if clearing and known.phase == FAULT:
                 known, sent = drive.clear(known)
             else:

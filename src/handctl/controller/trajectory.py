@@ -169,7 +169,7 @@ class Chirp:
         return position, velocity_, acceleration_
 
     def _envelope(self, t: float) -> tuple[float, float, float]:
-        """Size of the swing at t [s], its rate [1/s] and the rate of that [1/s^2]: smooth within a tenth at each end."""
+        """Size of the swing at t [s], its rate [1/s] and the rate of that [1/s^2]; smooth at both ends."""
         ramp = 0.1 * self.duration
         left = min(t, self.duration - t)
         if left >= ramp:

@@ -37,7 +37,7 @@ def _steps(hand: Hand, digit: str) -> list[ExciteStep]:
     floor = max(tendon.tension_floor_N for tendon in tendons)
     low, high = (math.radians(angle) for angle in _range(hand, digit))
     middle, swing = 0.5 * (low + high), math.radians(SWING_DEG)
-    lift = LIFT_SHARE * lift_off_N(hand, digit)
+    lift = LIFT_SHARE * lift_off(hand, digit)
     let_go, soft, hard = (share * most for share in PRESS_SHARE)
 
     def step(
@@ -70,7 +70,6 @@ def _steps(hand: Hand, digit: str) -> list[ExciteStep]:
         *presses,
         step("open", "tension", 0.7, let_go, 60.0, held=True),
         step("open", "move", 0.5, low),
-        step("stop", "tension", 0.6, floor, 20.0),
         step("rest", "limp", 0.1),
     ]
 
@@ -82,9 +81,9 @@ def _range(hand: Hand, digit: str) -> tuple[float, float]:
     return least + LOW_DEG, min(least + HIGH_DEG, most - LOW_DEG)
 
 
-def lift_off_N(hand: Hand, digit: str) -> float:
+def lift_off(hand: Hand, digit: str) -> float:
     """Tension that lifts a joint of the digit off its open stop, without friction and weight [N]."""
     known, joints = hand.digit_named(digit), hand.digit_joints[digit]
     arms = abs(hand.moment_arms[hand.digit_tendons[digit], joints]).sum(axis=0)
     preload = zip(known.spring_stiffness_N_m_per_rad, known.spring_preload_rad, arms.tolist(), strict=True)
-    return min(stiffness * angle / arm for stiffness, angle, arm in preload if arm > 0.0)
+    return min(float(stiffness * angle / arm) for stiffness, angle, arm in preload if arm > 0.0)

@@ -19,7 +19,8 @@ from handctl.tune.identify_data import Array, TendonData
 
 NAMES = (
     "torque_gain", "motor_inertia", "motor_viscous", "motor_coulomb", "delay",
-    "rope_stiffness", "spring_stiffness", "spring_preload", "capstan", "joint_damping", "link_mass", "stretch_offset", "stop_softness",
+    "rope_stiffness", "spring_stiffness", "spring_preload", "capstan", "joint_damping", "link_mass",
+    "stretch_offset", "stop_softness",
 )  # fmt: skip
 """Parameters of a tendon, in the order of the fit; the load cell's drift follows."""
 SCALE_DELAY_S, SCALE_OFFSET_M = 1e-3, 1e-4
@@ -36,6 +37,8 @@ KNOT_S = 1.0
 """Distance of the knots of the drift."""
 STOP_BIN_S = 0.05
 """On the stop the cable creeps: only over this long does it cross enough encoder counts for their steps to average."""
+LEAST, MOST = 0.02, 20.0
+"""Of what a hand file says: what is beyond is no hand."""
 OUTLIER = 2.5
 """Residuals beyond so many standard deviations count less and less: contact that nobody expected."""
 BLOCK_S = 0.25
@@ -82,8 +85,11 @@ class Problem:
         if len(windows.t) < 20:
             raise LogError(f"{data.tendon} hardly moves", "the log", "a run in which it moves")
         nominal = np.array(
-            [1.0, motor.inertia_kg_m2, motor.viscous_N_m_s_per_rad, motor.coulomb_N_m, SCALE_DELAY_S]
-            + [tendon.stiffness_N_per_m, 1.0, 1.0, tendon.friction_coefficient, 1.0, 1.0, SCALE_OFFSET_M, SOFTNESS]
+            [
+                *(1.0, motor.inertia_kg_m2, motor.viscous_N_m_s_per_rad, motor.coulomb_N_m, SCALE_DELAY_S),
+                *(tendon.stiffness_N_per_m, 1.0, 1.0, tendon.friction_coefficient, 1.0, 1.0),
+                *(SCALE_OFFSET_M, SOFTNESS),
+            ]
         )
         single = digit.moment_arms.shape[0] == 1
         return Problem(
@@ -105,6 +111,14 @@ class Problem:
         first[NAMES.index("delay")] = 1.0
         first[NAMES.index("stretch_offset")] = self._first_offset() / SCALE_OFFSET_M
         return np.append(first, np.zeros(len(self.knots)))
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Least and greatest scaled parameters: what is a matter of size stays positive."""
+        free = np.full(len(NAMES) + len(self.knots), np.inf)
+        low, high = -free, free
+        sized = [i for i, name in enumerate(NAMES) if name not in ("delay", "stretch_offset")]
+        low[sized], high[sized] = LEAST, MOST
+        return low, high
 
     def _first_offset(self) -> float:
         """Stretch offset that the data on the stop speak for [m]; else the least travel in free motion."""
@@ -131,7 +145,10 @@ class Problem:
 
     def _expected(self, p: Array, stiffness: float) -> list[tuple[Bins, Array]]:
         """Bins and the tension that they should show."""
-        rows = [(self.stop, stiffness / (1.0 + p[-1]) * (self.stop.travel - p[-2])), (self.limp, np.zeros_like(self.limp.t))]
+        rows = [
+            (self.stop, stiffness / (1.0 + p[-1]) * (self.stop.travel - p[-2])),
+            (self.limp, np.zeros_like(self.limp.t)),
+        ]
         if self.load is not None and len(self.free.t):
             rows.append((self.free, self.load.tension(LoadParameters(*p[5:-1].tolist()), self.free)))
         return rows
@@ -174,29 +191,46 @@ class Fit:
 
 def fit(problem: Problem) -> Fit:
     """Solve for all parameters of a tendon."""
-    first = least_squares(problem.residuals, problem.start(), x_scale="jac", loss="soft_l1", f_scale=OUTLIER)
+    first = least_squares(
+        problem.residuals, problem.start(), x_scale="jac", loss="soft_l1", f_scale=OUTLIER, bounds=problem.bounds()
+    )
     weight = np.ones_like(first.fun)
     data = len(_times(problem))
     weight[:data] = np.abs(first.fun[:data]) < 2.0 * OUTLIER
-    found = least_squares(lambda z: problem.residuals(z) * weight, first.x, x_scale="jac")
+
+    def weighted(z: Array) -> Array:
+        return problem.residuals(z) * weight
+
+    found = least_squares(weighted, first.x, x_scale="jac", bounds=problem.bounds())
     jacobian = np.asarray(found.jac)
     return Fit(problem, found.x, _covariance(problem, jacobian, found.fun), jacobian, found.fun)
 
 
 def _covariance(problem: Problem, jacobian: Array, residual: Array) -> Array:
-    """Covariance of the parameters: scores summed in blocks of time, priors as they are."""
+    """Covariance of the parameters from blocks of time, each block judged by a fit without it, and the priors as given.
+
+    Never less than what independent noise alone would give.
+    Source: the jackknife over clusters in its linear form (Bell & McCaffrey 2002, CR3).
+    """
     times = _times(problem)
     data = len(times)
-    bread = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
-    scores = jacobian[:data] * residual[:data, None]
-    blocks = np.floor((times - times.min()) / BLOCK_S).astype(int)
-    sums = np.zeros((blocks.max() + 1, jacobian.shape[1]))
-    np.add.at(sums, blocks, scores)
-    prior = jacobian[data:].T @ jacobian[data:]
-    robust = bread @ (sums.T @ sums + prior) @ bread
-    plain = bread
-    ratio = np.sqrt(np.maximum(np.diag(robust) / np.diag(plain), 1.0))
-    return np.asarray(plain * np.outer(ratio, ratio))
+    plain = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
+    order = np.floor((times - times.min()) / BLOCK_S).astype(int)
+    middle = jacobian[data:].T @ jacobian[data:]
+    for block in np.unique(order):
+        rows = np.flatnonzero(order == block)
+        part = jacobian[rows]
+        alone = np.linalg.lstsq(np.eye(len(rows)) - part @ plain @ part.T, residual[rows], rcond=1e-9)[0]
+        score = part.T @ alone
+        middle += np.outer(score, score)
+    robust = plain @ middle @ plain
+    wider = np.sqrt(np.maximum(np.diag(robust) / np.diag(plain), 1.0))
+    return np.asarray(plain * np.outer(wider, wider))
+
+
+def data_rows(problem: Problem) -> int:
+    """How many of the residuals are data; the rest are priors."""
+    return len(_times(problem))
 
 
 def _times(problem: Problem) -> Array:

@@ -5,7 +5,7 @@ On the stop the rope alone decides: f = k (x - o). In free motion each joint is 
     S k_i (q_i + P p_i) + b_i q_i' + m (a_i q'' + g_i) = r_i f exp(-mu sgn(w) (phi_0 + q_1 + .. + q_i)),
 
 and the joints' excursions and the rope's stretch add up to the travel: sum r_i q_i + f / k = x - o. Solved for f, since
-the encoder's noise is negligible beside the load cell's. S, P and m scale springs, preloads and masses of the hand file.
+the encoder's noise is negligible beside the load cell's. S, P, m scale springs, preloads, masses of the hand file.
 Source: capstan equation; virtual work; equations of motion of ``hand.dynamics``.
 """
 
@@ -74,8 +74,11 @@ def bins(data: TendonData, use: Mask, moving: bool, bin_s: float = BIN_S) -> Bin
         speeds = table(speed)
         whole &= np.abs(speeds).min(axis=1) > LEAST_SPEED_M_S
         whole &= np.abs(np.sign(speeds).sum(axis=1)) == count
-    mean = [table(values).mean(axis=1)[whole] for values in (data.t, data.travel, data.tension, speed, acceleration)]
-    return Bins(*mean, count=count)
+
+    def mean(values: Array) -> Array:
+        return np.asarray(table(values).mean(axis=1)[whole])
+
+    return Bins(mean(data.t), mean(data.travel), mean(data.tension), mean(speed), mean(acceleration), count)
 
 
 def _rates(travel: Array, period: float, reach: int) -> tuple[Array, Array]:
@@ -133,7 +136,11 @@ class DigitLoad:
         q = [mean.copy() for _ in self.arms]
         f = np.full_like(mean, 10.0)
         for _ in range(STEPS):
-            angle, excursion, slope = np.full_like(mean, self.wrap), f / p.stiffness, np.full_like(mean, 1.0 / p.stiffness)
+            angle, excursion, slope = (
+                np.full_like(mean, self.wrap),
+                f / p.stiffness,
+                np.full_like(mean, 1.0 / p.stiffness),
+            )
             for i, arm in enumerate(self.arms.tolist()):
                 share = np.exp(side * (angle + q[i]))
                 q[i] = (arm * f * share - extra[i]) / stiffness[i] - p.preload * self.preload[i]
@@ -141,4 +148,4 @@ class DigitLoad:
                 excursion = excursion + arm * q[i]
                 slope = slope + arm * arm * share / stiffness[i]
             f = np.maximum(f + (seen.travel - p.offset - excursion) / slope, 0.1)
-        return f
+        return np.asarray(f)

@@ -2,7 +2,7 @@
 
     K u(t - d) = J/r w' + b/r w + tau_c/r sgn w + r f      per window: all terms times a window, integrated by parts
 
-with u the force asked of the drive at the cable, w the spool's speed, f the load cell. All terms in newtons at the cable.
+with u the force asked of the drive at the cable, w the spool's speed, f the load cell. All in newtons at the cable.
 Source: modulating functions (Shinbrot 1954): the derivatives go to the window, which is known exactly.
 """
 
@@ -53,7 +53,7 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
     period = data.period
     half = max(3, round(HALF_S / period))
     at = np.arange(-half, half + 1)
-    s = at * period / HALF_S
+    s = np.asarray(at * (period / HALF_S), np.float64)
     weight = _window(s) * period / HALF_S
     weight /= weight.sum()
     first, second = _slope(s) / HALF_S**2 * period, _bend(s) / HALF_S**3 * period
@@ -62,7 +62,7 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
     travel = data.travel[rows]
     speed = -travel @ first
     quick = _quick_speed(data.travel, period)
-    known = data.acting[rows].all(axis=1) & np.isfinite(travel).all(axis=1) & np.isfinite(data.tension[rows]).all(axis=1)
+    known = data.acting[rows].all(axis=1) & np.isfinite(travel + data.tension[rows]).all(axis=1)
     moving = np.abs(quick[rows]).min(axis=1) > LEAST_SPEED_RAD_S * spool
     keep = known & moving & (np.abs(np.sign(quick[rows]).sum(axis=1)) == len(at))
     taps = np.arange(-half - 2, half + 3)
@@ -82,26 +82,28 @@ def _quick_speed(travel: Array, period: float, reach: int = 3) -> Array:
     """Speed over a few periods [m/s]; NaN at the ends."""
     speed = np.full(len(travel), np.nan)
     speed[reach:-reach] = (travel[2 * reach :] - travel[: -2 * reach]) / (2 * reach * period)
-    return np.nan_to_num(speed)
+    return np.asarray(np.nan_to_num(speed))
 
 
 def _window(s: Array) -> Array:
     """cos^4 over [-1, 1], of area 1; 0 outside."""
-    return np.where(np.abs(s) < 1.0, 4.0 / 3.0 * np.cos(0.5 * np.pi * s) ** 4, 0.0)
+    return np.asarray(np.where(np.abs(s) < 1.0, 4.0 / 3.0 * np.cos(0.5 * np.pi * s) ** 4, 0.0))
 
 
 def _slope(s: Array) -> Array:
     inside = -8.0 / 3.0 * np.pi * np.cos(0.5 * np.pi * s) ** 3 * np.sin(0.5 * np.pi * s)
-    return np.where(np.abs(s) < 1.0, inside, 0.0)
+    return np.asarray(np.where(np.abs(s) < 1.0, inside, 0.0))
 
 
 def _bend(s: Array) -> Array:
     c2 = np.cos(0.5 * np.pi * s) ** 2
     inside = 4.0 / 3.0 * np.pi**2 * c2 * (3.0 - 4.0 * c2)
-    return np.where(np.abs(s) < 1.0, inside, 0.0)
+    return np.asarray(np.where(np.abs(s) < 1.0, inside, 0.0))
 
 
 def _cumulative(s: Array) -> Array:
     """Integral of the window from -1."""
     c = np.clip(s, -1.0, 1.0)
-    return np.asarray(0.5 + 0.5 * c + np.sin(np.pi * c) * 2.0 / (3.0 * np.pi) + np.sin(2.0 * np.pi * c) / (12.0 * np.pi))
+    return np.asarray(
+        0.5 + 0.5 * c + np.sin(np.pi * c) * 2.0 / (3.0 * np.pi) + np.sin(2.0 * np.pi * c) / (12.0 * np.pi)
+    )

@@ -1,10 +1,12 @@
-"""What a log tells of one tendon: travel, tension and torque at the same instants, and what each instant is good for."""
+"""What a log tells of one tendon: travel, tension and torque at the same instants, and what each is good for."""
 
+import json
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from handctl.controller.setup import ATTACHMENT
 from handctl.controller.types import Mode
 from handctl.hand.description import Hand
 from handctl.log.reader import RunLog
@@ -13,7 +15,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 TARES = ("tare",)
-ON_STOP, BACK_ON_STOP = ("stretch",), ("stop",)
+ON_STOP = ("stretch",)
 FREE = ("sweep",)
 UNSURE = ("close", "open")
 """Steps in which something is met or left: the motor's force may jump within a sample."""
@@ -71,6 +73,7 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
     active = (log.mode == Mode.ACTIVE)[:-1]
     whole = np.append(np.diff(log.k) == 1, True)[:-1]
     contact = log.field("contact")[:-1]
+    gain = _logged_gain(log, len(hand.tendon))
     found = []
     for i, tendon in enumerate(hand.tendon):
         d = next(d for d, name in enumerate(hand.digit_names) if _has(hand, name, i))
@@ -82,9 +85,9 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
             t=log.times[:-1],
             travel=log.field("motor_position")[1:, i] * spool,
             tension=log.field("tension_raw")[1:, i],
-            command=log.field("motor_torque_goal")[:-1, i] / spool,
+            command=log.field("motor_torque_goal")[:-1, i] / spool / gain[i],
             limp=_during(phases, digit, TARES, late)[:-1],
-            stop=(_during(phases, digit, ON_STOP, settle) | _during(phases, digit, BACK_ON_STOP, late))[:-1] & active,
+            stop=_during(phases, digit, ON_STOP, settle)[:-1] & active,
             free=_during(phases, digit, FREE, settle)[:-1] & active,
             acting=active & whole & ~_during(phases, digit, UNSURE, 0)[:-1],
         )
@@ -96,9 +99,16 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
     return found
 
 
+def _logged_gain(log: RunLog, tendons: int) -> list[float]:
+    """(N,) torque gain that the run's controller already made up for."""
+    text = log.header.attachments.get(ATTACHMENT, b"{}")
+    known = json.loads(text).get("torque_gain") or [1.0] * tendons
+    return [float(gain) for gain in known]
+
+
 def _has(hand: Hand, digit: str, tendon: int) -> bool:
     place = hand.digit_tendons[digit]
-    return place.start <= tendon < place.stop
+    return bool(place.start <= tendon < place.stop)
 
 
 def _phases(log: RunLog) -> NDArray[np.str_]:

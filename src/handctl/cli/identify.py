@@ -1,0 +1,170 @@
+"""``handctl identify``: find out what a hand is made of, by exciting it or from logs; keep it."""
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.commission import commission, ensure_calibration, kept, write_calibration
+from handctl.cli.demo import PEER
+from handctl.cli.exit_codes import Exit
+from handctl.cli.gains_layers import assignments
+from handctl.cli.options import print_json, run_options
+from handctl.cli.plan import Plan, default_log, find_calibration, make_plan
+from handctl.cli.session import Outcome, Runner, make_controller, run_live, run_lockstep
+from handctl.controller.calibration import Calibration, load_calibration
+from handctl.controller.excite import ExciteProgram
+from handctl.controller.tick import Controller
+from handctl.errors import ConfigError, DriveError
+from handctl.hand.description import Hand, hand_path, load_hand
+from handctl.log.reader import RunLog
+from handctl.replay.rebuild import logged_hand
+from handctl.runtime.lockstep import LockstepClock, load_peer
+from handctl.tune.excitation import excitation
+from handctl.tune.identify import Found, identify, now, table
+from handctl.tune.identify_figure import draw
+
+EXAMPLE = "handctl identify --hand jamia --lockstep --digits thumb --calibration /tmp/identified.calibration.toml"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    run_options(parser, bus_required=False)
+    parser.add_argument("--digits", nargs="+", metavar="DIGIT", help="which (default: all, one after the other)")
+    parser.add_argument(
+        "--from", dest="logs", nargs="+", type=Path, metavar="LOG", help="use recorded runs instead of any new motion"
+    )
+    parser.add_argument("--lockstep", action="store_true", help="the simulated hand in virtual time, without a bus")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulated hand")
+    parser.add_argument(
+        "--perturb", nargs="+", default=[], metavar="KEY=FACTOR", help="make the simulated hand unlike its file"
+    )
+    parser.add_argument("--no-write", action="store_true", help="leave the calibration file as it is")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Excite or read, fit, report, keep."""
+    if args.logs:
+        return _from_logs(args)
+    if args.lockstep == bool(args.bus):
+        raise ConfigError("both" if args.bus else "neither", "--bus, --lockstep, --from", "one of them")
+    plan = make_plan(args, lockstep=args.lockstep)
+    program = ExciteProgram(excitation(plan.hand, tuple(args.digits or plan.hand.digit_names)))
+    path, calibration, why = find_calibration(args, plan.hand)
+    total = sum(step.duration_s for step in program.steps)
+    if args.dry_run:
+        print(f"{plan.hand.name}: would move {len({s.digit for s in program.steps})} digits for {total:.0f} s")
+        return Exit.DONE
+    log = args.log or default_log(plan.hand, "identify")
+    print(f"exciting {plan.hand.name} for about {total:.0f} s, one digit at a time", file=sys.stderr)
+    if args.lockstep:
+        calibration, outcome = _in_lockstep(args, plan, program, log)
+    else:
+        known = calibration or ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))
+        calibration, outcome = known, run_live(plan, make_controller(plan, program, known, arm_at_once=True), log)
+    if outcome.state.failure or not outcome.state.progress.finished:
+        raise DriveError(outcome.state.failure or "stopped before the end", f"identifying {plan.hand.name}, log {log}")
+    with RunLog(log) as record:
+        found = identify(record, plan.hand, _say)
+    return _report(args, plan.hand, {log: found}, path, calibration)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr)
+
+
+def _in_lockstep(
+    args: argparse.Namespace, plan: Plan, program: ExciteProgram, log: Path
+) -> tuple[Calibration, Outcome]:
+    """Commission and excite the simulated hand in virtual time."""
+    peer = load_peer(
+        PEER,
+        hand_path=str(hand_path(args.hand)),
+        seed=args.seed,
+        perturb=assignments(args.perturb, "--perturb"),
+        period_ns=plan.period_ns,
+        truth_path=str(log.with_suffix(".truth")),
+    )
+    clock = LockstepClock(peer, plan.period_ns)
+
+    def runner(plan: Plan, controller: Controller, log: Path) -> Outcome:
+        return run_lockstep(plan, controller, log, clock)
+
+    try:
+        return _commission_and_excite(plan, program, log, runner)
+    finally:
+        peer.close()
+
+
+def _commission_and_excite(
+    plan: Plan, program: ExciteProgram, log: Path, runner: Runner
+) -> tuple[Calibration, Outcome]:
+    """A new hand is commissioned, then excited."""
+    started = time.monotonic()
+    calibration, _ = commission(plan, log.with_suffix(".commission.mcap"), runner)
+    outcome = runner(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
+    simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
+    _say(f"{simulated:.0f} s of the simulated hand in {time.monotonic() - started:.0f} s")
+    return calibration, outcome
+
+
+def _from_logs(args: argparse.Namespace) -> int:
+    """Recorded runs, no motion; the last log that tells of a tendon counts."""
+    hand = load_hand(args.hand)
+    path, calibration, _ = find_calibration(args, hand)
+    if calibration is None and path.exists():
+        calibration = load_calibration(path, hand)
+    found: dict[Path, dict[str, Found]] = {}
+    for log in args.logs:
+        _say(f"reading {log}")
+        with RunLog(log) as record:
+            if logged_hand(record).identity != hand.identity:
+                raise ConfigError("is of another hand", str(log), f"a log of {hand.name} {hand.identity[:12]}")
+            found[log] = identify(record, hand, _say)
+    return _report(args, hand, found, path, calibration)
+
+
+def _report(
+    args: argparse.Namespace,
+    hand: Hand,
+    found: dict[Path, dict[str, Found]],
+    path: Path,
+    calibration: Calibration | None,
+) -> int:
+    """Pictures, the calibration, numbers."""
+    made = now()
+    pictures = _pictures(hand, found, _say)
+    known = kept(path, hand)
+    for log, tendons in found.items():
+        new = {name: one.identified(log, made) for name, one in tendons.items()}
+        known |= {name: one for name, one in new.items() if one is not None}
+    written = calibration is not None and not args.no_write
+    if calibration is not None and written:
+        write_calibration(path, calibration.model_copy(update={"identified": known}))
+    if args.json:
+        print_json(_told(found, pictures, path if written else None))
+        return Exit.DONE
+    for log, tendons in found.items():
+        print("\n".join([f"from {log}:", *table(tendons)]))
+    print("pictures: " + ", ".join(map(str, pictures)))
+    why = "as asked" if args.no_write else "there is no calibration: handctl commission first"
+    print(f"calibration written to {path}" if written else f"no calibration written: {why}")
+    return Exit.DONE
+
+
+def _pictures(hand: Hand, found: dict[Path, dict[str, Found]], say: Callable[[str], None]) -> list[Path]:
+    pictures = []
+    for log, tendons in found.items():
+        for name, one in tendons.items():
+            picture = log.with_suffix(f".identify-{name}.png")
+            say(f"drawing {picture}")
+            draw(picture, one, f"{hand.name} {name}: {log.name}")
+            pictures.append(picture)
+    return pictures
+
+
+def _told(found: dict[Path, dict[str, Found]], pictures: list[Path], path: Path | None) -> dict[str, Any]:
+    logs = {str(log): {name: one.told() for name, one in tendons.items()} for log, tendons in found.items()}
+    return {"logs": logs, "pictures": pictures, "calibration": path}

@@ -1,0 +1,138 @@
+"""From logs to parameters: every tendon fitted, judged, and put into the form that a calibration keeps."""
+
+import datetime
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handctl.controller.identified import UNITS, Identified
+from handctl.errors import LogError
+from handctl.hand.description import Hand
+from handctl.log.reader import RunLog
+from handctl.tune.fit import NAMES, Fit, Problem, fit
+from handctl.tune.identifiability import Identifiability, excitation_coherence, identifiability
+from handctl.tune.identify_data import Array, TendonData, tendon_data
+
+BAND_HZ = (0.7, 6.0)
+"""Band over which coherence is averaged: that of the swing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """What one log tells of one tendon.
+
+    Attributes:
+        data: from the log. fit: of all parameters. judged: what of it counts. coherence: mean over the swing's band.
+        spectrum: frequencies [Hz] and coherence.
+    """
+
+    data: TendonData
+    fit: Fit
+    judged: Identifiability
+    coherence: float
+    spectrum: tuple[Array, Array]
+
+    def identified(self, log: Path, made: str) -> Identified | None:
+        """For the calibration file; None if the data tell nothing."""
+        names = self.judged.names
+        if not names:
+            return None
+        at = [NAMES.index(name) for name in names]
+        scale = self.fit.problem.nominal[at]
+        covariance = self.fit.covariance[np.ix_(at, at)] * np.outer(scale, scale)
+        values, widths = self.fit.values, self.fit.half_widths
+        return Identified(
+            names=names,
+            values=tuple(values[name] for name in names),
+            half_widths=tuple(widths[name] for name in names),
+            covariance=tuple(tuple(row) for row in covariance.tolist()),
+            missing=self.judged.missing,
+            log=(str(log),),
+            made=made,
+        )
+
+    def told(self) -> dict[str, Any]:
+        """For JSON."""
+        values, widths, nominal = self.fit.values, self.fit.half_widths, self.fit.problem.nominal
+        rows = {
+            name: {
+                "value": values[name],
+                "half_width_95": widths[name],
+                "unit": UNITS[name],
+                "hand_file": 0.0 if name == "delay" else float(nominal[NAMES.index(name)]),
+                "identified": name in self.judged.names,
+            }
+            for name in UNITS
+        }
+        return {
+            "digit": self.data.digit,
+            "parameters": rows,
+            "load_cell_offset_N": float(self.fit.z[len(NAMES)]),
+            "coherence": self.coherence,
+            "not_identified": list(self.judged.missing),
+            "rank": [self.judged.rank, self.judged.columns],
+            "condition": self.judged.condition,
+            "weakest_combination": self.judged.weakest,
+            "correlated": [list(pair) for pair in self.judged.correlated],
+            "residual_rms": float(np.sqrt(np.mean(self.fit.residual**2))),
+            "load_cell_noise_N": self.fit.problem.sigma,
+        }
+
+
+def identify(log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda text: None) -> dict[str, Found]:
+    """Fit every tendon that a log tells of, by name; those that hardly move are left out.
+
+    Args:
+        log: of any run.
+        hand: that ran, as its file says.
+        progress: told what is being done.
+
+    Raises:
+        LogError: nothing in the log moves.
+    """
+    found, why = {}, ""
+    for data in tendon_data(log, hand):
+        progress(f"fitting {data.tendon}")
+        try:
+            problem = Problem.of(data, hand)
+        except LogError as error:
+            why = str(error)
+            continue
+        solved = fit(problem)
+        spectrum = excitation_coherence(data)
+        inside = (spectrum[0] >= BAND_HZ[0]) & (spectrum[0] <= BAND_HZ[1])
+        mean = float(spectrum[1][inside].mean()) if inside.any() else float("nan")
+        tendon = hand.tendon[hand.tendon_names.index(data.tendon)]
+        found[data.tendon] = Found(data, solved, identifiability(solved, tendon), mean, spectrum)
+    if not found:
+        raise LogError(why or "no tendon of this hand in it", "the log", "a run in which digits move")
+    return found
+
+
+def now() -> str:
+    """This instant, ISO 8601, UTC."""
+    return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
+
+
+def table(found: dict[str, Found]) -> list[str]:
+    """Lines for a person: every parameter with its interval and what the hand file says."""
+    lines = []
+    for name, one in found.items():
+        lines.append(f"{name}: coherence {one.coherence:.2f}, load cell {one.fit.problem.sigma:.2f} N rms")
+        values, widths = one.fit.values, one.fit.half_widths
+        for key, unit in UNITS.items():
+            nominal = one.fit.problem.nominal[NAMES.index(key)]
+            size, shown = (1e3, "ms") if key == "delay" else (1.0, unit)
+            value, width = size * values[key], size * widths[key]
+            if key not in one.judged.names:
+                lines.append(f"  {key:<17} not identified")
+                continue
+            share = "" if key == "delay" else f"{100 * width / abs(value):5.1f} %   hand file {nominal:.4g}"
+            lines.append(f"  {key:<17} {value:10.4g} +- {width:<9.2g} {shown:<11} {share}")
+        lines.append(f"  data tell {one.judged.rank} of {one.judged.columns} combinations; least: {one.judged.weakest}")
+        lines += [f"  {a} and {b} trade off: correlation {r:+.2f}" for a, b, r in one.judged.correlated]
+        lines += [f"  cannot be told: {text}" for text in one.judged.missing]
+    return lines
