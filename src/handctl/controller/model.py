@@ -107,6 +107,10 @@ class HandModel:
         excursion = self.hand.moment_arms @ np.where(unread, 0.0, joints)
         return np.where(self.pulleys @ unread > 0.0, np.nan, excursion)
 
+    def told(self, torque: Vector) -> Vector:
+        """(N,) what the drives are told for a torque at the spool (N,) [N m]."""
+        return torque if self.torque_gain is None else torque / self.torque_gain
+
     @property
     def tendon_count(self) -> int:
         """N."""

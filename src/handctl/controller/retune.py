@@ -7,6 +7,7 @@ a trim and fades. Integrals are kept in newtons, not as an integral of the error
 
 from dataclasses import dataclass, field, replace
 
+from handctl.controller.computed_torque import LawState
 from handctl.controller.gain_bounds import flat, with_values
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
@@ -70,6 +71,11 @@ def asked(present: Gains, values: dict[str, float]) -> tuple[Coming | None, tupl
         return Coming(with_values(present, values, "gains", live=True)), ()
     except ConfigError as error:
         return None, (Event("warn", "request", "", f"refused: {error}"),)
+
+
+def trimmed(law: LawState, step: Vector) -> LawState:
+    """The law with a step (N,) in force made up for [N], besides what is still left of one before."""
+    return replace(law, trim=step if law.trim is None else law.trim + step)
 
 
 def changes(before: Gains, after: Gains) -> tuple[Event, ...]:

@@ -268,8 +268,7 @@ class Controller:
         if state.mode in (Mode.ACTIVE, Mode.RELAX):
             other = self.designs.model(self.model, gains)
             _, changed = computed_torque.step(other, before, estimate, state.progress.goals, state.goal_time)
-            step = (command.torque - changed.torque) / self.model.space.spool
-            law = replace(law, trim=step if law.trim is None else law.trim + step)
+            law = retune.trimmed(law, (command.torque - changed.torque) / self.model.space.spool)
         return replace(state, gains=gains, coming=None, law=law), retune.changes(self.model.gains, gains)
 
     def _encode(
@@ -282,8 +281,7 @@ class Controller:
         frames = [sync]
         want, drives, t_ns = wanted_of_drives(state.mode), [], entry.t_ns
         clearing = state.clearing and state.mode == Mode.INVENTORY
-        gain = self.model.torque_gain
-        told = command.torque if gain is None else command.torque / gain
+        told = self.model.told(command.torque)
         for drive, known, torque in zip(self.drives, state.drives, told.tolist(), strict=True):
             if clearing and known.phase == FAULT:
                 known, sent = drive.clear(known)
