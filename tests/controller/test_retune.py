@@ -134,7 +134,7 @@ def test_what_cannot_be_is_refused_in_one_line_and_changes_nothing(
     holding: Bench, values: dict[str, float], said: str
 ) -> None:
     out = holding.tick(change(values))
-    lines = [event for event in out.events if event.level == "warn"]
+    lines = [event for event in out.events if event.name == "request" and event.level == "warn"]
     assert len(lines) == 1
     assert said in lines[0].text
     assert "\n" not in lines[0].text
