@@ -10,7 +10,8 @@ import numpy as np
 from firmware_sim.mjcf import STEP_S
 from firmware_sim.plant import Plant
 from firmware_sim.rig import Rig
-from handctl.cli.plan import find_task, tick_times_s
+from handctl.cli.plan import fastest, find_task
+from handctl.controller.bus_load import bus_loads
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.model import HandModel
@@ -20,7 +21,6 @@ from handctl.controller.task import Hold
 from handctl.controller.tick import Controller
 from handctl.controller.types import Event, Mode, TickIn
 from handctl.drives.frame import Frame
-from handctl.drives.load import highest_rate
 from handctl.hand.description import hand_path, load_hand
 
 TIMEOUT_S = 120.0
@@ -32,7 +32,7 @@ DEFAULT = Gains()
 def hand_model(hand: str, gains: Gains = DEFAULT) -> tuple[HandModel, float]:
     """A hand's model at its default rate; designed once a process."""
     described = load_hand(hand)
-    rate = highest_rate(tick_times_s(described))
+    rate = fastest(bus_loads(described))
     return HandModel.of(described, gains, rate), rate
 
 

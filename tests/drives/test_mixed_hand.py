@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.plan import tick_times_s
+from handctl.controller.bus_load import bus_loads
 from handctl.drives.contract import Phase, Want
 from handctl.drives.load import bus_time_s
 from handctl.errors import ConfigError
@@ -52,6 +52,24 @@ def test_a_mirrored_geared_motor_winds_too(tmp_path: Path) -> None:
         bench.rig.close()
 
 
+@pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402"])
+def test_a_zero_of_a_motor_is_an_angle_at_its_shaft(protocol: str, tmp_path: Path) -> None:
+    gear = 1.0 if protocol == "mit" else 4.0
+    path = hand_file(tmp_path, [protocol], "" if protocol == "mit" else f"gear_ratio = {gear}\n")
+    text = path.read_text()
+    assert "zero_rad" in text
+    path.write_text(re.sub(r"\nzero_rad = [^ \n#]+", "\nzero_rad = 0.7", text))
+    bench = Bench(path)
+    bench.until(Want.POLL, Phase.READY)
+    for _ in range(20):
+        bench.tick(Want.POLL)
+    world = bench.rig.world
+    for drive, state in zip(bench.drives, bench.states, strict=True):
+        truth = world.plant.motors[drive.name].theta + (world.encoder_offset[drive.name] - 0.7) / gear
+        assert state.position == pytest.approx(truth, abs=0.01), drive.name
+    bench.rig.close()
+
+
 def test_identifiers_of_different_protocols_may_not_meet(tmp_path: Path) -> None:
     path = hand_file(tmp_path, ["odrive"])
     path.write_text(path.read_text().replace("node_id = 16", "node_id = 4"))
@@ -79,7 +97,7 @@ def test_wrong_options_are_refused_by_their_path(tmp_path: Path, protocol: str, 
         text = text.replace("[motor.options]\n", f"[motor.options]\n{option}\n")
     path.write_text(text)
     with pytest.raises(ConfigError, match=rf"motor\[index_motor\].options.{wrong}"):
-        tick_times_s(load_hand(str(path)))
+        bus_loads(load_hand(str(path)))
 
 
 def test_can_fd_needs_its_data_bit_rate(tmp_path: Path) -> None:
@@ -87,9 +105,9 @@ def test_can_fd_needs_its_data_bit_rate(tmp_path: Path) -> None:
     text = path.read_text().replace("watchdog_ms = 50", "watchdog_ms = 50\noptions = { fd = true }")
     path.write_text(text)
     with pytest.raises(ConfigError, match=r"bus\[main\].data_bitrate"):
-        tick_times_s(load_hand(str(path)))
+        bus_loads(load_hand(str(path)))
     path.write_text(text.replace("bitrate = 1_000_000", "bitrate = 1_000_000\ndata_bitrate = 5_000_000"))
-    busy = tick_times_s(load_hand(str(path)))[0]
+    busy = bus_loads(load_hand(str(path)))[0].tick_s
     sensors = bus_time_s([(1, False, 1), (7, False, 1)], 1e6)
     assert busy - sensors == pytest.approx(8 * 56.6e-6, rel=0.001)
 
