@@ -182,8 +182,10 @@ def _count(digit: str, given: object, tendons: Mapping[str, int] | None, place: 
     """Refuse a list that does not fit its digit."""
     if tendons is None or not isinstance(given, tuple) or len(given) == tendons[digit]:
         return
-    has = "one tendon" if tendons[digit] == 1 else f"{tendons[digit]} tendons"
-    raise ConfigError(f"{len(given)} numbers for {digit}", place, f"one number, or {tendons[digit]}: it has {has}")
+    right = "one number: it has one tendon"
+    if tendons[digit] > 1:
+        right = f"one number, or {tendons[digit]}: it has {tendons[digit]} tendons"
+    raise ConfigError(f"{len(given)} numbers for {digit}", place, right)
 
 
 Value = TypeVar("Value")

@@ -1,0 +1,42 @@
+"""docs/tasks.md: its example is a task, its tables name what there is, its scene is a scene."""
+
+import re
+from pathlib import Path
+
+from firmware_sim.scene import load_scene
+from handctl.cli.plan import find_task
+from handctl.controller.task import Close, Follow, Hold, Move, Release
+from handctl.hand.description import load_hand, packaged_hands
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "tasks.md").read_text("utf-8")
+BLOCKS = re.findall(r"```toml\n(.*?)```", PAGE, re.S)
+
+
+def test_the_example_suits_every_hand(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text(BLOCKS[0])
+    for name in packaged_hands():
+        task, _ = find_task(path, load_hand(name))
+        assert [phase.kind for phase in task.phase] == ["move", "close", "hold", "release", "move"]
+
+
+def test_the_scene_is_one(tmp_path: Path) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(BLOCKS[1])
+    assert len(load_scene(str(path)).stages) == 1
+
+
+def test_every_packaged_task_and_its_scenes_are_named() -> None:
+    tasks = {path.stem for path in (ROOT / "src" / "handctl" / "tasks").glob("*.toml")}
+    rows = re.findall(r"^\| `([\w-]+)` \|.*\| (`.*`) \|$", PAGE, re.M)
+    assert {name for name, _ in rows} == tasks
+    for _, scenes in rows:
+        for scene in re.findall(r"`([\w:]+)`", scenes):
+            assert load_scene(scene).thing is not None, scene
+
+
+def test_every_key_of_every_phase_is_named() -> None:
+    for kind in (Move, Close, Hold, Release, Follow):
+        for key in kind.model_fields.keys() - {"kind", "name"}:
+            assert f"`{key}`" in PAGE, (kind.__name__, key)
