@@ -8,7 +8,8 @@ before anything was tuned. ``--full`` tries every object; ``--page`` writes docs
 import argparse
 import json
 import os
-from concurrent.futures import ProcessPoolExecutor
+import sys
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any
 
 import numpy as np
@@ -63,11 +64,21 @@ def measure(args: argparse.Namespace, pool: ProcessPoolExecutor) -> dict[str, An
         stretch = min(30.0, 60.0 * minutes)
         count = max(1, round(60.0 * minutes / stretch))
         waiting["free"] = [pool.submit(_free, hand, stretch, seed) for hand in hands for seed in range(count)]
-    done = {key: [each.result() for each in jobs] for key, jobs in waiting.items()}
+    done = _finished(waiting)
     result = {key: done[key] for key in ("success", "payload", "slip") if key in done}
     if "walls" in done:
         result["contact"] = [_contact(hand, done["walls"], done["free"]) for hand in hands]
     return result
+
+
+def _finished(waiting: dict[str, list[Any]]) -> dict[str, list[Any]]:
+    """What all have found; each is told as it ends."""
+    all_jobs = {job: key for key, jobs in waiting.items() for job in jobs}
+    for number, job in enumerate(as_completed(all_jobs), 1):
+        found = job.result()
+        brief = {k: v for k, v in found.items() if k != "curve"} if isinstance(found, dict) else found
+        print(f"{number}/{len(all_jobs)} {all_jobs[job]} {json.dumps(brief)}", file=sys.stderr, flush=True)
+    return {key: [job.result() for job in jobs] for key, jobs in waiting.items()}
 
 
 def _walls(hand: str, seed: int) -> tuple[str, list[float]]:
