@@ -1,0 +1,82 @@
+"""Contact on the plant: found soon after it is strong enough, and never found where there is none."""
+
+import json
+import math
+import random
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.task import Task
+from tests.controller.plant_run import model_of, run_on_plant
+
+WALL = """name = "wall"
+[object]
+shape = "box"
+size_m = [0.04, 0.02, 0.093]
+mass_kg = 50.0
+friction = 0.5
+position_m = [0.045, 0.0, 0.0]
+[support]
+drop_when = "never"
+"""
+"""Too heavy to move, and within reach of the last links only."""
+OPEN = {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}
+
+
+def program(*phases: dict[str, Any]) -> TaskProgram:
+    return TaskProgram(Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": phases})))
+
+
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_a_wall_is_found_within_20_ms_of_a_newton(hand: str, tmp_path: Path) -> None:
+    """Before it presses with a newton counts as well; the benchmark counts more speeds and places."""
+    closing = {"kind": "close", "angle_deg": {"index": 60.0, "middle": 60.0, "ring": 60.0}, "speed_deg_s": 60.0}
+    task = program({"kind": "move", "angle_deg": OPEN, "duration_s": 0.3}, closing, {"kind": "hold", "tension_N": 15.0})
+    run = run_on_plant(hand, task, WALL, tmp_path, 2.6)
+    found = {where: t for t, where in run.told("contact")}
+    force = np.array(run.force)
+    for d, name in enumerate(model_of(hand).hand.digit_names[:3]):
+        assert name in found
+        touched = np.flatnonzero(force[:, d] > 0.01)[0]
+        strong = np.flatnonzero(force[:, d] > 1.0)
+        assert run.t[touched] <= found[name], "not before there is any"
+        assert not len(strong) or found[name] <= run.t[strong[0]] + 0.02 + 1e-9
+
+
+def free_motion(hand: str, seconds: float, seed: int, folder: Path) -> int:
+    """Contacts found while a free hand closes on nothing, at 20 to 100 degrees a second."""
+    chance = random.Random(f"free {hand} {seed}")
+    phases: list[dict[str, Any]] = []
+    planned = 1.0
+    while planned < seconds:
+        speed, goal = chance.uniform(20.0, 100.0), {"index": chance.uniform(25, 50)}
+        # the middle finger and the thumb would meet each other
+        if chance.random() < 0.6:
+            goal |= {"middle": chance.uniform(12, 25), "ring": chance.uniform(25, 50)}
+        else:
+            goal |= {"thumb": chance.uniform(15, 50)}
+        home = {name: chance.uniform(0.0, most) for name, most in OPEN.items()}
+        phases += [{"kind": "move", "angle_deg": home, "duration_s": 0.5}]
+        phases += [{"kind": "close", "angle_deg": goal, "speed_deg_s": speed}]
+        planned += 0.8 + 35.0 / speed * 1.875
+    run = run_on_plant(hand, program(*phases), None, folder, seconds, seed)
+    assert math.isclose(run.t[-1], seconds, abs_tol=0.01) or run.told("phase")
+    assert np.max(run.force) == 0.0, "the digits met each other"
+    return len(run.told("contact"))
+
+
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_nothing_is_found_where_there_is_nothing(hand: str, tmp_path: Path) -> None:
+    assert free_motion(hand, 4.0, 0, tmp_path) == 0
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_nothing_is_found_in_ten_minutes(hand: str, tmp_path: Path) -> None:
+    alarms = [free_motion(hand, 60.0, seed, tmp_path) for seed in range(10)]
+    assert alarms == [0] * 10
