@@ -10,6 +10,7 @@ import rerun
 from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+from handctl.cli.main import main
 from handctl.log.reader import RunLog
 
 KEYS = {
@@ -127,6 +128,14 @@ def test_rerun_finds_the_moving_hand(twins):
     paths = {str(chunk.entity_path) for chunk in chunks}
     assert "/tf" in paths
     assert any("joint_states" in path for path in paths)
+
+
+def test_a_report_finds_its_place_in_the_truth(twins, capsys):
+    place, result = twins[0]
+    words = ("--truth", str(place / "run.truth"), "--output", str(place / "page.html"))
+    assert main(["report", str(place / "run.mcap"), *words]) == 0
+    tension = f"{result['tension_rmse_n']:.2f} N rms"
+    assert tension in (place / "page.html").read_text()
 
 
 def test_the_log_is_whole_and_has_every_tick(twins):

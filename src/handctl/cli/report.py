@@ -21,6 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the page."""
+    from handctl.log.header import TRUTH_OFFSET
     from handctl.log.reader import RunLog
     from handctl.replay.rebuild import logged_hand
     from handctl.report.page import write_page
@@ -29,7 +30,8 @@ def run(args: argparse.Namespace) -> int:
     out = args.output or args.log.with_suffix(".html")
     truth = read_truth(args.truth) if args.truth else None
     with RunLog(args.log) as log:
-        size = write_page(out, log, logged_hand(log), truth, 0, args.log.name)
+        offset = log.header.metadata.get(TRUTH_OFFSET, "0")
+        size = write_page(out, log, logged_hand(log), truth, int(offset) if offset.isdecimal() else 0, args.log.name)
         lossy = bool(log.warning)
     if args.json:
         print_json({"log": str(args.log), "page": str(out), "bytes": size})

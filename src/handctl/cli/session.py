@@ -4,7 +4,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
@@ -18,6 +18,7 @@ from handctl.controller.program import Program
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.controller.types import TickIn, TickOut
+from handctl.log.header import TRUTH_OFFSET
 from handctl.log.record import pack
 from handctl.log.recorder import Recorder
 from handctl.runtime.bus import open_bus
@@ -122,7 +123,9 @@ def run_lockstep(
 ) -> Outcome:
     """Run in virtual time against the clock's peer; may be called again with the same clock."""
     clock.restart()
-    recorder = Recorder.start(log, run_header(plan, controller, None, lockstep=True))
+    header = run_header(plan, controller, None, lockstep=True)
+    began = {TRUTH_OFFSET: str(clock.offset_ns)}
+    recorder = Recorder.start(log, replace(header, metadata=header.metadata | began))
     asks, show = _asking(attendant, lambda: ()), _attended(attendant, _show_nothing)
     loop = _loop(plan, controller, clock, [LockstepBus(clock)], recorder, asks, show)
     return _finish(loop, controller, recorder, None, None, lambda: clock.offset_ns)

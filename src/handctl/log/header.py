@@ -5,6 +5,9 @@ import tomllib
 from dataclasses import asdict, dataclass, field
 from typing import Self
 
+TRUTH_OFFSET = "truth_offset_ns"
+"""In the metadata of a lockstep run: its t = 0 on the simulator's clock, which commissioning has moved on [ns]."""
+
 
 @dataclass(frozen=True, slots=True)
 class RunHeader:
