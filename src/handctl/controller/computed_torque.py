@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handctl.choose import chosen, only
 from handctl.controller.allocation import allocate
 from handctl.controller.estimator import Estimate
 from handctl.controller.goal import DigitGoal
@@ -104,11 +105,10 @@ def step(
     asked = _within(force, -UNWIND_SHARE * limit, limit)
     tension = table.chosen(motion.tension, hold.setpoint, np.nan)
     load = table.chosen(motion.load, hold.setpoint, 0.0)
-    held = table.held
-    planned = motion.tension if table.all_moving else np.where(table.moving, motion.tension, 0.0)
+    planned = motion.tension if table.all_moving else only(table.moving, motion.tension)
     law = LawState(
-        np.where(held, hold.setpoint, estimate.tension) if table.holds else estimate.tension,
-        np.where(held, hold.integral, 0.0),
+        chosen(table.held, hold.setpoint, estimate.tension) if table.holds else estimate.tension,
+        only(table.held, hold.integral),
         asked - _motor_friction(model, estimate, asked),
         planned,
         _change(model, state.planned, planned),
@@ -119,7 +119,7 @@ def step(
 
 def _change(model: HandModel, before: Vector, now: Vector) -> Vector:
     """(N,) rate at which planned tensions change [N/s]; none where nothing was or is planned."""
-    return np.where((before > 0.0) & (now > 0.0), (now - before) / model.period, 0.0)
+    return only((before > 0.0) & (now > 0.0), (now - before) / model.period)
 
 
 TRIM_TIME_S = 0.2

@@ -12,6 +12,7 @@ import numpy as np
 from filterpy.kalman import predict_steadystate, update_steadystate
 from numpy.typing import NDArray
 
+from handctl.choose import chosen
 from handctl.controller.filter_design import MEASUREMENTS, STATES, D, E, O, Regime, S, Stacked, V, W, X
 from handctl.controller.filter_state import FilterState
 from handctl.controller.innovation import gate, watch
@@ -118,7 +119,7 @@ def step(
     filters = model.filter.stacked(state.regimes)
     z, expected = _usable(state, filters, measured), filters.H.dot(state.x)
     innovation, surprise, believed = gate(filters, state.surprise, z - expected)
-    x = update_steadystate(state.x, np.where(np.isnan(innovation), expected, z), filters.K, filters.H)
+    x = update_steadystate(state.x, chosen(np.isnan(innovation), expected, z), filters.K, filters.H)
     for i, change in believed:
         x[STATES * i + S] -= change / model.space.stiffness[i]
     tension = filters.tension.dot(x)

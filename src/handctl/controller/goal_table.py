@@ -70,7 +70,10 @@ class GoalTable:
             return moved
         if self.all_held:
             return held
-        return np.where(self.moving, moved, np.where(self.held, held, other))
+        found = np.full(len(moved), other)
+        np.putmask(found, self.held, held)
+        np.putmask(found, self.moving, moved)
+        return found
 
 
 @functools.lru_cache(maxsize=16)

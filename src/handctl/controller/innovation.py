@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from handctl.choose import known
 from handctl.controller.filter_design import MEASUREMENTS, Stacked
 from handctl.controller.filter_state import FilterState
 from handctl.controller.types import Event, Vector
@@ -30,8 +31,7 @@ def gate(filters: Stacked, before: Vector, innovation: Vector) -> tuple[Vector, 
         by tendon, to be made beside the update.
     """
     cell = innovation[1::MEASUREMENTS]
-    surprise = cell / filters.cell_sigma
-    surprise[surprise != surprise] = 0.0
+    surprise = known(cell / filters.cell_sigma)
     strange = np.abs(surprise) > SURPRISE
     if not np.count_nonzero(strange):
         return innovation, surprise, []
@@ -56,7 +56,7 @@ def watch(period: float, mean: Vector, doubtful: tuple[bool, ...], nis: Vector) 
         doubtful: per tendon, whether it did not fit.
         nis: (N,) of this tick; NaN where nothing was measured.
     """
-    mean = mean + period / DOUBT_S * np.where(np.isnan(nis), 0.0, np.minimum(nis, MOST_NIS) - mean)
+    mean = mean + period / DOUBT_S * known(np.minimum(nis, MOST_NIS) - mean)
     if max(mean.tolist()) < DOUBT_BELOW and True not in doubtful:
         return mean, doubtful
     limits = [DOUBT_BELOW if before else DOUBT_ABOVE for before in doubtful]

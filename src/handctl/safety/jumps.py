@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from handctl.choose import chosen, only
+
 Vector = NDArray[np.float64]
 
 
@@ -34,5 +36,4 @@ def screen(state: Accepted, value: Vector, step_most: Vector) -> tuple[Accepted,
     step, gap = np.abs(value - state.value), state.gap + 1.0
     wrong = step > step_most * gap
     fresh = (value == value) & ~wrong
-    jumped = np.where(wrong, step, 0.0)
-    return Accepted(np.where(fresh, value, state.value), gap * ~fresh), jumped
+    return Accepted(chosen(fresh, value, state.value), gap * ~fresh), only(wrong, step)

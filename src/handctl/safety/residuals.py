@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from handctl.choose import chosen, known
+
 Vector = NDArray[np.float64]
 
 SLOW_S, QUICK_S, ASKED_S, SLIP_S, NOISE_S, RUB_S = 0.2, 0.02, 0.1, 0.3, 0.1, 5.0
@@ -77,15 +79,15 @@ class Rope(NamedTuple):
 
 def step(rotor: Rotor, state: Filtered, rope: Rope) -> Filtered:
     """Filter one tick."""
-    made = np.where(rope.force == rope.force, rope.force, rope.asked)
+    made = chosen(rope.force == rope.force, rope.force, rope.asked)
     drag = rotor.damping * rope.speed + rotor.coulomb * np.tanh(rope.speed / 1e-3)
     balance = made - rope.tension - rotor.mass * (rope.speed - state.speed) / rotor.period - drag
     jerk = (rope.position - 2.0 * state.last[0] + state.last[1]) ** 2
-    rub = np.where(np.abs(rope.speed) > RUB_SPEED, balance * np.sign(rope.speed), np.nan)
+    rub = balance * np.sign(rope.speed)
+    rub[np.abs(rope.speed) <= RUB_SPEED] = np.nan
     asked = rope.asked - rope.force
     now = np.array([balance, made, asked, rope.tension, made, rope.slip, jerk, rub])
-    away = now - state.low
-    low = state.low + _shares(rotor.period) * np.where(away == away, away, 0.0)
+    low = state.low + _shares(rotor.period) * known(now - state.low)
     return Filtered(low, rope.speed, np.array([rope.position, state.last[0]]))
 
 

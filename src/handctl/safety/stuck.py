@@ -5,6 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from handctl.choose import chosen
+
 Vector = NDArray[np.float64]
 
 
@@ -34,7 +36,7 @@ def step(state: Stuck, value: Vector, witnesses: Vector) -> tuple[Stuck, Vector]
     """
     fresh = value == value
     moved = fresh & (value != state.value)
-    anchor = np.where(moved | (state.anchor != state.anchor), witnesses, state.anchor)
+    anchor = chosen(moved | (state.anchor != state.anchor), witnesses, state.anchor)
     ticks = (state.ticks + fresh) * ~moved
     away = np.fmax(np.abs(witnesses - anchor), 0.0)
-    return Stuck(np.where(fresh, value, state.value), ticks, anchor), away
+    return Stuck(chosen(fresh, value, state.value), ticks, anchor), away

@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from handctl.choose import chosen
 from handctl.safety import counts, jumps, residuals, ropes, stuck
 from handctl.safety.signals import Limits, Named, Signals
 
@@ -177,11 +178,11 @@ def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tu
 
 def _slip(watcher: Watcher, state: WatchState, seen: Seen) -> tuple[WatchState, Vector]:
     """(N,) joint encoders against the spool since the rope became taut, as a mean joint angle [deg]."""
-    taut = np.where(seen.tension > ropes.TAUT_N, state.taut + watcher.period, state.taut)
-    taut = np.where(seen.tension < ropes.SLACK_N, 0.0, taut)
+    taut = state.taut + watcher.period * (seen.tension > ropes.TAUT_N)
+    taut[seen.tension < ropes.SLACK_N] = 0.0
     apart = seen.travel - seen.tension / watcher.stiffness - seen.excursion
-    settled = taut > SLIP_SETTLE_S
-    begin = np.where(settled, np.where(np.isnan(state.slip_from), apart, state.slip_from), np.nan)
+    begin = chosen(np.isnan(state.slip_from), apart, state.slip_from)
+    begin[taut <= SLIP_SETTLE_S] = np.nan
     return state._replace(taut=taut, slip_from=begin), (apart - begin) / watcher.arms * DEG
 
 
