@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from handctl.controller.computed_torque import INTEGRAL_LIMIT_N, UNWIND_SHARE, LawState, step
 from handctl.controller.estimator import Estimate
 from handctl.controller.filter_design import STATES, S, V, W, X
+from handctl.controller.gains import Gains, MotionGains
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.model import HandModel
 from handctl.controller.statics import load_statics
@@ -233,3 +234,33 @@ def test_a_goal_without_its_numbers_is_limp(jamia: HandModel, kind: Kind) -> Non
     estimate = known(jamia, at_rest(jamia, 0.5))
     _, command = step(jamia, LawState.initial(4), estimate, (DigitGoal(kind),) * 4, 0.0)
     assert not command.torque.any()
+
+
+def test_what_is_not_made_up_for_leaves_feedback_on_a_taut_rope(model: HandModel) -> None:
+    """The steps of an ablation: no torque of the digits, no inertia, no friction, no force loop."""
+    none = {"inertia_share": 0.0, "friction_share": 0.0, "disturbance_rejection": 0.0, "tension_feedback": 0.0}
+    gains = Gains(motion=MotionGains(**none))
+    bare = replace(model, gains=gains, inverse=lambda digit, *way: (0.0,) * digit.joint_count)
+    x = at_rest(model, 0.5)
+    goals = moving(model, 0.2, 0.8, 0.4)
+    _, command = step(bare, LawState.initial(len(x)), known(model, x), goals, 0.13)
+    np.testing.assert_allclose(command.tension, model.floor)
+    q, dq = command.q, command.dq
+    excursion, rate = model.hand.moment_arms @ q - x[:, S], model.hand.moment_arms @ dq - x[:, V]
+    mass = model.space.motor_mass + model.space.load_mass
+    asked = model.floor + mass * (model.motion.stiffness * excursion + model.motion.damping * rate)
+    limit = model.torque_limit / model.space.spool
+    np.testing.assert_allclose(command.torque / model.space.spool, np.clip(asked, -UNWIND_SHARE * limit, limit))
+
+
+def test_the_filter_is_told_how_the_planned_tension_changes(model: HandModel) -> None:
+    x = at_rest(model, 0.5)
+    estimate, goals, law = known(model, x), moving(model, 0.2, 0.8, 0.4), LawState.initial(model.tendon_count)
+    law, first = step(model, law, estimate, goals, 0.1)
+    assert not law.rate.any(), "nothing was planned before"
+    law, second = step(model, law, estimate, goals, 0.1 + model.period)
+    np.testing.assert_allclose(law.rate, (second.tension - first.tension) / model.period)
+    assert law.rate.any()
+    law, _ = step(model, law, estimate, holding(model, 20.0), 0.2)
+    assert not law.rate.any()
+    assert not law.planned.any()

@@ -25,7 +25,6 @@ from handctl.controller.goal_table import GoalTable, goal_table
 from handctl.controller.model import HandModel
 from handctl.controller.statics import tendon_efficiency
 from handctl.controller.types import Vector
-from handctl.hand.dynamics import required_torque
 
 FRICTION_SPEED = 2.5e-3
 """Cable speed at which motor friction is taken as fully developed [m/s]: 0.5 rad/s at a 5 mm spool."""
@@ -167,15 +166,15 @@ def _motion(model: HandModel, estimate: Estimate, table: GoalTable, t: float) ->
     excursion, rate, acceleration = way.dot(model.hand.moment_arms.T)
     space, gains, design = model.space, model.gains.motion, model.motion
     feedback = design.stiffness * (excursion - estimate.excursion) + design.damping * (rate - estimate.speed)
-    tension = _within(load / tendon_efficiency(model, way[0], rate), model.floor, model.ceiling)
+    efficiency = 1.0 - gains.friction_share * (1.0 - tendon_efficiency(model, way[0], rate))
+    tension = _within(load / efficiency, model.floor, model.ceiling)
     force = (
         tension
         + (space.motor_mass + space.load_mass) * feedback
-        + space.motor_mass * acceleration
-        + space.motor_damping * estimate.speed
+        + gains.inertia_share * space.motor_mass * acceleration
         - gains.disturbance_rejection * estimate.motor_disturbance
         + gains.tension_feedback * (tension - estimate.tension)
-        + space.coulomb * np.tanh(rate / FRICTION_SPEED)
+        + gains.friction_share * (space.motor_damping * estimate.speed + space.coulomb * np.tanh(rate / FRICTION_SPEED))
     )
     q, dq = way[:2] if table.all_moving else np.where(table.known, way[:2], np.nan)
     return _Motion(force, tension, load, q, dq)
@@ -198,7 +197,7 @@ def _load(model: HandModel, table: GoalTable, way: Vector) -> Vector:
     torque = np.zeros(len(q))
     for move in table.moves:
         own = move.digit.joints
-        torque[own] = required_torque(move.digit, q[own], dq[own], ddq[own])
+        torque[own] = model.inverse(move.digit, q[own], dq[own], ddq[own])
     load: Vector = model.torque_to_tension.dot(torque)
     good = table.exact & (load >= model.floor) & (load <= model.ceiling)
     if good.all():

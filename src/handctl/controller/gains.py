@@ -42,6 +42,10 @@ class MotionGains(Document):
     position_error_m: float = Field(6e-4, gt=0, le=0.1)
     speed_error_m_s: float = Field(0.06, gt=0, le=10)
     force_N: float = Field(20.0, gt=0, le=500)
+    inertia_share: float = Field(1.0, ge=0, le=1)
+    """Share of the rotor's inertia that is made up for on the way."""
+    friction_share: float = Field(1.0, ge=0, le=1)
+    """Share of the friction of pulleys and motor that is."""
     disturbance_rejection: float = Field(1.0, ge=0, le=1)
     """Share of the estimated motor disturbance that is cancelled."""
     tension_feedback: float = Field(0.3, ge=0, le=5)

@@ -1,5 +1,6 @@
 """Everything about one hand that a tick needs and that never changes during a run."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,10 @@ from handctl.controller.motion_design import MotionDesign, design_motion
 from handctl.controller.tendon_space import TendonSpace, tendon_space
 from handctl.controller.types import Vector
 from handctl.hand.description import Hand
-from handctl.hand.dynamics import DigitModel
+from handctl.hand.digit import Values
+from handctl.hand.dynamics import DigitModel, required_torque
+
+Inverse = Callable[[DigitModel, Values, Values, Values], tuple[float, ...]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +42,7 @@ class HandModel:
         floor, ceiling: (N,) tension limits at the load cell [N].
         torque_limit: (N,) largest motor torque the host may ask [N m].
         torque_gain: (N,) torque at the spool over what the drive is told; None where that is not known.
+        inverse: joint torque of a motion, from digit, q, dq and ddq; another law of the digits for experiments.
     """
 
     hand: Hand
@@ -59,6 +64,7 @@ class HandModel:
     ceiling: Vector
     torque_limit: Vector
     torque_gain: Vector | None = None
+    inverse: Inverse = required_torque
 
     @staticmethod
     def of(hand: Hand, gains: Gains, rate_hz: float, torque_gain: Vector | None = None) -> "HandModel":

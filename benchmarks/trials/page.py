@@ -1,0 +1,37 @@
+"""``docs/control.md``: put together from parts, each written by the benchmark that measures it."""
+
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGE, FIGURES = ROOT / "docs" / "control.md", ROOT / "docs" / "figures"
+HEAD = """# What the controller is worth, measured
+
+Each section is written by the benchmark named in it, from runs of the real controller over the simulated bus, in
+lockstep, against the plant's truth. The plant's effects and the objects are fixed in the benchmarks; its physics is
+never changed to suit a result. What is weak is said.
+"""
+ORDER = ("estimation", "tracking", "contact", "grasps")
+
+
+def write(part: str, text: str) -> None:
+    """Put a part (Markdown) in place of its old one; the others stay as they are."""
+    parts = _parts(PAGE.read_text("utf-8")) if PAGE.exists() else {}
+    parts[part] = text.strip()
+    ordered = sorted(parts, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
+    blocks = [f"<!-- {name} -->\n{parts[name]}\n<!-- end of {name} -->\n" for name in ordered]
+    PAGE.write_text("\n".join([HEAD, *blocks]), "utf-8")
+
+
+def _parts(text: str) -> dict[str, str]:
+    """Parts of a page by their names."""
+    found = {}
+    for block in text.split("<!-- end of ")[:-1]:
+        name, _, body = block.rpartition("<!-- ")[2].partition(" -->")
+        found[name] = body.strip()
+    return found
+
+
+def table(head: list[str], rows: list[list[str]]) -> str:
+    """A Markdown table."""
+    lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
