@@ -14,6 +14,7 @@ import time
 from functools import cache
 
 import numpy as np
+from trials import estimation_page, page
 from trials.filters import RATES, WEIGHTS, averaged, cell_alone
 from trials.hands import CLEAR, known
 from trials.limits import DRIFT_N2_PER_S, limit
@@ -191,17 +192,22 @@ def show(result: dict) -> None:
 def main() -> None:
     """Measure, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="under a minute: two seeds, wrong stiffness only")
+    parser.add_argument("--quick", action="store_true", help="under a minute: one seed, wrong stiffness only")
     parser.add_argument("--json", action="store_true", help="numbers for programs")
     parser.add_argument("--seeds", type=int, default=10, help="of the plant as known (default 10)")
     parser.add_argument("--wrong-seeds", type=int, default=3, help="of each plant that is wrong (default 3)")
+    parser.add_argument("--stiffness", action="store_true", help="of the wrong plants only those of stiffness")
     parser.add_argument("--page", action="store_true", help="write the section of docs/control.md and its pictures")
     args = parser.parse_args()
     begin = time.monotonic()
-    counts = (2, 1, list(PLANTS)[:3]) if args.quick else (args.seeds, args.wrong_seeds, list(PLANTS))
+    plants = list(PLANTS)[:3] if args.quick or args.stiffness else list(PLANTS)
+    counts = (1, 1, plants) if args.quick else (args.seeds, args.wrong_seeds, plants)
     result = measure(*counts)
     result["wall_s"] = time.monotonic() - begin
     print(json.dumps(result, indent=2)) if args.json else show(result)
+    if args.page:
+        page.write("estimation", estimation_page.section(result))
+        estimation_page.picture(result)
 
 
 if __name__ == "__main__":
