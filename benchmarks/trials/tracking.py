@@ -69,6 +69,7 @@ def judge(course: Course, speeds: tuple[str, ...]) -> dict[str, dict[str, float]
     found = {}
     for speed in speeds:
         mask = course.phase == speed
+        mask &= course.times <= course.times[mask].min(initial=np.inf) + SPEEDS[speed] + SETTLE_S
         if not mask.any():
             found[speed] = dict.fromkeys(("rmse_deg", "peak_deg", "steady_deg", "settling_s"), float("nan"))
             continue

@@ -6,6 +6,9 @@ import numpy as np
 
 from trials.page import FIGURES, table
 
+ENDED = "ended"
+"""For a law with which safety ends at least one of the runs."""
+
 
 def section(result: dict, named: tuple[str, str, str, str]) -> str:
     """Markdown of a result of ``tracking.measure``; ``named``: PD alone, springs and gravity, best, misprinted."""
@@ -14,7 +17,7 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
         "`python benchmarks/control.py --page` moves every digit from 0 to 60 degrees and back, with one thing more at "
         "each line. Error of the mean joint angle of each digit against the plant, RMSE during the motion with its "
         f"spread over {result['seeds']} seeds, all digits. Every law has had its feedback weights chosen among the "
-        "same four."
+        "same four. *ended*: safety ended at least one run."
     )
     for hand, plants in result["hands"].items():
         laws = plants["as known"]
@@ -33,12 +36,12 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
 
 
 def _number(value: float) -> str:
-    return f"{value:.2f}" if np.isfinite(value) else "trips"
+    return f"{value:.2f}" if np.isfinite(value) else ENDED
 
 
 def _cell(row: dict[str, float]) -> str:
     finite = np.isfinite(row["rmse_deg"])
-    return f"{row['rmse_deg']:.3f} ± {row['rmse_spread_deg']:.3f}" if finite else "trips"
+    return f"{row['rmse_deg']:.3f} ± {row['rmse_spread_deg']:.3f}" if finite else ENDED
 
 
 def _conclusion(hand: str, laws: dict, named: tuple[str, str, str, str]) -> str:
@@ -51,14 +54,14 @@ def _conclusion(hand: str, laws: dict, named: tuple[str, str, str, str]) -> str:
     for before, law in pairwise(steps):
         old, new = laws[before]["fast"], laws[law]["fast"]
         if not np.isfinite(new["rmse_deg"]):
-            better.append(f"'{law}' makes the hand trip")
+            better.append(f"with '{law}' safety ends the run")
         elif not np.isfinite(old["rmse_deg"]) or new["rmse_deg"] < old["rmse_deg"] - 2 * new["rmse_spread_deg"]:
             continue
         else:
             better.append(f"'{law}' brings nothing that its spread would not hide")
     weak = f" Weak: {'; '.join(better)}." if better else ""
     misprint = printed["rmse_deg"] / best["rmse_deg"]
-    cost = f"is {misprint:.1f} times worse" if np.isfinite(misprint) else "trips the hand"
+    cost = f"is {misprint:.1f} times worse" if np.isfinite(misprint) else "does not get that far: safety ends the run"
     verdict = "more" if ratio >= 5 else "less"
     return (
         f"At the fast motion the whole law tracks {ratio:.1f} times better than PD ({verdict} than the five times "
@@ -91,10 +94,11 @@ def picture(result: dict) -> None:
         mean = [found["fast"]["rmse_deg"] for found in laws.values()]
         spread = [found["fast"]["rmse_spread_deg"] for found in laws.values()]
         shown = [value if np.isfinite(value) else 0.0 for value in mean]
+        spread = [value if np.isfinite(m) else 0.0 for value, m in zip(spread, mean, strict=True)]
         places = np.arange(len(laws))
         axis.barh(places, shown, xerr=np.nan_to_num(spread), color="#4477aa", ecolor="#222222", capsize=2)
         for place, value in zip(places, mean, strict=True):
-            text = f"{value:.2f}" if np.isfinite(value) else "trips"
+            text = f"{value:.2f}" if np.isfinite(value) else ENDED
             axis.annotate(text, (value if np.isfinite(value) else 0.0, place), (6, -3), textcoords="offset points")
         axis.set_yticks(places, list(laws))
         axis.invert_yaxis()
