@@ -43,7 +43,7 @@ class Faults:
         self.everything.append(one)
         self._waiting.append(one)
         self.on = True
-        self.advance(self._world.t_ns)
+        self._world.hear(self.advance(self._world.t_ns))
         return fault
 
     def told(self) -> list[dict[str, object]]:

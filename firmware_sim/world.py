@@ -151,6 +151,10 @@ class World:
                     told = [frame._replace(bus=bus, t_ns=now_ns) for frame in spoken]
                     self._spoken += self.faults.spoken(node, told, now_ns) if self.faults.on else told
 
+    def hear(self, frames: list[Frame]) -> None:
+        """Have frames on the bus that no node of this hand sends."""
+        self._spoken += frames
+
     def take_spoken(self) -> list[Frame]:
         """Return what nodes have sent of their own accord since the last call."""
         spoken, self._spoken = self._spoken, []

@@ -1,0 +1,133 @@
+"""The whole matrix for one hand and some protocols, and what the undisturbed hand raises."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from handctl.campaign.course import Course
+from handctl.campaign.scenarios import Scenario, pairs, scenarios
+from handctl.campaign.stage import STAGES, branch, bring, hand_in, started
+from handctl.campaign.trial import Result
+from handctl.controller.types import Mode
+from handctl.hand.description import Hand
+from handctl.safety.action import Action
+
+QUICK_EVERY = 7
+"""A sample takes every so-manieth scenario."""
+NOISE, LOSS = 3.0, 0.001
+"""What the undisturbed hand must bear: times the specified noise, and the share of frames that are lost."""
+SEED = 0
+
+
+@dataclass
+class Report:
+    """What a campaign came to.
+
+    Attributes:
+        hand: its name. rates: control rate by protocol [Hz].
+        results: by protocol. alarms: faults of the undisturbed hand with HOLD or more, by protocol.
+        simulated_s: how long it was simulated undisturbed, in all [s].
+    """
+
+    hand: str
+    rates: dict[str, float] = field(default_factory=dict)
+    results: dict[str, list[Result]] = field(default_factory=dict)
+    alarms: dict[str, list[str]] = field(default_factory=dict)
+    simulated_s: float = 0.0
+
+    @property
+    def all_results(self) -> list[Result]:
+        """Of all protocols."""
+        return [result for results in self.results.values() for result in results]
+
+    def plain(self) -> dict[str, Any]:
+        """As plain values: the figures first."""
+        results = self.all_results
+        return {
+            "hand": self.hand,
+            "rates_hz": self.rates,
+            "scenarios": len(results),
+            "late": sum(not result.ok for result in results),
+            "worst_ticks": max((result.ticks for result in results), default=0),
+            "worst_share_of_bound": max((result.ticks / max(result.bound, 1) for result in results), default=0.0),
+            "worst_tension_N": max((result.tension for result in results), default=0.0),
+            "not_felt": sum(not result.felt for result in results),
+            "false_alarms": sum(map(len, self.alarms.values())),
+            "false_alarm_run_s": self.simulated_s,
+            "alarms": self.alarms,
+            "results": {protocol: [r.plain() for r in results] for protocol, results in self.results.items()},
+        }
+
+
+Told = Callable[[str, int, int], None]
+"""Protocol, scenarios done, scenarios in all."""
+
+
+def plan(hand: Hand, protocol: str, quick: bool) -> list[Scenario]:
+    """What is tried."""
+    found = scenarios(hand, protocol) + pairs(hand, protocol)
+    return found[::QUICK_EVERY] if quick else found
+
+
+def run(
+    name: str,
+    protocols: Iterable[str],
+    rate_of: Callable[[Hand], float],
+    *,
+    jobs: int,
+    quick: bool,
+    calm_s: float,
+    told: Told,
+    keep: Callable[[Course, Result], None],
+    only: Sequence[str] = (),
+) -> Report:
+    """Try everything out.
+
+    Args:
+        name: of the hand. protocols: of its drives, one after the other.
+        rate_of: control rate of a hand [Hz].
+        jobs: processes at a time. quick: a sample.
+        calm_s: how long the undisturbed hand is watched, for each protocol [s].
+        told: progress. keep: called where a scenario failed, with its course.
+        only: rows to try; all if empty.
+    """
+    report = Report(name)
+    for protocol in protocols:
+        hand = hand_in(name, protocol)
+        rate = report.rates[protocol] = rate_of(hand)
+        todo = [one for one in plan(hand, protocol, quick and not only) if not only or one.row.id in only]
+        results = report.results[protocol] = []
+
+        def done(
+            result: Result, results: list[Result] = results, protocol: str = protocol, most: int = len(todo)
+        ) -> None:
+            results.append(result)
+            told(protocol, len(results), most)
+
+        with started(hand, rate, SEED) as course:
+            for stage in STAGES:
+                here = [one for one in todo if one.stage == stage]
+                if here:
+                    bring(course, stage)
+                    branch(course, here, jobs, protocol, done, keep)
+        report.alarms[protocol] = calm(hand, rate, calm_s)
+        report.simulated_s += calm_s
+    return report
+
+
+def calm(hand: Hand, rate_hz: float, seconds: float) -> list[str]:
+    """Faults with HOLD or more that an undisturbed hand raises while it moves and grasps, with noise and frame loss."""
+    alarms: list[str] = []
+    left, seed = seconds, 1
+    while left > 0.0:
+        with started(hand, rate_hz, seed, {"noise": NOISE}) as course:
+            for bus in hand.bus_names:
+                course.peer.inject(f"drop bus={bus} p={LOSS} seed={seed}")
+                course.peer.inject(f"deaf bus={bus} p={LOSS} seed={seed}")
+            while left > 0.0 and course.k * course.period_ns < 8e9 and (not course.out or course.out.mode != Mode.DONE):
+                out = course.tick()
+                left -= course.period_ns * 1e-9
+                if out.action >= Action.HOLD:
+                    alarms += [event.text for event in out.events if event.name == "fault" and event.level == "error"]
+        seed += 1
+    return alarms

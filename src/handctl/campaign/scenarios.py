@@ -1,0 +1,179 @@
+"""Which fault is tried on what, when, and what must happen by when: the matrix as data.
+
+``latest`` is counted from the physical event to the frames that carry the reaction: so many ticks, plus so many
+milliseconds where a row or a drive needs a time. An ODrive tells its state every 100 ms and its temperature every 200.
+"""
+
+from typing import NamedTuple
+
+from handctl.hand.description import Hand
+from handctl.safety.action import Action
+
+ARMING, FREE, GRASP = "arming", "free motion", "grasp"
+MIT, ODRIVE, CIA402 = "mit", "odrive", "cia402"
+ALL = (MIT, ODRIVE, CIA402)
+EVERYWHERE, MOVING = (ARMING, FREE, GRASP), (FREE, GRASP)
+HEARTBEAT = {ODRIVE: 110.0}
+"""What else a drive's own report may take [ms]."""
+HOST = "host "
+"""Begins what is done to the host: io events, missed ticks, requests."""
+
+
+class Row(NamedTuple):
+    """One line of the matrix.
+
+    Attributes:
+        id: row of the fault catalogue.
+        fault: text for the simulator, with {node}, {tendon}, {digit}, {bus} or {joint} for the instance; or HOST ...
+        action: what must happen at least.
+        ticks, ms: by when, together.
+        rows: rows of the table that may find it, by their beginnings; the first one is the fault's own.
+        stages: when it is tried. protocols: with which drives.
+        extra_ms: what a protocol needs besides [ms].
+    """
+
+    id: str
+    fault: str
+    action: Action
+    ticks: int
+    ms: float = 0.0
+    rows: tuple[str, ...] = ()
+    stages: tuple[str, ...] = MOVING
+    protocols: tuple[str, ...] = ALL
+    extra_ms: dict[str, float] = {}  # noqa: RUF012 - read only
+
+
+class Scenario(NamedTuple):
+    """One row on one instance in one stage.
+
+    Attributes:
+        row: of the matrix. fault: its text with the instance. stage: when. second: another fault, for pairs.
+    """
+
+    row: Row
+    fault: str
+    stage: str
+    second: str = ""
+
+    @property
+    def name(self) -> str:
+        """For people."""
+        return f"{self.row.id} {self.fault}" + (f" + {self.second}" if self.second else "") + f", {self.stage}"
+
+
+WARN, HOLD, RELAX, CUT = Action.WARN, Action.HOLD, Action.RELAX, Action.CUT
+ONCE = (MIT, CIA402)
+"""Drives with exactly one answer to a command."""
+
+MATRIX: tuple[Row, ...] = (
+    Row("B01", "drop node={node} for=2500us", WARN, 3, rows=("B01", "N02"), stages=EVERYWHERE),
+    Row("B02", "drop bus={bus}", RELAX, 3, 30.0, ("B02", "N02", "B17"), EVERYWHERE),
+    Row("B03", "drop node={node} p=0.3 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02")),
+    Row("B04", "delay node=sensors size=5 for=20ms", WARN, 5, rows=("B04",)),
+    Row("B05", "duplicate node={node}", WARN, 3, rows=("B05", "N13", "B06"), protocols=ONCE),
+    Row("B05", "duplicate node=sensors", WARN, 3, rows=("B05",)),
+    Row("B06", "twin node={node}", RELAX, 3, rows=("B06",), protocols=ONCE),
+    Row("B06", "twin node=sensors", RELAX, 3, rows=("B06",)),
+    Row("B07", "reorder node=sensors", WARN, 4, rows=("B07",)),
+    Row("B08", "shorten node={node} p=0.7 seed=1", RELAX, 22, rows=("B08", "B17")),
+    Row("B09", "shorten node={node} for=3ms", WARN, 3, rows=("B09",)),
+    Row("B09", "extend node={node} for=3ms", WARN, 3, rows=("B09",)),
+    Row("B10", "unknown bus={bus}", WARN, 2, 60.0, ("B10",), EVERYWHERE),
+    Row("B11", "flood bus={bus} size=100", RELAX, 3, rows=("B11",)),
+    Row("B11", "flood bus={bus} size=101", CUT, 12, rows=("B11b",)),
+    Row("B12", HOST + "io bus_off", CUT, 1, rows=("B12",), stages=EVERYWHERE),
+    Row("B13", HOST + "io error_passive lasting", RELAX, 21, rows=("B13",)),
+    Row("B14", HOST + "io enetdown", CUT, 1, rows=("B14",), stages=EVERYWHERE),
+    Row("B15", HOST + "io enobufs lasting", RELAX, 3, rows=("B15",)),
+    Row("B16", HOST + "io enodev", CUT, 1, rows=("B16",), stages=EVERYWHERE),
+    Row("B17", "deaf node={node}", RELAX, 6, rows=("B17", "N08", "B02"), protocols=(MIT, ODRIVE)),
+    Row("B17", "drop node={node}", RELAX, 6, rows=("B17",)),
+    Row("N01", "reset node={node}", RELAX, 4, rows=("N01", "N11", "B17"), stages=EVERYWHERE, extra_ms=HEARTBEAT),
+    Row("N02", "drop node=sensors", RELAX, 3, 30.0, ("N02",), EVERYWHERE),
+    Row("N02", "off node={node}", RELAX, 6, 30.0, ("B17", "B02", "N01"), EVERYWHERE),
+    Row("N04", "stuck encoder={node}", RELAX, 4, 400.0, ("N04", "T04", "N05"), (FREE,)),
+    Row("N05", "offset encoder={node} size=1", RELAX, 4, rows=("N05",)),
+    Row("N06", "drift joint={joint} size=0.8", RELAX, 4, 900.0, ("N06", "T08")),
+    Row("N07", "noise encoder={node} size=0.012", HOLD, 4, 150.0, ("N07", "N05")),
+    Row("N08", "watchdog node={node}", RELAX, 4, rows=("N08",), stages=EVERYWHERE, extra_ms=HEARTBEAT),
+    Row("N09", "hot node={node} size=95", RELAX, 24, 10.0, ("N09b",), protocols=(MIT, ODRIVE),
+        extra_ms={ODRIVE: 210.0}),
+    Row("N10", "voltage node={node}", RELAX, 4, rows=("N10",), stages=EVERYWHERE, extra_ms=HEARTBEAT),
+    Row("N11", "error node={node}", RELAX, 4, rows=("N11",), stages=EVERYWHERE, extra_ms=HEARTBEAT),
+    Row("N11", "error node={node} size=3", CUT, 4, rows=("N11b",), protocols=(MIT,)),
+    Row("N11", "error node={node} size=0xff01", CUT, 4, rows=("N11b",), protocols=(CIA402,)),
+    Row("N11", "error node={node} size=0x20000000", CUT, 4, 110.0, ("N11b",), protocols=(ODRIVE,)),
+    Row("N13", "twin node={node} seed=1", RELAX, 5, rows=("B06", "N13"), protocols=ONCE),
+    Row("N14", "disobey node={node} size=0", RELAX, 4, 300.0, ("N14", "T02", "T04"), (GRASP,), ONCE),
+    Row("N14", "runaway node={node}", RELAX, 4, 60.0, ("N14", "T03", "N05", "T04")),
+    Row("N15", "slow node={node} size=2", WARN, 24, rows=("N15", "B01")),
+    Row("N16", "hold_on node={node}", CUT, 4, 120.0, ("N16",), (GRASP,)),
+    Row("T01", "snap tendon={tendon}", RELAX, 4, 40.0, ("T01",), (GRASP,)),
+    Row("T02", "slack tendon={tendon} size=8", WARN, 4, 110.0, ("T02", "T01"), (GRASP,)),
+    Row("T03", "runaway node={node} size=1 seed=1", RELAX, 4, 80.0, ("T03", "N14"), (GRASP,)),
+    Row("T04", "drift cell={tendon} size=60", RELAX, 4, 900.0, ("T04", "T03", "N14", "T02"), (GRASP,)),
+    Row("T04", "drift cell={tendon} size=-60", RELAX, 4, 900.0, ("T04", "T02", "T01"), (GRASP,)),
+    Row("T05", "stuck cell={tendon}", RELAX, 42, 900.0, ("T05", "T04"), (GRASP,)),
+    Row("T06", "saturate cell={tendon} size=1", RELAX, 5, rows=("T06",), stages=EVERYWHERE),
+    Row("T06", "saturate cell={tendon} size=-1", RELAX, 5, rows=("T06", "T01"), stages=EVERYWHERE),
+    Row("T08", "offset joint={joint} size=0.4", RELAX, 8, 30.0, ("T08", "N06", "N05")),
+    Row("H01", HOST + "late 0.4", Action.PASS, 1, rows=("H01",)),
+    Row("H02", HOST + "skip 1", WARN, 1, rows=("H02",)),
+    Row("H03", HOST + "skip 14", RELAX, 1, rows=("H03",)),
+    Row("H04", HOST + "io suspended", RELAX, 1, rows=("H04",)),
+    Row("H06", HOST + "ask stop", RELAX, 1, rows=("",), stages=EVERYWHERE),
+    Row("H06", HOST + "ask cut", CUT, 1, rows=("",), stages=EVERYWHERE),
+    Row("H08", HOST + "io recorder disk_full", WARN, 1, rows=("H08",)),
+    Row("H09", HOST + "io recorder dropped", WARN, 1, rows=("H09",)),
+    Row("H10", HOST + "io recorder gone", WARN, 1, rows=("H10",)),
+    Row("H13", "foreign node={node}", RELAX, 3, rows=("H13",), stages=EVERYWHERE),
+    Row("I07", HOST + "ask nonsense 3", RELAX, 1, rows=("I07b",)),
+)  # fmt: skip
+"""All rows that a simulator or the loop can produce while the hand is armed."""
+
+LIKELIEST = ("B01", "B02", "B03", "B17", "N01", "N02", "N08", "N11", "T01", "T04", "T06", "H02")
+"""The faults of which all pairs are tried: cables, connectors, supply, ropes, a busy host."""
+LEFT_OUT = {
+    "B18": "before arming: unit tests with error frames", "N03": "before arming: tests of the modes",
+    "N12": "before arming: tests of the drives against other registers", "T07": "commissioning: its own tests",
+    "T09": "needs minutes of motion: tests of the residuals", "H05": "real processes: tests/runtime",
+    "H07": "real processes: tests of the loop", "H11": "nothing uses the wall clock", "H12": "real processes",
+    "H14": "real processes", "H15": "the soak",
+}  # fmt: skip
+"""Rows of sections 2.1 to 2.4 that are not in the matrix, and where they are tried instead."""
+
+
+def scenarios(hand: Hand, protocol: str) -> list[Scenario]:
+    """Every row on the first and the last instance, in every stage that it is for."""
+    found = []
+    for row in MATRIX:
+        if protocol in row.protocols:
+            texts = list(dict.fromkeys(instance for instance in _texts(hand, row.fault) if instance))
+            found += [Scenario(row, text, stage) for stage in row.stages for text in texts]
+    return found
+
+
+def pairs(hand: Hand, protocol: str) -> list[Scenario]:
+    """The likeliest faults two by two, in a grasp: the graver one first, the other one a little later elsewhere."""
+    rows = [next(row for row in MATRIX if row.id == id_ and protocol in row.protocols) for id_ in LIKELIEST]
+    found = []
+    for i, first in enumerate(rows):
+        for second in rows[i + 1 :]:
+            main, other = (first, second) if first.action >= second.action else (second, first)
+            found.append(Scenario(main, _texts(hand, main.fault)[0], GRASP, _texts(hand, other.fault)[-1]))
+    return found
+
+
+def _texts(hand: Hand, fault: str) -> list[str]:
+    """A fault on the first and the last instance; empty where the hand has none."""
+    names = {
+        "node": [motor.name for motor in hand.motor],
+        "tendon": list(hand.tendon_names),
+        "digit": list(hand.digit_names),
+        "bus": list(hand.bus_names),
+        "joint": list(hand.sensor_node.joints),
+    }
+    key = next((key for key in names if f"{{{key}}}" in fault), None)
+    if key is None:
+        return [fault]
+    return [fault.replace(f"{{{key}}}", name) for name in (names[key][:1] + names[key][-1:])]

@@ -1,0 +1,166 @@
+"""Hands in each protocol, and a run brought to each stage, from which scenarios branch off as processes."""
+
+import json
+import os
+import re
+import signal
+import tempfile
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, cast
+
+from handctl.campaign.course import Course, FaultyPeer
+from handctl.campaign.scenarios import ARMING, CIA402, FREE, GRASP, MIT, ODRIVE, Scenario
+from handctl.campaign.trial import Result, try_out
+from handctl.controller.gains import Gains
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.setup import make_controller
+from handctl.controller.task import Task
+from handctl.controller.types import Mode
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand, load_hand
+from handctl.runtime.lockstep import load_peer
+
+PEER = "firmware_sim.rig:Rig"
+FIRST_NODE = 0x10
+OPTIONS: dict[str, dict[str, Any]] = {
+    MIT: {},
+    ODRIVE: {
+        "endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202,
+        "endpoint_torque_max": 203, "endpoint_torque_min": 204,
+    },
+    CIA402: {"rated_torque_N_m": 0.4, "counts_per_turn": 65536},
+}  # fmt: skip
+TASK = {
+    "schema": 1,
+    "name": "campaign",
+    "phase": [
+        {"kind": "move", "name": "free", "angle_deg": {"*": 25.0}, "duration_s": 1.2},
+        {"kind": "close", "angle_deg": 85.0, "speed_deg_s": 80.0, "contact_tension_N": 14.0},
+        {"kind": "hold", "tension_N": 24.0, "rate_N_per_s": 30.0, "duration_s": 60.0},
+    ],
+}
+FREE_S, STAGE_TIMEOUT_S = 0.2, 12.0
+"""Time into the free motion at which it is disturbed; and the longest way to a stage [s]."""
+
+
+def hand_in(name: str, protocol: str) -> Hand:
+    """A hand with all its drives in one protocol."""
+    hand = load_hand(name)
+    if protocol == MIT and all(motor.protocol == MIT for motor in hand.motor):
+        return hand
+    changed = [
+        motor.model_copy(update={"protocol": protocol, "node_id": FIRST_NODE + i, "options": OPTIONS[protocol]})
+        for i, motor in enumerate(hand.motor)
+    ]
+    return hand.model_copy(update={"motor": tuple(changed)})
+
+
+@contextmanager
+def started(hand: Hand, rate_hz: float, seed: int, perturb: dict[str, float] | None = None) -> Iterator[Course]:
+    """A run that begins, in a scene with a cylinder, with a hand that is homed."""
+    angles = dict.fromkeys(hand.digit_names, 25.0)
+    phases = [dict(phase) for phase in cast(list[dict[str, Any]], TASK["phase"])]
+    phases[0]["angle_deg"] = angles
+    task = Task.model_validate_json(json.dumps({**TASK, "phase": phases}))
+    controller = make_controller(hand, Gains(), rate_hz, TaskProgram(task), None, arm_at_once=True)
+    period_ns = round(1e9 / rate_hz)
+    with tempfile.TemporaryDirectory(prefix="handctl-campaign-") as folder:
+        path = Path(folder) / f"{re.sub('[^a-z0-9_]', '_', hand.name)}.toml"
+        path.write_text(hand.to_toml())
+        peer = load_peer(
+            PEER, hand_path=str(path), scene="cylinder", seed=seed, homed=True, period_ns=period_ns, perturb=perturb
+        )
+        try:
+            yield Course.of(controller, cast(FaultyPeer, peer), period_ns)
+        finally:
+            peer.close()
+
+
+def bring(course: Course, stage: str) -> None:
+    """Go on to a stage.
+
+    Raises:
+        ConfigError: it is not reached: this hand cannot be tried.
+    """
+    since = course.k
+
+    def reached(out: Any) -> bool:
+        if stage == ARMING:
+            return bool(out.mode == Mode.ARMING)
+        free = out.phase == "free" and (course.k - since) * course.period_ns > FREE_S * 1e9
+        holds = out.phase == "hold" and min(out.telemetry.contact.max(), out.telemetry.tension.max() / 16.0) >= 1.0
+        return bool(free if stage == FREE else holds)
+
+    if not course.until(reached, STAGE_TIMEOUT_S):
+        failure = course.state.failure or course.state.mode.name
+        raise ConfigError(f"the simulated hand does not come to {stage}: {failure}", "--hand", "a hand that grasps")
+
+
+def branch(
+    course: Course,
+    todo: Sequence[Scenario],
+    jobs: int,
+    protocol: str,
+    told: Callable[[Result], None],
+    keep: Callable[[Course, Result], None],
+) -> None:
+    """Try scenarios out from here, each in a copy of this process, so many at a time.
+
+    Args:
+        course: at their stage; it stays as it is.
+        todo: scenarios.
+        jobs: processes at a time.
+        protocol: of the drives.
+        told: called with each result.
+        keep: called in the copy whose scenario failed, with its course.
+    """
+    running: dict[int, tuple[int, Scenario]] = {}
+    waiting = list(todo)
+    while waiting or running:
+        while waiting and len(running) < jobs:
+            scenario = waiting.pop(0)
+            reading, writing = os.pipe()
+            child = os.fork()
+            if child == 0:
+                os.close(reading)
+                _in_copy(course, scenario, protocol, writing, keep)
+            os.close(writing)
+            running[child] = (reading, scenario)
+        child, status = os.wait()
+        if child in running:
+            reading, scenario = running.pop(child)
+            told(_result(reading, scenario, status))
+
+
+def _in_copy(
+    course: Course, scenario: Scenario, protocol: str, writing: int, keep: Callable[[Course, Result], None]
+) -> None:
+    """Run a scenario, hand its result over, and end this process without anything of the original's."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    code = 1
+    try:
+        result = try_out(course, scenario, protocol)
+        if not result.ok:
+            keep(course, result)
+        with os.fdopen(writing, "w") as pipe:
+            json.dump(result.plain(), pipe)
+        code = 0
+    finally:
+        if code:
+            traceback.print_exc()
+        os._exit(code)
+
+
+def _result(reading: int, scenario: Scenario, status: int) -> Result:
+    with os.fdopen(reading) as pipe:
+        text = pipe.read()
+    if status or not text:
+        return Result(scenario.name, scenario.row.id, scenario.stage, why=f"its process ended with status {status}")
+    return Result(**json.loads(text))
+
+
+STAGES = (ARMING, FREE, GRASP)
+"""In the order in which a run comes to them."""

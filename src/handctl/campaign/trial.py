@@ -1,0 +1,151 @@
+"""One scenario on a run that has come so far: disturb, see whether it was felt, and how soon what was done about it."""
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from handctl.campaign.course import Course
+from handctl.campaign.scenarios import HOST, Scenario
+from handctl.controller.types import IoEvent, Mode, TickOut
+from handctl.safety.action import Action
+
+AFTER_S = 1.3
+"""How much longer than its bound a scenario is watched: until no torque is left [s]."""
+BEYOND = (Mode.DISARM, Mode.DONE)
+SECOND_AT_TICKS = 5
+"""Ticks between the two faults of a pair."""
+
+
+@dataclass
+class Result:
+    """What a scenario came to.
+
+    Attributes:
+        scenario, id, stage: which.
+        felt: positive control: how often the disturbance did something.
+        ticks: from the physical event to the frames that carry the reaction; -1 if there was none.
+        bound: most ticks that it may take.
+        found: row that found it, as id and instance; empty if none did.
+        safe_ticks: from the event until no motor is asked for torque; -1 if it never was so.
+        tension: largest true tension from the event on [N].
+        ok: felt, found by one of its rows, and in time.
+        why: what is wrong if it is not.
+    """
+
+    scenario: str
+    id: str
+    stage: str
+    felt: int = 0
+    ticks: int = -1
+    bound: int = 0
+    found: str = ""
+    safe_ticks: int = -1
+    tension: float = 0.0
+    ok: bool = False
+    why: str = ""
+
+    def plain(self) -> dict[str, Any]:
+        """As plain values."""
+        return asdict(self)
+
+
+def try_out(course: Course, scenario: Scenario, protocol: str) -> Result:
+    """Run a scenario to its end.
+
+    Args:
+        course: at the stage of the scenario; it is used up.
+        scenario: what to do.
+        protocol: of the drives.
+    """
+    row = scenario.row
+    ms = row.ms + row.extra_ms.get(protocol, 0.0)
+    bound = row.ticks + math.ceil(ms * 1e6 / course.period_ns)
+    result = Result(scenario.name, row.id, scenario.stage, bound=bound)
+    begin_ns = course.k * course.period_ns
+    host = _Host(scenario.fault.removeprefix(HOST)) if scenario.fault.startswith(HOST) else None
+    if host is None:
+        course.peer.inject(scenario.fault)
+    for i in range(bound + SECOND_AT_TICKS + round(AFTER_S * 1e9 / course.period_ns)):
+        if i == SECOND_AT_TICKS and scenario.second:
+            _second(course, scenario.second)
+        t_ns = course.k * course.period_ns
+        out = course.tick(**host.at(i, course)) if host else course.tick()
+        _look(result, course, scenario, out, _felt_ns(course, host, begin_ns), t_ns)
+        if out.mode == Mode.DONE:
+            break
+    result.felt = 1 if host else int(course.peer.told()[0]["felt"])
+    return _judged(result, row.action)
+
+
+def _second(course: Course, fault: str) -> None:
+    if fault.startswith(HOST):
+        course.tick(**_Host(fault.removeprefix(HOST)).at(0, course))
+    else:
+        course.peer.inject(fault)
+
+
+def _felt_ns(course: Course, host: "_Host | None", begin_ns: int) -> int:
+    """When the disturbance was felt first [ns]; -1 as long as it was not."""
+    if host is not None:
+        return begin_ns
+    return int(course.peer.told()[0]["first_ns"])
+
+
+def _look(result: Result, course: Course, scenario: Scenario, out: TickOut, felt_ns: int, t_ns: int) -> None:
+    """Take down what a tick shows."""
+    row, truth = scenario.row, course.peer.truth()
+    result.tension = max(result.tension, *truth["tension"])
+    if felt_ns < 0:
+        return
+    since = math.ceil((t_ns - felt_ns) / course.period_ns)
+    for event in out.events:
+        told = event.name == "fault" or "REMOVE POWER" in event.text
+        if not result.found and told and (event.text.startswith(tuple(filter(None, row.rows))) or not any(row.rows)):
+            result.found = " ".join(event.text.split(":")[0].split()[:1]) + f" {event.where}"
+    reacted = out.action >= row.action or (row.action >= Action.RELAX and out.mode in (*BEYOND, Mode.RELAX, Mode.CUT))
+    reacted = reacted and not (row.action == Action.CUT and out.mode == Mode.RELAX)
+    if row.id == "H01":
+        reacted = bool(result.found)
+    if result.ticks < 0 and reacted and (result.found or not any(row.rows) or out.mode in BEYOND):
+        result.ticks = max(0, since)
+    if result.ticks >= 0 and result.safe_ticks < 0 and not any(truth["torque"]):
+        result.safe_ticks = max(0, since)
+
+
+def _judged(result: Result, action: Action) -> Result:
+    """Whether all is well, and why not."""
+    why = []
+    if not result.felt:
+        why.append("the disturbance was not felt")
+    elif result.ticks < 0:
+        why.append("no reaction")
+    elif result.ticks > result.bound:
+        why.append(f"late: {result.ticks} ticks, at most {result.bound}")
+    if action >= Action.RELAX and result.felt and result.safe_ticks < 0:
+        why.append("torque is left")
+    result.ok, result.why = not why, "; ".join(why)
+    return result
+
+
+class _Host:
+    """What is done to the host: ``io KIND [WHERE] [lasting]``, ``skip N``, ``late SHARE``, ``ask REQUEST [TIMES]``."""
+
+    def __init__(self, text: str) -> None:
+        self.verb, *self.words = text.split()
+
+    def at(self, i: int, course: Course) -> dict[str, Any]:
+        """Arguments of the i-th tick since."""
+        first = i == 0
+        if self.verb == "io":
+            if not first and "lasting" not in self.words:
+                return {}
+            where = self.words[1] if len(self.words) > 1 and self.words[1] != "lasting" else "bus"
+            return {"io": (IoEvent(self.words[0], where),)}
+        if not first:
+            return {}
+        if self.verb == "skip":
+            return {"skip": int(self.words[0])}
+        if self.verb == "late":
+            return {"late_ns": round(float(self.words[0]) * course.period_ns)}
+        times = int(self.words[1]) if len(self.words) > 1 else 1
+        return {"requests": (f'{{"do": "{self.words[0]}"}}',) * times}
