@@ -63,8 +63,10 @@ Told = Callable[[str, int, int], None]
 """Protocol, scenarios done, scenarios in all."""
 
 
-def plan(hand: Hand, protocol: str, quick: bool) -> list[Scenario]:
-    """What is tried."""
+def plan(hand: Hand, protocol: str, quick: bool, only: Sequence[str] = ()) -> list[Scenario]:
+    """What is tried: everything, a sample, or some rows."""
+    if only:
+        return [one for one in scenarios(hand, protocol) if one.row.id in only]
     found = scenarios(hand, protocol) + pairs(hand, protocol)
     return found[::QUICK_EVERY] if quick else found
 
@@ -95,7 +97,7 @@ def run(
     for protocol in protocols:
         hand = hand_in(name, protocol)
         rate = report.rates[protocol] = rate_of(hand)
-        todo = [one for one in plan(hand, protocol, quick and not only) if not only or one.row.id in only]
+        todo = plan(hand, protocol, quick, only)
         results = report.results[protocol] = []
 
         def done(

@@ -109,7 +109,7 @@ MATRIX: tuple[Row, ...] = (
     Row("N15", "slow node={node} size=2", WARN, 24, rows=("N15", "B01")),
     Row("N16", "hold_on node={node}", CUT, 4, 120.0, ("N16",), (GRASP,)),
     Row("T01", "snap tendon={tendon}", RELAX, 4, 40.0, ("T01",), (GRASP,)),
-    Row("T02", "slack tendon={tendon} size=8", WARN, 4, 110.0, ("T02", "T01"), (GRASP,)),
+    Row("T02", "slack tendon={tendon} size=30", WARN, 4, 110.0, ("T02", "T01"), (GRASP,)),
     Row("T03", "runaway node={node} size=1 seed=1", RELAX, 4, 80.0, ("T03", "N14"), (GRASP,)),
     Row("T04", "drift cell={tendon} size=60", RELAX, 4, 900.0, ("T04", "T03", "N14", "T02"), (GRASP,)),
     Row("T04", "drift cell={tendon} size=-60", RELAX, 4, 900.0, ("T04", "T02", "T01"), (GRASP,)),

@@ -11,6 +11,8 @@ from handctl.safety.action import Action
 
 AFTER_S = 1.3
 """How much longer than its bound a scenario is watched: until no torque is left [s]."""
+CUT = ('{"do": "cut"}',)
+"""What a person asks a drive that does not let go."""
 BEYOND = (Mode.DISARM, Mode.DONE)
 SECOND_AT_TICKS = 5
 """Ticks between the two faults of a pair."""
@@ -69,7 +71,8 @@ def try_out(course: Course, scenario: Scenario, protocol: str) -> Result:
         if i == SECOND_AT_TICKS and scenario.second:
             _second(course, scenario.second)
         t_ns = course.k * course.period_ns
-        out = course.tick(**host.at(i, course)) if host else course.tick()
+        asked = CUT if i == 1 and row.id == "N16" else ()
+        out = course.tick(**host.at(i, course)) if host else course.tick(requests=asked)
         _look(result, course, scenario, out, _felt_ns(course, host, begin_ns), t_ns)
         if out.mode == Mode.DONE:
             break
@@ -100,7 +103,8 @@ def _look(result: Result, course: Course, scenario: Scenario, out: TickOut, felt
     since = math.ceil((t_ns - felt_ns) / course.period_ns)
     for event in out.events:
         told = event.name == "fault" or "REMOVE POWER" in event.text
-        if not result.found and told and (event.text.startswith(tuple(filter(None, row.rows))) or not any(row.rows)):
+        own = event.text.startswith(tuple(filter(None, row.rows))) or not any(row.rows) or scenario.second
+        if not result.found and told and own:
             result.found = " ".join(event.text.split(":")[0].split()[:1]) + f" {event.where}"
     reacted = out.action >= row.action or (row.action >= Action.RELAX and out.mode in (*BEYOND, Mode.RELAX, Mode.CUT))
     reacted = reacted and not (row.action == Action.CUT and out.mode == Mode.RELAX)

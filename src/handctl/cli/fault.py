@@ -5,7 +5,8 @@ import argparse
 from handctl.cli.options import json_option, print_json
 from handctl.runtime.simulator import ask_simulator, find_simulator
 
-EXAMPLE = "handctl fault --help   # with a simulator running: handctl fault inject 'drop node=3 p=0.05 at=3s for=2s'"
+EXAMPLE = "handctl fault campaign --quick"
+CAMPAIGN = "example: handctl fault campaign --quick --protocol odrive"
 TEXT = """a fault is KIND COMPONENT=INSTANCE [size=X] [p=X] [at=TIME] [for=TIME] [seed=N], as in
 'drop node=3 p=0.05 at=3s for=2s', 'snap tendon=index_tendon', 'stuck cell=thumb_tendon at=500ms'"""
 
@@ -19,10 +20,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
     for sub in (inject, listed):
         sub.add_argument("--bus", metavar="SPEC", help="of the simulator (default: the only one that runs)")
         json_option(sub)
+    from handctl.cli import fault_campaign
+
+    fault_campaign.configure(actions.add_parser("campaign", help="the whole fault matrix in lockstep", epilog=CAMPAIGN))
 
 
 def run(args: argparse.Namespace) -> int:
     """Do it."""
+    if args.action == "campaign":
+        from handctl.cli import fault_campaign
+
+        return fault_campaign.run(args)
     return _ask(args, {"inject": args.text} if args.action == "inject" else {"list": True})
 
 

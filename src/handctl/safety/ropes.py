@@ -5,7 +5,7 @@ from typing import NamedTuple
 from handctl.safety.signals import Named
 
 TAUT_N, SLACK_N = 2.5, 2.0
-SNAP_SHARE, SNAP_LEAST_N, SNAP_SPEED, SNAP_MEMORY_S = 0.2, 8.0, 0.05, 0.1
+SNAP_SHARE, SNAP_LEAST_N, SNAP_SPEED, SNAP_MEMORY_S = 0.2, 8.0, 0.03, 0.1
 """A rope has snapped if it bears less than this share of at least so much, its spool winds at least so fast [m/s], and
 it was taut not longer ago than this [s]: a rope that is taken up was not taut, one that lost its load is still taut."""
 LIMP_AFTER_S, LIMP_SHARE, LIMP_LEAST_N = 0.1, 0.8, 15.0

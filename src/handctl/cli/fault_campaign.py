@@ -1,0 +1,118 @@
+"""``handctl fault campaign``: the whole fault matrix against a simulated hand in lockstep."""
+
+import argparse
+import json
+import re
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from handctl.campaign.campaign import Report
+from handctl.campaign.campaign import run as run_campaign
+from handctl.campaign.course import Course
+from handctl.campaign.page import lines, write_page
+from handctl.campaign.scenarios import ALL, MATRIX
+from handctl.campaign.trial import Result
+from handctl.cli.exit_codes import Exit
+from handctl.cli.options import hand_option, json_option, print_json
+from handctl.cli.plan import tick_times_s
+from handctl.cli.session import Plan, run_header
+from handctl.controller.gains import Gains
+from handctl.drives.load import highest_rate
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand, load_hand
+from handctl.log.record import pack
+from handctl.log.recorder import Recorder
+
+QUICK_CALM_S, CALM_S = 4.0, 60.0
+"""How long the undisturbed hand is watched for each protocol, in a sample and in full [s]."""
+JOBS_MOST = 64
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    hand_option(parser)
+    json_option(parser)
+    parser.add_argument("--protocol", default="mit", choices=[*ALL, "all"], help="of the drives (default: mit)")
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="scenarios at a time (default: 2)")
+    parser.add_argument("--quick", action="store_true", help="a sample that takes less than a minute")
+    parser.add_argument("--row", action="append", default=[], metavar="ID", help="only this row; may be repeated")
+    parser.add_argument(
+        "--calm", type=float, metavar="S", help="how long the undisturbed hand is watched (60; quick: 4)"
+    )
+    parser.add_argument(
+        "--report", type=Path, metavar="DIR", help="where report.html, report.json and the logs of failures go"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Try everything, report, and say whether all is as it must be."""
+    if not 1 <= args.jobs <= JOBS_MOST:
+        raise ConfigError(f"{args.jobs}", "--jobs", f"1 to {JOBS_MOST}")
+    for id_ in set(args.row) - {row.id for row in MATRIX}:
+        raise ConfigError(repr(id_), "--row", "one of " + ", ".join(dict.fromkeys(row.id for row in MATRIX)))
+    load_hand(args.hand)
+    folder: Path = args.report or Path("logs") / "campaign"
+    folder.mkdir(parents=True, exist_ok=True)
+    calm_s = args.calm if args.calm is not None else QUICK_CALM_S if args.quick else CALM_S
+    with _progress(args.json) as told:
+        report = run_campaign(
+            args.hand,
+            ALL if args.protocol == "all" else (args.protocol,),
+            rate_of,
+            jobs=args.jobs,
+            quick=args.quick,
+            calm_s=calm_s,
+            told=told,
+            keep=_keeper(folder),
+            only=args.row,
+        )
+    write_page(folder / "report.html", report)
+    (folder / "report.json").write_text(json.dumps(report.plain(), indent=1), encoding="utf-8")
+    _say(report, folder, args.json)
+    figures = report.plain()
+    return Exit.FAILED if figures["late"] or figures["false_alarms"] else Exit.DONE
+
+
+def rate_of(hand: Hand) -> float:
+    """The rate at which a hand runs by default [Hz]."""
+    return highest_rate(tick_times_s(hand))
+
+
+def _say(report: Report, folder: Path, as_json: bool) -> None:
+    if as_json:
+        print_json(report.plain() | {"report": folder / "report.html"})
+        return
+    for line in lines(report):
+        print(line)
+    print(f"written: {folder / 'report.html'}")
+
+
+def _keeper(folder: Path) -> Callable[[Course, Result], None]:
+    """Writes the log of a scenario that failed."""
+
+    def keep(course: Course, result: Result) -> None:
+        name = re.sub(r"[^A-Za-z0-9=.]+", "-", result.scenario)
+        model = course.controller.model
+        plan = Plan(model.hand, Gains(), 1.0 / model.period, ())
+        path = folder / f"{name}.mcap"
+        path.unlink(missing_ok=True)
+        recorder = Recorder.start(path, run_header(plan, course.controller, None, lockstep=True))
+        for entry, out in course.kept:
+            recorder.record(pack(entry, out))
+        recorder.close(result.why)
+
+    return keep
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+    """Progress on standard error."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    with Progress(*columns, console=Console(stderr=True), disable=quiet or not sys.stderr.isatty()) as progress:
+        task = progress.add_task("bringing the hand to its stages", total=None)
+        yield lambda protocol, done, most: progress.update(task, completed=done, total=most, description=protocol)

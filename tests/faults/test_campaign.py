@@ -1,0 +1,102 @@
+"""The fault matrix in lockstep: felt, reacted to in time, and nothing more than physics explains."""
+
+import math
+import os
+
+import pytest
+
+from handctl.campaign import campaign
+from handctl.campaign.scenarios import ALL, GRASP, LEFT_OUT, MATRIX, Row, Scenario, pairs, scenarios
+from handctl.campaign.stage import branch, bring, hand_in, started
+from handctl.campaign.trial import Result, try_out
+from handctl.cli.fault_campaign import rate_of
+from handctl.safety.action import Action
+
+RATE_HZ = 500.0
+SAMPLE = ("N08", "H13")
+
+
+@pytest.fixture(scope="module")
+def report():
+    """Some rows on MIT drives, and the calm hand for a second."""
+    return campaign.run(
+        "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, quick=False, calm_s=1.0,
+        told=lambda protocol, done, most: None, keep=lambda course, result: None, only=SAMPLE,
+    )  # fmt: skip
+
+
+def test_every_scenario_is_felt_and_answered_in_time(report):
+    wrong = [(result.scenario, result.why) for result in report.all_results if not result.ok]
+    assert wrong == []
+    assert {result.id for result in report.all_results} == set(SAMPLE)
+    assert all(result.felt for result in report.all_results)
+
+
+def test_the_report_says_what_it_promises(report):
+    figures = report.plain()
+    assert figures["scenarios"] == len(report.all_results) == 12
+    assert (figures["late"], figures["not_felt"], figures["false_alarms"]) == (0, 0, 0)
+    assert 0 < figures["worst_ticks"] <= 6
+
+
+def test_a_reaction_that_does_not_come_is_late(tmp_path):
+    """The judge is judged: a fault that nobody can notice in time, and one that does nothing, are told."""
+    hand = hand_in("jamia", "mit")
+    never = Row("B01", "drop node=index_motor p=0", Action.WARN, 3, rows=("B01",))
+    slow = Row("T04", "drift cell=index_tendon size=1", Action.RELAX, 3, rows=("T04",))
+    found, kept = [], tmp_path / "kept"
+    with started(hand, RATE_HZ, 0) as course:
+        course.tick()
+        todo = [Scenario(row, row.fault, GRASP) for row in (never, slow)]
+        branch(course, todo, 2, "mit", found.append, lambda course, result: kept.touch())
+    assert sorted(result.why for result in found) == ["no reaction; torque is left", "the disturbance was not felt"]
+    assert kept.exists(), "a failure leaves its log"
+
+
+def test_true_tension_stays_within_what_drive_and_momentum_explain():
+    """A drive that runs away against a grasped object.
+
+    Bound: the rotor (mass m at the cable) is pushed by the drive's limit F against the rope's stiffness k, from the
+    tension T and the speed v at which it began. Without friction it overshoots to F + sqrt((F - T)^2 + k m v^2); the
+    host's reaction can only lower that.
+    """
+    hand = hand_in("jamia", "mit")
+    with started(hand, RATE_HZ, 0) as course:
+        bring(course, GRASP)
+        space, at = course.controller.model.space, course.peer.truth()["tension"][0]
+        v = abs(float(course.out.telemetry.motor_velocity[0]) * float(space.spool[0])) + 0.01
+        row = next(row for row in MATRIX if row.fault == "runaway node={node} size=1 seed=1")
+        scenario = Scenario(row, row.fault.replace("{node}", hand.motor[0].name), GRASP)
+        result = try_out(course, scenario, "mit")
+    limit, k, m = hand.tendon[0].drive_limit_N, float(space.stiffness[0]), float(space.motor_mass[0])
+    bound = limit + math.sqrt((limit - at) ** 2 + k * m * v**2)
+    assert result.ok, result.why
+    assert at < result.tension <= bound, f"{result.tension:.0f} N, bound {bound:.0f} N"
+
+
+def test_instances_are_the_first_and_the_last():
+    hand = hand_in("jamia", "mit")
+    texts = [one.fault for one in scenarios(hand, "mit") if one.row.id == "B17" and one.stage == GRASP]
+    assert {text.rpartition("=")[2] for text in texts} == {"index_motor", "thumb_motor"}
+    assert len(pairs(hand, "mit")) == 66
+
+
+def test_a_row_is_in_the_matrix_or_tried_elsewhere():
+    assert not {row.id for row in MATRIX} & LEFT_OUT.keys()
+    counts = {protocol: len(scenarios(hand_in("jamia", protocol), protocol)) for protocol in ALL}
+    assert sum(counts.values()) + 3 * 66 >= 250, counts
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif("HANDCTL_NIGHTLY" not in os.environ, reason="runs with HANDCTL_NIGHTLY=1 (make nightly)")
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+@pytest.mark.parametrize("protocol", ALL)
+def test_the_whole_matrix(hand: str, protocol: str):
+    wrong: list[Result] = []
+    report = campaign.run(
+        hand, [protocol], rate_of, jobs=2, quick=False, calm_s=600.0,
+        told=lambda protocol, done, most: None, keep=lambda course, result: wrong.append(result),
+    )  # fmt: skip
+    assert [(result.scenario, result.why) for result in report.all_results if not result.ok] == []
+    assert report.alarms == {protocol: []}
