@@ -16,10 +16,10 @@ from handctl.campaign.scenarios import ALL, MATRIX
 from handctl.campaign.trial import Result
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import hand_option, json_option, print_json
-from handctl.cli.plan import tick_times_s
-from handctl.cli.session import Plan, run_header
+from handctl.cli.plan import Plan, fastest
+from handctl.cli.run_header import run_header
+from handctl.controller.bus_load import bus_loads
 from handctl.controller.gains import Gains
-from handctl.drives.load import highest_rate
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand, load_hand
 from handctl.log.record import pack
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
 
 def rate_of(hand: Hand) -> float:
     """The rate at which a hand runs by default [Hz]."""
-    return highest_rate(tick_times_s(hand))
+    return fastest(bus_loads(hand))
 
 
 def _say(report: Report, folder: Path, as_json: bool) -> None:
