@@ -70,7 +70,8 @@ def try_out(course: Course, scenario: Scenario, protocol: str) -> Result:
         course.peer.inject(scenario.fault)
     other = _Host(scenario.second.removeprefix(HOST)) if scenario.second.startswith(HOST) else None
     for i in range(bound + SECOND_AT_TICKS + round(AFTER_S * 1e9 / course.period_ns)):
-        now = host.at(i, course) if host else {"requests": CUT} if i == 1 and row.id == "N16" else {}
+        now: dict[str, Any] = {"requests": CUT} if i == 1 and row.id == "N16" else {}
+        now |= host.at(i, course) if host else {}
         if i == SECOND_AT_TICKS and other:
             now |= other.at(0, course)
         elif i == SECOND_AT_TICKS and scenario.second:
