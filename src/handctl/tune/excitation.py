@@ -6,8 +6,8 @@ from handctl.controller.excite import ExciteStep
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 
-LOW_DEG, HIGH_DEG = 8.0, 45.0
-"""Range of free sweeps: clear of the open stop, and short of where a finger of the packaged hands meets the palm."""
+LOW_DEG, HIGH_DEG = 6.0, 32.0
+"""Range of free sweeps: clear of the open stop, and short of where the packaged hands' fingers meet thumb or palm."""
 SWING_DEG, SWING_LOW_HZ, SWING_HIGH_HZ = 9.0, 0.7, 6.0
 PRESS_SHARE = (0.08, 0.4, 0.8)
 """Tension to which a press ends, and between which a digit is pressed, as shares of the most allowed."""
@@ -15,7 +15,7 @@ LEAST_N, LIFT_SHARE = 1.1, 0.6
 """A digit on its open stop is stretched between the first, above what counts as slack, and the second, a share of the
 tension that lifts it off against springs as in the hand file."""
 STRETCH_S, STRETCHES = 0.25, 8
-SWEEP_S = (1.1, 0.35, 0.7)
+SWEEP_S = (0.8, 0.3, 0.55, 0.8)
 
 
 def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:

@@ -24,6 +24,8 @@ LEAST_SPEED_M_S = 4e-3
 """Below it the direction of friction is not known for every pulley."""
 GRID = np.radians(np.linspace(0.0, 110.0, 23))
 STEPS = 14
+FRICTION_MOST = 3.0
+"""Exponent of the capstan equation that no rope reaches; it keeps a solver's wild guess finite."""
 
 
 class LoadParameters(NamedTuple):
@@ -142,7 +144,7 @@ class DigitLoad:
                 np.full_like(mean, 1.0 / p.stiffness),
             )
             for i, arm in enumerate(self.arms.tolist()):
-                share = np.exp(side * (angle + q[i]))
+                share = np.exp(np.clip(side * (angle + q[i]), -FRICTION_MOST, FRICTION_MOST))
                 q[i] = (arm * f * share - extra[i]) / stiffness[i] - p.preload * self.preload[i]
                 angle = angle + q[i]
                 excursion = excursion + arm * q[i]

@@ -1,0 +1,114 @@
+"""Identification: parameters come back from hands that are not what their file says."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.identify import WITHIN, one, summary
+from handctl.cli.commission import write_calibration
+from handctl.controller.calibration import Calibration, TendonCalibration, load_calibration
+from handctl.controller.identified import UNITS, Identified, identified_hand, torque_gain
+from handctl.errors import ConfigError
+from handctl.hand.description import load_hand
+from handctl.hand.dynamics import DigitModel
+from handctl.tune.excitation import excitation, lift_off
+from handctl.tune.fit_load import Bins, DigitLoad, LoadParameters
+from handctl.tune.fit_motor import HALF_S, _bend, _cumulative, _slope, _window
+
+SEEDS = 100
+COVERED = 90
+
+
+@pytest.mark.parametrize(("seed", "digit"), [(3, "thumb"), pytest.param(4, "index", marks=pytest.mark.nightly)])
+def test_a_hand_off_by_thirty_percent_with_detuned_gains(tmp_path: Path, seed: int, digit: str) -> None:
+    row = one(seed, digit, tmp_path)
+    assert "failure" not in row
+    assert [name for name in WITHIN if not row[name]["within"]] == []
+    assert [name for name in WITHIN if abs(row[name]["error"]) > 1.6 * row[name]["half_width"]] == []
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(7200)
+def test_a_hundred_hands(tmp_path: Path) -> None:
+    digits = load_hand("jamia").digit_names
+    told = summary([one(seed, digits[seed % 4], tmp_path) for seed in range(1, SEEDS + 1)])
+    assert told["failed"] == []
+    assert {name: told[name]["covered"] for name in WITHIN if told[name]["covered"] < COVERED} == {}
+    assert {name: told[name]["within"] for name in WITHIN if told[name]["within"] < COVERED} == {}
+
+
+def test_the_window_is_smooth_and_its_derivatives_are_its_derivatives() -> None:
+    s = np.linspace(-1.2, 1.2, 24001)
+    h = s[1] - s[0]
+    assert np.trapezoid(_window(s), s) == pytest.approx(1.0, abs=1e-9)
+    np.testing.assert_allclose(np.gradient(_window(s), h), _slope(s), atol=1e-6)
+    np.testing.assert_allclose(np.gradient(_slope(s), h), _bend(s), atol=1e-2)
+    np.testing.assert_allclose(np.gradient(_cumulative(s), h), _window(s), atol=1e-6)
+    assert HALF_S > 0
+
+
+def test_the_load_model_balances_every_joint() -> None:
+    """Put the tension it returns back into the joints' balance, solved another way."""
+    digit = DigitModel.of(load_hand("jamia"), "index")
+    load = DigitLoad.of(digit)
+    p = LoadParameters(1e5, 1.1, 0.9, 0.1, 1.0, 1.0, 2e-4)
+    seen = Bins(np.zeros(2), np.array([4e-3, 4e-3]), np.zeros(2), np.array([0.01, -0.01]), np.zeros(2), 5)
+    for tension, sign in zip(load.tension(p, seen).tolist(), (1.0, -1.0), strict=True):
+        angle, excursion = float(digit.wrap[0]), 0.0
+        for arm, k, pre, b in zip(load.arms, load.spring, load.preload, load.damping, strict=True):
+            rate = sign * 0.01 / load.arms.sum()
+            grid = np.linspace(0.0, 1.5, 150001)
+            balance = arm * tension * np.exp(-0.1 * sign * (angle + grid)) - 1.1 * k * (grid + 0.9 * pre) - b * rate
+            q = float(grid[np.abs(balance).argmin()])
+            angle, excursion = angle + q, excursion + arm * q
+        assert excursion + tension / 1e5 + 2e-4 == pytest.approx(4e-3, abs=2e-6)
+
+
+def test_the_excitation_keeps_within_the_hand_s_limits() -> None:
+    hand = load_hand("jamia")
+    steps = excitation(hand, hand.digit_names)
+    for digit in hand.digit_names:
+        own = [step for step in steps if step.digit == digit]
+        assert sum(step.duration_s for step in own) < 17.0
+        assert max(step.target for step in own if step.kind in ("tension", "taut")) <= 0.8 * 110.0
+        stretch = [step.target for step in own if step.name == "stretch"]
+        assert max(stretch) < 0.7 * lift_off(hand, digit)
+    with pytest.raises(ConfigError, match="pinky"):
+        excitation(hand, ("pinky",))
+
+
+def found(**values: float) -> Identified:
+    n = len(values)
+    rows = tuple(tuple(1e-6 if i == j else 0.0 for j in range(n)) for i in range(n))
+    return Identified(
+        names=tuple(values), values=tuple(values.values()), half_widths=(0.1,) * n, covariance=rows, log=("a.mcap",)
+    )
+
+
+def test_the_controller_s_hand_is_the_identified_one() -> None:
+    hand = load_hand("jamia")
+    known = {"thumb_tendon": found(rope_stiffness=8e4, motor_inertia=1e-4, spring_stiffness=1.2, torque_gain=0.9)}
+    real = identified_hand(hand, known)
+    assert real.tendon[3].stiffness_N_per_m == 8e4
+    assert real.motor_of("thumb_tendon").inertia_kg_m2 == 1e-4
+    assert real.digit_named("thumb").spring_stiffness_N_m_per_rad == pytest.approx((0.036, 0.036))
+    assert real.tendon[:3] == hand.tendon[:3]
+    assert torque_gain(hand, known).tolist() == [1.0, 1.0, 1.0, 0.9]
+    assert set(known["thumb_tendon"].names) <= UNITS.keys()
+
+
+def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
+    hand = load_hand("jamia")
+    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    rows = dict.fromkeys(hand.tendon_names, nothing)
+    known = {"ring_tendon": found(capstan=0.09, delay=1e-4)}
+    made = Calibration(
+        hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows, identified=known
+    )
+    path = tmp_path / "c.toml"
+    write_calibration(path, made)
+    assert load_calibration(path, hand) == made
+    path.write_text(path.read_text().replace("identified.ring_tendon", "identified.pinky_tendon"))
+    with pytest.raises(ConfigError, match="no such tendon"):
+        load_calibration(path, hand)
