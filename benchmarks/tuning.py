@@ -1,0 +1,136 @@
+"""What tuning is worth: from detuned gains and a plant that is not the hand file's, against a search that knew the plant.
+
+The real plant differs from the hand file by up to 30 per cent, the gains begin a factor of three off either way. One
+search sees only an ensemble around the hand file, the other the plant itself; the gains of both are then judged on the
+plant itself, by the simulator's truth. Their ratio is what not knowing costs.
+
+    python benchmarks/tuning.py [--quick] [--json] [--trials N] [--workers N]
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.plan import fastest
+from handctl.controller.bus_load import bus_loads
+from handctl.controller.gain_bounds import with_values
+from handctl.controller.gains import Gains
+from handctl.hand.description import hand_path, load_hand
+from handctl.tune.ensemble import ensemble
+from handctl.tune.search import Found, Plan, search
+from handctl.tune.trial import Score
+from handctl.tune.workers import Workers, workers
+
+PLANT = {"stiffness": 0.7, "friction": 1.3, "mass": 1.3, "spring": 1.1, "motor_inertia": 0.7, "damping": 1.3}
+"""The real plant, fixed before anything was tuned."""
+DETUNED = {
+    "motion.position_error_m": 3.0,
+    "motion.speed_error_m_s": 1.0 / 3.0,
+    "tension.tension_error_N": 1.0 / 3.0,
+    "tension.speed_error_m_s": 3.0,
+    "tension.integral_per_s": 3.0,
+    "filter.motor_disturbance_N": 3.0,
+}
+"""Factors on the packaged gains to begin from, fixed before anything was tuned."""
+
+
+def main() -> int:
+    """Run both searches and compare."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--quick", action="store_true", help="few trials, about a minute")
+    parser.add_argument("--hand", default="jamia")
+    parser.add_argument("--trials", type=int, default=48, help="of each search (default: 48)")
+    parser.add_argument("--plants", type=int, default=3, help="of the ensemble (default: 3)")
+    parser.add_argument("--workers", type=int, default=2)
+    args = parser.parse_args()
+    trials, plants = (10, 2) if args.quick else (args.trials, args.plants)
+    result = compare(args.hand, trials, plants, args.workers)
+    if args.json:
+        print(json.dumps(result, indent=2))
+    else:
+        _print(result)
+    return 0
+
+
+def compare(hand_name: str, trials: int, plants: int, count: int) -> dict[str, Any]:
+    """Both searches, and their gains on the real plant."""
+    hand = load_hand(hand_name)
+    packaged = Gains()
+    values = {key: factor * _value(packaged, key) for key, factor in DETUNED.items()}
+    detuned = with_values(packaged, values, "benchmark")
+    rate = fastest(bus_loads(hand))
+    crew = workers(count, None)
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            blind = Plan(str(hand_path(hand_name)), rate, detuned, ensemble(plants, 0), 1, trials, (packaged,))
+            knowing = Plan(blind.hand, rate, detuned, (PLANT,), 1, trials, (packaged,))
+            found, spent = _searched(blind, Path(folder) / "blind", crew)
+            known, _ = _searched(knowing, Path(folder) / "knowing", crew)
+        jobs = [_judged(knowing, gains) for gains in (detuned, packaged, _best(detuned, found), _best(detuned, known))]
+        scores = [Score(**score) for _, score in sorted(crew.scores(jobs), key=lambda pair: pair[0])]
+    finally:
+        crew.close()
+    names = ("detuned", "packaged", "tuned", "tuned_knowing_the_plant")
+    costs = [score.cost(scores[0]) for score in scores]
+    return {
+        "hand": hand_name,
+        "rate_hz": rate,
+        "trials": trials,
+        "plants": plants,
+        "search_s": spent,
+        "on_the_real_plant": {
+            name: {"cost": cost, **{key: getattr(score, key) for key in Score.__dataclass_fields__}}
+            for name, cost, score in zip(names, costs, scores, strict=True)
+        },
+        "cost_of_not_knowing": costs[2] / costs[3],
+    }
+
+
+def _value(gains: Gains, key: str) -> float:
+    section, _, name = key.partition(".")
+    return float(getattr(getattr(gains, section), name))
+
+
+def _searched(plan: Plan, storage: Path, crew: Workers) -> tuple[Found, float]:
+    began = time.monotonic()
+
+    def show(found: Found) -> None:
+        best = f"{found.cost(found.best):.3f}" if found.best else "none good yet"
+        print(f"\r{storage.name}: trial {len(found.trials)} of {plan.trials}, best {best}   ", end="", file=sys.stderr)
+
+    found = search(plan, storage, crew, show)
+    print(file=sys.stderr)
+    return found, time.monotonic() - began
+
+
+def _best(base: Gains, found: Found) -> Gains:
+    if found.best is None:
+        raise SystemExit("no trial kept its margins; expected more --trials")
+    return with_values(base, found.best.values, "study") if found.best.number else base
+
+
+def _judged(plan: Plan, gains: Gains) -> dict[str, Any]:
+    """A job on the real plant, with noise that no search has seen, whatever the margins."""
+    table = {"gains": gains.model_dump(by_alias=True), "seed": 1000, "must_keep_margins": False}
+    return plan.job({}, first=True) | table
+
+
+def _print(result: dict[str, Any]) -> None:
+    print(f"{result['hand']} at {result['rate_hz']:g} Hz, {result['trials']} trials, judged on the real plant")
+    print(f"{'gains':<26}{'cost':>8}{'tracking':>12}{'tension':>10}{'effort':>12}{'margins':>10}")
+    for name, row in result["on_the_real_plant"].items():
+        margin = "kept" if row["shortfall"] <= 0 else f"-{100 * row['shortfall']:.0f} %"
+        print(
+            f"{name:<26}{row['cost']:>8.3f}{row['tracking_deg']:>8.2f} deg{row['tension_N']:>8.2f} N"
+            f"{row['effort_Nm_per_s']:>6.1f} N m/s{margin:>10}"
+        )
+    print(f"cost of not knowing the plant: {result['cost_of_not_knowing']:.3f}; search: {result['search_s']:.0f} s")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
