@@ -1,4 +1,4 @@
-"""Runs the tests in inside/ beside real vcan interfaces, all in one guest, and reports each as if it had run here.
+"""Runs the tests in inside/ beside real vcan interfaces, in two guests, and reports each as if it had run here.
 
 The same file is the other end: in the guest it writes every report of pytest, as data, into a file that is named by
 HANDCTL_VCAN_REPORTS. With HANDCTL_REQUIRE_VCAN=1 a skipped test is a failed one.
@@ -10,6 +10,7 @@ import sys
 import tempfile
 from collections import defaultdict
 from collections.abc import Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,8 @@ INSIDE = Path(__file__).parent / "inside"
 REPORTS_FILE = os.environ.get("HANDCTL_VCAN_REPORTS")
 REQUIRED = os.environ.get("HANDCTL_REQUIRE_VCAN") == "1"
 GUEST_TIMEOUT_S = 1500.0
+SLOW = ("test_run.py", "test_drive.py")
+"""Files whose tests wait for minutes of slowed time."""
 Reports = dict[str, list[pytest.TestReport]]
 _reports = pytest.StashKey[Reports]()
 
@@ -58,10 +61,19 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
 
 
 def _run_inside(items: Sequence[pytest.Item]) -> Reports:
-    """Runs all these tests in one guest; a test without a report from there has failed."""
+    """Runs all these tests, a guest for those that wait longest and one for the rest: a guest has one core."""
     kind, why_not = uml.means()
     if not kind:
         return {item.nodeid: [_report(item, "skipped", (str(item.path), 0, why_not))] for item in items}
+    slow = [item for item in items if item.path.name in SLOW]
+    shares = [share for share in (slow, [item for item in items if item not in slow]) if share]
+    with ThreadPoolExecutor(len(shares)) as guests:
+        parts = list(guests.map(_run_in_guest, shares))
+    return {nodeid: reports for part in parts for nodeid, reports in part.items()}
+
+
+def _run_in_guest(items: Sequence[pytest.Item]) -> Reports:
+    """Runs some in one guest; a test without a report from there has failed."""
     said: list[str] = []
     with tempfile.TemporaryDirectory(prefix="handctl-vcan-reports-") as folder:
         file = Path(folder) / "reports"
