@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from handctl.cli.bus import plan
+from handctl.cli.bus_plan import plan
 from handctl.cli.main import main
 from handctl.controller.bus_load import bus_loads, split
 from handctl.controller.setup import make_drives

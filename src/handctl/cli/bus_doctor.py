@@ -10,7 +10,7 @@ from handctl.cli.options import print_json
 from handctl.drives.discovery import Found
 from handctl.drives.registry import DISCOVERIES
 from handctl.errors import BusError, ConfigError
-from handctl.hand.description import Hand
+from handctl.hand.description import Hand, load_hand
 from handctl.hand.sections import Bus as BusSection
 from handctl.runtime.bus import Bus, open_bus
 from handctl.runtime.link import NoTool, read_link
@@ -23,13 +23,13 @@ SLOW_S = 0.005
 """A median answer later than this leaves no room in a tick of 200 Hz."""
 
 
-def doctor(args: argparse.Namespace, hand: Hand | None) -> int:
+def run(args: argparse.Namespace) -> int:
     """Look at the buses of the command line; 1 if something is to be mended.
 
     Args:
-        args: bus, bitrate, data_bitrate, json.
-        hand: whose bit rates and motors are expected; None: any, at the bit rates of the arguments.
+        args: hand (whose bit rates and motors are expected; None: any), bus, bitrate, data_bitrate, json.
     """
+    hand = load_hand(args.hand) if args.hand else None
     if not args.bus:
         raise ConfigError("missing", "--bus", "the buses to look at, such as --bus socketcan:can0")
     found = [_examined(spec, section, hand) for spec, section in _wanted(args, hand)]
