@@ -1,4 +1,4 @@
-"""What tuning is worth: from detuned gains and a plant that is not the hand file's, against a search that knew the plant.
+"""What tuning is worth: detuned gains on a plant that is not the hand file's, and a search that knew that plant.
 
 The real plant differs from the hand file by up to 30 per cent, the gains begin a factor of three off either way. One
 search sees only an ensemble around the hand file, the other the plant itself; the gains of both are then judged on the
