@@ -131,14 +131,14 @@ def draw(result: dict[str, Any]) -> None:
     left.set_yticks(range(len(names)), names, fontsize=8)
     left.invert_yaxis()
     left.legend(title="x: no success", loc="lower right", fontsize=8)
-    for row in result["slip"]:
+    for row in result.get("slip", ()):
         if row["seed"] == 0:
             style = "-" if row["answered"] else ":"
             color = "C0" if row["hand"] == "jamia" else "C1"
             label = f"{row['hand']}, {'force raised on slip' if row['answered'] else 'no answer'}"
             right.plot(*row["curve"], style, color=color, label=label)
     right.set(xlabel="pull out of the palm [N]", ylabel="motion of the cylinder [mm]", ylim=(0, 12))
-    right.legend(fontsize=8)
+    right.legend(fontsize=8, loc="upper left")
     PICTURE.parent.mkdir(exist_ok=True)
     figure.savefig(PICTURE, dpi=110)
     plt.close(figure)
