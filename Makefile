@@ -11,7 +11,7 @@ PYTEST_FLAGS ?=
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test lint unit realtime vcan nightly bench golden lock clean
+.PHONY: help env demo test lint unit realtime vcan nightly bench fuzz golden lock clean
 
 help: ## list these commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -57,6 +57,12 @@ nightly: lint ## the tests with full counts: long property runs, fault campaigns
 bench: $(EXTRA) ## side by side with what a user would pick instead; prints ratios
 	@set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script"; done
 
+# `make fuzz RUNS=10000000 SECONDS=0` for the count that is asked for; TARGETS="mit log" for some of them.
+SECONDS ?= 10
+RUNS ?= -1
+fuzz: $(EXTRA) ## every parser against mutated input; SECONDS= (10) or RUNS= for each, TARGETS=
+	$(BIN)/python -m fuzz --seconds $(SECONDS) --runs $(RUNS) $(TARGETS)
+
 golden: env ## write the golden logs anew, after a change of the controller that is meant
 	$(BIN)/python tests/replay/runs.py logs/golden
 
@@ -71,4 +77,4 @@ LOCK = $(BIN)/uv pip compile --quiet --no-config --universal --python-version 3.
 
 clean: ## remove the environment and everything that was generated, but no log
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
-	find src firmware_sim tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+	find src firmware_sim tests benchmarks fuzz -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true

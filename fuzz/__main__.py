@@ -1,0 +1,56 @@
+"""Fuzz each parser for a while and tell what came of it; exit code 1 if an exception got out that is not declared."""
+
+import argparse
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+PLACE = Path("build/fuzz")
+DONE = re.compile(r"Done (\d+) runs in (\d+) second")
+COVERED = re.compile(r"cov: (\d+) ft: (\d+)")
+NAMES = ("mit", "odrive", "cia402", "sensor-node", "hand", "hand-text", "task", "trajectory", "gains", "calibration",
+         "log", "log-bytes", "request", "fault")  # fmt: skip
+
+
+def arguments() -> argparse.Namespace:
+    """The command line's."""
+    parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
+    parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"of {', '.join(NAMES)} (default: all)")
+    parser.add_argument("--seconds", type=int, default=10, help="for each target (default: %(default)s; 0: no limit)")
+    parser.add_argument("--runs", type=int, default=-1, help="inputs for each target (default: as time allows)")
+    args = parser.parse_args()
+    if unknown := set(args.targets) - set(NAMES):
+        parser.error(f"no target {sorted(unknown)[0]!r}; expected of {', '.join(NAMES)}")
+    return args
+
+
+def fuzzed(name: str, seconds: int, runs: int) -> tuple[str, bool]:
+    """A line about a target, and whether it held."""
+    corpus, found = PLACE / "corpus" / name, PLACE / "found" / name
+    corpus.mkdir(parents=True, exist_ok=True)
+    found.mkdir(parents=True, exist_ok=True)
+    limits = [f"-max_total_time={seconds}", f"-runs={runs}", "-max_len=4096", "-rss_limit_mb=4096", "-timeout=20"]
+    command = [sys.executable, "-m", "fuzz.one", name, str(corpus), *limits, f"-artifact_prefix={found}/"]
+    done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+    (PLACE / f"{name}.txt").write_text(done.stdout + done.stderr)
+    count, covered = DONE.search(done.stderr), COVERED.findall(done.stderr)
+    if done.returncode or not count:
+        return f"{name:12} FAILED  see {PLACE / name}.txt and {found}/", False
+    number, took = int(count[1]), max(1, int(count[2]))
+    return f"{name:12} {number:>10,} inputs {took:>6} s {number // took:>8,}/s   edges {covered[-1][0]:>6}", True
+
+
+def main() -> int:
+    """Fuzz all."""
+    args = arguments()
+    held = True
+    for name in args.targets or NAMES:
+        line, good = fuzzed(name, args.seconds, args.runs)
+        print(line, flush=True)
+        held = held and good
+    return 0 if held else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

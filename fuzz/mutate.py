@@ -1,0 +1,106 @@
+"""From a fuzzer's bytes to a file that is nearly right: one that is only noise never comes past the first check."""
+
+import struct
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+ODD = (
+    float("nan"), float("inf"), -0.0, 0, -1, 1, True, "", "x\ny", [], {}, [[]], [{}], 2**70, 1e308, -1e-320, 1e9,
+    {"name": 3}, [1, 2, 3, 4], "main", "mit", "index", 10**400,
+)  # fmt: skip
+OPERATIONS = 8
+Path = tuple[Any, ...]
+
+
+def places(node: Any, path: Path = ()) -> Iterator[Path]:
+    """Paths of everything below a node, tables and lists included."""
+    entries = node.items() if isinstance(node, Mapping) else enumerate(node) if isinstance(node, list) else ()
+    for key, value in entries:
+        yield (*path, key)
+        yield from places(value, (*path, key))
+
+
+class Source:
+    """A fuzzer's bytes, taken from the front; zeros once they are used up."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.at = data, 0
+
+    def take(self, size: int) -> bytes:
+        """The next bytes."""
+        self.at += size
+        return self.data[self.at - size : self.at].ljust(size, b"\0")
+
+    def number(self, below: int) -> int:
+        """A number from 0."""
+        return int.from_bytes(self.take(2), "little") % below
+
+    @property
+    def empty(self) -> bool:
+        """Whether all is used up."""
+        return self.at >= len(self.data)
+
+
+def value(source: Source, old: Any) -> Any:
+    """Something else in the place of a value: odd, of any bits, or scaled."""
+    kind = source.number(5)
+    if kind == 0:
+        return struct.unpack("<d", source.take(8))[0]
+    if kind == 1:
+        return source.take(source.number(12)).decode("latin-1")
+    if kind == 2 and isinstance(old, int | float) and -1e300 < old < 1e300:
+        return old * (1000.0, 0.001, -1.0, 1.0001, 2.0)[source.number(5)]
+    if kind == 3:
+        return int.from_bytes(source.take(3), "little", signed=True)
+    return ODD[source.number(len(ODD))]
+
+
+def mutated(content: Mapping[str, Any], known: list[Path], source: Source, most: int = 4) -> dict[str, Any]:
+    """A copy with some places changed, removed, renamed or repeated.
+
+    Args:
+        content: as parsed from TOML; it stays as it is.
+        known: its ``places``.
+        source: what to do.
+        most: changes.
+    """
+    made: dict[str, Any] = dict(content)
+    for _ in range(most):
+        if source.empty:
+            break
+        path = known[source.number(len(known))]
+        parent = _own(made, path[:-1])
+        if parent is not None:
+            _change(parent, path[-1], source)
+    return made
+
+
+def _own(root: dict[str, Any], path: Path) -> Any:
+    """The node of a path, with everything on the way to it copied; None if it is no longer there."""
+    node: Any = root
+    for key in path:
+        try:
+            child = node[key]
+        except (LookupError, TypeError):
+            return None
+        node[key] = dict(child) if isinstance(child, Mapping) else list(child) if isinstance(child, list) else child
+        node = node[key]
+    return node if isinstance(node, dict | list) else None
+
+
+def _change(parent: Any, key: Any, source: Source) -> None:
+    try:
+        old = parent[key]
+    except (LookupError, TypeError):
+        return
+    operation = source.number(OPERATIONS)
+    if operation == 0:
+        del parent[key]
+    elif operation == 1 and isinstance(parent, dict):
+        parent[str(key) + chr(97 + source.number(26))] = parent.pop(key)
+    elif operation == 2 and isinstance(parent, list):
+        parent.insert(key, old)
+    elif operation == 3 and isinstance(parent, list):
+        parent.reverse()
+    else:
+        parent[key] = value(source, old)

@@ -1,0 +1,30 @@
+"""One target until its time or its number is over: ``python -m fuzz.one TARGET CORPUS [libFuzzer's options]``."""
+
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+import atheris
+
+
+def main() -> None:
+    """Fuzz; a crash ends the process with an exit code that is not 0 and keeps its input."""
+    name, corpus, *options = sys.argv[1:]
+    with atheris.instrument_imports(include=["handctl", "firmware_sim"]):
+        from fuzz.targets import TARGETS, seeds
+    shared = Path("/dev/shm")
+    folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=shared if shared.is_dir() else None))
+    for i, seed in enumerate(seeds(name, folder)):
+        (Path(corpus) / f"seed-{i}").write_bytes(seed)
+    target, verdicts = TARGETS[name](folder), Counter[bool]()
+
+    def counted(data: bytes) -> None:
+        verdicts[target(data)] += 1
+
+    atheris.Setup([sys.argv[0], *options, corpus], counted)
+    atheris.Fuzz()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,50 @@
+"""Single lines: requests to a running controller, fault texts, names of scenes, buses and wires."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from firmware_sim.description import SimulatorError
+from firmware_sim.description import load_hand as load_simulated
+from firmware_sim.fault_text import KINDS, parse_fault
+from fuzz.mutate import Source
+from handctl.controller.requests import parse_request
+
+Target = Callable[[bytes], bool]
+
+
+def request(folder: Path) -> Target:
+    """What comes by the mailbox."""
+
+    def target(data: bytes) -> bool:
+        answer = parse_request(data.decode("utf-8", "replace"))
+        if isinstance(answer, str):
+            assert answer.isprintable(), answer
+            return False
+        return True
+
+    return target
+
+
+WORDS = ("node", "bus", "encoder", "joint", "cell", "tendon", "digit", "size", "p", "at", "for", "seed", "3", "main",
+         "index_tendon", "thumb", "sensors", "3s", "20ms", "0x10", "nan", "1e400", "-1", "0.5", "1_0", "٣")  # fmt: skip
+
+
+def fault(folder: Path) -> Target:
+    """Fault texts, of any bytes and of the words that they are made of."""
+    hand = load_simulated("jamia")
+
+    def target(data: bytes) -> bool:
+        source = Source(data)
+        if source.number(2):
+            text = data[source.at :].decode("utf-8", "replace")
+        else:
+            text = list(KINDS)[source.number(len(KINDS))]
+            while not source.empty:
+                text += f" {WORDS[source.number(len(WORDS))]}={WORDS[source.number(len(WORDS))]}"
+        try:
+            parse_fault(text, hand)
+        except SimulatorError as error:
+            return not str(error)
+        return True
+
+    return target
