@@ -14,7 +14,7 @@ def section(result: dict) -> str:
     parts = ["## The tension estimate", ""]
     parts.append(
         "`python benchmarks/estimation.py --page`. RMSE of the tension at the load cell [N], all tendons, against the "
-        f"plant, {result['seeds']} seeds ({wrong} where the plant is wrong). *raw* is the load cell against the "
+        f"plant. Seeds: {result['seeds']}, and {wrong} where the plant is wrong. *raw* is the load cell against the "
         "instant at which it was read, *raw now* the same as a value for the present, one period later; *average* and "
         "*cell alone* are the best exponential average and the best filter on the load cell alone, both chosen with "
         "hindsight. *limit* is the Riccati bound of a fixed noise model (motor 10 mN m, joint 5 mN m, offset unknown, "
@@ -96,7 +96,8 @@ def picture(result: dict) -> None:
         axis.set_xticks(places, list(found), rotation=20)
         axis.set_title(hand)
     axes[0][0].set_ylabel("RMSE of tension [N]")
-    axes[0][0].legend(fontsize=8)
+    axes[0][-1].legend(fontsize=8, loc="upper left", ncols=2)
+    axes[0][0].set_ylim(top=0.9)
     figure.tight_layout()
     FIGURES.mkdir(exist_ok=True)
     figure.savefig(FIGURES / "control-estimation.png", dpi=110)

@@ -10,8 +10,8 @@ from handctl.hand.digit import DigitModel, Values
 from handctl.hand.dynamics import damping_torque, required_torque, spring_torque, static_torque
 from handctl.paper import equations
 
-RAW = {"free_rate_N_per_s": 1e4, "held_speed_m_s": 1.0}
-"""Noise assumed of a filter that believes the newest load-cell sample, as if there were none."""
+RAW = {"free_rate_N_per_s": 1e4}
+"""Noise assumed of a filter that, on the way, believes the newest load-cell sample, as if there were none."""
 NO_FORCE_LOOP = {"disturbance_rejection": 0.0, "tension_feedback": 0.0}
 
 
