@@ -3,8 +3,8 @@
 ``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--page]``. The digits move from 0 to 60 degrees
 and are judged by the plant's truth, on the mean joint angle of each (what one tendon can set). The plant's effects are
 those of the hand files and of firmware_sim (capstan and motor friction, rope elasticity and damping, current loop,
-encoder and load-cell resolution, noise, drift, one period of bus delay) and none of them was changed for any law. Every
-law, PD included, has had its two weights chosen among the same ones on a seed that is not among those judged.
+encoder and load-cell resolution, noise, drift, one period of bus delay) and none of them was changed for any law. The
+two weights of a law, PD included, are the best of those tried, on a seed that is not among those judged.
 """
 
 import argparse
@@ -43,7 +43,7 @@ TUNED: dict[str, dict[str, tuple[float, float]]] = {
     "jamia": dict.fromkeys(list(LAWS)[1:5], STIFF),
     "jamia11": dict.fromkeys(list(LAWS)[:4], STIFF),
 }
-"""The best of ``WEIGHTS`` where it is not DEFAULT, as ``--tune`` finds it."""
+"""The best of ``WEIGHTS`` where it is not DEFAULT. STIFF has not been tried for the laws that are not named here."""
 PLAIN, SPRINGS_LAW, BEST, MISPRINTED = [list(LAWS)[i] for i in (0, 1, -2, -1)]
 
 
