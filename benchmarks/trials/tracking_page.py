@@ -14,7 +14,7 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
     parts.append(
         "`python benchmarks/control.py --page` moves every digit from 0 to 60 degrees and back, with one thing more at "
         "each line. Error of the mean joint angle of each digit against the plant, RMSE during the motion with its "
-        f"spread over the seeds ({result['seeds']}), all digits. The feedback weights of each law are the best of those "
+        f"spread over the seeds ({result['seeds']}), all digits. The feedback weights of a law are the best of those "
         "tried (`--tune` tries all four); the stiffest were not tried with the force loops and, on jamia11, the full "
         "law, which therefore compare at weights half as stiff. *ended*: safety, or the controller itself, ended at "
         "least one run."
