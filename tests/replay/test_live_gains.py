@@ -1,11 +1,21 @@
-"""Gains that were set in a run are in its log, and the run repeats to the last bit."""
+"""Gains that were set in a run, and what was identified before it, are in its log: the run repeats to the last bit."""
 
 from pathlib import Path
 
+import numpy as np
 import runs
 
+from handctl.cli.plan import Plan
+from handctl.cli.session import make_controller, run_lockstep
+from handctl.controller.calibration import Calibration, TendonCalibration
+from handctl.controller.gains import Gains
+from handctl.controller.identified import Identified
+from handctl.controller.live import JogProgram
+from handctl.controller.requests import HoldTension
+from handctl.hand.description import hand_path, load_hand
 from handctl.log.reader import RunLog
 from handctl.replay.execute import execute
+from handctl.runtime.lockstep import LockstepClock, load_peer
 
 REQUEST = '{"do": "gains", "set": {"motion.force_N": 40.0, "tension.integral_per_s": 6.0}}'
 
@@ -19,5 +29,31 @@ def test_a_run_whose_gains_were_set_repeats(tmp_path: Path) -> None:
         assert told == {"motion.force_N": "40.0", "tension.integral_per_s": "6.0"}
         refused = [event.event.text for event in record.events if event.event.text.startswith("refused")]
         assert refused == ["refused: gains: motion.force: no such gain; expected motion.force_N?"]
+        found = execute(record)
+    assert (found.differing, found.first) == (0, None)
+
+
+def test_a_run_with_an_identified_hand_repeats_and_its_drives_are_told_what_they_need(tmp_path: Path) -> None:
+    """Drives make 0.8 of what they are told: the controller, which knows, asks for a quarter more."""
+    hand, log = load_hand("jamia"), tmp_path / "identified.mcap"
+    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    known = Identified(names=("torque_gain",), values=(0.8,), half_widths=(0.01,), covariance=((1e-4,),))
+    tendons = dict.fromkeys(hand.tendon_names, nothing)
+    calibration = Calibration(
+        hand=hand.name,
+        identity=hand.identity,
+        made="2026-01-01T00:00:00+00:00",
+        tendon=tendons,
+        identified=dict.fromkeys(hand.tendon_names, known),
+    )
+    plan = Plan(hand, Gains(), 500.0, ())
+    options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"torque_constant": 0.8}}
+    peer = load_peer("firmware_sim.rig:Rig", **options)
+    program = JogProgram(HoldTension(do="hold", tension_N={"index": 8.0}), 0.5)
+    run_lockstep(plan, make_controller(plan, program, calibration, True), log, LockstepClock(peer, plan.period_ns))
+    with RunLog(log) as record:
+        goal, told = record.field("motor_torque_goal")[:-1, 0], record.field("motor_torque")[1:, 0]
+        strong = goal > 0.03
+        np.testing.assert_allclose(np.nanmedian(told[strong] / goal[strong]), 1.25, rtol=0.03)
         found = execute(record)
     assert (found.differing, found.first) == (0, None)

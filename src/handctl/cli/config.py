@@ -8,6 +8,7 @@ from handctl.cli.options import hand_option, json_option, print_json
 from handctl.cli.plan import TASKS, fastest, find_calibration, find_task
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gain_bounds import flat
+from handctl.controller.identified import UNITS
 from handctl.controller.setup import caveats, make_drives
 from handctl.hand.description import Hand, hand_path, load_hand, packaged_hands
 
@@ -57,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"# from {source}, identity {hand.identity[:16]}")
         print(hand.to_toml(), end="")
         print("\n".join(_gains_with_sources(layers)))
-        print(f"# {_calibration_line(args, hand)}")
+        print("\n".join(f"# {line}" for line in _calibration_lines(args, hand)))
     for text in caveats(make_drives(hand)):
         print(f"# caution: {text}")
     told = ", ".join(f"bus {name} {100 * share:.0f} %" for name, share in load.items())
@@ -71,10 +72,17 @@ def _gains_with_sources(layers: LayeredGains) -> list[str]:
     return ["", "# gains", *(f"# {key} = {value}  ({layers.origins[key]})" for key, value in values.items())]
 
 
-def _calibration_line(args: argparse.Namespace, hand: Hand) -> str:
-    """Which calibration a run would use, or why none."""
+def _calibration_lines(args: argparse.Namespace, hand: Hand) -> list[str]:
+    """Which calibration a run would use, or why none, and what of it takes the place of the hand file."""
     path, calibration, why = find_calibration(args, hand)
-    return f"calibration: {path}, made {calibration.made}" if calibration else f"calibration: {why}"
+    if calibration is None:
+        return [f"calibration: {why}"]
+    lines = [f"calibration: {path}, made {calibration.made}"]
+    for tendon, known in calibration.identified.items():
+        origin = f"({path}, identified {known.made})"
+        for name, value, width in zip(known.names, known.values, known.half_widths, strict=True):
+            lines.append(f"{tendon}.{name} = {value:.5g} +- {width:.2g} {UNITS[name]}  {origin}")
+    return lines
 
 
 def _list(as_json: bool) -> int:

@@ -107,6 +107,4 @@ def execute(
         )
     wall, cpu = time.perf_counter() - began, time.process_time() - cpu_began
     gc.unfreeze()
-    return Execution(
-        ticks, differing, undecided, first, largest, wall, cpu, float(log.times[-1]) if len(log) else 0.0
-    )
+    return Execution(ticks, differing, undecided, first, largest, wall, cpu, float(log.times[-1]) if len(log) else 0.0)

@@ -24,8 +24,8 @@ NAMES = (
 )  # fmt: skip
 """Parameters of a tendon, in the order of the fit; the load cell's drift follows."""
 SCALE_DELAY_S, SCALE_OFFSET_M = 1e-3, 1e-4
-PRIOR = {"link_mass": 0.3}
-"""Relative spread of what is known beforehand: masses are weighed. The rest is as good as unknown."""
+PRIOR = {"link_mass": 0.3, "stop_softness": 1.0, "stretch_offset": 1000.0}
+"""Spread, in scales, of what is known beforehand: masses are weighed. The rest is as good as unknown."""
 SOFTNESS = 0.02
 """A stop gives way, too: by this share of what the rope does, give or take as much. An assumption: at the load cell
 rope and stop are springs in a row, and nothing that is measured tells them apart."""
@@ -37,6 +37,8 @@ KNOT_S = 1.0
 """Distance of the knots of the drift."""
 STOP_BIN_S = 0.05
 """On the stop the cable creeps: only over this long does it cross enough encoder counts for their steps to average."""
+STEPS = 40
+"""Most steps of the solver; data that need more do not tell what they are asked for."""
 LEAST, MOST = 0.02, 20.0
 """Of what a hand file says: what is beyond is no hand."""
 OUTLIER = 2.5
@@ -157,9 +159,8 @@ class Problem:
         return np.asarray(np.interp(t, self.knots, drift))
 
     def _prior(self, z: Array, drift: Array) -> list[Array]:
-        spread = np.array([PRIOR.get(name, 1.0 if name == "stop_softness" else VAGUE) for name in NAMES])
-        known = np.arange(len(NAMES)) != NAMES.index("stretch_offset")
-        return [np.diff(drift) / self.step, drift[:1] / OFFSET_N, ((z[: len(NAMES)] - 1.0) / spread)[known]]
+        spread = np.array([PRIOR.get(name, VAGUE) for name in NAMES])
+        return [np.diff(drift) / self.step, drift[:1] / OFFSET_N, (z[: len(NAMES)] - 1.0) / spread]
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +193,13 @@ class Fit:
 def fit(problem: Problem) -> Fit:
     """Solve for all parameters of a tendon."""
     first = least_squares(
-        problem.residuals, problem.start(), x_scale="jac", loss="soft_l1", f_scale=OUTLIER, bounds=problem.bounds()
+        problem.residuals,
+        problem.start(),
+        x_scale="jac",
+        loss="soft_l1",
+        f_scale=OUTLIER,
+        bounds=problem.bounds(),
+        max_nfev=STEPS,
     )
     weight = np.ones_like(first.fun)
     data = len(_times(problem))
@@ -201,7 +208,7 @@ def fit(problem: Problem) -> Fit:
     def weighted(z: Array) -> Array:
         return problem.residuals(z) * weight
 
-    found = least_squares(weighted, first.x, x_scale="jac", bounds=problem.bounds())
+    found = least_squares(weighted, first.x, x_scale="jac", bounds=problem.bounds(), max_nfev=STEPS)
     jacobian = np.asarray(found.jac)
     return Fit(problem, found.x, _covariance(problem, jacobian, found.fun), jacobian, found.fun)
 
