@@ -57,10 +57,14 @@ def validated(content: Mapping[str, Any], model: type[D], source: str) -> D:
 
 
 def _line(error: ValidationError, model: type[BaseModel], content: Mapping[str, Any], source: str) -> ConfigError:
-    """The most telling of pydantic's findings: an unknown key before what it makes missing."""
+    """The most telling of pydantic's findings: an unknown key before what it makes missing.
+
+    Else the one that lies deepest: of the alternatives of a union it is the one that was meant.
+    """
     details = error.errors(include_url=False)
-    detail = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
-    location = _without_tags(content, detail["loc"])
+    deepest = max(details, key=lambda d: len(_without_tags(content, d["loc"], d["type"])))
+    detail = next((d for d in details if d["type"] == "extra_forbidden"), deepest)
+    location = _without_tags(content, detail["loc"], detail["type"])
     where = f"{source}: {key_path(content, location)}" if location else source
     if detail["type"] == "extra_forbidden":
         return ConfigError("unknown key", where, _nearest(str(location[-1]), model))
@@ -71,11 +75,14 @@ def _line(error: ValidationError, model: type[BaseModel], content: Mapping[str, 
     return ConfigError(what, where, detail["msg"].removeprefix("Input should be ").removeprefix("Value error, "))
 
 
-def _without_tags(content: Any, location: Sequence[str | int]) -> tuple[str | int, ...]:
-    """A location without the names that pydantic adds for the alternatives of a union."""
+def _without_tags(content: Any, location: Sequence[str | int], kind: str) -> tuple[str | int, ...]:
+    """A location without the names that pydantic adds for the alternatives of a union.
+
+    Only the end of what is missing may be a key that is not there.
+    """
     path: list[str | int] = []
     for position, part in enumerate(location):
-        last = position == len(location) - 1
+        last = kind == "missing" and position == len(location) - 1
         known = isinstance(part, int) or (isinstance(content, Mapping) and part in content)
         if not known and not (last and isinstance(content, Mapping)):
             continue

@@ -120,6 +120,8 @@ TASKS = {
     HEAD + 'kind = "move"\nangle_deg = nan\n': "angle_deg",
     HEAD + 'kind = "move"\nangle_deg = { pinky = 3.0 }\n': "pinky",
     HEAD + 'kind = "hold"\ntension_N = 111.0\n': "tension",
+    HEAD + 'kind = "hold"\ntension_N = { index = -1.0, ring = 5.0 }\n': "tension_N.index: -1.0",
+    HEAD + 'kind = "move"\nangle_deg = { index = [0.0, inf, 1.0] }\n': "angle_deg.index[1]: inf",
     HEAD + 'kind = "hold"\ntension_N = 5.0\nspeed = 3.0\n': "unknown key",
     "schema = 2\n" + HEAD[11:] + 'kind = "release"\n': "schema",
     "\x00": "TOML",

@@ -1,0 +1,190 @@
+"""Every key of every file that a person writes, with every kind of bad value: one line, exit code 2, no bus opened.
+
+A share of them in every run, all of them in the night.
+"""
+
+import os
+import tomllib
+
+import pytest
+
+from handctl.cli.main import main
+from handctl.controller.gains import Gains
+from handctl.hand.description import HANDS, load_hand
+from handctl.hand.toml_text import toml_text
+from tests.hand.test_refusals import changed, is_number, leaves, said
+
+BUS = "local:does-not-exist"
+ONE_OF = 1 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 199
+
+
+class Literal(float):
+    """A number that TOML can write and a float cannot hold."""
+
+    def __repr__(self):
+        return "1e400"
+
+
+NEVER = {
+    "nan": float("nan"),
+    "inf": float("inf"),
+    "1e400": Literal("inf"),
+    "true": True,
+    "text": "12",
+    "list": [[1.0]],
+}
+"""In the place of a number these are wrong whatever the number."""
+PERHAPS = {
+    "-0.0": lambda x: -0.0,
+    "negative": lambda x: -abs(x),
+    "x1000": lambda x: 1000 * x,
+    "/1000": lambda x: x / 1000,
+}
+"""These may be in range, as a friction of a thousandth is; what is refused is refused by its key."""
+KEYS = ("missing", "renamed", "twice")
+
+
+def gains():
+    return Gains().model_dump(by_alias=True)
+
+
+def calibration():
+    hand = load_hand("jamia")
+    tendon = {"tare_N": 0.1, "zero_rad": 1.0, "answer_N": 3.0, "crosstalk_N": 0.1}
+    tendons = {name: dict(tendon) for name in hand.tendon_names}
+    head = {"schema": 1, "hand": hand.name, "identity": hand.identity, "made": "2026-01-01T00:00:00+00:00"}
+    return {**head, "tendon": tendons}
+
+
+def task(name):
+    return tomllib.loads((HANDS.parents[1] / "tasks" / f"{name}.toml").read_text())
+
+
+def trajectory():
+    return {"schema": 1, "name": "t", "time_s": [0.0, 1.0, 2.0], "angle_deg": {"index": [0.0, 20.0, 10.0]}}
+
+
+def hand(name):
+    return tomllib.loads((HANDS / f"{name}.toml").read_text())
+
+
+FILES = {
+    "jamia": (hand("jamia"), ("--hand",)),
+    "jamia11": (hand("jamia11"), ("--hand",)),
+    "gains": (gains(), ("--gains",)),
+    "calibration": (calibration(), ("--calibration",)),
+    "grasp": (task("grasp"), ("--task",)),
+    "pinch-joints": (task("pinch-joints"), ("--hand", "jamia11", "--task")),
+    "trajectory": (trajectory(), ("--trajectory",)),
+}
+"""A good file, and the words of `handctl run` before its name."""
+
+
+def text_of(content):
+    """As toml_text writes, and tables of tables by the names of all that they are in."""
+    plain = {key: value for key, value in content.items() if not isinstance(value, dict)}
+    lines = [toml_text(plain)]
+    for key, value in content.items():
+        if isinstance(value, dict):
+            lines += _table(key, value)
+    return "\n".join(lines)
+
+
+def _table(name, table):
+    yield f"[{name}]"
+    yield toml_text({key: value for key, value in table.items() if not isinstance(value, dict)})
+    for key, value in table.items():
+        if isinstance(value, dict):
+            yield from _table(f"{name}.{key}", value)
+
+
+def without(content, path, instead=None):
+    """A copy that lacks a key, or has it by another name."""
+    content = changed(content, path, None)
+    parent = content
+    for key in path[:-1]:
+        parent = parent[key]
+    del parent[path[-1]]
+    if instead:
+        parent[path[-1] + "_x"] = instead
+    return content
+
+
+def cases():
+    for name, (content, _) in FILES.items():
+        for path, value in leaves(content):
+            if is_number(value):
+                yield from ((name, path, kind) for kind in (*NEVER, *PERHAPS))
+            if isinstance(path[-1], str):
+                yield from ((name, path, kind) for kind in KEYS)
+
+
+def spoilt(content, path, kind):
+    """The text of the file, with one thing wrong."""
+    if kind in KEYS:
+        old = content
+        for key in path:
+            old = old[key]
+        if kind == "twice":
+            line = next(line for line in text_of(content).splitlines() if line.startswith(f"{path[-1]} = "))
+            return text_of(content).replace(line, f"{line}\n{line}", 1)
+        return text_of(without(content, path, old if kind == "renamed" else None))
+    old = content
+    for key in path:
+        old = old[key]
+    return text_of(changed(content, path, NEVER[kind] if kind in NEVER else PERHAPS[kind](old)))
+
+
+class OpenedError(Exception):
+    """A bus was about to be opened."""
+
+
+@pytest.fixture(autouse=True)
+def no_bus(monkeypatch):
+    def opened(*words, **options):
+        raise OpenedError
+
+    for name in ("open_bus", "Mailbox"):
+        monkeypatch.setattr(f"handctl.cli.session.{name}", opened)
+
+
+def refusal(capsys, option, file):
+    """What `run` says of a file; empty if it goes on to the bus."""
+    others = [] if {"--task", "--trajectory"} & {*option} else ["--task", "grasp"]
+    try:
+        code = main(["run", "--bus", BUS, *option, file, *others])
+    except OpenedError:
+        capsys.readouterr()
+        return ""
+    out, err = capsys.readouterr()
+    assert (code, out) == (2, "")
+    assert err.startswith("handctl: ")
+    assert err.count("\n") == 1, err
+    return err
+
+
+ALL = list(cases())
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_the_file_is_good_as_it_is(place, capsys, name):
+    content, option = FILES[name]
+    (place / "file.toml").write_text(text_of(content))
+    assert refusal(capsys, option, "file.toml") == ""
+
+
+@pytest.mark.parametrize(("name", "path", "kind"), ALL[::ONE_OF], ids=lambda x: str(x) if isinstance(x, str) else None)
+def test_one_key_is_wrong(place, capsys, name, path, kind):
+    content, option = FILES[name]
+    (place / "file.toml").write_text(spoilt(content, path, kind))
+    line = refusal(capsys, option, "file.toml")
+    if kind == "twice":
+        assert "file.toml" in line
+        assert "TOML" in line
+    elif kind in NEVER or kind == "renamed":
+        assert "file.toml: " in line, "refused"
+        assert said(content, path[:-1] if kind == "renamed" else path) in line
+        assert "expected" in line
+    elif line:
+        assert "file.toml" in line
+        assert any(key in line for key in path if isinstance(key, str))
