@@ -17,7 +17,7 @@ from handctl.controller.calibration import Calibration
 from handctl.controller.program import Program
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
-from handctl.controller.types import TickIn, TickOut
+from handctl.controller.types import IoEvent, TickIn, TickOut
 from handctl.log.header import TRUTH_OFFSET
 from handctl.log.record import pack
 from handctl.log.recorder import Recorder
@@ -27,6 +27,7 @@ from handctl.runtime.lockstep import LockstepBus, LockstepClock
 from handctl.runtime.loop import Loop, LoopBus, LoopStats, Signals
 from handctl.runtime.mailbox import Mailbox
 from handctl.runtime.status import status
+from handctl.runtime.suspend import SuspendWatch
 
 
 @dataclass(frozen=True)
@@ -163,8 +164,11 @@ def _loop(
     def record(entry: TickIn, out: TickOut) -> None:
         recorder.record(pack(entry, out))
 
+    slept = SuspendWatch().events if isinstance(clock, RealClock) else list[IoEvent]
     tick, cut = controller.tick, controller.cut_frames()
-    return Loop(clock, plan.period_ns, buses, tick, cut, requests, lambda: list(recorder.events()), record, show)
+    return Loop(
+        clock, plan.period_ns, buses, tick, cut, requests, lambda: [*recorder.events(), *slept()], record, show
+    )
 
 
 def _requests(plan: Plan, signals: Signals, mailbox: Mailbox) -> Callable[[], tuple[str, ...]]:

@@ -1,0 +1,97 @@
+"""Catalogue, fault table, campaign, tests and pages map onto each other; two outside lists map onto the catalogue."""
+
+from pathlib import Path
+
+import pytest
+
+from handctl.campaign.scenarios import LEFT_OUT, MATRIX
+from handctl.safety.catalogue import CATALOGUE, DETECTED, LOST, ON_HARDWARE, REPLACED, TABLE_
+from handctl.safety.markdown import catalogue, checklist
+from handctl.safety.table import TABLE
+
+ROOT = Path(__file__).parents[2]
+SIZES = {"B": 18, "N": 16, "T": 9, "H": 15, "I": 10}
+IDS = [f"{letter}{number:02}" for letter, size in SIZES.items() for number in range(1, size + 1)]
+"""The 68 rows of the project's fault catalogue."""
+BY_ID = {entry.id: entry for entry in CATALOGUE}
+
+AUTOSAR = {
+    "repetition": "B05", "loss": "B01 B02 B03", "delay": "B04", "insertion": "B06 B10", "masquerade": "B06 N13 H13",
+    "wrong address": "B10 N13", "wrong sequence": "B07", "corruption": "B08 B09", "asymmetric information": "B17",
+    "subset of receivers": "B17", "blocked access": "B11 B12",
+}  # fmt: skip
+"""AUTOSAR's communication faults. Source: FAULTS, section 2.6."""
+KINDS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
+PX4 = {
+    "link": ("N02", "N15", "B08", "B06", "N15", "B04", "B03"),
+    "joint encoder": ("N02", "N04", "N05", "N06", "N15", "B04", "B03"),
+    "spool encoder": ("B02", "N04", "N05", "N06", "N15", "B04", "B03"),
+    "tension": ("N02", "T05", "T06", "T04", "N15", "B04", "B03"),
+    "temperature": ("-no frame of its own", "-changes in minutes", "N09", "N09", "-changes in minutes",
+                    "-changes in minutes", "-changes in minutes"),
+    "voltage": ("-the drive judges it", "-the drive judges it", "N10", "N10", "-the drive judges it",
+                "-the drive judges it", "-the drive judges it"),
+}  # fmt: skip
+"""PX4's failure kinds on each thing that is measured; what begins with - is not applicable, and why."""
+
+
+def test_the_catalogue_has_every_row_once_and_in_order() -> None:
+    assert len(IDS) == 68
+    assert [entry.id for entry in CATALOGUE] == IDS
+
+
+def test_table_and_catalogue_agree_on_what_a_tick_can_judge() -> None:
+    judged = {fault.row for fault in TABLE}
+    assert judged <= set(IDS)
+    elsewhere = {entry.id for entry in CATALOGUE if entry.where != TABLE_}
+    assert {entry.id for entry in CATALOGUE if entry.where == TABLE_} <= judged
+    assert judged & elsewhere <= {"B18", "N12"}, "which are judged before arming, and by the table"
+
+
+def test_every_row_says_what_each_protocol_shows_of_it() -> None:
+    for entry in CATALOGUE:
+        for said in (entry.mit, entry.odrive, entry.cia402):
+            verdict, _, why = said.partition(": ")
+            assert verdict in (DETECTED, REPLACED, LOST), entry.id
+            assert why or verdict == DETECTED, f"{entry.id}: replaced by what, or lost why?"
+
+
+def test_every_row_is_tried() -> None:
+    campaign = {row.id for row in MATRIX}
+    for entry in CATALOGUE:
+        if entry.tried == "campaign":
+            assert entry.id in campaign, entry.id
+        elif entry.tried != "soak":
+            assert (ROOT / entry.tried).exists(), entry.id
+    assert campaign <= set(IDS)
+    assert LEFT_OUT.keys() | campaign >= set(IDS) - {id_ for id_ in IDS if id_[0] == "I"}
+
+
+def test_the_campaign_allows_no_more_time_than_the_catalogue_says() -> None:
+    for row in MATRIX:
+        entry = BY_ID[row.id]
+        longest = row.ticks * 2.0 + row.ms + max(row.extra_ms.values(), default=0.0)
+        assert longest <= entry.latest_ms(500.0) + 40.0, f"{row.id}: {longest:g} ms"
+
+
+def test_the_pages_are_the_code_s() -> None:
+    page = (ROOT / "docs" / "faults.md").read_text()
+    assert catalogue() in page
+    assert checklist() in page
+
+
+@pytest.mark.parametrize("fault", AUTOSAR)
+def test_autosar_s_faults_are_rows(fault: str) -> None:
+    assert set(AUTOSAR[fault].split()) <= set(IDS)
+
+
+def test_px4_s_cells_are_rows_or_say_why_not() -> None:
+    cells = [cell for row in PX4.values() for cell in row]
+    assert len(AUTOSAR) == 11
+    assert len(cells) == 6 * len(KINDS)
+    for cell in cells:
+        assert cell in IDS or (cell.startswith("-") and len(cell) > 10), cell
+
+
+def test_what_needs_hardware_is_on_the_list() -> None:
+    assert {id_ for id_, _ in ON_HARDWARE} >= {"B12", "B13", "B14", "B15", "B16", "B18"}

@@ -1,0 +1,23 @@
+"""A suspend of the machine, with clocks that are made up."""
+
+from handctl.runtime.suspend import SuspendWatch
+
+
+def test_a_suspend_is_told_once_with_its_length():
+    now = {"boot": 5_000_000_000, "monotonic": 3_000_000_000}
+    watch = SuspendWatch(lambda: now["boot"], lambda: now["monotonic"])
+    assert watch.events() == []
+    now = {"boot": 15_000_000_000, "monotonic": 3_100_000_000}
+    assert [tuple(event) for event in watch.events()] == [("suspended", "host", 9900)]
+    assert watch.events() == []
+
+
+def test_clocks_that_are_read_one_after_the_other_are_no_suspend():
+    now = {"boot": 0, "monotonic": 0}
+    watch = SuspendWatch(lambda: now["boot"], lambda: now["monotonic"])
+    now = {"boot": 19_000_000, "monotonic": 0}
+    assert watch.events() == []
+
+
+def test_this_machine_does_not_sleep_now():
+    assert SuspendWatch().events() == []

@@ -1,0 +1,136 @@
+"""What safety remembers: residuals, readings that stand, jumps, counts, ropes; each against a case made by hand."""
+
+import numpy as np
+import pytest
+
+from handctl.safety import counts, residuals, ropes
+from handctl.safety.residuals import Filtered, Rope, Rotor
+
+T = 0.002
+ROTOR = Rotor(np.array([5.2]), np.array([40.0]), np.array([3.0]), T)
+RNG = np.random.default_rng(1)
+
+
+def filtered(seconds, tension, force, speed=lambda t: 0.0, asked=None, noise=0.5):
+    """A rope's residuals after some time."""
+    state = Filtered.initial(1)
+    for k in range(round(seconds / T)):
+        t = k * T
+        made = np.array([force(t)])
+        rope = Rope(
+            np.array([0.0]), np.array([speed(t)]), np.array([tension(t) + noise * RNG.standard_normal()]), made,
+            made if asked is None else np.array([asked(t)]), np.array([np.nan]),
+        )  # fmt: skip
+        state = residuals.step(ROTOR, state, rope)
+    return state
+
+
+@pytest.mark.parametrize("held", [0.0, 20.0, 100.0])
+def test_a_rope_at_rest_leaves_nothing(held):
+    state = filtered(2.0, lambda t: held, lambda t: held)
+    assert residuals.unexplained(ROTOR, state)[0] == 0.0
+
+
+def test_inertia_friction_and_damping_are_explained():
+    """A rotor that swings by 10 mm/s twice a second, with the friction that the hand file says."""
+    w, a = 2 * np.pi * 2.0, 0.01
+
+    def speed(t):
+        return a * np.sin(w * t)
+
+    def force(t):
+        return 20.0 + 5.2 * a * w * np.cos(w * t) + 40.0 * speed(t) + 3.0 * np.tanh(speed(t) / 1e-3)
+
+    state = filtered(3.0, lambda t: 20.0, force, speed)
+    assert residuals.unexplained(ROTOR, state)[0] == 0.0
+    assert residuals.friction(state)[0] < 1.0
+
+
+@pytest.mark.parametrize("drift", [-20.0, 20.0])
+def test_a_load_cell_that_is_wrong_is_seen_within_a_second(drift):
+    state = filtered(1.0, lambda t: 24.0 + drift, lambda t: 24.0)
+    assert residuals.unexplained(ROTOR, state)[0] > 10.0
+
+
+def test_a_torque_constant_within_its_tolerance_is_no_fault():
+    state = filtered(2.0, lambda t: 100.0, lambda t: 109.0)
+    assert residuals.unexplained(ROTOR, state)[0] == 0.0
+
+
+def test_friction_that_has_grown_is_seen_in_motion_only():
+    """T09: a motor that needs 8 N more than the file says, turning to and fro for fifteen seconds."""
+    w, a = 2 * np.pi, 0.02
+
+    def speed(t):
+        return a * np.sin(w * t)
+
+    def force(t):
+        return 20.0 + 5.2 * a * w * np.cos(w * t) + 40.0 * speed(t) + 11.0 * np.tanh(speed(t) / 1e-3)
+
+    moving = filtered(15.0, lambda t: 20.0, force, speed)
+    assert residuals.friction(moving)[0] > 3.0
+    resting = filtered(15.0, lambda t: 20.0, lambda t: 28.0)
+    assert residuals.friction(resting)[0] == 0.0
+
+
+def test_torque_that_is_not_made_is_seen():
+    state = filtered(0.3, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 24.0)
+    assert state.low[residuals.ASKED][0] > 15.0
+
+
+def test_thresholds_leave_the_stated_false_alarms():
+    """5 N and 10 N are far above what a load cell of three times the noise leaves: once in 10,000 hours at most."""
+    sigma = residuals.filtered_sigma(1.5, T, residuals.SLOW_S)
+    assert sigma == pytest.approx(0.106, abs=0.001)
+    assert residuals.noise_threshold(sigma, 1.0 / T) < 1.0
+    assert residuals.noise_threshold(1.0, 500.0, 3600.0 * 500.0 * 0.3173) == pytest.approx(1.0, abs=1e-3)
+
+
+def test_bits_count_what_was_lost():
+    state = counts.Counts()
+    for k in range(120):
+        state = counts.step(state, (k % 2 == 0, False), (False, False), 0, 0, k, 500.0)
+    assert counts.number(state.lost) == (50, 0)
+    assert (counts.halved(state.lost[0]), counts.halved(state.lost[1])) == (True, False)
+    for k in range(100):
+        state = counts.step(state, (False, False), (False, False), 0, 0, k, 500.0)
+    assert state == counts.Counts(), "as if nothing had been"
+
+
+def test_unknown_frames_and_refused_goals_are_forgotten_after_a_second():
+    state = counts.step(counts.Counts(), (False,), (False,), 100, 2, 0, 500.0)
+    assert (state.unknown, len(state.refused)) == (100.0, 2)
+    for k in range(1, 501):
+        state = counts.step(state, (False,), (False,), 0, 0, k, 500.0)
+    assert state.unknown == pytest.approx(100.0 / np.e, rel=0.01)
+    assert state.refused == ()
+
+
+def test_a_rope_that_was_never_taut_is_not_slack():
+    state = ropes.Ropes()
+    for _ in range(100):
+        state = ropes.step(state, [0.0, 5.0], [5.0, 5.0])
+    assert ropes.slack(state, ("a", "b"), T) == ()
+    for _ in range(30):
+        state = ropes.step(state, [0.0, 0.0], [5.0, 5.0])
+    assert ropes.slack(state, ("a", "b"), T) == (("b", 30 * T),)
+    assert ropes.slack(ropes.step(state, [0.0, 0.0], [5.0, np.nan]), ("a", "b"), T) == (), "a limp rope may hang"
+
+
+def test_a_rope_snaps_if_it_was_taut_a_moment_ago():
+    taut = ropes.step(ropes.Ropes(), [20.0], [24.0])
+    gone = ropes.step(taut, [0.0], [24.0])
+    assert ropes.snapped(gone, ("a",), [0.5], [24.0], [0.05], T) == (("a", 0.05),)
+    assert ropes.snapped(gone, ("a",), [0.5], [24.0], [0.01], T) == (), "its spool does not run"
+    assert ropes.snapped(gone, ("a",), [12.0], [24.0], [0.05], T) == (), "it bears something"
+    for _ in range(60):
+        gone = ropes.step(gone, [0.0], [24.0])
+    assert ropes.snapped(gone, ("a",), [0.5], [24.0], [0.05], T) == (), "taking up a rope that has long been slack"
+
+
+def test_a_rope_that_is_still_pulled_after_the_cut():
+    state = ropes.cut(ropes.Ropes(), [30.0, 30.0])
+    for _ in range(50):
+        assert ropes.limp(state, ("a", "b"), [29.0, 8.0], T) == ()
+        state = ropes.cut(state, [29.0, 8.0])
+    assert ropes.limp(state, ("a", "b"), [29.0, 8.0], T) == (("a", 29.0),)
