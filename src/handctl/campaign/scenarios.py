@@ -117,7 +117,7 @@ MATRIX: tuple[Row, ...] = (
     Row("T05", "stuck cell={tendon}", RELAX, 42, 900.0, ("T05", "T04"), (GRASP,)),
     Row("T06", "saturate cell={tendon} size=1", RELAX, 5, rows=("T06",), stages=EVERYWHERE),
     Row("T06", "saturate cell={tendon} size=-1", RELAX, 5, rows=("T06", "T01"), stages=EVERYWHERE),
-    Row("T08", "offset joint={joint} size=0.4", RELAX, 8, 30.0, ("T08", "N06", "N05")),
+    Row("T08", "offset joint={joint} size=0.4", RELAX, 8, 900.0, ("T08", "N06", "N05")),
     Row("H01", HOST + "late 0.4", Action.PASS, 1, rows=("H01",)),
     Row("H02", HOST + "skip 1", WARN, 1, rows=("H02",)),
     Row("H03", HOST + "skip 14", RELAX, 1, rows=("H03",)),
