@@ -5,7 +5,7 @@ import argparse
 from handctl.cli.options import json_option, print_json
 from handctl.runtime.simulator import ask_simulator, find_simulator
 
-EXAMPLE = "handctl fault campaign --row H02 --calm 0"
+EXAMPLE = "handctl fault campaign --row N04 --calm 0"
 CAMPAIGN = "example: handctl fault campaign --quick --protocol odrive"
 TEXT = """a fault is KIND COMPONENT=INSTANCE [size=X] [p=X] [at=TIME] [for=TIME] [seed=N], as in
 'drop node=3 p=0.05 at=3s for=2s', 'snap tendon=index_tendon', 'stuck cell=thumb_tendon at=500ms'"""
