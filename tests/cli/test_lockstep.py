@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 
 import pytest
 import rerun
@@ -20,9 +21,10 @@ KEYS = {
 
 
 def demos(folder, *hands):
-    """The results of lockstep demos, one process each, all at the same time."""
+    """The results of lockstep demos, one process each, almost at the same time."""
     running = []
     for number, hand in enumerate(hands):
+        time.sleep(1.1 * number)  # so that whatever holds the second of its start is another in each
         place = folder / str(number)
         place.mkdir()
         command = [sys.executable, "-m", "handctl.cli", "demo", "--lockstep", "--json", "--log", "run.mcap"]
