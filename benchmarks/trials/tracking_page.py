@@ -22,7 +22,7 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
     for hand, plants in result["hands"].items():
         laws = plants["as known"]
         speeds = list(next(iter(laws.values())))
-        head = [hand, *[f"{speed} [deg]" for speed in speeds], "peak, fast", "steady", "settled after [s]"]
+        head = [hand, *[f"{speed} [deg]" for speed in speeds], "peak, fast", "steady", "settled after, at most 0.5 [s]"]
         rows = []
         for law, found in laws.items():
             fast = found["fast"]
