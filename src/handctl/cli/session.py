@@ -166,9 +166,7 @@ def _loop(
 
     slept = SuspendWatch().events if isinstance(clock, RealClock) else list[IoEvent]
     tick, cut = controller.tick, controller.cut_frames()
-    return Loop(
-        clock, plan.period_ns, buses, tick, cut, requests, lambda: [*recorder.events(), *slept()], record, show
-    )
+    return Loop(clock, plan.period_ns, buses, tick, cut, requests, lambda: [*recorder.events(), *slept()], record, show)
 
 
 def _requests(plan: Plan, signals: Signals, mailbox: Mailbox) -> Callable[[], tuple[str, ...]]:

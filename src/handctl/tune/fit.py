@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.stats import t as student
 
 from handctl.errors import LogError
 from handctl.hand.description import Hand
@@ -37,6 +38,8 @@ KNOT_S = 1.0
 """Distance of the knots of the drift."""
 STOP_BIN_S = 0.05
 """On the stop the cable creeps: only over this long does it cross enough encoder counts for their steps to average."""
+FREEDOM_LEAST = 3.0
+"""Fewest degrees of freedom that an interval is given."""
 STEPS = 40
 """Most steps of the solver; data that need more do not tell what they are asked for."""
 LEAST, MOST = 0.02, 20.0
@@ -169,7 +172,7 @@ class Fit:
 
     Attributes:
         z: scaled parameters, drift included. covariance: of them. jacobian: weighted, of all rows.
-        nominal: (13,) scales. residual: (rows,). rows: of each kind: motor, stop, limp, free.
+        residual: (rows,). freedom: of each parameter's spread.
     """
 
     problem: Problem
@@ -177,6 +180,7 @@ class Fit:
     covariance: Array
     jacobian: Array
     residual: Array
+    freedom: Array
 
     @property
     def values(self) -> dict[str, float]:
@@ -187,7 +191,8 @@ class Fit:
     def half_widths(self) -> dict[str, float]:
         """Half of each 95 % interval, in the parameter's unit."""
         spread = np.sqrt(np.diag(self.covariance))[: len(NAMES)] * self.problem.nominal
-        return dict(zip(NAMES, (1.96 * spread).tolist(), strict=True))
+        wide = student.ppf(0.975, self.freedom[: len(NAMES)])
+        return dict(zip(NAMES, (wide * spread).tolist(), strict=True))
 
 
 def fit(problem: Problem) -> Fit:
@@ -210,29 +215,35 @@ def fit(problem: Problem) -> Fit:
 
     found = least_squares(weighted, first.x, x_scale="jac", bounds=problem.bounds(), max_nfev=STEPS)
     jacobian = np.asarray(found.jac)
-    return Fit(problem, found.x, _covariance(problem, jacobian, found.fun), jacobian, found.fun)
+    covariance, freedom = _covariance(problem, jacobian, found.fun)
+    return Fit(problem, found.x, covariance, jacobian, found.fun, freedom)
 
 
-def _covariance(problem: Problem, jacobian: Array, residual: Array) -> Array:
-    """Covariance of the parameters from blocks of time, each block judged by a fit without it, and the priors as given.
+def _covariance(problem: Problem, jacobian: Array, residual: Array) -> tuple[Array, Array]:
+    """Covariance of the parameters and its degrees of freedom, from blocks of time and the priors as given.
+
+    Each block is judged by a fit without it.
 
     Never less than what independent noise alone would give.
-    Source: the jackknife over clusters in its linear form (Bell & McCaffrey 2002, CR3).
+    Source: the jackknife over clusters in its linear form (Bell & McCaffrey 2002, CR3); Satterthwaite's freedom.
     """
     times = _times(problem)
     data = len(times)
     plain = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
     order = np.floor((times - times.min()) / BLOCK_S).astype(int)
     middle = jacobian[data:].T @ jacobian[data:]
+    squares = np.zeros(len(plain))
     for block in np.unique(order):
         rows = np.flatnonzero(order == block)
         part = jacobian[rows]
         alone = np.linalg.lstsq(np.eye(len(rows)) - part @ plain @ part.T, residual[rows], rcond=1e-9)[0]
         score = part.T @ alone
         middle += np.outer(score, score)
+        squares += (plain @ score) ** 4
     robust = plain @ middle @ plain
     wider = np.sqrt(np.maximum(np.diag(robust) / np.diag(plain), 1.0))
-    return np.asarray(plain * np.outer(wider, wider))
+    freedom = np.diag(robust) ** 2 / np.maximum(squares, 1e-300)
+    return np.asarray(plain * np.outer(wider, wider)), np.asarray(np.maximum(freedom, FREEDOM_LEAST))
 
 
 def data_rows(problem: Problem) -> int:
