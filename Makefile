@@ -11,7 +11,7 @@ PYTEST_FLAGS ?=
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test lint unit realtime vcan nightly bench fuzz golden lock clean
+.PHONY: help env demo test lint unit realtime vcan nightly bench fuzz mutation soak golden lock clean
 
 help: ## list these commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -62,6 +62,17 @@ SECONDS ?= 10
 RUNS ?= -1
 fuzz: $(EXTRA) ## every parser against mutated input; SECONDS= (10) or RUNS= for each, TARGETS=
 	$(BIN)/python -m fuzz --seconds $(SECONDS) --runs $(RUNS) $(TARGETS)
+
+mutation: $(EXTRA) ## mutants of safety, decoders, checks and filter; survivors against docs/evidence/mutation.md
+	rm -rf mutants
+	mkdir -p build
+	$(BIN)/mutmut run --max-children $(WORKERS) > build/mutation.txt 2>&1 || { tail -n 20 build/mutation.txt; exit 1; }
+	$(BIN)/python -m fuzz.survivors
+
+# The whole of it is `make soak HOURS=24`.
+HOURS ?= 0.05
+soak: env ## simulator and controller in real time for HOURS=, a random fault a minute; memory and descriptors judged
+	$(BIN)/python -m fuzz.soak --hours $(HOURS)
 
 golden: env ## write the golden logs anew, after a change of the controller that is meant
 	$(BIN)/python tests/replay/runs.py logs/golden

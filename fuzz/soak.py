@@ -1,0 +1,211 @@
+"""A simulated hand and its controller in real time for hours, a random fault a minute; memory and descriptors watched.
+
+The controller ends at a fault that it must not go on from, and is started anew; the simulator lives on until a fault
+is left in it that no controller arms with. Each log is read as a whole before it is thrown away.
+"""
+
+import argparse
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from firmware_sim.description import load_hand as load_simulated
+from firmware_sim.fault_text import KINDS, instances
+from handctl.hand.description import load_hand
+from handctl.log.reader import RunLog
+from handctl.runtime.mailbox import Watcher
+from tests.runtime.processes import BUS, end, handctl, start_handctl
+from tests.runtime.test_process import LONG, write_calibration
+
+SIZE_MIB_PER_H = 1.0
+WARM_S = 300.0
+"""Time in which a process still takes what it will keep."""
+LONG_ENOUGH_S = 1800.0
+"""A slope over less than this says nothing about an hour."""
+ENDS = (0, 1)
+"""Exit codes of a run: done, or ended by a fault that it names."""
+TASK = LONG.replace("duration_s = 60.0", "duration_s = 3600.0")
+
+
+class Sample(NamedTuple):
+    """What a process with its children holds at a time [s, MiB, number]."""
+
+    t: float
+    rss: float
+    descriptors: int
+
+
+def sample(pid: int, t: float) -> Sample:
+    """Look at a process and its children."""
+    pids = [pid, *map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())]
+    rss = descriptors = 0
+    for one in pids:
+        status = Path(f"/proc/{one}/status").read_text()
+        rss += next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")), 0)
+        descriptors += len(os.listdir(f"/proc/{one}/fd"))
+    return Sample(t, rss / 1024, descriptors)
+
+
+def slope(samples: list[Sample]) -> float | None:
+    """Growth of the memory after the warm-up [MiB/h]; None if it was not watched for long enough."""
+    warm = [one for one in samples if one.t - samples[0].t >= WARM_S]
+    if not warm or warm[-1].t - warm[0].t < LONG_ENOUGH_S:
+        return None
+    return float(np.polyfit([one.t / 3600 for one in warm], [one.rss for one in warm], 1)[0])
+
+
+class Soak:
+    """The two processes, and what was seen of them."""
+
+    def __init__(self, seed: int, scale: float) -> None:
+        self.chance, self.scale = random.Random(seed), str(scale)
+        self.lives: dict[str, list[list[Sample]]] = {"simulator": [], "controller": []}
+        self.counts, self.wrong, self.number = Counter[str](), list[str](), 0
+        self.simulator: subprocess.Popen[str] | None = None
+        self.controller: subprocess.Popen[str] | None = None
+
+    def start_simulator(self) -> None:
+        """A simulated hand without faults."""
+        if self.simulator:
+            end(self.simulator)
+        words = ("--bus", BUS, "--homed", "--hand", "jamia", "--time-scale", self.scale)
+        command = [sys.executable, "-m", "firmware_sim", *words]
+        self.simulator = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        assert self.simulator.stdout
+        assert self.simulator.stdout.readline().startswith("firmware_sim: ready")
+        self.lives["simulator"].append([])
+        self.counts["simulators"] += 1
+
+    def start_controller(self) -> bool:
+        """Whether a controller armed and holds the hand bent."""
+        self.number += 1
+        write_calibration(Path("c.toml"), load_hand("jamia"))
+        words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", "--clear", "--json")
+        log = ("--log", f"{self.number}.mcap", "--time-scale", self.scale)
+        self.controller = start_handctl("run", *words, *log)
+        self.lives["controller"].append([])
+        self.counts["controllers"] += 1
+        watcher, until = Watcher(BUS), time.monotonic() + 60.0
+        while time.monotonic() < until and self.controller.poll() is None:
+            line = watcher.next(0.2)
+            if line is not None and line["phase"] == "stay":
+                watcher.close()
+                return True
+        watcher.close()
+        return False
+
+    def end_controller(self) -> None:
+        """Stop it if it still runs, and judge how it ended."""
+        if self.controller is None:
+            return
+        if self.controller.poll() is None:
+            self.controller.send_signal(signal.SIGTERM)
+        out, err = self.controller.communicate(timeout=60.0)
+        code, path = self.controller.returncode, Path(f"{self.number}.mcap")
+        self.controller = None
+        self.counts[f"exit {code}"] += 1
+        if code not in ENDS or "Traceback" in err:
+            self.wrong.append(f"run {self.number}: exit code {code}: {err[-300:]}")
+        if path.exists():
+            with RunLog(path) as log:
+                self.counts["ticks"] += len(list(log.ticks()))
+                if log.warning:
+                    self.wrong.append(f"run {self.number}: log {log.warning}")
+        elif code == 0:
+            self.wrong.append(f"run {self.number}: no log; {out[-100:]}")
+        for left in Path().glob(f"{self.number}.*"):
+            left.unlink()
+
+    def ready(self) -> None:
+        """A controller that holds the hand, with a new simulator if the old one is beyond use."""
+        if self.controller is not None and self.controller.poll() is None:
+            return
+        self.end_controller()
+        if not self.start_controller():
+            self.end_controller()
+            self.start_simulator()
+            if not self.start_controller():
+                self.wrong.append("a new simulator and a new controller did not arm")
+
+    def fault(self) -> str:
+        """Inject a random fault; its text."""
+        hand = load_simulated("jamia")
+        kind = self.chance.choice([one for one in KINDS if any(instances(c, hand) for c in KINDS[one].components)])
+        found = [(component, name) for component in KINDS[kind].components for name in instances(component, hand)]
+        component, name = self.chance.choice(found)
+        text = f"{kind} {component}={name} for={self.chance.choice((1, 20, 200, 2000))}ms"
+        if handctl("fault", "inject", text, "--bus", BUS).returncode:
+            self.wrong.append(f"refused: {text}")
+        self.counts["faults"] += 1
+        return text
+
+    def look(self, t: float) -> None:
+        """Sample both processes."""
+        for name, process in (("simulator", self.simulator), ("controller", self.controller)):
+            if process is not None and process.poll() is None:
+                self.lives[name][-1].append(sample(process.pid, t))
+
+    def judged(self) -> dict[str, object]:
+        """What came of it."""
+        slopes = {name: [slope(one) for one in lives if one] for name, lives in self.lives.items()}
+        told = {name: [one for one in found if one is not None] for name, found in slopes.items()}
+        for name, found in told.items():
+            self.wrong += [f"{name} grows by {one:.2f} MiB/h" for one in found if one > SIZE_MIB_PER_H]
+        rose = {name: max((one[-1].rss - one[0].rss for one in lives if one), default=0) for name, lives in
+                self.lives.items()}  # fmt: skip
+        descriptors = {name: sorted({s.descriptors for one in lives for s in one}) for name, lives in
+                       self.lives.items()}  # fmt: skip
+        simulators = [one for one in self.lives["simulator"] if one]
+        if any(max(s.descriptors for s in one) > one[0].descriptors + 4 for one in simulators):
+            self.wrong.append("the simulator's descriptors grow")
+        return {
+            "counts": dict(self.counts),
+            "rss_rise_mib": rose,
+            "rss_slope_mib_per_h": told,
+            "descriptors": descriptors,
+            "wrong": self.wrong,
+        }
+
+
+def main() -> int:
+    """Soak; exit code 1 if anything was wrong."""
+    parser = argparse.ArgumentParser(prog="python -m fuzz.soak", description=__doc__)
+    parser.add_argument("--hours", type=float, default=24.0)
+    parser.add_argument("--every", type=float, default=60.0, help="seconds from fault to fault (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--time-scale", type=float, default=1.0, help="less than 1 on a busy machine")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory(prefix="h-") as folder:
+        os.environ["HANDCTL_RUN_DIR"] = folder
+        os.chdir(folder)
+        Path("long.toml").write_text(TASK)
+        soak, begin = Soak(args.seed, args.time_scale), time.monotonic()
+        try:
+            soak.start_simulator()
+            while (passed := time.monotonic() - begin) < args.hours * 3600:
+                soak.ready()
+                soak.look(passed)
+                text = soak.fault()
+                print(f"{passed:8.0f} s  {text}", file=sys.stderr, flush=True)
+                time.sleep(args.every)
+            soak.end_controller()
+        finally:
+            for process in (soak.controller, soak.simulator):
+                if process:
+                    end(process)
+        print(json.dumps(soak.judged(), indent=2))
+        return 1 if soak.wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
