@@ -83,9 +83,12 @@ def _own(root: dict[str, Any], path: Path) -> Any:
             child = node[key]
         except (LookupError, TypeError):
             return None
-        node[key] = dict(child) if isinstance(child, Mapping) else list(child) if isinstance(child, list) else child
-        node = node[key]
-    return node if isinstance(node, dict | list) else None
+        if not isinstance(child, dict | list):
+            return None
+        copied = child.copy()
+        node[key] = copied
+        node = copied
+    return node
 
 
 def _change(parent: Any, key: Any, source: Source) -> None:

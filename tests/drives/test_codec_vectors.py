@@ -1,0 +1,98 @@
+"""Payloads byte by byte, as the documents lay them out: CiA 301/402, and ODrive's CANSimple."""
+
+import math
+import struct
+
+import pytest
+
+from handctl.drives import cia402_codec as cia402
+from handctl.drives import odrive_codec as odrive
+
+STATUS = {
+    0x0000: cia402.NOT_READY, 0x0040: cia402.OFF, 0x0021: cia402.READY_TO_SWITCH_ON, 0x0023: cia402.SWITCHED_ON,
+    0x0027: cia402.OPERATION_ENABLED, 0x0007: cia402.QUICK_STOP, 0x000F: cia402.FAULT_REACTION, 0x0008: cia402.FAULT,
+}  # fmt: skip
+
+
+def test_a_tpdo_is_a_status_word_a_position_and_a_torque() -> None:
+    got = cia402.feedback(bytes.fromhex("3706 feffffff 18fc"))
+    assert got == (0x0637, -2, -1000)
+
+
+@pytest.mark.parametrize("status", STATUS)
+def test_states_are_told_apart_whatever_the_other_bits(status: int) -> None:
+    assert cia402.state_of(status) == cia402.state_of(status | 0x8600) == STATUS[status]
+
+
+def test_a_word_that_the_standard_does_not_know_is_no_state() -> None:
+    assert cia402.state_of(0x0001) == ""
+    assert cia402.state_of(0x006F | 0xFF90) == ""
+
+
+def test_a_command_is_a_control_word_and_a_torque() -> None:
+    assert cia402.command(0x000F, -1000.4).hex(" ") == "0f 00 18 fc"
+    assert cia402.command(0x0006, cia402.TORQUE_TOP)[:2] == b"\x06\x00"
+    for wrong in (math.nan, math.inf, cia402.TORQUE_TOP + 1, -cia402.TORQUE_TOP - 1):
+        with pytest.raises(ValueError, match=f"torque of .* expected at most {cia402.TORQUE_TOP}"):
+            cia402.command(0x000F, wrong)
+
+
+def test_sdo_requests() -> None:
+    assert cia402.upload(0x6041, 2).hex(" ") == "40 41 60 02 00 00 00 00"
+    assert cia402.download(0x1017, 0, b"\x64\x00").hex(" ") == "2b 17 10 00 64 00 00 00"
+    assert cia402.download(0x6060, 0, b"\x04").hex(" ") == "2f 60 60 00 04 00 00 00"
+    assert cia402.download(0x1016, 1, b"\1\2\3\4").hex(" ") == "23 16 10 01 01 02 03 04"
+
+
+SDO_REPLIES = {
+    "80 41 60 02 00 00 02 06": (0x6041, 2, b"", 0x06020000),
+    "60 17 10 00 aa bb cc dd": (0x1017, 0, b"", 0),
+    "43 18 10 01 01 02 03 04": (0x1018, 1, b"\1\2\3\4", 0),
+    "47 18 10 01 01 02 03 04": (0x1018, 1, b"\1\2\3", 0),
+    "4b 41 60 00 37 06 ff ff": (0x6041, 0, b"\x37\x06", 0),
+    "4f 60 60 00 04 ff ff ff": (0x6060, 0, b"\x04", 0),
+}
+
+
+@pytest.mark.parametrize("data", SDO_REPLIES)
+def test_sdo_replies(data: str) -> None:
+    assert cia402.sdo_reply(bytes.fromhex(data)) == SDO_REPLIES[data]
+
+
+@pytest.mark.parametrize("specifier", sorted(set(range(256)) - {0x80, 0x60, 0x43, 0x47, 0x4B, 0x4F}))
+def test_no_other_specifier_is_a_reply(specifier: int) -> None:
+    assert cia402.sdo_reply(bytes([specifier]) + bytes.fromhex("41 60 02 00 00 00 00")) is None
+
+
+def test_codes_in_words() -> None:
+    assert cia402.error_text(0x8130).startswith("heartbeat of the master lost")
+    assert cia402.error_text(0x12) == "error 0x0012"
+    assert cia402.abort_text(0x06010002) == "read-only"
+    assert cia402.abort_text(0x12) == "abort 0x00000012"
+    assert odrive.error_text(1 << 24 | 1 << 5) == "gate driver fault, watchdog expired"
+    assert odrive.error_text(1 | 1 << 31) == "initializing, unknown error bit 31"
+    assert odrive.error_text(0) == ""
+    assert odrive.result_text(11) == "timeout"
+    assert odrive.result_text(99) == "unknown result 99"
+
+
+def test_odrive_payloads() -> None:
+    assert odrive.heartbeat(bytes.fromhex("00000001 08 02 01 00")) == (1 << 24, 8, 2)
+    assert odrive.can_id(3, 0x0E) == 0x6E
+    assert odrive.integers(8, 2**32 - 1).hex(" ") == "08 00 00 00 ff ff ff ff"
+    assert odrive.sdo_request(1, 0x0102, b"\x05").hex(" ") == "01 02 01 00 05"
+    assert odrive.sdo_request(0, 0x0102).hex(" ") == "00 02 01 00"
+    assert odrive.sdo_reply(bytes.fromhex("00 02 01 00 05 06 07 08")) == (0x0102, b"\5\6\7\x08")
+
+
+def test_floats_are_finite_both_ways() -> None:
+    assert odrive.floats(1.5, -0.25) == struct.pack("<ff", 1.5, -0.25)
+    assert odrive.pair(struct.pack("<ff", 1.5, -0.25)) == (1.5, -0.25)
+    for wrong in (math.nan, math.inf, -math.inf):
+        assert odrive.pair(struct.pack("<ff", wrong, 1.0)) is None
+        assert odrive.pair(struct.pack("<ff", 1.0, wrong)) is None
+        with pytest.raises(ValueError, match="cannot be sent, expected a finite number"):
+            odrive.floats(1.0, wrong)
+    assert odrive.floats(odrive.FLOAT_TOP, -odrive.FLOAT_TOP)
+    with pytest.raises(ValueError, match="cannot be sent"):
+        odrive.floats(math.nextafter(odrive.FLOAT_TOP, math.inf))
