@@ -32,8 +32,8 @@ WARM_S = 300.0
 """Time in which a process still takes what it will keep."""
 LONG_ENOUGH_S = 1800.0
 """A slope over less than this says nothing about an hour."""
-ENDS = (0, 1)
-"""Exit codes of a run: done, or ended by a fault that it names."""
+ENDS = (0, 1, 71)
+"""Exit codes of a run: done, ended by a fault that it names, or by one that hides the drives' answers."""
 TASK = LONG.replace("duration_s = 60.0", "duration_s = 3600.0")
 
 

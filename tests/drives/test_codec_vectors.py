@@ -17,6 +17,7 @@ STATUS = {
 def test_a_tpdo_is_a_status_word_a_position_and_a_torque() -> None:
     got = cia402.feedback(bytes.fromhex("3706 feffffff 18fc"))
     assert got == (0x0637, -2, -1000)
+    assert cia402.feedback(bytes.fromhex("3786 00000080 0080")) == (0x8637, -(2**31), -(2**15))
 
 
 @pytest.mark.parametrize("status", STATUS)
@@ -31,6 +32,7 @@ def test_a_word_that_the_standard_does_not_know_is_no_state() -> None:
 
 def test_a_command_is_a_control_word_and_a_torque() -> None:
     assert cia402.command(0x000F, -1000.4).hex(" ") == "0f 00 18 fc"
+    assert cia402.command(0x800F, 1.0).hex(" ") == "0f 80 01 00"
     assert cia402.command(0x0006, cia402.TORQUE_TOP)[:2] == b"\x06\x00"
     for wrong in (math.nan, math.inf, cia402.TORQUE_TOP + 1, -cia402.TORQUE_TOP - 1):
         with pytest.raises(ValueError, match=f"torque of .* expected at most {cia402.TORQUE_TOP}"):
@@ -39,6 +41,8 @@ def test_a_command_is_a_control_word_and_a_torque() -> None:
 
 def test_sdo_requests() -> None:
     assert cia402.upload(0x6041, 2).hex(" ") == "40 41 60 02 00 00 00 00"
+    assert cia402.upload(0x9041, 0xFE).hex(" ") == "40 41 90 fe 00 00 00 00"
+    assert cia402.download(0x9041, 0xFE, b"\1").hex(" ") == "2f 41 90 fe 01 00 00 00"
     assert cia402.download(0x1017, 0, b"\x64\x00").hex(" ") == "2b 17 10 00 64 00 00 00"
     assert cia402.download(0x6060, 0, b"\x04").hex(" ") == "2f 60 60 00 04 00 00 00"
     assert cia402.download(0x1016, 1, b"\1\2\3\4").hex(" ") == "23 16 10 01 01 02 03 04"
@@ -78,10 +82,12 @@ def test_codes_in_words() -> None:
 
 def test_odrive_payloads() -> None:
     assert odrive.heartbeat(bytes.fromhex("00000001 08 02 01 00")) == (1 << 24, 8, 2)
+    assert odrive.heartbeat(bytes.fromhex("00000080 fe ff 01 00")) == (1 << 31, 0xFE, 0xFF)
     assert odrive.can_id(3, 0x0E) == 0x6E
     assert odrive.integers(8, 2**32 - 1).hex(" ") == "08 00 00 00 ff ff ff ff"
     assert odrive.sdo_request(1, 0x0102, b"\x05").hex(" ") == "01 02 01 00 05"
     assert odrive.sdo_request(0, 0x0102).hex(" ") == "00 02 01 00"
+    assert odrive.sdo_request(0, 0xFEDC).hex(" ") == "00 dc fe 00"
     assert odrive.sdo_reply(bytes.fromhex("00 02 01 00 05 06 07 08")) == (0x0102, b"\5\6\7\x08")
 
 
