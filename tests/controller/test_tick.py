@@ -372,3 +372,27 @@ def test_a_hand_armed_under_tension_is_not_jerked() -> None:
     first = run.history[-1][2].telemetry
     np.testing.assert_allclose(first.tension, 20.0, atol=4.0)
     assert (first.motor_torque_goal > 0.0).all(), "no kick backwards"
+
+
+def test_answers_that_a_busy_host_gets_late_are_no_masquerade() -> None:
+    """One tick's answers come nearly two ticks later, and the next ones together with those after them."""
+    run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
+    run.until(Mode.ACTIVE)
+    run.run(0.5)
+    held: list[list[Frame]] = []
+
+    def nothing(frames: list[Frame]) -> list[Frame]:
+        held.append(list(frames))
+        return []
+
+    def those_before(frames: list[Frame]) -> list[Frame]:
+        held.append(list(frames))
+        return [frame._replace(t_ns=frame.t_ns + int(1.85 * run.period_ns)) for frame in held[0]]
+
+    told = []
+    for run.to_host in (nothing, those_before, lambda frames: [*held[1], *frames]):
+        out = run.tick()
+        told += [event.text for event in out.events if event.name == "fault"]
+    assert any("B01" in text for text in told)
+    assert not [text for text in told if "B05" in text or "B06" in text]
+    assert out.mode == Mode.ACTIVE

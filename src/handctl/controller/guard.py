@@ -35,6 +35,9 @@ FAULT = Phase.FAULT
 """As a name of this module: looking a member up in its enumeration costs more than comparing it."""
 JOINT_RATE_RAD_S = 60.0
 """Faster than any joint of a hand. Source: spool speed of the packaged hands over their smallest moment arm."""
+OWED = 0xFF
+"""Ticks back, as bits, from which an answer may still come: a host that is busy for some milliseconds gets several at
+once."""
 NOISE_TIMES, NOISE_STEPS = 9.0, 6.0
 """A noise burst has so many times the variance of: drive torque on the bare rotor, and so many counts of rounding."""
 
@@ -162,10 +165,9 @@ class Guard:
     def _twice(self, before: State, state: State, entry: TickIn) -> Named:
         """Nodes that answered more often than they were asked."""
         found = []
-        period_ns = round(self.model.period * 1e9)
-        for drive, old, new, strict in zip(self.drives, before.drives, state.drives, self.strict, strict=True):
+        for i, (drive, old, new) in enumerate(zip(self.drives, before.drives, state.drives, strict=True)):
             extra = new.feedback_count - old.feedback_count
-            if extra > 1 and strict and extra > max(1, (entry.t_ns - old.feedback_t_ns) // period_ns):
+            if extra > 1 and self.strict[i] and extra > self._owed(before, i, entry.t_ns - old.feedback_t_ns):
                 payloads = [f.data for f in entry.frames if f.bus == drive.bus and f.can_id in drive.node_ids]
                 found.append((drive.name, float(payloads[-1] != payloads[-2])))
         for can_id, was, now in zip(self.sensors.ids, before.sensors.groups, state.sensors.groups, strict=True):
@@ -173,6 +175,12 @@ class Guard:
                 payloads = [f.data for f in entry.frames if f.bus == self.sensors.bus and f.can_id == can_id]
                 found.append((LOAD_CELLS, float(payloads[-1] != payloads[-2])))
         return tuple(found)
+
+    def _owed(self, before: State, motor: int, since_ns: int) -> int:
+        """Answers that may come in one tick: its own, and those that were late in the last few."""
+        ticks = max(1, since_ns // round(self.model.period * 1e9))
+        lost = before.watch.counts.lost
+        return ticks + ((lost[motor] & OWED).bit_count() if lost else 0)
 
     def _stale(self, before: State, state: State, entry: TickIn) -> Named:
         """Whether the load cells answered an older question, and whether the fresh answer had come before."""
