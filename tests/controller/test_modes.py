@@ -324,7 +324,7 @@ def test_a_program_that_gives_up_relaxes_and_tells_why(quick: HandModel) -> None
     run.peer.order = [1, 0, 2, 3]
     run.peer.stiffness[0] = 0.0  # a rope that tore: its load cell stays at zero
     run.until(Mode.DONE, 20.0)
-    assert "T04b index_tendon" in run.state.failure, "a motor that winds and a load cell that feels nothing"
+    assert run.state.failure == "not taut after 4 s: middle_tendon", "by the load cell that its rope is wired to"
     assert run.modes == HAPPY + HOME
 
 

@@ -12,7 +12,7 @@ from handctl.controller.calibration import Calibration, TendonCalibration
 from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.model import HandModel
-from handctl.controller.program import Progress
+from handctl.controller.program import TARE_PHASE, Progress
 from handctl.controller.types import Event, Vector
 
 PULL_N = 3.0
@@ -44,7 +44,7 @@ class CommissionProgram:
     def begin(self, model: HandModel) -> Progress:
         """Limp, and an empty table."""
         empty = (0.0,) * (COLUMNS * model.tendon_count)
-        return replace(Progress.begin(len(model.digits), "tare"), since=-1.0, record=empty)
+        return replace(Progress.begin(len(model.digits), TARE_PHASE), since=-1.0, record=empty)
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float

@@ -8,6 +8,7 @@ import numpy as np
 from handctl.controller.computed_torque import Command
 from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.model import HandModel
+from handctl.controller.program import TARE_PHASE
 from handctl.controller.state import State
 from handctl.controller.types import Event, Mode, TickIn
 from handctl.drives.causes import answers_once, cause_of, feedback_period_s
@@ -109,8 +110,9 @@ class Guard:
         refused = sum(event.level == "warn" for event in told)
         watch, raw = counted(self.watcher, state.watch, raw, shapes, (len(strange), refused), entry.k)
         torque = np.array([drive.torque for drive in state.drives])
+        tared = state.progress.phase != TARE_PHASE  # until then a load cell may read anything
         seen = Seen(
-            tension=measured.tension,
+            tension=measured.tension if tared else np.full_like(measured.tension, np.nan),
             travel=measured.travel,
             speed=estimate.speed,
             force=np.where(np.isnan(measured.travel), np.nan, torque / self.model.space.spool),

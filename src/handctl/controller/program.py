@@ -76,6 +76,8 @@ class Program(Protocol):
         ...
 
 
+TARE_PHASE = "tare"
+"""Name of the step of commissioning before whose end no load cell's zero is known."""
 TIGHTEN_MARGIN_N = 1.5
 """Tension above the floor to which slack is taken up; still below what moves a finger against its springs."""
 TIGHTEN_S = 0.3
