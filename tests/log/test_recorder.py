@@ -3,6 +3,7 @@
 import os
 import random
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from handctl.errors import LogError
 from handctl.log.reader import RunLog
 from handctl.log.record import FRAMING, pack
 from handctl.log.recorder import Recorder
+from handctl.log.syncer import Syncer
 from handctl.log.writer import LogWriter
 
 KILLS, TOGETHER = 100 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 20, 4
@@ -232,7 +234,7 @@ def tiny_disk(tmp_path: Path) -> Iterator[Path]:
     if mounted.returncode:
         pytest.skip("cannot mount a tmpfs here")
     yield disk
-    subprocess.run(["umount", str(disk)], check=True)
+    subprocess.run(["umount", "--lazy", str(disk)], check=True)
 
 
 @pytest.mark.parametrize("floor_bytes", [1, 700_000])
@@ -264,6 +266,22 @@ def test_a_disk_without_a_free_page_has_room_for_the_end(tiny_disk: Path) -> Non
     assert [what for what, _ in told] == ["disk_full"]
     with RunLog(tiny_disk / "run.mcap") as log:
         assert (len(log), log.warning, log.end["reason"]) == (200, "", "disk full")
+
+
+def test_the_process_that_syncs_does_not_keep_the_ballast(tiny_disk: Path) -> None:
+    syncer = Syncer()
+    writer = LogWriter(tiny_disk / "run.mcap", synthetic.header(), lambda *what: None, 1, to_disk=syncer)
+    for record in _records(100):
+        writer.add(record[FRAMING.size :])
+    writer.flush()
+    writer.sync()
+    with (tiny_disk / "other").open("wb", buffering=0) as other, suppress(OSError):
+        while True:
+            other.write(bytes(4096))
+    writer._ballast.drop()
+    assert _until(lambda: shutil.disk_usage(tiny_disk).free > 256 << 10, 5.0)
+    writer.finish("finished", 0)
+    os.close(syncer._ask)  # ends its process
 
 
 def test_handing_over_a_tick_is_quick(start: Callable[..., Recorder]) -> None:

@@ -3,10 +3,12 @@
 A process forked off the recorder calls fdatasync; it holds nothing but the file, and ends with the recorder.
 """
 
+import itertools
 import os
 from contextlib import suppress
 
 _ROOM = 1 << 10
+_MOST_DESCRIPTORS = 1 << 16
 
 
 def sync_now(descriptor: int) -> None:
@@ -44,9 +46,7 @@ class Syncer:
         self._told, telling = os.pipe()
         if os.fork() == 0:
             try:
-                os.close(self._ask)
-                os.close(self._told)
-                os.closerange(0, 3)  # else the controller would not notice the death of the recorder
+                _close_all_but(descriptor, asked, telling)
                 _serve(descriptor, asked, telling)
             finally:
                 os._exit(0)
@@ -54,6 +54,13 @@ class Syncer:
         os.close(telling)
         os.set_blocking(self._ask, False)
         os.set_blocking(self._told, False)
+
+
+def _close_all_but(*kept: int) -> None:
+    """Else the controller would not notice the death of the recorder, and a full disk not get its ballast back."""
+    edges = [-1, *sorted(kept), _MOST_DESCRIPTORS]
+    for low, high in itertools.pairwise(edges):
+        os.closerange(low + 1, high)
 
 
 def _serve(descriptor: int, asked: int, telling: int) -> None:
