@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
+from handctl.controller.identified import Identified
 from handctl.controller.model import HandModel
+from handctl.hand.description import load_hand
 from handctl.tune.design import design, keeps, linear_factors, placed, redesigned, with_poles, worst_of
-from handctl.tune.ensemble import LEAST_SPREAD, ensemble
+from handctl.tune.ensemble import LEAST_SPREAD, ensemble, widths
 from handctl.tune.linear import LoopKind, PlantFactors
 
 
@@ -57,6 +59,21 @@ def test_an_ensemble_is_never_narrower_than_service_makes_it() -> None:
     assert 0.8 <= stiffness.min() < 0.83
     assert 1.17 < stiffness.max() <= 1.2
     assert mass.min() < 0.65
+
+
+def test_an_identification_widens_the_ensemble_to_its_far_end() -> None:
+    hand = load_hand("jamia")
+    stiffness = hand.tendon[0].stiffness_N_per_m
+    found = Identified(
+        names=("rope_stiffness", "delay"),
+        values=(0.7 * stiffness, 1e-3),
+        half_widths=(0.05 * stiffness, 1e-4),
+        covariance=((1.0, 0.0), (0.0, 1.0)),
+    )
+    spread = widths(hand, {hand.tendon_names[0]: found})
+    assert spread == {"stiffness": pytest.approx(0.35)}
+    drawn = [one["stiffness"] for one in ensemble(65, 0, spread)]
+    assert min(drawn) < 0.68 < 1.32 < max(drawn)
 
 
 def test_the_worst_of_an_ensemble_is_no_better_than_the_nominal_plant(jamia: HandModel) -> None:

@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     gains = layered_gains(args, hand.name).gains
     rate = args.rate or fastest(bus_loads(hand))
     out, picture = output_files(args, hand.name, "design")
-    factors = ensemble(checked_count(args.plants, "--plants", 1024), args.seed, spread_of(args.fit))
+    factors = ensemble(checked_count(args.plants, "--plants", 1024), args.seed, spread_of(args.fit, hand))
     plants = tuple(linear_factors(one) for one in factors)
     model = HandModel.of(hand, gains, rate)
     with Console(stderr=True).status(f"keeping margins on {len(plants)} plants"):

@@ -3,9 +3,11 @@
 import argparse
 from pathlib import Path
 
+from handctl.controller.calibration import load_calibration
 from handctl.controller.gains import Gains, Provenance, gains_text
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
+from handctl.tune.ensemble import widths
 
 
 def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, Path]:
@@ -39,6 +41,19 @@ def write_gains(path: Path, gains: Gains, hand: Hand, note: str, fit: Path | Non
     path.write_text(gains_text(gains, told), encoding="utf-8")
 
 
-def spread_of(fit: Path | None) -> dict[str, float]:
-    """Half widths of the ensemble from the intervals of an identification; empty without one."""
-    return {}
+def spread_of(fit: Path | None, hand: Hand) -> dict[str, float]:
+    """Half widths of the ensemble by an identification: how far from the hand file its intervals reach.
+
+    Args:
+        fit: calibration file with identified parameters, or None.
+        hand: that it is of.
+
+    Raises:
+        ConfigError: the file cannot be read, is of another hand, or holds nothing identified.
+    """
+    if fit is None:
+        return {}
+    found = load_calibration(fit, hand).identified
+    if not found:
+        raise ConfigError("holds nothing identified", str(fit), "a calibration that handctl identify wrote")
+    return widths(hand, found)

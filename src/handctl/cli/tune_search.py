@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     gains = layered_gains(args, hand.name).gains
     rate = args.rate or fastest(bus_loads(hand))
     out, picture = output_files(args, hand.name, "search")
-    plants = ensemble(checked_count(args.plants, "--plants", 256), args.seed, spread_of(args.fit))
+    plants = ensemble(checked_count(args.plants, "--plants", 256), args.seed, spread_of(args.fit, hand))
     trials = checked_count(args.trials, "--trials", 100_000)
     crew_size = checked_count(args.workers, "--workers", 64)
     storage = args.study or Path(f"{hand.name}.study")

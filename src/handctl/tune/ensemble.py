@@ -1,13 +1,19 @@
 """Plants that the real one may be: drawn around the hand file, as far as the identification leaves them uncertain."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 from scipy.stats import qmc
 
+from handctl.controller.identified import Identified
+from handctl.hand.description import Hand
+
 LEAST_SPREAD = {"stiffness": 0.2, "friction": 0.5, "mass": 0.2, "spring": 0.1, "motor_inertia": 0.1, "damping": 0.5}
 """Half width of each factor, at least: what an identification is never trusted beyond. The first two are those that a
 tendon changes in service; keys are those of the simulator's ``perturb``."""
+
+MOST_SPREAD = 0.9
+"""A factor never comes near zero, where there is no plant."""
 
 
 def ensemble(count: int, seed: int, spread: Mapping[str, float] | None = None) -> tuple[dict[str, float], ...]:
@@ -21,8 +27,52 @@ def ensemble(count: int, seed: int, spread: Mapping[str, float] | None = None) -
     Returns:
         ``count`` times key to factor.
     """
-    widths = {key: max(least, (spread or {}).get(key, 0.0)) for key, least in LEAST_SPREAD.items()}
-    drawn = qmc.Sobol(len(widths), seed=seed).random(1 << max(0, (max(count - 1, 1) - 1).bit_length()))
-    factors = 1.0 + np.array(list(widths.values())) * (2.0 * drawn[: max(count - 1, 0)] - 1.0)
-    nominal = dict.fromkeys(widths, 1.0)
-    return (nominal, *(dict(zip(widths, map(float, row), strict=True)) for row in factors))[:count]
+    half = {key: min(MOST_SPREAD, max(least, (spread or {}).get(key, 0.0))) for key, least in LEAST_SPREAD.items()}
+    drawn = qmc.Sobol(len(half), seed=seed).random(1 << max(0, (max(count - 1, 1) - 1).bit_length()))
+    factors = 1.0 + np.array(list(half.values())) * (2.0 * drawn[: max(count - 1, 0)] - 1.0)
+    nominal = dict.fromkeys(half, 1.0)
+    return (nominal, *(dict(zip(half, map(float, row), strict=True)) for row in factors))[:count]
+
+
+KINDS = {
+    "rope_stiffness": "stiffness",
+    "capstan": "friction",
+    "motor_coulomb": "friction",
+    "motor_viscous": "damping",
+    "joint_damping": "damping",
+    "spring_stiffness": "spring",
+    "motor_inertia": "motor_inertia",
+}
+"""Key of the ensemble that covers each identified parameter."""
+
+
+def widths(hand: Hand, found: Mapping[str, Identified]) -> dict[str, float]:
+    """Half width of each factor that reaches, around the hand file, to the far end of every 95 % interval.
+
+    Args:
+        hand: as in its file.
+        found: identified parameters by tendon.
+    """
+    spread: dict[str, float] = {}
+    for tendon, known in found.items():
+        for name, value, half in zip(known.names, known.values, known.half_widths, strict=True):
+            for file in _in_file(hand, tendon, name):
+                reach = abs(value / file - 1.0) + half / file
+                spread[KINDS[name]] = max(spread.get(KINDS[name], 0.0), reach)
+    return spread
+
+
+def _in_file(hand: Hand, tendon: str, name: str) -> Iterator[float]:
+    """What the hand file says of a parameter, if the ensemble has it and it is not zero there."""
+    motor, rope = hand.motor_of(tendon), hand.tendon[hand.tendon_names.index(tendon)]
+    known = {
+        "rope_stiffness": rope.stiffness_N_per_m,
+        "capstan": rope.friction_coefficient,
+        "motor_coulomb": motor.coulomb_N_m,
+        "motor_viscous": motor.viscous_N_m_s_per_rad,
+        "motor_inertia": motor.inertia_kg_m2,
+        "spring_stiffness": 1.0,
+        "joint_damping": 1.0,
+    }
+    if known.get(name, 0.0) > 0.0:
+        yield known[name]
