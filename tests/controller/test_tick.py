@@ -396,3 +396,28 @@ def test_answers_that_a_busy_host_gets_late_are_no_masquerade() -> None:
     assert any("B01" in text for text in told)
     assert not [text for text in told if "B05" in text or "B06" in text]
     assert out.mode == Mode.ACTIVE
+
+
+def test_late_answers_of_a_bus_without_stamps_are_no_masquerade() -> None:
+    """A frame has the time at which it was taken off; a simulator that paused answers two ticks at once."""
+    run = bench(HandModel.of(load_hand("jamia"), Gains(), 500.0), LiveProgram())
+    run.until(Mode.ACTIVE)
+    waiting: list[Frame] = []
+
+    def taken_off(frames: list[Frame]) -> list[Frame]:
+        now_ns = run.k * run.period_ns + 30_000
+        return [frame._replace(t_ns=now_ns) for frame in frames]
+
+    run.to_host = taken_off
+    run.run(0.5)
+    run.to_host = lambda frames: waiting.extend(frames) or []
+    run.tick()
+    run.to_host = lambda frames: taken_off([*waiting, *frames])
+    out = run.tick()
+    assert not [
+        event.text for event in out.events if event.name == "fault" and ("B05" in event.text or "B06" in event.text)
+    ]
+    assert out.mode == Mode.ACTIVE
+    run.to_host = lambda frames: taken_off([*frames, *[f for f in frames if f.can_id == 0x11]])
+    out = run.tick()
+    assert any("B05" in event.text for event in out.events), "positive control: one answer too many"

@@ -169,7 +169,7 @@ class Guard:
         found = []
         for i, (drive, old, new) in enumerate(zip(self.drives, before.drives, state.drives, strict=True)):
             extra = new.feedback_count - old.feedback_count
-            if extra > 1 and self.strict[i] and extra > self._owed(before, i, entry.t_ns - old.feedback_t_ns):
+            if extra > 1 and self.strict[i] and extra > self._owed(before, i, entry, old, new):
                 payloads = [f.data for f in entry.frames if f.bus == drive.bus and f.can_id in drive.node_ids]
                 found.append((drive.name, float(payloads[-1] != payloads[-2])))
         for can_id, was, now in zip(self.sensors.ids, before.sensors.groups, state.sensors.groups, strict=True):
@@ -178,9 +178,15 @@ class Guard:
                 found.append((LOAD_CELLS, float(payloads[-1] != payloads[-2])))
         return tuple(found)
 
-    def _owed(self, before: State, motor: int, since_ns: int) -> int:
-        """Answers that may come in one tick: its own, and those that were late in the last few."""
-        ticks = max(1, since_ns // round(self.model.period * 1e9))
+    def _owed(self, before: State, motor: int, entry: TickIn, old: DriveState, new: DriveState) -> int:
+        """Answers that may come in one tick: its own, and those that were late in the last few.
+
+        A bus without stamps of its own gives a frame the time at which it was taken off, after the tick's beginning.
+        """
+        period_ns = round(self.model.period * 1e9)
+        taken_off = new.feedback_t_ns >= entry.t_ns
+        since = entry.t_ns // period_ns - old.feedback_t_ns // period_ns
+        ticks = max(1, since if taken_off else (entry.t_ns - old.feedback_t_ns) // period_ns)
         lost = before.watch.counts.lost
         return ticks + ((lost[motor] & OWED).bit_count() if lost else 0)
 
