@@ -181,12 +181,13 @@ class Guard:
     def _owed(self, before: State, motor: int, entry: TickIn, old: DriveState, new: DriveState) -> int:
         """Answers that may come in one tick: its own, and those that were late in the last few.
 
-        A bus without stamps of its own gives a frame the time at which it was taken off, after the tick's beginning.
+        A bus without stamps of its own gives a frame the time at which it was taken off, after the tick's beginning:
+        there one that came a little after the tick before cannot be told from a fresh one, so one more is owed.
         """
         period_ns = round(self.model.period * 1e9)
         taken_off = new.feedback_t_ns >= entry.t_ns
         since = entry.t_ns // period_ns - old.feedback_t_ns // period_ns
-        ticks = max(1, since if taken_off else (entry.t_ns - old.feedback_t_ns) // period_ns)
+        ticks = max(1, since + 1 if taken_off else (entry.t_ns - old.feedback_t_ns) // period_ns)
         lost = before.watch.counts.lost
         return ticks + ((lost[motor] & OWED).bit_count() if lost else 0)
 
