@@ -23,7 +23,7 @@ from handctl.controller.gain_bounds import with_values
 from handctl.controller.gains import Gains
 from handctl.hand.description import hand_path, load_hand
 from handctl.log.reader import RunLog
-from handctl.runtime.lockstep import LockstepClock, load_peer
+from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
 from handctl.tune.excitation import excitation
 from handctl.tune.identify import identify
 
@@ -74,7 +74,7 @@ def one(seed: int, digit: str, folder: Path) -> dict[str, Any]:
     hand, factors, gains = load_hand("jamia"), plant(seed), detuned(seed)
     plan = Plan(hand, gains, 500.0, ())
     options = {"hand_path": str(hand_path("jamia")), "seed": seed, "homed": True, "perturb": factors}
-    peer = load_peer("firmware_sim.rig:Rig", **options, period_ns=plan.period_ns)
+    peer = load_peer(SIMULATED_HAND, **options, period_ns=plan.period_ns)
     log = folder / f"{seed}.mcap"
     program = ExciteProgram(excitation(hand, (digit,)))
     controller = make_controller(plan, program, None, arm_at_once=True)

@@ -11,7 +11,7 @@ from handctl.controller.setup import make_controller
 from handctl.controller.task import load_task
 from handctl.controller.types import TickIn
 from handctl.hand.description import hand_path, load_hand
-from handctl.runtime.lockstep import LockstepBus, LockstepClock, load_peer
+from handctl.runtime.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, load_peer
 
 RATES = {"jamia": 500.0, "jamia11": 200.0}
 """Default rates on one classical bus [Hz]."""
@@ -56,7 +56,7 @@ class Stack:
     def __init__(self, hand: str, rate_hz: float, scene: type[Free | Grasp]) -> None:
         self.period_ns = round(1e9 / rate_hz)
         self.peer = load_peer(
-            "firmware_sim.rig:Rig",
+            SIMULATED_HAND,
             hand_path=str(hand_path(hand)),
             scene=scene.scene,
             homed=True,

@@ -17,7 +17,7 @@ from typing import Any
 
 from handctl.cli.plan import fastest
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.gain_bounds import with_values
+from handctl.controller.gain_bounds import flat, with_values
 from handctl.controller.gains import Gains
 from handctl.hand.description import hand_path, load_hand
 from handctl.tune.ensemble import ensemble
@@ -61,7 +61,8 @@ def compare(hand_name: str, trials: int, plants: int, count: int) -> dict[str, A
     """Both searches, and their gains on the real plant."""
     hand = load_hand(hand_name)
     packaged = Gains()
-    values = {key: factor * _value(packaged, key) for key, factor in DETUNED.items()}
+    own = flat(packaged)
+    values = {key: factor * own[key] for key, factor in DETUNED.items()}
     detuned = with_values(packaged, values, "benchmark")
     rate = fastest(bus_loads(hand))
     crew = workers(count, None)
@@ -89,11 +90,6 @@ def compare(hand_name: str, trials: int, plants: int, count: int) -> dict[str, A
         },
         "cost_of_not_knowing": costs[2] / costs[3],
     }
-
-
-def _value(gains: Gains, key: str) -> float:
-    section, _, name = key.partition(".")
-    return float(getattr(getattr(gains, section), name))
 
 
 def _searched(plan: Plan, storage: Path, crew: Workers) -> tuple[Found, float]:

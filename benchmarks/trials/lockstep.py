@@ -20,10 +20,9 @@ from handctl.controller.types import Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.hand.description import Hand
 from handctl.report.truth import Truth, read_truth
-from handctl.runtime.lockstep import load_peer
+from handctl.runtime.lockstep import SIMULATED_HAND, load_peer
 from trials.hands import CLEAR, file_of, known
 
-PEER = "firmware_sim.rig:Rig"
 RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
 """Default control rates: what one classical CAN bus carries."""
 DEFAULTS = Gains()
@@ -127,7 +126,9 @@ def run(trial: Trial) -> Course:
         path = Path(folder) / "truth"
         options: dict[str, object] = {"scene": trial.scene, "seed": trial.seed, "perturb": dict(trial.perturb or {})}
         file = str(file_of(trial.hand, Path(folder)))
-        peer = load_peer(PEER, hand_path=file, truth_path=str(path), period_ns=period_ns, homed=True, **options)
+        peer = load_peer(
+            SIMULATED_HAND, hand_path=file, truth_path=str(path), period_ns=period_ns, homed=True, **options
+        )
         rows: list[tuple[TickIn, TickOut, Array]] = []
         state, waiting, end = controller.initial(), list[Frame](), round(trial.limit_s * rate)
         for k in range(end):

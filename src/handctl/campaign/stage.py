@@ -21,9 +21,8 @@ from handctl.controller.task import Task
 from handctl.controller.types import Mode
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand, load_hand
-from handctl.runtime.lockstep import load_peer
+from handctl.runtime.lockstep import SIMULATED_HAND, load_peer
 
-PEER = "firmware_sim.rig:Rig"
 FIRST_NODE = 0x10
 OPTIONS: dict[str, dict[str, Any]] = {
     MIT: {},
@@ -71,7 +70,13 @@ def started(hand: Hand, rate_hz: float, seed: int, perturb: dict[str, float] | N
         path = Path(folder) / f"{re.sub('[^a-z0-9_]', '_', hand.name)}.toml"
         path.write_text(hand.to_toml())
         peer = load_peer(
-            PEER, hand_path=str(path), scene="cylinder", seed=seed, homed=True, period_ns=period_ns, perturb=perturb
+            SIMULATED_HAND,
+            hand_path=str(path),
+            scene="cylinder",
+            seed=seed,
+            homed=True,
+            period_ns=period_ns,
+            perturb=perturb,
         )
         try:
             yield Course.of(controller, cast(FaultyPeer, peer), period_ns)

@@ -21,11 +21,10 @@ from handctl.controller.grasp import TaskProgram
 from handctl.controller.tick import Controller
 from handctl.errors import BusError
 from handctl.hand.description import hand_path
-from handctl.runtime.lockstep import LockstepClock, Peer, load_peer
+from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, Peer, load_peer
 from handctl.runtime.places import truth_path
 
 EXAMPLE = "handctl demo --lockstep"
-PEER = "firmware_sim.rig:Rig"
 SIMULATOR = "firmware_sim"
 START_S = 20.0
 
@@ -118,7 +117,7 @@ def _in_lockstep(args: argparse.Namespace, plan: Plan, program: TaskProgram, log
 def _peer(args: argparse.Namespace, plan: Plan, truth: Path | None) -> Peer:
     """The simulator in this process, stepped by the loop."""
     return load_peer(
-        PEER,
+        SIMULATED_HAND,
         hand_path=str(hand_path(args.hand)),
         scene=args.scene,
         seed=args.seed,

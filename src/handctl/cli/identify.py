@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.commission import commission, ensure_calibration, kept, write_calibration
-from handctl.cli.demo import PEER
 from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import assignments
 from handctl.cli.options import print_json, run_options
@@ -21,7 +20,7 @@ from handctl.errors import ConfigError, DriveError
 from handctl.hand.description import Hand, hand_path, load_hand
 from handctl.log.reader import RunLog
 from handctl.replay.rebuild import logged_hand
-from handctl.runtime.lockstep import LockstepClock, load_peer
+from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
 from handctl.tune.excitation import excitation
 from handctl.tune.identify import Found, identify, now, table
 from handctl.tune.identify_figure import draw
@@ -80,7 +79,7 @@ def _in_lockstep(
 ) -> tuple[Calibration, Outcome]:
     """Commission and excite the simulated hand in virtual time."""
     peer = load_peer(
-        PEER,
+        SIMULATED_HAND,
         hand_path=str(hand_path(args.hand)),
         seed=args.seed,
         perturb=assignments(args.perturb, "--perturb"),

@@ -8,6 +8,7 @@ from handctl.controller.gains import Gains, Provenance, gains_text
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.tune.ensemble import widths
+from handctl.tune.gains_store import write_whole
 
 
 def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, Path]:
@@ -38,7 +39,7 @@ def checked_count(number: int, option: str, most: int) -> int:
 def write_gains(path: Path, gains: Gains, hand: Hand, note: str, fit: Path | None = None, study: str = "") -> None:
     """A gains file that says where it comes from."""
     told = Provenance(hand=hand.name, identity=hand.identity, note=note, fit=str(fit or ""), study=study)
-    path.write_text(gains_text(gains, told), encoding="utf-8")
+    write_whole(path, gains_text(gains, told))
 
 
 def spread_of(fit: Path | None, hand: Hand) -> dict[str, float]:

@@ -17,8 +17,6 @@ from handctl.controller.gains import load_gains_file
 from handctl.errors import ConfigError
 from handctl.hand.description import hand_path
 
-PEER = "firmware_sim.rig:Rig"
-
 
 def run(args: argparse.Namespace) -> int:
     """Verify; 0 only if the new gains went through at full amplitude."""
@@ -57,11 +55,11 @@ def _run(args: argparse.Namespace, plan: Plan, program: Any, watch: Any, log: Pa
         if calibration is None:
             calibration = ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))
         return run_live(plan, make_controller(plan, program, calibration, True), log, attendant=watch), None
-    from handctl.runtime.lockstep import LockstepClock, load_peer
+    from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
 
     truth = log.with_suffix(".truth")
     peer = load_peer(
-        PEER,
+        SIMULATED_HAND,
         hand_path=str(hand_path(args.hand)),
         seed=args.seed,
         period_ns=plan.period_ns,

@@ -17,10 +17,9 @@ from handctl.drives.registry import make_drive
 from handctl.drives.sensor_node import SensorNode
 from handctl.errors import DriveError
 from handctl.hand.description import load_hand
-from handctl.runtime.lockstep import LockstepBus, LockstepClock, load_peer
+from handctl.runtime.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, load_peer
 from handctl.runtime.loop import Loop
 
-PEER = "firmware_sim.rig:Rig"
 RATE_HZ = 500.0
 PERIOD_NS = round(1e9 / RATE_HZ)
 
@@ -69,7 +68,7 @@ def run(hand_file: str, scene: str | None, task: Task, truth: Path | None = None
     model = _model(hand_file)
     path = None if truth is None else str(truth)
     peer = load_peer(
-        PEER, hand_path=hand_file, scene=scene, seed=seed, period_ns=PERIOD_NS, truth_path=path, homed=True
+        SIMULATED_HAND, hand_path=hand_file, scene=scene, seed=seed, period_ns=PERIOD_NS, truth_path=path, homed=True
     )
     clock, recording = LockstepClock(peer, PERIOD_NS), Recording()
     controller = _controller(model, TaskProgram(task))

@@ -11,6 +11,9 @@ from handctl.drives.frame import ERROR, Frame
 from handctl.errors import ConfigError
 from handctl.runtime.bus_events import BusEvents
 
+SIMULATED_HAND = "firmware_sim.rig:Rig"
+"""The peer that comes with handctl, by name."""
+
 
 class Peer(Protocol):
     """The other side of the wire in lockstep."""

@@ -1,6 +1,6 @@
 """Plants that the real one may be: drawn around the hand file, as far as the identification leaves them uncertain."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 from scipy.stats import qmc
@@ -56,14 +56,15 @@ def widths(hand: Hand, found: Mapping[str, Identified]) -> dict[str, float]:
     spread: dict[str, float] = {}
     for tendon, known in found.items():
         for name, value, half in zip(known.names, known.values, known.half_widths, strict=True):
-            for file in _in_file(hand, tendon, name):
+            file = _in_file(hand, tendon, name)
+            if file > 0.0:
                 reach = abs(value / file - 1.0) + half / file
                 spread[KINDS[name]] = max(spread.get(KINDS[name], 0.0), reach)
     return spread
 
 
-def _in_file(hand: Hand, tendon: str, name: str) -> Iterator[float]:
-    """What the hand file says of a parameter, if the ensemble has it and it is not zero there."""
+def _in_file(hand: Hand, tendon: str, name: str) -> float:
+    """What the hand file says of a parameter; 0 if the ensemble does not have it."""
     motor, rope = hand.motor_of(tendon), hand.tendon[hand.tendon_names.index(tendon)]
     known = {
         "rope_stiffness": rope.stiffness_N_per_m,
@@ -74,5 +75,4 @@ def _in_file(hand: Hand, tendon: str, name: str) -> Iterator[float]:
         "spring_stiffness": 1.0,
         "joint_damping": 1.0,
     }
-    if known.get(name, 0.0) > 0.0:
-        yield known[name]
+    return known.get(name, 0.0)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from handctl.controller.setup import ATTACHMENT
 from handctl.controller.types import Mode
 from handctl.hand.description import Hand
+from handctl.log.moments import phase_of_each
 from handctl.log.reader import RunLog
 
 Array = NDArray[np.float64]
@@ -67,7 +68,7 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
         hand: that ran.
     """
     period = log.header.period_ns * 1e-9
-    phases = _phases(log)
+    phases = phase_of_each(log.phases, log.k)
     excited = {name.partition(" ")[0] for name in phases if name.partition(" ")[2] in (*ON_STOP, *FREE)}
     settle, late = round(SETTLE_S / period), round(LATE_S / period)
     active = (log.mode == Mode.ACTIVE)[:-1]
@@ -109,13 +110,6 @@ def _logged_gain(log: RunLog, tendons: int) -> list[float]:
 def _has(hand: Hand, digit: str, tendon: int) -> bool:
     place = hand.digit_tendons[digit]
     return bool(place.start <= tendon < place.stop)
-
-
-def _phases(log: RunLog) -> NDArray[np.str_]:
-    """(ticks,) name of the phase of every tick."""
-    starts = np.array([change.k for change in log.phases])
-    names = np.array([change.name for change in log.phases])
-    return np.asarray(names[np.searchsorted(starts, log.k, side="right") - 1])
 
 
 def _during(phases: NDArray[np.str_], digit: str, steps: tuple[str, ...], settle: int) -> Mask:

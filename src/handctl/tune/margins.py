@@ -67,15 +67,15 @@ def margins(system: System) -> Margins:
     omega = grid(system.period)
     L: NDArray[np.complex128] = system.response(omega)[:, 0, 0]
     radius = float(np.abs(np.linalg.eigvals(system.A - system.B @ system.C)).max())
-    sensitivity = np.abs(1.0 / (1.0 + L))
+    sensitivity = 1.0 / (1.0 + L)
     factors, angles = _gain_factors(L), _phase_angles(L, omega)
     return Margins(
         gain_db=min((20.0 * abs(math.log10(gain)) for gain in factors), default=math.inf),
         phase_deg=min((math.degrees(angle) for angle, _ in angles), default=180.0),
-        disk=1.0 / float(np.abs(1.0 / (1.0 + L) - 0.5).max()) if radius <= STABLE else 0.0,
+        disk=1.0 / float(np.abs(sensitivity - 0.5).max()) if radius <= STABLE else 0.0,
         delay_s=min((angle / w for angle, w in angles), default=math.inf),
         crossover_hz=max((w for _, w in angles), default=math.nan) / (2.0 * math.pi),
-        peak=float(sensitivity.max()),
+        peak=float(np.abs(sensitivity).max()),
         stable=radius <= STABLE,
     )
 

@@ -18,13 +18,12 @@ from handctl.controller.types import Mode, TickIn, TickOut
 from handctl.hand.description import Hand, hand_path, load_hand
 from handctl.report.summary import mean_angles, rms
 from handctl.report.truth import Truth, read_truth
-from handctl.runtime.lockstep import LockstepBus, LockstepClock, load_peer
+from handctl.runtime.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, load_peer
 from handctl.runtime.loop import Loop
 from handctl.tune.design import linear_factors, worst_of
 
 Array = NDArray[np.float64]
 
-PEER = "firmware_sim.rig:Rig"
 FAILED = 1e3
 """Objective of gains that did not get through the exercise."""
 
@@ -108,7 +107,7 @@ def exercise(hand: Hand, hand_name: str, model: HandModel, factors: Mapping[str,
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
         truth_file = Path(folder) / "truth"
         peer = load_peer(
-            PEER,
+            SIMULATED_HAND,
             hand_path=str(hand_path(hand_name)),
             seed=seed,
             period_ns=period_ns,
@@ -161,10 +160,7 @@ def judge(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: Truth, fai
         np.array([getattr(out.telemetry, name) for _, out in kept])
         for name in ("q_goal", "tension_goal", "motor_torque_goal")
     )
-    real = Reality(
-        mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns)),
-        truth.table([f"tension/{name}" for name in hand.tendon_names], t_ns),
-    )
+    real = Reality.of(truth, hand, t_ns)
     phase = np.array([out.phase for _, out in kept])
     return score(t_ns, phase, mean_angles(hand, goal), pull, torque, real)
 
@@ -179,6 +175,14 @@ class Reality(NamedTuple):
 
     angle: Array
     tension: Array
+
+    @staticmethod
+    def of(truth: Truth, hand: Hand, t_ns: NDArray[np.int64]) -> "Reality":
+        """The truth at times [ns on the simulator's clock]."""
+        return Reality(
+            mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns)),
+            truth.table([f"tension/{name}" for name in hand.tendon_names], t_ns),
+        )
 
 
 def score(

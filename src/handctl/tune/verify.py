@@ -14,6 +14,7 @@ from handctl.controller.gain_bounds import LIVE, flat
 from handctl.controller.gains import Gains
 from handctl.controller.types import Mode, TickIn, TickOut
 from handctl.hand.description import Hand
+from handctl.log.moments import phase_of_each
 from handctl.log.reader import RunLog
 from handctl.report.summary import mean_angles
 from handctl.report.truth import Truth
@@ -153,16 +154,12 @@ def scores(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> list
         offset_ns: the run's t = 0 on the simulator's clock [ns].
     """
     begins = [change.k for change in log.phases if change.name == "settle"]
-    phase = _phases(log)
+    phase = phase_of_each(log.phases, log.k)
     angle = mean_angles(hand, log.field("q_goal"))
     if truth is None:
         real = Reality(mean_angles(hand, log.field("q")), log.field("tension"))
     else:
-        t_ns = log.t_ns + offset_ns
-        real = Reality(
-            mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns)),
-            truth.table([f"tension/{name}" for name in hand.tendon_names], t_ns),
-        )
+        real = Reality.of(truth, hand, log.t_ns + offset_ns)
     found = []
     for begin, end in zip(begins, [*begins[1:], int(log.k[-1]) + 1], strict=True):
         part = (log.k >= begin) & (log.k < end) & (log.mode == int(Mode.ACTIVE))
@@ -170,11 +167,3 @@ def scores(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> list
         tension, torque = log.field("tension_goal")[part], log.field("motor_torque_goal")[part]
         found.append(score(log.t_ns[part], phase[part], angle[part], tension, torque, own))
     return found
-
-
-def _phases(log: RunLog) -> "np.ndarray[tuple[int], np.dtype[np.str_]]":
-    """(ticks,) name of the phase of every tick."""
-    names = np.full(len(log), "", dtype="<U16")
-    for change in log.phases:
-        names[log.k >= change.k] = change.name
-    return names
