@@ -1,6 +1,5 @@
 """Estimates and measurements made up for a hand, for what runs on top of the filter."""
 
-from dataclasses import replace
 
 import numpy as np
 
@@ -50,12 +49,12 @@ def at_rest(model: HandModel, closed: float) -> np.ndarray:
 
 def under(model: HandModel, tension: float | np.ndarray, closed: float = 0.0) -> Estimate:
     """An estimate of a still hand whose tendons carry a tension."""
-    return replace(known(model, at_rest(model, closed)), tension=np.full(model.tendon_count, 1.0) * tension)
+    return known(model, at_rest(model, closed))._replace(tension=np.full(model.tendon_count, 1.0) * tension)
 
 
 def slack(model: HandModel) -> Estimate:
     """An estimate of a hand whose tendons carry nothing."""
-    return replace(under(model, 0.0), slack=np.ones(model.tendon_count, dtype=bool))
+    return under(model, 0.0)._replace(slack=np.ones(model.tendon_count, dtype=bool))
 
 
 def nothing_read(model: HandModel) -> Measured:

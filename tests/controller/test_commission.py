@@ -1,7 +1,6 @@
 """Commissioning on a hand made up by the test: results, and every way in which a tendon can be wrong."""
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -52,7 +51,7 @@ def commissioned(model: HandModel, cells: Cells, noise: float = 0.2, loss: float
         tension = cells(i if pulled else -1) + BIAS_N + noise * rng.normal(size=n)
         travel = np.full(n, JUST_TAUT_M) + (tension - BIAS_N) / model.space.stiffness
         shown = tension - (progress.tare or 0.0)
-        measured: Measured = replace(nothing_read(model), travel=travel, tension=shown)
+        measured: Measured = nothing_read(model)._replace(travel=travel, tension=shown)
         if rng.random() < loss:
             measured = nothing_read(model)
         estimate = slack(model)

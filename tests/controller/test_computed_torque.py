@@ -41,8 +41,8 @@ def test_torque_is_within_its_limits_for_any_finite_input(data: st.DataObject, j
     n = jamia.tendon_count
     column = st.lists(number, min_size=n, max_size=n).map(np.array)
     names = ("tension", "travel", "speed", "excursion", "rate", "motor_disturbance", "external", "offset")
-    estimate = replace(known(jamia, np.zeros((n, STATES))), **{name: data.draw(column) for name in names})
-    estimate = replace(estimate, slack=np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n))))
+    estimate = known(jamia, np.zeros((n, STATES)))._replace(**{name: data.draw(column) for name in names})
+    estimate = estimate._replace(slack=np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n))))
     state = LawState(*(data.draw(column) for _ in range(5)))
     angle = st.floats(-0.5, 2.6)
     kinds = {
@@ -109,11 +109,11 @@ def test_a_pull_never_uses_more_force_than_its_limit(model: HandModel) -> None:
 
 def test_no_integral_while_the_rope_is_slack(model: HandModel) -> None:
     law = LawState.initial(model.tendon_count)
-    slack = replace(known(model, np.zeros((model.tendon_count, STATES))), slack=np.ones(model.tendon_count, dtype=bool))
+    slack = known(model, np.zeros((model.tendon_count, STATES)))._replace(slack=np.ones(model.tendon_count, dtype=bool))
     for k in range(50):
         law, _ = step(model, law, slack, holding(model, 20.0), k * model.period)
     assert not law.integral.any()
-    law, _ = step(model, law, replace(slack, slack=~slack.slack), holding(model, 20.0), 0.0)
+    law, _ = step(model, law, slack._replace(slack=~slack.slack), holding(model, 20.0), 0.0)
     assert (law.integral > 0).all()
 
 

@@ -1,7 +1,6 @@
 """The tension filter in motion: consistent with its own model, predicting what is missing, and honest about regimes."""
 
 import tomllib
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -94,7 +93,7 @@ def monte_carlo(model: HandModel, regime: Regime, ticks: int, seed: int) -> Cour
         z = truth @ model.filter.blocks[0][regime].H.T
         z[:, 1] = tension
         z += sigma * rng.normal(size=(n, MEASUREMENTS))
-        measured = replace(nothing_read(model), travel=z[:, 0], tension=z[:, 1])
+        measured = nothing_read(model)._replace(travel=z[:, 0], tension=z[:, 1])
         state, estimate = estimator.step(model, state, measured, force, rate, contact)
         noise = (root @ rng.normal(size=(n, STATES, 1)))[..., 0] * SCALE
         inputs = np.column_stack((force, rate))
@@ -122,8 +121,7 @@ def test_consistent_with_its_own_model(plain: HandModel, regime: Regime) -> None
 
 def readings(model: HandModel, x: np.ndarray, tension: np.ndarray, excursion: bool = False) -> Measured:
     """What noiseless sensors read of a state (N, 7) with these tensions; joint encoders only if asked."""
-    return replace(
-        nothing_read(model),
+    return nothing_read(model)._replace(
         travel=x[:, X].copy(),
         tension=tension,
         excursion=x[:, S] if excursion else np.full(len(x), np.nan),
@@ -181,7 +179,7 @@ def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> N
 def test_a_lost_frame_of_one_tendon_leaves_the_others_alone(model: HandModel) -> None:
     x, force = resting(model, 25.0, 0.6)
     whole = readings(model, x, np.full(len(x), 26.0))
-    holed = replace(whole, tension=whole.tension.copy())
+    holed = whole._replace(tension=whole.tension.copy())
     holed.tension[1] = np.nan
     results = [step(model, all_in(model, Regime.FREE, x), m, force, nowhere(model))[0].x for m in (whole, holed)]
     changed = np.abs(results[0] - results[1]).reshape(-1, STATES).max(axis=1) > 1e-12
@@ -194,13 +192,13 @@ def test_it_starts_with_the_first_complete_measurement(model: HandModel) -> None
     n = model.tendon_count
     travel, cell = np.linspace(-3e-3, 2e-3, n), np.zeros(n)
     state = FilterState.initial(n)
-    partial = replace(nothing_read(model), travel=travel.copy(), tension=cell)
+    partial = nothing_read(model)._replace(travel=travel.copy(), tension=cell)
     partial.travel[n - 1] = np.nan
-    for incomplete in (nothing_read(model), partial, replace(nothing_read(model), tension=cell)):
+    for incomplete in (nothing_read(model), partial, nothing_read(model)._replace(tension=cell)):
         state, _ = step(model, state, incomplete, cell, nowhere(model))
         assert not state.started
     state, estimate = step(
-        model, state, replace(nothing_read(model), travel=travel, tension=cell), cell, nowhere(model)
+        model, state, nothing_read(model)._replace(travel=travel, tension=cell), cell, nowhere(model)
     )
     assert state.started
     np.testing.assert_allclose(estimate.travel, travel, atol=1e-6)
@@ -212,8 +210,8 @@ def test_a_hand_that_is_under_tension_before_its_encoders_speak(model: HandModel
     n = model.tendon_count
     cell, state = np.full(n, 5.0), FilterState.initial(n)
     for _ in range(20):
-        state, _ = step(model, state, replace(nothing_read(model), tension=cell), np.zeros(n), nowhere(model))
-    whole = replace(nothing_read(model), travel=np.full(n, 2e-3), tension=cell)
+        state, _ = step(model, state, nothing_read(model)._replace(tension=cell), np.zeros(n), nowhere(model))
+    whole = nothing_read(model)._replace(travel=np.full(n, 2e-3), tension=cell)
     for k in range(20):
         state, estimate = step(model, state, whole, cell, nowhere(model))
         assert np.abs(estimate.tension - (cell if k > SLACK_TICKS else cell / 2)).max() < 4.0, k
@@ -223,7 +221,7 @@ def rope(model: HandModel, cells: list[float]) -> list[set[int]]:
     """Regimes met while the load cells read a sequence of tensions, the motor standing still."""
     n = model.tendon_count
     x = np.zeros((n, STATES))
-    state = replace(all_in(model, Regime.SLACK, x), stopped=(True,) * n)
+    state = all_in(model, Regime.SLACK, x)._replace(stopped=(True,) * n)
     met = []
     for cell in cells:
         measured = readings(model, x, np.full(n, cell))
@@ -249,7 +247,7 @@ def test_becoming_taut_takes_the_tension_from_the_load_cell(model: HandModel) ->
     n = model.tendon_count
     x = np.zeros((n, STATES))
     x[:, X] = np.linspace(-2e-3, 2e-3, n)
-    state = replace(all_in(model, Regime.SLACK, x), stopped=(True,) * n)
+    state = all_in(model, Regime.SLACK, x)._replace(stopped=(True,) * n)
     cell = np.full(n, 4.0)
     estimates = []
     for _ in range(60):
@@ -266,7 +264,7 @@ def test_a_stretch_offset_is_kept(model: HandModel) -> None:
     n = model.tendon_count
     x, cell = np.zeros((n, STATES)), np.full(n, 4.0)
     x[:, X] = 2e-3
-    state = replace(all_in(model, Regime.SLACK, x), stopped=(True,) * n)
+    state = all_in(model, Regime.SLACK, x)._replace(stopped=(True,) * n)
     for _ in range(round(1.5 / model.period)):
         state, estimate = step(model, state, readings(model, x, cell), cell, nowhere(model))
     np.testing.assert_allclose(estimate.excursion, 0.0, atol=2e-6)
@@ -306,7 +304,7 @@ def test_what_an_object_takes_is_called_external(model: HandModel) -> None:
     np.testing.assert_allclose(estimate.external, 10.0, atol=0.5)
     x0, rest = np.zeros((n, STATES)), np.full(n, 4.0)
     x0[:, X] = rest / model.space.stiffness
-    state = replace(all_in(model, Regime.HELD, x0), stopped=(True,) * n)
+    state = all_in(model, Regime.HELD, x0)._replace(stopped=(True,) * n)
     state, estimate = step(model, state, readings(model, x0, rest), rest, nowhere(model))
     np.testing.assert_allclose(estimate.external, 0.0, err_msg="the open stop is no contact")
 

@@ -1,6 +1,5 @@
 """What the tension filter does with samples that cannot be right, with a load cell that drifts, and how it doubts."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -30,7 +29,7 @@ class Held:
     def sample(self, cell: float, *, railed: tuple[int, ...] = (), travel: float = 0.0) -> Estimate:
         """One tick in which tendon 0 reads ``cell`` [N]."""
         model, n = self.model, self.model.tendon_count
-        read = replace(nothing_read(model), travel=self.travel + travel, tension=np.full(n, TENSION), railed=railed)
+        read = nothing_read(model)._replace(travel=self.travel + travel, tension=np.full(n, TENSION), railed=railed)
         read.tension[0] = cell
         push, still, contact = np.full(n, TENSION), np.zeros(n), (True,) * len(model.digits)
         self.state, estimate = estimator.step(model, self.state, read, push, still, contact)
@@ -85,10 +84,10 @@ def rest(hand: Held, error: float, loose: float, seconds: float) -> Estimate:
     hand.travel = np.full(model.tendon_count, -loose)
     x[:, X] = hand.travel
     known = (True,) * model.tendon_count
-    hand.state = replace(FilterState.of(x.ravel(), Regime.SLACK, stopped=True), measured=known)
+    hand.state = FilterState.of(x.ravel(), Regime.SLACK, stopped=True)._replace(measured=known)
     for _ in range(round(seconds / model.period)):
         n = model.tendon_count
-        read = replace(nothing_read(model), travel=hand.travel, tension=np.zeros(n))
+        read = nothing_read(model)._replace(travel=hand.travel, tension=np.zeros(n))
         read.tension[0] = error
         untouched = (False,) * len(model.digits)
         hand.state, estimate = estimator.step(model, hand.state, read, np.zeros(n), np.zeros(n), untouched)
@@ -111,7 +110,7 @@ def test_the_error_stays_as_it_is_while_the_rope_is_taut(model: HandModel) -> No
     hand = Held(model)
     x = hand.state.x.copy()
     x[E] = 0.7
-    hand.state = replace(hand.state, x=x)
+    hand.state = hand.state._replace(x=x)
     for _ in range(300):
         estimate = hand.sample(TENSION + 0.7)
     np.testing.assert_allclose(estimate.cell_error[0], 0.7, atol=1e-3)

@@ -2,7 +2,6 @@
 
 import json
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -85,7 +84,7 @@ def touching(model: HandModel, external: dict[str, float], tension: float = 15.0
     force = np.zeros(model.tendon_count)
     for name, value in external.items():
         force[model.digit_tendons[model.hand.digit_names.index(name)]] = value
-    return replace(estimate, external=force)
+    return estimate._replace(external=force)
 
 
 def test_phases_come_in_the_order_of_the_task_and_last_as_long(model: HandModel, taut: Estimate) -> None:

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -93,7 +92,7 @@ def test_a_change_makes_no_step_in_torque(
     law = desk.state.law
     assert law.trim is not None
     (_, before, estimate, goals, t), (other, *_) = calls
-    with_trim = step(other, replace(before, trim=law.trim), estimate, goals, t)[1]
+    with_trim = step(other, before._replace(trim=law.trim), estimate, goals, t)[1]
     without = step(other, before, estimate, goals, t)[1]
     np.testing.assert_allclose(with_trim.torque, out.telemetry.motor_torque_goal, atol=1e-12)
     assert np.abs(without.torque - with_trim.torque).max() > 1e-4

@@ -1,7 +1,6 @@
 """Slip: noticed by a digit that is pushed open, answered by more force up to the task's limit; also on the plant."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +43,7 @@ class Held:
         """A digit whose tendons have been wound that much further."""
         travel = self.quiet.travel.copy()
         travel[self.model.digit_tendons[digit]] += metres
-        return replace(self.quiet, travel=travel)
+        return self.quiet._replace(travel=travel)
 
     @property
     def tension(self) -> float:

@@ -4,7 +4,6 @@ import itertools
 import os
 import sys
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import synthetic
@@ -20,7 +19,7 @@ def main() -> None:
     recorder = Recorder.start(Path(sys.argv[1]), run)
     for k in itertools.count():
         tick_in, out = ticks[k % len(ticks)]
-        tick_in = replace(tick_in, k=k, t_ns=k * run.period_ns)
+        tick_in = tick_in._replace(k=k, t_ns=k * run.period_ns)
         if recorder.record(pack(tick_in, out)):
             os.write(1, k.to_bytes(8, "little"))
         time.sleep(0.0005)

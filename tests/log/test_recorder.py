@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -143,7 +142,7 @@ def test_records_longer_than_an_atomic_write_stay_whole(start: Callable[..., Rec
             os.kill(recorder._child.pid, signal.SIGCONT)
             time.sleep(0.1)
         text = chance.choice("ab") * chance.randrange(9_000, 30_000)
-        if recorder.record(pack(replace(tick_in, requests=(text,)), out)):
+        if recorder.record(pack(tick_in._replace(requests=(text,)), out)):
             taken.append((k, text))
     assert 0 < recorder.dropped < len(ticks) - 100
     recorder.close("finished")

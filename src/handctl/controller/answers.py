@@ -39,15 +39,15 @@ def answer(
         elif isinstance(request, Cut):
             wishes = replace(wishes, cut=True)
         elif isinstance(request, Arm):
-            state = replace(state, armed=True)
+            state = state._replace(armed=True)
         elif isinstance(request, Clear):
-            state = replace(state, safety=safety.clear(state.safety), clearing=state.mode in BEFORE_ARMING)
+            state = state._replace(safety=safety.clear(state.safety), clearing=state.mode in BEFORE_ARMING)
         elif isinstance(request, SetGains):
             coming, refused = retune.asked(state.coming.gains if state.coming else model.gains, request.set)
-            state = replace(state, coming=coming or state.coming)
+            state = state._replace(coming=coming or state.coming)
             events += refused
         elif isinstance(request, MoveDigits | HoldTension):
             progress, told = apply_goal(model, state.progress, request, estimate, state.goal_time)
-            state = replace(state, progress=progress)
+            state = state._replace(progress=progress)
             events += told
     return state, wishes, tuple(events)

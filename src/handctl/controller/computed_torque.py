@@ -12,7 +12,6 @@ inertia. Hold: state feedback on tension error and cable speed, with a slow inte
 and the rotor's share of it are fed forward. Source: LQR of ``motion_design``.
 """
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -32,8 +31,7 @@ INTEGRAL_LIMIT_N = 8.0
 """Anti-windup: the tension integral never asks for more than this [N]."""
 
 
-@dataclass(frozen=True, slots=True)
-class LawState:
+class LawState(NamedTuple):
     """What the law carries from tick to tick, (N,) each.
 
     Attributes:
@@ -64,8 +62,7 @@ class LawState:
         return LawState(tension, nothing, nothing, nothing, nothing)
 
 
-@dataclass(frozen=True, slots=True)
-class Command:
+class Command(NamedTuple):
     """What the law decided.
 
     Attributes:

@@ -4,7 +4,6 @@ import functools
 import hashlib
 import itertools
 import struct
-from dataclasses import fields
 
 from handctl.controller.computed_torque import LawState
 from handctl.controller.filter_state import FilterState
@@ -19,7 +18,6 @@ PLACE = struct.Struct("<qBdd??")
 DRIVE = struct.Struct("<B4d4qI")
 SENSORS = struct.Struct("<bqq")
 GROUPS = tuple(struct.Struct(f"<bqqB{channels}H") for channels in range(CHANNELS + 1))
-LAW_FIELDS = tuple(field.name for field in fields(LawState))
 
 
 @functools.lru_cache(maxsize=8)
@@ -43,8 +41,7 @@ def digest(*parts: bytes) -> bytes:
 
 def law_bytes(law: LawState) -> bytes:
     """The law's arrays; one of no length for what it does not have."""
-    arrays = [getattr(law, name) for name in LAW_FIELDS]
-    return b"".join([b"-" if array is None else array.tobytes() for array in arrays])
+    return b"".join([b"-" if array is None else array.tobytes() for array in law])
 
 
 def filter_bytes(state: FilterState) -> bytes:

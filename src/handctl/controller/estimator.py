@@ -6,7 +6,7 @@ be true. The result is the prediction to the present instant: the measurements o
 just before the previous command acted.
 """
 
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from filterpy.kalman import predict_steadystate, update_steadystate
@@ -35,8 +35,7 @@ LOOSE_M = 2e-4
 """Rope that must hang loose for its load cell to show nothing but its error."""
 
 
-@dataclass(frozen=True, slots=True)
-class Measured:
+class Measured(NamedTuple):
     """Measurements of one tick, (N,) each; NaN where missing.
 
     Attributes:
@@ -54,8 +53,7 @@ class Measured:
     railed: tuple[int, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Estimate:
+class Estimate(NamedTuple):
     """The present instant, (N,) each unless said otherwise.
 
     Attributes:
@@ -162,7 +160,7 @@ def _start(model: HandModel, state: FilterState, measured: Measured) -> FilterSt
         return state
     x = np.zeros((model.tendon_count, STATES))
     x[:, X] = measured.travel
-    return replace(state, x=x.ravel(), started=True)
+    return state._replace(x=x.ravel(), started=True)
 
 
 def _regimes(

@@ -1,6 +1,6 @@
 """What the tension filter carries from tick to tick."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -8,8 +8,7 @@ from handctl.controller.filter_design import STATES, Regime
 from handctl.controller.types import Vector
 
 
-@dataclass(frozen=True, slots=True)
-class FilterState:
+class FilterState(NamedTuple):
     """What the filter carries from tick to tick.
 
     Attributes:

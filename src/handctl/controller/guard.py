@@ -1,7 +1,7 @@
 """What one tick shows to safety: ages, errors, frames that should not be, and what the watcher makes of the rest."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -78,7 +78,7 @@ class Guard:
             return watch, measured, ()
         read = np.where(joints > 0.0, np.nan, measured.joints)
         travel = np.where(motors > 0.0, np.nan, measured.travel)
-        dropped = replace(measured, travel=travel, joints=read, excursion=self.model.excursion_of(read))
+        dropped = measured._replace(travel=travel, joints=read, excursion=self.model.excursion_of(read))
         names = (*self.watcher.limits.motors, *self.watcher.joints)
         jumps = zip(names, (*motors.tolist(), *joints.tolist()), strict=True)
         return watch, dropped, tuple((name, size) for name, size in jumps if size > 0.0)

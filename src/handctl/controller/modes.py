@@ -131,7 +131,7 @@ def next_mode(
     text = f"{state.mode.name} -> {mode.name}" + (f": {failure}" if failure else "")
     unconfirmed = _may_pull(model, state, names) if mode == Mode.DONE else ()
     told = f"{state.failure}; {failure}" if state.failure and unconfirmed else state.failure or failure
-    entered = replace(state, mode=mode, mode_since=t, failure=told, unconfirmed=unconfirmed)
+    entered = state._replace(mode=mode, mode_since=t, failure=told, unconfirmed=unconfirmed)
     return _on_entry(model, entered), (Event(level, "mode", "", text),)
 
 
@@ -263,7 +263,7 @@ def _on_entry(model: HandModel, state: State) -> State:
         DigitGoal(Kind.TENSION, tension=np.minimum(state.law.setpoint[s], RELAX_FLOOR_N), rate=RELAX_RATE_N_PER_S)
         for s in model.digit_tendons
     )
-    return replace(state, progress=replace(state.progress, goals=goals))
+    return state._replace(progress=replace(state.progress, goals=goals))
 
 
 def _may_pull(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:

@@ -75,7 +75,7 @@ def asked(present: Gains, values: dict[str, float]) -> tuple[Coming | None, tupl
 
 def trimmed(law: LawState, step: Vector) -> LawState:
     """The law with a step (N,) in force made up for [N], besides what is still left of one before."""
-    return replace(law, trim=step if law.trim is None else law.trim + step)
+    return law._replace(trim=step if law.trim is None else law.trim + step)
 
 
 def changes(before: Gains, after: Gains) -> tuple[Event, ...]:

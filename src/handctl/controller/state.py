@@ -1,6 +1,6 @@
 """The whole state of a controller: small, frozen, and hashed into the log each tick."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from handctl.controller import digest as packing
 from handctl.controller.computed_torque import LawState
@@ -15,8 +15,7 @@ from handctl.safety.judge import SafetyState
 from handctl.safety.watch import WatchState
 
 
-@dataclass(frozen=True, slots=True)
-class State:
+class State(NamedTuple):
     """Everything that one tick hands to the next.
 
     Attributes:

@@ -151,15 +151,15 @@ class Controller:
         watch, signals = self._signals(before, state, entry, received, asked)
         measured, estimate, foreign = received.measured, received.estimate, received.foreign
         judged, verdict = safety.judge(state.safety, self.limits, signals)
-        state = state if judged is state.safety else replace(state, safety=judged)
+        state = state if judged is state.safety else state._replace(safety=judged)
         state, moved = next_mode(self.model, self.drives, state, verdict.action, wishes, foreign, entry.t_ns / 1e9)
         progress, goal_time, stepped = self._program(state, verdict.action, estimate, measured)
         law, command = self._command(state, estimate, progress.goals, goal_time)
         drives, sensors, frames = self._encode(state, entry, command)
         old_law = state.law
         watch = self.guard.commanded(watch, state.mode, command)
-        state = replace(
-            state, progress=progress, goal_time=goal_time, law=law, drives=drives, sensors=sensors, watch=watch
+        state = state._replace(
+            progress=progress, goal_time=goal_time, law=law, drives=drives, sensors=sensors, watch=watch
         )
         state, retuned = (state, ()) if state.coming is None else self._retune(state, old_law, estimate, command)
         events = told + asked + tuple(_told(finding) for finding in verdict.findings) + moved + stepped + retuned
@@ -178,7 +178,7 @@ class Controller:
         drives, sensors, foreign, strange = self._receive(state, entry)
         watch, measured, jumped = self.guard.screen(state, self._measured(state, drives, sensors))
         filters, estimate = self._estimate(state, measured)
-        state = replace(state, k=entry.k, drives=drives, sensors=sensors, filter=filters, watch=watch)
+        state = state._replace(k=entry.k, drives=drives, sensors=sensors, filter=filters, watch=watch)
         return state, Received(measured, estimate, foreign, strange, jumped)
 
     def _receive(
@@ -263,13 +263,13 @@ class Controller:
         assert state.coming is not None
         coming = self.designs.advance(self.model, state.coming)
         if coming is not None:
-            return replace(state, coming=coming), ()
+            return state._replace(coming=coming), ()
         gains, law = state.coming.gains, state.law
         if state.mode in (Mode.ACTIVE, Mode.RELAX):
             other = self.designs.model(self.model, gains)
             _, changed = computed_torque.step(other, before, estimate, state.progress.goals, state.goal_time)
             law = retune.trimmed(law, (command.torque - changed.torque) / self.model.space.spool)
-        return replace(state, gains=gains, coming=None, law=law), retune.changes(self.model.gains, gains)
+        return state._replace(gains=gains, coming=None, law=law), retune.changes(self.model.gains, gains)
 
     def _encode(
         self, state: State, entry: TickIn, command: Command

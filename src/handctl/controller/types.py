@@ -1,9 +1,6 @@
 """One tick as data: everything that can change a decision comes in by TickIn, everything decided leaves by TickOut."""
 
 import enum
-from collections.abc import Callable
-from dataclasses import dataclass, fields
-from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -45,8 +42,7 @@ class IoEvent(NamedTuple):
     number: int = 1
 
 
-@dataclass(frozen=True, slots=True)
-class TickIn:
+class TickIn(NamedTuple):
     """All that one tick may know.
 
     Attributes:
@@ -86,8 +82,7 @@ class Event(NamedTuple):
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class Telemetry:
+class Telemetry(NamedTuple):
     """The numbers of one tick, float64 each; NaN where nothing is known, never an old value with a fresh stamp.
 
     Shapes: J joints, N tendons, M motors, D digits, in the order of the hand file.
@@ -146,13 +141,11 @@ class Telemetry:
 
     def packed(self) -> bytes:
         """All fields in order as little-endian float64."""
-        return b"".join([array.tobytes() for array in _all_fields(self)])
+        return b"".join([array.tobytes() for array in self])
 
 
-TELEMETRY_FIELDS = tuple(field.name for field in fields(Telemetry))
+TELEMETRY_FIELDS = Telemetry._fields
 """Field names in the order of ``Telemetry.packed``."""
-
-_all_fields: Callable[[Telemetry], tuple[Vector, ...]] = attrgetter(*TELEMETRY_FIELDS)
 
 TELEMETRY_AXES = {
     **dict.fromkeys(TELEMETRY_FIELDS[:6], "joint"),
@@ -163,8 +156,7 @@ TELEMETRY_AXES = {
 """Which of joint, tendon, motor, digit each field runs over."""
 
 
-@dataclass(frozen=True, slots=True)
-class TickOut:
+class TickOut(NamedTuple):
     """All that one tick decided.
 
     Attributes:

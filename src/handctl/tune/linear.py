@@ -8,7 +8,7 @@ motion it is saturated and has no slope. The delay is the bus's: a tick acts on 
 import enum
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -208,12 +208,12 @@ def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Ti
             table[tendon] = values[at : at + table.shape[1]]
             at += table.shape[1]
             changed[owner][name] = whole
-        return replace(filters, **changed["filter"]), replace(law, **changed["law"])  # type: ignore[arg-type]
+        return filters._replace(**changed["filter"]), law._replace(**changed["law"])  # type: ignore[arg-type]
 
     def tick(values: Matrix, reading: Matrix) -> Matrix:
         own_filters, own_law = with_share(values)
         travel, tension, excursion = (_put(getattr(measured, name), tendon, reading[j]) for j, name in _READ)
-        now = replace(measured, travel=travel, tension=tension, excursion=excursion)
+        now = measured._replace(travel=travel, tension=tension, excursion=excursion)
         next_filters, estimate = estimator.step(model, own_filters, now, own_law.force, own_law.rate, contact)
         next_law, command = computed_torque.step(model, own_law, estimate, goals, 0.0)
         after = {"filter": next_filters, "law": next_law}
@@ -239,9 +239,9 @@ _WATCHED = ("nis", "surprise")
 """What the filter keeps of its innovations, only to judge them."""
 
 
-def _floats(record: object) -> list[str]:
+def _floats(record: FilterState | LawState) -> list[str]:
     """Names of a record's fields that hold float arrays and take part in the feedback."""
-    names = [field.name for field in fields(record) if field.name not in _WATCHED]  # type: ignore[arg-type]
+    names = [name for name in record._fields if name not in _WATCHED]
     return [name for name in names if getattr(getattr(record, name), "dtype", None) == np.float64]
 
 
@@ -261,7 +261,7 @@ def _point(
     filters = FilterState.of(x.ravel(), regime, stopped=False)
     winding = model.motion.tension_speed * SPEED_M_S / (1.0 + model.motion.tension)  # set-point error that asks for it
     planned = np.full(n, TENSION_N)  # what one plans for is no feedback, but must be there
-    law = replace(LawState.initial(n), setpoint=TENSION_N + winding, force=planned.copy(), planned=planned)
+    law = LawState.initial(n)._replace(setpoint=TENSION_N + winding, force=planned.copy(), planned=planned)
     joints = model.excursion_of(q)
     seen = np.isfinite(_joint_gain(model))
     measured = Measured(x[:, X].copy(), np.full(n, TENSION_N), np.where(seen, joints, math.nan), q)
