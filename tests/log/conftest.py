@@ -10,7 +10,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 @pytest.fixture(scope="session")
 def small_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A whole log of about 64 KiB with a dozen chunks."""
+    """A whole log with a dozen chunks."""
     import synthetic
 
     path = tmp_path_factory.mktemp("log") / "small.mcap"

@@ -4,6 +4,7 @@ import math
 import subprocess
 import sys
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +22,7 @@ from handctl.controller.setup import Setup, make_controller
 from handctl.controller.types import TickIn, TickOut
 from handctl.errors import LogError
 from handctl.hand.description import load_hand
+from handctl.log.code import code_identity
 from handctl.log.reader import RunLog
 from handctl.replay import rebuild as rebuilding
 from handctl.replay.counterfactual import Commands, draw, summary
@@ -141,6 +143,30 @@ def test_a_log_without_a_setup_is_refused_in_one_line(fresh: Path) -> None:
         with pytest.raises(LogError, match=r"setup\.json cannot be read") as caught:
             rebuilding.rebuild(log)
     assert "\x1b" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("gains", "said"),
+    [
+        ('{"motion": {"softness_m": 1.0}}', r"gains\.json cannot be read: motion softness_m: Extra inputs"),
+        ('{"schema": 2}', r"gains\.json cannot be read: schema: Input should be less than or equal to 1"),
+    ],
+    ids=["a gain that is gone", "a later schema"],
+)
+def test_gains_of_another_version_are_refused_in_one_line_with_both(fresh: Path, gains: str, said: str) -> None:
+    with RunLog(fresh) as log:
+        found = log.header.metadata
+        assert found["code"] == code_identity()
+        log.header = replace(
+            log.header,
+            attachments=log.header.attachments | {"gains.json": gains.encode()},
+            metadata=found | {"version": "0.0.9", "code": "0123456789ab"},
+        )
+        with pytest.raises(LogError, match=said) as caught:
+            execute(log)
+    assert "written by handctl 0.0.9, code 0123456789ab" in str(caught.value)
+    assert f"handctl {version('handctl')}, code {code_identity()}" in str(caught.value)
+    assert len(str(caught.value).splitlines()) == 1
 
 
 def test_other_gains_command_something_else_and_draw_it(fresh: Path, tmp_path: Path) -> None:

@@ -23,11 +23,12 @@ def run(args: argparse.Namespace) -> int:
 def _same(args: argparse.Namespace, log: Any) -> int:
     from importlib.metadata import version
 
+    from handctl.log.code import code_identity
     from handctl.replay.execute import acceptable, execute
 
     found = execute(log)
     good = not found.differing if args.within is None else acceptable(found, args.within)
-    logged_by = log.header.metadata.get("version", "?")
+    here, logged_by = (version("handctl"), code_identity()), _writer(log)
     result = {
         "log": str(args.recorded),
         "ticks": found.ticks,
@@ -36,8 +37,10 @@ def _same(args: argparse.Namespace, log: Any) -> int:
         "first": found.first._asdict() if found.first else None,
         "largest": found.largest._asdict() if found.largest else None,
         "same": good,
-        "version": version("handctl"),
-        "version_logged": logged_by,
+        "version": here[0],
+        "version_logged": logged_by[0],
+        "code": here[1],
+        "code_logged": logged_by[1],
         "wall_s": found.wall_s,
         "cpu_s": found.cpu_s,
         "times_real_time": found.times_real_time,
@@ -50,9 +53,16 @@ def _same(args: argparse.Namespace, log: Any) -> int:
             if one:
                 say(f"{word}: {_sentence(one)}")
         say(f"{found.wall_s:.2f} s, {found.times_real_time:.1f} times real time")
-        if found.differing and logged_by != version("handctl"):
-            say(f"the log was written by version {logged_by}, this is {version('handctl')}")
+        if found.differing and logged_by != here:
+            say("the log was written by handctl {}, code {}; this is handctl {}, code {}".format(*logged_by, *here))
     return Exit.DONE if good else Exit.FAILED
+
+
+def _writer(log: Any) -> tuple[str, str]:
+    """Version and code that wrote a log."""
+    from handctl.log.code import UNKNOWN
+
+    return log.header.metadata.get("version", UNKNOWN), log.header.metadata.get("code", UNKNOWN)
 
 
 def _sentence(one: Any) -> str:

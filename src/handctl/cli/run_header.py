@@ -9,6 +9,7 @@ from handctl.cli.plan import Plan
 from handctl.controller import setup
 from handctl.controller.tick import Controller
 from handctl.hand.urdf import urdf
+from handctl.log.code import code_identity
 from handctl.log.header import RunHeader
 from handctl.runtime.clock import Priority
 
@@ -34,6 +35,7 @@ def run_header(plan: Plan, controller: Controller, priority: Priority | None, lo
     }
     metadata = {
         "version": version("handctl"),
+        "code": code_identity(),
         "hand": hand.name,
         "identity": hand.identity,
         "bus": " ".join(plan.buses) or "lockstep",

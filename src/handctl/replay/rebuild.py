@@ -1,6 +1,7 @@
 """The controller of a recorded run, put together again from what the log holds."""
 
 import tomllib
+from importlib.metadata import version
 from typing import TypeVar
 
 from pydantic import ValidationError
@@ -10,6 +11,7 @@ from handctl.controller.setup import ATTACHMENT, Setup
 from handctl.controller.tick import Controller
 from handctl.errors import ConfigError, LogError
 from handctl.hand.description import Hand, hand_from
+from handctl.log.code import UNKNOWN, code_identity
 from handctl.log.logfile import printable
 from handctl.log.reader import RunLog
 
@@ -59,9 +61,18 @@ D = TypeVar("D", Gains, Setup)
 def _read(log: RunLog, name: str, model: type[D]) -> D:
     data = log.header.attachments.get(name)
     if data is None:
-        raise LogError(f"no {name} in it", "the log", "a log of this version of handctl: it cannot be executed again")
+        raise LogError(f"no {name} in it", *_versions(log))
     try:
         return model.model_validate_json(data)
     except ValidationError as error:
-        why = printable(str(error.errors(include_url=False)[0]["msg"]))
-        raise LogError(f"{name} cannot be read: {why}", "the log", "a log of this version of handctl") from None
+        first = error.errors(include_url=False)[0]
+        place = "".join(f" {part}" for part in first["loc"])
+        raise LogError(printable(f"{name} cannot be read:{place}: {first['msg']}"), *_versions(log)) from None
+
+
+def _versions(log: RunLog) -> tuple[str, str]:
+    """Who wrote a log, and who reads it: where an error is, and what would be right."""
+    metadata = log.header.metadata
+    wrote = f"handctl {metadata.get('version', UNKNOWN)}, code {metadata.get('code', UNKNOWN)}"
+    here = f"handctl {version('handctl')}, code {code_identity()}"
+    return printable(f"the log, written by {wrote}"), f"a log that this one can execute: {here}"

@@ -1,9 +1,11 @@
-"""The picture of a run: angles, tensions, contact forces and lateness over time."""
+"""The picture of a run: angle, tensions and contact force of each digit over time, and the lateness of the loop."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from handctl.controller.types import Mode
 from handctl.hand.description import Hand
@@ -12,6 +14,14 @@ from handctl.report.summary import mean_angles
 from handctl.report.truth import Truth
 
 COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
+COMMAND, PLANT, GRID = "#444444", "#000000", "#999999"
+SHADES = (1.0, 0.65, 0.4)
+"""Opacity of the first, second and third tendon of a digit."""
+QUIET = frozenset(mode.name.lower() for mode in Mode)
+"""Names of phases before and after the hand acts."""
+ROWS = ("mean joint angle [deg]", "tendon tension [N]", "contact force [N]")
+
+Array = NDArray[np.float64]
 
 
 def draw_run(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, title: str) -> None:
@@ -28,84 +38,104 @@ def draw_run(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_ns
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 9.5), layout="constrained")
+    n = len(hand.digit)
+    figure = Figure(figsize=(max(9.0, 2.6 + 2.6 * n), 9.0), layout="constrained")
     FigureCanvasAgg(figure)
-    angles, tensions, forces, late = figure.subplots(4, 1, sharex=True, height_ratios=[3, 3, 2, 1])
+    halves = figure.add_gridspec(2, 1, height_ratios=[8, 1.2])
+    grid = halves[0].subgridspec(3, n).subplots(sharex=True, sharey="row", squeeze=False)
+    late = figure.add_subplot(halves[1])
     figure.suptitle(title)
-    _angles(angles, log, hand, truth, offset_ns)
-    _tensions(tensions, log, hand, truth, offset_ns)
-    _forces(forces, log, hand, truth, offset_ns)
+    _angles(grid[0], log, hand, truth, offset_ns)
+    _tensions(grid[1], log, hand, truth, offset_ns)
+    _forces(grid[2], log, hand, truth, offset_ns)
     late.plot(log.times, log.late_ns / 1e3, color="#666666", linewidth=0.6)
-    late.set(ylabel="lateness [us]", xlabel="time [s]")
-    for axes in (angles, tensions, forces, late):
-        axes.grid(alpha=0.3)
-        axes.margins(x=0)
-    _phases((angles, tensions, forces), log)
-    acting = np.flatnonzero(np.isin(log.mode, (int(Mode.ACTIVE), int(Mode.RELAX))))
-    if len(acting):
-        late.set_xlim(max(0.0, log.times[acting[0]] - 0.2), log.times[acting[-1]] + 0.1)
+    late.set(ylabel="lateness\nof a tick [us]", xlabel="time [s]")
+    _dress(grid, late, log, hand)
+    figure.legend(*_key(truth is not None), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     figure.savefig(path, dpi=110)
 
 
-def _angles(axes: Any, log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> None:
+def _dress(grid: Any, late: Any, log: RunLog, hand: Hand) -> None:
+    """Titles, grids, phases, and the stretch of time in which the hand acts."""
+    for column, name in zip(grid.T, hand.digit_names, strict=True):
+        column[0].set_title(name, fontsize=11, fontweight="bold")
+        column[-1].set_xlabel("time [s]", fontsize=8)
+    for row, label in zip(grid, ROWS, strict=True):
+        row[0].set_ylabel(label)
+    for axes in (*grid.flat, late):
+        axes.grid(alpha=0.3)
+        axes.margins(x=0)
+        axes.tick_params(labelsize=8)
+    _phases(grid, log)
+    acting = np.flatnonzero(np.isin(log.mode, (int(Mode.ACTIVE), int(Mode.RELAX))))
+    if len(acting):
+        for axes in (grid[0, 0], late):
+            axes.set_xlim(max(0.0, log.times[acting[0]] - 0.2), log.times[acting[-1]] + 0.1)
+
+
+def _key(truth: bool) -> tuple[list[Any], list[str]]:
+    """What the lines mean."""
+    from matplotlib.lines import Line2D
+
+    marks = [
+        (Line2D([], [], color=COLOURS[0], linewidth=1.8), "estimate; of tensions with its 1-sigma band"),
+        (Line2D([], [], color=COMMAND, linewidth=1.0, linestyle="--"), "command"),
+    ]
+    if truth:
+        marks.append((Line2D([], [], color=PLANT, linewidth=0.8), "plant, of forces the sum of its contacts"))
+    return [mark for mark, _ in marks], [text for _, text in marks]
+
+
+def _angles(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> None:
     goal, estimate = (np.degrees(mean_angles(hand, log.field(name))) for name in ("q_goal", "q"))
     real = None
     if truth is not None:
         table = truth.table([f"q/{joint}" for joint in hand.joints], log.t_ns + offset_ns)
         real = np.degrees(mean_angles(hand, table))
-    for d, name in enumerate(hand.digit_names):
-        colour = COLOURS[d % len(COLOURS)]
-        axes.plot(log.times, estimate[:, d], color=colour, linewidth=1.4, label=name)
-        axes.plot(log.times, goal[:, d], color=colour, linewidth=0.9, linestyle="--")
-        if real is not None:
-            axes.plot(log.times, real[:, d], color="black", linewidth=0.6, alpha=0.6)
-    axes.set(ylabel="mean joint angle [deg]")
-    axes.set_title("solid: estimate, dashed: command" + (", black: plant" if real is not None else ""), fontsize=9)
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
+    for d, axes in enumerate(row):
+        axes.plot(log.times, estimate[:, d], color=COLOURS[d % len(COLOURS)], linewidth=1.8)
+        _beside(axes, log, goal[:, d], None if real is None else real[:, d])
 
 
-def _tensions(axes: Any, log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> None:
+def _beside(axes: Any, log: RunLog, goal: Array | None, real: Array | None) -> None:
+    """What was commanded, and what the plant did."""
+    if real is not None:
+        axes.plot(log.times, real, color=PLANT, linewidth=0.7)
+    if goal is not None:
+        axes.plot(log.times, goal, color=COMMAND, linewidth=1.0, linestyle="--")
+
+
+def _tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> None:
     estimate, sigma, goal = log.field("tension"), log.field("tension_sigma"), log.field("tension_goal")
-    for i, name in enumerate(hand.tendon_names):
-        colour = COLOURS[i % len(COLOURS)]
-        axes.plot(log.times, estimate[:, i], color=colour, linewidth=1.0, label=name)
-        low, high = estimate[:, i] - sigma[:, i], estimate[:, i] + sigma[:, i]
-        axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
-        axes.plot(log.times, goal[:, i], color=colour, linewidth=0.9, linestyle="--")
-        if truth is not None:
-            axes.plot(
-                log.times, truth.at(f"tension/{name}", log.t_ns + offset_ns), color="black", linewidth=0.5, alpha=0.6
-            )
-    axes.set(ylabel="tension [N]", ylim=(-2, float(np.fmax.reduce(estimate, axis=None, initial=9.0)) * 1.15))
-    axes.set_title("estimate with its 1-sigma band, dashed: command" + (", black: plant" if truth else ""), fontsize=9)
-    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
+    for d, (axes, tendons) in enumerate(zip(row, hand.digit_tendons.values(), strict=True)):
+        colour, names = COLOURS[d % len(COLOURS)], hand.tendon_names[tendons]
+        for shade, i, name in zip(SHADES * len(names), range(tendons.start, tendons.stop), names, strict=False):
+            axes.plot(log.times, estimate[:, i], color=colour, alpha=shade, linewidth=1.2, label=name)
+            low, high = estimate[:, i] - sigma[:, i], estimate[:, i] + sigma[:, i]
+            axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
+            real = None if truth is None else truth.at(f"tension/{name}", log.t_ns + offset_ns)
+            _beside(axes, log, goal[:, i], real)
+        if len(names) > 1:
+            axes.legend(loc="upper left", fontsize=6, frameon=False)
+    row[0].set_ylim(-2, float(np.fmax.reduce(estimate, axis=None, initial=9.0)) * 1.15)
 
 
-def _forces(axes: Any, log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> None:
+def _forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> None:
     estimate = log.field("tip_force")
-    for d, name in enumerate(hand.digit_names):
-        colour = COLOURS[d % len(COLOURS)]
-        axes.plot(log.times, estimate[:, d], color=colour, linewidth=1.0, label=name)
+    for d, (axes, name) in enumerate(zip(row, hand.digit_names, strict=True)):
+        axes.plot(log.times, estimate[:, d], color=COLOURS[d % len(COLOURS)], linewidth=1.0)
         if truth is not None:
             parts = [truth.at(f"contact_force/{name}/{axis}", log.t_ns + offset_ns) for axis in "xyz"]
-            axes.plot(log.times, np.sqrt(sum(part**2 for part in parts)), color=colour, linewidth=0.8, linestyle=":")
-    axes.set(ylabel="contact force [N]")
-    axes.set_title(
-        "solid: tip-equivalent estimate" + (", dotted: sum of contacts in the plant" if truth else ""), fontsize=9
-    )
+            _beside(axes, log, None, np.asarray(np.sqrt(sum(part**2 for part in parts)), np.float64))
 
 
-QUIET = frozenset(mode.name.lower() for mode in Mode)
-"""Names of phases before and after the hand acts."""
-
-
-def _phases(rows: Any, log: RunLog) -> None:
-    """Where each phase of the program begins."""
+def _phases(grid: Any, log: RunLog) -> None:
+    """Where each phase of the program begins, named in the first row."""
     for change in log.phases:
         if change.name in QUIET:
             continue
-        for row, axes in enumerate(rows):
-            axes.axvline(change.t_ns / 1e9, color="#999999", linewidth=0.6)
-            if row == 0:
-                place = {"rotation": 90, "va": "top", "transform": axes.get_xaxis_transform()}
-                axes.text(change.t_ns / 1e9, 0.98, f" {change.name}", fontsize=8, color="#555555", **place)
+        for axes in grid.flat:
+            axes.axvline(change.t_ns / 1e9, color=GRID, linewidth=0.5)
+        for axes in grid[0]:
+            place = {"rotation": 90, "va": "top", "transform": axes.get_xaxis_transform(), "clip_on": True}
+            axes.text(change.t_ns / 1e9, 0.99, f" {change.name}", fontsize=6.5, color="#555555", **place)

@@ -121,7 +121,8 @@ def _legend(hand: Hand) -> str:
         f'<span style="color:{COLOURS[d % len(COLOURS)]}">&#9679;</span> {_text(n)}'
         for d, n in enumerate(hand.digit_names)
     )
-    return "<p>" + " &nbsp; ".join(marks) + ", seen along the hinges, by the estimated joint angles</p>"
+    what = "by the estimated joint angles; arrows are the estimated force of the object on a fingertip"
+    return "<p>" + " &nbsp; ".join(marks) + f"; {what}</p>"
 
 
 def _run(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> str:

@@ -18,26 +18,75 @@ from handctl.report.figure import COLOURS, QUIET
 Array = NDArray[np.float64]
 
 LOAD_WINDOW_S = 0.1
+PER_ROW = 4
+"""Pictures of the hand beside each other."""
+SLANT = (0.55, 0.3)
+"""How far a point along the hinges is drawn to the right and up, by which digits on one hinge line stay apart."""
+LEAST_FORCE_N, ARROW_M_PER_N = 0.2, 0.006
 
 
 def poses(log: RunLog, hand: Hand) -> str:
-    """The hand from the side (along the hinges) in the middle of each phase in which it acts."""
+    """The hand in the middle of each phase in which it acts, and what the object does to its fingertips."""
     moments = _moments(log)
-    figure, row = _figure(max(1, len(moments)), 2.2, 2.5)
+    figure, grid = _figure(min(max(1, len(moments)), PER_ROW), 2.6, 2.9, -(-len(moments) // PER_ROW) or 1)
     digits = [DigitModel.of(hand, name) for name in hand.digit_names]
-    q = log.field("q")
-    for axes, (name, index) in zip(row, moments, strict=False):
-        for d, digit in enumerate(digits):
-            path = 1e3 * to_palm(digit, points(digit, q[index, digit.joints]))
-            axes.plot(path[:, 0], path[:, 1], "o-", color=COLOURS[d % len(COLOURS)], markersize=2.5, linewidth=1.8)
-        axes.set_title(f"{name}\n{log.times[index]:.2f} s", fontsize=8)
+    q, force = log.field("q"), log.field("tip_force")
+    limits = _limits(digits)
+    for axes in grid:
+        axes.set_axis_off()
+    for axes, (name, index) in zip(grid, moments, strict=False):
+        _palm(axes, digits)
+        for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
+            _digit(axes, digits[d], q[index, digits[d].joints], float(force[index, d]), COLOURS[d % len(COLOURS)])
+        axes.set_title(f"{name}, {log.times[index]:.2f} s", fontsize=11)
         axes.set_aspect("equal")
-        axes.set(xlim=(-10, 100), ylim=(-75, 75))
-        axes.tick_params(labelsize=6)
-        axes.grid(alpha=0.3)
-    row[0].set_ylabel("y [mm]", fontsize=7)
-    row[0].set_xlabel("x, out of the palm [mm]", fontsize=7)
+        axes.set(xlim=limits[0], ylim=limits[1])
+    _bar(grid[0], limits)
     return _svg(figure)
+
+
+def _seen(points_m: Array) -> Array:
+    """Points (.., 3) of the palm frame [m] as they are drawn (.., 2) [mm]: along the hinges, slanted."""
+    return np.asarray(1e3 * (points_m[..., :2] + points_m[..., 2:] * np.array(SLANT)), np.float64)
+
+
+def _limits(digits: list[DigitModel]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """What has to fit into a picture: the palm, and every digit straight."""
+    ends = [to_palm(digit, np.array([[0.0, 0.0], [sum(digit.lengths), 0.0]])) for digit in digits]
+    corners = _seen(np.concatenate(ends))
+    low, high = corners.min(axis=0) - 14.0, corners.max(axis=0) + 14.0
+    return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
+
+
+def _palm(axes: Any, digits: list[DigitModel]) -> None:
+    """The plate that carries the digits."""
+    mounts = np.array([digit.mount_position for digit in digits])
+    (y0, z0), (y1, z1) = mounts[:, 1:].min(axis=0) - 0.009, mounts[:, 1:].max(axis=0) + 0.009
+    corners = np.array([[0.0, y, z] for y, z in ((y0, z0), (y1, z0), (y1, z1), (y0, z1))])
+    axes.fill(*_seen(corners).T, color="#e3e6ea", zorder=0)
+
+
+def _digit(axes: Any, digit: DigitModel, q: Array, force: float, colour: str) -> None:
+    """Links from the palm to the tip, and the estimated force of the object on it as an arrow."""
+    joints = points(digit, q)
+    path = _seen(to_palm(digit, joints))
+    axes.plot(*path.T, color=colour, linewidth=7, alpha=0.9, solid_capstyle="round", solid_joinstyle="round")
+    axes.plot(*path[:-1].T, "o", color="white", markersize=3)
+    angle = float(np.sum(q))
+    if force < LEAST_FORCE_N or np.isnan(angle):
+        return
+    push = ARROW_M_PER_N * force * np.array([np.sin(angle), -np.cos(angle)])
+    start, end = _seen(to_palm(digit, np.array([joints[-1], joints[-1] + push])))
+    look = {"arrowstyle": "-|>", "color": "#222222", "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", xy=end, xytext=start, arrowprops=look, zorder=10)
+    axes.annotate(f"{force:.1f} N", xy=end, fontsize=8, color="#222222", zorder=11)
+
+
+def _bar(axes: Any, limits: tuple[tuple[float, float], tuple[float, float]]) -> None:
+    """How long 20 mm are."""
+    x, y = limits[0][1] - 22.0, limits[1][0] + 3.0
+    axes.plot([x, x + 20.0], [y, y], color="#222222", linewidth=1.5)
+    axes.text(x + 10.0, y + 1.5, "20 mm", ha="center", fontsize=8, color="#222222")
 
 
 def _moments(log: RunLog) -> list[tuple[str, int]]:
@@ -45,7 +94,7 @@ def _moments(log: RunLog) -> list[tuple[str, int]]:
     changes = log.phases
     ends = [change.k for change in changes[1:]] + [int(log.k[-1])]
     middles = [(c.name, int(np.searchsorted(log.k, (c.k + end) // 2))) for c, end in zip(changes, ends, strict=True)]
-    return [(name, i) for name, i in middles if name not in QUIET and log.mode[i] == int(Mode.ACTIVE)][:9]
+    return [(name, i) for name, i in middles if name not in QUIET and log.mode[i] == int(Mode.ACTIVE)][: 2 * PER_ROW]
 
 
 def lateness(log: RunLog) -> str:
@@ -85,13 +134,13 @@ def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
     return _svg(figure), share.max(axis=0, initial=0.0)
 
 
-def _figure(columns: int, width: float, height: float) -> tuple[Any, list[Any]]:
+def _figure(columns: int, width: float, height: float, rows: int = 1) -> tuple[Any, list[Any]]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(width * columns, height), layout="constrained")
+    figure = Figure(figsize=(width * columns, height * rows), layout="constrained")
     FigureCanvasAgg(figure)
-    return figure, list(figure.subplots(1, columns, squeeze=False, sharey=True)[0])
+    return figure, list(figure.subplots(rows, columns, squeeze=False, sharey=True).flat)
 
 
 def _svg(figure: Any) -> str:

@@ -1,0 +1,136 @@
+"""Eleven motors at 1 kHz in real time, frames included, into the recorder: what was dropped, and what the loop felt.
+
+The controller's own loop with a tick that is ready made, so that what is felt is the recorder's. The loop is held on
+one core and the recorder on another; the same loop runs without a recorder before and after, so that what else the
+machine does is in both.
+"""
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import synthetic
+
+from handctl.controller.types import IoEvent, Mode, TickIn, TickOut
+from handctl.drives.frame import Frame
+from handctl.log.reader import RunLog
+from handctl.log.record import pack
+from handctl.log.recorder import Recorder
+from handctl.runtime.clock import RealClock, give_back_priority, take_priority
+from handctl.runtime.loop import Loop, LoopStats
+
+HAND, RATE_HZ, CYCLE_S = "jamia11", 1000, 2.0
+PERIOD_NS = 10**9 // RATE_HZ
+MARKS = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9, "max": 100.0}
+
+Tick = tuple[TickIn, TickOut]
+
+
+def sustained(path: Path, seconds: float) -> dict[str, Any]:
+    """Run for a while with the recorder, and half as long before and after without.
+
+    Args:
+        path: of the log; a new file.
+        seconds: with the recorder [s].
+
+    Returns:
+        what is in the log, what was dropped, the recorder's share of one core, lateness of the loop [us].
+    """
+    ticks = list(synthetic.Synthetic(synthetic.header(HAND, RATE_HZ), CYCLE_S))
+    recorder = Recorder.start(path, synthetic.header(HAND, RATE_HZ, deterministic=False))
+    with _apart(recorder._child.pid) as granted:
+        before = _loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
+        spent, begin = _processor_s(recorder._child.pid), time.perf_counter()
+        logged = _loop(seconds, granted, ticks, _into(recorder), lambda: list(recorder.events()))
+        share = (_processor_s(recorder._child.pid) - spent) / (time.perf_counter() - begin)
+        after = _loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
+    summary = recorder.close("finished")
+    with RunLog(path) as log:
+        frames = sum(len(tick.tick_in.frames) + len(tick.frames) for tick in log.ticks())
+        found = {"ticks": logged.ticks, "ticks_in_log": len(log), "frames_in_log": frames}
+    numbers = {name: int(str(summary[name])) for name in ("dropped", "lost", "bytes")}
+    late = {"without_us": _marks(before, after), "with_us": _marks(logged)}
+    return {"seconds": seconds, "real_time": granted, **found, **numbers, "recorder_core_share": share, **late}
+
+
+@contextmanager
+def _apart(recorder: int) -> Iterator[bool]:
+    """Loop and recorder on a core each, as far as there are two; whether the loop has real-time priority."""
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+    if cores:
+        os.sched_setaffinity(recorder, {max(cores)})
+        os.sched_setaffinity(0, {min(cores)})
+    try:
+        yield take_priority().realtime
+    finally:
+        give_back_priority()
+        if cores:
+            os.sched_setaffinity(0, cores)
+
+
+class _Ready:
+    """A bus whose answers are those of a synthetic run."""
+
+    def __init__(self, ticks: list[Tick]) -> None:
+        self._ticks, self._at = ticks, 0
+
+    def drain(self) -> list[Frame]:
+        """The frames of the next tick."""
+        self._at += 1
+        return list(self._ticks[self._at % len(self._ticks)][0].frames)
+
+    def send(self, frames: Sequence[Frame]) -> int:
+        """Take all."""
+        return len(frames)
+
+    def take_events(self) -> list[tuple[str, str, int]]:
+        """Nothing happens."""
+        return []
+
+
+def _loop(
+    seconds: float,
+    spin: bool,
+    ticks: list[Tick],
+    record: Callable[[TickIn, TickOut], None],
+    events: Callable[[], list[IoEvent]],
+) -> LoopStats:
+    """The controller's loop for a while."""
+    last = int(seconds * RATE_HZ)
+
+    def tick(state: int, entry: TickIn) -> tuple[int, TickOut]:
+        out = ticks[state % len(ticks)][1]
+        return state + 1, replace(out, mode=Mode.DONE) if entry.k >= last else out
+
+    clock = RealClock(PERIOD_NS, spin=spin)
+    loop = Loop(clock, PERIOD_NS, [_Ready(ticks)], tick, (), tuple, events, record, lambda entry, out: None)
+    loop.run(0)
+    return loop.stats
+
+
+def _into(recorder: Recorder) -> Callable[[TickIn, TickOut], None]:
+    """What logging adds to a tick."""
+
+    def record(entry: TickIn, out: TickOut) -> None:
+        recorder.record(pack(entry, out))
+
+    return record
+
+
+def _processor_s(pid: int) -> float:
+    """Processor time of the recorder and of the process that syncs for it [s]."""
+    family = [psutil.Process(pid), *psutil.Process(pid).children(recursive=True)]
+    return float(sum(one.cpu_times().user + one.cpu_times().system for one in family))
+
+
+def _marks(*parts: LoopStats) -> dict[str, float]:
+    """Lateness [us], and the share of deadlines that were missed."""
+    us = np.concatenate([np.array(part.late_ns) for part in parts]) / 1e3
+    missed = sum(part.missed for part in parts) / sum(part.ticks + part.missed for part in parts)
+    return {name: float(np.percentile(us, mark)) for name, mark in MARKS.items()} | {"missed_share": missed}
