@@ -9,12 +9,13 @@ from numpy.typing import NDArray
 
 from handctl.controller.types import Mode
 from handctl.hand.description import Hand
+from handctl.log.logfile import printable
 from handctl.log.reader import RunLog
 from handctl.report.summary import mean_angles
 from handctl.report.truth import Truth
 
 COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
-COMMAND, PLANT, GRID = "#444444", "#000000", "#999999"
+COMMAND, PLANT, GRID, FAULT = "#444444", "#000000", "#999999", "#d01c1c"
 SHADES = (1.0, 0.65, 0.4)
 """Opacity of the first, second and third tendon of a digit."""
 QUIET = frozenset(mode.name.lower() for mode in Mode)
@@ -39,37 +40,39 @@ def draw_run(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_ns
     from matplotlib.figure import Figure
 
     n = len(hand.digit)
-    figure = Figure(figsize=(max(9.0, 2.6 + 2.6 * n), 9.0), layout="constrained")
+    timed = bool(log.late_ns.any())  # in virtual time no tick is late
+    figure = Figure(figsize=(max(9.0, 2.6 + 2.6 * n), 7.6 + 1.4 * timed), layout="constrained")
     FigureCanvasAgg(figure)
-    halves = figure.add_gridspec(2, 1, height_ratios=[8, 1.2])
+    halves = figure.add_gridspec(1 + timed, 1, height_ratios=[8, 1.2][: 1 + timed])
     grid = halves[0].subgridspec(3, n).subplots(sharex=True, sharey="row", squeeze=False)
-    late = figure.add_subplot(halves[1])
     figure.suptitle(title)
     _angles(grid[0], log, hand, truth, offset_ns)
     _tensions(grid[1], log, hand, truth, offset_ns)
     _forces(grid[2], log, hand, truth, offset_ns)
-    late.plot(log.times, log.late_ns / 1e3, color="#666666", linewidth=0.6)
-    late.set(ylabel="lateness\nof a tick [us]", xlabel="time [s]")
+    late = [figure.add_subplot(halves[1])] if timed else []
+    for axes in late:
+        axes.plot(log.times, log.late_ns / 1e3, color="#666666", linewidth=0.6)
+        axes.set(ylabel="lateness\nof a tick [us]", xlabel="time [s]")
     _dress(grid, late, log, hand)
     figure.legend(*_key(truth is not None), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
     figure.savefig(path, dpi=110)
 
 
-def _dress(grid: Any, late: Any, log: RunLog, hand: Hand) -> None:
+def _dress(grid: Any, late: list[Any], log: RunLog, hand: Hand) -> None:
     """Titles, grids, phases, and the stretch of time in which the hand acts."""
     for column, name in zip(grid.T, hand.digit_names, strict=True):
         column[0].set_title(name, fontsize=11, fontweight="bold")
         column[-1].set_xlabel("time [s]", fontsize=8)
     for row, label in zip(grid, ROWS, strict=True):
         row[0].set_ylabel(label)
-    for axes in (*grid.flat, late):
+    for axes in (*grid.flat, *late):
         axes.grid(alpha=0.3)
         axes.margins(x=0)
         axes.tick_params(labelsize=8)
     _phases(grid, log)
     acting = np.flatnonzero(np.isin(log.mode, (int(Mode.ACTIVE), int(Mode.RELAX))))
     if len(acting):
-        for axes in (grid[0, 0], late):
+        for axes in (grid[0, 0], *late):
             axes.set_xlim(max(0.0, log.times[acting[0]] - 0.2), log.times[acting[-1]] + 0.1)
 
 
@@ -130,12 +133,19 @@ def _forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, of
 
 
 def _phases(grid: Any, log: RunLog) -> None:
-    """Where each phase of the program begins, named in the first row."""
+    """Where each phase of the program begins, and where the first fault ended it, named in the first row."""
     for change in log.phases:
-        if change.name in QUIET:
-            continue
-        for axes in grid.flat:
-            axes.axvline(change.t_ns / 1e9, color=GRID, linewidth=0.5)
-        for axes in grid[0]:
-            place = {"rotation": 90, "va": "top", "transform": axes.get_xaxis_transform(), "clip_on": True}
-            axes.text(change.t_ns / 1e9, 0.99, f" {change.name}", fontsize=6.5, color="#555555", **place)
+        if change.name not in QUIET:
+            _mark(grid, change.t_ns / 1e9, change.name, GRID)
+    ended = [event for event in log.events if (event.event.level, event.event.name) == ("error", "fault")]
+    for event in ended[:1]:
+        _mark(grid, event.t_ns / 1e9, event.event.text.partition(" ")[0], FAULT)
+
+
+def _mark(grid: Any, t_s: float, name: str, colour: str) -> None:
+    for axes in grid.flat:
+        axes.axvline(t_s, color=colour, linewidth=0.6)
+    for axes in grid[0]:
+        look = {"fontsize": 7, "color": FAULT if colour == FAULT else COMMAND, "rotation": 90, "va": "top"}
+        place = axes.get_xaxis_transform()
+        axes.text(t_s, 0.99, f" {printable(name, 40)}", transform=place, clip_on=True, **look)

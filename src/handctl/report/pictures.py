@@ -22,7 +22,7 @@ PER_ROW = 4
 """Pictures of the hand beside each other."""
 SLANT = (0.55, 0.3)
 """How far a point along the hinges is drawn to the right and up, by which digits on one hinge line stay apart."""
-LEAST_FORCE_N, ARROW_M_PER_N = 0.2, 0.006
+LEAST_FORCE_N, ARROW_M_PER_N = 0.2, 0.004
 
 
 def poses(log: RunLog, hand: Hand) -> str:
@@ -38,6 +38,7 @@ def poses(log: RunLog, hand: Hand) -> str:
         _palm(axes, digits)
         for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
             _digit(axes, digits[d], q[index, digits[d].joints], float(force[index, d]), COLOURS[d % len(COLOURS)])
+        _forces(axes, force[index])
         axes.set_title(f"{name}, {log.times[index]:.2f} s", fontsize=11)
         axes.set_aspect("equal")
         axes.set(xlim=limits[0], ylim=limits[1])
@@ -54,7 +55,7 @@ def _limits(digits: list[DigitModel]) -> tuple[tuple[float, float], tuple[float,
     """What has to fit into a picture: the palm, and every digit straight."""
     ends = [to_palm(digit, np.array([[0.0, 0.0], [sum(digit.lengths), 0.0]])) for digit in digits]
     corners = _seen(np.concatenate(ends))
-    low, high = corners.min(axis=0) - 14.0, corners.max(axis=0) + 14.0
+    low, high = corners.min(axis=0) - 20.0, corners.max(axis=0) + 10.0
     return (float(low[0]), float(high[0])), (float(low[1]), float(high[1]))
 
 
@@ -79,7 +80,14 @@ def _digit(axes: Any, digit: DigitModel, q: Array, force: float, colour: str) ->
     start, end = _seen(to_palm(digit, np.array([joints[-1], joints[-1] + push])))
     look = {"arrowstyle": "-|>", "color": "#222222", "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
     axes.annotate("", xy=end, xytext=start, arrowprops=look, zorder=10)
-    axes.annotate(f"{force:.1f} N", xy=end, fontsize=8, color="#222222", zorder=11)
+
+
+def _forces(axes: Any, force: Array) -> None:
+    """The arrows in newtons, in the corner: at their tips they would lie upon each other."""
+    for d, value in enumerate(force.tolist()):
+        if value >= LEAST_FORCE_N:
+            look = {"fontsize": 9, "color": COLOURS[d % len(COLOURS)], "transform": axes.transAxes, "va": "bottom"}
+            axes.text(0.98, 0.3 - 0.09 * d, f"{value:.1f} N", ha="right", **look)
 
 
 def _bar(axes: Any, limits: tuple[tuple[float, float], tuple[float, float]]) -> None:
@@ -99,8 +107,10 @@ def _moments(log: RunLog) -> list[tuple[str, int]]:
 
 def lateness(log: RunLog) -> str:
     """Histogram of how late the ticks began, with the period's quarter, from which on a tick counts as late."""
-    figure, (axes,) = _figure(1, 6.0, 2.2)
     late = log.late_ns / 1e3
+    if not late.any():
+        return "<p>No tick began late: this run was in virtual time.</p>"
+    figure, (axes,) = _figure(1, 6.0, 2.2)
     quarter = log.header.period_ns / 4e3
     axes.hist(late, bins=np.linspace(0.0, max(quarter, float(late.max(initial=0.0))), 80), color=COLOURS[0])
     axes.axvline(quarter, color=COLOURS[3], linewidth=0.8)
