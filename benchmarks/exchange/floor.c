@@ -1,6 +1,7 @@
 /* The floor: what a tick's exchange costs in C with the system calls that handctl makes, codec included.
  *
- *   floor local PATH MOTORS TICKS      a Unix stream socket, records of 72 bytes, one call a batch
+ *   floor local - MOTORS TICKS         a Unix stream socket, records of 72 bytes in one piece, one call a batch
+ *   floor packets - MOTORS TICKS       a Unix seqpacket socket, a record a packet, sendmmsg and recvmmsg
  *   floor vcan IFNAME MOTORS TICKS     a raw CAN socket, sendmmsg and recvmmsg, receive stamps asked for
  *
  * The peer is in this process and is not timed. Prints the median of a tick in ns, and the mean CPU time.
@@ -25,6 +26,8 @@ static struct mmsghdr headers[MOST];
 static struct iovec vectors[MOST];
 static char control[MOST][64];
 static volatile double sink;
+
+typedef void (*exchange)(int fd, int motors);
 
 static int64_t now(clockid_t clock) {
     struct timespec t;
@@ -78,6 +81,35 @@ static void send_local(int fd, int motors) {
         exit(3);
 }
 
+static void send_packets(int fd, int motors) {
+    prepare(records, sizeof records[0], 0);
+    for (int i = 0; i < motors; i++) {
+        records[i].can_id = i + 1;
+        records[i].len = 8;
+        encode(records[i].data, 0.01 * i, 0.8);
+    }
+    if (sendmmsg(fd, headers, motors, MSG_DONTWAIT) != motors)
+        exit(10);
+}
+
+static void receive_packets(int fd, int motors) {
+    prepare(records, sizeof records[0], 0);
+    if (recvmmsg(fd, headers, MOST, MSG_DONTWAIT, NULL) != motors)
+        exit(11);
+    for (int i = 0; i < motors; i++)
+        decode(records[i].data);
+}
+
+static void answer_packets(int fd, int motors) {
+    static char buffer[MOST][72];
+    for (int i = 0; i < motors; i++)
+        if (recv(fd, buffer[i], 72, 0) != 72)
+            exit(12);
+    for (int i = 0; i < motors; i++)
+        if (send(fd, buffer[i], 72, 0) != 72)
+            exit(13);
+}
+
 static void receive_local(int fd, int motors) {
     if (recv(fd, records, sizeof records, MSG_DONTWAIT) != motors * (ssize_t)sizeof records[0])
         exit(4);
@@ -123,24 +155,41 @@ static void answer_local(int fd, int motors) {
         exit(9);
 }
 
+/* What looking at a clock takes, which is not counted. */
+static int64_t looking(clockid_t clock) {
+    enum { TIMES = 101 };
+    static int64_t spans[TIMES];
+    for (int i = 0; i < TIMES; i++) {
+        int64_t a = now(clock);
+        spans[i] = now(clock) - a;
+    }
+    qsort(spans, TIMES, sizeof *spans, order);
+    return spans[TIMES / 2];
+}
+
 int main(int argc, char **argv) {
     if (argc != 5)
         return 2;
-    int local = !strcmp(argv[1], "local"), motors = atoi(argv[3]), ticks = atoi(argv[4]), pair[2];
-    if (local && socketpair(AF_UNIX, SOCK_STREAM, 0, pair))
+    int local = !strcmp(argv[1], "local"), packets = !strcmp(argv[1], "packets"), pair[2];
+    int motors = atoi(argv[3]), ticks = atoi(argv[4]);
+    exchange out = local ? send_local : packets ? send_packets : send_vcan;
+    exchange in = local ? receive_local : packets ? receive_packets : receive_vcan;
+    exchange peer = local ? answer_local : packets ? answer_packets : answer_vcan;
+    if ((local || packets) && socketpair(AF_UNIX, local ? SOCK_STREAM : SOCK_SEQPACKET, 0, pair))
         return 1;
-    if (!local && ((pair[0] = can_socket(argv[2])) < 0 || (pair[1] = can_socket(argv[2])) < 0))
+    if (!local && !packets && ((pair[0] = can_socket(argv[2])) < 0 || (pair[1] = can_socket(argv[2])) < 0))
         return 1;
     int64_t *spans = calloc(ticks, sizeof *spans), cpu = 0;
+    int64_t look[] = {looking(CLOCK_THREAD_CPUTIME_ID), looking(CLOCK_MONOTONIC)};
     for (int k = 0; k < 2 * ticks; k++) { /* by one clock at a time */
         clockid_t clock = k < ticks ? CLOCK_THREAD_CPUTIME_ID : CLOCK_MONOTONIC;
         int64_t a = now(clock);
-        (local ? send_local : send_vcan)(pair[0], motors);
+        out(pair[0], motors);
         int64_t span = now(clock) - a;
-        (local ? answer_local : answer_vcan)(pair[1], motors);
+        peer(pair[1], motors);
         a = now(clock);
-        (local ? receive_local : receive_vcan)(pair[0], motors);
-        span += now(clock) - a;
+        in(pair[0], motors);
+        span += now(clock) - a - 2 * look[k >= ticks];
         if (k < ticks)
             cpu += span;
         else

@@ -3,13 +3,16 @@
 import os
 import socket
 import struct
+from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
 
 CLASSICAL = struct.Struct("=IB3x8s")
+FD = struct.Struct("=IBB2x64s")
 RECORD = struct.Struct("<IBBH64s")
-REPLY = bytes((0x11, 0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 31))
-"""Feedback of an enabled motor."""
+FDF = 4
+Answer = Callable[[int], tuple[int, bytes, int]]
+"""Identifier, payload and flags of what a motor, 1 and up, says to its command."""
 
 
 class LocalMotors:
@@ -22,13 +25,14 @@ class LocalMotors:
         self.listener.listen()
         self.link = None
 
-    def answer(self, motors: int) -> None:
+    def answer(self, motors: int, of: Answer) -> None:
         if self.link is None:
             self.link, _ = self.listener.accept()
         size = 0
         while size < motors * RECORD.size:
             size += len(self.link.recv(1 << 16))
-        self.link.sendall(b"".join(RECORD.pack(0x11 + i, 8, 0, 0, REPLY) for i in range(motors)))
+        told = [of(i + 1) for i in range(motors)]
+        self.link.sendall(b"".join(RECORD.pack(can_id, len(data), flags, 0, data) for can_id, data, flags in told))
 
     def close(self) -> None:
         if self.link:
@@ -42,14 +46,17 @@ class VcanMotors:
 
     def __init__(self, name: str) -> None:
         self.link = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        self.link.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
         self.link.bind((name,))
         self.link.settimeout(5.0)
 
-    def answer(self, motors: int) -> None:
+    def answer(self, motors: int, of: Answer) -> None:
         for _ in range(motors):
-            self.link.recv(16)
+            self.link.recv(FD.size)
         for i in range(motors):
-            self.link.send(CLASSICAL.pack(0x11 + i, 8, REPLY))
+            can_id, data, flags = of(i + 1)
+            fd = FD.pack(can_id, len(data), flags, data) if flags & FDF else b""
+            self.link.send(fd or CLASSICAL.pack(can_id, len(data), data))
 
     def close(self) -> None:
         self.link.close()

@@ -1,9 +1,13 @@
-"""Ways to send a torque to each of some MIT motors and to read what they answer: ``send(torques)``, ``receive()``."""
+"""Ways to send a torque to each of some MIT motors and to read what they answer: ``send(torques)``, ``receive()``.
+
+What users would pick from the package index instead is in ``clients``.
+"""
 
 import struct
 from functools import partial
 
 LIMIT, POSITION, VELOCITY = 0.8, 12.5, 50.0
+REPLY = bytes((0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 31))
 FEEDBACK = struct.Struct(">BH5B")
 DBC = """VERSION ""
 NS_ :
@@ -26,25 +30,33 @@ BO_ 17 Feedback: 8 H
 """
 
 
+def feedback(motor: int) -> tuple[int, bytes, int]:
+    """Feedback of an enabled Damiao motor, on MST_ID."""
+    return 0x10 + motor, bytes((0x10 | motor,)) + REPLY, 0
+
+
 class Ours:
     """handctl's bus and codec; the frames are those of the drives."""
 
+    answer = staticmethod(feedback)
+
     def __init__(self, interface, channel, motors):
-        from handctl.drives.frame import Frame
-        from handctl.drives.mit_codec import Ranges, decode_feedback, encode_torque
+        from handctl.drives.frame import Frame, make
+        from handctl.drives.mit_codec import Ranges, decode_feedback, encode_torque, lines
         from handctl.runtime.bus import open_bus
 
-        self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)
+        self.bus, self.make = open_bus(f"{interface}:{channel}", 0, 1_000_000), make
         self.frame, self.encode, self.ids = Frame, encode_torque, range(1, motors + 1)
         self.decode, self.ranges = decode_feedback, Ranges(POSITION, VELOCITY, LIMIT)
+        self.lines = lines(self.ranges)
 
     def send(self, torques):
-        frame, encode = self.frame, self.encode
-        self.bus.send([frame(i, encode(t, LIMIT)) for i, t in zip(self.ids, torques, strict=True)])
+        frame, encode, make = self.frame, self.encode, self.make
+        self.bus.send([make(frame, (i, encode(t, LIMIT), 0, 0, 0)) for i, t in zip(self.ids, torques, strict=True)])
 
     def receive(self):
-        decode, ranges = self.decode, self.ranges
-        return [decode(frame.data, ranges) for frame in self.bus.drain()]
+        decode, lines = self.decode, self.lines
+        return [decode(frame.data, lines) for frame in self.bus.drain()]
 
     def close(self):
         self.bus.close()
@@ -82,6 +94,8 @@ class Drives(Ours):
 
 class Scalar:
     """python-can, a message at a time, and the codec most people write."""
+
+    answer = staticmethod(feedback)
 
     def __init__(self, interface, channel, motors):
         import can
@@ -128,33 +142,9 @@ class Cantools(Scalar):
         return self.feedback.decode(bytes(data))
 
 
-class Damiao:
-    """damiao-motor, its polling thread stopped and its polling done by hand."""
-
-    def __init__(self, interface, channel, motors):
-        from damiao_motor import DaMiaoController
-
-        self.controller = DaMiaoController(channel=channel, bustype=interface)
-        add = self.controller.add_motor
-        self.motors = [add(motor_id=i, feedback_id=i + 0x10, motor_type="4310") for i in range(1, motors + 1)]
-        self.controller._stop_polling()
-
-    def send(self, torques):
-        for motor, torque in zip(self.motors, torques, strict=True):
-            motor.send_cmd_mit(feedforward_torque=torque)
-
-    def receive(self):
-        self.controller.poll_feedback()
-        return [motor.get_states() for motor in self.motors]
-
-    def close(self):
-        self.controller.shutdown()
-
-
 WAYS = {
     "handctl": Ours,
     "handctl, drives and all": Drives,
     "python-can, scalar codec": Scalar,
     "python-can, cantools": Cantools,
-    "damiao-motor": Damiao,
 }

@@ -45,7 +45,7 @@ def test_golden_commands(torque: float, payload: str) -> None:
     ],
 )
 def test_golden_feedback(payload: str, values: tuple[float, ...]) -> None:
-    assert codec.decode_feedback(bytes.fromhex(payload), RANGES) == pytest.approx(values, abs=1e-12)
+    assert codec.decode_feedback(bytes.fromhex(payload), codec.lines(RANGES)) == pytest.approx(values, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -130,8 +130,8 @@ def test_feedback_of_the_simulated_firmware_reads_back(nibble: int, position: in
         firmware.from_code(torque, TMAX, 12),
     )
     data = firmware.encode_feedback(nibble, 3, motion, ranges, (30.0, 40.0))
-    seen = codec.decode_feedback(data, RANGES)
-    assert seen.nibble == nibble
+    seen = codec.decode_feedback(data, codec.lines(RANGES))
+    assert seen[0] == nibble
     steps = (25.0 / 65535, 100.0 / 4095, 1.6 / 4095)
     for value, true, step in zip(seen[1:4], motion, steps, strict=True):
         assert abs(value - true) <= step * 1.001

@@ -1,5 +1,6 @@
 """python-can's errors as events, and python-can's own tools on the local bus."""
 
+import asyncio
 import errno
 import signal
 import socket
@@ -154,6 +155,24 @@ def test_a_notifier_hears_the_bus(ours: Bus) -> None:
         heard = [reader.get_message(5.0) for _ in range(20)]
         notifier.stop()
     assert [message.arbitration_id for message in heard if message] == list(range(20))
+
+
+def test_a_notifier_in_an_event_loop_hears_all_of_a_batch(ours: Bus) -> None:
+    """It reads one message whenever the descriptor is readable, so that must not fall silent while messages wait."""
+    heard: list[int] = []
+
+    async def listen(theirs: can.BusABC) -> None:
+        notifier = can.Notifier(theirs, [lambda message: heard.append(message.arbitration_id)],
+                                loop=asyncio.get_running_loop())  # fmt: skip
+        ours.send([Frame(number, b"") for number in range(20)])
+        end = time.monotonic() + 20.0
+        while len(heard) < 20 and time.monotonic() < end:
+            await asyncio.sleep(0.005)
+        notifier.stop()
+
+    with can.Bus("tools", interface="local", ignore_config=True) as theirs:
+        asyncio.run(listen(theirs))
+    assert heard == list(range(20))
 
 
 def test_python_cans_logger_writes_what_was_sent(ours: Bus, folder: Path, tmp_path: Path) -> None:

@@ -108,11 +108,32 @@ def test_stamps_never_run_backwards_or_ahead(
     real, stamps = time.time_ns, []
     for step in (0, 5 * 10**9, -5 * 10**9, 3600 * 10**9, 0):
         monkeypatch.setattr(time, "time_ns", lambda step=step: real() + step)
+        bus._offset.renew()
         far.send(CLASSICAL.pack(1, 0, b""))
         before = time.monotonic_ns()
         stamps.append(waited(bus, 1)[0].t_ns)
         assert before - 10**9 <= stamps[-1] <= time.monotonic_ns()
     assert stamps == sorted(stamps)
+
+
+@pytest.mark.parametrize("step_ns", [5 * 10**9, -5 * 10**9, 50_000_000])
+def test_stamps_are_right_again_after_the_wall_clock_was_set(
+    udp: tuple[SocketCanBus, socket.socket], monkeypatch: pytest.MonkeyPatch, step_ns: int
+) -> None:
+    """The difference of the clocks is measured now and then: here before the step, while the kernel stamps after it."""
+    bus, far = udp
+    time.sleep(KERNEL_STAMPS_S)
+    real = time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: real() - step_ns)
+    far.send(CLASSICAL.pack(1, 0, b""))
+    waited(bus, 1)
+    monkeypatch.setattr(time, "time_ns", real)
+    before = time.monotonic_ns()
+    far.send(CLASSICAL.pack(2, 0, b""))
+    after = time.monotonic_ns()
+    time.sleep(0.05)
+    slack = 10_000_000
+    assert before - slack <= waited(bus, 1)[0].t_ns <= after + slack
 
 
 def test_what_does_not_fit_is_counted(udp: tuple[SocketCanBus, socket.socket]) -> None:

@@ -7,7 +7,7 @@ then ``advance`` once with what it wants of the drive. Nothing here reads a cloc
 
 import enum
 import math
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from handctl.drives.frame import Frame
 
@@ -66,7 +66,7 @@ class DriveState(NamedTuple):
     error: int = 0
     error_text: str = ""
     misread: int = 0
-    private: tuple[object, ...] = ()
+    private: Any = ()
 
 
 class Drive(Protocol):

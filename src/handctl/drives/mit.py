@@ -6,14 +6,14 @@ unwrapped: the hand's travel is far inside. Nothing but feedback of state 0, or 
 """
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple, cast
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from handctl.drives import mit_codec as codec
 from handctl.drives import mit_registers as registers
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
-from handctl.drives.frame import BRS, FDF, Frame
+from handctl.drives.frame import BRS, FDF, Frame, make
 from handctl.drives.mit_registers import Walk
 from handctl.drives.options import switch
 from handctl.errors import ConfigError
@@ -67,6 +67,7 @@ class MitDrive:
         zero: motor angle of the spool's zero [rad].
         timeout: watchdog [50 us].
         flags: of the frames it is sent, 0 for classical CAN.
+        lines: by which feedback is decoded, head: first byte of the usual feedback; both follow from the others.
     """
 
     name: str
@@ -78,6 +79,12 @@ class MitDrive:
     zero: float
     timeout: int
     flags: int = 0
+    lines: codec.Lines = field(init=False, repr=False, compare=False)
+    head: int = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lines", codec.lines(self.ranges, self.direction, self.zero))
+        object.__setattr__(self, "head", codec.ENABLED << 4 | self.node_id & 0xF)
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "MitDrive":
@@ -151,7 +158,12 @@ class MitDrive:
             return state
         if len(data) != 8:
             return state._replace(misread=state.misread + 1)
-        if state.phase != ENABLED or self.node_id >> 4 != codec.ENABLED:
+        phase, _, _, _, _, _, count, error, text, misread, private = state
+        if phase is ENABLED and data[0] == self.head and private.asked:  # as in nearly every tick
+            _, position, velocity, torque, hot = codec.decode_feedback(data, self.lines)
+            values = (ENABLED, position, velocity, torque, hot, t_ns, count + 1, error, text, misread, private)
+            return make(DriveState, values)
+        if phase != ENABLED or self.node_id >> 4 != codec.ENABLED:
             reply = codec.register_reply(data, self.node_id)
             if reply is not None:
                 return self._take_register(state, reply, t_ns)
@@ -173,12 +185,18 @@ class MitDrive:
 
     def _take_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
         """Values of a feedback frame, and what its state nibble means."""
-        phase, _, _, _, _, _, count, error, text, misread, _ = state
         progress = _progress(state)
-        nibble, position, velocity, torque, temperature = codec.decode_feedback(data, self.ranges)
-        sign = self.direction if progress.configured else math.nan
-        motion = (sign * (position - self.zero), sign * velocity, sign * torque, temperature)
-        known = DriveState(phase, *motion, t_ns, count + 1, error, text, misread, progress)
+        nibble, position, velocity, torque, hot = codec.decode_feedback(data, self.lines)
+        if not progress.configured:
+            position = velocity = torque = math.nan
+        known = state._replace(
+            position=position,
+            velocity=velocity,
+            torque=torque,
+            temperature=hot,
+            feedback_t_ns=t_ns,
+            feedback_count=state.feedback_count + 1,
+        )
         if nibble == codec.ENABLED:
             return self._is_enabled(known, progress)
         if nibble == codec.DISABLED:
@@ -219,9 +237,9 @@ class MitDrive:
 
     def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
         """See ``contract.Drive``."""
-        progress = _progress(state)
-        if state.phase == ENABLED and want == ENABLE and not progress.disabling:
-            return state, (Frame(self.node_id, self.command(torque), self.flags, self.bus),)
+        progress: Progress = state.private
+        if want is ENABLE and state.phase is ENABLED and not progress.disabling:
+            return state, (make(Frame, (self.node_id, self.command(torque), self.flags, self.bus, 0)),)
         if want == LISTEN:
             return state, ()
         if want == DISABLE or state.phase == ENABLED:
@@ -290,7 +308,8 @@ class MitDrive:
 
 
 def _progress(state: DriveState) -> Progress:
-    return cast(Progress, state.private)
+    progress: Progress = state.private
+    return progress
 
 
 def _fault(state: DriveState, error: int, text: str) -> DriveState:

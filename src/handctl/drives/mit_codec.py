@@ -36,7 +36,7 @@ ERRORS = {
 }
 """State nibbles of the feedback that mean an error, and no torque."""
 
-_FEEDBACK = struct.Struct(">BH5B")
+_unpack_feedback = struct.Struct(">BH5B").unpack
 _REPLY = struct.Struct("<HBB")
 POSITION_TOP, TOP = 2**16 - 1, 2**12 - 1
 _NO_MOTION = POSITION_TOP // 2 << 48 | TOP // 2 << 36
@@ -51,14 +51,10 @@ class Ranges(NamedTuple):
     torque: float
 
 
-class Feedback(NamedTuple):
-    """State nibble, position [rad], velocity [rad/s], torque [N m], hotter of two temperatures [degC]."""
-
-    nibble: int
-    position: float
-    velocity: float
-    torque: float
-    temperature: float
+Lines = tuple[float, float, float, float, float, float]
+"""Slope and offset by which a code of position, of velocity and of torque becomes a value."""
+Feedback = tuple[int, float, float, float, float]
+"""State nibble, position [rad], velocity [rad/s], torque [N m], hotter of two temperatures [degC]."""
 
 
 def encode_torque(torque: float, limit: float) -> bytes:
@@ -79,15 +75,34 @@ def encode_torque(torque: float, limit: float) -> bytes:
     return (_NO_MOTION | code).to_bytes(8, "big")
 
 
-def decode_feedback(data: bytes, ranges: Ranges) -> Feedback:
-    """Values of 8 bytes of feedback."""
-    head, position, high, middle, low, mosfet, winding = _FEEDBACK.unpack(data)
-    most_position, most_velocity, most_torque = ranges
-    return Feedback(
+def lines(ranges: Ranges, sign: int = 1, zero: float = 0.0) -> Lines:
+    """What makes values of the codes of a feedback.
+
+    Args:
+        ranges: of the motor.
+        sign: of all three values.
+        zero: position that is to read 0 [rad].
+    """
+    position, velocity, torque = (sign * most for most in ranges)
+    return (
+        2 * position / POSITION_TOP,
+        -position - sign * zero,
+        2 * velocity / TOP,
+        -velocity,
+        2 * torque / TOP,
+        -torque,
+    )
+
+
+def decode_feedback(data: bytes, lines: Lines) -> Feedback:
+    """Values of 8 bytes of feedback; ``lines`` are constant, and computed once."""
+    head, position, high, middle, low, mosfet, winding = _unpack_feedback(data)
+    position_slope, position_0, velocity_slope, velocity_0, torque_slope, torque_0 = lines
+    return (
         head >> 4,
-        position * (2 * most_position / POSITION_TOP) - most_position,
-        (high << 4 | middle >> 4) * (2 * most_velocity / TOP) - most_velocity,
-        ((middle & 0xF) << 8 | low) * (2 * most_torque / TOP) - most_torque,
+        position * position_slope + position_0,
+        (high << 4 | middle >> 4) * velocity_slope + velocity_0,
+        ((middle & 0xF) << 8 | low) * torque_slope + torque_0,
         float(mosfet if mosfet > winding else winding),
     )
 

@@ -40,7 +40,7 @@ class LocalCanBus(can.BusABC):
         """
         offset = time.time_ns() - time.monotonic_ns()
         try:
-            self._link = LocalBus(channel, 0, lambda t_ns: t_ns + offset)
+            self._link = LocalBus(channel, 0, lambda t_ns: t_ns + offset, most=1)  # who waits on ``fileno`` reads one
         except BusError as error:
             raise can.CanInitializationError(str(error)) from None
         self.channel_info = f"handctl local bus {channel}"

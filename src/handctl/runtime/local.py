@@ -4,12 +4,13 @@ A record has 72 bytes and the layout of Linux's ``struct canfd_frame``; its two 
 hub has dropped for this receiver. There are no receive stamps: frames bear the time at which they were read.
 """
 
+import functools
 import socket
 import struct
 import time
 from collections.abc import Sequence
 
-from handctl.drives.frame import ERROR, Frame
+from handctl.drives.frame import ERROR, Frame, make
 from handctl.errors import BusError
 from handctl.runtime.bus import Stamp, check_size
 from handctl.runtime.bus_events import BusEvents, Event
@@ -18,9 +19,18 @@ from handctl.runtime.places import local_bus_path
 RECORD = struct.Struct("<IBBH64s")
 """Identifier with flag bits, length, flags, frames dropped so far modulo 65536, payload."""
 SIZE = RECORD.size
+
+
+@functools.lru_cache(maxsize=64)
+def batch(count: int) -> struct.Struct:
+    """So many records as one struct: a tick sends the same number again and again."""
+    return struct.Struct("<" + RECORD.format.removeprefix("<") * count)
+
+
 BUFFER = 1 << 20
 """Asked of the kernel for either direction [bytes]."""
-ROOM = 4096 * SIZE
+MOST = 4096
+"""Records of one read."""
 CLASSICAL_MOST = 8
 """Payload that any frame can carry [bytes]."""
 READS = 4
@@ -52,13 +62,14 @@ def connect(name: str) -> socket.socket:
 class LocalBus:
     """Client of a local bus; see ``bus.Bus``."""
 
-    def __init__(self, channel: str, index: int, stamp: Stamp) -> None:
+    def __init__(self, channel: str, index: int, stamp: Stamp, most: int = MOST) -> None:
         """Connect to the hub.
 
         Args:
             channel: name of the bus.
             index: of the bus in the hand's list.
             stamp: makes the run's time of a CLOCK_MONOTONIC time.
+            most: records of one read; with 1 the socket stays readable while a frame waits.
 
         Raises:
             BusError: no hub of this name is running.
@@ -67,7 +78,8 @@ class LocalBus:
         self.name = f"local:{channel}"
         self._index, self._stamp = index, stamp
         self._events = BusEvents(self.name)
-        self._buffer = memoryview(bytearray(ROOM))
+        self._buffer = memoryview(bytearray(most * SIZE))
+        self._reads = min(READS, most)
         self._kept = 0
         self._rest = b""
         self._dropped = 0
@@ -76,21 +88,21 @@ class LocalBus:
     def drain(self) -> list[Frame]:
         """See ``bus.Bus``."""
         frames: list[Frame] = []
-        for _ in range(READS):
-            room = ROOM - self._kept
-            size = self._read()
+        for _ in range(self._reads):
+            kept = self._kept
+            size = self._read(self._buffer[kept:] if kept else self._buffer)
             if size:
-                self._take(frames, self._kept + size)
-            if size < room:
+                self._take(frames, kept + size)
+            if size < len(self._buffer) - kept:
                 break
         return frames
 
-    def _read(self) -> int:
-        """Bytes read behind the ones kept; 0 if there is nothing."""
+    def _read(self, room: memoryview) -> int:
+        """Bytes read; 0 if there is nothing."""
         if self._gone:
             return 0
         try:
-            size = self._socket.recv_into(self._buffer[self._kept :])
+            size = self._socket.recv_into(room)
         except BlockingIOError:
             return 0
         except OSError:
@@ -106,35 +118,29 @@ class LocalBus:
     def _take(self, frames: list[Frame], filled: int) -> None:
         """Take the whole records out of the first ``filled`` bytes, keep the beginning of the next."""
         whole = filled - filled % SIZE
-        t_ns, index, dropped = self._stamp(time.monotonic_ns()), self._index, self._dropped
-        rows = list(RECORD.iter_unpack(self._buffer[:whole]))
-        told = [Frame(can_id, data[:length], flags, index, t_ns) for can_id, length, flags, _, data in rows]
-        if rows:
-            dropped = rows[-1][3]
-            if [row for row in rows if row[0] & ERROR]:
-                told = self._without_errors(told)
-            frames += told
+        t_ns, index, dropped, error = self._stamp(time.monotonic_ns()), self._index, self._dropped, ERROR
+        for can_id, length, flags, dropped, data in RECORD.iter_unpack(self._buffer[:whole]):  # noqa: B020
+            if can_id & error:
+                self._events.error_frame(can_id, data[:length])
+            else:
+                frames.append(make(Frame, (can_id, data[:length], flags, index, t_ns)))
         if dropped != self._dropped:
             self._events.add("dropped", (dropped - self._dropped) & 0xFFFF)
             self._dropped = dropped
         self._kept = filled - whole
-        if self._kept:
+        if whole < filled:
             self._buffer[: self._kept] = self._buffer[whole:filled]
-
-    def _without_errors(self, frames: list[Frame]) -> list[Frame]:
-        """Error frames become events."""
-        for frame in frames:
-            if frame.can_id & ERROR:
-                self._events.error_frame(frame.can_id, frame.data)
-        return [frame for frame in frames if not frame.can_id & ERROR]
 
     def send(self, frames: Sequence[Frame]) -> int:
         """See ``bus.Bus``."""
-        pack = RECORD.pack
-        if frames and max([len(frame[1]) for frame in frames]) > CLASSICAL_MOST:
-            for frame in frames:
+        values: list[int | bytes] = []
+        for frame in frames:
+            can_id, data, flags, _, _ = frame
+            size = len(data)
+            if size > CLASSICAL_MOST:
                 check_size(frame)
-        records = b"".join([pack(can_id, len(data), flags, 0, data) for can_id, data, flags, _, _ in frames])
+            values += (can_id, size, flags, 0, data)
+        records = batch(len(frames)).pack(*values)
         waiting = self._rest + records if self._rest else records
         if self._gone or not waiting:
             return 0

@@ -5,9 +5,9 @@ Source: man 2 recvmmsg, man 7 socket (SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
 """
 
 import ctypes
+import errno
 import socket
 import struct
-from collections.abc import Iterable
 
 SO_RCVBUFFORCE = 33
 SO_TIMESTAMPNS = 35
@@ -38,8 +38,10 @@ class _Header(ctypes.Structure):
 
 CONTROL = struct.Struct("@NiillNiiI12x")
 """A time stamp's control message (length, level, type, s, ns) and, behind it, that of a drop counter."""
+STAMP = struct.Struct(f"@{struct.calcsize('@Nii')}xll{CONTROL.size - struct.calcsize('@Niill')}x")
+"""Seconds and nanoseconds of the same, where a stamp is known to be there."""
 STAMPED, COUNTED = struct.calcsize("@Niill"), struct.calcsize("@NiillNiiI")
-"""Lengths of the control messages with the stamp, and with stamp and counter [bytes]."""
+"""Lengths of the control messages with the stamp, and with stamp and counter [bytes]. A counter alone is shorter."""
 _TAIL = ctypes.sizeof(_Header) - _Header.size.offset - ctypes.sizeof(ctypes.c_uint)
 _GAP = _Header.size.offset - _Message.controllen.offset - ctypes.sizeof(ctypes.c_size_t)
 _HEADER = struct.Struct(f"@{_Message.controllen.offset}xN{_GAP}xI{_TAIL}x")
@@ -49,6 +51,11 @@ for _call in ("sendmmsg", "recvmmsg"):
     getattr(_libc, _call).restype = ctypes.c_int
 _libc.sendmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int)
 _libc.recvmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p)
+
+
+Datagram = tuple[int, int, int]
+"""Size [bytes], CLOCK_REALTIME of reception [ns] (0 if not told), and how many datagrams the socket has lost so far,
+modulo 2**32 (0 if not told: none so far)."""
 
 
 class Slots:
@@ -79,10 +86,30 @@ class Slots:
         self._view = memoryview(headers).cast("B")
         self._fresh = bytes(self._view)
         self._lengths = [size] * count
+        self._usual: tuple[bytes, int] = (b"", 0)
 
-    def sizes(self, count: int) -> Iterable[tuple[int, int]]:
-        """Length of control messages and length of datagram of the first slots."""
-        return _HEADER.iter_unpack(self._view[: count * _HEADER.size])
+    def even(self, count: int) -> int:
+        """Size of the first datagrams [bytes] if they are all alike, with a stamp and without a counter; 0 if not.
+
+        The kernel writes the same into the headers tick after tick, so what was read of them last time is kept.
+        """
+        raw = bytes(self._view[: count * _HEADER.size])
+        if raw != self._usual[0]:
+            kinds = set(_HEADER.iter_unpack(raw))
+            length, size = kinds.pop()
+            self._usual = raw, 0 if kinds or length != STAMPED else size
+        return self._usual[1]
+
+    def datagrams(self, count: int) -> list[Datagram]:
+        """What the kernel tells of each of the first datagrams."""
+        sizes = _HEADER.iter_unpack(self._view[: count * _HEADER.size])
+        control = CONTROL.iter_unpack(self.control[: count * CONTROL.size])
+        told = []
+        for (length, size), (_, level, kind, s, ns, _, level2, kind2, dropped) in zip(sizes, control, strict=True):
+            stamped = length >= STAMPED and kind == SO_TIMESTAMPNS and level == _SOL_SOCKET
+            counted = length >= COUNTED and kind2 == SO_RXQ_OVFL and level2 == _SOL_SOCKET
+            told.append((size, s * 1_000_000_000 + ns if stamped else 0, dropped if counted else 0))
+        return told
 
     def renew(self, count: int) -> None:
         """Undo what the kernel wrote into the first headers."""
@@ -95,32 +122,19 @@ class Slots:
             self._lengths[i] = self._iovecs[i].len = length
 
 
-Datagram = tuple[int, int, int]
-"""Size [bytes], CLOCK_REALTIME of reception [ns] (0 if not told), and how many datagrams the socket has lost so far,
-modulo 2**32 (0 if not told: none so far)."""
-
-
-def receive(fd: int, slots: Slots) -> list[Datagram]:
-    """Receive what is there, at most one datagram a slot; the bytes are in ``slots.data``.
+def receive(fd: int, slots: Slots) -> int:
+    """Receive what is there, at most one datagram a slot; how many. The next call wants ``renew`` before it.
 
     Raises:
         OSError: as ``recvmmsg``; ``BlockingIOError`` is not one of them.
     """
-    count = _libc.recvmmsg(fd, slots.headers, slots.count, socket.MSG_DONTWAIT, None)
-    if count <= 0:
-        code = ctypes.get_errno() if count < 0 else 0
-        if code in (0, socket.EAGAIN if hasattr(socket, "EAGAIN") else 11):
-            return []
-        raise OSError(code, "recvmmsg")
-    told = []
-    control = CONTROL.iter_unpack(slots.control[: count * CONTROL.size])
-    rows = zip(slots.sizes(count), control, strict=True)
-    for (length, size), (_, level, kind, s, ns, _, level2, kind2, dropped) in rows:
-        stamped = length >= STAMPED and kind == SO_TIMESTAMPNS and level == _SOL_SOCKET
-        counted = length >= COUNTED and kind2 == SO_RXQ_OVFL and level2 == _SOL_SOCKET
-        told.append((size, s * 1_000_000_000 + ns if stamped else 0, dropped if counted else 0))
-    slots.renew(count)
-    return told
+    count: int = _libc.recvmmsg(fd, slots.headers, slots.count, socket.MSG_DONTWAIT, None)
+    if count >= 0:
+        return count
+    code = ctypes.get_errno()
+    if code in (0, errno.EAGAIN):
+        return 0
+    raise OSError(code, "recvmmsg")
 
 
 def send(fd: int, slots: Slots, first: int, end: int) -> tuple[int, int]:

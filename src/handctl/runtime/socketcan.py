@@ -5,14 +5,16 @@ import os
 import socket
 import struct
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
-from handctl.drives.frame import ERROR, FDF, Frame
+from handctl.drives.frame import ERROR, FDF, Frame, make
 from handctl.errors import BusError
 from handctl.runtime import mmsg
 from handctl.runtime.bus import Stamp, check_size
 from handctl.runtime.bus_events import BusEvents, Event
 from handctl.runtime.interface import wrong_rate
+from handctl.runtime.wall import WallOffset
 
 CLASSICAL = struct.Struct("=IB3x8s")
 FD = struct.Struct("=IBB2x64s")
@@ -27,6 +29,9 @@ READS = 64
 RECEIVE_BUFFER = 4 << 20
 SEND_BUFFER = 32 << 10
 """Small on purpose, about 80 frames: a command that cannot go out now must not go out late [bytes]."""
+AHEAD_NS = 20_000_000
+"""A stamp further than this from the one before is compared with the clock: silence, or the wall clock was set. Less
+than this goes unnoticed until the offset of the clocks is measured again, which is soon [ns]."""
 CAN_RAW_ERR_FILTER, ALL_ERRORS = 2, 0x1FFFFFFF
 """Source: Linux ``can/raw.h``, ``can/error.h``."""
 SIOCGIFFLAGS, SIOCGIFMTU, SIOCGIFTXQLEN, IFF_UP = 0x8913, 0x8921, 0x8942, 1
@@ -56,29 +61,54 @@ class SocketCanBus:
         self._out = mmsg.Slots(SLOTS, FD.size, control=False)
         self._dropped = 0
         self._latest = 0
+        self._offset = WallOffset()
 
     def drain(self) -> list[Frame]:
         """See ``bus.Bus``."""
         frames: list[Frame] = []
         for _ in range(READS):
             try:
-                told = mmsg.receive(self._socket.fileno(), self._in)
+                count = mmsg.receive(self._socket.fileno(), self._in)
             except OSError as error:
                 self._events.failed(error.errno, "enodev")
                 break
-            if told:
-                self._take(frames, told)
-            if len(told) < SLOTS:
+            if count:
+                self._take(frames, count)
+                self._in.renew(count)
+            if count < SLOTS:
                 break
         return frames
 
-    def _take(self, frames: list[Frame], told: list[mmsg.Datagram]) -> None:
-        now = time.monotonic_ns()
-        offset = now - time.time_ns()
-        layout = FD if self._fd_mode else _SLOT
-        rows = layout.iter_unpack(self._in.data[: len(told) * FD.size])
-        index, stamp, earliest = self._index, self._stamp, self._latest
-        for (size, realtime, dropped), (can_id, length, flags, data) in zip(told, rows, strict=True):
+    def _take(self, frames: list[Frame], count: int) -> None:
+        """Make frames of what was received; usually all datagrams are alike, and their stamps follow the last ones."""
+        size = self._in.even(count)
+        if not (size and self._take_even(frames, count, FDF if size == FD.size else 0)):
+            self._offset.renew()
+            self._take_each(frames, self._in.datagrams(count), time.monotonic_ns())
+
+    def _rows(self, count: int) -> Iterator[tuple[Any, ...]]:
+        """Identifier, length, flags and padded payload of the frames received."""
+        return (FD if self._fd_mode else _SLOT).iter_unpack(self._in.data[: count * FD.size])
+
+    def _take_even(self, frames: list[Frame], count: int, fd_flag: int) -> bool:
+        """Frames of one kind, all stamped; False, and none taken, if one is an error frame or a stamp needs a look."""
+        index, stamp, error, kept_flags = self._index, self._stamp, ERROR, 0xFF if fd_flag else 0
+        t_ns, earliest, offset, taken = 0, self._latest, self._offset.ns(), []
+        latest = earliest + AHEAD_NS
+        stamps = mmsg.STAMP.iter_unpack(self._in.control[: count * mmsg.CONTROL.size])
+        for (s, ns), (can_id, length, flags, data) in zip(stamps, self._rows(count), strict=True):
+            t_ns = s * 1_000_000_000 + ns + offset
+            if can_id & error or not earliest <= t_ns <= latest:
+                return False
+            taken.append(make(Frame, (can_id, data[:length], flags & kept_flags | fd_flag, index, stamp(t_ns))))
+        frames += taken
+        self._latest = t_ns
+        return True
+
+    def _take_each(self, frames: list[Frame], told: list[mmsg.Datagram], now: int) -> None:
+        """Frames of any kind, error frames, and the count of what was lost."""
+        index, stamp, earliest, offset = self._index, self._stamp, self._latest, self._offset.ns()
+        for (size, realtime, dropped), (can_id, length, flags, data) in zip(told, self._rows(len(told)), strict=True):
             if dropped != self._dropped and dropped:
                 self._events.add("dropped", (dropped - self._dropped) & 0xFFFFFFFF)
                 self._dropped = dropped
@@ -90,7 +120,7 @@ class SocketCanBus:
             if not earliest <= t_ns <= now:
                 t_ns = now  # not told, or the wall clock was set meanwhile
             frames.append(Frame(can_id, data[:length], fd_flags, index, stamp(t_ns)))
-        self._latest = now
+            self._latest = max(self._latest, t_ns)
 
     def send(self, frames: Sequence[Frame]) -> int:
         """See ``bus.Bus``."""
@@ -106,17 +136,18 @@ class SocketCanBus:
         return accepted
 
     def _pack(self, frames: Sequence[Frame]) -> None:
-        buffer, offset = self._out.data, 0
+        buffer, offset, set_length = self._out.data, 0, self._out.set_length
         for i, frame in enumerate(frames):
             can_id, data, flags, _, _ = frame
-            if len(data) > CLASSICAL_MOST:
+            size = len(data)
+            if size > CLASSICAL_MOST:
                 check_size(frame)
             if flags & FDF:
-                FD.pack_into(buffer, offset, can_id, len(data), flags, data)
-                self._out.set_length(i, FD.size)
+                FD.pack_into(buffer, offset, can_id, size, flags, data)
+                set_length(i, FD.size)
             else:
-                CLASSICAL.pack_into(buffer, offset, can_id, len(data), data)
-                self._out.set_length(i, CLASSICAL.size)
+                CLASSICAL.pack_into(buffer, offset, can_id, size, data)
+                set_length(i, CLASSICAL.size)
             offset += FD.size
 
     def take_events(self) -> list[Event]:

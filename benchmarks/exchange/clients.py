@@ -1,0 +1,166 @@
+"""Clients from the package index that a user would pick instead, each with the motors and the payloads it is made for.
+
+Their threads are stopped and what these do is done by hand, so that all are timed alike; a client whose own code does
+not get on without (moteus: asyncio) keeps it.
+"""
+
+import asyncio
+import contextlib
+import io
+import logging
+import struct
+from types import SimpleNamespace
+
+import can
+from exchange.ways import feedback
+
+
+class Damiao:
+    """damiao-motor, its polling thread stopped and its polling done by hand."""
+
+    answer = staticmethod(feedback)
+
+    def __init__(self, interface, channel, motors):
+        from damiao_motor import DaMiaoController
+
+        self.controller = DaMiaoController(channel=channel, bustype=interface)
+        add = self.controller.add_motor
+        self.motors = [add(motor_id=i, feedback_id=i + 0x10, motor_type="4310") for i in range(1, motors + 1)]
+        self.controller._stop_polling()
+
+    def send(self, torques):
+        for motor, torque in zip(self.motors, torques, strict=True):
+            motor.send_cmd_mit(feedforward_torque=torque)
+
+    def receive(self):
+        self.controller.poll_feedback()
+        return [motor.get_states() for motor in self.motors]
+
+    def close(self):
+        self.controller.shutdown()
+
+
+class Odrive:
+    """odrive-can: the message it makes of a torque by its DBC, and what its reader makes of a position."""
+
+    AXES = 8
+    """Of its DBC."""
+
+    def __init__(self, interface, channel, motors):
+        from odrive_can import odrive
+
+        if motors > self.AXES:
+            raise ValueError(f"its DBC knows {self.AXES} axes")
+        self.bus, self.read = can.Bus(channel, interface=interface, ignore_config=True), odrive.CanMsg
+        self.drives = [odrive.ODriveCAN(axis_id=i, can_bus=self.bus) for i in range(motors)]
+
+    @staticmethod
+    def answer(motor):
+        return (motor - 1) << 5 | 0x09, struct.pack("<ff", 1.5, 0.1), 0
+
+    def send(self, torques):
+        for drive, torque in zip(self.drives, torques, strict=True):
+            drive.set_input_torque(torque)
+
+    def receive(self):
+        return [self.read(self.bus.recv(0)).data for _ in self.drives]
+
+    def close(self):
+        for drive in self.drives:
+            del drive._bus  # it would shut it down
+        self.bus.shutdown()
+
+
+class TMotor:
+    """TMotorCANControl, CubeMars AK80-9: without the ``sudo ip link set can0`` of its manager, which knows no other bus,
+    and with its notifier's thread done by hand."""
+
+    def __init__(self, interface, channel, motors):
+        from TMotorCANControl import mit_can
+
+        manager = object.__new__(mit_can.CAN_Manager)
+        manager.bus = can.Bus(channel, interface=interface, ignore_config=True)
+        heard = []
+        manager.notifier = SimpleNamespace(add_listener=heard.append)
+        mit_can.CAN_Manager.__del__ = lambda self: None
+        mit_can.CAN_Manager._instance = manager
+        with contextlib.redirect_stdout(io.StringIO()):
+            make = mit_can.TMotorManager_mit_can
+            self.motors = [make(motor_type="AK80-9", motor_ID=i) for i in range(1, motors + 1)]
+        self.bus, self.heard = manager.bus, heard
+        for motor in self.motors:
+            motor._entered, motor._last_command_time = True, 0.0
+            motor.set_current_gains()
+
+    @staticmethod
+    def answer(motor):
+        return motor, bytes((motor, 0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 0)), 0
+
+    def send(self, torques):
+        for motor, torque in zip(self.motors, torques, strict=True):
+            motor.set_output_torque_newton_meters(torque)
+            motor.update()
+
+    def receive(self):
+        for _ in self.motors:
+            message = self.bus.recv(0)
+            for listener in self.heard:
+                listener.on_message_received(message)
+        return [motor.get_output_torque_newton_meters() for motor in self.motors]
+
+    def close(self):
+        self.bus.shutdown()
+
+
+class Moteus:
+    """moteus, its position command with a torque, and its usual query, over python-can in CAN FD."""
+
+    def __init__(self, interface, channel, motors):
+        import moteus
+        from moteus.pythoncan_device import PythonCanDevice
+
+        logging.getLogger("asyncio").setLevel(logging.CRITICAL)
+        self.loop = asyncio.new_event_loop()
+        self.device = PythonCanDevice(interface=interface, channel=channel, fd=True)
+        self.transport = moteus.Transport([self.device])
+        self.count = motors
+        known = dict.fromkeys(range(1, motors + 1), self.device)
+        self.controllers = [moteus.Controller(id=i, transport=self.transport) for i in known]
+        self.transport._routing_table = {}
+        self.nan = float("nan")
+
+    @staticmethod
+    def answer(motor):
+        motion = b"\x2f\x01" + struct.pack("<fff", 0.1, 0.2, 0.3)
+        data = b"\x21\x00\x0a" + motion + b"\x23\x0d\x30\x20\x00"
+        extended = 0x80000000 if motor << 8 > 0x7FF else 0
+        return motor << 8 | extended, data + b"\x50" * (24 - len(data)), 4 | 1
+
+    async def _cycle(self, torques):
+        commands = [
+            controller.make_position(position=self.nan, feedforward_torque=torque, query=True)
+            for controller, torque in zip(self.controllers, torques, strict=True)
+        ]
+        for command in commands:
+            command.channel = self.device
+        return await self.transport.cycle(commands)
+
+    def send(self, torques):
+        self.sent = 0
+        self.task = self.loop.create_task(self._cycle(torques))
+        self.loop.run_until_complete(self._gone())
+
+    async def _gone(self):
+        """Until its task has sent everything and waits."""
+        for _ in range(4):
+            await asyncio.sleep(0)
+
+    def receive(self):
+        return self.loop.run_until_complete(asyncio.wait_for(self.task, 5.0))
+
+    def close(self):
+        self.device.close()
+        self.loop.close()
+
+
+CLIENTS = {"damiao-motor": Damiao, "odrive-can": Odrive, "TMotorCANControl": TMotor, "moteus": Moteus}
