@@ -180,7 +180,8 @@ def show(result: dict) -> None:
                     continue
                 floors = (f"{value:.1f}" if value else "-" for value in (row["times_floor"], row["times_packets"]))
                 ratio = row["times_faster_than_python_can"]
-                print("  {:<26}{:7.1f}{:8.1f}{:>5}{:>16}{:>30.2f}".format(name, row["wall_us"], row["cpu_us"], *floors, ratio))
+                times = f"{row['wall_us']:7.1f}{row['cpu_us']:8.1f}"
+                print("  {:<26}{}{:>6}{:>15}{:>30.2f}".format(name, times, *floors, ratio))
 
 
 if __name__ == "__main__":

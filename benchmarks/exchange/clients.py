@@ -72,8 +72,10 @@ class Odrive:
 
 
 class TMotor:
-    """TMotorCANControl, CubeMars AK80-9: without the ``sudo ip link set can0`` of its manager, which knows no other bus,
-    and with its notifier's thread done by hand."""
+    """TMotorCANControl, CubeMars AK80-9, its notifier's thread done by hand.
+
+    Without the ``sudo ip link set can0`` of its manager, which knows no other bus.
+    """
 
     def __init__(self, interface, channel, motors):
         from TMotorCANControl import mit_can

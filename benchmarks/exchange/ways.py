@@ -68,7 +68,8 @@ class Drives(Ours):
     def __init__(self, interface, channel, motors):
         super().__init__(interface, channel, motors)
         from handctl.drives.contract import DriveState, Phase, Want
-        from handctl.drives.mit import MitDrive, Progress
+        from handctl.drives.mit import MitDrive
+        from handctl.drives.mit_progress import Progress
 
         self.want = Want.ENABLE
         make = partial(MitDrive, bus=0, ranges=self.ranges, direction=1, zero=0.0, timeout=1000)

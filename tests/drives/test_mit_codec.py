@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from handctl.drives import mit_codec as codec
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.frame import FDF, Frame
-from handctl.drives.mit import MitDrive, Progress
+from handctl.drives.mit import MitDrive
+from handctl.drives.mit_progress import Progress
 from handctl.drives.mit_registers import Walk
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError

@@ -93,9 +93,7 @@ def test_a_slow_hub_costs_frames_but_no_time_and_no_alignment(scripted: tuple[Bu
 @pytest.mark.parametrize(
     ("counters", "told"), [([0, 0, 0], 0), ([0, 3, 3], 3), ([65_530, 4], 65_540), ([7, 7, 65_535, 1], 65_537)]
 )
-def test_what_the_hub_dropped_is_told_once(
-    scripted: tuple[Bus, socket.socket], counters: list[int], told: int
-) -> None:
+def test_what_the_hub_dropped_is_told_once(scripted: tuple[Bus, socket.socket], counters: list[int], told: int) -> None:
     bus, link = scripted
     numbers = []
     for counter in counters:

@@ -3,7 +3,7 @@
 import enum
 from typing import assert_never, cast
 
-from handctl.drives import cia402_codec, cia402_progress, mit, mit_codec, odrive_codec, odrive_progress
+from handctl.drives import cia402_codec, cia402_progress, mit_codec, mit_progress, odrive_codec, odrive_progress
 from handctl.drives.cia402 import Cia402Drive
 from handctl.drives.contract import Drive
 from handctl.drives.mit import MitDrive
@@ -32,7 +32,8 @@ class Cause(enum.IntEnum):
 
 MIT = {
     0x8: Cause.VOLTAGE, 0x9: Cause.VOLTAGE, 0xB: Cause.HOT, 0xC: Cause.HOT, 0xD: Cause.WATCHDOG,
-    mit.DROPPED_OUT: Cause.DROPPED_OUT, mit.MISMATCH: Cause.MISMATCH, mit.ENABLED_BY_OTHERS: Cause.MISMATCH,
+    mit_progress.DROPPED_OUT: Cause.DROPPED_OUT, mit_progress.MISMATCH: Cause.MISMATCH,
+    mit_progress.ENABLED_BY_OTHERS: Cause.MISMATCH,
 } | dict.fromkeys(mit_codec.ERRORS.keys() - {0x8, 0x9, 0xB, 0xC, 0xD}, Cause.OTHER)  # fmt: skip
 """By the state nibble of the feedback."""
 CIA402 = {

@@ -7,13 +7,13 @@ unwrapped: the hand's travel is far inside. Nothing but feedback of state 0, or 
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 from handctl.drives import mit_codec as codec
 from handctl.drives import mit_registers as registers
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
 from handctl.drives.frame import BRS, FDF, Frame, make
+from handctl.drives.mit_progress import CLEAR_TRIES, GONE_NS, MISMATCH, Progress, fault, judge, progress_of
 from handctl.drives.mit_registers import Walk
 from handctl.drives.options import switch
 from handctl.errors import ConfigError
@@ -21,36 +21,6 @@ from handctl.errors import ConfigError
 LISTEN, POLL, ENABLE, DISABLE = Want
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 """As names of this module: looking a member up in its enumeration costs more than comparing it."""
-
-DROPPED_OUT, MISMATCH, UNKNOWN, ENABLED_BY_OTHERS = 0x100, 0x101, 0x102, 0x103
-"""Error codes of our own: disabled by itself, a register that does not read back, an unknown state, and that."""
-CLEAR_TRIES = 3
-GONE_NS = 250_000_000
-"""After this silence a motor may have lost power, and with it what was written into its registers [ns]."""
-
-
-class Progress(NamedTuple):
-    """What MIT mode keeps in ``DriveState.private``.
-
-    Attributes:
-        walk: how far its registers are known.
-        configured: whether all registers read as wanted, so that feedback can be decoded.
-        found_enabled: whether it says that it is enabled although it was not told to.
-        asked: whether it was told to enable, and has not said since that it is disabled.
-        disabling: whether it is being told to disable.
-        disabling_ns: since when [ns].
-        clearing: how many answers may still carry the error that is being cleared.
-        ready_ns: when its registers were known [ns].
-    """
-
-    walk: Walk = Walk()
-    configured: bool = False
-    found_enabled: bool = False
-    asked: bool = False
-    disabling: bool = False
-    disabling_ns: int = 0
-    clearing: int = 0
-    ready_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,10 +144,10 @@ class MitDrive:
     def _take_register(self, state: DriveState, reply: codec.RegisterReply, t_ns: int) -> DriveState:
         if state.phase != CONFIGURING:
             return state
-        progress = _progress(state)
+        progress = progress_of(state)
         walk, problem = registers.take(progress.walk, self.wanted, reply)
         if problem:
-            return _fault(state, MISMATCH, problem)
+            return fault(state, MISMATCH, problem)
         if walk.step < len(self.wanted):
             return state._replace(private=progress._replace(walk=walk))
         ready = progress._replace(walk=Walk(), configured=True, ready_ns=t_ns)
@@ -185,9 +155,8 @@ class MitDrive:
 
     def _take_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
         """Values of a feedback frame, and what its state nibble means."""
-        progress = _progress(state)
         nibble, position, velocity, torque, hot = codec.decode_feedback(data, self.lines)
-        if not progress.configured:
+        if not progress_of(state).configured:
             position = velocity = torque = math.nan
         known = state._replace(
             position=position,
@@ -197,43 +166,7 @@ class MitDrive:
             feedback_t_ns=t_ns,
             feedback_count=state.feedback_count + 1,
         )
-        if nibble == codec.ENABLED:
-            return self._is_enabled(known, progress)
-        if nibble == codec.DISABLED:
-            return self._is_disabled(known, progress)
-        return self._is_wrong(known, progress, nibble)
-
-    def _is_disabled(self, state: DriveState, progress: Progress) -> DriveState:
-        off = progress._replace(asked=False, found_enabled=False, clearing=0)
-        if progress.disabling:
-            if state.feedback_t_ns < progress.disabling_ns:
-                return state._replace(private=progress)
-            return state._replace(phase=FAULT if state.error else READY, private=off)
-        if state.phase == ENABLED:
-            return _fault(state._replace(private=off), DROPPED_OUT, "disabled by itself")
-        off = off._replace(asked=progress.asked)
-        return state._replace(phase=CONFIGURING if state.phase == SILENT else state.phase, private=off)
-
-    def _is_enabled(self, state: DriveState, progress: Progress) -> DriveState:
-        if progress.asked and state.phase != FAULT:
-            return state if state.phase == ENABLED else state._replace(phase=ENABLED)
-        found = state._replace(private=progress._replace(found_enabled=True))
-        if progress.disabling:
-            return found._replace(phase=ENABLED)
-        if state.phase == READY:
-            return _fault(found, ENABLED_BY_OTHERS, "enabled, but not by this host")
-        return found._replace(phase=CONFIGURING) if state.phase == SILENT else found
-
-    def _is_wrong(self, state: DriveState, progress: Progress, nibble: int) -> DriveState:
-        """An error takes the torque away; a state that nobody knows may leave it there."""
-        if nibble in codec.ERRORS and progress.clearing:
-            return state._replace(private=progress._replace(clearing=progress.clearing - 1))
-        if nibble in codec.ERRORS:
-            off = state._replace(private=progress._replace(asked=False, found_enabled=False))
-            return _fault(off, nibble, codec.ERRORS[nibble])
-        unknown = state._replace(private=progress._replace(found_enabled=True))
-        unknown = _fault(unknown, UNKNOWN, f"unknown state {nibble:#x}")
-        return unknown._replace(phase=ENABLED) if progress.disabling else unknown
+        return judge(known, nibble)
 
     def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
         """See ``contract.Drive``."""
@@ -270,7 +203,7 @@ class MitDrive:
             return told, self.cut()
         walk, data, problem = registers.ask(progress.walk, self.wanted, self.node_id, t_ns)
         if problem:
-            return _fault(state._replace(private=progress), MISMATCH, problem), ()
+            return fault(state._replace(private=progress), MISMATCH, problem), ()
         known = state._replace(error_text="", private=progress._replace(walk=walk))
         return known, (self._broadcast(data),) if data else ()
 
@@ -305,12 +238,3 @@ class MitDrive:
 
     def _refresh(self) -> Frame:
         return self._broadcast(codec.register_request(self.node_id, codec.REFRESH))
-
-
-def _progress(state: DriveState) -> Progress:
-    progress: Progress = state.private
-    return progress
-
-
-def _fault(state: DriveState, error: int, text: str) -> DriveState:
-    return state._replace(phase=FAULT, error=error, error_text=text)

@@ -118,15 +118,15 @@ class LocalBus:
     def _take(self, frames: list[Frame], filled: int) -> None:
         """Take the whole records out of the first ``filled`` bytes, keep the beginning of the next."""
         whole = filled - filled % SIZE
-        t_ns, index, dropped, error = self._stamp(time.monotonic_ns()), self._index, self._dropped, ERROR
-        for can_id, length, flags, dropped, data in RECORD.iter_unpack(self._buffer[:whole]):  # noqa: B020
+        t_ns, index, lost, error = self._stamp(time.monotonic_ns()), self._index, self._dropped, ERROR
+        for can_id, length, flags, lost, data in RECORD.iter_unpack(self._buffer[:whole]):  # noqa: B007
             if can_id & error:
                 self._events.error_frame(can_id, data[:length])
             else:
                 frames.append(make(Frame, (can_id, data[:length], flags, index, t_ns)))
-        if dropped != self._dropped:
-            self._events.add("dropped", (dropped - self._dropped) & 0xFFFF)
-            self._dropped = dropped
+        if lost != self._dropped:
+            self._events.add("dropped", (lost - self._dropped) & 0xFFFF)
+            self._dropped = lost
         self._kept = filled - whole
         if whole < filled:
             self._buffer[: self._kept] = self._buffer[whole:filled]
