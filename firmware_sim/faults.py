@@ -32,6 +32,11 @@ class Faults:
         self._turn_ns = self._foreign_ns = 0
         self.everything: list[Active] = []
 
+    @property
+    def t_ns(self) -> int:
+        """The world's time, which ``start_ns`` and the truth file are in [ns]."""
+        return int(self._world.t_ns)
+
     def inject(self, text: str) -> Fault:
         """Let a fault begin, at once or later.
 

@@ -44,6 +44,7 @@ def columns(plant: Plant) -> list[tuple[str, str]]:
     named += [(f"q/{joint}", "rad") for joint in hand.joints]
     named += [(f"dq/{joint}", "rad/s") for joint in hand.joints]
     named += [(f"motor/{motor.name}", "rad") for motor in hand.motors]
+    named += [(f"torque/{motor.name}", "N m") for motor in hand.motors]
     named += [(f"contact_force/{digit.name}/{axis}", "N") for digit in hand.digits for axis in "xyz"]
     named += [(f"object/{axis}", "m") for axis in "xyz"]
     named += [(f"object/{part}", "1") for part in ("qw", "qx", "qy", "qz")]
@@ -92,6 +93,7 @@ class TruthWriter:
                 *engine.q.tolist(),
                 *engine.dq.tolist(),
                 *[motor.theta for motor in self._motors],
+                *[motor.torque for motor in self._motors],
                 *plant.contact_forces(),
                 *engine.object_pose(),
                 engine.object_speed(),

@@ -11,6 +11,9 @@ DONE = re.compile(r"Done (\d+) runs in (\d+) second")
 COVERED = re.compile(r"cov: (\d+) ft: (\d+)")
 NAMES = ("mit", "odrive", "cia402", "sensor-node", "hand", "hand-text", "task", "trajectory", "gains", "calibration",
          "log", "log-bytes", "request", "fault")  # fmt: skip
+LONGEST = {"mit": 64, "odrive": 64, "cia402": 64, "sensor-node": 64, "request": 256, "fault": 256, "hand": 128,
+           "task": 128, "trajectory": 128, "gains": 128, "calibration": 128}  # fmt: skip
+"""Bytes of an input; more would only be more of the same."""
 
 
 def arguments() -> argparse.Namespace:
@@ -19,18 +22,20 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"of {', '.join(NAMES)} (default: all)")
     parser.add_argument("--seconds", type=int, default=10, help="for each target (default: %(default)s; 0: no limit)")
     parser.add_argument("--runs", type=int, default=-1, help="inputs for each target (default: as time allows)")
+    parser.add_argument("--plain", action="store_true", help="blindly from the kept inputs, but faster: for the count")
     args = parser.parse_args()
     if unknown := set(args.targets) - set(NAMES):
         parser.error(f"no target {sorted(unknown)[0]!r}; expected of {', '.join(NAMES)}")
     return args
 
 
-def fuzzed(name: str, seconds: int, runs: int) -> tuple[str, bool]:
+def fuzzed(name: str, seconds: int, runs: int, plain: bool = False) -> tuple[str, bool]:
     """A line about a target, and whether it held."""
     corpus, found = PLACE / "corpus" / name, PLACE / "found" / name
     corpus.mkdir(parents=True, exist_ok=True)
     found.mkdir(parents=True, exist_ok=True)
-    limits = [f"-max_total_time={seconds}", f"-runs={runs}", "-max_len=4096", "-rss_limit_mb=4096", "-timeout=20"]
+    limits = [f"-max_total_time={seconds}", f"-runs={runs}", f"-max_len={LONGEST.get(name, 4096)}"]
+    limits += ["-rss_limit_mb=4096", "-timeout=20", *(["--plain"] if plain else [])]
     command = [sys.executable, "-m", "fuzz.one", name, str(corpus), *limits, f"-artifact_prefix={found}/"]
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     (PLACE / f"{name}.txt").write_text(done.stdout + done.stderr)
@@ -46,7 +51,7 @@ def main() -> int:
     args = arguments()
     held = True
     for name in args.targets or NAMES:
-        line, good = fuzzed(name, args.seconds, args.runs)
+        line, good = fuzzed(name, args.seconds, args.runs, args.plain)
         print(line, flush=True)
         held = held and good
     return 0 if held else 1

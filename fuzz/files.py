@@ -7,19 +7,20 @@ from pathlib import Path
 from typing import Any
 
 from fuzz.mutate import Source, mutated, places
-from handctl.cli.plan import find_task, find_trajectory
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.calibration import load_calibration
-from handctl.controller.gains import Gains, load_gains, load_gains_file
+from handctl.controller.calibration import calibration_from
+from handctl.controller.gains import Gains, GainsFile, Provenance
 from handctl.controller.identified import identified_hand
+from handctl.controller.task import Task, check_task, trajectory_from
 from handctl.document import validated
 from handctl.drives.registry import make_drive
 from handctl.errors import HandctlError
-from handctl.hand.description import HANDS, Hand, hand_from, load_hand, packaged_hands
+from handctl.hand.description import HANDS, Hand, hand_from, load_hand, packaged_hands, read_toml
 from handctl.hand.digit import DigitModel
 from handctl.hand.toml_text import toml_text
 
 Target = Callable[[bytes], bool]
+Content = Mapping[str, Any]
 TASKS = HANDS.parents[1] / "tasks"
 
 
@@ -41,12 +42,7 @@ def hand(folder: Path) -> Target:
         source = Source(data)
         i = source.number(len(contents))
         content = mutated(contents[i], known[i], source)
-        try:
-            used(hand_from(content, "fuzzed"))
-        except HandctlError as error:
-            one_line(error)
-            return False
-        return True
+        return _taken(lambda: used(hand_from(content, "fuzzed")))
 
     return target
 
@@ -65,28 +61,40 @@ def one_line(error: HandctlError) -> None:
 def _text(path: Path, load: Callable[[Path], object]) -> Target:
     def target(data: bytes) -> bool:
         path.write_bytes(data)
-        try:
-            load(path)
-        except HandctlError as error:
-            one_line(error)
-            return False
-        return True
+        return _taken(lambda: load(path))
 
     return target
 
 
-def _document(path: Path, contents: list[Mapping[str, Any]], load: Callable[[Path], object]) -> Target:
-    """A document: of any bytes, or a good one changed in up to four places."""
+def _taken(load: Callable[[], object]) -> bool:
+    """Whether something is accepted; if not, it is told in one line."""
+    try:
+        load()
+    except HandctlError as error:
+        one_line(error)
+        return False
+    return True
+
+
+AS_TEXT = 32
+"""One document of so many goes through its text; the others are changed after TOML, whose reader is Python's own."""
+
+
+def _document(path: Path, contents: list[Content], use: Callable[[Content], object]) -> Target:
+    """A document: of any bytes, or a good one changed in up to four places, in memory or as text."""
     known = [list(places(content)) for content in contents]
-    noise = _text(path, load)
+    noise = _text(path, lambda file: use(read_toml(file)))
 
     def target(data: bytes) -> bool:
         source = Source(data)
-        i = source.number(len(contents) + 1)
-        if i == len(contents):
+        way = source.number(AS_TEXT)
+        if way == 1:
             return noise(data[source.at :])
-        text = toml_text(mutated(contents[i], known[i], source))
-        return noise(text.encode("utf-8", "surrogatepass"))
+        i = source.number(len(contents))
+        content = mutated(contents[i], known[i], source)
+        if way == 2:
+            return noise(toml_text(content).encode("utf-8", "surrogatepass"))
+        return _taken(lambda: use(content))
 
     return target
 
@@ -94,7 +102,9 @@ def _document(path: Path, contents: list[Mapping[str, Any]], load: Callable[[Pat
 def task(folder: Path) -> Target:
     """A task, checked against the hand."""
     jamia, contents = load_hand("jamia"), [tomllib.loads(path.read_text()) for path in sorted(TASKS.glob("*.toml"))]
-    return _document(folder / "task.toml", list(contents), lambda path: find_task(path, jamia))
+    return _document(
+        folder / "task.toml", list(contents), lambda content: suited(validated(content, Task, "fuzzed"), jamia)
+    )
 
 
 def trajectory(folder: Path) -> Target:
@@ -102,14 +112,24 @@ def trajectory(folder: Path) -> Target:
     jamia = load_hand("jamia")
     angles = [30.0 * math.sin(0.5 * i) ** 2 for i in range(8)]
     content = {"schema": 1, "name": "t", "time_s": [0.3 * i for i in range(8)], "angle_deg": {"index": angles}}
-    return _document(folder / "trajectory.toml", [content], lambda path: find_trajectory(path, jamia))
+    return _document(
+        folder / "trajectory.toml", [content], lambda content: suited(trajectory_from(content, "fuzzed"), jamia)
+    )
+
+
+def suited(task: Task, hand: Hand) -> None:
+    """Check a task against a hand."""
+    tendons = {name: part.stop - part.start for name, part in hand.digit_tendons.items()}
+    check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), "fuzzed", tendons)
 
 
 def gains(folder: Path) -> Target:
-    """Gains of a run, and with their provenance."""
+    """Gains of a run with their provenance."""
     packaged = Gains().model_dump(by_alias=True)
-    validated(packaged, Gains, "packaged")
-    return _document(folder / "gains.toml", [packaged], lambda path: (load_gains(path), load_gains_file(path)))
+    content = packaged | {"provenance": Provenance(hand="jamia", number=3, log=("a.mcap",)).model_dump()}
+    del content["provenance"]["restores"]
+    validated(content, GainsFile, "packaged")
+    return _document(folder / "gains.toml", [content], lambda content: validated(content, GainsFile, "fuzzed").gains)
 
 
 def calibration(folder: Path) -> Target:
@@ -126,9 +146,9 @@ def calibration(folder: Path) -> Target:
         "identified": {jamia.tendon_names[0]: found},
     }
 
-    def load(path: Path) -> None:
-        loaded = load_calibration(path, jamia)
+    def use(content: Content) -> None:
+        loaded = calibration_from(content, jamia, "fuzzed")
         loaded.tare(jamia), loaded.zero(jamia)
         identified_hand(jamia, loaded.identified)
 
-    return _document(folder / "calibration.toml", [content], load)
+    return _document(folder / "calibration.toml", [content], use)

@@ -242,7 +242,8 @@ def changes(state: State) -> Iterator[tuple[str, State]]:
         )
     yield "filter.started", state._replace(filter=state.filter._replace(started=not state.filter.started))
     for field in state.law._fields:
-        array = np.zeros_like(state.law.force) if field == "trim" else getattr(state.law, field).copy()
+        present = getattr(state.law, field)
+        array = np.zeros_like(state.law.force) if present is None else present.copy()
         array[-1] = np.nextafter(array[-1], 9e9)
         yield f"law.{field}", state._replace(law=state.law._replace(**{field: array}))
     coming = Coming(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
@@ -300,7 +301,7 @@ def test_every_part_of_the_state_changes_its_digest(active: Bench) -> None:
         covered |= {one for one in names if getattr(changed, one) is not getattr(state, one)}
     assert covered == names, "a new part of the state needs a line in changes()"
     assert set(state.filter._fields) == {*FILTER_ARRAYS, *FILTER_TUPLES, "started"}
-    assert set(state.law._fields) == {"setpoint", "integral", "force", "planned", "rate", "trim"}
+    assert set(state.law._fields) == {"setpoint", "integral", "force", "planned", "rate", "trim", "held"}
     assert state._replace().digest() == state.digest()
 
 

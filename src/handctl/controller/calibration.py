@@ -1,16 +1,18 @@
 """What was found out about one hand: tares, zeros, that every tendon pulls what it should, and what it is made of."""
 
 import datetime
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from pydantic import Field, field_validator
 
 from handctl.controller.identified import Identified, check_identified
 from handctl.controller.types import Vector
-from handctl.document import Document, load_document
+from handctl.document import Document, validated
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand
+from handctl.hand.description import Hand, read_toml
 
 
 class TendonCalibration(Document):
@@ -60,14 +62,23 @@ def load_calibration(path: Path, hand: Hand) -> Calibration:
     Raises:
         ConfigError: it cannot be read, is for another hand or another version of its description, or lacks a tendon.
     """
-    calibration = load_document(path, Calibration)
+    return calibration_from(read_toml(path), hand, str(path))
+
+
+def calibration_from(content: Mapping[str, Any], hand: Hand, source: str) -> Calibration:
+    """Check a calibration file's content.
+
+    Raises:
+        ConfigError: as ``load_calibration``; the line names the source.
+    """
+    calibration = validated(content, Calibration, source)
     if calibration.identity != hand.identity:
         raise ConfigError(
             f"is for hand {calibration.hand!r} with description {calibration.identity[:12]}",
-            str(path),
+            source,
             f"one of {hand.name!r} with {hand.identity[:12]}: run handctl commission again",
         )
     for name in set(hand.tendon_names) - calibration.tendon.keys():
-        raise ConfigError("missing", f"{path}: tendon.{name}", "an entry for every tendon")
-    check_identified(hand, calibration.identified, str(path))
+        raise ConfigError("missing", f"{source}: tendon.{name}", "an entry for every tendon")
+    check_identified(hand, calibration.identified, source)
     return calibration

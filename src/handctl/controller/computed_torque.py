@@ -41,6 +41,7 @@ class LawState(NamedTuple):
         planned: tension that the motion asks for [N]; 0 where nothing moves.
         rate: at which that changes [N/s]: the filter's other input.
         trim: motor force that still makes up for a change of gains [N]; None long after one.
+        held: largest tension while safety holds [N]; None while it does not.
     """
 
     setpoint: Vector
@@ -49,6 +50,7 @@ class LawState(NamedTuple):
     planned: Vector
     rate: Vector
     trim: Vector | None = None
+    held: Vector | None = None
 
     @staticmethod
     def initial(tendons: int) -> "LawState":
@@ -78,9 +80,22 @@ class Command(NamedTuple):
     q: Vector
     dq: Vector
 
+    @staticmethod
+    def idle(model: HandModel) -> "Command":
+        """Nothing."""
+        n, joints = model.tendon_count, len(model.hand.joints)
+        nothing = np.full(joints, np.nan)
+        return Command(np.zeros(n), np.full(n, np.nan), np.zeros(joints), nothing, nothing)
+
 
 def step(
-    model: HandModel, state: LawState, estimate: Estimate, goals: tuple[DigitGoal, ...], t: float
+    model: HandModel,
+    state: LawState,
+    estimate: Estimate,
+    goals: tuple[DigitGoal, ...],
+    t: float,
+    most: Vector | None = None,
+    held: Vector | None = None,
 ) -> tuple[LawState, Command]:
     """One tick of the law for all digits.
 
@@ -90,15 +105,20 @@ def step(
         estimate: of this instant.
         goals: per digit.
         t: time [s].
+        most: (N,) tension that must not be exceeded now, besides the hand's own limits [N].
+        held: (N,) the same while safety holds [N]; the place on the way is the goal then, its speed is not.
     """
+    most = held if most is None else most if held is None else np.minimum(most, held)
     table = goal_table(model, goals)
-    motion = _motion(model, estimate, table, t)
-    hold = _hold(model, state, estimate, table, t)
+    motion = _motion(model, estimate, table, t, most, held is not None)
+    hold = _hold(model, state, estimate, table, t, most)
     force = table.chosen(motion.force, hold.force, 0.0)
     if state.trim is not None:
         force = force + table.chosen(state.trim, state.trim, 0.0)
     limit = model.torque_limit / model.space.spool
     asked = _within(force, -UNWIND_SHARE * limit, limit)
+    if most is not None:
+        asked = np.minimum(asked, most + model.space.coulomb)
     tension = table.chosen(motion.tension, hold.setpoint, np.nan)
     load = table.chosen(motion.load, hold.setpoint, 0.0)
     planned = motion.tension if table.all_moving else only(table.moving, motion.tension)
@@ -109,6 +129,7 @@ def step(
         planned,
         _change(model, state.planned, planned),
         None if state.trim is None else _faded(state.trim, model.period),
+        held,
     )
     return law, Command(asked * model.space.spool, tension, load.dot(model.hand.moment_arms), motion.q, motion.dq)
 
@@ -154,17 +175,22 @@ class _Motion(NamedTuple):
     dq: Vector
 
 
-def _motion(model: HandModel, estimate: Estimate, table: GoalTable, t: float) -> _Motion:
+def _motion(
+    model: HandModel, estimate: Estimate, table: GoalTable, t: float, most: Vector | None, frozen: bool
+) -> _Motion:
     """Computed torque along the trajectories."""
     if not table.moves:
         return _Motion(table.target, table.target, table.target, table.nothing, table.nothing)
     way = _way(model, table, t)
+    if frozen:
+        way[1:] = 0.0
     load = _load(model, table, way)
     excursion, rate, acceleration = way.dot(model.hand.moment_arms.T)
     space, gains, design = model.space, model.gains.motion, model.motion
     feedback = design.stiffness * (excursion - estimate.excursion) + design.damping * (rate - estimate.speed)
     efficiency = 1.0 - gains.friction_share * (1.0 - tendon_efficiency(model, way[0], rate))
-    tension = _within(load / efficiency, model.floor, model.ceiling)
+    ceiling = model.ceiling if most is None else np.minimum(model.ceiling, most)
+    tension = _within(load / efficiency, model.floor, ceiling)
     force = (
         tension
         + (space.motor_mass + space.load_mass) * feedback
@@ -221,12 +247,15 @@ class _Hold(NamedTuple):
     integral: Vector
 
 
-def _hold(model: HandModel, state: LawState, estimate: Estimate, table: GoalTable, t: float) -> _Hold:
+def _hold(
+    model: HandModel, state: LawState, estimate: Estimate, table: GoalTable, t: float, most: Vector | None
+) -> _Hold:
     """Tension loop."""
     if not table.holds:
         return _Hold(table.target, table.target, table.target)
     gains, design = model.gains.tension, model.motion
-    setpoint = state.setpoint + _within(table.target - state.setpoint, -table.step, table.step)
+    target = table.target if most is None else np.minimum(table.target, most)
+    setpoint = state.setpoint + _within(target - state.setpoint, -table.step, table.step)
     error = setpoint - estimate.tension
     integral = state.integral + gains.integral_per_s * model.period * error
     integral = np.minimum(np.maximum(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)

@@ -41,7 +41,9 @@ def digest(*parts: bytes) -> bytes:
 
 def law_bytes(law: LawState) -> bytes:
     """The law's arrays; one of no length for what it does not have."""
-    return b"".join([b"-" if array is None else array.tobytes() for array in law])
+    *always, held = law
+    told = b"".join([b"-" if array is None else array.tobytes() for array in always])
+    return told if held is None else told + held.tobytes()
 
 
 def filter_bytes(state: FilterState) -> bytes:

@@ -4,13 +4,14 @@ import math
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Field, model_validator
 
 from handctl.controller.trajectory import Curve
 from handctl.document import Document, load_document, validated
 from handctl.errors import ConfigError
+from handctl.hand.description import read_toml
 
 Angle = Annotated[float, Field(ge=-30, le=150)]
 Tension = Annotated[float, Field(ge=0, le=1000)]
@@ -131,11 +132,20 @@ def load_trajectory(path: Path) -> Task:
     Raises:
         ConfigError: it cannot be read, time does not rise, an angle or a speed is out of range.
     """
-    file = load_document(path, TrajectoryFile)
+    return trajectory_from(read_toml(path), str(path))
+
+
+def trajectory_from(content: Mapping[str, Any], source: str) -> Task:
+    """Make a task of a trajectory file's content.
+
+    Raises:
+        ConfigError: as ``load_trajectory``; the line names the source.
+    """
+    file = validated(content, TrajectoryFile, source)
     begin = {digit: angles[0] for digit, angles in file.angle_deg.items() if angles}
     follow = {"kind": "follow", "time_s": file.time_s, "angle_deg": file.angle_deg}
     phases = [{"kind": "move", "name": "to the start", "angle_deg": begin, "duration_s": 1.5}, follow]
-    return validated({"schema": 1, "name": file.name, "phase": phases}, Task, str(path))
+    return validated({"schema": 1, "name": file.name, "phase": phases}, Task, source)
 
 
 def load_task(path: Path) -> Task:

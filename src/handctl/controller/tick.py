@@ -17,6 +17,7 @@ import numpy as np
 from handctl.controller import computed_torque, estimator, retune
 from handctl.controller.answers import answer
 from handctl.controller.computed_torque import Command, LawState
+from handctl.controller.derating import restraints
 from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.filter_state import FilterState
 from handctl.controller.goal import DigitGoal
@@ -154,7 +155,7 @@ class Controller:
         state = state if judged is state.safety else state._replace(safety=judged)
         state, moved = next_mode(self.model, self.drives, state, verdict.action, wishes, foreign, entry.t_ns / 1e9)
         progress, goal_time, stepped = self._program(state, verdict.action, estimate, measured)
-        law, command = self._command(state, estimate, progress.goals, goal_time)
+        law, command = self._command(state, verdict.action, estimate, progress.goals, goal_time)
         drives, sensors, frames = self._encode(state, entry, command)
         old_law = state.law
         watch = self.guard.commanded(watch, state.mode, command)
@@ -246,15 +247,13 @@ class Controller:
         return progress, t, events
 
     def _command(
-        self, state: State, estimate: Estimate, goals: tuple[DigitGoal, ...], t: float
+        self, state: State, action: Action, estimate: Estimate, goals: tuple[DigitGoal, ...], t: float
     ) -> tuple[LawState, Command]:
         """Motor torques of this tick; none unless active or relaxing, and then from the tension that is there."""
         if state.mode not in (ACTIVE, RELAX):
-            n, joints = self.model.tendon_count, len(self.model.hand.joints)
-            nothing = np.full(joints, math.nan)
-            idle = Command(np.zeros(n), np.full(n, math.nan), np.zeros(joints), nothing, nothing)
-            return LawState.idle(estimate.tension), idle
-        return computed_torque.step(self.model, state.law, estimate, goals, t)
+            return LawState.idle(estimate.tension), Command.idle(self.model)
+        most, kept = restraints(self.model, self.limits, state, action, estimate.tension)
+        return computed_torque.step(self.model, state.law, estimate, goals, t, most, kept)
 
     def _retune(
         self, state: State, before: LawState, estimate: Estimate, command: Command

@@ -1,0 +1,48 @@
+"""A second controller on one machine: it is refused in one line, and the first one goes on."""
+
+import time
+
+import pytest
+
+from handctl.hand.description import load_hand
+from tests.runtime.kills import Listener, whole
+from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl
+from tests.runtime.test_process import (
+    LONG,
+    place,  # noqa: F401 (a fixture)
+    write_calibration,
+)
+
+pytestmark = pytest.mark.realtime
+SCALE = 0.7
+WORDS = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", "--json")
+
+
+def test_a_second_controller_is_refused_and_the_first_goes_on(place):  # noqa: F811
+    (place / "long.toml").write_text(LONG)
+    write_calibration(place / "c.toml", load_hand("jamia"))
+    simulated = start_hand(place / "hand.truth", "--hand", "jamia", "--time-scale", str(SCALE))
+    first = start_handctl("run", *WORDS, "--log", "first.mcap", "--time-scale", str(SCALE))
+    try:
+        with Listener() as listener:
+            until = time.monotonic() + 60.0
+            while not listener.heard:
+                assert first.poll() is None, first.communicate()
+                assert time.monotonic() < until
+                listener.wait(0.01)
+            second = handctl("run", *WORDS, "--log", "second.mcap", "--time-scale", str(SCALE))
+            assert second.returncode == 1
+            assert "another controller runs here" in second.stderr
+            assert second.stderr.count("\n") == 1
+            listener.wait(0.0)
+            before = listener.heard
+            listener.wait(0.5)
+            assert first.poll() is None
+            assert listener.heard > before, "the first still has the bus"
+        first.terminate()
+        assert first.wait(30.0) == 0
+    finally:
+        end(first)
+        end(simulated)
+    assert whole(place / "first.mcap")[0] == ""
+    assert not (place / "second.mcap").exists()
