@@ -60,7 +60,7 @@ class FaultSocket:
                 return {"error": str(error)}
         elif not isinstance(asked, dict) or not asked.get("list"):
             return {"error": 'expected {"inject": TEXT} or {"list": true}'}
-        return {"faults": self._faults.told()[-20:], "t_ns": self._faults.t_ns}
+        return {"faults": self._faults.told()[-20:], "t_ns": self._faults.t_ns, "slip_ns": self._faults.slip_ns}
 
     def close(self) -> None:
         """Take it away."""

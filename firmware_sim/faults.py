@@ -34,8 +34,13 @@ class Faults:
 
     @property
     def t_ns(self) -> int:
-        """The world's time, which ``start_ns`` and the truth file are in [ns]."""
-        return int(self._world.t_ns)
+        """The time that the truth file is in [ns]: the world's, and what it has given up."""
+        return int(self._world.t_ns + self._world.slip_ns)
+
+    @property
+    def slip_ns(self) -> int:
+        """Time in which nothing happened here, since this process did not run [ns]."""
+        return int(self._world.slip_ns)
 
     def inject(self, text: str) -> Fault:
         """Let a fault begin, at once or later.

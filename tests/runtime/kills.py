@@ -51,6 +51,7 @@ class Killed(NamedTuple):
 
     Attributes:
         how: signal. before_ns, after_ns: between which it struck, on the simulator's clock.
+        slipped_ns: time in which the simulator, drives and all, did not run from then on.
         heard: SYNCs on the bus. told: ticks in the log that sent one. last: whether the last one is the same.
         warning: what is wrong with the log as a file.
     """
@@ -58,6 +59,7 @@ class Killed(NamedTuple):
     how: signal.Signals
     before_ns: int
     after_ns: int
+    slipped_ns: int
     heard: int
     told: int
     last: bool
@@ -108,8 +110,8 @@ class Range:
         self.truth = folder / "hand.truth"
         self.simulator = start_hand(self.truth, "--hand", "jamia", "--time-scale", str(scale))
 
-    def now_ns(self) -> int:
-        """The simulator's time."""
+    def now_ns(self) -> tuple[int, int]:
+        """The simulator's time, and how much of it nothing happened in."""
         own = run_dir() / f"kills-{os.getpid()}"
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
             asking.bind(str(own))
@@ -117,7 +119,7 @@ class Range:
             asking.sendto(b'{"list": true}', str(faults_path(BUS)))
             answer = json.loads(asking.recv(1 << 16))
         own.unlink()
-        return int(answer["t_ns"])
+        return int(answer["t_ns"]), int(answer["slip_ns"])
 
     def start(self, log: Path) -> int:
         """Fork a controller; its process number."""
@@ -141,10 +143,11 @@ class Range:
             try:
                 listener.until_heard(child)
                 listener.wait(delay_s / self.scale)
-                before_ns = self.now_ns()
+                before_ns, slip_ns = self.now_ns()
                 os.kill(child, how)
-                after_ns = self.now_ns()
+                after_ns, _ = self.now_ns()
                 listener.wait((WATCHDOG_MS * 1e-3 + LETTING_GO_S) / self.scale)
+                slipped_ns = self.now_ns()[1] - slip_ns
                 if how == signal.SIGSTOP:
                     os.kill(child, signal.SIGCONT)
                 ended(child, listener)
@@ -156,7 +159,7 @@ class Range:
         warning, last, told = whole(log)
         log.unlink()
         last_one = (listener.last - last) % 256 in (0, 1, 255)
-        return Killed(how, before_ns, after_ns, listener.heard, told, last_one, warning)
+        return Killed(how, before_ns, after_ns, slipped_ns, listener.heard, told, last_one, warning)
 
     def judged(self, runs: list[Killed]) -> list[Judged]:
         """Hold the runs against the truth of the simulator, which has ended."""
@@ -233,9 +236,9 @@ def judge(truth: Truth, run: Killed) -> Judged:
     torque = truth.values[:, [i for i, name in enumerate(truth.columns) if name.startswith("torque/")]]
     tension = truth.values[:, [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]]
     begin = np.searchsorted(truth.t_ns, run.before_ns)
-    over = np.searchsorted(truth.t_ns, run.after_ns + int(LETTING_GO_S * 1e9))
+    over = np.searchsorted(truth.t_ns, run.after_ns + run.slipped_ns + int(LETTING_GO_S * 1e9))
     driven = np.flatnonzero(np.abs(torque[begin:over]).max(axis=1) > LEAST_N_M)
-    last_ns = int(truth.t_ns[begin + driven[-1]]) if len(driven) else run.before_ns
+    last_ns = int(truth.t_ns[begin + driven[-1]]) - run.slipped_ns if len(driven) else run.before_ns
     return Judged(
         run,
         pulled=bool(tension[begin].max() > PULLS_N),
