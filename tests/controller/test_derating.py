@@ -1,7 +1,6 @@
 """A warm drive is asked for less, linearly; while safety holds no tension grows and the goal stands still."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -91,11 +90,11 @@ def test_while_safety_holds_no_tension_grows(course) -> None:
     tension = np.array(course.peer.truth()["tension"])
     _warm, kept = restraints(controller.model, LIMITS, state, Action.HOLD, tension)
     assert kept == pytest.approx(np.maximum(tension, 5.0) + HELD_MARGIN_N)
-    again = replace(state, law=replace(state.law, held=kept))
+    again = state._replace(law=state.law._replace(held=kept))
     assert restraints(controller.model, LIMITS, again, Action.HOLD, tension + 50.0)[1] is kept
     for action in (Action.PASS, Action.WARN, Action.RELAX):
         assert restraints(controller.model, LIMITS, again, action, tension)[1] is None
-    assert restraints(controller.model, LIMITS, replace(again, mode=Mode.RELAX), Action.HOLD, tension)[1] is None
+    assert restraints(controller.model, LIMITS, again._replace(mode=Mode.RELAX), Action.HOLD, tension)[1] is None
 
 
 def test_a_hold_keeps_the_hand_as_it_is(course) -> None:

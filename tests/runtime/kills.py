@@ -25,7 +25,6 @@ from handctl.controller.calibration import load_calibration
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.tick import Controller
-from handctl.controller.types import Mode
 from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
 from handctl.report.truth import Truth, read_truth
@@ -39,8 +38,6 @@ WATCHDOG_MS = 50.0
 """What the hand file sets for the drives; after it and the decay of the current no torque may be left."""
 DECAY_MS, LEAST_N_M, PULLS_N = 4.0, 1e-3, 8.0
 LETTING_GO_S = 0.3
-QUIET = (Mode.SILENT, Mode.DONE)
-"""Modes in which nothing is sent."""
 LATEST_S = 1.8
 """A run is disturbed at most so long after its first SYNC: while it arms, bends its fingers and holds them bent."""
 PATIENCE_S = 60.0
@@ -52,7 +49,7 @@ class Killed(NamedTuple):
     Attributes:
         how: signal. before_ns, after_ns: between which it struck, on the simulator's clock.
         slipped_ns: time in which the simulator, drives and all, did not run from then on.
-        heard: SYNCs on the bus. told: ticks in the log that sent one. last: whether the last one is the same.
+        heard: counts of the SYNCs on the bus. told: of those in the log.
         warning: what is wrong with the log as a file.
     """
 
@@ -60,9 +57,8 @@ class Killed(NamedTuple):
     before_ns: int
     after_ns: int
     slipped_ns: int
-    heard: int
-    told: int
-    last: bool
+    heard: bytes
+    told: bytes
     warning: str
 
 
@@ -89,8 +85,9 @@ class Judged(NamedTuple):
 
     @property
     def whole(self) -> bool:
-        """Whether the log has every tick that was on the bus; one may have been on its way there, or to the log."""
-        return not self.run.warning and self.run.last and abs(self.run.heard - self.run.told) <= 1
+        """Whether the log has every tick that was on the bus, but for one whose SYNC had just been sent."""
+        heard, told = self.run.heard, self.run.told
+        return not self.run.warning and len(heard) - len(told) in (0, 1) and heard.startswith(told)
 
 
 class Range:
@@ -156,10 +153,9 @@ class Range:
                     os.kill(child, signal.SIGKILL)
                     os.waitpid(child, 0)
             listener.wait(0.0)
-        warning, last, told = whole(log)
+        warning, logged = whole(log)
         log.unlink()
-        last_one = (listener.last - last) % 256 in (0, 1, 255)
-        return Killed(how, before_ns, after_ns, slipped_ns, listener.heard, told, last_one, warning)
+        return Killed(how, before_ns, after_ns, slipped_ns, bytes(listener.heard), logged, warning)
 
     def judged(self, runs: list[Killed]) -> list[Judged]:
         """Hold the runs against the truth of the simulator, which has ended."""
@@ -168,10 +164,10 @@ class Range:
 
 
 class Listener:
-    """Another node on the bus: the count in the last SYNC that the host sent, and how many there were."""
+    """Another node on the bus: the counts of all SYNCs that the host sent."""
 
     def __init__(self) -> None:
-        self.last, self.heard, self.held = -1, 0, b""
+        self.heard, self.held = bytearray(), b""
 
     def __enter__(self) -> "Listener":
         self.link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -199,7 +195,7 @@ class Listener:
         whole_ones = len(self.held) // RECORD * RECORD
         for at in range(0, whole_ones, RECORD):
             if int.from_bytes(self.held[at : at + 4], "little") == SYNC:
-                self.last, self.heard = self.held[at + 8], self.heard + 1
+                self.heard.append(self.held[at + 8])
         self.held = self.held[whole_ones:]
 
     def until_heard(self, child: int) -> None:
@@ -221,13 +217,14 @@ def ended(child: int, listener: Listener) -> None:
         listener.wait(0.02)
 
 
-def whole(path: Path) -> tuple[str, int, int]:
-    """What is wrong with a log once its recorder has ended, its last tick, and how many ticks sent a SYNC."""
+def whole(path: Path) -> tuple[str, bytes]:
+    """What is wrong with a log once its recorder has ended, and the counts of the SYNCs of its ticks."""
     until = time.monotonic() + 20.0
     while True:
         with RunLog(path) as log:
             if not log.warning or time.monotonic() > until:
-                return log.warning, int(log.k[-1]), int((~np.isin(log.mode, QUIET)).sum())
+                frames = (frame for tick in log.ticks() for frame in tick.frames)
+                return log.warning, bytes(frame.data[0] for frame in frames if frame.can_id == SYNC)
         time.sleep(0.05)
 
 
