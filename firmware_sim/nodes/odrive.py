@@ -73,6 +73,7 @@ class OdriveNode:
         if usb := options.get("usb_watchdog_s"):  # set where no frame can reach it
             self._numbers |= {"enable_watchdog": -1, "watchdog_timeout": -2}
             self.endpoints |= {-1: b"\1", -2: struct.pack("<f", usb)}
+        self._saved = dict(self.endpoints)
         self._setpoint = 0.0
         self._periods = {0x01: HEARTBEAT_MS, 0x09: int(options.get("encoder_period_ms", ENCODER_MS))}
         self._due = dict.fromkeys(self._periods, 0)
@@ -216,9 +217,12 @@ class OdriveNode:
         return [Frame(self._node << 5 | 0x05, b"\0" + endpoint.to_bytes(2, "little") + b"\0" + held)]
 
     def _reboot(self) -> None:
+        """Lose what was not saved."""
         self._release(SUCCESS)
         self.active = self.reason = 0
         self.mode = (POSITION_CONTROL, PASSTHROUGH)
+        self.velocity_limit, self.current_limit = 50.0, 20.0
+        self.endpoints = dict(self._saved)
 
     def _release(self, result: int) -> None:
         self.motor.servo.release()

@@ -12,6 +12,7 @@ from handctl.drives.cia402 import Cia402Drive
 from handctl.drives.contract import Phase, Want
 from handctl.drives.frame import Frame
 from handctl.drives.odrive import OdriveDrive
+from handctl.drives.odrive_progress import progress_of
 from tests.drives.protocol_bench import OPTIONS, Bench, hand_file
 
 
@@ -48,6 +49,33 @@ def first_in(bench: Bench, phase: Phase, want: Want, ticks: int) -> str:
         if bench.states[0].phase == phase:
             return bench.states[0].error_text
     raise AssertionError(bench.states[0])
+
+
+@pytest.mark.parametrize("moment", ["ready", "ordered"])
+def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(odrive: Bench, moment: str) -> None:
+    """It comes back in position control and without its watchdog, and nothing but being idle tells of it."""
+    node = first_odrive(odrive)
+    odrive.until(Want.POLL, Phase.READY)
+    if moment != "ready":
+        while progress_of(odrive.states[0]).asked_ns < 0:
+            odrive.tick(Want.ENABLE)
+    settings = dict(node.endpoints)
+    for _ in range(10 * (moment == "ready")):
+        odrive.tick(Want.POLL)
+    node.receive(Frame(0x10 << 5 | 0x16, b"\0"), odrive.rig.world.t_ns)  # type: ignore[arg-type]
+    assert node.endpoints != settings
+    for _ in range(400):
+        odrive.tick(Want.ENABLE)
+        assert node.state == 1 or (node.mode == (1, 1) and node.endpoints == settings)
+        if odrive.states[0].phase == Phase.ENABLED:
+            return
+    raise AssertionError(odrive.states[0])
+
+
+def test_an_odrive_that_takes_no_orders_is_a_fault(odrive: Bench) -> None:
+    odrive.until(Want.POLL, Phase.READY)
+    first_odrive(odrive)._set_state = lambda state, t_ns: None  # type: ignore[method-assign]
+    assert "5 times" in first_in(odrive, Phase.FAULT, Want.ENABLE, 600)
 
 
 @pytest.mark.parametrize(

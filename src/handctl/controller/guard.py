@@ -11,7 +11,6 @@ from handctl.controller.model import HandModel
 from handctl.controller.program import TARE_PHASE
 from handctl.controller.state import State
 from handctl.controller.types import Event, Mode, TickIn
-from handctl.drives.causes import answers_once, cause_of, feedback_period_s
 from handctl.drives.contract import Drive, DriveState, Phase
 from handctl.drives.frame import EXTENDED, REMOTE, Frame
 from handctl.drives.sensor_node import SensorNode, SensorState
@@ -64,8 +63,8 @@ class Guard:
     @staticmethod
     def of(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) -> "Guard":
         """The guard of a hand."""
-        strict = tuple(answers_once(drive) for drive in drives)
-        cyclic_ns = tuple(round(feedback_period_s(drive) * 1e9) for drive in drives)
+        strict = tuple(drive.answers_once for drive in drives)
+        cyclic_ns = tuple(round(drive.feedback_period_s * 1e9) for drive in drives)
         return Guard(model, drives, sensors, make_watcher(model, drives, sensors), strict, cyclic_ns)
 
     def screen(self, state: State, measured: Measured) -> tuple[WatchState, Measured, Named]:
@@ -149,7 +148,7 @@ class Guard:
             tension=tuple(measured.tension.tolist()),
             drive_errors=tuple(
                 [
-                    (drive.name, known.error, cause_of(drive, known.error))
+                    (drive.name, known.error, drive.cause(known.error))
                     for drive, known in zip(self.drives, drives, strict=True)
                     if known.phase == FAULT
                 ]

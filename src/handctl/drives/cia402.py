@@ -10,7 +10,9 @@ from dataclasses import dataclass
 
 from handctl.drives import cia402_codec as codec
 from handctl.drives import cia402_setup as setup
+from handctl.drives.causes import Cause
 from handctl.drives.cia402_progress import (
+    CAUSES,
     CLEAR_TRIES,
     MISMATCH,
     REPEAT_NS,
@@ -132,6 +134,16 @@ class Cia402Drive:
         """All that is asked of it is read back."""
         return ()
 
+    @property
+    def answers_once(self) -> bool:
+        """A TPDO for each SYNC."""
+        return True
+
+    @property
+    def feedback_period_s(self) -> float:
+        """SYNC asks for it."""
+        return 0.0
+
     def initial(self) -> DriveState:
         """Silent."""
         return DriveState(private=Progress())
@@ -244,6 +256,10 @@ class Cia402Drive:
 
     def _nmt(self, order: int) -> Frame:
         return Frame(codec.NMT, bytes((order, self.node_id)), 0, self.bus)
+
+    def cause(self, error: int) -> Cause:
+        """See ``contract.Drive``."""
+        return CAUSES.get(error, Cause.OTHER if error in codec.ERRORS else Cause.UNKNOWN)
 
     def cut(self) -> tuple[Frame, ...]:
         """Disable voltage, and out of operational with the highest priority of the bus: a fault by 0x6007."""

@@ -4,6 +4,7 @@ from typing import NamedTuple, cast
 
 from handctl.drives import cia402_codec as codec
 from handctl.drives import cia402_setup as setup
+from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase
 from handctl.drives.frame import Frame
 
@@ -11,6 +12,12 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
 DROPPED_OUT, MISMATCH, LOST, ENABLED_BY_OTHERS = 0x1_0000, 0x1_0001, 0x1_0002, 0x1_0003
 """Error codes of our own, above the 16 bits of an emergency."""
+CAUSES = {
+    0x3210: Cause.VOLTAGE, 0x3220: Cause.VOLTAGE, 0x4210: Cause.HOT, 0x4310: Cause.HOT, 0x8130: Cause.WATCHDOG,
+    0x8250: Cause.WATCHDOG, 0x8100: Cause.DROPPED_OUT, DROPPED_OUT: Cause.DROPPED_OUT, LOST: Cause.LOST,
+    MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH,
+}  # fmt: skip
+"""By the code of the emergency, and by our own codes."""
 CLEAR_TRIES = 20
 REPEAT_NS = 20_000_000
 

@@ -9,6 +9,7 @@ import enum
 import math
 from typing import Any, NamedTuple, Protocol
 
+from handctl.drives.causes import Cause
 from handctl.drives.frame import Frame
 
 
@@ -81,6 +82,8 @@ class Drive(Protocol):
         host_ids: identifiers that only the host sends for this drive; from elsewhere they mean a second controller.
         node_ids: identifiers that the drive answers on.
         caveats: guards that cannot be verified with this configuration, for a person to read before arming.
+        answers_once: whether every command has exactly one feedback: then one more is a duplicate, or a second node.
+        feedback_period_s: how often feedback comes by itself [s]; 0 if every tick asks for it.
     """
 
     @property
@@ -99,6 +102,10 @@ class Drive(Protocol):
     def node_ids(self) -> frozenset[int]: ...
     @property
     def caveats(self) -> tuple[str, ...]: ...
+    @property
+    def answers_once(self) -> bool: ...
+    @property
+    def feedback_period_s(self) -> float: ...
 
     def initial(self) -> DriveState:
         """State before anything was heard."""
@@ -122,4 +129,8 @@ class Drive(Protocol):
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Clear the drive's latched error on a person's order; the drive stays disabled."""
+        ...
+
+    def cause(self, error: int) -> Cause:
+        """What is behind an error, ``DriveState.error``, that is not 0."""
         ...

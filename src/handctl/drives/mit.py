@@ -10,10 +10,20 @@ from dataclasses import dataclass, field
 
 from handctl.drives import mit_codec as codec
 from handctl.drives import mit_registers as registers
+from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
 from handctl.drives.frame import BRS, FDF, Frame, make
-from handctl.drives.mit_progress import CLEAR_TRIES, GONE_NS, MISMATCH, Progress, fault, judge, progress_of
+from handctl.drives.mit_progress import (
+    CAUSES,
+    CLEAR_TRIES,
+    GONE_NS,
+    MISMATCH,
+    Progress,
+    fault,
+    judge,
+    progress_of,
+)
 from handctl.drives.mit_registers import Walk
 from handctl.drives.options import switch
 from handctl.errors import ConfigError
@@ -110,6 +120,16 @@ class MitDrive:
     def caveats(self) -> tuple[str, ...]:
         """All that is asked of it is read back."""
         return ()
+
+    @property
+    def answers_once(self) -> bool:
+        """It speaks only when spoken to."""
+        return True
+
+    @property
+    def feedback_period_s(self) -> float:
+        """Every command asks for it."""
+        return 0.0
 
     @property
     def wanted(self) -> tuple[tuple[int, float], ...]:
@@ -229,6 +249,10 @@ class MitDrive:
         """Clear the latched error and begin with the inventory again."""
         fresh = state._replace(phase=SILENT, error=0, error_text="", private=Progress(clearing=CLEAR_TRIES))
         return fresh, (self._frame(codec.special(codec.CLEAR)),)
+
+    def cause(self, error: int) -> Cause:
+        """See ``contract.Drive``."""
+        return CAUSES.get(error, Cause.UNKNOWN)
 
     def _frame(self, data: bytes) -> Frame:
         return Frame(self.node_id, data, self.flags, self.bus)

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 from handctl.drives import mit_codec as codec
+from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase
 from handctl.drives.mit_registers import Walk
 
@@ -10,6 +11,11 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
 DROPPED_OUT, MISMATCH, UNKNOWN, ENABLED_BY_OTHERS = 0x100, 0x101, 0x102, 0x103
 """Error codes of our own: disabled by itself, a register that does not read back, an unknown state, and that."""
+CAUSES = {
+    0x8: Cause.VOLTAGE, 0x9: Cause.VOLTAGE, 0xB: Cause.HOT, 0xC: Cause.HOT, 0xD: Cause.WATCHDOG,
+    DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH,
+} | dict.fromkeys(codec.ERRORS.keys() - {0x8, 0x9, 0xB, 0xC, 0xD}, Cause.OTHER)  # fmt: skip
+"""By the state nibble of the feedback, and by our own codes."""
 CLEAR_TRIES = 3
 GONE_NS = 250_000_000
 """After this silence a motor may have lost power, and with it what was written into its registers [ns]."""

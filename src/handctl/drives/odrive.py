@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 from handctl.drives import odrive_codec as codec
 from handctl.drives import odrive_endpoints as endpoints
+from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
 from handctl.drives.frame import REMOTE, Frame
@@ -18,14 +19,16 @@ from handctl.drives.odrive_options import KNOWN, take_options
 from handctl.drives.odrive_progress import (
     CLEAR_TRIES,
     HEARTBEATS_MISSED,
-    LOST,
     MISMATCH,
     REPEAT_NS,
     TEMPERATURE_NS,
+    VERIFIED_NS,
     VERSION_TRIES,
     Progress,
     begin_disabling,
+    cause_of,
     fault,
+    lose,
     progress_of,
     take_heartbeat,
 )
@@ -122,13 +125,17 @@ class OdriveDrive:
     @property
     def caveats(self) -> tuple[str, ...]:
         """What cannot be promised with this configuration, for a person to read before arming."""
-        names = {setting.name for setting in self.settings}
-        told = []
-        if "watchdog_timeout" not in names:
-            told.append("watchdog not verified: CANSimple cannot read it; a dead host may leave torque on")
-        if not {"torque_max", "torque_min"} <= names:
-            told.append("the drive's own torque limit is not verified: CANSimple cannot read it")
-        return tuple(told)
+        return endpoints.unverified(self.settings)
+
+    @property
+    def answers_once(self) -> bool:
+        """Its cyclic messages come beside its answers."""
+        return False
+
+    @property
+    def feedback_period_s(self) -> float:
+        """With ``encoder_period_ms`` position is not asked for."""
+        return self.cyclic_s
 
     def initial(self) -> DriveState:
         """Silent."""
@@ -188,12 +195,10 @@ class OdriveDrive:
         if want == LISTEN:
             return state, ()
         if 0 <= progress.heard_ns < t_ns - self.patience_ns and state.phase != FAULT and progress.disabling_ns < 0:
-            state = self._lose(state, progress)
+            state = lose(state, self.old)
             progress = progress_of(state)
         if want == DISABLE or (state.phase == ENABLED and (want != ENABLE or progress.disabling_ns >= 0)):
-            return begin_disabling(state, progress, t_ns), (
-                self._frame(codec.SET_AXIS_STATE, codec.integers(codec.IDLE)),
-            )
+            return begin_disabling(state, progress, t_ns), (self._state(codec.IDLE),)
         if state.phase == ENABLED:
             state, asked = self._questions(state, t_ns)
             return state, (self._torque(torque), *asked)
@@ -204,31 +209,26 @@ class OdriveDrive:
             return self._ready(state, t_ns, want)
         return self._configure(state._replace(phase=SILENT if progress.heard_ns < 0 else CONFIGURING), t_ns)
 
-    def _lose(self, state: DriveState, progress: Progress) -> DriveState:
-        """No heartbeat: enabled, that is an error; else it may have lost power and with it its mode."""
-        if state.phase == ENABLED or progress.asked_ns >= 0:
-            return fault(state, LOST, "no heartbeat")
-        return state._replace(phase=SILENT, private=Progress(version=self.old, clearing=progress.clearing))
-
     def _ready(self, state: DriveState, t_ns: int, want: Want) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Poll; told to enable, send 0 N m as well: the drive's watchdog runs from the moment it is enabled."""
+        """Poll; told to enable, one order (a second would enable one that has restarted), and 0 N m from then on."""
         state, asked = self._questions(state, t_ns)
         if want != ENABLE:
             return state, asked
         progress = progress_of(state)
-        if progress.asked_ns >= 0 and t_ns - progress.sent_ns < REPEAT_NS:
+        if progress.asked_ns >= 0:
             return state, (self._torque(0.0), *asked)
-        since = progress.asked_ns if progress.asked_ns >= 0 else t_ns
-        told = state._replace(private=progress._replace(asked_ns=since, sent_ns=t_ns))
-        enable = self._frame(codec.SET_AXIS_STATE, codec.integers(codec.CLOSED_LOOP))
-        return told, (self._torque(0.0), enable, *asked)
+        if t_ns - progress.verified_ns > VERIFIED_NS:
+            again = progress._replace(walk=endpoints.Walk(), configured=False)
+            return state._replace(phase=CONFIGURING, private=again), asked
+        told = state._replace(private=progress._replace(asked_ns=t_ns, orders=progress.orders + 1))
+        return told, (self._torque(0.0), self._state(codec.CLOSED_LOOP), *asked)
 
     def _configure(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """One step: idle, version, endpoints, mode and limits."""
         progress = progress_of(state)
         if progress.axis > codec.IDLE:
             text = f"in axis state {progress.axis} although nobody asked, and does not go idle"
-            return state._replace(error_text=text), (self._frame(codec.SET_AXIS_STATE, codec.integers(codec.IDLE)),)
+            return state._replace(error_text=text), (self._state(codec.IDLE),)
         if not progress.version:
             return self._ask_version(state, progress, t_ns)
         if progress.write:
@@ -237,23 +237,24 @@ class OdriveDrive:
         if progress.walk.step < len(self.settings):
             walk, data, problem = endpoints.ask(progress.walk, self.settings, t_ns)
             known = state._replace(private=progress._replace(walk=walk))
-            return (fault(known, MISMATCH, problem), ()) if problem else self._with(known, codec.RX_SDO, data)
+            read = (self._frame(codec.RX_SDO, data),) if data else ()
+            return (fault(known, MISMATCH, problem), ()) if problem else (known, read)
         if progress.heard_ns < 0:
             return state, ()
-        frames = (
-            self._frame(codec.SET_MODE, codec.integers(codec.TORQUE_MODE, codec.PASSTHROUGH)),
+        mode = self._frame(codec.SET_MODE, codec.integers(codec.TORQUE_MODE, codec.PASSTHROUGH))
+        done = progress._replace(configured=True, verified_ns=t_ns)
+        return state._replace(phase=READY, error_text="", private=done), (
+            mode,
             self._frame(codec.SET_LIMITS, self.limits),
         )
-        return state._replace(phase=READY, error_text="", private=progress._replace(configured=True)), frames
 
     def _ask_version(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         if t_ns - progress.sent_ns < REPEAT_NS:
             return state, ()
         if progress.heard_ns >= 0 and progress.tries >= VERSION_TRIES:
             return fault(state, MISMATCH, "beats, but does not tell its version"), ()
-        question = codec.CLEAR_ERRORS if progress.clearing else codec.GET_VERSION
         asked = progress._replace(sent_ns=t_ns, tries=progress.tries + 1 if progress.heard_ns >= 0 else 0)
-        frame = self._frame(question, b"") if progress.clearing else self._ask(question)
+        frame = self._frame(codec.CLEAR_ERRORS, b"") if progress.clearing else self._ask(codec.GET_VERSION)
         return state._replace(private=asked), (frame,)
 
     def _questions(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
@@ -272,6 +273,10 @@ class OdriveDrive:
             raise ValueError(f"{self.name}: torque {torque} N m, expected at most {self.torque_limit:g}")
         return self._frame(codec.SET_TORQUE, codec.floats(torque / self.ratio))
 
+    def cause(self, error: int) -> Cause:
+        """See ``contract.Drive``."""
+        return cause_of(error)
+
     def cut(self) -> tuple[Frame, ...]:
         """Estop: disarm and latch."""
         return (self._frame(codec.ESTOP, b""),)
@@ -279,11 +284,11 @@ class OdriveDrive:
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Clear the latched error and begin with the inventory again."""
         fresh = Progress(version=self.old, axis=progress_of(state).axis, clearing=CLEAR_TRIES)
-        known = state._replace(phase=SILENT, error=0, error_text="", private=fresh)
-        return known, (self._frame(codec.CLEAR_ERRORS, b""),)
+        cleared = state._replace(phase=SILENT, error=0, error_text="", private=fresh)
+        return cleared, (self._frame(codec.CLEAR_ERRORS, b""),)
 
-    def _with(self, state: DriveState, command: int, data: bytes) -> tuple[DriveState, tuple[Frame, ...]]:
-        return state, (self._frame(command, data),) if data else ()
+    def _state(self, state: int) -> Frame:
+        return self._frame(codec.SET_AXIS_STATE, codec.integers(state))
 
     def _frame(self, command: int, data: bytes) -> Frame:
         return Frame(self._id(command), data, 0, self.bus)

@@ -62,6 +62,17 @@ def take_settings(
     return tuple(found)
 
 
+def unverified(settings: tuple[Setting, ...]) -> tuple[str, ...]:
+    """What these settings leave unknown, for a person to read before arming."""
+    names = {setting.name for setting in settings}
+    told = []
+    if "watchdog_timeout" not in names:
+        told.append("watchdog not verified: CANSimple cannot read it; a dead host may leave torque on")
+    if not {"torque_max", "torque_min"} <= names:
+        told.append("the drive's own torque limit is not verified: CANSimple cannot read it")
+    return tuple(told)
+
+
 def take(walk: Walk, settings: tuple[Setting, ...], data: bytes) -> tuple[Walk, bytes, str]:
     """Take in a TxSdo.
 

@@ -5,14 +5,27 @@ from typing import NamedTuple, cast
 from handctl.drives import odrive_05
 from handctl.drives import odrive_codec as codec
 from handctl.drives import odrive_endpoints as endpoints
+from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase
 from handctl.drives.frame import Frame
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 DROPPED_OUT, MISMATCH, REFUSED, ENABLED_BY_OTHERS, LOST = (1 << 32 | number for number in range(5))
 """Error codes of our own, above the drive's 32 bits."""
+CAUSES = {
+    DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, REFUSED: Cause.OTHER,
+    ENABLED_BY_OTHERS: Cause.MISMATCH, LOST: Cause.LOST,
+}  # fmt: skip
+CAUSES_OF_BITS = {
+    8: Cause.VOLTAGE, 9: Cause.VOLTAGE, 11: Cause.VOLTAGE, 13: Cause.HOT, 14: Cause.HOT, 24: Cause.WATCHDOG,
+}  # fmt: skip
+"""By our own codes, and by the bit of the heartbeat's error."""
 REPEAT_NS, TEMPERATURE_NS = 20_000_000, 200_000_000
 VERSION_TRIES, CLEAR_TRIES = 10, 3
+ORDERS = 5
+"""Orders to enable that may be lost."""
+VERIFIED_NS = 10_000_000
+"""Settings verified longer ago than this, too short for a restart, are verified again before the order [ns]."""
 HEARTBEATS_MISSED = 3.5
 """So many periods without a heartbeat and the drive counts as lost."""
 SETTLE_NS = 5_000_000
@@ -35,6 +48,8 @@ class Progress(NamedTuple):
         tries: how often.
         warmed_ns: when the temperature was asked for last [ns].
         clearing: how many heartbeats may still carry the error that is being cleared.
+        verified_ns: when all settings were found to be right [ns].
+        orders: how often it was told to enable in vain.
     """
 
     version: bool = False
@@ -49,6 +64,8 @@ class Progress(NamedTuple):
     tries: int = 0
     warmed_ns: int = -TEMPERATURE_NS
     clearing: int = 0
+    verified_ns: int = 0
+    orders: int = 0
 
     @property
     def may_be_enabled(self) -> bool:
@@ -92,7 +109,7 @@ def _is_wrong(state: DriveState, progress: Progress, beat: codec.Heartbeat, old:
 def _is_enabled(state: DriveState, progress: Progress) -> DriveState:
     """It says that it is in closed loop."""
     if progress.disabling_ns >= 0 or (progress.asked_ns >= 0 and state.phase != FAULT):
-        return state._replace(phase=ENABLED)
+        return state._replace(phase=ENABLED, private=progress._replace(orders=0, clearing=0))
     if state.phase == READY:
         return fault(state, ENABLED_BY_OTHERS, "in closed loop, but not by this host")
     return state
@@ -108,9 +125,32 @@ def _is_disabled(state: DriveState, progress: Progress, beat: codec.Heartbeat) -
     if state.phase == ENABLED:
         why = f": {codec.result_text(beat.result)}" if beat.result else ""
         return fault(off, DROPPED_OUT, f"disabled by itself{why}")
-    if 0 <= progress.asked_ns < progress.heard_ns - SETTLE_NS and beat.result not in (codec.SUCCESS, codec.BUSY):
-        return fault(off, REFUSED, f"refuses to enable: {codec.result_text(beat.result)}")
+    if 0 <= progress.asked_ns < progress.heard_ns - SETTLE_NS and beat.result != codec.BUSY:
+        return _did_not_enable(state, progress, beat)
     return state._replace(phase=CONFIGURING) if state.phase == SILENT else state
+
+
+def _did_not_enable(state: DriveState, progress: Progress, beat: codec.Heartbeat) -> DriveState:
+    """Idle although told to enable: it says why; or the order was lost, or the drive has restarted.
+
+    A restart shows in no other way, so everything is set and verified anew before the next order.
+    """
+    if beat.result != codec.SUCCESS:
+        off = state._replace(private=progress._replace(asked_ns=-1))
+        return fault(off, REFUSED, f"refuses to enable: {codec.result_text(beat.result)}")
+    if progress.orders >= ORDERS:
+        off = state._replace(private=progress._replace(asked_ns=-1, orders=0))
+        return fault(off, REFUSED, f"told to enable {ORDERS} times, and stays idle: it restarts, or takes no orders")
+    fresh = Progress(version=progress.version, axis=progress.axis, heard_ns=progress.heard_ns, orders=progress.orders)
+    return state._replace(phase=CONFIGURING, private=fresh)
+
+
+def lose(state: DriveState, old: bool) -> DriveState:
+    """No heartbeat: enabled, that is an error; else it may have lost power and with it its mode."""
+    progress = progress_of(state)
+    if state.phase == ENABLED or progress.asked_ns >= 0:
+        return fault(state, LOST, "no heartbeat")
+    return state._replace(phase=SILENT, private=Progress(version=old, clearing=progress.clearing))
 
 
 def begin_disabling(state: DriveState, progress: Progress, t_ns: int) -> DriveState:
@@ -118,3 +158,14 @@ def begin_disabling(state: DriveState, progress: Progress, t_ns: int) -> DriveSt
     phase = ENABLED if progress.may_be_enabled else state.phase
     since = progress.disabling_ns if progress.disabling_ns >= 0 else t_ns
     return state._replace(phase=phase, private=progress._replace(disabling_ns=since))
+
+
+def cause_of(error: int) -> Cause:
+    """What is behind an error that is not 0."""
+    if error in CAUSES:
+        return CAUSES[error]
+    bits = [bit for bit in range(32) if error >> bit & 1]
+    if any(bit not in codec.ERRORS for bit in bits):
+        return Cause.UNKNOWN
+    causes = [CAUSES_OF_BITS.get(bit, Cause.OTHER) for bit in bits]
+    return next((cause for cause in causes if cause == Cause.WATCHDOG), causes[0])
