@@ -1,11 +1,11 @@
 """How true the tension estimate is: against the raw load cell, simpler filters, and the limit of what is possible.
 
-``python benchmarks/estimation.py [--quick] [--json] [--seeds N] [--page]``. Both hands move freely, grasp a cylinder
-and go slack in the simulator, in lockstep over the simulated bus; a bench hand pulls beyond the knee of its ropes.
-The plant's effects are those of the hand files and of firmware_sim (capstan and motor friction, rope damping, current
-loop, encoder and load-cell resolution, noise, drift, one period of bus delay), and its parameters are made wrong by the
-factors below, which the controller does not know. All errors are against the plant's truth at the present instant;
-the raw load cell alone is forgiven its age and compared with the instant at which it was read.
+``python benchmarks/estimation.py [--quick] [--json] [--seeds N] [--keep FOLDER] [--page]``. Both hands move freely,
+grasp a cylinder and go slack in the simulator, in lockstep over the simulated bus; a bench hand pulls beyond the knee
+of its ropes. The plant's effects are those of the hand files and of firmware_sim (capstan and motor friction, rope
+damping, current loop, encoder and load-cell resolution, noise, drift, one period of bus delay), and its parameters are
+made wrong by the factors below, which the controller does not know. All errors are against the plant's truth at the
+present instant; the raw load cell alone is forgiven its age and compared with the instant at which it was read.
 """
 
 import argparse
@@ -17,8 +17,9 @@ import numpy as np
 from trials import estimation_page, page
 from trials.filters import RATES, WEIGHTS, averaged, cell_alone
 from trials.hands import CLEAR, known
+from trials.jobs import Plan, add_options, collect, plan_of
 from trials.limits import DRIFT_N2_PER_S, limit
-from trials.lockstep import RATES_HZ, Course, Trial, run, spread_over_cores
+from trials.lockstep import RATES_HZ, Course, Trial, run
 from trials.script import Script, Step
 from trials.windows import REGIMES, windows
 
@@ -93,7 +94,7 @@ def judge(job: tuple[str, str, int]) -> dict[str, dict[str, list[float]]]:
     for trial in trials(*job):
         course = run(trial)
         if course.failure:
-            raise SystemExit(f"{job}: {course.failure}")
+            sums.setdefault("ended", {}).setdefault(course.failure, []).extend((1.0, 1.0))
         for regime, mask in windows(course).items():
             if mask.any():
                 row = sums.setdefault(regime, {})
@@ -121,7 +122,8 @@ def _squares(course: Course, regime: str) -> dict[str, np.ndarray]:
     found |= {f"cell alone {r:g}": cell_alone(raw, period, noise, float(r)) - real for r in RATES}
     squares = {name: error**2 for name, error in found.items()}
     drift = DRIFT_N2_PER_S * course.times[:, None]
-    squares["limit"] = drift + np.square(_limits(course.hand.name, regime in ("hold", "beyond 200 N")))
+    then, now = _limits(course.hand.name, regime in ("hold", "beyond 200 N")).T
+    squares |= {"limit": drift + np.square(then), "limit now": drift + np.square(now)}
     squares["sigma"] = numbers["tension_sigma"] ** 2
     squares["nis"] = numbers["nis"] / 2.0
     scaled = numbers["innovation"]
@@ -132,7 +134,7 @@ def _squares(course: Course, regime: str) -> dict[str, np.ndarray]:
 
 @cache
 def _limits(hand: str, held: bool) -> np.ndarray:
-    """(N,) [N]."""
+    """(N, 2) at the instant of the last sample, and at present [N]."""
     name = hand.removesuffix(CLEAR)
     model = HandModel.of(known(name), Gains(), RATES_HZ[name])
     return np.array([limit(model, i, held) for i in range(model.tendon_count)])
@@ -147,13 +149,19 @@ def tabulate(found: list[dict]) -> dict[str, dict[str, float]]:
             continue
         mean = {name: float(np.sqrt(np.mean([row[name] for row in seeds]))) for name in seeds[0] if "lag" not in name}
         best = {way: min((n for n in mean if n.startswith(f"{way} ")), key=mean.__getitem__) for way in WAYS[4:]}
-        row = {way: mean[best.get(way, way)] for way in WAYS} | {"limit": mean["limit"], "sigma": mean["sigma"]}
+        row = {way: mean[best.get(way, way)] for way in WAYS} | {
+            "limit": mean["limit"],
+            "limit now": mean["limit now"],
+            "sigma": mean["sigma"],
+        }
         row["estimate spread"] = float(np.std([np.sqrt(row["estimate"]) for row in seeds]))
         row |= {"best weight": float(best["average"].split()[1]), "nis": mean["nis"] ** 2}
         row["whiteness"] = float(
             np.mean([row["innovation lag 1"] for row in seeds]) / np.mean([row["innovation"] for row in seeds])
         )
-        row |= {f"estimate / {other}": row["estimate"] / row[other] for other in ("limit", "raw", "average")}
+        row |= {
+            f"estimate / {other}": row["estimate"] / row[other] for other in ("limit", "limit now", "raw", "raw now")
+        }
         table[regime] = row
     return table
 
@@ -163,22 +171,28 @@ def _means(sums: dict[str, list[float]]) -> dict[str, float]:
     return {name: sum(parts[::2]) / max(sum(parts[1::2]), 1.0) for name, parts in sums.items()}
 
 
-def measure(seeds: int, wrong_seeds: int, plants: list[str]) -> dict:
-    """All tables."""
-    cases = [(hand, plant) for plant in plants for hand in HANDS] + [("jamia_bench", "as known")]
-    jobs = [(*case, seed) for case in cases for seed in range(seeds if case[1] == "as known" else wrong_seeds)]
-    found = spread_over_cores(judge, jobs)
-    tables: dict = {"seeds": seeds, "seeds of a wrong plant": wrong_seeds, "hands": {}}
+def measure(seeds: int, wrong_seeds: int, plants: list[str], plan: Plan) -> dict:
+    """All tables; ``seeds`` of each case are those that the plan's time sufficed for."""
+    cases = [(hand, plant) for plant in plants for hand in HANDS]
+    cases.insert(len(HANDS), ("jamia_bench", "as known"))
+    counts = [seeds if case[1] == "as known" else wrong_seeds for case in cases]
+    # seed by seed, so that a run that is stopped has as many of each case
+    jobs = [(*case, k) for k in range(max(counts)) for case, n in zip(cases, counts, strict=True) if k < n]
+    found = collect(judge, jobs, plan)
+    tables: dict = {"seeds": {}, "hands": {}, "ended": []}
     for case in cases:
-        of_case = [sums for job, sums in zip(jobs, found, strict=True) if job[:2] == case]
-        tables["hands"].setdefault(case[0], {})[case[1]] = tabulate(of_case)
+        of_case = {job: sums for job, sums in found.items() if job[:2] == case}
+        tables["ended"] += [f"{job}: {why}" for job, sums in of_case.items() for why in sums.pop("ended", {})]
+        if of_case:
+            tables["hands"].setdefault(case[0], {})[case[1]] = tabulate(list(of_case.values()))
+            tables["seeds"][", ".join(case)] = len(of_case)
     return tables
 
 
 def show(result: dict) -> None:
     """For people."""
-    columns = (*WAYS, "limit", "estimate / limit", "estimate / raw", "nis", "whiteness")
-    print(f"RMSE of tension [N], {result['seeds']} seeds ({result['seeds of a wrong plant']} where the plant is wrong)")
+    columns = (*WAYS, "limit", "estimate / limit", "estimate / raw", "estimate / raw now", "nis", "whiteness")
+    print(f"RMSE of tension [N], {result['seeds']} seeds; ended early: {result['ended'] or 'none'}")
     for hand, plants in result["hands"].items():
         for plant, table in plants.items():
             print(
@@ -195,14 +209,15 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="under a minute: one seed, wrong stiffness only")
     parser.add_argument("--json", action="store_true", help="numbers for programs")
     parser.add_argument("--seeds", type=int, default=10, help="of the plant as known (default 10)")
-    parser.add_argument("--wrong-seeds", type=int, default=3, help="of each plant that is wrong (default 3)")
+    parser.add_argument("--wrong-seeds", type=int, default=10, help="of each plant that is wrong (default 10)")
+    add_options(parser)
     parser.add_argument("--stiffness", action="store_true", help="of the wrong plants only those of stiffness")
     parser.add_argument("--page", action="store_true", help="write the section of docs/control.md and its pictures")
     args = parser.parse_args()
     begin = time.monotonic()
     plants = list(PLANTS)[:3] if args.quick or args.stiffness else list(PLANTS)
     counts = (1, 1, plants) if args.quick else (args.seeds, args.wrong_seeds, plants)
-    result = measure(*counts)
+    result = measure(*counts, plan_of(args))
     result["wall_s"] = time.monotonic() - begin
     print(json.dumps(result, indent=2)) if args.json else show(result)
     if args.page:

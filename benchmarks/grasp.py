@@ -1,103 +1,97 @@
 """Do grasps hold? Objects turned three ways and pushed, mass borne at 6 N a finger, contact found, slip answered.
 
-``python benchmarks/grasp.py [--quick | --full] [--json] [--seeds N] [--page]``. Everything runs through frames and the
-simulator in lockstep, against the plant's truth. The objects and what is done to them: ``grasps/objects.py``, fixed
-before anything was tuned. ``--full`` tries every object; ``--page`` writes docs/control-grasps.md with its picture.
+``python benchmarks/grasp.py [--quick | --full] [--json] [--seeds N] [--keep FOLDER] [--page]``. Everything runs through
+frames and the simulator in lockstep, against the plant's truth. The objects and what is done to them:
+``grasps/objects.py``, fixed before anything was tuned. ``--full`` tries every object; ``--page`` writes
+docs/control-grasps.md with its picture.
 """
 
 import argparse
 import json
-import os
-import sys
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from typing import Any
 
 import numpy as np
-from grasps import contact, page, payload, slip, success
+from grasps import contact, page, payload, slip, success, tip
 from grasps.objects import CASES
+from trials.jobs import Plan, add_options, collect, plan_of
 
 HANDS = ("jamia", "jamia11")
 QUICK = (1,)
 USUAL = (1, 6, 8, 11, 16)
 """Objects by number: of the quick and of the usual run."""
+STRETCH_S = 30.0
+"""Of free motion in one run."""
 
 
 def main() -> None:
     """Measure, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="under a minute: one object, one minute of free motion")
+    parser.add_argument("--quick", action="store_true", help="under a minute: one object, 0.1 minutes of free motion")
     parser.add_argument("--full", action="store_true", help="every object; an hour at ten seeds")
+    parser.add_argument("--grasps", default="power,pinch,hook", help="which of them, separated by commas")
     parser.add_argument("--seeds", type=int, default=1, help="places and noise to try (1)")
     parser.add_argument(
-        "--minutes", type=float, default=0.0, help="of free motion a hand (quick 0.1, else 0.5, full 10)"
+        "--minutes-free", type=float, default=0.0, help="of free motion a hand (quick 0.1, else 0.5, full 10)"
     )
-    parser.add_argument("--parts", default="success,payload,contact,slip", help="which of them, separated by commas")
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+    parser.add_argument("--parts", default="success,payload,contact,tip,slip", help="which, separated by commas")
+    add_options(parser)
     parser.add_argument("--json", action="store_true", help="numbers for programs")
     parser.add_argument("--page", action="store_true", help="write the page and its picture")
     args = parser.parse_args()
-    with ProcessPoolExecutor(args.jobs) as pool:
-        result = measure(args, pool)
+    result = measure(args, plan_of(args))
     if args.page:
         page.write(result)
     print(json.dumps(result, indent=1)) if args.json else print(page.text(result))
 
 
-def measure(args: argparse.Namespace, pool: ProcessPoolExecutor) -> dict[str, Any]:
-    """Everything that was asked for, most expensive first."""
-    parts = args.parts.split(",")
+def measure(args: argparse.Namespace, plan: Plan) -> dict[str, Any]:
+    """Everything that was asked for."""
+    parts, seeds = args.parts.split(","), range(args.seeds)
     hands = HANDS[:1] if args.quick else HANDS
     which = QUICK if args.quick else range(len(CASES)) if args.full else USUAL
-    minutes = args.minutes or (0.1 if args.quick else 10.0 if args.full else 0.5)
-    walls = args.seeds * (2 if args.quick else 4)
-    waiting: dict[str, list[Any]] = {}
+    which = [i for i in which if CASES[i].grasp in args.grasps.split(",")]
+    result: dict[str, Any] = {}
     if "success" in parts:
-        tries = [(hand, CASES[i], seed) for seed in range(args.seeds) for i in which for hand in hands]
-        waiting["success"] = [pool.submit(success.try_case, *each) for each in tries]
+        tries = [(hand, i, seed) for seed in seeds for i in which for hand in hands]
+        result["success"] = list(collect(success.try_case, tries, plan).values())
     if "payload" in parts and not args.quick:
-        waiting["payload"] = [pool.submit(payload.try_load, h, along) for h in hands for along in payload.ALONG]
-    if "slip" in parts:
-        slips = [(hand, answered, seed) for seed in range(args.seeds) for hand in hands for answered in (False, True)]
-        waiting["slip"] = [pool.submit(slip.pull, *each) for each in slips]
+        loads = [(hand, along, seed) for seed in seeds for hand in hands for along in payload.ALONG]
+        result["payload"] = list(collect(payload.try_load, loads, plan).values())
+    if "slip" in parts and not args.quick:
+        slips = [(hand, answered, seed) for seed in seeds for hand in hands for answered in (False, True)]
+        result["slip"] = list(collect(slip.pull, slips, plan).values())
+    if "tip" in parts:
+        found = collect(tip.press, [(hand, seed) for seed in seeds for hand in hands], plan)
+        result["tip"] = [row for rows in found.values() for row in rows]
     if "contact" in parts:
-        waiting["walls"] = [pool.submit(_walls, hand, seed) for hand in hands for seed in range(walls)]
-        stretch = min(30.0, 60.0 * minutes)
-        count = max(1, round(60.0 * minutes / stretch))
-        waiting["free"] = [pool.submit(_free, hand, stretch, seed) for hand in hands for seed in range(count)]
-    done = _finished(waiting)
-    result = {key: done[key] for key in ("success", "payload", "slip") if key in done}
-    if "walls" in done:
-        result["contact"] = [_contact(hand, done["walls"], done["free"]) for hand in hands]
+        minutes = args.minutes_free or (0.1 if args.quick else 10.0 if args.full else 0.5)
+        result["contact"] = _contacts(hands, args.seeds * (2 if args.quick else 4), minutes, plan)
     return result
 
 
-def _finished(waiting: dict[str, list[Any]]) -> dict[str, list[Any]]:
-    """What all have found; each is told as it ends."""
-    all_jobs = {job: key for key, jobs in waiting.items() for job in jobs}
-    for number, job in enumerate(as_completed(all_jobs), 1):
-        found = job.result()
-        brief = {k: v for k, v in found.items() if k != "curve"} if isinstance(found, dict) else found
-        print(f"{number}/{len(all_jobs)} {all_jobs[job]} {json.dumps(brief)}", file=sys.stderr, flush=True)
-    return {key: [job.result() for job in jobs] for key, jobs in waiting.items()}
+def _contacts(hands: tuple[str, ...], walls: int, minutes: float, plan: Plan) -> list[dict[str, Any]]:
+    """Walls that are met and free motion, by hand; the minutes of motion are made up of runs that also stand still."""
+    found = collect(contact.find_contacts, [(hand, seed) for seed in range(walls) for hand in hands], plan)
+    stretch = min(STRETCH_S, 60.0 * minutes)
+    count = max(1, round(60.0 * minutes / stretch / contact.MOVING_SHARE))
+    free = collect(contact.free_motion, [(hand, stretch, seed) for seed in range(count) for hand in hands], plan)
+    return [
+        _contact(hand, [v for j, v in found.items() if j[0] == hand], [v for j, v in free.items() if j[0] == hand])
+        for hand in hands
+    ]
 
 
-def _walls(hand: str, seed: int) -> tuple[str, list[float]]:
-    return hand, contact.find_contacts(hand, seed)
-
-
-def _free(hand: str, seconds: float, seed: int) -> tuple[str, dict[str, float]]:
-    return hand, contact.free_motion(hand, seconds, seed)
-
-
-def _contact(hand: str, walls: list[Any], free: list[Any]) -> dict[str, Any]:
+def _contact(hand: str, walls: list[list[float]], rows: list[dict[str, float]]) -> dict[str, Any]:
     """Latencies and false alarms of one hand."""
-    latency = np.array([value for name, values in walls if name == hand for value in values])
-    rows = [row for name, row in free if name == hand]
+    latency = np.array([value for values in walls for value in values])
+    if not len(latency) or not rows:
+        return {"hand": hand, "contacts": 0}
     return {
         "hand": hand, "contacts": len(latency),
         "within_20_ms": round(float((latency <= contact.WITHIN_S + 1e-9).mean()), 3),
         "before_1_N": round(float((latency < 0.0).mean()), 3),
         "p95_ms": round(1e3 * float(np.sort(latency)[int(np.ceil(0.95 * len(latency))) - 1]), 1),
+        "worst_ms": round(1e3 * float(latency.max()), 1),
         "free_minutes": round(sum(row["minutes"] for row in rows), 2),
         "false_alarms": sum(row["alarms"] for row in rows),
     }  # fmt: skip

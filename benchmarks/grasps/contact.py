@@ -14,6 +14,8 @@ CONTACT_N, WITHIN_S = 1.0, 0.020
 SPEED_DEG_S = (20.0, 100.0)
 """Of closing; that of the packaged tasks is 40 to 50."""
 TOUCHED_N = 0.01
+MOVING_SHARE = 0.85
+"""Of a run of free motion in which the digits are moving."""
 WALL = """name = "wall"
 [object]
 shape = "box"
@@ -27,12 +29,17 @@ drop_when = "never"
 """Heavy, and where only the last link of each digit can meet it."""
 
 
-def _task(phases: list[dict[str, Any]]) -> TaskProgram:
+def task_of(phases: list[dict[str, Any]]) -> TaskProgram:
+    """The program of some phases."""
     return TaskProgram(Task.model_validate_json(json.dumps({"schema": 1, "name": "contact", "phase": phases})))
 
 
-def find_contacts(hand: str, seed: int) -> list[float]:
-    """Seconds from 1 N on a digit to its contact event; negative if found before, inf if never. One per digit."""
+def find_contacts(job: tuple[str, int]) -> list[float]:
+    """Of a hand and a seed: seconds from 1 N on a digit to its contact event, one per digit.
+
+    Negative if found before, inf if never.
+    """
+    hand, seed = job
     chance = random.Random(f"wall {seed}")
     wall = WALL.format(x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3))
     speed = chance.uniform(*SPEED_DEG_S)
@@ -41,7 +48,7 @@ def find_contacts(hand: str, seed: int) -> list[float]:
         {"kind": "close", "angle_deg": 60.0, "speed_deg_s": speed},
         {"kind": "hold", "tension_N": 20.0, "duration_s": 0.3},
     ]
-    run = simulate(hand, _task(phases), wall, seed=seed, until="end", timeout=12.0)
+    run = simulate(hand, task_of(phases), wall, seed=seed, until="end", timeout=12.0)
     return _latencies(run, hand_model(hand)[0].hand.digit_names)
 
 
@@ -59,8 +66,9 @@ def _latencies(run: Run, digits: tuple[str, ...]) -> list[float]:
     return latencies
 
 
-def free_motion(hand: str, seconds: float, seed: int) -> dict[str, float]:
-    """Simulated minutes of closing on nothing at all, and contacts found in them."""
+def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
+    """Of a hand, a time [s] and a seed: simulated minutes of closing on nothing at all, and contacts found in them."""
+    hand, seconds, seed = job
     chance = random.Random(f"free {seed}")
     phases: list[dict[str, Any]] = []
     planned = 0.0
@@ -80,7 +88,7 @@ def free_motion(hand: str, seconds: float, seed: int) -> dict[str, float]:
             {"kind": "close", "angle_deg": goal, "speed_deg_s": speed},
         ]
         planned += 0.8 + 35.0 / speed * 1.875
-    run = simulate(hand, _task(phases), None, seed=seed, until="end", timeout=seconds)
+    run = simulate(hand, task_of(phases), None, seed=seed, until="end", timeout=seconds)
     assert run.force.max() < TOUCHED_N, "the digits met each other"
     alarms = sum(event.name == "contact" for _, event in run.events)
     moving = np.isin(run.phase, ("move", "close")).sum() * (run.t[1] - run.t[0])

@@ -15,7 +15,7 @@ BEGIN, END = "<!-- grasps: written by benchmarks/grasp.py -->", "<!-- end of gra
 
 def text(result: dict[str, Any]) -> str:
     """All tables."""
-    parts = [(_success, "success"), (_payload, "payload"), (_contact, "contact"), (_slip, "slip")]
+    parts = [(_success, "success"), (_payload, "payload"), (_contact, "contact"), (_tip, "tip"), (_slip, "slip")]
     return "\n\n".join(write(result[key]) for write, key in parts if key in result)
 
 
@@ -57,20 +57,40 @@ def _success(rows: list[dict[str, Any]]) -> str:
 
 
 def _payload(rows: list[dict[str, Any]]) -> str:
-    table = [
-        [row["hand"], row["direction"], ("" if row["slid"] else "over ") + f"{row['mass_kg']:.2f}",
-         " / ".join(f"{value:.1f}" for value in row["normal_N"]), f"{row['coulomb_kg']:.2f}"]
-        for row in rows
-    ]  # fmt: skip
-    head = ["hand", "load", "mass borne, kg", "normal forces before, N", "friction x their sum, kg"]
+    table = []
+    for (hand, direction), own in _groups(rows, "hand", "direction").items():
+        masses = [row["mass_kg"] for row in own]
+        normal = np.mean([row["normal_N"] for row in own], axis=0)
+        over = "" if all(row["slid"] for row in own) else "over "
+        table.append([
+            hand, direction, f"{over}{min(masses):.2f}", f"{np.mean(masses):.2f}", str(len(own)),
+            " / ".join(f"{value:.1f}" for value in normal), f"{np.mean([row['coulomb_kg'] for row in own]):.2f}",
+        ])  # fmt: skip
+    head = ["hand", "load", "least mass borne, kg", "mean, kg", "seeds", "normal forces before, N",
+            "friction x their sum, kg"]  # fmt: skip
     return f"{_table(head, table)}\n\nThe paper says {payload.PAPER_KG} kg at 6 N a finger and friction 0.5."
+
+
+def _tip(rows: list[dict[str, Any]]) -> str:
+    table = []
+    for (hand, digit, asked), own in _groups(rows, "hand", "digit", "asked").items():
+        felt, told = (np.array([row[name] for row in own]) for name in ("felt", "told"))
+        error = told - felt
+        table.append([
+            hand, digit, f"{asked:g}", f"{felt.mean():.2f} ± {felt.std():.2f}", f"{told.mean():.2f}",
+            f"{np.sqrt((error**2).mean()):.2f}", f"{np.mean([row['noise'] for row in own]):.2f}", str(len(own)),
+        ])  # fmt: skip
+    head = ["hand", "digit", "asked, N", "felt by the plant, N", "told by the controller, N", "told - felt, RMS, N",
+            "its noise, N", "runs"]  # fmt: skip
+    return _table(head, table)
 
 
 def _contact(rows: list[dict[str, Any]]) -> str:
     table = [
         [row["hand"], str(row["contacts"]), f"{100 * row['within_20_ms']:.0f} %", f"{100 * row['before_1_N']:.0f} %",
-         f"{row['p95_ms']:.0f} ms", f"{row['free_minutes']:.1f}", str(row["false_alarms"])]
+         f"{row['p95_ms']:.0f} ms", f"{row['worst_ms']:.0f} ms", f"{row['free_minutes']:.1f}", str(row["false_alarms"])]
         for row in rows
+        if row["contacts"]
     ]  # fmt: skip
     head = [
         "hand",
@@ -78,6 +98,7 @@ def _contact(rows: list[dict[str, Any]]) -> str:
         "found within 20 ms of 1 N",
         "found before 1 N",
         "95 % within",
+        "all within",
         "free minutes",
         "alarms",
     ]

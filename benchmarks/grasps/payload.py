@@ -22,11 +22,12 @@ START_S, RATE_N_PER_S, SLIDES_M_S = 6.0, 2.0, 1e-3
 LAST_S = 20.0
 
 
-def try_load(hand: str, direction: str) -> dict[str, Any]:
-    """Mass whose weight the grasp bears in a direction, the object's own included where it is its weight [kg]."""
+def try_load(job: tuple[str, str, int]) -> dict[str, Any]:
+    """Of a hand, a direction and a seed: mass whose weight the grasp bears [kg], the object's own where it counts."""
+    hand, direction, seed = job
     case = CASES[1]
     load = f"[load]\ndirection = {list(ALONG[direction])}\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"
-    run = simulate(hand, _at(hand, TENSION_N[hand]), case.scene(0, stages=False) + load, timeout=LAST_S)
+    run = simulate(hand, _at(hand, TENSION_N[hand]), case.scene(seed, stages=False) + load, seed=seed, timeout=LAST_S)
     before = run.t < START_S
     settled = run.t > START_S - 0.5
     normal = run.normal[before & settled].mean(axis=0)
@@ -36,7 +37,8 @@ def try_load(hand: str, direction: str) -> dict[str, Any]:
     slid_at = float(run.t[window + sliding[0]]) if len(sliding) else float(run.t[-1])
     newtons = RATE_N_PER_S * (slid_at - START_S) + (case.mass * 9.81 if direction == "along the hinges" else 0.0)
     return {
-        "hand": hand, "direction": direction, "mass_kg": round(newtons / 9.81, 3), "slid": bool(len(sliding)),
+        "hand": hand, "direction": direction, "seed": seed,
+        "mass_kg": round(newtons / 9.81, 3), "slid": bool(len(sliding)),
         "normal_N": np.round(normal, 2).tolist(), "coulomb_kg": round(float(case.friction * normal.sum() / 9.81), 3),
     }  # fmt: skip
 

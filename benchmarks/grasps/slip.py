@@ -16,8 +16,9 @@ TENSION_N, LIMIT_N = 20.0, 60.0
 LOST_M = 10e-3
 
 
-def pull(hand: str, answered: bool, seed: int) -> dict[str, Any]:
-    """Pull out of the palm: load [N] over motion [mm], and the load at which the object is lost."""
+def pull(job: tuple[str, bool, int]) -> dict[str, Any]:
+    """Of a hand, whether it answers, and a seed: a pull [N] over motion [mm], and what the object is lost at."""
+    hand, answered, seed = job
     scene = CASES[1].scene(seed, stages=False).replace("friction = 0.5", f"friction = {SLIPPERY[hand]}")
     scene += f"[load]\ndirection = [1.0, 0.0, 0.0]\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"
     program = task_program("grasp", hand, hold_s=60.0)

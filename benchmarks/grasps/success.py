@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from grasps.objects import DOWN, MOST_M, Case
+from grasps.objects import CASES, DOWN, MOST_M, Case
 from grasps.trial import Run, simulate, stage_motion, task_program
 
 TASKS = {
@@ -21,8 +21,10 @@ GIVE_UP_S = 10.0
 """A grasp that has not lifted its object by now does not."""
 
 
-def try_case(hand: str, case: Case, seed: int) -> dict[str, Any]:
-    """One grasp: largest motion in each stage [mm], whether that is a success, and if not, why."""
+def try_case(job: tuple[str, int, int]) -> dict[str, Any]:
+    """Of a hand, an object by number and a seed: largest motion in each stage [mm], and if no success, why."""
+    hand, number, seed = job
+    case = CASES[number]
     program = task_program(TASKS[hand, case.grasp], hand, hold_s=60.0)
     run = simulate(hand, program, case.scene(seed), seed=seed, until="release", give_up=GIVE_UP_S)
     motion = [round(1e3 * value, 2) for value in stage_motion(run)]

@@ -4,38 +4,40 @@ import numpy as np
 
 from trials.page import FIGURES, table
 
-COLUMNS = ("estimate", "raw", "raw now", "average", "cell alone", "limit", "estimate / limit", "estimate / raw", "nis")
+COLUMNS = ("estimate", "raw", "raw now", "average", "cell alone", "limit", "limit now")
+RATIOS = ("estimate / limit", "estimate / raw", "estimate / raw now", "nis", "whiteness")
 ASKED_LIMIT, ASKED_NIS = 1.3, (0.8, 1.3)
 
 
 def section(result: dict) -> str:
     """Markdown of a result of ``estimation.measure``."""
-    wrong = result["seeds of a wrong plant"]
     parts = ["## The tension estimate", ""]
+    few, many = min(result["seeds"].values()), max(result["seeds"].values())
     parts.append(
         "`python benchmarks/estimation.py --page`. RMSE of the tension at the load cell [N], all tendons, against the "
-        f"plant. Seeds: {result['seeds']}, and {wrong} where the plant is wrong. *raw* is the load cell against the "
-        "instant at which it was read, *raw now* the same as a value for the present, one period later; *average* and "
-        "*cell alone* are the best exponential average and the best filter on the load cell alone, both chosen with "
-        "hindsight. *limit* is the Riccati bound of a fixed noise model (motor 10 mN m, joint 5 mN m, offset unknown, "
-        "cell drift), without the period of delay that the estimate has to bridge. NIS is per degree of freedom; 1 is "
-        "right."
+        f"plant. Seeds: {many if few == many else f'{few} to {many}'}. *raw* is the load cell against the instant at "
+        "which it was read, *raw now* the same as a value for the present, one period later, which is what the "
+        "estimate is judged by; *average* and *cell alone* are the best exponential average and the best filter on the "
+        "load cell alone, both chosen with hindsight. *limit* is the Riccati bound of a fixed noise model "
+        "(motor 10 mN m, joint 5 mN m, offset unknown, cell drift), without the period of delay that the estimate has "
+        "to bridge; *limit now* is with it. NIS is per "
+        "degree of freedom; 1 is right."
     )
     for hand, plants in result["hands"].items():
-        rows = [[regime, *(f"{row[c]:.2f}" for c in COLUMNS)] for regime, row in plants["as known"].items()]
-        parts += ["", table([hand, *COLUMNS], rows)]
+        rows = [[regime, *(f"{row[c]:.2f}" for c in COLUMNS + RATIOS)] for regime, row in plants["as known"].items()]
+        parts += ["", table([hand, *COLUMNS, *RATIOS], rows)]
         others = [plant for plant in plants if plant != "as known"]
         if others:
-            head = [f"{hand}, wrong plant", "free", "free / raw", "hold", "hold / raw", "NIS free", "NIS hold"]
-            parts += ["", table(head, [_wrong(plant, plants[plant]) for plant in others])]
+            regimes = [regime for regime in ("free", "reversal", "impact", "hold") if regime in plants["as known"]]
+            head = [f"{hand}, wrong plant", *[f"{r}: N (/ raw)" for r in regimes], "NIS free", "NIS hold"]
+            parts += ["", table(head, [_wrong(plant, plants[plant], regimes) for plant in others])]
     parts += ["", _conclusion(result), "", "![Tension errors by regime](figures/control-estimation.png)"]
     return "\n".join(parts)
 
 
-def _wrong(plant: str, found: dict) -> list[str]:
-    free, hold = found["free"], found["hold"]
-    cells = [free["estimate"], free["estimate / raw"], hold["estimate"], hold["estimate / raw"]]
-    return [plant, *(f"{value:.2f}" for value in (*cells, free["nis"], hold["nis"]))]
+def _wrong(plant: str, found: dict, regimes: list[str]) -> list[str]:
+    cells = [f"{found[r]['estimate']:.2f} ({found[r]['estimate / raw']:.2f})" for r in regimes]
+    return [plant, *cells, f"{found['free']['nis']:.2f}", f"{found['hold']['nis']:.2f}"]
 
 
 def _conclusion(result: dict) -> str:

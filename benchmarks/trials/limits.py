@@ -20,10 +20,10 @@ DRIFT_N2_PER_S = 1.0 / 100.0
 SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 
 
-def limit(model: HandModel, i: int, held: bool, encoder: bool = True) -> float:
-    """Standard deviation of the best estimate of tendon i's tension at the instant of the last sample [N].
+def limit(model: HandModel, i: int, held: bool, encoder: bool = True) -> tuple[float, float]:
+    """Standard deviation of the best estimate of tendon i's tension at the instant of the last sample, and now [N].
 
-    The controller's estimate is for the present, one period later; it is judged by this limit all the same.
+    The controller's estimate is for the present, one period later; it is judged by the first all the same.
 
     Args:
         model: hand and rate.
@@ -57,4 +57,4 @@ def limit(model: HandModel, i: int, held: bool, encoder: bool = True) -> float:
     P = solve_discrete_are(F.T, (H[rows] / spread[:, None]).T, F @ loan[:7, 7:], np.eye(len(rows)))
     seen, row = H[rows] / spread[:, None], tension * SCALE
     gain = P @ seen.T @ np.linalg.inv(seen @ P @ seen.T + np.eye(len(rows)))
-    return float(np.sqrt(row @ (P - gain @ seen @ P) @ row))
+    return float(np.sqrt(row @ (P - gain @ seen @ P) @ row)), float(np.sqrt(row @ P @ row))

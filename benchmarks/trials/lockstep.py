@@ -1,12 +1,10 @@
 """A trial: the real controller over the simulated bus in lockstep, tick by tick, beside the plant's truth."""
 
-import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,17 +158,3 @@ def _course(
         state.failure,
         tuple(events),
     )
-
-
-T = TypeVar("T")
-R = TypeVar("R")
-
-
-def spread_over_cores(work: Callable[[T], R], jobs: list[T], workers: int = 0) -> list[R]:
-    """Results in the order of the jobs; each process computes with one thread."""
-    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
-    workers = workers or os.cpu_count() or 1
-    if workers == 1:
-        return [work(job) for job in jobs]
-    with ProcessPoolExecutor(workers) as pool:
-        return list(pool.map(work, jobs))

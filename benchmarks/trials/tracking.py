@@ -1,23 +1,26 @@
-"""What each part of the controller is worth: tracking at three speeds, one thing more at a time.
+"""What each part of the controller is worth: tracking at three speeds, and a step of force, one thing more at a time.
 
-``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--page]``. The digits move from 0 to 60 degrees
-and are judged by the plant's truth, on the mean joint angle of each (what one tendon can set). The plant's effects are
-those of the hand files and of firmware_sim (capstan and motor friction, rope elasticity and damping, current loop,
-encoder and load-cell resolution, noise, drift, one period of bus delay) and none of them was changed for any law. The
-two weights of a law, PD included, are the best of those tried, on a seed that is not among those judged.
+``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--keep FOLDER] [--page]``. The digits move from
+0 to 60 degrees and are judged by the plant's truth, on the mean joint angle of each (what one tendon can set). The
+plant's effects are those of the hand files and of firmware_sim (capstan and motor friction, rope elasticity and
+damping, current loop, encoder and load-cell resolution, noise, drift, one period of bus delay) and none of them was
+changed for any law. The two weights of a law, PD included, are the best of the same ``WEIGHTS``, by the fast motion of
+the plant as known, on a seed that is not among those judged; ``--tune`` looks for them again.
 """
 
 import argparse
 import json
 import time
+from pathlib import Path
 
 import numpy as np
 
 from handctl.report.summary import mean_angles
-from trials import page, tracking_page
+from trials import force, force_page, page, tracking_page
 from trials.hands import CLEAR
+from trials.jobs import Plan, add_options, collect, plan_of
 from trials.laws import LAWS
-from trials.lockstep import Course, Trial, run, spread_over_cores
+from trials.lockstep import Course, Trial, run
 from trials.script import Script, Step
 
 HANDS = ("jamia", "jamia11")
@@ -26,6 +29,7 @@ SPEEDS = {"slow": 1.5, "medium": 0.5, "fast": 0.15}
 ANGLE_DEG, SETTLE_S, BACK_S, AFTER_S, BAND_DEG = 60.0, 0.5, 0.5, 0.05, 1.0
 """Of the motion; time to settle after it; of the way back; that still counts as motion; that counts as settled."""
 PLANTS: dict[str, dict[str, float]] = {
+    "as known": {},
     "mass +20 %": {"mass": 1.2},
     "mass -20 %": {"mass": 0.8},
     "stiffness +20 %": {"stiffness": 1.2},
@@ -34,17 +38,16 @@ PLANTS: dict[str, dict[str, float]] = {
     "friction -50 %": {"friction": 0.5},
     "bias 1 N": {"bias": 1.0},
 }
-WEIGHTS = [(0.8e-4, 0.03), (1.5e-4, 0.03), (3e-4, 0.03), (6e-4, 0.06)]
+WEIGHTS = tuple(
+    (p * 1e-4, v * 1e-2) for p, v in ((0.2, 1), (0.3, 1.5), (0.5, 2), (0.8, 3), (1.5, 3), (3, 3), (3, 6), (6, 6))
+)
 """Position [m] and speed [m/s] errors that count alike, to choose from: the same for every law."""
 TUNING_SEED = 1000
-DEFAULT = (1.5e-4, 0.03)
-STIFF = (0.8e-4, 0.03)
-TUNED: dict[str, dict[str, tuple[float, float]]] = {
-    "jamia": dict.fromkeys(list(LAWS)[1:5], STIFF),
-    "jamia11": dict.fromkeys(list(LAWS)[:4], STIFF),
-}
-"""The best of ``WEIGHTS`` where it is not DEFAULT. STIFF has not been tried for the laws that are not named here."""
+TUNED = Path(__file__).with_name("tuned.json")
+"""By hand and law: tracking RMSE [deg] with each of ``WEIGHTS``, null where a run ended early."""
 PLAIN, SPRINGS_LAW, BEST, MISPRINTED = [list(LAWS)[i] for i in (0, 1, -2, -1)]
+COMPARED = (PLAIN, SPRINGS_LAW, BEST)
+"""Laws that are also tried where the plant is wrong."""
 
 
 def moves(speeds: tuple[str, ...]) -> Script:
@@ -56,10 +59,10 @@ def moves(speeds: tuple[str, ...]) -> Script:
     return Script(tuple(steps))
 
 
-def trial(hand: str, law: str, weights: tuple[float, float], seed: int, plant: dict, speeds: tuple[str, ...]) -> Trial:
+def trial(hand: str, law: str, weights: tuple[float, float], seed: int, plant: str, speeds: tuple[str, ...]) -> Trial:
     """One run of a law."""
     chosen = LAWS[law]
-    return Trial(hand + CLEAR, moves(speeds), seed, None, plant, chosen.gains(*weights), change=chosen.change)
+    return Trial(hand + CLEAR, moves(speeds), seed, None, PLANTS[plant], chosen.gains(*weights), change=chosen.change)
 
 
 def judge(course: Course, speeds: tuple[str, ...]) -> dict[str, dict[str, float]]:
@@ -85,55 +88,75 @@ def judge(course: Course, speeds: tuple[str, ...]) -> dict[str, dict[str, float]
     return found
 
 
-def work(job: tuple) -> dict[str, dict[str, float]]:
-    """One trial's figures; a law that trips the hand has infinite error."""
+def work(job: tuple) -> dict[str, dict[str, float | str]]:
+    """One trial's figures; a motion that the hand did not get to the end of has infinite error, and why."""
     course = run(trial(*job))
-    found = judge(course, job[-1])
-    if course.failure:
-        found = {speed: dict.fromkeys(row, float("inf")) for speed, row in found.items()}
+    found: dict = judge(course, job[-1])
+    for speed in job[-1] if course.failure else ():
+        lasted = (course.phase == speed).sum() * course.controller.model.period
+        if lasted < SPEEDS[speed] + SETTLE_S - 0.01:
+            found[speed] = dict.fromkeys(found[speed], float("inf")) | {"why": course.failure}
     return found
 
 
-def tune(hands: tuple[str, ...]) -> None:
-    """Print the tracking RMSE at the fast motion of each law on each hand for all weights; the best are in TUNED."""
-    speeds = ("fast",)
-    jobs = [(h, law, w, TUNING_SEED, {}, speeds) for h in hands for law in LAWS for w in WEIGHTS]
-    for job, found in zip(jobs, spread_over_cores(work, jobs), strict=True):
-        print(f"{job[0]:<8} {job[1]:<32} {job[2]!s:<18} {found['fast']['rmse_deg']:8.3f} deg")
+def tune(plan: Plan) -> None:
+    """Try all weights for each law on each hand at the fast motion; keep the errors."""
+    jobs = [(h, law, w, TUNING_SEED, "as known", ("fast",)) for h in HANDS for law in LAWS for w in WEIGHTS]
+    found = collect(work, jobs, plan)
+    table: dict = {}
+    for (hand, law, weights, *_), rows in found.items():
+        error = rows["fast"]["rmse_deg"]
+        print(f"{hand:<8} {law:<32} {weights!s:<18} {error:8.3f} deg  {rows['fast'].get('why', '')}")
+        table.setdefault(hand, {}).setdefault(law, []).append(round(error, 4) if np.isfinite(error) else None)
+    if len(found) == len(jobs):
+        TUNED.write_text(json.dumps(table, indent=1) + "\n", "utf-8")
 
 
-def measure(seeds: int, wrong_seeds: int, speeds: tuple[str, ...], hands: tuple[str, ...] = HANDS) -> dict:
-    """All figures: mean and spread over the seeds."""
+def tuned(hand: str, law: str) -> tuple[float, float]:
+    """The best weights of a law."""
+    errors = json.loads(TUNED.read_text("utf-8"))[hand][law]
+    return WEIGHTS[int(np.argmin([np.inf if error is None else error for error in errors]))]
+
+
+def measure(seeds: int, wrong_seeds: int, speeds: tuple[str, ...], plan: Plan, hands: tuple[str, ...] = HANDS) -> dict:
+    """All figures: mean and spread over the seeds that there was time for."""
+    plants = list(PLANTS)[1:] if wrong_seeds else []
     cases = [(hand, law, "as known") for hand in hands for law in LAWS]
-    if wrong_seeds:
-        cases += [(hand, law, plant) for hand in hands for law in (PLAIN, BEST) for plant in PLANTS]
-    jobs, owners = [], []
+    cases += [(hand, law, plant) for plant in plants for hand in hands for law in COMPARED]
+    counts = [seeds if case[2] == "as known" else wrong_seeds for case in cases]
+    jobs = [
+        (hand, law, tuned(hand, law), k, plant, speeds)
+        for k in range(max(counts))
+        for (hand, law, plant), n in zip(cases, counts, strict=True)
+        if k < n
+    ]
+    found = collect(work, jobs, plan)
+    result: dict = {"weights": {hand: {law: tuned(hand, law) for law in LAWS} for hand in hands}, "hands": {}}
     for hand, law, plant in cases:
-        wrong = plant != "as known"
-        for seed in range(wrong_seeds if wrong else seeds):
-            told = ("fast",) if wrong else speeds
-            jobs.append((hand, law, TUNED[hand].get(law, DEFAULT), seed, PLANTS.get(plant, {}), told))
-            owners.append((hand, law, plant))
-    found = spread_over_cores(work, jobs)
-    result: dict = {"seeds": seeds, "seeds of a wrong plant": wrong_seeds, "hands": {}}
-    for case in cases:
-        rows = [row for owner, row in zip(owners, found, strict=True) if owner == case]
-        of_hand = result["hands"].setdefault(case[0], {}).setdefault(case[2], {})
-        of_hand[case[1]] = {speed: _over_seeds([row[speed] for row in rows]) for speed in rows[0]}
+        rows = [row for job, row in found.items() if (job[0], job[1], job[4]) == (hand, law, plant)]
+        if rows:
+            of_hand = result["hands"].setdefault(hand, {}).setdefault(plant, {})
+            of_hand[law] = {speed: _over_seeds([row[speed] for row in rows]) for speed in rows[0]}
     return result
 
 
-def _over_seeds(rows: list[dict[str, float]]) -> dict[str, float]:
-    """Mean of each figure, and the spread of the RMSE."""
+def _over_seeds(rows: list[dict]) -> dict:
+    """Mean of each figure, spread of the RMSE, number of seeds, of those that ended early, and why."""
+    whys = [row.pop("why") for row in rows if "why" in row]
     mean = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
-    spread = [row["rmse_deg"] for row in rows if np.isfinite(row["rmse_deg"])]
-    return mean | {"rmse_spread_deg": float(np.std(spread)) if spread else float("nan")}
+    rmse = [row["rmse_deg"] for row in rows]
+    spread = float(np.std(rmse)) if np.isfinite(rmse).all() else float("nan")
+    return mean | {"rmse_spread_deg": spread, "seeds": len(rows), "ended": len(whys), "why": sorted(set(whys))}
 
 
 def show(result: dict) -> None:
     """For people."""
+    if "force" in result:
+        print(force_page.section(result["force"]))
+    if "tracking" not in result:
+        return
     print("tracking of the mean joint angle, RMSE +- spread over the seeds / peak / steady [deg], settling [s]")
-    for hand, plants in result["hands"].items():
+    for hand, plants in result["tracking"]["hands"].items():
         for plant, laws in plants.items():
             print(f"\n{hand}, plant {plant}")
             for law, speeds in laws.items():
@@ -142,30 +165,36 @@ def show(result: dict) -> None:
                     f"{r['steady_deg']:.2f}, {r['settling_s']:.2f}"
                     for speed, r in speeds.items()
                 ]
-                print(f"  {law:<32}" + "   ".join(told))
+                whys = sorted({why for r in speeds.values() for why in r["why"]})
+                print(f"  {law:<32}" + "   ".join(told + whys))
 
 
 def main() -> None:
     """Measure, print, write the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="one seed, fast motion, one hand")
+    parser.add_argument("--quick", action="store_true", help="under a minute: one seed, fast motion, one hand")
     parser.add_argument("--json", action="store_true", help="numbers for programs")
     parser.add_argument("--seeds", type=int, default=10, help="of the plant as known (default 10)")
-    parser.add_argument("--wrong-seeds", type=int, default=2, help="of each plant that is wrong (default 2)")
-    parser.add_argument("--fast-only", action="store_true", help="the fast motion alone")
+    parser.add_argument("--wrong-seeds", type=int, default=10, help="of each plant that is wrong (default 10)")
+    parser.add_argument("--parts", default="tracking,force", help="which of them, separated by commas")
     parser.add_argument("--tune", action="store_true", help="try all weights again")
-    parser.add_argument("--page", action="store_true", help="write the section of docs/control.md and its picture")
+    add_options(parser)
+    parser.add_argument("--page", action="store_true", help="write the sections of docs/control.md and their picture")
     args = parser.parse_args()
-    begin = time.monotonic()
+    begin, plan, result = time.monotonic(), plan_of(args), {}
     if args.tune:
-        tune(HANDS)
+        tune(plan)
+        force.tune(HANDS, plan)
         return
-    if args.quick:
-        result = measure(1, 0, ("fast",), HANDS[:1])
-    else:
-        result = measure(args.seeds, args.wrong_seeds, ("fast",) if args.fast_only else tuple(SPEEDS))
+    if "tracking" in args.parts:
+        counts = (1, 0, ("fast",)) if args.quick else (args.seeds, args.wrong_seeds, tuple(SPEEDS))
+        result["tracking"] = measure(*counts, plan, HANDS[:1] if args.quick else HANDS)
+    if "force" in args.parts and not args.quick:
+        result["force"] = force.measure(HANDS, args.seeds, plan)
     result["wall_s"] = time.monotonic() - begin
     print(json.dumps(result, indent=2)) if args.json else show(result)
-    if args.page:
-        page.write("tracking", tracking_page.section(result, (PLAIN, SPRINGS_LAW, BEST, MISPRINTED)))
-        tracking_page.picture(result)
+    if args.page and "tracking" in result:
+        page.write("tracking", tracking_page.section(result["tracking"], (PLAIN, SPRINGS_LAW, BEST, MISPRINTED)))
+        tracking_page.picture(result["tracking"])
+    if args.page and "force" in result:
+        page.write("force", force_page.section(result["force"]))

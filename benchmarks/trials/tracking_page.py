@@ -12,22 +12,24 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
     """Markdown of a result of ``tracking.measure``; ``named``: PD alone, springs and gravity, best, misprinted."""
     parts = ["## Tracking: what each part of the law is worth", ""]
     parts.append(
-        "`python benchmarks/control.py --page` moves every digit from 0 to 60 degrees and back, with one thing more at "
-        "each line. Error of the mean joint angle of each digit against the plant, RMSE during the motion with its "
-        f"spread over the seeds ({result['seeds']}), all digits. The feedback weights of a law are the best of those "
-        "tried (`--tune` tries all four); the stiffest were not tried with the force loops and, on jamia11, the full "
-        "law, which therefore compare at weights half as stiff. *ended*: safety, or the controller itself, ended at "
-        "least one run."
+        "`python benchmarks/control.py --parts tracking --page` moves every digit from 0 to 60 degrees and back, with "
+        "one thing more at each line. Error of the mean joint angle of each digit against the plant, RMSE during the "
+        "motion (slow 1.5 s, medium 0.5 s, fast 0.15 s) with its spread over the seeds; peak, steady error and "
+        "settling (to one degree, after the end of the motion) of the fast one. The two feedback weights of every law, "
+        "PD included, are the best of the same eight at the fast motion of the plant as known, on another seed "
+        "(`--tune`; tried values in `benchmarks/trials/tuned.json`). *ended*: safety, or the controller itself, ended "
+        "at least one run."
     )
     for hand, plants in result["hands"].items():
         laws = plants["as known"]
         speeds = list(next(iter(laws.values())))
-        head = [hand, *[f"{speed} [deg]" for speed in speeds], "peak, fast", "steady", "settled after, at most 0.5 [s]"]
+        head = [hand, *[f"{speed} [deg]" for speed in speeds], "peak [deg]", "steady [deg]", "settled [s]", "seeds"]
         rows = []
         for law, found in laws.items():
             fast = found["fast"]
             cells = [_cell(found[speed]) for speed in speeds]
-            rows.append([law, *cells, *(_number(fast[k]) for k in ("peak_deg", "steady_deg", "settling_s"))])
+            numbers = [_number(fast[k]) for k in ("peak_deg", "steady_deg", "settling_s")]
+            rows.append([law, *cells, *numbers, str(fast["seeds"])])
         parts += ["", table(head, rows), "", _conclusion(hand, laws, named)]
         if len(plants) > 1:
             parts += ["", _wrong(hand, plants, named)]
@@ -49,33 +51,52 @@ def _conclusion(hand: str, laws: dict, named: tuple[str, str, str, str]) -> str:
     plain, springs, best, printed = (laws[name]["fast"] for name in named)
     ratio, gain = plain["rmse_deg"] / best["rmse_deg"], springs["rmse_deg"] - best["rmse_deg"]
     spread = max(best["rmse_spread_deg"], springs["rmse_spread_deg"])
-    better, old = [], laws[next(iter(laws))]["fast"]
-    for law in list(laws)[1:-1]:
-        new = laws[law]["fast"]
-        if not np.isfinite(new["rmse_deg"]):
-            better.append(f"with '{law}' safety or the controller itself ends a run")
-            continue
-        if new["rmse_deg"] >= old["rmse_deg"] - 2 * new["rmse_spread_deg"]:
-            better.append(f"'{law}' brings nothing beyond the spread")
-        old = new
-    weak = f" Weak: {'; '.join(better)}." if better else ""
-    misprint = printed["rmse_deg"] / best["rmse_deg"]
-    cost = f"is {misprint:.1f} times worse" if np.isfinite(misprint) else "does not get to the end of a motion"
     verdict = "more" if ratio >= 5 else "less"
     return (
         f"At the fast motion the whole law tracks {ratio:.1f} times better than PD ({verdict} than the five times "
-        f"asked for), and {gain:.2f} deg better than springs and gravity alone, "
-        f"{gain / max(spread, 1e-9):.0f} times the spread. With Eq. 10-12 as printed the same law {cost}.{weak}"
+        f"asked for), and {gain:.2f} deg better than springs and gravity alone, {gain / max(spread, 1e-9):.0f} times "
+        f"the spread. What each step gains at the fast motion, with the spread of the difference: {_steps(laws)}. "
+        f"{_printed(printed, best)}"
     )
+
+
+def _steps(laws: dict) -> str:
+    """Gain of each law over the one before [deg], and whether that is more than twice the spread."""
+    told, old = [], laws[next(iter(laws))]["fast"]
+    for law in list(laws)[1:-1]:
+        new = laws[law]["fast"]
+        if not np.isfinite(new["rmse_deg"]):
+            told.append(f"'{law}' ends {new['ended']} of {new['seeds']} runs ({'; '.join(new['why'])})")
+            continue
+        gain = old["rmse_deg"] - new["rmse_deg"]
+        spread = float(np.hypot(old["rmse_spread_deg"], new["rmse_spread_deg"]))
+        weak = "" if gain > 2 * spread else " (worse)" if gain < -2 * spread else " (nothing beyond the spread)"
+        told.append(f"'{law}' {gain:+.3f} ± {spread:.3f} deg{weak}")
+        old = new
+    return "; ".join(told)
+
+
+def _printed(printed: dict, best: dict) -> str:
+    """What the misprinted equations cost."""
+    if np.isfinite(printed["rmse_deg"]):
+        return f"Eq. 10-12 as printed: {printed['rmse_deg'] / best['rmse_deg']:.1f} times the error of the right ones."
+    why = "; ".join(printed["why"])
+    return f"With Eq. 10-12 as printed {printed['ended']} of {printed['seeds']} runs do not get to the end: {why}."
 
 
 def _wrong(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
     """Tracking where the plant is not as known."""
-    head = [f"{hand}, fast, RMSE [deg]", named[0], named[2], "ratio"]
+    speeds = list(plants["as known"][named[2]])
+    other = [f"{named[2]}, {speed}" for speed in speeds]
+    head = [f"{hand}, RMSE [deg]", f"{named[0]}, fast", f"{named[1]}, fast", *other, "PD / whole law", "seeds"]
     rows = []
     for plant, laws in plants.items():
-        plain, best = (laws[name]["fast"] for name in (named[0], named[2]))
-        rows.append([plant, _cell(plain), _cell(best), _number(plain["rmse_deg"] / best["rmse_deg"])])
+        if not all(name in laws for name in named[:3]):
+            continue
+        plain, springs, best = (laws[name]["fast"] for name in named[:3])
+        whole = [_cell(laws[named[2]][speed]) for speed in speeds]
+        ratio = _number(plain["rmse_deg"] / best["rmse_deg"])
+        rows.append([plant, _cell(plain), _cell(springs), *whole, ratio, str(best["seeds"])])
     return table(head, rows)
 
 

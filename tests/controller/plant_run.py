@@ -30,12 +30,15 @@ def model_of(hand: str) -> HandModel:
 
 @dataclass
 class PlantRun:
-    """What happened, a row a tick: time [s], object [m], contact force on each digit [N]; and all events."""
+    """What happened, a row a tick: time [s], object [m], contact force on each digit [N], estimated tension,
+    load cells and true tension [N]; and all events."""
 
     t: list[float] = field(default_factory=list)
     place: list[list[float]] = field(default_factory=list)
     force: list[np.ndarray] = field(default_factory=list)
     tension: list[np.ndarray] = field(default_factory=list)
+    cell: list[np.ndarray] = field(default_factory=list)
+    real: list[list[float]] = field(default_factory=list)
     events: list[tuple[float, Event]] = field(default_factory=list)
 
     def told(self, name: str) -> list[tuple[float, str]]:
@@ -66,6 +69,8 @@ def run_on_plant(
         result.place.append(plant.engine.object_pose()[:3])
         result.force.append(np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1))
         result.tension.append(out.telemetry.tension)
+        result.cell.append(out.telemetry.tension_raw)
+        result.real.append(list(plant.tensions()))
         result.events += [(k / RATE_HZ, event) for event in out.events]
         gone = math.dist(result.place[-1], result.place[0]) > GONE_M
         if state.mode in (Mode.RELAX, Mode.DONE) or gone:

@@ -253,14 +253,26 @@ def test_what_is_not_made_up_for_leaves_feedback_on_a_taut_rope(model: HandModel
     np.testing.assert_allclose(command.torque / model.space.spool, np.clip(asked, -UNWIND_SHARE * limit, limit))
 
 
-def test_the_filter_is_told_how_the_planned_tension_changes(model: HandModel) -> None:
+def test_the_filter_is_told_how_the_tension_is_going_to_change(model: HandModel) -> None:
+    """Winding with developed friction, the tension changes as the plan's; the cable's speed decides, not the plan's."""
     x = at_rest(model, 0.5)
+    x[:, V] = x[:, W] = 0.1
     estimate, goals, law = known(model, x), moving(model, 0.2, 0.8, 0.4), LawState.initial(model.tendon_count)
-    law, first = step(model, law, estimate, goals, 0.1)
+    law, first = step(model, law, estimate, goals, 0.2)
     assert not law.rate.any(), "nothing was planned before"
-    law, second = step(model, law, estimate, goals, 0.1 + model.period)
-    np.testing.assert_allclose(law.rate, (second.tension - first.tension) / model.period)
+    law, second = step(model, law, estimate, goals, 0.2 + model.period)
+    np.testing.assert_allclose(law.rate, (second.tension - first.tension) / model.period, rtol=0.1)
     assert law.rate.any()
-    law, _ = step(model, law, estimate, holding(model, 20.0), 0.2)
+    law, _ = step(model, law, estimate, holding(model, 20.0), 0.3)
     assert not law.rate.any()
     assert not law.planned.any()
+
+
+def test_a_plan_that_turns_before_the_cable_does_changes_nothing_yet(model: HandModel) -> None:
+    x = at_rest(model, 0.5)
+    x[:, V] = x[:, W] = 0.1
+    estimate, law = known(model, x), LawState.initial(model.tendon_count)
+    for t, goals in ((0.2, moving(model, 0.2, 0.8, 0.4)), (0.1, moving(model, 0.5, 0.0, 0.4))):
+        law, _ = step(model, law, estimate, goals, t)
+    there, _ = step(model, law, estimate, goals, 0.1 + model.period)
+    assert np.abs((there.planned - law.planned) / law.planned).max() < 0.05, "still the friction of a winding cable"

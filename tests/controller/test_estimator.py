@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from handctl.controller import estimator
-from handctl.controller.estimator import SLACK_TICKS, TAUT_ABOVE_N, Estimate, Measured
+from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.filter_design import MEASUREMENTS, STATES, E, O, Regime, S, V, X
 from handctl.controller.filter_state import FilterState
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
 from handctl.controller.statics import load_statics
+from handctl.controller.take_up import SLACK_TICKS, TAUT_ABOVE_N
 from handctl.hand.description import hand_from, hand_path
 from tests.controller.oracle import SCALE, measurement_noise, over_one_period
 from tests.controller.synthetic import nothing_read
@@ -231,9 +232,16 @@ def rope(model: HandModel, cells: list[float]) -> list[set[int]]:
 
 
 def test_noise_does_not_end_slack_and_tension_does(model: HandModel) -> None:
-    assert rope(model, [2.4, -2.4, 0.0, 2.4, 2.4, 2.4, 2.4]) == [{Regime.SLACK}] * 7
+    assert rope(model, [2.4, -2.4, 0.0, 2.4, 2.4, -0.3, 0.9, 0.6]) == [{Regime.SLACK}] * 8
     assert rope(model, [TAUT_ABOVE_N + 0.1] * 8)[-1] == {Regime.HELD}, "taut, and the springs hold the digit open"
     assert rope(model, [np.nan] * 20)[-1] == {Regime.SLACK}
+
+
+def test_a_small_tension_ends_slack_after_a_few_ticks(model: HandModel) -> None:
+    """A rope that is wound up slowly is not to be called slack until it bears five standard deviations."""
+    met = rope(model, [0.2, 0.9, 1.2, 1.6, 1.7, 1.7])
+    assert met[2] == {Regime.SLACK}
+    assert Regime.SLACK not in met[-1]
 
 
 def test_slack_needs_a_few_ticks_in_a_row(model: HandModel) -> None:

@@ -19,11 +19,13 @@ import numpy as np
 from handctl.choose import chosen, only
 from handctl.controller.allocation import allocate
 from handctl.controller.estimator import Estimate
+from handctl.controller.friction_band import expected
 from handctl.controller.goal import DigitGoal
 from handctl.controller.goal_table import GoalTable, goal_table
 from handctl.controller.model import HandModel
-from handctl.controller.statics import tendon_efficiency
+from handctl.controller.statics import sliding_efficiency
 from handctl.controller.types import Vector
+from handctl.hand.tendons import FRICTION_SPEED as SLIDING_SPEED
 
 FRICTION_SPEED = 2.5e-3
 """Cable speed at which motor friction is taken as fully developed [m/s]: 0.5 rad/s at a 5 mm spool."""
@@ -38,8 +40,8 @@ class LawState(NamedTuple):
         setpoint: present tension set-point of the tension loop [N].
         integral: its integral part [N].
         force: motor force at the cable that was commanded, friction taken off [N]: the filter's input.
-        planned: tension that the motion asks for [N]; 0 where nothing moves.
-        rate: at which that changes [N/s]: the filter's other input.
+        planned: tension that a moving digit will have a period from now [N]; 0 where nothing moves.
+        rate: at which that changes until then [N/s]: the filter's other input.
         trim: motor force that still makes up for a change of gains [N]; None long after one.
         held: largest tension while safety holds [N]; None while it does not.
     """
@@ -121,17 +123,29 @@ def step(
         asked = np.minimum(asked, most + model.space.coulomb)
     tension = table.chosen(motion.tension, hold.setpoint, np.nan)
     load = table.chosen(motion.load, hold.setpoint, 0.0)
-    planned = motion.tension if table.all_moving else only(table.moving, motion.tension)
+    acting = asked - _motor_friction(model, estimate, asked)
+    planned = _expected_tension(model, state, estimate, motion, acting, table) if table.moves else np.zeros_like(asked)
     law = LawState(
         chosen(table.held, hold.setpoint, estimate.tension) if table.holds else estimate.tension,
         only(table.held, hold.integral),
-        asked - _motor_friction(model, estimate, asked),
+        acting,
         planned,
         _change(model, state.planned, planned),
         None if state.trim is None else _faded(state.trim, model.period),
         held,
     )
     return law, Command(asked * model.space.spool, tension, load.dot(model.hand.moment_arms), motion.q, motion.dq)
+
+
+def _expected_tension(
+    model: HandModel, state: LawState, estimate: Estimate, motion: "_Motion", acting: Vector, table: GoalTable
+) -> Vector:
+    """(N,) tension of moving digits a period from now [N]; 0 for the others."""
+    half = 0.5 * model.period / model.space.motor_mass
+    speed = estimate.speed + half * (acting + estimate.motor_disturbance - estimate.tension)
+    load = np.maximum(motion.load + model.period * model.space.load_stiffness * motion.rate, model.floor)
+    found = expected(model, state.planned, estimate.tension, load, motion.sliding, model.period * speed)
+    return found if table.all_moving else only(table.moving, found)
 
 
 def _change(model: HandModel, before: Vector, now: Vector) -> Vector:
@@ -171,6 +185,8 @@ class _Motion(NamedTuple):
     force: Vector
     tension: Vector
     load: Vector
+    rate: Vector
+    sliding: Vector
     q: Vector
     dq: Vector
 
@@ -180,7 +196,7 @@ def _motion(
 ) -> _Motion:
     """Computed torque along the trajectories."""
     if not table.moves:
-        return _Motion(table.target, table.target, table.target, table.nothing, table.nothing)
+        return _Motion(*(table.target,) * 5, table.nothing, table.nothing)
     way = _way(model, table, t)
     if frozen:
         way[1:] = 0.0
@@ -188,7 +204,8 @@ def _motion(
     excursion, rate, acceleration = way.dot(model.hand.moment_arms.T)
     space, gains, design = model.space, model.gains.motion, model.motion
     feedback = design.stiffness * (excursion - estimate.excursion) + design.damping * (rate - estimate.speed)
-    efficiency = 1.0 - gains.friction_share * (1.0 - tendon_efficiency(model, way[0], rate))
+    sliding = sliding_efficiency(model, way[0])
+    efficiency = 1.0 - gains.friction_share * (1.0 - sliding ** np.tanh(rate / SLIDING_SPEED))
     ceiling = model.ceiling if most is None else np.minimum(model.ceiling, most)
     tension = _within(load / efficiency, model.floor, ceiling)
     force = (
@@ -200,7 +217,7 @@ def _motion(
         + gains.friction_share * (space.motor_damping * estimate.speed + space.coulomb * np.tanh(rate / FRICTION_SPEED))
     )
     q, dq = way[:2] if table.all_moving else np.where(table.known, way[:2], np.nan)
-    return _Motion(force, tension, load, q, dq)
+    return _Motion(force, tension, load, rate, sliding, q, dq)
 
 
 def _way(model: HandModel, table: GoalTable, t: float) -> Vector:

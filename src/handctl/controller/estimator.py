@@ -13,6 +13,7 @@ from filterpy.kalman import predict_steadystate, update_steadystate
 from numpy.typing import NDArray
 
 from handctl.choose import chosen
+from handctl.controller import take_up
 from handctl.controller.filter_design import MEASUREMENTS, STATES, D, E, O, Regime, S, Stacked, V, W, X
 from handctl.controller.filter_state import FilterState
 from handctl.controller.innovation import gate, watch
@@ -21,12 +22,6 @@ from handctl.controller.statics import LoadStatics, load_statics
 from handctl.controller.types import Vector
 
 FREE, HELD, SLACK = (int(regime) for regime in Regime)
-SLACK_BELOW_N = 1.0
-"""Estimated and measured tension below this is slack (two standard deviations of the load cell)."""
-TAUT_ABOVE_N = 2.5
-"""A load-cell sample above this ends slack (five standard deviations)."""
-SLACK_TICKS, TAUT_TICKS = 3, 1
-"""Consecutive ticks before the rope counts as slack, and as taut: at five standard deviations one is enough."""
 STOP_BAND_M = (2e-5, 1e-4)
 """Excursion below which a digit may be on its open stop: to come to rest there, and to stay [m]."""
 STOP_PULL = (1.0, 1.05)
@@ -177,17 +172,18 @@ def _regimes(
     The vector of the state returned is ``x`` itself only if nothing in it or its regime has changed.
     """
     cells, tensions, excursions = measured.tension.tolist(), tension.tolist(), x[S::STATES].tolist()
+    errors = x[E::STATES].tolist()
     pull, resistance = statics.pull.tolist(), statics.resistance.tolist()
     regimes, stopped, turning = list(state.regimes), list(state.stopped), list(state.turning)
     ropes, table = state.measured, None
     for tendons, touches in zip(model.digit_tendons, contact, strict=True):
         for i in range(tendons.start, tendons.stop):
-            turning[i] = _turning(regimes[i], turning[i], tensions[i], cells[i])
-            if turning[i] >= (TAUT_TICKS if regimes[i] == SLACK else SLACK_TICKS):
+            turning[i] = take_up.turning(regimes[i], turning[i], tensions[i], cells[i], errors[i])
+            if take_up.has_turned(regimes[i], turning[i]):
                 turning[i] = 0
                 if regimes[i] == SLACK:
                     table = x.reshape(-1, STATES).copy() if table is None else table
-                    _take_up(model, table[i], i, cells[i], stopped[i])
+                    take_up.take_up(table[i], float(model.space.stiffness[i]), cells[i], stopped[i])
                     excursions[i] = float(table[i, S])
                     ropes = (*ropes[:i], True, *ropes[i + 1 :])
                 regimes[i] = FREE if regimes[i] == SLACK else SLACK
@@ -204,21 +200,6 @@ def _regimes(
         vector = x.copy()
     kept = (state.surprise, state.nis, state.doubtful, state.started)
     return FilterState(vector, judged, tuple(stopped), tuple(turning), ropes, *kept)
-
-
-def _turning(regime: int, ticks: int, tension: float, cell: float) -> int:
-    """Consecutive ticks that speak for becoming taut (if slack) or slack (if taut); a missing sample for neither."""
-    if regime == SLACK:
-        return ticks + 1 if cell > TAUT_ABOVE_N else 0
-    return ticks + 1 if tension < SLACK_BELOW_N and cell < SLACK_BELOW_N else 0
-
-
-def _take_up(model: HandModel, x: Vector, i: int, cell: float, stopped: bool) -> None:
-    """The rope has become taut: the offset is what makes stretch and load cell agree."""
-    if stopped:
-        x[S] = 0.0
-    x[O] = x[X] - x[S] - (cell - x[E]) / model.space.stiffness[i]
-    x[W] = x[D] = 0.0
 
 
 def _on_stop(x: Vector) -> None:

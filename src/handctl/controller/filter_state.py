@@ -15,7 +15,7 @@ class FilterState(NamedTuple):
         x: (7N,) stacked state, the prediction for the coming measurement's instant.
         regimes: per tendon, a ``Regime``.
         stopped: per tendon, whether springs hold its digit on the open stop.
-        turning: per tendon, consecutive ticks that spoke for leaving (or entering) slack.
+        turning: per tendon, what has spoken of late for leaving (or entering) slack, see ``take_up``.
         measured: per tendon, whether the rope's length is known from a take-up.
         surprise: (N,) last load-cell innovation by its standard deviation; 0 if there was none.
         nis: (N,) normalised innovation squared, averaged over ``DOUBT_S``.

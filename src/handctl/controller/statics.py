@@ -55,3 +55,14 @@ def tendon_efficiency(model: HandModel, q: Vector, speed: Vector) -> Vector:
     angle = model.wrap[:, None] + np.add.accumulate(model.pulleys * q, axis=1)
     rub = model.friction * np.tanh(speed / FRICTION_SPEED)
     return np.asarray(np.add.reduce(model.pulley_weights * np.exp(-rub[:, None] * angle), axis=1))
+
+
+def sliding_efficiency(model: HandModel, q: Vector) -> Vector:
+    """The same while the rope winds so fast that friction is fully developed, (N,); paying out, about one over it.
+
+    Args:
+        model: the hand.
+        q: (J,) joint angles [rad].
+    """
+    angle = model.wrap[:, None] + np.add.accumulate(model.pulleys * q, axis=1)
+    return np.asarray(np.add.reduce(model.pulley_weights * np.exp(-model.friction[:, None] * angle), axis=1))

@@ -1,0 +1,41 @@
+"""Is the force at the fingertip what the controller says it is, and what it was asked for?
+
+A wall that only the last links can meet, and a hold by ``tip_force_N``, which the controller makes through the Jacobian
+(`jamia11`, whose joint angles are known) or through its one-tendon likeness (`jamia`).
+"""
+
+import random
+from typing import Any
+
+import numpy as np
+
+from grasps.contact import WALL, task_of
+from grasps.trial import hand_model, simulate
+
+ASKED_N = (2.0, 4.0, 6.0)
+HOLD_S, JUDGED_S = 0.8, 0.4
+
+
+def press(job: tuple[str, int]) -> list[dict[str, Any]]:
+    """Hand and seed to a row per digit and force: asked, told by the controller and felt by the plant, means [N]."""
+    hand, seed = job
+    chance = random.Random(f"tip {seed}")
+    wall = WALL.format(x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3))
+    phases: list[dict[str, Any]] = [
+        {"kind": "move", "angle_deg": {"index": 6.0, "middle": 6.0, "ring": 6.0, "thumb": 0.0}, "duration_s": 0.6},
+        {"kind": "close", "angle_deg": 60.0, "speed_deg_s": 50.0},
+    ]
+    phases += [{"kind": "hold", "name": f"{f:g}", "tip_force_N": f, "duration_s": HOLD_S} for f in ASKED_N]
+    run = simulate(hand, task_of(phases), wall, seed=seed, until="end", timeout=12.0)
+    rows = []
+    for asked in ASKED_N:
+        mask = np.array(run.phase) == f"{asked:g}"
+        mask &= run.t > run.t[mask].max(initial=0.0) - JUDGED_S
+        for d, name in enumerate(hand_model(hand)[0].hand.digit_names):
+            if mask.any() and run.contact[mask, d].all():
+                told, felt = run.tip_force[mask, d], run.force[mask, d]
+                rows.append(
+                    {"hand": hand, "seed": seed, "digit": name, "asked": asked, "told": round(float(told.mean()), 3),
+                     "felt": round(float(felt.mean()), 3), "noise": round(float((told - felt).std()), 3)}
+                )  # fmt: skip
+    return rows

@@ -1,0 +1,142 @@
+"""A step of force on a held object, with what the force loop has to work with: nothing, the raw sensor, the estimate.
+
+The digits close on a cylinder, hold 15 N a tendon, are asked for 40 N at once (5000 N/s), and for 15 N again. Judged by
+the plant's true tension at the load cell of every tendon whose digit is in contact.
+"""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from handctl.controller.gains import FilterGains, Gains, MotionGains, TensionGains
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.task import Task
+from handctl.document import validated
+from trials.jobs import Plan, collect
+from trials.lockstep import Course, Trial, run
+
+LOW_N, HIGH_N, RATE_N_PER_S, HOLD_S = 15.0, 40.0, 5000.0, 0.6
+STEADY_S, BAND_N = 0.2, 2.0
+"""At the end of a hold, over which the steady error is averaged; within which the force counts as settled."""
+TASK = {
+    "schema": 1,
+    "name": "force",
+    "phase": [
+        {"kind": "move", "name": "preshape", "angle_deg": {"index": 18.0, "middle": 18.0, "ring": 18.0, "thumb": 3.0},
+         "duration_s": 0.4},
+        {"kind": "close", "name": "close", "angle_deg": 85.0, "speed_deg_s": 60.0, "contact_tension_N": 14.0},
+        {"kind": "hold", "name": "low", "tension_N": LOW_N, "rate_N_per_s": 60.0, "duration_s": 1.0},
+        {"kind": "hold", "name": "up", "tension_N": HIGH_N, "rate_N_per_s": RATE_N_PER_S, "duration_s": HOLD_S},
+        {"kind": "hold", "name": "down", "tension_N": LOW_N, "rate_N_per_s": RATE_N_PER_S, "duration_s": HOLD_S},
+    ],
+}  # fmt: skip
+PLANTS: dict[str, dict[str, float]] = {
+    "as known": {},
+    "stiffness +20 %": {"stiffness": 1.2},
+    "stiffness -20 %": {"stiffness": 0.8},
+    "friction +50 %": {"friction": 1.5},
+    "friction -50 %": {"friction": 0.5},
+    "bias 1 N": {"bias": 1.0},
+}
+WEIGHTS = (1.0, 2.0, 4.0, 8.0, 16.0)
+"""Tension error [N] that counts like 15 N of motor force: the one weight of the loop, the same for both loops."""
+TUNING_SEED = 1000
+TUNED = Path(__file__).with_name("tuned_force.json")
+"""By hand and law: RMSE of tension in the second of both steps [N] with each of ``WEIGHTS``, null: ended early."""
+
+
+@dataclass(frozen=True)
+class Loop:
+    """What the loop works with: filter, motion and tension gains that differ from the defaults."""
+
+    filter: dict[str, float] = field(default_factory=dict)
+    motion: dict[str, float] = field(default_factory=dict)
+    tension: dict[str, float] = field(default_factory=dict)
+
+
+LOOPS = {
+    "set-point alone": Loop(
+        motion={"disturbance_rejection": 0.0},
+        tension={"tension_error_N": 100.0, "speed_error_m_s": 10.0, "force_N": 0.01, "integral_per_s": 0.0},
+    ),
+    "loop on the raw sensor": Loop(filter={"free_rate_N_per_s": 1e4, "held_speed_m_s": 1.0}),
+    "loop on the estimate": Loop(),
+}
+
+
+def trial(hand: str, law: str, weight: float, seed: int, plant: str) -> Trial:
+    """One run."""
+    loop = LOOPS[law]
+    tension = {"tension_error_N": weight} | loop.tension
+    gains = Gains(filter=FilterGains(**loop.filter), motion=MotionGains(**loop.motion), tension=TensionGains(**tension))
+    program = TaskProgram(validated(TASK, Task, "benchmark"))
+    return Trial(hand, program, seed, "cylinder", PLANTS[plant], gains)
+
+
+def judge(course: Course) -> dict[str, float]:
+    """Overshoot [N], time to settle [s], steady error [N], ripple [N] and RMSE [N] of both steps, worst or mean."""
+    tension, held = course.tension(), course.of_tendons(course.numbers["contact"] > 0)
+    rows: dict[str, list[float]] = {name: [] for name in ("overshoot_N", "settling_s", "steady_N", "ripple_N", "mse")}
+    for phase, goal, way in (("up", HIGH_N, 1.0), ("down", LOW_N, -1.0)):
+        mask = course.phase == phase
+        t = course.times[mask] - course.times[mask].min(initial=np.inf)
+        for i in np.flatnonzero(held[mask].all(axis=0)) if mask.any() else ():
+            error = tension[mask, i] - goal
+            last = error[t > HOLD_S - STEADY_S]
+            rows["overshoot_N"].append(float((way * error).max()))
+            rows["settling_s"].append(float(t[np.abs(error) > BAND_N].max(initial=0.0)))
+            rows["steady_N"].append(float(abs(last.mean())))
+            rows["ripple_N"].append(float(last.std()))
+            rows["mse"].append(float((error**2).mean()))
+    found = {name: float(np.mean(values)) if values else float("nan") for name, values in rows.items()}
+    return found | {"rmse_N": float(np.sqrt(found.pop("mse"))), "tendons": float(len(rows["mse"]))}
+
+
+def work(job: tuple) -> dict[str, Any]:
+    """One trial's figures, and why it ended early if it did."""
+    course = run(trial(*job))
+    return judge(course) | {"why": course.failure}
+
+
+def tune(hands: tuple[str, ...], plan: Plan) -> None:
+    """Try all weights for each law on each hand; keep the errors."""
+    jobs = [(hand, law, w, TUNING_SEED, "as known") for hand in hands for law in LOOPS for w in WEIGHTS]
+    found = collect(work, jobs, plan)
+    table: dict = {}
+    for (hand, law, weight, *_), row in found.items():
+        print(f"{hand:<8} {law:<32} {weight:<6g} {row['rmse_N']:8.3f} N  {row['why']}")
+        error = None if row["why"] or not np.isfinite(row["rmse_N"]) else round(row["rmse_N"], 4)
+        table.setdefault(hand, {}).setdefault(law, []).append(error)
+    if len(found) == len(jobs):
+        TUNED.write_text(json.dumps(table, indent=1) + "\n", "utf-8")
+
+
+def tuned(hand: str, law: str) -> float:
+    """The best weight of a loop."""
+    errors = json.loads(TUNED.read_text("utf-8"))[hand][law]
+    return WEIGHTS[int(np.argmin([np.inf if error is None else error for error in errors]))]
+
+
+def measure(hands: tuple[str, ...], seeds: int, plan: Plan) -> dict[str, Any]:
+    """Figures by hand, plant and law: mean over the seeds, and the spread of the RMSE."""
+    cases = [(hand, law, plant) for plant in PLANTS for hand in hands for law in LOOPS]
+    jobs = [(hand, law, tuned(hand, law), k, plant) for k in range(seeds) for hand, law, plant in cases]
+    found = collect(work, jobs, plan)
+    result: dict[str, Any] = {"hands": {}, "weights": {h: {law: tuned(h, law) for law in LOOPS} for h in hands}}
+    for hand, law, plant in cases:
+        rows = [row for job, row in found.items() if (job[0], job[1], job[4]) == (hand, law, plant)]
+        if rows:
+            result["hands"].setdefault(hand, {}).setdefault(plant, {})[law] = _over_seeds(rows)
+    return result
+
+
+def _over_seeds(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    good = [row for row in rows if not row["why"] and np.isfinite(row["rmse_N"])]
+    names = [name for name in rows[0] if name != "why"]
+    mean = {name: float(np.mean([row[name] for row in good])) if good else float("nan") for name in names}
+    spread = float(np.std([row["rmse_N"] for row in good])) if good else float("nan")
+    whys = sorted({row["why"] for row in rows if row["why"]})
+    return mean | {"rmse_spread_N": spread, "seeds": len(rows), "ended": len(rows) - len(good), "why": whys}

@@ -1,0 +1,67 @@
+"""The section of ``docs/control.md`` on the step of force."""
+
+from typing import Any
+
+from trials.page import table
+
+COLUMNS = {
+    "rmse_N": "RMSE [N]",
+    "overshoot_N": "overshoot [N]",
+    "settling_s": "settled within 2 N after [s]",
+    "steady_N": "steady error [N]",
+    "ripple_N": "ripple [N]",
+}
+
+
+def section(result: dict[str, Any]) -> str:
+    """Markdown of a result of ``force.measure``."""
+    parts = ["## A step of force", ""]
+    parts.append(
+        "`python benchmarks/control.py --parts force --page`. The digits hold a cylinder with 15 N a tendon, are asked "
+        "for 40 N at once (5000 N/s), and for 15 N again; the true tension at the load cells of all tendons in contact "
+        "against what is asked, both steps together, mean over tendons and seeds. *set-point alone* has no feedback: "
+        "the motor makes the force that is asked. The one weight of the two loops is the best of the same five each. "
+        "*overshoot* is the furthest beyond the goal, noise included."
+    )
+    for hand, plants in result["hands"].items():
+        rows = [_row(law, row) for law, row in plants.get("as known", {}).items()]
+        parts += ["", table([hand, *COLUMNS.values(), "seeds"], rows)]
+        others = [plant for plant in plants if plant != "as known"]
+        if others:
+            laws = list(plants["as known"])
+            head = [f"{hand}, wrong plant, RMSE (steady error) [N]", *laws]
+            parts += ["", table(head, [[plant, *[_cell(plants[plant].get(law)) for law in laws]] for plant in others])]
+    return "\n".join([*parts, "", _conclusion(result)])
+
+
+def _row(law: str, row: dict[str, Any]) -> list[str]:
+    cells = [f"{row[name]:.2f}" for name in COLUMNS]
+    cells[0] += f" ± {row['rmse_spread_N']:.2f}"
+    return [law, *cells, f"{row['seeds']}" + (f", {row['ended']} ended early" if row["ended"] else "")]
+
+
+def _cell(row: dict[str, Any] | None) -> str:
+    return "-" if row is None else f"{row['rmse_N']:.2f} ({row['steady_N']:.2f})"
+
+
+def _conclusion(result: dict[str, Any]) -> str:
+    """What a reader should conclude, from the numbers."""
+    told = []
+    for hand, plants in result["hands"].items():
+        nothing, raw, estimate = plants["as known"].values()
+        margin = raw["rmse_N"] - estimate["rmse_N"]
+        spread = max(raw["rmse_spread_N"], estimate["rmse_spread_N"])
+        word = "better than" if margin > 2 * spread else "worse than" if margin < -2 * spread else "no better than"
+        told.append(
+            f"{hand}: the loop on the estimate is {word} that on the raw sensor ({estimate['rmse_N']:.2f} and "
+            f"{raw['rmse_N']:.2f} N, spread {spread:.2f} N) and {nothing['rmse_N'] / estimate['rmse_N']:.1f} times "
+            f"better than no loop; it overshoots by {estimate['overshoot_N']:.1f} N of 25 N and ends "
+            f"{estimate['steady_N']:.2f} N off, "
+            f"with {estimate['ripple_N']:.2f} N of ripple ({raw['ripple_N']:.2f} N on the raw sensor)."
+        )
+    whys = sorted(
+        {w for plants in result["hands"].values() for laws in plants.values() for r in laws.values() for w in r["why"]}
+    )
+    told += [f"Ended early: {'; '.join(whys)}."] if whys else []
+    told.append("A bias of the load cell is in the force as it is in the sensor: no loop can take it out.")
+    return " ".join(told)

@@ -1,0 +1,108 @@
+"""Many runs one after another or side by side, kept in a folder so that a long benchmark can be gone on with."""
+
+import hashlib
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+Work = Callable[[Any], Any]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How jobs are run.
+
+    Attributes:
+        keep: folder where the result of each job is kept (JSON) and looked for; None: nowhere.
+        minutes: after which no further job is begun; what is missing then is left out.
+        workers: processes; 0: one a core.
+    """
+
+    keep: Path | None = None
+    minutes: float = float("inf")
+    workers: int = 0
+
+
+def collect(work: Work, jobs: list[Any], plan: Plan) -> dict[Any, Any]:
+    """Results by job, as far as they were found or could be had in the time; a result must survive JSON.
+
+    Args:
+        work: top-level function of one job. jobs: tuples. plan: see there.
+    """
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"))
+    done = {job: kept for job in jobs if (kept := _kept(work, job, plan)) is not None}
+    missing = [job for job in jobs if job not in done]
+    until = time.monotonic() + 60.0 * plan.minutes
+    for job, found in _run(work, missing, plan.workers or os.cpu_count() or 1, until):
+        done[job] = _through_json(found)
+        _keep(work, job, done[job], plan)
+        print(f"{len(done)}/{len(jobs)} {work.__name__} {job}", file=sys.stderr, flush=True)
+    if len(done) < len(jobs):
+        print(f"{len(jobs) - len(done)} of {len(jobs)} not run: go on with the same --keep", file=sys.stderr)
+    return {job: done[job] for job in jobs if job in done}
+
+
+def _run(work: Work, jobs: list[Any], workers: int, until: float) -> Any:
+    """Yield (job, result) as they come; none is begun after a time."""
+    if workers == 1 or len(jobs) < 2:
+        for job in jobs:
+            if time.monotonic() < until:
+                yield job, work(job)
+        return
+    waiting: dict[Future[Any], Any] = {}
+    left = iter(jobs)
+    with ProcessPoolExecutor(workers) as pool:
+        while True:
+            while len(waiting) < workers and time.monotonic() < until:
+                job = next(left, None)
+                if job is None:
+                    break
+                waiting[pool.submit(work, job)] = job
+            if not waiting:
+                return
+            for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                yield waiting.pop(future), future.result()
+
+
+def _place(work: Work, job: Any, keep: Path) -> Path:
+    """File of a job's result."""
+    digest = hashlib.sha256(repr(job).encode()).hexdigest()[:16]
+    return keep / f"{work.__module__.rpartition('.')[2]}-{work.__name__}-{digest}.json"
+
+
+def _kept(work: Work, job: Any, plan: Plan) -> Any:
+    if plan.keep is None or not (path := _place(work, job, plan.keep)).exists():
+        return None
+    return json.loads(path.read_text("utf-8"))["result"]
+
+
+def _keep(work: Work, job: Any, found: Any, plan: Plan) -> None:
+    if plan.keep is None:
+        return
+    plan.keep.mkdir(parents=True, exist_ok=True)
+    path = _place(work, job, plan.keep)
+    path.with_suffix(".part").write_text(json.dumps({"job": repr(job), "result": found}), "utf-8")
+    path.with_suffix(".part").replace(path)
+
+
+def _through_json(found: Any) -> Any:
+    """The same as if it had been kept: lists for tuples and arrays' numbers as they are read back."""
+    return json.loads(json.dumps(found))
+
+
+def add_options(parser: Any) -> None:
+    """Options of a benchmark that runs many jobs."""
+    parser.add_argument("--keep", type=Path, help="folder of single results; a run goes on where another stopped")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no further run after so long")
+    parser.add_argument("--jobs", type=int, default=0, help="processes (default: one a core)")
+
+
+def plan_of(args: Any) -> Plan:
+    """The plan that the options ask for."""
+    return Plan(args.keep, args.minutes, args.jobs)

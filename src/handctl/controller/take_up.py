@@ -1,0 +1,51 @@
+"""When a rope goes slack and when it is taut again, by what its load cell says tick after tick."""
+
+from handctl.controller.filter_design import D, E, O, Regime, S, W, X
+from handctl.controller.types import Vector
+
+SLACK = int(Regime.SLACK)
+SLACK_BELOW_N, SLACK_TICKS = 1.0, 3
+"""Estimated and measured tension below this (two standard deviations of the load cell) for so many ticks is slack."""
+TAUT_ABOVE_N = 2.5
+"""A load-cell sample above this ends slack at once (five standard deviations)."""
+EVIDENCE = ((TAUT_ABOVE_N, 6), (1.5, 2), (0.75, 1))
+"""Points that a sample above a tension [N] counts for a taut rope; one below all of them takes ``AGAINST`` away."""
+AGAINST, TAUT_POINTS = 2, 6
+"""Noise of 0.5 N alone comes to so many points about once in three million ticks."""
+
+
+def turning(regime: int, points: int, tension: float, cell: float, error: float) -> int:
+    """What speaks for becoming taut (if slack: points) or slack (if taut: consecutive ticks).
+
+    A missing sample ends a count of ticks and leaves points as they are.
+
+    Args:
+        regime: of the tendon. points: so far. tension: estimated [N]. cell: load cell [N].
+        error: of the load cell, as far as it is known [N].
+    """
+    if regime != SLACK:
+        return points + 1 if tension < SLACK_BELOW_N and cell < SLACK_BELOW_N else 0
+    if cell != cell:
+        return points
+    for above, worth in EVIDENCE:
+        if cell - error > above:
+            return points + worth
+    return max(points - AGAINST, 0)
+
+
+def has_turned(regime: int, points: int) -> bool:
+    """Whether that is enough to end a regime."""
+    return points >= (TAUT_POINTS if regime == SLACK else SLACK_TICKS)
+
+
+def take_up(x: Vector, stiffness: float, cell: float, stopped: bool) -> None:
+    """The rope has become taut: the offset is what makes stretch and load cell agree.
+
+    Args:
+        x: (7,) state of the tendon, changed in place. stiffness: [N/m]. cell: load cell [N].
+        stopped: whether the digit is on its open stop.
+    """
+    if stopped:
+        x[S] = 0.0
+    x[O] = x[X] - x[S] - (cell - x[E]) / stiffness
+    x[W] = x[D] = 0.0

@@ -1,0 +1,62 @@
+"""What friction leaves a tension when a digit turns: the band by itself, and the estimate on the plant."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.controller.friction_band import expected
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.model import HandModel
+from handctl.controller.task import Task
+from handctl.document import validated
+from tests.controller.plant_run import RATE_HZ, run_on_plant
+
+MOVE_S = 0.3
+TURN_S = 0.05
+
+
+def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
+    """(ticks, N) expected tensions of a rope that winds at these speeds, 12 N asked, a fifth lost to friction."""
+    n = model.tendon_count
+    load, sliding, now, found = np.full(n, 12.0), np.full(n, 0.8), np.full(n, begin), []
+    for speed in speeds:
+        now = expected(model, now, now, load, sliding, np.full(n, speed * model.period))
+        found.append(now)
+    return np.array(found)
+
+
+def test_winding_and_paying_out_are_the_edges_of_the_band(model: HandModel) -> None:
+    np.testing.assert_allclose(follow(model, [0.1] * 50, 12.0)[-1], 12.0 / 0.8)
+    np.testing.assert_allclose(follow(model, [-0.1] * 50, 12.0)[-1], 12.0 * 0.8)
+
+
+def test_a_turn_takes_the_way_that_the_rope_needs(model: HandModel) -> None:
+    """From 15 to 9.6 N at 100 N a millimetre and 5 mm/s: eleven milliseconds, creep a little less."""
+    turned = follow(model, [-5e-3] * 40, 15.0)
+    ticks = int(np.argmax(turned[:, 0] <= 9.6 + 1e-9)) + 1
+    way = 5.4 / model.space.stiffness[0] / 5e-3
+    assert 0.6 * way - model.period <= ticks * model.period <= way + model.period
+    assert (np.diff(turned, axis=0) <= 0.0).all(), "and never back"
+
+
+def test_at_rest_friction_bears_nothing_in_the_end(model: HandModel) -> None:
+    rest = follow(model, [0.0] * round(0.5 / model.period), 15.0)
+    np.testing.assert_allclose(rest[-1], 12.0, atol=0.01)
+
+
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_where_a_free_digit_turns_the_estimate_is_better_than_the_cell(hand: str, tmp_path: Path) -> None:
+    angles = (40.0, 15.0, 45.0, 10.0, 35.0, 12.0)
+    moves = [{"kind": "move", "angle_deg": {"index": a, "ring": a}, "duration_s": MOVE_S} for a in angles]
+    task = TaskProgram(validated({"schema": 1, "name": "turns", "phase": moves}, Task, "test"))
+    run = run_on_plant(hand, task, None, tmp_path, 4.5)
+    starts = [t for t, event in run.events if event.name == "phase" and event.text == "move"][1:]
+    assert len(starts) == len(angles) - 1
+    tendons = [0, 2] if hand == "jamia" else [0, 1, 2, 6, 7, 8]
+    real, estimate, cell = (np.array(table)[:, tendons] for table in (run.real, run.tension, run.cell))
+    ticks = [k for k, t in enumerate(run.t) if any(0.0 <= t - start < TURN_S for start in starts)]
+    assert len(ticks) == pytest.approx(len(starts) * TURN_S * RATE_HZ, abs=len(starts))
+    mine, raw = (np.sqrt(((table - real)[ticks] ** 2).mean()) for table in (estimate, cell))
+    assert mine < raw
+    assert np.abs(estimate - real)[ticks].max() < 2.3, "[N]"
