@@ -1,5 +1,6 @@
 """Elements of one array or another: what ``numpy.where`` does, in a quarter of its time for a few elements."""
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -28,5 +29,21 @@ def only(mask: NDArray[np.bool_], values: Array) -> Array:
 
 def known(values: Array) -> Array:
     """The values, in place, with 0 for what is not a number."""
-    values[values != values] = 0.0
+    np.putmask(values, values != values, 0.0)
+    return values
+
+
+@functools.lru_cache(maxsize=32)
+def nothing(size: int) -> Array:
+    """(size,) NaN, read-only: what is not known of so many."""
+    values = np.full(size, np.nan)
+    values.flags.writeable = False
+    return values
+
+
+@functools.lru_cache(maxsize=32)
+def zeros(size: int) -> Array:
+    """(size,) zeros, read-only."""
+    values = np.zeros(size)
+    values.flags.writeable = False
     return values

@@ -263,12 +263,17 @@ def changes(state: State) -> Iterator[tuple[str, State]]:
     safety = state.safety
     yield "watch.counts", state._replace(watch=state.watch._replace(counts=Counts(unknown=1.0)))
     yield "watch.ropes", state._replace(watch=state.watch._replace(ropes=Ropes(cut=3)))
-    for name in ("taut", "slip_from", "asked", "wanted", "goal"):
+    for name in ("slip_from", "asked", "wanted", "goal"):
         yield f"watch.{name}", state._replace(watch=state.watch._replace(**{name: np.full(4, 7.5)}))
+    yield "watch.taut", state._replace(watch=state.watch._replace(taut=(7.5,) * 4))
+    yield "watch.owed", state._replace(watch=state.watch._replace(owed=(7,) * 4))
     low = state.watch.filtered.low + 1.0
     yield "watch.filtered", state._replace(watch=state.watch._replace(filtered=state.watch.filtered._replace(low=low)))
-    position, stuck = state.watch.position, state.watch.stuck
-    yield "watch.position", state._replace(watch=state.watch._replace(position=position._replace(gap=position.gap + 1)))
+    stuck = state.watch.stuck
+    for name in ("motors", "joints"):
+        accepted = getattr(state.watch, name)
+        gap = accepted._replace(gap=accepted.gap + 1)
+        yield f"watch.{name}", state._replace(watch=state.watch._replace(**{name: gap}))
     yield "watch.stuck", state._replace(watch=state.watch._replace(stuck=stuck._replace(ticks=stuck.ticks + 1)))
     yield "safety.counting", state._replace(safety=replace(safety, counting=(*safety.counting, ("B01", "x", 1))))
     yield "safety.latched", state._replace(safety=replace(safety, latched=(*safety.latched, ("B01", "x"))))  # type: ignore[arg-type]

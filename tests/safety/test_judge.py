@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.safety.action import Action
+from handctl.safety.calm import calm
 from handctl.safety.judge import Latched, SafetyState, clear, judge
 from handctl.safety.signals import Signals
 from handctl.safety.table import TABLE
@@ -128,3 +129,33 @@ def test_latches_only_grow_between_clearings(ticks: list[tuple[Signals, list[str
 
 def test_actions_are_ordered() -> None:
     assert Action.PASS < Action.WARN < Action.HOLD < Action.RELAX < Action.CUT
+
+
+near = st.sampled_from(
+    [0.0, 2.9, 3.1, 5.1, 6.1, 10.1, 15.1, 49.9, 50.1, 60.1, 70.1, 85.1, 139.0, 141.0, 243.9, 244.0, -5.1]
+)
+both = st.tuples(near, near)
+counts = st.sampled_from([0, 1, 3, 5, 6])
+
+
+@given(
+    st.booleans(), faulty, both, both, st.tuples(counts, counts), st.tuples(counts, counts), counts, near, near,
+    st.sampled_from([0, 64, 65]),
+)  # fmt: skip
+def test_what_is_calm_shows_no_fault_to_any_row(
+    armed: bool, rare: Signals, tension: Any, warm: Any, motor: Any, sensor: Any, missed: int, unknown: float,
+    late: float, frames: int,
+) -> None:  # fmt: skip
+    quiet = Signals(armed, missed, late / 100.0, motor, sensor, tension, warm, frames, True, unknown)
+    for signals in (quiet, quiet._replace(missed=0), rare, rare._replace(armed=armed)):
+        if calm(LIMITS, signals):
+            assert not [fault.id for fault in TABLE if fault.detect(LIMITS, signals)]
+
+
+@pytest.mark.parametrize("id_", CASES)
+def test_no_fault_is_calm(id_: str) -> None:
+    assert not calm(LIMITS, CASES[id_].present)
+
+
+def test_a_good_tick_is_calm() -> None:
+    assert calm(LIMITS, Signals(armed=True, motor_age=(0, 0), sensor_age=(0, 0), tension=(20.0, 20.0), frames=64))

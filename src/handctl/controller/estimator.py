@@ -12,7 +12,7 @@ import numpy as np
 from filterpy.kalman import predict_steadystate, update_steadystate
 from numpy.typing import NDArray
 
-from handctl.choose import chosen
+from handctl.choose import chosen, nothing
 from handctl.controller import take_up
 from handctl.controller.filter_design import MEASUREMENTS, STATES, D, E, O, Regime, S, Stacked, V, W, X
 from handctl.controller.filter_state import FilterState
@@ -39,6 +39,8 @@ class Measured(NamedTuple):
         excursion: from joint encoders [m].
         joints: (J,) the joint encoders themselves [rad].
         railed: tendons whose load cell is at an end of its range: that is no measurement.
+        read: whether any joint encoder was read.
+        position: (N,) encoder, at the spool [rad]; the filter does not look at it.
     """
 
     travel: Vector
@@ -46,6 +48,8 @@ class Measured(NamedTuple):
     excursion: Vector
     joints: Vector
     railed: tuple[int, ...] = ()
+    read: bool = True
+    position: Vector = nothing(0)
 
 
 class Estimate(NamedTuple):

@@ -5,15 +5,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from handctl.choose import chosen, nothing, zeros
 from handctl.controller.computed_torque import Command
-from handctl.controller.estimator import Estimate, Measured
+from handctl.controller.estimator import Measured
 from handctl.controller.model import HandModel
+from handctl.controller.motors import Motors
 from handctl.controller.program import TARE_PHASE
+from handctl.controller.received import Received
 from handctl.controller.state import State
 from handctl.controller.types import Event, Mode, TickIn
+from handctl.drives.causes import Cause
 from handctl.drives.contract import Drive, DriveState, Phase
-from handctl.drives.frame import EXTENDED, REMOTE, Frame
+from handctl.drives.frame import EXTENDED, REMOTE
 from handctl.drives.sensor_node import SensorNode, SensorState
+from handctl.safety.answers import Owed, answered, asked
 from handctl.safety.residuals import Rotor
 from handctl.safety.signals import (
     LEAST_SILENT,
@@ -31,13 +36,14 @@ from handctl.safety.watch import JUMP_MARGIN, Seen, Watcher, WatchState, counted
 ACTING = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX)
 CUT_OFF = (Mode.CUT, Mode.DISARM)
 """Modes in which torque may act, and in which none must act any more."""
-FAULT = Phase.FAULT
-"""As a name of this module: looking a member up in its enumeration costs more than comparing it."""
+READY, FAULT = Phase.READY, Phase.FAULT
+"""As names of this module: looking a member up in its enumeration costs more than comparing it."""
 JOINT_RATE_RAD_S = 60.0
 """Faster than any joint of a hand. Source: spool speed of the packaged hands over their smallest moment arm."""
-OWED = 0xFF
-"""Ticks back, as bits, from which an answer may still come: a host that is busy for some milliseconds gets several at
-once."""
+MUTE = (Mode.SILENT, Mode.DONE)
+"""Modes in which nothing is asked."""
+NEVER = 1_000_000
+"""Age of what never came [ticks]."""
 NOISE_TIMES, NOISE_STEPS = 9.0, 6.0
 """A noise burst has so many times the variance of: drive torque on the bare rotor, and so many counts of rounding."""
 
@@ -51,6 +57,7 @@ class Guard:
         watcher: of safety.
         strict: per motor, whether each command has exactly one answer.
         cyclic_ns: per motor, how often feedback comes by itself [ns]; 0 if every tick asks for it.
+        period_ns: control period [ns].
     """
 
     model: HandModel
@@ -59,27 +66,35 @@ class Guard:
     watcher: Watcher
     strict: tuple[bool, ...]
     cyclic_ns: tuple[int, ...]
+    period_ns: int
 
     @staticmethod
     def of(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) -> "Guard":
         """The guard of a hand."""
         strict = tuple(drive.answers_once for drive in drives)
         cyclic_ns = tuple(round(drive.feedback_period_s * 1e9) for drive in drives)
-        return Guard(model, drives, sensors, make_watcher(model, drives, sensors), strict, cyclic_ns)
+        watcher = make_watcher(model, drives, sensors)
+        return Guard(model, drives, sensors, watcher, strict, cyclic_ns, round(model.period * 1e9))
 
     def screen(self, state: State, measured: Measured) -> tuple[WatchState, Measured, Named]:
         """Drop positions that cannot be, before anything else sees them; only under torque."""
         if state.mode not in ACTING:
             return state.watch, measured, ()
-        spool = self.model.space.spool
-        watch, motors, joints = screen(self.watcher, state.watch, measured.travel / spool, measured.joints)
-        if not np.count_nonzero(motors) and not np.count_nonzero(joints):
+        joints = measured.joints if measured.read else None
+        watch, motor, joint = screen(self.watcher, state.watch, measured.position, joints)
+        if motor is None and joint is None:
             return watch, measured, ()
-        read = np.where(joints > 0.0, np.nan, measured.joints)
-        travel = np.where(motors > 0.0, np.nan, measured.travel)
-        dropped = measured._replace(travel=travel, joints=read, excursion=self.model.excursion_of(read))
+        n, j = len(self.drives), len(self.watcher.joints)
+        motor, joint = zeros(n) if motor is None else motor, zeros(j) if joint is None else joint
+        read, nowhere = chosen(joint > 0.0, nothing(j), measured.joints), motor > 0.0
+        dropped = measured._replace(
+            position=chosen(nowhere, nothing(n), measured.position),
+            travel=chosen(nowhere, nothing(n), measured.travel),
+            joints=read,
+            excursion=self.model.excursion_of(read),
+        )
         names = (*self.watcher.limits.motors, *self.watcher.joints)
-        jumps = zip(names, (*motors.tolist(), *joints.tolist()), strict=True)
+        jumps = zip(names, (*motor.tolist(), *joint.tolist()), strict=True)
         return watch, dropped, tuple((name, size) for name, size in jumps if size > 0.0)
 
     def look(
@@ -87,11 +102,7 @@ class Guard:
         before: State,
         state: State,
         entry: TickIn,
-        measured: Measured,
-        estimate: Estimate,
-        strange: tuple[Frame, ...],
-        foreign: tuple[str, ...],
-        jumped: Named,
+        received: Received,
         told: Iterable[Event],
     ) -> tuple[WatchState, Signals]:
         """Facts of this tick for safety.
@@ -99,96 +110,78 @@ class Guard:
         Args:
             before: state before the tick. state: with what was received in it, and screened.
             entry: of the tick.
-            measured, estimate: of the tick.
-            strange: frames that are nobody's. foreign: identifiers that only this host may send.
-            jumped: positions that were dropped.
+            received: in it.
             told: events of this tick's requests.
         """
-        raw = self._raw(before, state, entry, measured, foreign, jumped)
-        shapes = self._misshapen(before, state, strange)
-        refused = sum(event.level == "warn" for event in told)
-        watch, raw = counted(self.watcher, state.watch, raw, shapes, (len(strange), refused), entry.k)
-        torque = np.array([drive.torque for drive in state.drives])
+        measured, motors = received.measured, received.motors
+        raw = self._raw(before, state, entry, received)
+        owed, twice = self._twice(before, state, entry, received)
+        raw = raw._replace(twice=twice) if twice else raw
+        shapes = self._misshapen(before, state, received)
+        refused = len([event for event in told if event.level == "warn"])
+        watch = state.watch._replace(owed=owed)
+        watch, raw = counted(self.watcher, watch, raw, shapes, (len(received.strange), refused), entry.k)
+        force = np.array(motors.torque) / self.model.space.spool
+        np.putmask(force, np.isnan(measured.travel), np.nan)
         tared = state.progress.phase != TARE_PHASE  # until then a load cell may read anything
         seen = Seen(
-            tension=measured.tension if tared else np.full_like(measured.tension, np.nan),
+            tension=measured.tension if tared else nothing(len(force)),
             travel=measured.travel,
-            speed=estimate.speed,
-            force=np.where(np.isnan(measured.travel), np.nan, torque / self.model.space.spool),
+            position=measured.position,
+            speed=received.estimate.speed,
+            force=force,
             excursion=measured.excursion,
             joints=measured.joints,
+            read=measured.read,
             cut=state.mode in CUT_OFF,
         )
         return watched(self.watcher, watch, raw, seen)
 
-    def _raw(
-        self,
-        before: State,
-        state: State,
-        entry: TickIn,
-        measured: Measured,
-        foreign: tuple[str, ...],
-        jumped: Named,
-    ) -> Signals:
-        period_ns = round(self.model.period * 1e9)
-        drives = state.drives
+    def _raw(self, before: State, state: State, entry: TickIn, received: Received) -> Signals:
+        motors = received.motors
         return Signals(
             armed=state.mode in ACTING,
             missed=entry.k - before.k - 1,
-            late=entry.late_ns / period_ns,
-            motor_age=tuple(
-                [
-                    _ticks_since(drive.feedback_t_ns, entry.t_ns - cyclic, period_ns)
-                    for drive, cyclic in zip(drives, self.cyclic_ns, strict=True)
-                ]
-            ),
-            sensor_age=tuple(
-                [_ticks_since(t_ns, entry.t_ns, period_ns) for t_ns in self.sensors.tension_times(state.sensors)]
-            ),
-            tension=tuple(measured.tension.tolist()),
-            drive_errors=tuple(
-                [
-                    (drive.name, known.error, drive.cause(known.error))
-                    for drive, known in zip(self.drives, drives, strict=True)
-                    if known.phase == FAULT
-                ]
-            ),
-            temperature=tuple([drive.temperature for drive in drives]),
-            foreign=foreign,
-            io=tuple([(event.kind, event.where, event.number) for event in entry.io_events]),
+            late=entry.late_ns / self.period_ns,
+            motor_age=self._ages(motors.feedback_t_ns, entry.t_ns, self.cyclic_ns),
+            sensor_age=self._ages(self.sensors.tension_times(state.sensors), entry.t_ns),
+            tension=tuple(received.measured.tension.tolist()),
+            temperature=motors.temperature,
             frames=len(entry.frames),
-            heard=_heard(state),
-            twice=self._twice(before, state, entry),
+            heard=state.mode in ACTING or _heard(state),
+            drive_errors=self._errors(motors) if FAULT in motors.phase else (),
+            foreign=received.foreign,
+            io=tuple([(event.kind, event.where, event.number) for event in entry.io_events]),
             stale=self._stale(before, state, entry),
-            jumped=jumped,
+            jumped=received.jumped,
         )
 
-    def _twice(self, before: State, state: State, entry: TickIn) -> Named:
-        """Nodes that answered more often than they were asked."""
+    def _ages(self, times_ns: tuple[int, ...], now_ns: int, cyclic_ns: tuple[int, ...] = ()) -> tuple[int, ...]:
+        """Whole ticks by which readings are overdue; one that came within the last period is on time."""
+        n, period_ns = len(times_ns), self.period_ns
+        if min(times_ns) > max(-1, now_ns - period_ns):
+            return (0,) * n
+        rows = zip(times_ns, cyclic_ns or (0,) * n, strict=True)
+        return tuple([max(0, (now_ns - own - t_ns) // period_ns) if t_ns >= 0 else NEVER for t_ns, own in rows])
+
+    def _errors(self, motors: Motors) -> tuple[tuple[str, int, Cause], ...]:
+        """Name, code and cause of every drive in fault."""
+        rows = zip(self.drives, motors.phase, motors.error, strict=True)
+        return tuple([(drive.name, error, drive.cause(error)) for drive, phase, error in rows if phase == FAULT])
+
+    def _twice(self, before: State, state: State, entry: TickIn, received: Received) -> tuple[Owed, Named]:
+        """What the motors still owe, and nodes that answered more often than they were asked."""
+        counts = zip(received.motors.feedback_count, received.counts_before, strict=True)
+        owed, often = answered(state.watch.owed, [now - was for now, was in counts])
         found = []
-        for i, (drive, old, new) in enumerate(zip(self.drives, before.drives, state.drives, strict=True)):
-            extra = new.feedback_count - old.feedback_count
-            if extra > 1 and self.strict[i] and extra > self._owed(before, i, entry, old, new):
-                payloads = [f.data for f in entry.frames if f.bus == drive.bus and f.can_id in drive.node_ids]
-                found.append((drive.name, float(payloads[-1] != payloads[-2])))
+        for drive in [self.drives[i] for i in often if self.strict[i]]:
+            payloads = [f.data for f in entry.frames if f.bus == drive.bus and f.can_id in drive.node_ids]
+            found.append((drive.name, float(payloads[-1] != payloads[-2])))
         for can_id, was, now in zip(self.sensors.ids, before.sensors.groups, state.sensors.groups, strict=True):
             if now.frames > was.frames + 1:
                 payloads = [f.data for f in entry.frames if f.bus == self.sensors.bus and f.can_id == can_id]
                 found.append((LOAD_CELLS, float(payloads[-1] != payloads[-2])))
-        return tuple(found)
-
-    def _owed(self, before: State, motor: int, entry: TickIn, old: DriveState, new: DriveState) -> int:
-        """Answers that may come in one tick: its own, and those that were late in the last few.
-
-        A bus without stamps of its own gives a frame the time at which it was taken off, after the tick's beginning:
-        there one that came a little after the tick before cannot be told from a fresh one, so one more is owed.
-        """
-        period_ns = round(self.model.period * 1e9)
-        taken_off = new.feedback_t_ns >= entry.t_ns
-        since = entry.t_ns // period_ns - old.feedback_t_ns // period_ns
-        ticks = max(1, since + 1 if taken_off else (entry.t_ns - old.feedback_t_ns) // period_ns)
-        lost = before.watch.counts.lost
-        return ticks + ((lost[motor] & OWED).bit_count() if lost else 0)
+        return owed, tuple(found)
 
     def _stale(self, before: State, state: State, entry: TickIn) -> Named:
         """Whether the load cells answered an older question, and whether the fresh answer had come before."""
@@ -203,12 +196,12 @@ class Guard:
                 seen |= {frame.can_id} if fresh else set()
         return ((LOAD_CELLS, behind),)
 
-    def _misshapen(self, before: State, state: State, strange: tuple[Frame, ...]) -> tuple[bool, ...]:
+    def _misshapen(self, before: State, state: State, received: Received) -> tuple[bool, ...]:
         """Per node, whether a frame of a wrong shape came."""
-        old, new = before.drives, state.drives
-        shapes = [was.misread != now.misread for was, now in zip(old, new, strict=True)]
+        now = received.motors.misread
+        shapes = [drive.misread != count for drive, count in zip(before.drives, now, strict=True)]
         shapes.append(before.sensors.misread != state.sensors.misread)
-        for frame in strange:
+        for frame in received.strange:
             if not frame.can_id & (EXTENDED | REMOTE):
                 continue
             plain = frame.can_id & 0x7FF
@@ -217,14 +210,17 @@ class Guard:
             shapes[-1] |= frame.bus == self.sensors.bus and plain in self.sensors.node_ids
         return tuple(shapes)
 
-    def commanded(self, watch: WatchState, mode: Mode, command: Command) -> WatchState:
-        """Remember what this tick commands, for what the next one measures."""
-        acts = mode in (Mode.ACTIVE, Mode.RELAX)
-        nothing = np.full(len(command.torque), np.nan)
+    def commanded(
+        self, watch: WatchState, mode: Mode, command: Command, drives: tuple[DriveState, ...], k: int
+    ) -> WatchState:
+        """Remember what tick k asks and commands, for what the next one hears; drives: as they were before it."""
+        acts, goes = mode in (Mode.ACTIVE, Mode.RELAX), mode == Mode.ACTIVE
+        unknown = nothing(len(command.torque))
         return watch._replace(
-            asked=command.torque / self.model.space.spool if acts else nothing,
-            wanted=command.tension if mode == Mode.ACTIVE else nothing,
-            goal=self.model.excursion_of(command.q) if mode == Mode.ACTIVE else nothing,
+            asked=command.torque / self.model.space.spool if acts else unknown,
+            wanted=command.tension if goes else unknown,
+            goal=self.model.excursion_of(command.q) if goes else unknown,
+            owed=watch.owed if mode in MUTE else asked(watch.owed, [drive.phase >= READY for drive in drives], k),
         )
 
 
@@ -252,8 +248,9 @@ def make_watcher(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNod
         spool=space.spool,
         arms=arms.sum(axis=1),
         spool_to_joints=model.excursion_to_joints,
-        step_most=np.array(
-            [JUMP_MARGIN * model.period * rate for rate in (*rates, *[JOINT_RATE_RAD_S] * len(hand.joints))]
+        step_most=(
+            JUMP_MARGIN * model.period * np.array(rates),
+            np.full(len(hand.joints), JUMP_MARGIN * model.period * JOINT_RATE_RAD_S),
         ),
     )
 
@@ -270,8 +267,3 @@ def _heard(state: State) -> bool:
     drives: tuple[DriveState, ...] = state.drives
     sensors: SensorState = state.sensors
     return any(drive.phase != Phase.SILENT for drive in drives) or any(group.frames for group in sensors.groups)
-
-
-def _ticks_since(t_ns: int, now_ns: int, period_ns: int) -> int:
-    """Whole ticks by which a reading is overdue; one that came within the last period is on time."""
-    return max(0, (now_ns - t_ns) // period_ns) if t_ns >= 0 else 1_000_000

@@ -10,10 +10,10 @@ encode    what each drive shall do -> frames
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 
+from handctl.choose import nothing
 from handctl.controller import computed_torque, estimator, retune
 from handctl.controller.answers import answer
 from handctl.controller.computed_torque import Command, LawState
@@ -25,7 +25,9 @@ from handctl.controller.guard import Guard
 from handctl.controller.innovation import doubts
 from handctl.controller.model import HandModel
 from handctl.controller.modes import ACTING, next_mode, wanted_of_drives
+from handctl.controller.motors import Motors
 from handctl.controller.program import Program, Progress
+from handctl.controller.received import Received
 from handctl.controller.state import State
 from handctl.controller.telemetry import telemetry
 from handctl.controller.types import Event, Mode, TickIn, TickOut, Vector
@@ -34,24 +36,13 @@ from handctl.drives.frame import ERROR, Frame
 from handctl.drives.sensor_node import SensorNode, SensorState, saturated
 from handctl.safety import judge as safety
 from handctl.safety.action import Action
-from handctl.safety.signals import Limits, Named, Signals
-from handctl.safety.watch import WatchState
+from handctl.safety.signals import Limits, Signals
 
 ACTIVE, CUT, DONE, RELAX, SILENT = Mode.ACTIVE, Mode.CUT, Mode.DONE, Mode.RELAX, Mode.SILENT
 FAULT, HOLD = Phase.FAULT, Action.HOLD
 """As names of this module: looking a member up in its enumeration costs more than comparing it."""
 SENSORS = -1
 """Owner of the sensor node's frames, where drives are owners by index."""
-
-
-class Received(NamedTuple):
-    """What the frames of a tick amount to: the last three are foreign identifiers, strange frames, dropped jumps."""
-
-    measured: Measured
-    estimate: Estimate
-    foreign: tuple[str, ...]
-    strange: tuple[Frame, ...]
-    jumped: Named
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +140,7 @@ class Controller:
         state, received = self._take_in(state, entry)
         state, wishes, asked = answer(self.model, state, received.estimate, entry.requests)
         told = doubts(self.model.hand.tendon_names, before.filter, state.filter)
-        watch, signals = self._signals(before, state, entry, received, asked)
+        watch, signals = self.guard.look(before, state, entry, received, asked)
         measured, estimate, foreign = received.measured, received.estimate, received.foreign
         judged, verdict = safety.judge(state.safety, self.limits, signals)
         state = state if judged is state.safety else state._replace(safety=judged)
@@ -158,7 +149,7 @@ class Controller:
         law, command = self._command(state, verdict.action, estimate, progress.goals, goal_time)
         drives, sensors, frames = self._encode(state, entry, command)
         old_law = state.law
-        watch = self.guard.commanded(watch, state.mode, command)
+        watch = self.guard.commanded(watch, state.mode, command, before.drives, entry.k)
         state = state._replace(
             progress=progress, goal_time=goal_time, law=law, drives=drives, sensors=sensors, watch=watch
         )
@@ -172,24 +163,26 @@ class Controller:
         """What safety judges in a tick, from the state before it; for judging a recorded run by other limits."""
         after, received = self._take_in(state, entry)
         after, _, asked = answer(self.model, after, received.estimate, entry.requests)
-        return self._signals(state, after, entry, received, asked)[1]
+        return self.guard.look(state, after, entry, received, asked)[1]
 
     def _take_in(self, state: State, entry: TickIn) -> tuple[State, Received]:
         """Frames to drive states, measurements and the estimate."""
         drives, sensors, foreign, strange = self._receive(state, entry)
-        watch, measured, jumped = self.guard.screen(state, self._measured(state, drives, sensors))
+        motors, counts_before = Motors.of(drives), tuple([drive.feedback_count for drive in state.drives])
+        watch, measured, jumped = self.guard.screen(state, self._measured(state, motors, counts_before, sensors))
         filters, estimate = self._estimate(state, measured)
         state = state._replace(k=entry.k, drives=drives, sensors=sensors, filter=filters, watch=watch)
-        return state, Received(measured, estimate, foreign, strange, jumped)
+        return state, Received(motors, counts_before, measured, estimate, foreign, strange, jumped)
 
     def _receive(
         self, state: State, entry: TickIn
     ) -> tuple[tuple[DriveState, ...], SensorState, tuple[str, ...], tuple[Frame, ...]]:
         """Give each frame to its drive or sensor; identifiers that only we may send are foreign, others strange."""
         drives, sensors, foreign, strange = list(state.drives), state.sensors, list[str](), list[Frame]()
+        owner_of = self.owners.get
         for frame in entry.frames:
             can_id, _, _, bus, _ = frame
-            owner = self.owners.get((bus, can_id & ~ERROR))
+            owner = owner_of((bus, can_id & ~ERROR))
             if owner is None:
                 if (bus, can_id) in self.ours:
                     foreign.append(f"{can_id:#05x}")
@@ -201,40 +194,37 @@ class Controller:
                 drives[owner] = self.drives[owner].receive(drives[owner], frame)
         return tuple(drives), sensors, tuple(dict.fromkeys(foreign)), tuple(strange)
 
-    def _measured(self, state: State, drives: tuple[DriveState, ...], sensors: SensorState) -> Measured:
+    def _measured(self, state: State, motors: Motors, counts: tuple[int, ...], sensors: SensorState) -> Measured:
         """Measurements that are new in this tick; NaN for the rest."""
-        position = [
-            new.position if new.feedback_count != old.feedback_count else math.nan
-            for new, old in zip(drives, state.drives, strict=True)
-        ]
+        position = np.array(motors.position)
+        if True in [now == was for now, was in zip(motors.feedback_count, counts, strict=True)]:
+            np.putmask(position, np.array(motors.feedback_count) == counts, math.nan)
+        angle = position - self.zero
         tension, cells = [math.nan] * self.model.tendon_count, self.sensors.new_tensions(state.sensors, sensors)
         for index, value in cells:
             tension[index] = value
         taken_off = self.tare + state.progress.tare if state.progress.tare else self.tare
-        joints, excursion = self._joints(state, sensors)
-        travel = (np.array(position) - self.zero) * self.model.space.spool
-        return Measured(travel, np.array(tension) - taken_off, excursion, joints, saturated(cells))
-
-    def _joints(self, state: State, sensors: SensorState) -> tuple[Vector, Vector]:
-        """Joint encoders that are new [rad], and the excursions that follow from them [m]; NaN for the rest."""
         read = self.sensors.new_joints(state.sensors, sensors)
-        joints = np.full(len(self.model.hand.joints), math.nan)
-        if not read:
-            return joints, np.full(self.model.tendon_count, math.nan)
+        joints, excursion = self._joints(read) if read else (nothing(self.joint_count), nothing(len(tension)))
+        travel, railed = angle * self.model.space.spool, saturated(cells)
+        return Measured(travel, np.array(tension) - taken_off, excursion, joints, railed, bool(read), angle)
+
+    def _joints(self, read: list[tuple[int, float]]) -> tuple[Vector, Vector]:
+        """Joint encoders that are new [rad], and the excursions that follow from them [m]; NaN for the rest."""
+        joints = [math.nan] * self.joint_count
         for index, value in read:
             joints[index] = value
-        return joints, self.model.excursion_of(joints)
+        known = np.array(joints)
+        return known, self.model.excursion_of(known)
+
+    @property
+    def joint_count(self) -> int:
+        """J."""
+        return len(self.guard.watcher.joints)
 
     def _estimate(self, state: State, measured: Measured) -> tuple[FilterState, Estimate]:
         held = tuple(c and state.mode in ACTING for c in state.progress.contact)
         return estimator.step(self.model, state.filter, measured, state.law.force, state.law.rate, held)
-
-    def _signals(
-        self, before: State, state: State, entry: TickIn, received: Received, asked: tuple[Event, ...]
-    ) -> tuple[WatchState, Signals]:
-        """Facts of this tick for safety, and what it remembers."""
-        measured, estimate, foreign, strange, jumped = received
-        return self.guard.look(before, state, entry, measured, estimate, strange, foreign, jumped, asked)
 
     def _program(
         self, state: State, action: Action, estimate: Estimate, measured: Measured

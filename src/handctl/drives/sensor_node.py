@@ -89,7 +89,7 @@ class SensorNode:
         channels: of each frame, the tendon or joint of each of its channels, in the hand's order.
         lengths: of each frame [bytes].
         tension_frames: how many of them carry tensions.
-        tendons: number of tendons of the hand.
+        frame_of: of each tendon of the hand, the tension frame that has its load cell; -1 without one.
         decimation: joint frames come on every such SYNC.
     """
 
@@ -99,7 +99,7 @@ class SensorNode:
     channels: tuple[tuple[int, ...], ...]
     lengths: tuple[int, ...]
     tension_frames: int
-    tendons: int
+    frame_of: tuple[int, ...]
     decimation: int
 
     @classmethod
@@ -113,6 +113,7 @@ class SensorNode:
         """
         tension = _groups([tendons.index(name) for name in node.tendons])
         angle = _groups([joints.index(name) for name in node.joints])
+        frame = {index: g for g, group in enumerate(tension) for index in group}
         ids = [node.base_id + g for g in range(len(tension))]
         ids += [node.base_id + JOINT_FRAMES + g for g in range(len(angle))]
         return cls(
@@ -122,7 +123,7 @@ class SensorNode:
             channels=(*tension, *angle),
             lengths=tuple(_length(len(group)) for group in tension + angle),
             tension_frames=len(tension),
-            tendons=len(tendons),
+            frame_of=tuple(frame.get(index, -1) for index in range(len(tendons))),
             decimation=node.joint_decimation,
         )
 
@@ -186,17 +187,14 @@ class SensorNode:
         fresh = self._fresh(before, now, slice(self.tension_frames, None))
         return [(i, (raw - JOINT_ZERO) * JOINT_STEP_RAD) for i, raw in fresh]
 
-    def tension_times(self, state: SensorState) -> list[int]:
+    def tension_times(self, state: SensorState) -> tuple[int, ...]:
         """Reception of each tendon's latest reading [ns], -1 before the first; (N,) in the hand's order.
 
         A tendon without a load cell has the node's latest one, so that it is never missed alone.
         """
-        groups = state.groups[: self.tension_frames]
-        times = [max([group.t_ns for group in groups], default=-1)] * self.tendons
-        for group, channels in zip(groups, self.channels, strict=False):
-            for index in channels:
-                times[index] = group.t_ns
-        return times
+        times = [group.t_ns for group in state.groups[: self.tension_frames]]
+        times.append(max(times, default=-1))
+        return tuple([times[frame] for frame in self.frame_of])
 
     def _fresh(self, before: SensorState, now: SensorState, which: slice) -> list[tuple[int, int]]:
         """Tendon or joint, and raw value, of each channel of the frames that came since."""

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from handctl.safety.action import Action
+from handctl.safety.calm import calm
 from handctl.safety.fault import Fault, Reading
 from handctl.safety.signals import Limits, Signals
 from handctl.safety.table import TABLE
@@ -65,6 +66,8 @@ def judge(
         signals: facts of this tick.
         table: the fault table.
     """
+    if calm(limits, signals):
+        return _count(state, [], table) if state.latched else (CALM, NOTHING)
     present = []
     for fault in table:
         readings = fault.detect(limits, signals)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.choose import chosen, only
+from handctl.choose import chosen, nothing, only, zeros
 
 Vector = NDArray[np.float64]
 
@@ -19,10 +19,10 @@ class Accepted(NamedTuple):
     @staticmethod
     def initial(n: int) -> "Accepted":
         """Nothing accepted yet."""
-        return Accepted(np.full(n, np.nan), np.zeros(n))
+        return Accepted(nothing(n), zeros(n))
 
 
-def screen(state: Accepted, value: Vector, step_most: Vector) -> tuple[Accepted, Vector]:
+def screen(state: Accepted, value: Vector, step_most: Vector) -> tuple[Accepted, Vector | None]:
     """Drop what cannot be.
 
     Args:
@@ -31,9 +31,18 @@ def screen(state: Accepted, value: Vector, step_most: Vector) -> tuple[Accepted,
         step_most: (n,) largest step of one tick [rad].
 
     Returns:
-        state, and how far each dropped sample jumped [rad], 0 where none was.
+        state, and how far each dropped sample jumped [rad], 0 where none was; None if none was at all.
     """
-    step, gap = np.abs(value - state.value), state.gap + 1.0
+    step = np.abs(value - state.value)
+    if np.count_nonzero(step <= step_most) == len(step):  # nearly always: nothing is missing, nothing jumps
+        return Accepted(value, zeros(len(step))), None
+    gap = state.gap + 1.0
     wrong = step > step_most * gap
     fresh = (value == value) & ~wrong
-    return Accepted(chosen(fresh, value, state.value), gap * ~fresh), only(wrong, step)
+    jumped = only(wrong, step) if np.count_nonzero(wrong) else None
+    return Accepted(chosen(fresh, value, state.value), gap * ~fresh), jumped
+
+
+def unread(state: Accepted) -> Accepted:
+    """One tick in which nothing was measured."""
+    return Accepted(state.value, state.gap + 1.0)

@@ -4,16 +4,15 @@ A rotor at the cable: m a = F - T - b v - c sign(v). What the load cell says bes
 cell's, the motor's or the friction's fault. Thresholds leave the stated rate of false alarms to the noise.
 """
 
-import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.choose import chosen, known
+from handctl.choose import chosen, known, nothing
 
 Vector = NDArray[np.float64]
 
@@ -31,32 +30,49 @@ BALANCE, FORCE, ASKED, TENSION, QUICK_FORCE, SLIP, JERK, RUB = range(8)
 _TIMES = np.array([SLOW_S, SLOW_S, ASKED_S, QUICK_S, QUICK_S, SLIP_S, NOISE_S, RUB_S])
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Rotor:
     """Constants of the motors seen at the cable, (N,) each.
 
     Attributes:
         mass: [kg]. damping: [N s/m]. coulomb: [N].
         period: control period [s].
+        inertia: mass over period [N s/m].
+        shares: (8, N) of what is new, that each row of ``Filtered.low`` takes in a tick.
     """
 
     mass: Vector
     damping: Vector
     coulomb: Vector
     period: float
+    inertia: Vector = field(init=False)
+    shares: Vector = field(init=False)
+
+    def __post_init__(self) -> None:
+        shares = (1.0 - np.exp(-self.period / _TIMES))[:, None] + np.zeros(len(self.mass))
+        object.__setattr__(self, "inertia", self.mass / self.period)
+        object.__setattr__(self, "shares", shares)
 
 
 class Filtered(NamedTuple):
-    """Attributes: low: (8, N) low-passed rows. speed: (N,) of the cable, last tick [m/s]. last: (2, N) positions."""
+    """What the residuals carry from tick to tick.
+
+    Attributes:
+        low: (8, N) low-passed rows.
+        speed: (N,) of the cable, last tick [m/s].
+        position: (N,) of the motors, last tick [rad].
+        turned: (N,) since the tick before that [rad].
+    """
 
     low: Vector
     speed: Vector
-    last: Vector
+    position: Vector
+    turned: Vector
 
     @staticmethod
     def initial(n: int) -> "Filtered":
         """Nothing seen."""
-        return Filtered(np.zeros((8, n)), np.full(n, np.nan), np.full((2, n), np.nan))
+        return Filtered(np.zeros((8, n)), nothing(n), nothing(n), nothing(n))
 
 
 class Rope(NamedTuple):
@@ -79,22 +95,16 @@ class Rope(NamedTuple):
 
 def step(rotor: Rotor, state: Filtered, rope: Rope) -> Filtered:
     """Filter one tick."""
-    made = chosen(rope.force == rope.force, rope.force, rope.asked)
-    drag = rotor.damping * rope.speed + rotor.coulomb * np.tanh(rope.speed / 1e-3)
-    balance = made - rope.tension - rotor.mass * (rope.speed - state.speed) / rotor.period - drag
-    jerk = (rope.position - 2.0 * state.last[0] + state.last[1]) ** 2
-    rub = balance * np.sign(rope.speed)
-    rub[np.abs(rope.speed) <= RUB_SPEED] = np.nan
-    asked = rope.asked - rope.force
-    now = np.array([balance, made, asked, rope.tension, made, rope.slip, jerk, rub])
-    low = state.low + _shares(rotor.period) * known(now - state.low)
-    return Filtered(low, rope.speed, np.array([rope.position, state.last[0]]))
-
-
-@functools.lru_cache(maxsize=8)
-def _shares(period: float) -> Vector:
-    """(8, 1) of what is new, that each row takes in a tick."""
-    return np.asarray((1.0 - np.exp(-period / _TIMES))[:, None])
+    position, speed, tension, force, wanted, slip = rope
+    made = chosen(force == force, force, wanted)
+    drag = rotor.damping * speed + rotor.coulomb * np.tanh(speed * 1e3)
+    balance = made - tension - rotor.inertia * (speed - state.speed) - drag
+    turned = position - state.position
+    jerk = turned - state.turned
+    rub = chosen(np.abs(speed) > RUB_SPEED, balance * np.sign(speed), nothing(len(speed)))
+    now = np.array([balance, made, wanted - force, tension, made, slip, jerk * jerk, rub])
+    low = state.low + rotor.shares * known(now - state.low)
+    return Filtered(low, speed, position, turned)
 
 
 def unexplained(rotor: Rotor, state: Filtered) -> Vector:
@@ -106,6 +116,18 @@ def unexplained(rotor: Rotor, state: Filtered) -> Vector:
 def friction(state: Filtered) -> Vector:
     """(N,) friction of a moving rotor beyond the modelled [N]."""
     return np.asarray(np.maximum(state.low[RUB] - GAIN_SHARE * np.abs(state.low[FORCE]), 0.0))
+
+
+def suspicion(rotor: Rotor, limits: Vector) -> Vector:
+    """(8, N) sizes of the rows below which nothing that is made of them can be above its limit.
+
+    Args:
+        rotor: whose friction explains some of it.
+        limits: (8,) of what is made of each row; inf for a row of which nothing is made.
+    """
+    least = limits[:, None] + np.zeros(len(rotor.mass))
+    least[BALANCE] += rotor.coulomb
+    return np.asarray(least)
 
 
 def noise_threshold(sigma: float, rate_hz: float, alarms_per_h: float = FALSE_ALARMS_PER_H) -> float:

@@ -1,5 +1,6 @@
 """What a rope has been through: when it was taut, since when it is slack, and what it bore when the torque was cut."""
 
+import math
 from typing import NamedTuple
 
 from handctl.safety.signals import Named
@@ -37,6 +38,8 @@ def step(state: Ropes, tension: list[float], wanted: list[float]) -> Ropes:
         wanted: tension commanded [N]; NaN for a limp tendon.
     """
     n = len(tension)
+    if min(tension) > TAUT_N and not math.isnan(sum(wanted)):  # nearly always: all are wanted taut, and are
+        return Ropes((0,) * n, (0,) * n)
     taut_ago, slack = [], []
     rows = zip(tension, wanted, state.taut_ago or (-1,) * n, state.slack or (0,) * n, strict=True)
     for cell, goal, ago, ticks in rows:
@@ -61,6 +64,8 @@ def cut(state: Ropes, tension: list[float]) -> Ropes:
 
 def slack(state: Ropes, names: tuple[str, ...], period: float) -> Named:
     """Slack tendons and for how long [s]."""
+    if not any(state.slack):
+        return ()
     return tuple([(name, ticks * period) for name, ticks in zip(names, state.slack, strict=False) if ticks])
 
 
@@ -68,6 +73,8 @@ def snapped(
     state: Ropes, names: tuple[str, ...], tension: list[float], wanted: list[float], speed: list[float], period: float
 ) -> Named:
     """Tendons that lost their tension while their spool runs [m/s]."""
+    if True not in [v > SNAP_SPEED for v in speed]:
+        return ()
     rows = zip(names, state.taut_ago, tension, wanted, speed, strict=False)
     return tuple(
         [

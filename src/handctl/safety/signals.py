@@ -38,6 +38,7 @@ class Limits:
         temperature_soft: of a drive [degC].
         frames_most: frames in one tick that are more than all nodes together can have sent.
         trip_least: tension below which no tendon's limit is met [N].
+        warm_least: temperature below which no drive is warm [degC].
         noise_most: mean squared jerk of a motor's position that means a noise burst [rad^2].
     """
 
@@ -55,9 +56,11 @@ class Limits:
     frames_most: int = 64
     noise_most: float = math.inf
     trip_least: float = field(init=False, default=math.inf)
+    warm_least: float = field(init=False, default=math.inf)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "trip_least", min((*self.tension_trip, *self.drive_limit), default=math.inf))
+        object.__setattr__(self, "warm_least", min(self.temperature_soft, self.temperature_hard))
 
     @property
     def nodes(self) -> tuple[str, ...]:
@@ -70,7 +73,7 @@ LOAD_CELLS = "load cells"
 
 
 class Signals(NamedTuple):
-    """What safety may know of one tick; an empty tuple stands for nothing to be seen.
+    """What safety may know of one tick; an empty tuple stands for nothing to be seen, e.g. no value near a threshold.
 
     Attributes:
         armed: whether torque may be acting; node faults count only then.
@@ -79,13 +82,13 @@ class Signals(NamedTuple):
         motor_age: (M,) whole ticks since the tick that should have brought feedback; 0 is on time.
         sensor_age: likewise for the tension frames, (N,).
         tension: (N,) load-cell samples of this tick [N], NaN if missing.
-        drive_errors: (motor, code, cause) of every drive in fault.
         temperature: (M,) [degC], NaN if unknown.
-        foreign: identifiers of the host seen from somebody else, as text.
-        io: (kind, where, number) of buses and host.
         frames: frames received in this tick.
         heard: whether any node has ever answered.
         unknown: frames of unknown identifiers in the last second.
+        drive_errors: (motor, code, cause) of every drive in fault; from here on all is seldom told.
+        foreign: identifiers of the host seen from somebody else, as text.
+        io: (kind, where, number) of buses and host.
         misshapen: nodes with a frame of a wrong shape in this tick, and how many there were of late.
         twice: nodes that answered twice, and whether the second answer was another one (1) or the same (0).
         stale: nodes with an answer to an older question; 1 if the fresh one had come before it.
@@ -113,13 +116,13 @@ class Signals(NamedTuple):
     motor_age: tuple[int, ...] = ()
     sensor_age: tuple[int, ...] = ()
     tension: tuple[float, ...] = ()
-    drive_errors: tuple[tuple[str, int, Cause], ...] = ()
     temperature: tuple[float, ...] = ()
-    foreign: tuple[str, ...] = ()
-    io: tuple[tuple[str, str, int], ...] = ()
     frames: int = 0
     heard: bool = True
     unknown: float = 0.0
+    drive_errors: tuple[tuple[str, int, Cause], ...] = ()
+    foreign: tuple[str, ...] = ()
+    io: tuple[tuple[str, str, int], ...] = ()
     misshapen: Named = ()
     twice: Named = ()
     stale: Named = ()
@@ -139,3 +142,7 @@ class Signals(NamedTuple):
     stuck_motor: Named = ()
     stuck_joint: Named = ()
     stuck_cell: Named = ()
+
+
+FIRST_RARE = Signals._fields.index("drive_errors")
+"""From this field on most ticks have nothing to tell."""

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.choose import chosen
+from handctl.choose import chosen, nothing
 
 Vector = NDArray[np.float64]
 
@@ -20,23 +20,24 @@ class Stuck(NamedTuple):
     @staticmethod
     def initial(n: int, witnesses: int) -> "Stuck":
         """Nothing read yet."""
-        return Stuck(np.full(n, np.nan), np.zeros(n, dtype=np.int64), np.full((witnesses, n), np.nan))
+        return Stuck(nothing(n), np.zeros(n, dtype=np.int64), nothing(witnesses * n).reshape(witnesses, n))
 
 
-def step(state: Stuck, value: Vector, witnesses: Vector) -> tuple[Stuck, Vector]:
+def step(state: Stuck, value: Vector, witnesses: Vector) -> Stuck:
     """One tick.
 
     Args:
         state: from the last tick.
         value: (n,) new readings, NaN where missing: a missing one is neither the same nor another one.
         witnesses: (c, n) what must not move while the reading stands; NaN for what says nothing.
-
-    Returns:
-        state, and how far each witness has moved since the reading stands, (c, n), 0 where it says nothing.
     """
     fresh = value == value
     moved = fresh & (value != state.value)
     anchor = chosen(moved | (state.anchor != state.anchor), witnesses, state.anchor)
     ticks = (state.ticks + fresh) * ~moved
-    away = np.fmax(np.abs(witnesses - anchor), 0.0)
-    return Stuck(chosen(fresh, value, state.value), ticks, anchor), away
+    return Stuck(chosen(fresh, value, state.value), ticks, anchor)
+
+
+def away(state: Stuck, witnesses: Vector) -> Vector:
+    """How far each witness has moved since the reading stands, (c, n); 0 where it says nothing."""
+    return np.asarray(np.fmax(np.abs(witnesses - state.anchor), 0.0))

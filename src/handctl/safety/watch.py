@@ -1,14 +1,16 @@
 """What safety remembers between ticks, and what it makes of one tick's raw facts before they are judged."""
 
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.choose import chosen
-from handctl.safety import counts, jumps, residuals, ropes, stuck
+from handctl.choose import chosen, nothing
+from handctl.safety import answers, counts, jumps, residuals, ropes, stuck
+from handctl.safety.node_faults import DISOBEYED_N, SLIP_WARN_DEG
 from handctl.safety.signals import Limits, Named, Signals
+from handctl.safety.tendon_faults import DERAILED_DEG, FRICTION_WARN_N, RESIDUAL_WARN_N
 
 Vector = NDArray[np.float64]
 
@@ -33,7 +35,10 @@ class Watcher:
         rotor: motors at the cable.
         stiffness: (N,) of the ropes [N/m]. spool: (N,) radius [m]. arms: (N,) sum of a tendon's moment arms [m].
         spool_to_joints: (J, N) joint angles that excursions stand for [rad/m].
-        step_most: (N + J,) largest step of a motor's and a joint's position in a tick [rad].
+        step_most: (N,) largest step of a motor's position in a tick, and (J,) of a joint's [rad].
+        suspicion: (8, N) see ``residuals.suspicion``.
+        patience: (2 N + J,) ticks for which motors, load cells and joints may stand before anybody asks why.
+        start: what is remembered at first.
     """
 
     limits: Limits
@@ -43,7 +48,18 @@ class Watcher:
     spool: Vector
     arms: Vector
     spool_to_joints: Vector
-    step_most: Vector
+    step_most: tuple[Vector, Vector]
+    suspicion: Vector = field(init=False)
+    patience: NDArray[np.int64] = field(init=False)
+    start: "WatchState" = field(init=False)
+
+    def __post_init__(self) -> None:
+        n, j, never, noise = len(self.spool), len(self.joints), np.inf, self.limits.noise_most
+        fine = (RESIDUAL_WARN_N, never, DISOBEYED_N, never, never, SLIP_WARN_DEG, noise, FRICTION_WARN_N)
+        ticks = int(STUCK_S / self.period)
+        object.__setattr__(self, "suspicion", residuals.suspicion(self.rotor, np.array(fine)))
+        object.__setattr__(self, "patience", np.repeat([ticks, min(ticks, CELL_TICKS), ticks], [n, n, j]))
+        object.__setattr__(self, "start", WatchState.initial(n, j))
 
     @property
     def period(self) -> float:
@@ -52,26 +68,14 @@ class Watcher:
 
     def initial(self) -> "WatchState":
         """Nothing known."""
-        n, j = len(self.spool), len(self.joints)
-        return WatchState(
-            position=jumps.Accepted.initial(n + j),
-            filtered=residuals.Filtered.initial(n),
-            stuck=stuck.Stuck.initial(2 * n + j, 2),
-            taut=np.zeros(n),
-            slip_from=np.full(n, np.nan),
-            asked=np.full(n, np.nan),
-            wanted=np.full(n, np.nan),
-            goal=np.full(n, np.nan),
-            ropes=ropes.Ropes(),
-            counts=counts.Counts(),
-        )
+        return self.start
 
 
 class WatchState(NamedTuple):
     """What is remembered; all but the counts begins anew whenever the hand is armed.
 
     Attributes:
-        position: last accepted positions of motors and joints, (N + J,).
+        motors, joints: last accepted positions, (N,) and (J,).
         filtered: residuals.
         stuck: readings that stand, of motors, load cells and joints, (2 N + J,).
         taut: (N,) time for which the rope has been taut [s].
@@ -79,49 +83,88 @@ class WatchState(NamedTuple):
         asked, wanted, goal: (N,) motor force [N], tension [N] and excursion [m] that the last tick commanded.
         ropes: taut, slack and cut.
         counts: losses and the like.
+        owed: per motor, questions that it has not answered; see ``answers``.
     """
 
-    position: jumps.Accepted
+    motors: jumps.Accepted
+    joints: jumps.Accepted
     filtered: residuals.Filtered
     stuck: stuck.Stuck
-    taut: Vector
+    taut: tuple[float, ...]
     slip_from: Vector
     asked: Vector
     wanted: Vector
     goal: Vector
     ropes: ropes.Ropes
     counts: counts.Counts
+    owed: answers.Owed
+
+    @staticmethod
+    def initial(n: int, j: int) -> "WatchState":
+        """Nothing known of n tendons and j joints."""
+        return WatchState(
+            motors=jumps.Accepted.initial(n),
+            joints=jumps.Accepted.initial(j),
+            filtered=residuals.Filtered.initial(n),
+            stuck=stuck.Stuck.initial(2 * n + j, 2),
+            taut=(0.0,) * n,
+            slip_from=nothing(n),
+            asked=nothing(n),
+            wanted=nothing(n),
+            goal=nothing(n),
+            ropes=ropes.Ropes(),
+            counts=counts.Counts(),
+            owed=(0,) * n,
+        )
 
     def key(self) -> bytes:
         """Bytes that change with the state."""
-        own = (self.taut, self.slip_from, self.asked, self.wanted, self.goal)
-        arrays = [array.tobytes() for array in (*self.position, *self.filtered, *self.stuck, *own)]
-        return b"".join(arrays) + repr((*self.ropes, *self.counts)).encode()
+        motors, joints, filtered, stands, taut, slip_from, asked, wanted, goal, tense, counted, owed = self
+        arrays = (*motors, *joints, *filtered, *stands, slip_from, asked, wanted, goal)
+        rest = repr((taut, tense, counted, owed)).encode()
+        return b"".join([array.tobytes() for array in arrays]) + rest
 
 
 class Seen(NamedTuple):
     """One tick's raw facts, (N,) each unless said otherwise, NaN where nothing came.
 
     Attributes:
-        tension: load cells [N]. travel: cable at the spool [m]. speed: estimated [m/s].
+        tension: load cells [N]. travel: cable at the spool [m]. position: of the motors [rad].
+        speed: of the cable, estimated [m/s].
         force: that the motors made, at the cable [N].
-        excursion: by joint encoders [m]. joints: (J,) [rad].
+        excursion: by joint encoders [m]. joints: (J,) [rad]. read: whether any joint encoder was read.
         cut: whether the torque has been taken away.
     """
 
     tension: Vector
     travel: Vector
+    position: Vector
     speed: Vector
     force: Vector
     excursion: Vector
     joints: Vector
+    read: bool
     cut: bool
 
 
-def screen(watcher: Watcher, state: WatchState, motors: Vector, joints: Vector) -> tuple[WatchState, Vector, Vector]:
-    """Look at positions before anything else does; how far each jumped, (N,) and (J,), 0 where it did not."""
-    position, jump = jumps.screen(state.position, np.concatenate((motors, joints)), watcher.step_most)
-    return state._replace(position=position), jump[: len(motors)], jump[len(motors) :]
+def screen(
+    watcher: Watcher, state: WatchState, position: Vector, joints: Vector | None
+) -> tuple[WatchState, Vector | None, Vector | None]:
+    """Look at positions before anything else does.
+
+    Args:
+        watcher: of the hand. state: what is remembered.
+        position: (N,) of the motors [rad]. joints: (J,) [rad]; None if none was read.
+
+    Returns:
+        state, and how far each jumped, (N,) and (J,), 0 where it did not; None where none did.
+    """
+    most_motor, most_joint = watcher.step_most
+    motors, jumped = jumps.screen(state.motors, position, most_motor)
+    if joints is None:
+        return state._replace(motors=motors, joints=jumps.unread(state.joints)), jumped, None
+    accepted, twisted = jumps.screen(state.joints, joints, most_joint)
+    return state._replace(motors=motors, joints=accepted), jumped, twisted
 
 
 def counted(
@@ -130,9 +173,9 @@ def counted(
     """Count what came and did not come; ``strange``: frames of nobody's, and refused goals."""
     late = (*[age > 0 for age in raw.motor_age], max(raw.sensor_age, default=0) > 0)
     lost = late if raw.armed and not raw.missed else (False,) * len(late)
-    new = counts.step(state.counts, lost, misshapen, *strange, k, 1.0 / watcher.period)
-    if new == state.counts == counts.Counts():
+    if state.counts == NONE and strange == (0, 0) and True not in lost and True not in misshapen:
         return state, raw
+    new = counts.step(state.counts, lost, misshapen, *strange, k, 1.0 / watcher.period)
     nodes = watcher.limits.nodes
     shapes = tuple([(nodes[i], float(counts.lately(bits))) for i, bits in enumerate(new.misshapen) if bits & 1])
     return state._replace(counts=new), raw._replace(
@@ -144,70 +187,100 @@ def counted(
     )
 
 
+NONE = counts.Counts()
+"""Nothing was counted."""
+
+
 def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tuple[WatchState, Signals]:
     """Filter and remember; only under torque, or just after it."""
-    names = watcher.limits.tendons
+    cell = seen.tension.tolist()
     if seen.cut:
-        cell = seen.tension.tolist()
         state = state._replace(ropes=ropes.cut(state.ropes, cell))
-        return state, raw._replace(limp=ropes.limp(state.ropes, names, cell, watcher.period))
+        return state, raw._replace(limp=ropes.limp(state.ropes, watcher.limits.tendons, cell, watcher.period))
     if not raw.armed:
-        return watcher.initial()._replace(counts=state.counts), raw
-    cell, wanted = seen.tension.tolist(), state.wanted.tolist()
-    state, slip = _slip(watcher, state, seen)
-    rope = residuals.Rope(seen.travel / watcher.spool, seen.speed, seen.tension, seen.force, state.asked, slip)
+        return watcher.start._replace(counts=state.counts, owed=state.owed), raw
+    taut, begin, slip = _slip(watcher, state, seen, cell)
+    rope = residuals.Rope(seen.position, seen.speed, seen.tension, seen.force, state.asked, slip)
     filtered = residuals.step(watcher.rotor, state.filtered, rope)
-    tense = ropes.step(state.ropes, filtered.low[residuals.TENSION].tolist(), wanted)
-    state = state._replace(filtered=filtered, ropes=tense)
-    state, stands = _stands(watcher, state, seen)
-    size = np.abs(filtered.low).tolist()
-    return state, raw._replace(
-        slack=ropes.slack(tense, names, watcher.period),
-        snapped=ropes.snapped(tense, names, cell, wanted, seen.speed.tolist(), watcher.period),
-        residual=tuple(residuals.unexplained(watcher.rotor, filtered).tolist()),
-        disobeyed=tuple(size[residuals.ASKED]),
-        friction=tuple(residuals.friction(filtered).tolist()),
-        slip=tuple(size[residuals.SLIP]),
-        derailed=tuple(np.abs(slip).tolist()),
-        noise=tuple(size[residuals.JERK]),
-        stuck_motor=stands[0],
-        stuck_joint=stands[1],
-        stuck_cell=stands[2],
-    )
-
-
-def _slip(watcher: Watcher, state: WatchState, seen: Seen) -> tuple[WatchState, Vector]:
-    """(N,) joint encoders against the spool since the rope became taut, as a mean joint angle [deg]."""
-    taut = state.taut + watcher.period * (seen.tension > ropes.TAUT_N)
-    taut[seen.tension < ropes.SLACK_N] = 0.0
-    apart = seen.travel - seen.tension / watcher.stiffness - seen.excursion
-    begin = chosen(np.isnan(state.slip_from), apart, state.slip_from)
-    begin[taut <= SLIP_SETTLE_S] = np.nan
-    return state._replace(taut=taut, slip_from=begin), (apart - begin) / watcher.arms * DEG
-
-
-def _stands(watcher: Watcher, state: WatchState, seen: Seen) -> tuple[WatchState, tuple[Named, Named, Named]]:
-    """Readings that stand although they must move: motors, joints, load cells."""
-    low, period, limits, n = state.filtered.low, watcher.period, watcher.limits, len(seen.travel)
-    quick = low[residuals.TENSION]
-    witnesses = np.full((2, 2 * n + len(seen.joints)), np.nan)
-    witnesses[0, :n], witnesses[1, :n] = state.goal * 1e3, quick
-    witnesses[0, n : 2 * n] = low[residuals.QUICK_FORCE]
-    witnesses[0, 2 * n :] = watcher.spool_to_joints.dot(seen.travel - quick / watcher.stiffness) * DEG
+    tense = ropes.step(state.ropes, filtered.low[residuals.TENSION].tolist(), state.wanted.tolist())
+    witnesses = _witnesses(watcher, state, filtered, seen)
     value = np.concatenate((seen.travel, seen.tension, seen.joints))
-    stands, (first, second) = stuck.step(state.stuck, value, witnesses)
-    ticks, long = stands.ticks, stands.ticks * period > STUCK_S
-    still = long[:n] & ((first[:n] > STUCK_GOAL_MM) | (second[:n] > STUCK_TENSION_N))
-    pushed, turned = first[n : 2 * n], first[2 * n :]
-    same = (ticks[n : 2 * n] >= CELL_TICKS) & (pushed > CELL_FORCE_N) & (stands.value[n : 2 * n] > ropes.TAUT_N)
-    return state._replace(stuck=stands), (
-        _named(limits.motors, still, np.maximum(first[:n], second[:n])),
-        _named(watcher.joints, long[2 * n :] & (turned > STUCK_JOINT_DEG), turned),
-        _named(limits.tendons, same, pushed),
+    stands = stuck.step(state.stuck, value, witnesses)
+    state = state._replace(filtered=filtered, stuck=stands, taut=taut, slip_from=begin, ropes=tense)
+    told = _rope_signals(watcher, state, cell, seen)
+    if np.count_nonzero(np.abs(filtered.low) > watcher.suspicion):
+        told |= _residual_signals(watcher, filtered)
+    if seen.read and np.count_nonzero(np.abs(slip) > DERAILED_DEG):
+        told["derailed"] = tuple(np.abs(slip).tolist())
+    if np.count_nonzero(stands.ticks >= watcher.patience):
+        told |= _stuck_signals(watcher, stands, stuck.away(stands, witnesses))
+    return state, raw._replace(**told) if told else raw
+
+
+def _rope_signals(watcher: Watcher, state: WatchState, cell: list[float], seen: Seen) -> dict[str, Any]:
+    """Slack and snapped ropes, if there are any."""
+    names, period, speed = watcher.limits.tendons, watcher.period, seen.speed.tolist()
+    slack = ropes.slack(state.ropes, names, period)
+    snapped = ropes.snapped(state.ropes, names, cell, state.wanted.tolist(), speed, period)
+    return {"slack": slack, "snapped": snapped} if slack or snapped else {}
+
+
+def _residual_signals(watcher: Watcher, filtered: residuals.Filtered) -> dict[str, Any]:
+    """What the residuals say."""
+    size = np.abs(filtered.low).tolist()
+    return {
+        "residual": tuple(residuals.unexplained(watcher.rotor, filtered).tolist()),
+        "disobeyed": tuple(size[residuals.ASKED]),
+        "friction": tuple(residuals.friction(filtered).tolist()),
+        "slip": tuple(size[residuals.SLIP]),
+        "noise": tuple(size[residuals.JERK]),
+    }
+
+
+def _slip(
+    watcher: Watcher, state: WatchState, seen: Seen, cell: list[float]
+) -> tuple[tuple[float, ...], Vector, Vector]:
+    """How long each rope has been taut [s], joint against spool when it became so [m], and (N,) since [deg]."""
+    period, begin, slip = watcher.period, state.slip_from, nothing(len(cell))
+    taut = tuple(
+        [
+            0.0 if force < ropes.SLACK_N else since + period if force > ropes.TAUT_N else since
+            for force, since in zip(cell, state.taut, strict=True)
+        ]
     )
+    if seen.read:
+        apart = seen.travel - seen.tension / watcher.stiffness - seen.excursion
+        begin = chosen(begin != begin, apart, begin)
+    if min(taut) <= SLIP_SETTLE_S:
+        begin = chosen(np.array(taut) <= SLIP_SETTLE_S, slip, begin)
+    return taut, begin, (apart - begin) / watcher.arms * DEG if seen.read else slip
+
+
+def _witnesses(watcher: Watcher, state: WatchState, filtered: residuals.Filtered, seen: Seen) -> Vector:
+    """(2, 2 N + J) what moves if a reading must: of motors goal [m] and tension [N], of load cells the motor's force.
+
+    The second witness of load cells and joints says nothing; that of a joint is what the spool makes of it [rad].
+    """
+    quick, force = filtered.low[residuals.TENSION], filtered.low[residuals.QUICK_FORCE]
+    turned = watcher.spool_to_joints.dot(seen.travel - quick / watcher.stiffness)
+    silent = nothing(len(quick) + len(turned))
+    return np.concatenate((state.goal, force, turned, quick, silent)).reshape(2, -1)
+
+
+def _stuck_signals(watcher: Watcher, stands: stuck.Stuck, away: Vector) -> dict[str, Any]:
+    """Readings that stand although they must move: motors, joints, load cells."""
+    limits, n, ticks = watcher.limits, len(watcher.spool), stands.ticks
+    motor, cell, joint = slice(n), slice(n, 2 * n), slice(2 * n, None)
+    long = ticks * watcher.period > STUCK_S
+    goal, tension, pushed, turned = away[0, motor] * 1e3, away[1, motor], away[0, cell], away[0, joint] * DEG
+    still = long[motor] & ((goal > STUCK_GOAL_MM) | (tension > STUCK_TENSION_N))
+    same = (ticks[cell] >= CELL_TICKS) & (pushed > CELL_FORCE_N) & (stands.value[cell] > ropes.TAUT_N)
+    return {
+        "stuck_motor": _named(limits.motors, still, np.maximum(goal, tension)),
+        "stuck_joint": _named(watcher.joints, long[joint] & (turned > STUCK_JOINT_DEG), turned),
+        "stuck_cell": _named(limits.tendons, same, pushed),
+    }
 
 
 def _named(names: tuple[str, ...], which: NDArray[np.bool_], value: Vector) -> Named:
-    if True not in which.tolist():
-        return ()
     return tuple([(name, float(v)) for name, w, v in zip(names, which, value, strict=True) if w])
