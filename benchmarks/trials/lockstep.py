@@ -14,7 +14,7 @@ from handctl.controller.program import Program
 from handctl.controller.setup import make_controller
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
-from handctl.controller.types import Mode, TickIn, TickOut
+from handctl.controller.types import TELEMETRY_FIELDS, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.hand.description import Hand
 from handctl.report.truth import Truth, read_truth
@@ -145,7 +145,7 @@ def _course(
     hand: Hand, controller: Controller, rows: list[tuple[TickIn, TickOut, Array]], real: Truth, state: State
 ) -> Course:
     active = [row for row in rows if row[1].mode == Mode.ACTIVE]
-    fields = active[0][1].telemetry.__slots__
+    fields = TELEMETRY_FIELDS
     events = [(entry.t_ns / 1e9, *event[1:]) for entry, out, _ in rows for event in out.events]
     return Course(
         hand,

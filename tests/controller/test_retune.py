@@ -91,7 +91,7 @@ def test_a_change_makes_no_step_in_torque(
     assert any(event.name == "gain" for event in out.events)
     law = desk.state.law
     assert law.trim is not None
-    (_, before, estimate, goals, t), (other, *_) = calls
+    (_, before, estimate, goals, t, *_), (other, *_) = calls
     with_trim = step(other, before._replace(trim=law.trim), estimate, goals, t)[1]
     without = step(other, before, estimate, goals, t)[1]
     np.testing.assert_allclose(with_trim.torque, out.telemetry.motor_torque_goal, atol=1e-12)
