@@ -1,10 +1,18 @@
 """A log in a viewer of its own: the first of it comes first, and all of it comes."""
 
+import itertools
+import json
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from handctl.log.reader import RunLog
+from handctl.log.record import FRAMING, pack
+from handctl.log.scan import scanned
+from handctl.log.writer import LogWriter
 from handctl.view.arrow import TIMELINE
 from handctl.view.browse import browse
 from handctl.view.feed import run_chunks
@@ -20,7 +28,7 @@ def test_the_parts_of_a_log_are_all_of_it(tmp_path: Path) -> None:
     with RunLog(GOLDEN) as log:
         ticks, subject = len(log), Subject.of(log.header, "x")
     sizes, since = [], []
-    for part, since_ns in windows(GOLDEN, tmp_path, 1_000_000_000):
+    for part, since_ns in windows(GOLDEN, scanned(GOLDEN), tmp_path, 1_000_000_000):
         with RunLog(part) as log:
             sizes.append(len(log))
             since.append(since_ns)
@@ -46,3 +54,27 @@ def test_a_viewer_gets_all_of_a_log(vulkan: dict[str, str], monkeypatch: pytest.
         (shown,) = state.recordings
         assert len(state.views) > 5
         assert end_ns in [line.end for line in shown.timelines if line.name == TIMELINE]
+
+
+def ten_minutes(path: Path) -> None:
+    """A log of ten minutes at 500 Hz, in which the same five seconds come again and again."""
+    import synthetic
+
+    run = synthetic.header(rate_hz=500)
+    writer = LogWriter(path, run, lambda *what: None, 1)
+    ticks = itertools.cycle(list(synthetic.Synthetic(run, 5.0)))
+    for k, (tick_in, out) in zip(range(300_000), ticks, strict=False):
+        writer.add(pack(replace(tick_in, k=k, t_ns=k * run.period_ns), out)[FRAMING.size :])
+    writer.finish("finished", 0)
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(1200)
+@pytest.mark.usefixtures("vulkan")
+def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Path) -> None:
+    ten_minutes(tmp_path / "ten.mcap")
+    command = [sys.executable, str(Path(__file__).with_name("first_picture.py")), str(tmp_path / "ten.mcap")]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=300)
+    found = json.loads(ran.stdout)
+    assert found["handctl_cpu_s"] + found["viewer_cpu_s"] < 5.0
+    assert found["png_bytes"] > 50_000

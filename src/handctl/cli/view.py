@@ -42,10 +42,10 @@ def run(args: argparse.Namespace) -> int:
     with RunLog(args.log, checked=False) as log:
         subject = Subject.of(log.header, args.log.stem)
         at_s = _moment(args, log) if args.png else 0.0
-        warning = log.warning
+        warning, found = log.warning, log.found
     if warning:
         say(f"handctl: {args.log}: {warning}", error=True)
-    result = _write(args, subject, at_s)
+    result = _write(args, subject, at_s, found)
     if args.json:
         print_json(result | {"log": args.log, "warning": warning})
     return Exit.LOSSY_LOG if warning else Exit.DONE
@@ -80,10 +80,10 @@ def _check(args: argparse.Namespace) -> None:
         check_screen()
 
 
-def _write(args: argparse.Namespace, subject: Any, at_s: float) -> dict[str, Any]:
+def _write(args: argparse.Namespace, subject: Any, at_s: float, found: Any) -> dict[str, Any]:
     """The recording, and the picture or the window."""
     if not (args.save or args.png):
-        _window(args.log, subject)
+        _window(args.log, subject, found)
         return {}
     from handctl.view.feed import write_rrd
 
@@ -107,11 +107,11 @@ def _picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]
     return {"png": args.png, "at_s": at_s, "reports": reports}
 
 
-def _window(log: Path, subject: Any) -> None:
+def _window(log: Path, subject: Any, found: Any) -> None:
     """Open the viewer, send it the log, and wait until it is closed."""
     from handctl.view.browse import browse
 
-    with browse(log, subject, [], {}) as running:
+    with browse(log, subject, [], {}, found) as running:
         try:
             running.process.wait()
         except KeyboardInterrupt:

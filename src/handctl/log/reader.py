@@ -69,6 +69,7 @@ class RunLog:
         metadata: all metadata records.
         end: reason, ticks, messages, missed, dropped of a run that was closed; else empty.
         warning: why the file is not whole; empty if it is. What is there is complete up to then.
+        found: where everything is in the file.
     """
 
     def __init__(self, path: Path, checked: bool = True) -> None:
@@ -85,6 +86,7 @@ class RunLog:
         try:
             found = Scan()
             scan(self._file, found, checked)
+            self.found = found
             self._chunks, self.metadata, self.warning = found.chunks, found.metadata, found.problem
             if "handctl.run" not in found.metadata or not found.chunks:
                 raise LogError("no run of handctl in it", self._file.name, "a log that handctl wrote")

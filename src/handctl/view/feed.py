@@ -3,15 +3,15 @@
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 
 import rerun as rr
 from rerun.chunk import Chunk, McapReader
 
 from handctl.errors import LogError
-from handctl.log.logfile import LogFile
 from handctl.log.recover import Status, recover
-from handctl.log.scan import Scan, scan
+from handctl.log.scan import Scan, scanned
 from handctl.view.arrow import LOG_TIME, run_times
 from handctl.view.blueprint import dashboard
 from handctl.view.lenses import Lenses
@@ -32,40 +32,43 @@ def reading(name: str) -> Iterator[None]:
 
 
 def run_chunks(path: Path, subject: Subject, first_ns: int = SPAN_NS) -> Iterator[Chunk]:
-    """All chunks of a log, whole or ending early, in the order of time.
+    """All chunks of a log, whole or ending early, in the order of time; see ``run_parts``."""
+    return chain.from_iterable(run_parts(path, subject, first_ns))
+
+
+def run_parts(
+    path: Path, subject: Subject, first_ns: int = SPAN_NS, found: Scan | None = None
+) -> Iterator[list[Chunk]]:
+    """All chunks of a log, whole or ending early: those that hold for all of it, then part by part as time goes.
 
     Args:
         path: a log.
         subject: its run.
-        first_ns: so much of the run comes first [ns].
+        first_ns: so much of the run is in the first part [ns].
+        found: what the log holds, if that is known already.
 
     Raises:
         LogError: the log is damaged.
     """
-    yield from styles(subject)
+    yield list(styles(subject))
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
-        lenses = Lenses(subject)
-        for part, since_ns in windows(whole(path, Path(folder)), Path(folder), first_ns):
-            yield from log_chunks(part, lenses, subject.name, since_ns)
+        lenses, (sound, places) = Lenses(subject), whole(path, Path(folder), found or scanned(path))
+        for part, since_ns in windows(sound, places, Path(folder), first_ns):
+            yield list(log_chunks(part, lenses, subject.name, since_ns))
 
 
-def whole(path: Path, folder: Path) -> Path:
+def whole(path: Path, folder: Path, found: Scan) -> tuple[Path, Scan]:
     """The log itself, or a repaired copy of one that ends early: Rerun would leave out parts of its last chunk.
 
     Raises:
         LogError: there is nothing in it.
     """
-    file, found = LogFile(path), Scan()
-    try:
-        scan(file, found, checked=False)
-    finally:
-        file.close()
     if not found.problem:
-        return path
+        return path, found
     copy = folder / path.name
     if recover(path, copy).status == Status.NOTHING:
         raise LogError("no complete chunk in it", str(path), "a log with at least its header")
-    return copy
+    return copy, scanned(copy)
 
 
 def log_chunks(path: Path, lenses: Lenses, name: str, since_ns: int = 0) -> Iterator[Chunk]:

@@ -98,44 +98,79 @@ class Viewer:
             self.process.wait()
 
 
-@contextmanager
-def viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Viewer]:
-    """As ``start_viewer``; it ends with the context."""
-    running = start_viewer(arguments, environment)
-    try:
-        yield running
-    finally:
-        running.end()
+@dataclass(frozen=True, slots=True)
+class Launch:
+    """A viewer that was started and does not listen yet.
+
+    Attributes:
+        process: of the viewer.
+        notes: what it has said so far.
+    """
+
+    process: "subprocess.Popen[bytes]"
+    notes: IO[bytes]
+
+    def ready(self) -> Viewer:
+        """Wait until it listens; kill it if it does not.
+
+        Raises:
+            HandctlError: it does not start.
+        """
+        url = ""
+        try:
+            url = _url(self.process, self.notes)
+        finally:
+            self.notes.close()
+            if not url:
+                self.process.kill()
+                self.process.wait()
+        return Viewer(self.process, url)
 
 
-def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewer:
-    """Start a viewer that listens on a free port of this machine and reports to nobody.
+def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Launch:
+    """Start a viewer that listens on a free port of this machine and reports to nobody; do not wait for it.
 
     Args:
         arguments: more arguments of the viewer.
         environment: in addition to that of this process.
-
-    Raises:
-        HandctlError: it does not start.
     """
     exe, settings = str(binary()), run_dir() / "viewer"
     settings.mkdir(mode=0o700, parents=True, exist_ok=True)
     # The viewer knows no switch for its analytics other than a file in its configuration.
     environ = os.environ | {"XDG_CONFIG_HOME": str(settings), "NO_COLOR": "1", "RUST_LOG": "info"} | environment
     subprocess.run([exe, "analytics", "disable"], env=environ, check=False, capture_output=True)
-    with tempfile.TemporaryFile() as notes:
-        command = [exe, "--bind", LOOPBACK, "--port", "auto", *arguments]
-        process = subprocess.Popen(
-            command, env=environ, stdin=subprocess.DEVNULL, stdout=notes, stderr=notes, start_new_session=True
-        )
-        url = ""
-        try:
-            url = _url(process, notes)
-        finally:
-            if not url:
-                process.kill()
-                process.wait()
-        return Viewer(process, url)
+    notes = tempfile.TemporaryFile()  # noqa: SIM115 (`Launch.ready` closes it)
+    command = [exe, "--bind", LOOPBACK, "--port", "auto", *arguments]
+    process = subprocess.Popen(
+        command, env=environ, stdin=subprocess.DEVNULL, stdout=notes, stderr=notes, start_new_session=True
+    )
+    return Launch(process, notes)
+
+
+def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewer:
+    """As ``launch_viewer``, and wait until it listens.
+
+    Raises:
+        HandctlError: it does not start.
+    """
+    return launch_viewer(arguments, environment).ready()
+
+
+@contextmanager
+def launched(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Launch]:
+    """As ``launch_viewer``; it ends with the context."""
+    launch = launch_viewer(arguments, environment)
+    try:
+        yield launch
+    finally:
+        Viewer(launch.process, "").end()
+
+
+@contextmanager
+def viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Viewer]:
+    """As ``start_viewer``; it ends with the context."""
+    with launched(arguments, environment) as launch:
+        yield launch.ready()
 
 
 def _url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:

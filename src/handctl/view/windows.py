@@ -4,17 +4,18 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from handctl.log.logfile import ChunkPlace, LogFile
-from handctl.log.scan import Scan, scan
+from handctl.log.scan import Scan
 
 SPAN_NS = 20_000_000_000
 """So much of a run is joined before it is sent on: few chunks, and memory that does not grow."""
 
 
-def windows(path: Path, folder: Path, first_ns: int) -> Iterator[tuple[Path, int]]:
+def windows(path: Path, found: Scan, folder: Path, first_ns: int) -> Iterator[tuple[Path, int]]:
     """Parts of a whole log in the order of time, each a log of its own that holds until the next is asked for.
 
     Args:
         path: a log with an end.
+        found: what it holds.
         folder: where to write them.
         first_ns: so much of the run is in the first one [ns].
 
@@ -24,9 +25,8 @@ def windows(path: Path, folder: Path, first_ns: int) -> Iterator[tuple[Path, int
     Raises:
         LogError: the log is damaged.
     """
-    file, found = LogFile(path), Scan()
+    file = LogFile(path)
     try:
-        scan(file, found, checked=False)
         head, rest = found.chunks[0], found.chunks[1:]
         begins = [place.offset for place in rest] + [found.end]
         part = folder / "part.mcap"

@@ -1,0 +1,77 @@
+"""How long ``handctl view LOG`` takes to its first picture: ``python tests/view/first_picture.py LOG``.
+
+What a person waits for, from the start of the process to a drawn picture with data in it, on a viewer without a
+screen. Prints JSON: seconds, and the processor time that handctl and the viewer spent until then.
+"""
+
+import json
+import os
+import sys
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import psutil
+
+SIZE = "1600x900"
+
+
+def main() -> None:
+    """Open a log as the verb does, and end with the first picture."""
+    os.environ.setdefault("RUST_LOG", "error")  # as the verb does
+    from handctl.cli import view  # noqa: F401 (what the verb imports counts)
+    from handctl.log.reader import RunLog
+    from handctl.view.browse import browse
+    from handctl.view.subject import Subject
+    from handctl.view.viewer import software_vulkan
+
+    path, seen = Path(sys.argv[1]), threading.Event()
+    with RunLog(path, checked=False) as log:
+        subject, found = Subject.of(log.header, path.stem), log.found
+    threading.Thread(target=_look, args=(seen,), daemon=True).start()
+    with browse(path, subject, ["--headless", "--window-size", SIZE], software_vulkan(), found):
+        seen.wait()
+
+
+def _look(seen: threading.Event) -> None:
+    """Wait for this process's viewer, and for data in it; take the picture, tell, and close the viewer."""
+    viewer = _viewer()
+    client = _client(viewer)
+    while not _has_data(client):
+        time.sleep(0.02)
+    size = len(client.take_screenshot())
+    seconds = time.time() - psutil.Process().create_time()
+    spent = [sum(one.cpu_times()[:2]) for one in (psutil.Process(), viewer)]
+    print(json.dumps({"seconds": seconds, "handctl_cpu_s": spent[0], "viewer_cpu_s": spent[1], "png_bytes": size}))
+    viewer.terminate()
+    seen.set()
+
+
+def _viewer() -> psutil.Process:
+    while True:
+        for child in psutil.Process().children():
+            with suppress(psutil.Error):  # one that came and went
+                if "--headless" in child.cmdline():
+                    return child
+        time.sleep(0.01)
+
+
+def _client(viewer: psutil.Process) -> "object":
+    from rerun.experimental import ViewerClient
+
+    while True:
+        ports = [one.laddr.port for one in viewer.net_connections() if one.status == psutil.CONN_LISTEN]
+        if ports:
+            return ViewerClient.connect(f"rerun+http://127.0.0.1:{ports[0]}/proxy")
+        time.sleep(0.01)
+
+
+def _has_data(client: "object") -> bool:
+    state = client.get_state()  # type: ignore[attr-defined]
+    ends = [line.end or 0 for one in state.recordings for line in one.timelines if line.name == "run_time"]
+    return bool(state.views) and max(ends, default=0) > 0
+
+
+if __name__ == "__main__":
+    main()
