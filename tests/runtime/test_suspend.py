@@ -19,5 +19,27 @@ def test_clocks_that_are_read_one_after_the_other_are_no_suspend():
     assert watch.events() == []
 
 
+def test_a_pause_between_the_looks_at_the_clocks_is_no_suspend_and_hides_none():
+    now = {"boot": 0, "monotonic": 0}
+    pause = {"before": 0, "after": 0}
+
+    def boot():
+        now["boot"], now["monotonic"] = now["boot"] + pause["before"], now["monotonic"] + pause["before"]
+        told = now["boot"]
+        now["boot"], now["monotonic"] = now["boot"] + pause["after"], now["monotonic"] + pause["after"]
+        return told
+
+    watch = SuspendWatch(boot, lambda: now["monotonic"])
+    for where in pause:
+        pause[where] = 100_000_000
+        assert watch.events() == []
+        pause[where] = 0
+        assert watch.events() == []
+    pause["before"], now["boot"] = 100_000_000, now["boot"] + 10**9
+    assert watch.events() == [], "nobody knows yet"
+    pause["before"] = 0
+    assert [event.number for event in watch.events()] == [1000]
+
+
 def test_this_machine_does_not_sleep_now():
     assert SuspendWatch().events() == []

@@ -6,7 +6,9 @@ from collections.abc import Callable
 from handctl.controller.types import IoEvent
 
 LEAST_NS = 20_000_000
-"""The two clocks are read one after the other; only more than this is a suspend [ns]."""
+"""Only more than this is a suspend [ns]."""
+TOGETHER_NS = 1_000_000
+"""A look at the clocks that took longer was interrupted, and says nothing [ns]."""
 
 
 def boot_ns() -> int:
@@ -21,10 +23,18 @@ class SuspendWatch:
     def __init__(self, boot: Callable[[], int] = boot_ns, monotonic: Callable[[], int] = time.monotonic_ns) -> None:
         """Args: the two clocks [ns]."""
         self._boot, self._monotonic = boot, monotonic
-        self._apart_ns = boot() - monotonic()
+        self._apart_ns = self._look()
+
+    def _look(self) -> int | None:
+        """How far the clocks are apart [ns]; None if something came between the looks at them."""
+        before, boot = self._monotonic(), self._boot()
+        return boot - before if self._monotonic() - before < TOGETHER_NS else None
 
     def events(self) -> list[IoEvent]:
         """A suspend since the last call, with its length [ms]."""
-        apart_ns = self._boot() - self._monotonic()
-        slept_ns, self._apart_ns = apart_ns - self._apart_ns, apart_ns
+        apart_ns = self._look()
+        if apart_ns is None:
+            return []
+        known, self._apart_ns = self._apart_ns, apart_ns
+        slept_ns = 0 if known is None else apart_ns - known
         return [IoEvent("suspended", "host", slept_ns // 1_000_000)] if slept_ns > LEAST_NS else []

@@ -15,12 +15,15 @@ from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
 from handctl.replay.drive import stretch
 from tests.replay.runs import SCENE
-from tests.vcan.inside.conftest import TIME_SCALE
 
 HANDCTL = Path(sys.executable).with_name("handctl")
 GOLDEN = Path(__file__).parents[3] / "logs" / "golden" / "jamia-grasp.mcap"
+RATE_HZ, SLOWER = 200, 0.05
+"""That of the log, and half the speed of the other tests: the guest's core is shared with all that the host does, and
+a pause of four ticks ends a run, as it should."""
 SETTLED_S = 0.4
 SCENE_FILE = Path("/dev/shm/drive-scene.toml")
+SIMULATED = ["--homed", "--scene", str(SCENE_FILE), "--time-scale", str(SLOWER)]
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -45,19 +48,23 @@ def _nothing_to_tare(path: Path) -> None:
 
 @pytest.mark.nightly
 @pytest.mark.timeout(900)
-@pytest.mark.parametrize("simulator", [["--homed", "--scene", str(SCENE_FILE)]], indirect=True, ids=["grasp"])
+@pytest.mark.parametrize("simulator", [SIMULATED], indirect=True, ids=["grasp"])
 @pytest.mark.usefixtures("scene", "simulator")
 def test_a_golden_grasp_repeats_on_vcan(tmp_path: Path) -> None:
     _nothing_to_tare(tmp_path / "c.toml")
-    words = ["--bus", "socketcan:vcan0", "--time-scale", str(TIME_SCALE), "--calibration", str(tmp_path / "c.toml")]
-    command = [str(HANDCTL), "replay", "drive", str(GOLDEN), *words, "--log", str(tmp_path / "again.mcap"), "--json"]
+    words = ["--bus", "socketcan:vcan0", "--rate", str(RATE_HZ), "--time-scale", str(SLOWER)]
+    files = ["--calibration", str(tmp_path / "c.toml"), "--log", str(tmp_path / "again.mcap")]
+    command = [str(HANDCTL), "replay", "drive", str(GOLDEN), *words, *files, "--json"]
     ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr + ran.stdout
     found = json.loads(ran.stdout)
-    assert max(row["rms"] for row in found["joint_deg"].values()) < 1.0  # peaks: the guest's clocks slip under load
+    angles = {name: row["rms"] for name, row in found["joint_deg"].items()}
     with RunLog(GOLDEN) as before, RunLog(tmp_path / "again.mcap") as after:
         starts = {change.name: change.t_ns * 1e-9 for change in before.phases}
         began, _ = stretch(before)
         held = (starts["hold"] + SETTLED_S - began, starts["release"] - began)
         again = next(change.t_ns * 1e-9 for change in after.phases if change.name == "playback")
-        np.testing.assert_allclose(while_held(after, again, *held), while_held(before, began, *held), rtol=0.05)
+        old, new = while_held(before, began, *held), while_held(after, again, *held)
+    print(f"worst joint {max(angles.values()):.2f} deg rms, worst tension {100 * abs(new / old - 1).max():.1f} % apart")
+    assert max(angles.values()) < 1.0, angles  # peaks: the guest's clocks slip under load
+    np.testing.assert_allclose(new, old, rtol=0.05)
