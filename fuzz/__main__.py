@@ -22,28 +22,32 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"of {', '.join(NAMES)} (default: all)")
     parser.add_argument("--seconds", type=int, default=10, help="for each target (default: %(default)s; 0: no limit)")
     parser.add_argument("--runs", type=int, default=-1, help="inputs for each target (default: as time allows)")
-    parser.add_argument("--plain", action="store_true", help="blindly from the kept inputs, but faster: for the count")
+    parser.add_argument("--blind", action="store_true", help="change what was kept without looking at branches: faster")
     args = parser.parse_args()
     if unknown := set(args.targets) - set(NAMES):
         parser.error(f"no target {sorted(unknown)[0]!r}; expected of {', '.join(NAMES)}")
     return args
 
 
-def fuzzed(name: str, seconds: int, runs: int, plain: bool = False) -> tuple[str, bool]:
+def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str, bool]:
     """A line about a target, and whether it held."""
     corpus, found = PLACE / "corpus" / name, PLACE / "found" / name
     corpus.mkdir(parents=True, exist_ok=True)
     found.mkdir(parents=True, exist_ok=True)
     limits = [f"-max_total_time={seconds}", f"-runs={runs}", f"-max_len={LONGEST.get(name, 4096)}"]
-    limits += ["-rss_limit_mb=4096", "-timeout=20", *(["--plain"] if plain else [])]
-    command = [sys.executable, "-m", "fuzz.one", name, str(corpus), *limits, f"-artifact_prefix={found}/"]
+    limits += ["-rss_limit_mb=4096", "-timeout=20", f"-artifact_prefix={found}/"]
+    command = [sys.executable, "-m", "fuzz.one", name, str(corpus), *limits]
+    if blind:
+        command = [sys.executable, "-m", "fuzz.blind", name, str(corpus), str(found), str(seconds), str(runs)]
+        command.append(str(LONGEST.get(name, 4096)))
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     (PLACE / f"{name}.txt").write_text(done.stdout + done.stderr)
     count, covered = DONE.search(done.stderr), COVERED.findall(done.stderr)
     if done.returncode or not count:
         return f"{name:12} FAILED  see {PLACE / name}.txt and {found}/", False
     number, took = int(count[1]), max(1, int(count[2]))
-    return f"{name:12} {number:>10,} inputs {took:>6} s {number // took:>8,}/s   edges {covered[-1][0]:>6}", True
+    edges = f"edges {covered[-1][0]:>6}" if covered else "blind"
+    return f"{name:12} {number:>10,} inputs {took:>6} s {number // took:>8,}/s   {edges}", True
 
 
 def main() -> int:
@@ -51,7 +55,7 @@ def main() -> int:
     args = arguments()
     held = True
     for name in args.targets or NAMES:
-        line, good = fuzzed(name, args.seconds, args.runs, args.plain)
+        line, good = fuzzed(name, args.seconds, args.runs, args.blind)
         print(line, flush=True)
         held = held and good
     return 0 if held else 1

@@ -7,16 +7,11 @@ from pathlib import Path
 
 import atheris
 
-PLAIN = "--plain"
-"""Without looking which branches are taken: inputs are changed from what earlier fuzzing kept, faster but blindly."""
-
 
 def main() -> None:
     """Fuzz; a crash ends the process with an exit code that is not 0 and keeps its input."""
     name, corpus, *options = sys.argv[1:]
-    watched = ["fuzz"] if PLAIN in options else ["handctl", "firmware_sim"]
-    options = [option for option in options if option != PLAIN]
-    with atheris.instrument_imports(include=watched):
+    with atheris.instrument_imports(include=["handctl", "firmware_sim"]):
         from fuzz.targets import TARGETS, seeds
     shared = Path("/dev/shm")
     folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=shared if shared.is_dir() else None))

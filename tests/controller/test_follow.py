@@ -84,3 +84,12 @@ def test_radians_are_not_degrees(tmp_path: Path) -> None:
     assert isinstance(follow, Follow)
     curve = Curve.through(follow.time_s, tuple(map(math.radians, follow.angle_deg["index"])), 1)
     assert curve.at(0.5)[0][0] == pytest.approx(math.radians(20.0))
+
+
+@pytest.mark.parametrize("gap", [5e-324, 1e-310, 1e-160, 1e-5])
+def test_times_too_close_for_numbers_are_no_way_around_the_speed_limit(gap, recwarn):
+    """The spline's coefficients overflow, and a speed that is no number is not below its limit."""
+    angles = {"index": (0.0, 1.0, 0.0)}
+    with pytest.raises(ValueError, match="at most 700 deg/s"):
+        Follow(kind="follow", time_s=(0.0, gap, 1.0), angle_deg=angles)
+    assert not recwarn.list

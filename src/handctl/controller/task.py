@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from handctl.controller.trajectory import Curve
@@ -99,10 +100,19 @@ class Follow(Document):
         for digit, angles in self.angle_deg.items():
             if len(angles) != len(self.time_s):
                 raise ValueError(f"{digit} must have an angle for each of the {len(self.time_s)} times")
-            peak = math.degrees(Curve.through(self.time_s, tuple(map(math.radians, angles)), 1).peak_speed())
-            if peak > FOLLOW_SPEED_DEG_S:
+            peak = math.degrees(_peak_speed(self.time_s, tuple(map(math.radians, angles))))
+            if not peak <= FOLLOW_SPEED_DEG_S:  # nor if it is no number
                 raise ValueError(f"at most {FOLLOW_SPEED_DEG_S:g} deg/s on the way; {digit} reaches {peak:.0f}")
         return self
+
+
+def _peak_speed(times: tuple[float, ...], angles: tuple[float, ...]) -> float:
+    """Largest speed of a curve [rad/s]; inf or NaN if its times are too close together for numbers."""
+    with np.errstate(all="ignore"):
+        try:
+            return Curve.through(times, angles, 1).peak_speed()
+        except ValueError:  # scipy's, of slopes that are not finite
+            return math.inf
 
 
 Phase = Annotated[Move | Close | Hold | Release | Follow, Field(discriminator="kind")]
