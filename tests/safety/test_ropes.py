@@ -1,0 +1,99 @@
+"""Ropes: taut, slack, snapped, and still pulled after the cut; each number of the rules from both sides."""
+
+import math
+
+import pytest
+
+from handctl.safety import ropes
+from handctl.safety.ropes import Ropes, cut, limp, slack, snapped, step
+
+T = 0.002
+NAN = math.nan
+
+
+@pytest.mark.parametrize(("cell", "goal", "before", "after"), [
+    # tension, wanted, (ticks since taut, ticks slack) before and after
+    (2.6, 20.0, (-1, 0), (0, 0)),     # taut for the first time
+    (2.6, 20.0, (7, 5), (0, 0)),      # taut again
+    (2.5, 20.0, (-1, 0), (-1, 0)),    # never taut yet: nothing to be missed
+    (0.0, 20.0, (-1, 0), (-1, 0)),
+    (2.5, 20.0, (0, 0), (1, 0)),      # between slack and taut
+    (2.0, 20.0, (3, 4), (4, 0)),      # just not slack: the count begins anew
+    (1.9, 20.0, (3, 4), (4, 5)),
+    (1.9, 2.5, (3, 4), (4, 0)),       # so little is wanted that it may hang
+    (1.9, 2.6, (3, 4), (4, 5)),
+    (1.9, NAN, (3, 4), (-1, 0)),      # a limp rope may hang, and is to be taut anew
+    (30.0, NAN, (3, 4), (-1, 0)),
+    (NAN, 20.0, (3, 4), (4, 0)),      # no sample: neither slack nor taut
+])  # fmt: skip
+def test_one_tick_of_a_rope(cell, goal, before, after):
+    state = step(Ropes((before[0],), (before[1],)), [cell], [goal])
+    assert state == Ropes((after[0],), (after[1],))
+
+
+def test_ropes_count_apart_and_begin_as_never_taut():
+    state = step(Ropes(), [20.0, 0.0, 1.0], [24.0, 24.0, NAN])
+    assert state == Ropes((0, -1, -1), (0, 0, 0))
+    state = step(state, [0.0, 20.0, 1.0], [24.0, 24.0, 24.0])
+    assert state == Ropes((1, 0, -1), (1, 0, 0))
+
+
+def test_slack_is_told_by_name_and_in_seconds():
+    assert slack(Ropes((1, 9, 2), (0, 26, 1)), ("a", "b", "c"), T) == (("b", 26 * T), ("c", T))
+    assert slack(Ropes((1,), (0,)), ("a",), T) == ()
+    assert slack(Ropes(), ("a",), T) == ()
+
+
+@pytest.mark.parametrize(("ago", "cell", "goal", "speed", "found"), [
+    (0, 0.0, 24.0, 0.05, True),
+    (49, 0.0, 24.0, 0.05, True),
+    (50, 0.0, 24.0, 0.05, False),     # 100 ms ago
+    (-1, 0.0, 24.0, 0.05, False),     # never taut
+    (0, 4.7, 24.0, 0.05, True),
+    (0, 4.81, 24.0, 0.05, False),     # a fifth is left
+    (0, 0.0, 8.0, 0.05, False),       # too little was wanted to tell
+    (0, 0.0, 8.1, 0.05, True),
+    (0, 0.0, 24.0, 0.03, False),      # the spool hardly runs
+    (0, 0.0, 24.0, 0.031, True),
+    (0, 0.0, 24.0, -0.05, False),     # it pays out
+    (0, NAN, 24.0, 0.05, False),
+    (0, 0.0, NAN, 0.05, False),
+    (0, 0.0, 24.0, NAN, False),
+])  # fmt: skip
+def test_a_snapped_rope(ago, cell, goal, speed, found):
+    state = Ropes((0, ago), (0, 0))
+    told = snapped(state, ("a", "b"), [20.0, cell], [24.0, goal], [0.0, speed], T)
+    assert told == ((("b", speed),) if found else ())
+
+
+def test_nothing_snaps_before_anything_is_wanted():
+    assert snapped(Ropes(), ("a",), [0.0], [24.0], [0.05], T) == ()
+
+
+def test_the_cut_remembers_what_there_was_and_counts():
+    state = cut(Ropes((0, 0), (0, 3)), [30.0, 20.0])
+    assert state == Ropes((), (), 0, (30.0, 20.0))
+    state = cut(state, [10.0, 10.0])
+    assert state == Ropes((), (), 1, (30.0, 20.0))
+    assert cut(state, [10.0, 10.0]).cut == 2
+
+
+@pytest.mark.parametrize(("ticks", "before", "now", "found"), [
+    (49, 30.0, 30.0, False),          # its time is not over
+    (50, 30.0, 30.0, True),
+    (51, 30.0, 30.0, True),
+    (50, 30.0, 24.1, True),
+    (50, 30.0, 23.9, False),          # it fell by a fifth
+    (50, 15.0, 15.0, False),          # no more than springs and weight hold
+    (50, 15.1, 15.1, True),
+    (50, 5.0, 40.0, True),            # grown
+    (50, 30.0, NAN, False),
+    (50, NAN, 30.0, False),
+])  # fmt: skip
+def test_a_rope_that_somebody_still_pulls(ticks, before, now, found):
+    state = Ropes((), (), ticks, (0.0, before))
+    assert limp(state, ("a", "b"), [0.0, now], T) == ((("b", now),) if found else ())
+
+
+def test_thresholds_leave_room_between_slack_and_taut():
+    assert ropes.SLACK_N < ropes.TAUT_N < ropes.SNAP_LEAST_N < ropes.LIMP_LEAST_N

@@ -1,0 +1,131 @@
+"""What only root can do to a host, in the guest: the wall clock is set, and the interface is taken down, in a run."""
+
+import fcntl
+import os
+import shutil
+import socket
+import struct
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from firmware_sim.truth import Truth, read_truth
+from handctl.cli.exit_codes import Exit
+from handctl.cli.plan import Plan
+from handctl.cli.session import Outcome, make_controller, run_live
+from handctl.controller.bus_load import bus_loads
+from handctl.controller.gains import Gains
+from handctl.controller.live import JogProgram
+from handctl.controller.requests import HoldTension
+from handctl.controller.types import Mode, TickIn, TickOut
+from handctl.hand.description import load_hand
+from handctl.log.reader import RunLog
+from tests.drives.protocol_bench import hand_file
+from tests.vcan.inside.test_protocols import DIGITS, PULL_N, RATE_HZ, simulated
+
+SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP = 0x8913, 0x8914, 1
+"""Source: Linux ``sockios.h`` and ``if.h``."""
+WATCHDOG_MS = 50
+HOUR_S = 3600.0
+AT_S, AFTER_S = 0.15, 0.3
+"""When it happens, from the beginning of the pull on, and how long the pull would go on [s]."""
+TIME_SCALE = 0.1
+
+
+def set_up(interface: str, up: bool) -> None:
+    """``ip link set INTERFACE up``, or down, without a process of its own."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as any_socket:
+        name = interface.encode().ljust(16, b"\0")
+        (flags,) = struct.unpack_from("=h", fcntl.ioctl(any_socket, SIOCGIFFLAGS, name + bytes(24)), 16)
+        flags = flags | IFF_UP if up else flags & ~IFF_UP
+        fcntl.ioctl(any_socket, SIOCSIFFLAGS, name + struct.pack("=h", flags) + bytes(22))
+
+
+class Hostile:
+    """An attendant of a run that does something once, some time into the pull; see ``session.Attendant``."""
+
+    def __init__(self, act: Callable[[], None]) -> None:
+        self.act, self.done_ns, self.modes = act, 0, list[Mode]()
+        self.left = round(AT_S * RATE_HZ)
+
+    def take(self) -> tuple[str, ...]:
+        return ()
+
+    def see(self, entry: TickIn, out: TickOut) -> None:
+        self.modes.append(out.mode)
+        if out.mode == Mode.ACTIVE and not self.done_ns:
+            self.left -= 1
+            if self.left <= 0:
+                self.act()
+                self.done_ns = round(time.monotonic_ns() * TIME_SCALE)
+
+
+def run(folder: Path, hostile: Hostile) -> tuple[Outcome, Truth]:
+    """Arm, pull every tendon, relax, disarm, with somebody in between."""
+    path = hand_file(folder, ["mit"])
+    hand = load_hand(str(path))
+    load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
+    plan = Plan(hand, Gains(), RATE_HZ, load, ("socketcan:vcan0",), time_scale=TIME_SCALE, quiet=True)
+    program = JogProgram(HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), AT_S + AFTER_S)
+    with simulated(path, plan.buses, TIME_SCALE, folder / "truth"):
+        controller = make_controller(plan, program, None, arm_at_once=True)
+        outcome = run_live(plan, controller, folder / "run.mcap", attendant=hostile)
+    return outcome, read_truth(folder / "truth")
+
+
+@pytest.fixture
+def interface() -> Iterator[str]:
+    """An interface that is up again afterwards, with room for FD as before."""
+    assert shutil.which("ip")
+    yield "vcan0"
+    set_up("vcan0", True)
+
+
+@pytest.fixture
+def clock() -> Iterator[None]:
+    """The guest's wall clock, put right afterwards."""
+    wall, mono = time.time(), time.monotonic()
+    yield
+    time.clock_settime(time.CLOCK_REALTIME, wall + time.monotonic() - mono)
+
+
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("step_s", [HOUR_S, -HOUR_S], ids=["forward", "back"])
+@pytest.mark.usefixtures("clock")
+def test_a_step_of_the_wall_clock_changes_nothing(step_s: float, tmp_path: Path) -> None:
+    """H11."""
+    before = time.time() - time.monotonic()
+    hostile = Hostile(lambda: time.clock_settime(time.CLOCK_REALTIME, time.time() + step_s))
+    outcome, truth = run(tmp_path, hostile)
+    assert time.time() - time.monotonic() - before == pytest.approx(step_s, abs=5.0), "it was felt: all clocks moved"
+    assert (outcome.state.failure, outcome.exit) == ("", Exit.DONE)
+    for digit in DIGITS:
+        assert truth.column(f"tension/{digit}_tendon").max() > 0.25 * PULL_N, digit
+    with RunLog(tmp_path / "run.mcap") as log:
+        assert not log.warning
+        assert (np.diff(log.t_ns) > 0).all()
+        assert not [one.event.text for one in log.events if one.event.level == "error"]
+
+
+@pytest.mark.timeout(600)
+def test_an_interface_that_is_taken_down_cuts_the_run_and_the_drives_let_go(interface: str, tmp_path: Path) -> None:
+    """B14."""
+    hostile = Hostile(lambda: set_up(interface, False))
+    outcome, truth = run(tmp_path, hostile)
+    assert hostile.done_ns
+    assert "B14" in outcome.state.failure, outcome.state.failure
+    assert outcome.exit == Exit.REMOVE_POWER, "no drive could confirm"
+    after = hostile.modes[hostile.modes.index(Mode.ACTIVE) :]
+    acted = round(AT_S * RATE_HZ)
+    assert after[: acted + 3].count(Mode.ACTIVE) <= acted + 1, "the next tick cuts"
+    torque = np.array([truth.column(f"torque/{digit}_motor") for digit in DIGITS])
+    driven = truth.t_ns[np.abs(torque).max(axis=0) > 1e-3]
+    late_ms = (int(driven[-1]) - hostile.done_ns) * 1e-6
+    assert truth.column("tension/index_tendon").max() > 0.25 * PULL_N, "it pulled before"
+    assert late_ms <= WATCHDOG_MS + 20.0, f"{late_ms:.0f} ms, the guest's clocks slip"
+    with RunLog(tmp_path / "run.mcap") as log:
+        assert not log.warning
+    assert os.path.getsize(tmp_path / "run.mcap") > 0
