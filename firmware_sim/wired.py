@@ -1,10 +1,11 @@
 """A port that serves a local bus whose frames take their time: every client and every node has a controller."""
 
 import socket
+import struct
 from collections import deque
 from collections.abc import Callable, Collection, Sequence
 
-from firmware_sim.frame import ERROR, Frame, pack_record
+from firmware_sim.frame import ERROR, EXTENDED, RECORD_SIZE, REMOTE, Frame, pack_record
 from firmware_sim.hub import Hub, Link
 from firmware_sim.local import split
 from firmware_sim.wire.bits import Rate
@@ -14,6 +15,10 @@ from firmware_sim.wire.options import parse
 
 ALONE_BITRATES = (1_000_000, 5_000_000)
 """Of a bus without a hand: nominal and data [bit/s]."""
+QUEUE_TOLD = EXTENDED | REMOTE | ERROR
+"""Identifier, which no frame can have, of a record that tells a client how far its queue has been emptied."""
+_QUEUE = struct.Struct("<II")
+"""Frames that have left it, modulo 2**32; frames that it holds."""
 
 
 class WiredPort:
@@ -43,6 +48,8 @@ class WiredPort:
         self._hub, self.wire = Hub(name), Wire(rate, options)
         self._bus, self._now_ns = bus, now_ns
         self._clients: dict[Link, Controller] = {}
+        self._queues: dict[Link, tuple[int, int]] = {}
+        """Records that came from each client, and how many of them it was told have left its queue; -1: nothing yet."""
         self._nodes: dict[int, Controller] = {}
         self._heard: deque[Frame] = deque()
         self._unreadable = self._refused = 0
@@ -83,7 +90,18 @@ class WiredPort:
             self.wire.step(now_ns)
         frames = list(self._heard)
         self._heard.clear()
+        self._tell_queues()
         return frames
+
+    def _tell_queues(self) -> None:
+        """Tell each client how far its queue has been emptied: sending to a full one must fail there, and at once."""
+        for link, controller in self._clients.items():
+            came, told = self._queues[link]
+            left = came - len(controller.queue)
+            if left != told:
+                dropped = link.dropped
+                link.deliver(pack_record(Frame(QUEUE_TOLD, _QUEUE.pack(left & 0xFFFFFFFF, self.wire.options.queue))))
+                self._queues[link] = came, left if link.dropped == dropped else -1
 
     def _take(self, ready: Collection[socket.socket], now_ns: int) -> None:
         """Clients' frames into their queues; what happened before they came happens first."""
@@ -91,7 +109,10 @@ class WiredPort:
         for link in self._hub.links:
             if link not in self._clients:
                 self._clients[link] = self.wire.add(self._deliver(link))
+                self._queues[link] = 0, -1
         for link, records in heard:
+            came, told = self._queues[link]
+            self._queues[link] = came + len(records) // RECORD_SIZE, told
             frames, unreadable = split(records, self._bus)
             self._unreadable += unreadable
             for frame in frames:
@@ -102,6 +123,7 @@ class WiredPort:
     def _part(self) -> None:
         for link in [link for link in self._clients if link.gone]:
             self.wire.remove(self._clients.pop(link))
+            del self._queues[link]
         self._hub.part()
 
     def _deliver(self, link: Link) -> Callable[[Frame, int], None]:

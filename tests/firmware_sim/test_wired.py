@@ -94,15 +94,40 @@ def test_answers_with_low_identifiers_overtake_questions_with_high_ones(lab: Lab
     assert arrivals == {0x11: 2, 0x12: 4, 0x13: 6, 0x14: 8}, "each before the next question"
 
 
-def test_the_host_is_told_of_frames_that_found_no_room(lab: Lab) -> None:
+def test_a_full_queue_refuses_at_once(lab: Lab) -> None:
+    lab.at(0.0)
+    frames = [Frame(0x700 + n, b"") for n in range(20)]
+    assert lab.host.send(frames) == 8
+    assert lab.host.take_events() == [("enobufs", "local:lab", 12)]
+    lab.server.turn()
+    assert lab.host.send(frames) == 0, "nothing has gone out yet"
+    lab.host.take_events()
+    lab.clock.t_ns += round(3 * us(0) * 1000)
+    lab.server.turn()
+    assert lab.host.send(frames) == 3, "three have, which the host learns without reading first"
+    for ms in (20.0, 40.0):
+        lab.at(ms)
+    assert lab.port.wire.frames == 11
+    assert lab.host.take_events() == [("enobufs", "local:lab", 17)]
+    assert lab.host.send(frames) == 8
+
+
+def test_a_host_that_has_not_listened_yet_is_told_afterwards(lab: Lab) -> None:
     assert lab.host.send([Frame(0x700 + n, b"") for n in range(20)]) == 20, "the hub has taken them"
     lab.at(0.0)
     assert ("enobufs", "local:lab", 20 - 8) in lab.host.take_events()
     lab.at(20.0)
     assert lab.port.wire.frames == 8
-    lab.host.send([Frame(0x700, b"")])
-    lab.at(40.0)
-    assert lab.host.take_events() == []
+
+
+def test_frames_that_come_while_room_is_looked_for_are_not_lost(lab: Lab) -> None:
+    lab.at(0.0)
+    lab.host.send([Frame(REGISTERS, bytes((1, 0, 0xCC, 0, 0, 0, 0, 0)))] * 8)
+    lab.clock.t_ns += round(2.5 * us(8) * 1000)
+    for _ in range(30):
+        lab.server.turn()
+    assert lab.host.send([Frame(0x700, b"")] * 8) < 8
+    assert [frame.can_id for frame in lab.host.drain()] == [0x11]
 
 
 def test_a_disturbed_wire_puts_the_host_off_the_bus_and_it_says_so(lab: Lab) -> None:

@@ -14,6 +14,9 @@ from handctl.runtime.local import LocalBus
 from handctl.runtime.places import run_dir
 from handctl.runtime.pythoncan import frame_of, message_of
 
+AGAIN_S = 1e-3
+"""How long to wait before a frame is tried again that found no room."""
+
 
 class LocalCanBus(can.BusABC):
     """python-can's view of a local bus."""
@@ -52,7 +55,8 @@ class LocalCanBus(can.BusABC):
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         """One message, waiting for it if need be; filters are python-can's."""
         if not self._waiting:
-            select.select([self._link], [], [], timeout)
+            if not self._link.early:
+                select.select([self._link], [], [], timeout)
             self._read()
         if not self._waiting:
             return None, False
@@ -87,7 +91,7 @@ class LocalCanBus(can.BusABC):
             left = end - time.monotonic()
             if left <= 0:
                 raise can.CanOperationError("the local bus takes no more frames")
-            select.select([], [self._link], [], None if timeout is None else left)
+            select.select([self._link], [], [], min(left, AGAIN_S))
         if self._own:
             self._waiting.append(frame)
 

@@ -31,6 +31,9 @@ BUFFER = 1 << 20
 """Asked of the kernel for either direction [bytes]."""
 MOST = 4096
 """Records of one read."""
+QUEUE_TOLD, QUEUE = 0xE0000000, struct.Struct("<II")
+"""Record by which a hub with a simulated wire tells how many of this client's frames have left their queue, modulo
+2**32, and how many the queue holds. A hub without a wire never does, and its clients have no queue."""
 CLASSICAL_MOST = 8
 """Payload that any frame can carry [bytes]."""
 READS = 4
@@ -60,7 +63,11 @@ def connect(name: str) -> socket.socket:
 
 
 class LocalBus:
-    """Client of a local bus; see ``bus.Bus``."""
+    """Client of a local bus; see ``bus.Bus``.
+
+    Attributes:
+        early: frames that came while room was looked for, and are the next to be drained.
+    """
 
     def __init__(self, channel: str, index: int, stamp: Stamp, most: int = MOST) -> None:
         """Connect to the hub.
@@ -83,11 +90,13 @@ class LocalBus:
         self._kept = 0
         self._rest = b""
         self._dropped = 0
+        self.early: list[Frame] = []
+        self._sent = self._taken = self._depth = 0
         self._gone = False
 
     def drain(self) -> list[Frame]:
         """See ``bus.Bus``."""
-        frames: list[Frame] = []
+        frames, self.early = self.early, []
         for _ in range(self._reads):
             kept = self._kept
             size = self._read(self._buffer[kept:] if kept else self._buffer)
@@ -121,7 +130,7 @@ class LocalBus:
         t_ns, index, lost, error = self._stamp(time.monotonic_ns()), self._index, self._dropped, ERROR
         for can_id, length, flags, lost, data in RECORD.iter_unpack(self._buffer[:whole]):  # noqa: B007
             if can_id & error:
-                self._events.error_frame(can_id, data[:length])
+                self._told(can_id, data[:length])
             else:
                 frames.append(make(Frame, (can_id, data[:length], flags, index, t_ns)))
         if lost != self._dropped:
@@ -131,8 +140,29 @@ class LocalBus:
         if whole < filled:
             self._buffer[: self._kept] = self._buffer[whole:filled]
 
+    def _told(self, can_id: int, data: bytes) -> None:
+        """An error frame, or how far the hub has emptied this client's queue."""
+        if can_id == QUEUE_TOLD:
+            self._taken, self._depth = QUEUE.unpack(data)
+        else:
+            self._events.error_frame(can_id, data)
+
+    def _fitting(self, frames: Sequence[Frame]) -> Sequence[Frame]:
+        """As many of the frames as the queue has room for; the others are refused."""
+        if len(frames) > self._room():
+            self.early = self.drain()  # it may have been emptied meanwhile
+        room = self._room()
+        if len(frames) > room:
+            self._events.add("enobufs", len(frames) - room)
+        return frames[:room]
+
+    def _room(self) -> int:
+        return max(0, self._depth - (self._sent - self._taken & 0xFFFFFFFF))
+
     def send(self, frames: Sequence[Frame]) -> int:
         """See ``bus.Bus``."""
+        if self._depth:
+            frames = self._fitting(frames)
         values: list[int | bytes] = []
         for frame in frames:
             can_id, data, flags, _, _ = frame
@@ -153,8 +183,11 @@ class LocalBus:
             return 0
         if sent == len(waiting):
             self._rest = b""
-            return len(frames)
-        return self._sent_partly(waiting, sent, len(frames))
+            accepted = len(frames)
+        else:
+            accepted = self._sent_partly(waiting, sent, len(frames))
+        self._sent += accepted
+        return accepted
 
     def _sent_partly(self, waiting: bytes, sent: int, frames: int) -> int:
         """Keep the rest of a record that was begun, drop the others; how many frames were accepted."""
