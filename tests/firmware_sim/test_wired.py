@@ -123,6 +123,7 @@ def test_a_host_that_has_not_listened_yet_is_told_afterwards(lab: Lab) -> None:
 def test_frames_that_come_while_room_is_looked_for_are_not_lost(lab: Lab) -> None:
     lab.at(0.0)
     lab.host.send([Frame(REGISTERS, bytes((1, 0, 0xCC, 0, 0, 0, 0, 0)))] * 8)
+    lab.server.turn()
     lab.clock.t_ns += round(2.5 * us(8) * 1000)
     for _ in range(30):
         lab.server.turn()
