@@ -11,7 +11,8 @@ from firmware_sim.description import MotorSpec, SimulatorError
 from firmware_sim.drive_types import MIT_TYPES, drive_spec
 from firmware_sim.frame import Frame
 from firmware_sim.motor import Motor
-from firmware_sim.nodes import PROTOCOLS, Node
+from firmware_sim.nodes import PROTOCOLS
+from firmware_sim.nodes.kind import Node
 from firmware_sim.ports import open_port
 from firmware_sim.server import ScaledClock, Server
 from firmware_sim.wired import ALONE_BITRATES, maker
@@ -39,7 +40,7 @@ class Bench:
         self.motors = [Motor(spec, STEP_NS * 1e-9) for spec in specs]
         pairs = zip(specs, self.motors, strict=True)
         self.nodes: list[Node] = [
-            break_node(PROTOCOLS[spec.protocol](spec, motor, 0.0), spec.protocol, fault) for spec, motor in pairs
+            break_node(PROTOCOLS[spec.protocol].node(spec, motor, 0.0), spec.protocol, fault) for spec, motor in pairs
         ]
         self._spoken: list[Frame] = []
 
@@ -81,7 +82,7 @@ def _parser() -> Parser:
     add("--ids", required=True, metavar="N,N,..", help="node numbers, decimal or 0x..")
     add("--bus", required=True, metavar="SPEC", help="local:NAME, join:NAME or socketcan:INTERFACE")
     add("--fd", action="store_true", help="MIT motors set to CAN FD (1/5 Mbit/s); they answer as they are asked")
-    add("--motor-type", metavar="TYPE", help=f"of MIT motors: {', '.join(MIT_TYPES)} (dm4310)")
+    add("--motor-type", metavar="TYPE", help=f"of MIT motors: {', '.join(MIT_TYPES)} (dm4310); an ak is cubemars")
     add("--firmware", choices=["0.5", "0.6"], help="of ODrives (0.6)")
     add("--inertia", type=float, metavar="KG_M2", help="of each shaft (the motor's own, an assumption)")
     add("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time (they take none)")
@@ -99,8 +100,10 @@ def _specs(args: argparse.Namespace) -> list[MotorSpec]:
     """
     if args.protocol != "odrive" and args.firmware:
         raise SimulatorError("--firmware: only drive odrive has it")
-    if args.protocol != "mit" and (args.fd or args.motor_type):
-        raise SimulatorError(f"{'--fd' if args.fd else '--motor-type'}: only drive mit has it")
+    if args.fd and (args.protocol != "mit" or MIT_TYPES.get(args.motor_type) == "cubemars"):
+        raise SimulatorError("--fd: only drive mit with Damiao motors has it")
+    if args.motor_type and args.protocol not in MIT_TYPES.values():
+        raise SimulatorError("--motor-type: only drive mit has it")
     for name, value in (("--inertia", args.inertia), ("--time-scale", args.time_scale)):
         if value is not None and not (math.isfinite(value) and 0.0 < value <= 100.0):
             raise SimulatorError(f"{name} {value}: expected more than 0, at most 100")
@@ -110,7 +113,7 @@ def _specs(args: argparse.Namespace) -> list[MotorSpec]:
         raise SimulatorError(f"--ids {args.ids}: expected numbers with commas, as in 1,2,0x10") from None
     if len(set(numbers)) < len(numbers):
         raise SimulatorError(f"--ids {args.ids}: every number once")
-    kind, firmware = args.motor_type or "dm4310", args.firmware or "0.6"
+    kind, firmware = args.motor_type or "", args.firmware or "0.6"
     return [drive_spec(args.protocol, n, kind, args.fd, args.inertia, firmware) for n in numbers]
 
 

@@ -8,7 +8,8 @@ import random
 from firmware_sim.description import Hand, MotorSpec, SensorSpec, SimulatorError
 from firmware_sim.faults import Faults
 from firmware_sim.frame import Frame
-from firmware_sim.nodes import PROTOCOLS, Node
+from firmware_sim.nodes import PROTOCOLS
+from firmware_sim.nodes.kind import Node
 from firmware_sim.nodes.sensors import SensorNode
 from firmware_sim.plant import STEP_NS, Plant
 from firmware_sim.scene import Scene
@@ -66,7 +67,7 @@ class World:
         if motor.protocol not in PROTOCOLS:
             known = ", ".join(PROTOCOLS)
             raise SimulatorError(f"{motor.name}: protocol {motor.protocol} is not simulated; expected one of {known}")
-        return PROTOCOLS[motor.protocol](motor, self.plant.motors[motor.name], self.encoder_offset[motor.name])
+        return PROTOCOLS[motor.protocol].node(motor, self.plant.motors[motor.name], self.encoder_offset[motor.name])
 
     def _sensor_node(self, spec: SensorSpec) -> SensorNode:
         plant, joints = self.plant, self.hand.joints
@@ -95,11 +96,7 @@ class World:
     def host_frame(self, name: str) -> Frame:
         """Return a frame that only the host of a motor may send, and that does nothing to it."""
         spec = self.motor_spec(name)
-        can_id, data = {
-            "mit": (spec.node_id, bytes(8)),
-            "odrive": (spec.node_id << 5 | 0x18, b""),
-            "cia402": (0x600 + spec.node_id, b"\x40\x00\x10" + bytes(5)),
-        }[spec.protocol]
+        can_id, data = PROTOCOLS[spec.protocol].host_frame(spec.node_id)
         return Frame(can_id, data, 0, self._bus(spec.bus), self.t_ns)
 
     def record(self, truth: TruthWriter) -> None:

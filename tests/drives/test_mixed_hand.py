@@ -6,11 +6,14 @@ from pathlib import Path
 import pytest
 
 from handctl.controller.bus_load import bus_loads
+from handctl.controller.setup import make_sensors
 from handctl.drives.contract import Phase, Want
+from handctl.drives.identifiers import check_identifiers
 from handctl.drives.load import bus_time_s
+from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.description import load_hand
-from tests.drives.protocol_bench import Bench, hand_file, on_two_buses
+from tests.drives.protocol_bench import Bench, described, hand_file, on_two_buses
 
 
 def mixed(folder: Path) -> Path:
@@ -122,3 +125,15 @@ def test_the_load_is_that_of_the_table(tmp_path: Path, protocol: str, extra: str
     frames = [(size, fd, 1.0) for drive in bench.drives for size, fd in drive.exchange] + [(8, False, 1.0)]
     frames += [(0, False, 1.0)] if protocol == "cia402" else [(8, False, 4.0)] if protocol == "odrive" else []
     assert bus_time_s(frames, 1e6) * 1e6 == pytest.approx(microseconds, rel=0.02)
+
+
+@pytest.mark.parametrize(("cubemars", "mit", "reply"), [(5, 5, 0x15), (5, 0x21, 5), (5, 1, 0x80)])
+def test_an_identifier_with_two_meanings_is_refused_whatever_the_protocols(cubemars: int, mit: int, reply: int) -> None:
+    """A CubeMars motor answers on its number, which here is an order to, or an answer of, a Damiao motor, or SYNC."""
+    sensors = make_sensors(load_hand("jamia"))
+    first = make_drive(described("cubemars", cubemars, 0.8, {"motor_type": "ak80-9"}), 0)
+    second = make_drive(described("mit", mit, 0.8, {"reply_id": reply}), 0)
+    with pytest.raises(ConfigError, match=r"^second: identifier .* has two meanings"):
+        check_identifiers([("sensor", sensors), ("first", first), ("second", second)])
+    elsewhere = make_drive(described("mit", mit, 0.8, {"reply_id": reply}), 1)
+    check_identifiers([("first", first), ("second", elsewhere)])

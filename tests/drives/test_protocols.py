@@ -9,11 +9,10 @@ import pytest
 
 from handctl.drives.contract import Phase, Want
 from handctl.drives.frame import EXTENDED, FDF, REMOTE, Frame
-from handctl.drives.registry import PROTOCOLS
-from tests.drives.protocol_bench import Bench, hand_file
+from tests.drives.protocol_bench import GUARDED, Bench, hand_file
 
 
-@pytest.fixture(params=sorted(PROTOCOLS))
+@pytest.fixture(params=GUARDED)
 def protocol(request: pytest.FixtureRequest) -> str:
     return str(request.param)
 

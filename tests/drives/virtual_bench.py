@@ -3,8 +3,9 @@
 from dataclasses import replace
 
 from firmware_sim.bench import Bench
-from firmware_sim.drive_types import ENDPOINTS, drive_spec
+from firmware_sim.drive_types import drive_spec
 from firmware_sim.frame import Frame as SimFrame
+from firmware_sim.nodes.odrive_bench import ENDPOINTS
 from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
 from handctl.runtime.drive_rig import PERIOD_NS, DriveRig
@@ -14,6 +15,7 @@ NODE = 0x21
 OPTIONS = {
     "mit": {},
     "odrive": {**ENDPOINTS, "torque_feedback": True},
+    "cubemars": {"motor_type": "ak80-9"},
     "cia402": {"rated_torque_N_m": 1.0, "counts_per_turn": 65536, "sync": True},
 }
 

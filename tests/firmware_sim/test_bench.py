@@ -7,8 +7,9 @@ import pytest
 
 from firmware_sim.__main__ import main
 from firmware_sim.bench import Bench
-from firmware_sim.drive_types import MIT_TYPES, NODES, drive_spec
+from firmware_sim.drive_types import drive_spec
 from firmware_sim.frame import BRS, FDF, Frame
+from firmware_sim.nodes import PROTOCOLS, mit_bench
 
 MS = 1_000_000
 ENABLE = b"\xff" * 7 + b"\xfc"
@@ -20,12 +21,12 @@ def register(bench: Bench, node: int, number: int) -> bytes:
     return reply.data[4:]
 
 
-@pytest.mark.parametrize("kind", MIT_TYPES)
+@pytest.mark.parametrize("kind", mit_bench.TYPES)
 def test_an_mit_motor_has_its_makers_ranges_and_no_watchdog(kind: str) -> None:
     bench = Bench([drive_spec("mit", 2, kind), drive_spec("mit", 5, kind)])
     for node in (2, 5):
         ranges = [struct.unpack("<f", register(bench, node, number))[0] for number in (21, 22, 23)]
-        assert ranges == pytest.approx(MIT_TYPES[kind])
+        assert ranges == pytest.approx(mit_bench.TYPES[kind])
         assert register(bench, node, 9) == bytes(4)
         assert register(bench, node, 35) == b"\4\0\0\0"
 
@@ -80,9 +81,12 @@ def test_frames_for_nobody_are_counted() -> None:
     [
         ("mit --ids 1,1 --bus local:x", "every number once"),
         ("mit --ids one --bus local:x", "expected numbers"),
-        ("mit --ids 0 --bus local:x", f"expected 1 to {NODES['mit'].stop - 1}"),
+        ("mit --ids 0 --bus local:x", f"expected 1 to {PROTOCOLS['mit'].numbers.stop - 1}"),
         ("odrive --ids 63 --bus local:x", "expected 0 to 62"),
         ("cia402 --ids 1 --fd --bus local:x", "only drive mit"),
+        ("mit --ids 1 --motor-type ak80-9 --fd --bus local:x", "Damiao"),
+        ("odrive --ids 1 --motor-type dm4310 --bus local:x", "only drive mit"),
+        ("cubemars --ids 1 --motor-type dm4310 --bus local:x", "no such motor"),
         ("mit --ids 1 --motor-type dm1 --bus local:x", "dm4310"),
         ("mit --ids 1 --inertia nan --bus local:x", "more than 0"),
         ("can --ids 1 --bus local:x", "invalid choice"),

@@ -3,9 +3,9 @@
 import pytest
 
 from firmware_sim.broken import FAULTS
-from handctl.drives.registry import PROTOCOLS
 from handctl.runtime.conformance import Check, Subject, Verdict, checks
 from handctl.runtime.drive_rig import DriveRig
+from tests.drives.protocol_bench import GUARDED
 from tests.drives.virtual_bench import VirtualBench, rig_on
 
 LIMIT = 0.1
@@ -17,7 +17,7 @@ def judged(protocol, fault="", options=None, inertia=None, delay=0) -> tuple[dic
     return {check.name: check for check in checks(Subject(rig, LIMIT, 0.05))}, place, rig
 
 
-@pytest.fixture(params=sorted(PROTOCOLS))
+@pytest.fixture(params=GUARDED)
 def protocol(request):
     return request.param
 

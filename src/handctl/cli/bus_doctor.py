@@ -122,11 +122,13 @@ def _answers(timed: tuple[Found, RoundTrip]) -> Finding:
 def _missing(hand: Hand, bus: str, result: Scan) -> list[Finding]:
     """Motors of the hand file that did not answer."""
     there = {(node.protocol, node.node_id) for node in result.found}
-    motors = [motor for motor in hand.motor if motor.bus == bus]
+    motors = [motor for motor in hand.motor if motor.bus == bus and (motor.protocol, motor.node_id) not in there]
+    names = [(f"{motor.name} ({motor.protocol} {motor.node_id})", motor.protocol in DISCOVERIES) for motor in motors]
     return [
-        Finding(f"{motor.name} ({motor.protocol} {motor.node_id}) does not answer", False, WIRING)
-        for motor in motors
-        if (motor.protocol, motor.node_id) not in there
+        Finding(f"{name} does not answer", False, WIRING)
+        if asked
+        else Finding(f"{name} was not looked for: it answers orders only", True)
+        for name, asked in names
     ]
 
 

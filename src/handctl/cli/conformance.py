@@ -27,7 +27,7 @@ WATCHDOG_MS = 100
 """Longer than what a desktop without real-time priority may keep this process waiting."""
 TORQUE_TOP = 50.0
 """Largest torque that a hand file takes [N m]."""
-DEFAULTS: dict[str, dict[str, Any]] = {"mit": {}, "odrive": {"torque_feedback": True}, "cia402": {"sync": True}}
+DEFAULTS: dict[str, dict[str, Any]] = {"odrive": {"torque_feedback": True}, "cia402": {"sync": True}}
 """Options of a drive alone on a bench: nobody else sends SYNC."""
 NEEDED = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
 """What a CiA 402 drive may not tell; a wrong rated torque is refused when it is read back."""
@@ -52,7 +52,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Check; 1 if a promise was broken, 71 if the drive does not say in the end that it is off."""
-    options = DEFAULTS[args.drive] | _options(args.option)
+    options = DEFAULTS.get(args.drive, {}) | _options(args.option)
     if not (math.isfinite(args.limit) and 1e-3 <= args.limit <= TORQUE_TOP):
         raise ConfigError(f"{args.limit:g}", "--torque-limit-Nm", f"0.001 to {TORQUE_TOP:g}")
     _drive(args, options, None)
@@ -131,6 +131,8 @@ def _found(args: argparse.Namespace) -> Found:
         DriveError: there is no such drive.
     """
     _tell(f"{args.bus}: looking for it")
+    if PROTOCOLS[args.drive].discovery is None:
+        return Found(args.drive, args.node)  # it answers orders only: whether it is there, the first check tells
     bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate)
     try:
         result = scan(bus)

@@ -23,6 +23,7 @@ from handctl.controller.task import Task
 from handctl.controller.tick import Controller
 from handctl.document import Document
 from handctl.drives.contract import Drive
+from handctl.drives.identifiers import check_identifiers
 from handctl.drives.registry import make_drive
 from handctl.drives.sensor_node import SensorNode
 from handctl.hand.description import Hand, hand_from
@@ -128,10 +129,17 @@ def caveats(drives: Iterable[Drive]) -> tuple[str, ...]:
 
 
 def make_drives(hand: Hand) -> tuple[Drive, ...]:
-    """The motor of each tendon, in the order of the tendons."""
+    """The motor of each tendon, in the order of the tendons.
+
+    Raises:
+        ConfigError: an option that a drive does not have, or an identifier with two meanings.
+    """
     buses = hand.bus_names
     motors = [hand.motor_of(name) for name in hand.tendon_names]
-    return tuple(make_drive(motor, buses.index(motor.bus)) for motor in motors)
+    drives = tuple(make_drive(motor, buses.index(motor.bus)) for motor in motors)
+    named = [(f"motor[{drive.name}].node_id", drive) for drive in drives]
+    check_identifiers([("sensor_node.base_id", make_sensors(hand)), *named])
+    return drives
 
 
 def make_sensors(hand: Hand) -> SensorNode:

@@ -6,7 +6,7 @@ any tick (``runtime.canopen_identity``). Source: facts, cia402.
 
 from handctl.drives import cia402_codec as codec
 from handctl.drives.cia402_setup import MASTER
-from handctl.drives.discovery import Found, Seen
+from handctl.drives.discovery import Discovery, Found, Seen
 from handctl.drives.frame import REMOTE, Frame
 
 NUMBERS = range(1, MASTER)
@@ -65,3 +65,6 @@ def ping(node: Found) -> Frame:
 def pong(node: Found, frame: Frame) -> bool:
     """Whether this is its device type."""
     return frame.can_id == codec.SDO_REPLY + node.node_id and len(frame.data) == 8
+
+
+DISCOVERY = Discovery(questions, found, orders, foreign, ping, pong)

@@ -8,7 +8,7 @@ Source: facts, mit_damiao.
 import struct
 
 from handctl.drives import mit_codec as codec
-from handctl.drives.discovery import Found, Seen
+from handctl.drives.discovery import Discovery, Found, Seen
 from handctl.drives.frame import Frame
 
 NUMBERS = range(1, 0x80)
@@ -107,3 +107,6 @@ def pong(motor: Found, frame: Frame) -> bool:
     """Whether this is its MST_ID."""
     answer = frame.can_id != codec.BROADCAST_ID and len(frame.data) == 8
     return answer and frame.data[:4] == codec.register_request(motor.node_id, codec.READ, MST_ID)[:4]
+
+
+DISCOVERY = Discovery(questions, found, orders, foreign, ping, pong)

@@ -8,7 +8,7 @@ import struct
 
 from handctl.drives import odrive_05
 from handctl.drives import odrive_codec as codec
-from handctl.drives.discovery import Found, Seen
+from handctl.drives.discovery import Discovery, Found, Seen
 from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
 
 ADDRESS, BROADCAST = 0x06, 0x3F
@@ -100,3 +100,6 @@ def ping(drive: Found) -> Frame:
 def pong(drive: Found, frame: Frame) -> bool:
     """Whether this is its version."""
     return frame.can_id == codec.can_id(drive.node_id, codec.GET_VERSION) and len(frame.data) == 8
+
+
+DISCOVERY = Discovery(questions, found, orders, foreign, ping, pong)

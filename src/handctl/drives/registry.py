@@ -1,31 +1,40 @@
 """Which protocols there are: one line each."""
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 from handctl.drives import cia402_discovery, mit_discovery, odrive_discovery, sensor_discovery
 from handctl.drives.cia402 import Cia402Drive
 from handctl.drives.contract import Drive
+from handctl.drives.cubemars import CubemarsDrive
 from handctl.drives.description import MotorDescription
 from handctl.drives.discovery import Discovery
 from handctl.drives.mit import MitDrive
 from handctl.drives.odrive import OdriveDrive
 from handctl.errors import ConfigError
 
-PROTOCOLS: dict[str, Callable[[MotorDescription, int], Drive]] = {
-    "cia402": Cia402Drive.of,
-    "mit": MitDrive.of,
-    "odrive": OdriveDrive.of,
+
+class Spoken(NamedTuple):
+    """A protocol.
+
+    Attributes:
+        make: the drive of a motor description on a bus.
+        discovery: how it is looked for; None where nothing can be asked that is no order.
+    """
+
+    make: Callable[[MotorDescription, int], Drive]
+    discovery: Discovery | None
+
+
+PROTOCOLS: dict[str, Spoken] = {
+    "odrive": Spoken(OdriveDrive.of, odrive_discovery.DISCOVERY),
+    "mit": Spoken(MitDrive.of, mit_discovery.DISCOVERY),
+    "cia402": Spoken(Cia402Drive.of, cia402_discovery.DISCOVERY),
+    "cubemars": Spoken(CubemarsDrive.of, None),
 }
-
-
 DISCOVERIES: dict[str, Discovery] = {
-    name: Discovery(module.questions, module.found, module.orders, module.foreign, module.ping, module.pong)
-    for name, module in (
-        ("odrive", odrive_discovery),
-        ("mit", mit_discovery),
-        ("cia402", cia402_discovery),
-        ("sensor", sensor_discovery),
-    )
+    **{name: spoken.discovery for name, spoken in PROTOCOLS.items() if spoken.discovery},
+    "sensor": sensor_discovery.DISCOVERY,
 }
 """How each protocol, and the sensor node, is looked for on a bus."""
 
@@ -43,4 +52,4 @@ def make_drive(motor: MotorDescription, bus: int) -> Drive:
     if motor.protocol not in PROTOCOLS:
         where = f"motor[{motor.name}].protocol"
         raise ConfigError(repr(motor.protocol), where, "one of " + ", ".join(sorted(PROTOCOLS)))
-    return PROTOCOLS[motor.protocol](motor, bus)
+    return PROTOCOLS[motor.protocol].make(motor, bus)

@@ -4,7 +4,7 @@ SYNC is no order to a motor of its own, but it lets CANopen drives act on PDOs t
 beside an ODrive with node number 4, it is not sent (``orders`` of theirs name it). Source: ``sensor_node``.
 """
 
-from handctl.drives.discovery import Found, Seen
+from handctl.drives.discovery import Discovery, Found, Seen
 from handctl.drives.frame import Frame
 
 SYNC = 0x080
@@ -62,3 +62,6 @@ def ping(node: Found) -> Frame:
 def pong(node: Found, frame: Frame) -> bool:
     """Whether this is its answer."""
     return frame.can_id == node.node_id and len(frame.data) >= 2 and frame.data[0] & 0xF == COUNTERS[0] & 0xF
+
+
+DISCOVERY = Discovery(questions, found, orders, foreign, ping, pong)

@@ -87,7 +87,7 @@ def _configured(subject: Subject) -> str:
     rig = subject.rig
     if not rig.until(Want.POLL, lambda state: state.phase == Phase.READY, 5.0):
         raise Failed(rig.state.error_text or f"nothing that leads on from {rig.state.phase.name}")
-    return "; ".join(("settings read back", *rig.drive.caveats))
+    return "; ".join(rig.drive.caveats or ("settings read back",))
 
 
 def _enabled(rig: DriveRig) -> None:

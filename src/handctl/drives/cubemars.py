@@ -1,0 +1,244 @@
+"""A CubeMars AK motor in MIT mode: commands as Damiao motors have them, and little that tells what became of them.
+
+It has no registers, no watchdog, and no word for enabled or disabled in its feedback, which comes on the identifier of
+the command. So a motor counts as enabled once it has answered the order to enable, and as disabled once it has
+answered the order to disable several times and reports no torque. Disable is also what it is polled by: nothing else
+gets an answer that cannot make torque. What nobody can verify stands in ``caveats``.
+Source: facts, mit_damiao (variants).
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from handctl.drives import mit_codec as codec
+from handctl.drives.causes import Cause
+from handctl.drives.contract import DriveState, Phase, Want
+from handctl.drives.description import MotorDescription
+from handctl.drives.frame import Frame, make
+from handctl.errors import ConfigError
+
+LISTEN, POLL, ENABLE, DISABLE = Want
+SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
+MODELS = {
+    "ak60-6": codec.Ranges(12.5, 50.0, 15.0),
+    "ak70-10": codec.Ranges(12.5, 50.0, 25.0),
+    "ak80-6": codec.Ranges(12.5, 76.0, 12.0),
+    "ak80-9": codec.Ranges(12.5, 50.0, 18.0),
+    "ak10-9": codec.Ranges(12.5, 50.0, 65.0),
+}
+"""Full scale of the models. Source: CubeMars AK Series Actuator Driver Manual V1.0.8, 5.3."""
+ERRORS = {
+    1: "over-temperature",
+    2: "over-current",
+    3: "over-voltage",
+    4: "under-voltage",
+    5: "encoder error",
+    6: "phase current imbalance",
+}
+"""Byte 7 of the feedback."""
+CAUSES = {1: Cause.HOT, 3: Cause.VOLTAGE, 4: Cause.VOLTAGE} | dict.fromkeys((2, 5, 6), Cause.OTHER)
+SIZES = (6, 8)
+"""Of the feedback; six bytes on older firmware, without temperature and error."""
+ANSWERS = 3
+"""Answers to an order that make it count as obeyed; one may have been under way before."""
+QUIET = 0.02
+"""Torque that counts as none, as a share of full scale: what a current sensor shows at rest."""
+GONE_NS = 250_000_000
+"""After this silence a motor counts as not heard of [ns]."""
+CAVEATS = (
+    "watchdog: CubeMars' MIT mode has none; a dead host leaves torque on",
+    "does not tell whether it is enabled; an answer to disable without torque counts as disabled",
+    "ranges cannot be read back; motor_type must be right",
+)
+
+
+class Progress(NamedTuple):
+    """What is kept in ``DriveState.private``.
+
+    Attributes:
+        order: the last order, ENABLE or DISABLE.
+        since_ns: since when it is given [ns].
+        answers: how often it was answered as it should be, in a row.
+        asked: whether it was told to enable, and has not been found without torque since.
+    """
+
+    order: Want = DISABLE
+    since_ns: int = -1
+    answers: int = 0
+    asked: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class CubemarsDrive:
+    """One motor; implements ``contract.Drive``.
+
+    Attributes:
+        name: the motor's name.
+        bus: index of its bus.
+        node_id: its number, and the identifier of commands and feedback.
+        ranges: full scale of its model.
+        torque_limit: largest torque that can be commanded [N m].
+        direction: 1 if positive torque of the motor winds.
+        zero: motor angle of the spool's zero [rad].
+        lines: by which feedback is decoded; follow from the others.
+    """
+
+    name: str
+    bus: int
+    node_id: int
+    ranges: codec.Ranges
+    torque_limit: float
+    direction: int
+    zero: float
+    lines: codec.Lines = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lines", codec.lines(self.ranges, self.direction, self.zero))
+
+    @staticmethod
+    def of(motor: MotorDescription, bus: int) -> "CubemarsDrive":
+        """The drive of a motor description, whose ranges of position and velocity do not count: the model's do.
+
+        Raises:
+            ConfigError: no such model, or more torque than it has.
+        """
+        options, where = dict(motor.options), f"motor[{motor.name}]"
+        model: Any = options.pop("motor_type", None)
+        if model not in MODELS:
+            what = "missing" if model is None else repr(model)
+            raise ConfigError(what, f"{where}.options.motor_type", "one of " + ", ".join(MODELS))
+        if options:
+            raise ConfigError("unknown key", f"{where}.options.{next(iter(options))}", "motor_type")
+        ranges = MODELS[model]
+        if motor.torque_max_N_m > ranges.torque:
+            raise ConfigError(f"{motor.torque_max_N_m:g}", f"{where}.torque_max_N_m", f"at most {ranges.torque:g}")
+        return CubemarsDrive(
+            motor.name, bus, motor.node_id, ranges, motor.torque_max_N_m, motor.direction, motor.zero_rad
+        )
+
+    @property
+    def exchange(self) -> tuple[tuple[int, bool], ...]:
+        """Command and answer."""
+        return ((8, False), (8, False))
+
+    @property
+    def background(self) -> tuple[tuple[int, bool, float], ...]:
+        """Nothing: it speaks only when spoken to."""
+        return ()
+
+    @property
+    def host_ids(self) -> frozenset[int]:
+        """Commands; feedback has the same identifier, so nobody can tell a second host by it."""
+        return frozenset((self.node_id,))
+
+    @property
+    def node_ids(self) -> frozenset[int]:
+        """Feedback."""
+        return frozenset((self.node_id,))
+
+    @property
+    def caveats(self) -> tuple[str, ...]:
+        """What this motor cannot tell."""
+        return CAVEATS
+
+    @property
+    def answers_once(self) -> bool:
+        """It speaks only when spoken to."""
+        return True
+
+    @property
+    def feedback_period_s(self) -> float:
+        """Every command asks for it."""
+        return 0.0
+
+    def initial(self) -> DriveState:
+        """Silent."""
+        return DriveState(private=Progress())
+
+    def receive(self, state: DriveState, frame: Frame) -> DriveState:
+        """See ``contract.Drive``."""
+        can_id, data, _, bus, t_ns = frame
+        if can_id != self.node_id or bus != self.bus:
+            return state
+        if len(data) not in SIZES or data[0] != self.node_id & 0xFF:
+            return state._replace(misread=state.misread + 1)
+        temperature, error = (float(data[6]), data[7]) if len(data) == 8 else (math.nan, 0)
+        _, position, velocity, torque, _ = codec.decode_feedback(data[:6] + bytes(2), self.lines)
+        phase, _, _, _, _, _, count, before, text, misread, private = state
+        values = (phase, position, velocity, torque, temperature, t_ns, count + 1, before, text, misread, private)
+        known = self._answered(make(DriveState, values), private)
+        if not error:
+            return known
+        disabling = known.phase == ENABLED and private.order == DISABLE
+        told = known._replace(error=error, error_text=ERRORS.get(error, f"unknown error {error}"))
+        return told if disabling else told._replace(phase=FAULT)
+
+    def _answered(self, state: DriveState, progress: Progress) -> DriveState:
+        """What an answer to the present order means."""
+        if state.feedback_t_ns < progress.since_ns:
+            return state
+        if progress.order == ENABLE:
+            done = state.phase != FAULT and progress.answers + 1 >= ANSWERS
+            return state._replace(
+                phase=ENABLED if done else state.phase, private=progress._replace(answers=progress.answers + 1)
+            )
+        quiet = abs(state.torque) <= QUIET * self.ranges.torque
+        progress = progress._replace(answers=progress.answers + 1 if quiet else 0)
+        if progress.answers < ANSWERS:
+            heard = CONFIGURING if state.phase == SILENT else state.phase
+            return state._replace(phase=heard, private=progress)
+        phase = FAULT if state.error else READY
+        return state._replace(phase=phase, private=progress._replace(asked=False))
+
+    def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
+        """See ``contract.Drive``."""
+        progress: Progress = state.private
+        if state.phase is ENABLED and want is ENABLE and progress.order is ENABLE:
+            return state, (make(Frame, (self.node_id, self.command(torque), 0, self.bus, 0)),)
+        if want == LISTEN:
+            return state, ()
+        if state.phase == READY and t_ns - state.feedback_t_ns > GONE_NS and not progress.asked:
+            state = state._replace(phase=SILENT)
+        if want == ENABLE and state.phase == READY:
+            return self._order(state, ENABLE, t_ns), (self._frame(codec.special(codec.ENABLE)),)
+        phase = ENABLED if progress.asked and (want == DISABLE or state.phase != FAULT) else state.phase
+        return self._order(state._replace(phase=phase), DISABLE, t_ns), self.cut()
+
+    def _order(self, state: DriveState, order: Want, t_ns: int) -> DriveState:
+        """The state with an order given; what it is told anew has not been answered yet."""
+        progress: Progress = state.private
+        if progress.order == order and progress.since_ns >= 0:
+            return state
+        asked = progress.asked or order == ENABLE
+        return state._replace(private=Progress(order, t_ns, 0, asked))
+
+    def command(self, torque: float) -> bytes:
+        """Payload of a pure torque command.
+
+        Args:
+            torque: at the spool [N m].
+
+        Raises:
+            ValueError: not finite, or beyond the limit.
+        """
+        if not abs(torque) <= self.torque_limit:
+            raise ValueError(f"{self.name}: torque {torque} N m, expected at most {self.torque_limit:g}")
+        return codec.encode_torque(self.direction * torque, self.ranges.torque)
+
+    def cut(self) -> tuple[Frame, ...]:
+        """Disable at once."""
+        return (self._frame(codec.special(codec.DISABLE)),)
+
+    def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Forget the error; there is no frame that clears it, and a motor that still has it says so again."""
+        progress: Progress = state.private
+        fresh = state._replace(phase=SILENT, error=0, error_text="", private=Progress(asked=progress.asked))
+        return fresh, self.cut()
+
+    def cause(self, error: int) -> Cause:
+        """See ``contract.Drive``."""
+        return CAUSES.get(error, Cause.UNKNOWN)
+
+    def _frame(self, data: bytes) -> Frame:
+        return Frame(self.node_id, data, 0, self.bus)

@@ -1,0 +1,176 @@
+"""CubeMars motors in MIT mode, against their simulated firmware, and TMotorCANControl's payloads against both."""
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from firmware_sim.bench import Bench as DriveBench
+from firmware_sim.drive_types import drive_spec
+from firmware_sim.nodes.cubemars import FULL_SCALE, CubemarsNode, Error
+from handctl.drives.causes import Cause
+from handctl.drives.contract import Phase, Want
+from handctl.drives.cubemars import MODELS, CubemarsDrive
+from handctl.drives.frame import Frame
+from handctl.drives.registry import make_drive
+from handctl.errors import ConfigError
+from handctl.runtime.conformance import Subject, Verdict, checks
+from tests.drives.protocol_bench import Bench, described, hand_file
+from tests.drives.virtual_bench import VirtualBench, rig_on
+
+STEP_N_M = 36.0 / 4095
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    made = Bench(hand_file(tmp_path, ["cubemars"]))
+    yield made
+    made.rig.close()
+
+
+def servo_torques(bench: Bench) -> list[float]:
+    return [motor.servo.torque for motor in bench.rig.world.plant.motors.values()]
+
+
+def first(bench: Bench) -> CubemarsNode:
+    node = bench.rig.world.nodes[0][0]
+    assert isinstance(node, CubemarsNode)
+    return node
+
+
+def test_from_silence_to_torque_and_a_confirmed_standstill(bench: Bench) -> None:
+    bench.until(Want.POLL, Phase.READY)
+    assert servo_torques(bench) == [0.0] * 4
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    for _ in range(200):
+        bench.tick(Want.ENABLE, 0.05)
+    world = bench.rig.world
+    for drive, state in zip(bench.drives, bench.states, strict=True):
+        truth = world.plant.motors[drive.name].theta + world.encoder_offset[drive.name]
+        assert state.position == pytest.approx(truth, abs=0.01)
+        assert state.torque == pytest.approx(0.05, abs=2 * STEP_N_M)
+        assert state.temperature == 25.0
+    assert servo_torques(bench) == pytest.approx([0.05] * 4, abs=STEP_N_M)
+    bench.until(Want.DISABLE, Phase.READY, ticks=100)
+    assert servo_torques(bench) == [0.0] * 4
+    assert [state.misread for state in bench.states] == [0] * 4
+    assert world.malformed == 0
+
+
+def test_neither_silence_nor_an_answer_with_torque_in_it_confirms_that_it_is_off(bench: Bench) -> None:
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    for _ in range(100):
+        bench.incoming = []
+        bench.tick(Want.DISABLE)
+    assert {state.phase for state in bench.states} == {Phase.ENABLED}
+    drive, state = bench.drives[0], bench.states[0]
+    pulling = bytes((0x10, 0x80, 0, 0x7F, 0xF9, 0, 30, 0))
+    for tick in range(20):
+        state = drive.receive(state, Frame(0x10, pulling, 0, 0, bench.k * 2_000_000 + tick))
+        state, frames = drive.advance(state, bench.k * 2_000_000 + tick, Want.DISABLE, 0.0)
+        assert state.phase == Phase.ENABLED
+        assert frames == drive.cut()
+
+
+@pytest.mark.parametrize(
+    ("error", "words", "cause"),
+    [(Error.HOT, "over-temperature", Cause.HOT), (Error.UNDER_VOLTAGE, "under-voltage", Cause.VOLTAGE),
+     (Error.ENCODER, "encoder error", Cause.OTHER)],
+)  # fmt: skip
+def test_an_error_is_told_in_words_and_goes_by_order_only(bench: Bench, error: Error, words: str, cause: Cause) -> None:
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    first(bench).trip(error)
+    for _ in range(5):
+        bench.tick(Want.ENABLE, 0.05)
+    state = bench.states[0]
+    assert (state.phase, state.error_text, bench.drives[0].cause(state.error)) == (Phase.FAULT, words, cause)
+    bench.clear()
+    for _ in range(20):
+        bench.tick(Want.POLL)
+    assert bench.states[0].phase == Phase.FAULT, "it still has it"
+    first(bench).trip(Error.NONE)
+    for _ in range(20):
+        bench.tick(Want.ENABLE)
+    assert bench.states[0].phase == Phase.FAULT
+    bench.clear()
+    bench.until(Want.ENABLE, Phase.ENABLED)
+
+
+def test_older_firmware_answers_with_six_bytes(bench: Bench) -> None:
+    for node in bench.rig.world.nodes[0][:4]:
+        node.short = True  # type: ignore[attr-defined]
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    assert math.isnan(bench.states[0].temperature)
+    bench.until(Want.DISABLE, Phase.READY)
+
+
+@pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf, 0.801, -18.0])
+def test_what_is_no_torque_cannot_be_encoded(bench: Bench, torque: float) -> None:
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    with pytest.raises(ValueError, match="index_motor"):
+        bench.drives[0].advance(bench.states[0], bench.k * 2_000_000, Want.ENABLE, torque)
+
+
+def test_of_the_contract_only_what_needs_a_state_in_the_feedback_cannot_be_kept() -> None:
+    place = VirtualBench("cubemars")
+    rig = rig_on(place, "cubemars", 0.1)
+    found = list(checks(Subject(rig, 0.1, 0.05)))
+    failed = [check for check in found if check.verdict is not Verdict.PASSED]
+    dead_host, cut = failed
+    assert dead_host.name == "lets go of a dead host, and stays off"
+    assert "has none" in dead_host.why
+    assert cut.name == "is cut at once, and cleared by order only"
+    assert "still enabled" in cut.why, "it is not, and does not tell"
+    assert rig.confirm_off(0.05)
+    assert place.bench.motors[0].servo.torque == 0.0
+
+
+def test_a_motor_that_does_not_disable_is_found_out() -> None:
+    place = VirtualBench("cubemars", "deaf")
+    rig = rig_on(place, "cubemars", 0.5)
+    assert rig.until(Want.ENABLE, lambda state: state.phase == Phase.ENABLED, 1.0)
+    place.bench.motors[0].servo.kd = 1.0
+    place.bench.motors[0].omega = 8.0
+    rig.until(Want.DISABLE, lambda state: False, 0.02)
+    assert rig.state.phase == Phase.ENABLED
+
+
+@pytest.mark.parametrize("model", FULL_SCALE)
+def test_host_and_simulator_have_the_same_ranges(model: str) -> None:
+    assert tuple(MODELS[model]) == FULL_SCALE[model]
+    assert DriveBench([drive_spec("mit", 1, model)]).receive(Frame(1, b"\xff" * 7 + b"\xfc"))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [({}, "ak80-9"), ({"motor_type": "ak1"}, "ak80-9"), ({"motor_type": "ak80-9", "reply_id": 3}, "unknown key")],
+)
+def test_options_that_make_no_motor_are_refused(options: dict[str, object], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        make_drive(described("cubemars", 1, 0.8, options), 0)
+    with pytest.raises(ConfigError, match="at most 18"):
+        make_drive(described("cubemars", 1, 20.0, {"motor_type": "ak80-9"}), 0)
+
+
+def test_the_client_of_a_university_says_the_same() -> None:
+    """TMotorCANControl's codec, on this host's commands and on the simulated motor's answers."""
+    mit_can = pytest.importorskip("TMotorCANControl.mit_can")
+    manager = object.__new__(mit_can.CAN_Manager)
+    mit_can.CAN_Manager.__del__ = lambda self: None
+    sent: list[bytes] = []
+    manager.send_MIT_message = lambda _, data: sent.append(bytes(data))
+    drive = make_drive(described("cubemars", 1, 18.0, {"motor_type": "ak80-9"}), 0)
+    assert isinstance(drive, CubemarsDrive)
+    for torque in (-18.0, -1.0, 0.3, 18.0):
+        manager.MIT_controller(1, "AK80-9", 0.0, 0.0, 0.0, 0.0, torque)
+        ours, theirs = (int.from_bytes(data, "big") for data in (drive.command(torque), sent[-1]))
+        assert ours >> 12 & 0xFFFFFF == theirs >> 12 & 0xFFFFFF == 0, "no gains"
+        assert abs((ours & 0xFFF) - (theirs & 0xFFF)) <= 1
+    bench = DriveBench([drive_spec("mit", 1, "ak80-9")])
+    bench.motors[0].theta = 1.25
+    (answer,) = bench.receive(Frame(1, b"\xff" * 7 + b"\xfc"))  # type: ignore[arg-type]
+    told = manager.parse_MIT_message(answer.data, "AK80-9")
+    assert (told.temperature, told.error) == (25, 0)
+    assert told.position == pytest.approx(1.25, abs=1e-3)
+    assert told.current == pytest.approx(0.0, abs=2 * STEP_N_M)
