@@ -5,7 +5,7 @@ import random
 from collections.abc import Callable
 from typing import Any, cast
 
-from firmware_sim.fault_text import CELL, ENCODER, Fault
+from firmware_sim.fault_text import CELL, ENCODER, SENSORS, Fault
 from firmware_sim.fault_wire import Active
 from firmware_sim.frame import Frame
 from firmware_sim.nodes.cia402 import Cia402Node
@@ -145,7 +145,9 @@ def _hot(world: Any, one: Active) -> Undo:
 
 
 def _servo(world: Any, one: Active) -> Undo:
-    """The drive's power stage does something else than it is told."""
+    """The drive's power stage does something else than it is told; a sensor node has none."""
+    if one.fault.instance == SENSORS:
+        return lambda: None
     motor, fault = world.plant.motors[one.fault.instance], one.fault
     kept = motor.servo.torque
     most = world.motor_spec(fault.instance).torque_max

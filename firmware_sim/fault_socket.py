@@ -12,7 +12,7 @@ LONGEST = 4096
 
 
 class FaultSocket:
-    """A Unix datagram socket; ``{"inject": TEXT}`` or ``{"list": true}`` in, one JSON object out."""
+    """A Unix datagram socket; ``{"inject": TEXT}``, ``{"list": true}`` or ``{"kinds": true}`` in, a JSON object out."""
 
     def __init__(self, path: Path, faults: Faults) -> None:
         """Args: where it lies; whose faults it takes.
@@ -58,8 +58,10 @@ class FaultSocket:
                 self._faults.inject(asked["inject"])
             except SimulatorError as error:
                 return {"error": str(error)}
+        elif isinstance(asked, dict) and asked.get("kinds"):
+            return {"kinds": self._faults.kinds()}
         elif not isinstance(asked, dict) or not asked.get("list"):
-            return {"error": 'expected {"inject": TEXT} or {"list": true}'}
+            return {"error": 'expected {"inject": TEXT}, {"list": true} or {"kinds": true}'}
         return {"faults": self._faults.told()[-20:], "t_ns": self._faults.t_ns, "slip_ns": self._faults.slip_ns}
 
     def close(self) -> None:

@@ -55,6 +55,16 @@ KINDS = {
     "block": Kind((DIGIT,), 0, "a digit cannot move"),
 }  # fmt: skip
 """Everything that can be injected."""
+SIZES = {
+    "delay": (0.0, 1e5), "corrupt": (1.0, 512.0), "shorten": (1.0, 64.0), "slow": (2.0, 1e6),
+    "error": (0.0, 2.0**32 - 1), "hot": (-40.0, 1000.0), "disobey": (-10.0, 10.0), "runaway": (-1.0, 1.0),
+    "flood": (1.0, 1000.0), "unknown": (1.0, 1000.0), "noise": (0.0, 1e6), "slack": (0.0, 1000.0),
+    "friction": (0.0, 1e4),
+}  # fmt: skip
+"""Sizes that mean something; of the others a million either way."""
+ANY_SIZE = (-1e6, 1e6)
+OF_DRIVES = ("reset", "error", "watchdog", "voltage", "hot", "disobey", "runaway", "hold_on", "foreign")
+"""Kinds that the sensor node cannot have: it has no power stage, and the host sends it nothing but SYNC."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,12 +110,12 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
             raise SimulatorError(f"fault {text!r}: {pair!r} is not one new KEY=VALUE")
         given[key] = value
     component = _component(text, kind, given)
-    instance = _instance(text, component, given.pop(component), hand)
+    instance = _instance(text, instances(component, hand, kind), component, given.pop(component), hand)
     fault = Fault(
         kind=kind,
         component=component,
         instance=instance,
-        size=_number(text, "size", given.pop("size", str(KINDS[kind].size)), -1e12, 1e12),
+        size=_number(text, "size", given.pop("size", str(KINDS[kind].size)), *SIZES.get(kind, ANY_SIZE)),
         p=_number(text, "p", given.pop("p", "1"), 0.0, 1.0),
         start_ns=now_ns + _time(text, "at", given.pop("at", "0s")),
         duration_ns=_time(text, "for", given.pop("for")) if "for" in given else FOREVER_NS,
@@ -125,11 +135,11 @@ def _component(text: str, kind: str, given: dict[str, str]) -> str:
     return found[0]
 
 
-def instances(component: str, hand: Hand) -> list[str]:
-    """Names that a component may have in a hand."""
+def instances(component: str, hand: Hand, kind: str = "") -> list[str]:
+    """Names that a component may have in a hand, for a kind of fault or for any."""
     motors = [motor.name for motor in hand.motors]
     return {
-        NODE: [*motors, SENSORS] if hand.sensors else motors,
+        NODE: [*motors, SENSORS] if hand.sensors and kind not in OF_DRIVES else motors,
         BUS: hand.buses,
         ENCODER: motors,
         JOINT: hand.sensors.joints if hand.sensors else [],
@@ -139,9 +149,8 @@ def instances(component: str, hand: Hand) -> list[str]:
     }[component]
 
 
-def _instance(text: str, component: str, name: str, hand: Hand) -> str:
+def _instance(text: str, known: list[str], component: str, name: str, hand: Hand) -> str:
     """A name, or the node number of a motor."""
-    known = instances(component, hand)
     if component in (NODE, ENCODER):
         numbers = {str(motor.node_id): motor.name for motor in hand.motors}
         name = numbers.get(name, name)

@@ -4,7 +4,7 @@ import random
 from typing import Any
 
 from firmware_sim import fault_plant, fault_wire
-from firmware_sim.fault_text import BUS, NODE, SENSORS, Fault, parse_fault
+from firmware_sim.fault_text import BUS, KINDS, NODE, SENSORS, Fault, instances, parse_fault
 from firmware_sim.fault_wire import Active
 from firmware_sim.frame import Frame
 
@@ -55,6 +55,19 @@ class Faults:
         self.on = True
         self._world.hear(self.advance(self._world.t_ns))
         return fault
+
+    def kinds(self) -> list[dict[str, object]]:
+        """Every kind of fault, what this hand has to put it on, and what it does."""
+        hand = self._world.hand
+        return [
+            {
+                "kind": name,
+                "on": {component: instances(component, hand, name) for component in kind.components},
+                "size": kind.size,
+                "text": kind.text,
+            }
+            for name, kind in KINDS.items()
+        ]
 
     def told(self) -> list[dict[str, object]]:
         """Every fault so far, and what was felt of it."""

@@ -1,9 +1,11 @@
 """Faults as a schedule: read, begun and ended in time, felt, the same every time."""
 
+import contextlib
+
 import pytest
 
 from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.fault_text import KINDS, instances, parse_fault
+from firmware_sim.fault_text import KINDS, OF_DRIVES, instances, parse_fault
 from firmware_sim.frame import Frame
 from firmware_sim.rig import Rig
 
@@ -52,10 +54,16 @@ def test_what_cannot_be_is_one_line(text, words):
 
 
 EVERYTHING = [
-    f"{kind} {component}={instances(component, HAND)[0]}"
+    f"{kind} {component}={instances(component, HAND, kind)[0]}"
     for kind, known in KINDS.items()
     for component in known.components
-    if instances(component, HAND)
+    if instances(component, HAND, kind)
+]
+OTHERS = [
+    f"{kind} {component}={instances(component, HAND, kind)[-1]}"
+    for kind, known in KINDS.items()
+    for component in known.components
+    if instances(component, HAND, kind)
 ]
 
 
@@ -78,6 +86,23 @@ def test_everything_that_can_be_injected_is_felt_and_ends(text):
     before = told["felt"]
     ask(run, 10)
     assert run.told()[0]["felt"] == before
+
+
+@pytest.mark.parametrize("text", OTHERS)
+def test_no_instance_and_no_size_ends_the_simulator(text):
+    """The last instance of each kind, which is the sensor node where it may be, with sizes from small to absurd."""
+    run = rig()
+    for i, size in enumerate(("-1e12", "-1e6", "0", "1", "2", "1000", "1e6", "1e12")):
+        with contextlib.suppress(SimulatorError):
+            run.inject(f"{text} size={size} for=6ms seed={i}")
+        ask(run, 4)
+    assert 1 <= len(run.told()) < 7
+
+
+@pytest.mark.parametrize("kind", OF_DRIVES)
+def test_the_sensor_node_is_no_drive(kind):
+    with pytest.raises(SimulatorError, match="no node 'sensors'; expected one of index_motor"):
+        parse_fault(f"{kind} node=sensors", HAND)
 
 
 def test_the_same_seed_is_the_same_loss():

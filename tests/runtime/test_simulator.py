@@ -28,10 +28,29 @@ def test_inject_and_list(simulator, capsys):
     assert [(fault["fault"], fault["state"], fault["felt"]) for fault in told] == [("hot node=1 size=95", "acting", 1)]
     assert main(["fault", "inject", "snap tendon=thumb_tendon at=100s", "--bus", "local:lab"]) == 0
     assert main(["fault", "list"]) == 0
-    assert "waiting felt 0" in capsys.readouterr().out
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[-3].split() == ["state", "felt", "fault"]
+    assert shown[-1].split() == ["waiting", "0", "snap", "tendon=thumb_tendon", "at=100s"]
     assert main(["fault", "inject", "explode node=1"]) == 2
     assert capsys.readouterr().err.count("\n") == 1
     assert simulator.poll() is None, "nonsense does not end it"
+
+
+def test_what_can_be_injected_is_told(simulator, capsys):
+    assert main(["fault", "list"]) == 0
+    assert "handctl fault kinds" in capsys.readouterr().out
+    assert main(["fault", "kinds"]) == 0
+    shown = capsys.readouterr().out
+    assert "snap       on tendon: a rope tears; size 0" in shown
+    assert "tendon     index_tendon, middle_tendon, ring_tendon, thumb_tendon" in shown
+    assert main(["fault", "kinds", "--json"]) == 0
+    kinds = {kind["kind"]: kind for kind in json.loads(capsys.readouterr().out)["kinds"]}
+    assert "sensors" in kinds["drop"]["on"]["node"]
+    assert "sensors" not in kinds["hot"]["on"]["node"]
+    assert main(["fault", "inject", "hot node=sensors size=3"]) == 2
+    assert "no node 'sensors'" in capsys.readouterr().err
+    assert main(["fault", "inject", "off node=sensors"]) == 0
+    assert simulator.poll() is None
 
 
 def test_without_a_simulator_it_is_said(tmp_path, monkeypatch, capsys):

@@ -28,8 +28,8 @@ def find_simulator(bus: str | None) -> Path:
     return found[0]
 
 
-def ask_simulator(path: Path, question: dict[str, Any]) -> list[dict[str, Any]]:
-    """Ask, and wait for the answer: the simulator's faults.
+def ask_simulator(path: Path, question: dict[str, Any]) -> dict[str, Any]:
+    """Ask, and wait for the answer.
 
     Raises:
         BusError: no simulator answers there.
@@ -51,5 +51,4 @@ def ask_simulator(path: Path, question: dict[str, Any]) -> list[dict[str, Any]]:
             own.unlink(missing_ok=True)
     if "error" in answer:
         raise ConfigError(str(answer["error"]), where)
-    faults: list[dict[str, Any]] = answer["faults"]
-    return faults
+    return answer

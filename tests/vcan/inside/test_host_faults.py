@@ -48,8 +48,12 @@ class Hostile:
     """An attendant of a run that does something once, some time into the pull; see ``session.Attendant``."""
 
     def __init__(self, act: Callable[[], None]) -> None:
-        self.act, self.done_ns, self.modes = act, 0, list[Mode]()
-        self.left = round(AT_S * RATE_HZ)
+        self.act = act
+        self.begin()
+
+    def begin(self) -> None:
+        """Nothing done, nothing seen yet."""
+        self.done_ns, self.modes, self.left = 0, list[Mode](), round(AT_S * RATE_HZ)
 
     def take(self) -> tuple[str, ...]:
         return ()
@@ -76,6 +80,20 @@ def run(folder: Path, hostile: Hostile) -> tuple[Outcome, Truth]:
     return outcome, read_truth(folder / "truth")
 
 
+def run_until_done(folder: Path, hostile: Hostile) -> tuple[Outcome, Truth]:
+    """A run in which it was done: a host that is so busy that it stands still before, ends runs as it should."""
+    for number in range(5):
+        place = folder / str(number)
+        place.mkdir()
+        outcome, truth = run(place, hostile)
+        if hostile.done_ns:
+            (place / "run.mcap").rename(folder / "run.mcap")
+            return outcome, truth
+        assert "H03" in outcome.state.failure, outcome.state.failure
+        hostile.begin()
+    pytest.fail("the guest stood still in each of five runs")
+
+
 @pytest.fixture
 def interface() -> Iterator[str]:
     """An interface that is up again afterwards, with room for FD as before."""
@@ -99,7 +117,7 @@ def test_a_step_of_the_wall_clock_changes_nothing(step_s: float, tmp_path: Path)
     """H11."""
     before = time.time() - time.monotonic()
     hostile = Hostile(lambda: time.clock_settime(time.CLOCK_REALTIME, time.time() + step_s))
-    outcome, truth = run(tmp_path, hostile)
+    outcome, truth = run_until_done(tmp_path, hostile)
     assert time.time() - time.monotonic() - before == pytest.approx(step_s, abs=5.0), "it was felt: all clocks moved"
     assert (outcome.state.failure, outcome.exit) == ("", Exit.DONE)
     for digit in DIGITS:
@@ -114,8 +132,7 @@ def test_a_step_of_the_wall_clock_changes_nothing(step_s: float, tmp_path: Path)
 def test_an_interface_that_is_taken_down_cuts_the_run_and_the_drives_let_go(interface: str, tmp_path: Path) -> None:
     """B14."""
     hostile = Hostile(lambda: set_up(interface, False))
-    outcome, truth = run(tmp_path, hostile)
-    assert hostile.done_ns
+    outcome, truth = run_until_done(tmp_path, hostile)
     assert "B14" in outcome.state.failure, outcome.state.failure
     assert outcome.exit == Exit.REMOVE_POWER, "no drive could confirm"
     after = hostile.modes[hostile.modes.index(Mode.ACTIVE) :]
