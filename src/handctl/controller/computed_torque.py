@@ -16,19 +16,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.choose import chosen, only
+from handctl.choose import chosen, nothing, only, zeros
 from handctl.controller.allocation import allocate
 from handctl.controller.estimator import Estimate
 from handctl.controller.friction_band import expected
 from handctl.controller.goal import DigitGoal
 from handctl.controller.goal_table import GoalTable, goal_table
+from handctl.controller.law_constants import FRICTION_SPEED, constants
 from handctl.controller.model import HandModel
 from handctl.controller.statics import sliding_efficiency
 from handctl.controller.types import Vector
 from handctl.hand.tendons import FRICTION_SPEED as SLIDING_SPEED
 
-FRICTION_SPEED = 2.5e-3
-"""Cable speed at which motor friction is taken as fully developed [m/s]: 0.5 rad/s at a 5 mm spool."""
 INTEGRAL_LIMIT_N = 8.0
 """Anti-windup: the tension integral never asks for more than this [N]."""
 
@@ -62,8 +61,8 @@ class LawState(NamedTuple):
     @staticmethod
     def idle(tension: Vector) -> "LawState":
         """Nothing commanded while the ropes carry a tension (N,) [N]."""
-        nothing = np.zeros(len(tension))
-        return LawState(tension, nothing, nothing, nothing, nothing)
+        none = zeros(len(tension))
+        return LawState(tension, none, none, none, none)
 
 
 class Command(NamedTuple):
@@ -86,8 +85,7 @@ class Command(NamedTuple):
     def idle(model: HandModel) -> "Command":
         """Nothing."""
         n, joints = model.tendon_count, len(model.hand.joints)
-        nothing = np.full(joints, np.nan)
-        return Command(np.zeros(n), np.full(n, np.nan), np.zeros(joints), nothing, nothing)
+        return Command(zeros(n), nothing(n), zeros(joints), nothing(joints), nothing(joints))
 
 
 def step(
@@ -117,8 +115,8 @@ def step(
     force = table.chosen(motion.force, hold.force, 0.0)
     if state.trim is not None:
         force = force + table.chosen(state.trim, state.trim, 0.0)
-    limit = model.torque_limit / model.space.spool
-    asked = _within(force, -UNWIND_SHARE * limit, limit)
+    known = constants(model)
+    asked = _within(force, known.unwind, known.limit)
     if most is not None:
         asked = np.minimum(asked, most + model.space.coulomb)
     tension = table.chosen(motion.tension, hold.setpoint, np.nan)
@@ -150,6 +148,8 @@ def _expected_tension(
 
 def _change(model: HandModel, before: Vector, now: Vector) -> Vector:
     """(N,) rate at which planned tensions change [N/s]; none where nothing was or is planned."""
+    if not np.count_nonzero(now):
+        return zeros(len(now))
     return only((before > 0.0) & (now > 0.0), (now - before) / model.period)
 
 
@@ -170,13 +170,9 @@ def _motor_friction(model: HandModel, estimate: Estimate, asked: Vector) -> Vect
 
     By the implicit midpoint rule: friction can stop a rotor within a period, but not turn it around.
     """
-    half = 0.5 * model.period / model.space.motor_mass
-    coasting = estimate.speed + half * (asked - estimate.tension)
-    return model.space.coulomb * np.tanh(coasting / (FRICTION_SPEED + half * model.space.coulomb))
-
-
-UNWIND_SHARE = 0.3
-"""Share of the torque limit that may be used to pay out: enough to brake the rotor, little to throw rope off."""
+    known = constants(model)
+    coasting = estimate.speed + known.half * (asked - estimate.tension)
+    return model.space.coulomb * np.tanh(coasting / known.stopping)
 
 
 class _Motion(NamedTuple):
@@ -202,19 +198,20 @@ def _motion(
         way[1:] = 0.0
     load = _load(model, table, way)
     excursion, rate, acceleration = way.dot(model.hand.moment_arms.T)
-    space, gains, design = model.space, model.gains.motion, model.motion
+    known, gains, design = constants(model), model.gains.motion, model.motion
     feedback = design.stiffness * (excursion - estimate.excursion) + design.damping * (rate - estimate.speed)
     sliding = sliding_efficiency(model, way[0])
-    efficiency = 1.0 - gains.friction_share * (1.0 - sliding ** np.tanh(rate / SLIDING_SPEED))
+    efficiency = known.frictionless + known.friction * sliding ** np.tanh(rate / SLIDING_SPEED)
     ceiling = model.ceiling if most is None else np.minimum(model.ceiling, most)
     tension = _within(load / efficiency, model.floor, ceiling)
     force = (
         tension
-        + (space.motor_mass + space.load_mass) * feedback
-        + gains.inertia_share * space.motor_mass * acceleration
-        - gains.disturbance_rejection * estimate.motor_disturbance
+        + known.mass * feedback
+        + known.inertia * acceleration
+        - known.rejection * estimate.motor_disturbance
         + gains.tension_feedback * (tension - estimate.tension)
-        + gains.friction_share * (space.motor_damping * estimate.speed + space.coulomb * np.tanh(rate / FRICTION_SPEED))
+        + known.damping * estimate.speed
+        + known.coulomb * np.tanh(rate / FRICTION_SPEED)
     )
     q, dq = way[:2] if table.all_moving else np.where(table.known, way[:2], np.nan)
     return _Motion(force, tension, load, rate, sliding, q, dq)
@@ -234,14 +231,17 @@ def _way(model: HandModel, table: GoalTable, t: float) -> Vector:
 def _load(model: HandModel, table: GoalTable, way: Vector) -> Vector:
     """(N,) tensions at the joints that make the motion's joint torques, as nearly as their bounds allow [N]."""
     q, dq, ddq = way.tolist()
-    torque = np.zeros(len(q))
+    asked = [0.0] * len(q)
     for move in table.moves:
         own = move.digit.joints
-        torque[own] = model.inverse(move.digit, q[own], dq[own], ddq[own])
+        asked[own] = model.inverse(move.digit, q[own], dq[own], ddq[own])
+    torque = np.array(asked)
     load: Vector = model.torque_to_tension.dot(torque)
     good = table.exact & (load >= model.floor) & (load <= model.ceiling)
-    if good.all():
+    if np.count_nonzero(good) == len(good):
         return load
+    if table.alone:
+        return _within(load, model.floor, model.ceiling)
     for move in table.moves:
         digit, tendons = move.digit, move.digit.tendons
         if not good[tendons].all():
@@ -276,13 +276,13 @@ def _hold(
     error = setpoint - estimate.tension
     integral = state.integral + gains.integral_per_s * model.period * error
     integral = np.minimum(np.maximum(integral, -INTEGRAL_LIMIT_N), INTEGRAL_LIMIT_N)
-    integral[estimate.slack] = 0.0
+    np.putmask(integral, estimate.slack, 0.0)
     force = (
         setpoint
         + design.tension * error
         - design.tension_speed * estimate.speed
         + integral
-        - model.gains.motion.disturbance_rejection * estimate.motor_disturbance
+        - constants(model).rejection * estimate.motor_disturbance
     )
     if table.expected:
         force = force + _expected(model, table, t)

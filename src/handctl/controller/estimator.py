@@ -12,7 +12,7 @@ import numpy as np
 from filterpy.kalman import predict_steadystate, update_steadystate
 from numpy.typing import NDArray
 
-from handctl.choose import chosen, nothing
+from handctl.choose import chosen, nothing, zeros
 from handctl.controller import take_up
 from handctl.controller.filter_design import MEASUREMENTS, STATES, D, E, O, Regime, S, Stacked, V, W, X
 from handctl.controller.filter_state import FilterState
@@ -111,8 +111,8 @@ def step(
     if not state.started:
         state = _start(model, state, measured)
     if not state.started:
-        nothing = np.full(model.tendon_count, np.nan)
-        return state, _estimate(model, state, state.x, nothing, nothing, np.zeros(model.tendon_count))
+        unknown = nothing(model.tendon_count)
+        return state, _estimate(model, state, state.x, unknown, unknown, zeros(model.tendon_count))
     filters = model.filter.stacked(state.regimes)
     z, expected = _usable(state, filters, measured), filters.H.dot(state.x)
     innovation, surprise, believed = gate(filters, state.surprise, z - expected)
@@ -176,6 +176,9 @@ def _regimes(
     The vector of the state returned is ``x`` itself only if nothing in it or its regime has changed.
     """
     cells, tensions, excursions = measured.tension.tolist(), tension.tolist(), x[S::STATES].tolist()
+    still_taut = min(tensions) >= take_up.SLACK_BELOW_N and min(excursions) >= STOP_BAND_M[0]
+    if still_taut and True not in state.stopped and state.regimes == _touching(model, contact):
+        return state._replace(x=x, turning=(0,) * len(cells))  # taut before and now, and nowhere near a stop
     errors = x[E::STATES].tolist()
     pull, resistance = statics.pull.tolist(), statics.resistance.tolist()
     regimes, stopped, turning = list(state.regimes), list(state.stopped), list(state.turning)
@@ -204,6 +207,11 @@ def _regimes(
         vector = x.copy()
     kept = (state.surprise, state.nis, state.doubtful, state.started)
     return FilterState(vector, judged, tuple(stopped), tuple(turning), ropes, *kept)
+
+
+def _touching(model: HandModel, contact: tuple[bool, ...]) -> tuple[int, ...]:
+    """Regimes of taut ropes, away from every stop."""
+    return tuple([HELD if contact[digit] else FREE for digit in model.digit_of])
 
 
 def _on_stop(x: Vector) -> None:

@@ -42,6 +42,7 @@ class GoalTable:
         moving: (N,) tendons of these. all_moving: whether that is all of them.
         known: (J,) their joints.
         exact: (N,) tendons of which a joint torque asks one tension and no other.
+        alone: whether every digit has one tendon: then the tension that comes nearest is that within the bounds.
         holds: whether any tendon is held.
         held: (N,) tendons at a tension. all_held: whether that is all of them.
         target: (N,) their tensions, within what the hand allows [N].
@@ -56,6 +57,7 @@ class GoalTable:
     all_moving: bool
     known: Mask
     exact: Mask
+    alone: bool
     holds: bool
     held: Mask
     all_held: bool
@@ -107,6 +109,7 @@ def goal_table(model: HandModel, goals: tuple[DigitGoal, ...]) -> GoalTable:
         all_moving=bool(moving.all()),
         known=known,
         exact=exact,
+        alone=all(digit.reduced_moment_arms.shape == (1, 1) for digit in model.digits),
         holds=bool(held.any()),
         held=held,
         all_held=bool(held.all()),

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
+from handctl.choose import nothing
 from handctl.controller.all_digits import AllDigits
 from handctl.controller.filter_design import FilterDesign, design_filter
 from handctl.controller.gains import Gains
@@ -33,6 +34,7 @@ class HandModel:
         space: the hand along its tendons.
         filter: steady-state filter of each tendon.
         motion: feedback gains of each tendon.
+        digit_of: for each tendon, the index of its digit.
         excursion_to_joints: (J, N), joint angles that excursions stand for [rad/m].
         torque_to_tension: (N, J), smallest tensions that make a torque [1/m].
         pulleys: (N, J), 1 where a tendon passes a joint's pulley.
@@ -51,6 +53,7 @@ class HandModel:
     digits: tuple[DigitModel, ...]
     all_digits: AllDigits
     digit_tendons: tuple[slice, ...]
+    digit_of: tuple[int, ...]
     space: TendonSpace
     filter: FilterDesign
     motion: MotionDesign
@@ -87,6 +90,7 @@ class HandModel:
             digits=digits,
             all_digits=AllDigits.of(digits),
             digit_tendons=tuple(digit.tendons for digit in digits),
+            digit_of=tuple(d for d, one in enumerate(digits) for _ in range(one.tendons.start, one.tendons.stop)),
             space=space,
             filter=design_filter(space, gains.filter, 1.0 / rate_hz, _joint_period(hand, 1.0 / rate_hz)),
             motion=design_motion(space, gains, 1.0 / rate_hz),
@@ -109,7 +113,7 @@ class HandModel:
         if not missing:
             return np.asarray(self.hand.moment_arms.dot(joints))
         if missing == len(joints):
-            return np.full(self.tendon_count, np.nan)
+            return nothing(self.tendon_count)
         excursion = self.hand.moment_arms @ np.where(unread, 0.0, joints)
         return np.where(self.pulleys @ unread > 0.0, np.nan, excursion)
 

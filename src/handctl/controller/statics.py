@@ -1,17 +1,21 @@
-"""Known forces along the tendons: what springs and gravity ask, and what friction leaves of a tension."""
+"""Known forces along the tendons: what springs and gravity ask, and what friction leaves of a tension.
 
+All that is linear in the filter's state comes from one product with it; what a tick pays for is the number of arrays.
+"""
+
+import functools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from handctl.controller.filter_design import S, V
+from handctl.controller.filter_design import STATES, S, V
 from handctl.controller.model import HandModel
 from handctl.controller.types import Vector
 from handctl.hand.tendons import FRICTION_SPEED
 
 
-@dataclass(frozen=True, slots=True)
-class LoadStatics:
+class LoadStatics(NamedTuple):
     """Static forces along the tendons, (N,) each.
 
     Attributes:
@@ -25,6 +29,81 @@ class LoadStatics:
     pull: Vector
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Readout:
+    """Constants that make statics of a state; L links, P pulleys at most on a tendon.
+
+    Gravity turns with a link's angle: w_x sin - w_y cos is one sine of the angle less a phase.
+
+    Attributes:
+        rows: (L + N + P N, 7 N) link angles, spring tensions [N] and wrapped angles, from the state.
+        offsets: what is added to them.
+        links, springs, wraps: where they are.
+        weight: (N, L) tension of each sine [N].
+        path: (P N, J) joint angles that a tendon has wrapped at its first, second .. pulley. wrap: (P N,) [rad].
+        friction: (N,) capstan coefficient, negative. frictions: (P N,) the same.
+        shares: (N, P N) of each pulley in a tendon's moment arms.
+    """
+
+    rows: Vector
+    offsets: Vector
+    links: slice
+    springs: slice
+    wraps: slice
+    weight: Vector
+    path: Vector
+    wrap: Vector
+    friction: Vector
+    frictions: Vector
+    shares: Vector
+
+    def efficiency(self, wrapped: Vector, speed: Vector) -> Vector:
+        """(N,) share of the load cell's tension at the joints.
+
+        Args:
+            wrapped: (P N,) angles [rad]. speed: (N,) winding speeds [m/s].
+        """
+        rub = self.friction * np.tanh(speed / FRICTION_SPEED)
+        return np.asarray(self.shares.dot(np.exp(wrapped.reshape(-1, len(rub)) * rub).reshape(-1)))
+
+
+@functools.lru_cache(maxsize=16)
+def readout(model: HandModel) -> Readout:
+    """The constants of a hand."""
+    digits, arms, n = model.all_digits, model.torque_to_tension, model.tendon_count
+    path, shares = _pulleys(model)
+    links, steps = len(digits.spring), np.arange(n) * STATES + S
+    joints = np.zeros((links, n * STATES))
+    joints[:, steps] = model.excursion_to_joints
+    phase = np.arctan2(digits.weight_y, digits.weight_x)
+    wrap = np.tile(model.wrap, len(path) // n)
+    return Readout(
+        rows=np.concatenate((digits.inward @ joints, arms * digits.spring @ joints, path @ joints)),
+        offsets=np.concatenate((-phase, arms @ (digits.spring * digits.preload), wrap)),
+        links=slice(links),
+        springs=slice(links, links + n),
+        wraps=slice(links + n, None),
+        weight=arms @ digits.inward.T * np.hypot(digits.weight_x, digits.weight_y),
+        path=path,
+        wrap=wrap,
+        friction=-model.friction,
+        frictions=np.tile(-model.friction, len(path) // n),
+        shares=shares,
+    )
+
+
+def _pulleys(model: HandModel) -> tuple[Vector, Vector]:
+    """(P N, J) joints up to each pulley, and (N, P N) its share; 0 for the pulleys that a tendon does not have."""
+    n, joints = model.pulleys.shape
+    most = int(model.pulleys.sum(axis=1).max())
+    path, shares = np.zeros((most, n, joints)), np.zeros((n, most, n))
+    for tendon in range(n):
+        for place, joint in enumerate(np.flatnonzero(model.pulleys[tendon])):
+            path[place:, tendon, joint] = 1.0
+            shares[tendon, place, tendon] = model.pulley_weights[tendon, joint]
+    return path.reshape(-1, joints), shares.reshape(n, -1)
+
+
 def load_statics(model: HandModel, table: Vector, tension: Vector) -> LoadStatics:
     """Evaluate them for a filter state.
 
@@ -36,9 +115,10 @@ def load_statics(model: HandModel, table: Vector, tension: Vector) -> LoadStatic
         table: (N, 7) filter state.
         tension: (N,) at the load cells [N].
     """
-    q = model.excursion_to_joints.dot(table[:, S])
-    resistance = model.torque_to_tension.dot(model.all_digits.static_torque(q))
-    efficiency = tendon_efficiency(model, q, table[:, V])
+    known = readout(model)
+    found = known.rows.dot(table.reshape(-1)) + known.offsets
+    resistance = known.weight.dot(np.sin(found[known.links])) + found[known.springs]
+    efficiency = known.efficiency(found[known.wraps], table[:, V])
     return LoadStatics(resistance, efficiency, tension * efficiency)
 
 
@@ -52,9 +132,8 @@ def tendon_efficiency(model: HandModel, q: Vector, speed: Vector) -> Vector:
 
     Source: capstan equation.
     """
-    angle = model.wrap[:, None] + np.add.accumulate(model.pulleys * q, axis=1)
-    rub = model.friction * np.tanh(speed / FRICTION_SPEED)
-    return np.asarray(np.add.reduce(model.pulley_weights * np.exp(-rub[:, None] * angle), axis=1))
+    known = readout(model)
+    return known.efficiency(known.path.dot(q) + known.wrap, speed)
 
 
 def sliding_efficiency(model: HandModel, q: Vector) -> Vector:
@@ -64,5 +143,6 @@ def sliding_efficiency(model: HandModel, q: Vector) -> Vector:
         model: the hand.
         q: (J,) joint angles [rad].
     """
-    angle = model.wrap[:, None] + np.add.accumulate(model.pulleys * q, axis=1)
-    return np.asarray(np.add.reduce(model.pulley_weights * np.exp(-model.friction[:, None] * angle), axis=1))
+    known = readout(model)
+    wrapped = known.path.dot(q) + known.wrap
+    return np.asarray(known.shares.dot(np.exp(wrapped * known.frictions)))
