@@ -8,11 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.controller.computed_torque import INTEGRAL_LIMIT_N, UNWIND_SHARE, LawState, step
+from handctl.controller.computed_torque import INTEGRAL_LIMIT_N, LawState, step
 from handctl.controller.estimator import Estimate
 from handctl.controller.filter_design import STATES, S, V, W, X
 from handctl.controller.gains import Gains, MotionGains
 from handctl.controller.goal import DigitGoal, Kind
+from handctl.controller.law_constants import UNWIND_SHARE
 from handctl.controller.model import HandModel
 from handctl.controller.statics import load_statics
 from handctl.controller.trajectory import MinimumJerk

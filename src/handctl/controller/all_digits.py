@@ -6,7 +6,6 @@ A tick needs them for every digit, and numpy takes as long for eleven numbers as
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from handctl.controller.types import Vector
@@ -21,8 +20,8 @@ class AllDigits:
         inward: (J, J), 1 in row i for link i's own joint and those between it and the palm.
         weight_x, weight_y: (J,), first moment of mass that turns with a link times gravity in its plane [N m].
         spring, preload: (J,), return springs [N m/rad], [rad].
-        length: (J,), of the links [m].
-        last: (J,), index of the last joint of the same digit.
+        ahead: (J, J), angles from a link to the last one of its digit, from joint angles.
+        reach: (J, C), lever that a link along the last one gives a force at the tip about each coordinate [m].
         coupling: (J, C), joints of coordinates.
         arms: (N, C), tendons of coordinates [m].
         members: (D, C), 1 where a coordinate is the digit's.
@@ -33,8 +32,8 @@ class AllDigits:
     weight_y: Vector
     spring: Vector
     preload: Vector
-    length: Vector
-    last: NDArray[np.intp]
+    ahead: Vector
+    reach: Vector
     coupling: Vector
     arms: Vector
     members: Vector
@@ -45,15 +44,17 @@ class AllDigits:
         moments = [np.array(digit.links[6 : 6 + digit.joint_count]) for digit in digits]
         gravity = [digit.gravity for digit in digits]
         sizes = [digit.joint_count for digit in digits]
+        inward, coupling = block_diag(*(np.tri(size) for size in sizes)), block_diag(*(one.coupling for one in digits))
+        last = np.repeat(np.cumsum(sizes) - 1, sizes)
         return AllDigits(
-            inward=block_diag(*(np.tri(size) for size in sizes)),
+            inward=inward,
             weight_x=np.concatenate([w * gx for w, (gx, _) in zip(moments, gravity, strict=True)]),
             weight_y=np.concatenate([w * gy for w, (_, gy) in zip(moments, gravity, strict=True)]),
             spring=np.concatenate([digit.spring_stiffness for digit in digits]),
             preload=np.concatenate([digit.spring_preload for digit in digits]),
-            length=np.concatenate([digit.lengths for digit in digits]),
-            last=np.repeat(np.cumsum(sizes) - 1, sizes),
-            coupling=block_diag(*(digit.coupling for digit in digits)),
+            ahead=inward[last] - inward,
+            reach=np.concatenate([digit.lengths for digit in digits])[:, None] * (inward @ coupling),
+            coupling=coupling,
             arms=block_diag(*(digit.reduced_moment_arms for digit in digits)),
             members=block_diag(*(np.ones((1, digit.coupling.shape[1])) for digit in digits)),
         )
@@ -75,6 +76,5 @@ class AllDigits:
             q: (J,) [rad].
             external: (N,) [N].
         """
-        angle = self.inward.dot(q)
-        lever = (self.length * np.cos(angle[self.last] - angle)).dot(self.inward).dot(self.coupling)
+        lever = np.cos(self.ahead.dot(q)).dot(self.reach)
         return np.asarray(self.members.dot(lever * external.dot(self.arms)) / self.members.dot(lever * lever))

@@ -222,9 +222,7 @@ def _way(model: HandModel, table: GoalTable, t: float) -> Vector:
     coupling = model.all_digits.coupling
     way = np.zeros((3, coupling.shape[1]))
     for move in table.moves:
-        way[0, move.coordinates], way[1, move.coordinates], way[2, move.coordinates] = move.trajectory.at(
-            t - move.since
-        )
+        way[:, move.coordinates] = move.trajectory.at(t - move.since)
     return np.asarray(way.dot(coupling.T))
 
 
@@ -293,7 +291,7 @@ def _expected(model: HandModel, table: GoalTable, t: float) -> Vector:
     """(N,) motor force that held tendons need on the way on which they are expected [N]; zero for the others."""
     way = np.zeros((2, model.tendon_count))
     for digit, _, trajectory, since in table.expected:
-        way[:, digit.tendons] = np.array(trajectory.at(t - since)[1:]) @ digit.reduced_moment_arms.T
+        way[:, digit.tendons] = trajectory.at(t - since)[1:] @ digit.reduced_moment_arms.T
     space, (speed, acceleration) = model.space, way
     own = space.coulomb * np.tanh(speed / FRICTION_SPEED) + space.motor_mass * acceleration
     return np.asarray(own + (model.motion.tension_speed + space.motor_damping) * speed)

@@ -25,7 +25,8 @@ def derated(model: HandModel, limits: Limits, temperatures: Sequence[float]) -> 
     Returns:
         (N,) [N], or None as long as no drive is warm.
     """
-    if not any(temperature > limits.temperature_soft for temperature in temperatures):
+    soft = limits.temperature_soft
+    if True not in [temperature > soft for temperature in temperatures]:
         return None
     known = np.array([t if t == t else limits.temperature_soft for t in temperatures])
     share = (limits.temperature_hard - known) / (limits.temperature_hard - limits.temperature_soft)

@@ -1,28 +1,23 @@
 """Eight bytes for the whole state of a controller: packed, not printed, since every tick pays for it."""
 
-import functools
 import hashlib
-import itertools
+import marshal
 import struct
 
 from handctl.controller.computed_torque import LawState
 from handctl.controller.filter_state import FilterState
 from handctl.controller.gains import Gains
 from handctl.controller.kept import Kept
+from handctl.controller.motors import Motors
 from handctl.controller.program import Progress
 from handctl.controller.retune import Coming
-from handctl.drives.contract import DriveState
-from handctl.drives.sensor_node import CHANNELS, SensorState
+from handctl.drives.sensor_node import SensorState
+from handctl.safety.watch import WatchState
 
 PLACE = struct.Struct("<qBdd??")
-DRIVE = struct.Struct("<B4d4qI")
-SENSORS = struct.Struct("<bqq")
-GROUPS = tuple(struct.Struct(f"<bqqB{channels}H") for channels in range(CHANNELS + 1))
-
-
-@functools.lru_cache(maxsize=8)
-def _regimes(tendons: int) -> struct.Struct:
-    return struct.Struct(f"<{tendons}B{tendons}?{tendons}I{tendons}?{tendons}??")
+FORMAT = 2
+"""Of ``marshal``: the last one that writes equal values alike, whoever else refers to them."""
+NO_WORDS = ("", (), (), ())
 
 
 def _printed(thing: object) -> bytes:
@@ -46,25 +41,36 @@ def law_bytes(law: LawState) -> bytes:
     return told if held is None else told + held.tobytes()
 
 
+def words(texts: tuple[object, ...]) -> bytes:
+    """Texts and names, of which most ticks have none."""
+    return b"-" if texts == NO_WORDS else _printed(texts)
+
+
 def filter_bytes(state: FilterState) -> bytes:
     """The filter's state."""
-    plain = itertools.chain(state.regimes, state.stopped, state.turning, state.measured, state.doubtful)
-    told = _regimes(len(state.regimes)).pack(*plain, state.started)
-    return told + state.x.tobytes() + state.surprise.tobytes() + state.nis.tobytes()
+    x, regimes, stopped, turning, measured, surprise, nis, doubtful, started = state
+    plain = marshal.dumps((regimes, stopped, turning, measured, doubtful, started), FORMAT)
+    return plain + x.tobytes() + surprise.tobytes() + nis.tobytes()
 
 
-def drive_bytes(drive: DriveState) -> bytes:
-    """What is known of a drive; its protocol's own progress as text, which rarely changes."""
-    *motion, t_ns, count, error, text, misread, private = drive
-    known = DRIVE.pack(*motion, t_ns, count, error, misread, len(text)) + _private(private)
-    return known + text.encode() if text else known
+def motor_bytes(motors: Motors) -> bytes:
+    """What is known of the drives; their protocols' own progress as text, which rarely changes."""
+    phase, *known, private = motors
+    return bytes(phase) + marshal.dumps(known, FORMAT) + b"".join(map(_private, private))
 
 
 def sensor_bytes(sensors: SensorState) -> bytes:
     """What is known of the sensor node."""
     groups, *counts = sensors
-    rows = [GROUPS[len(raw)].pack(counter, t_ns, frames, len(raw), *raw) for counter, t_ns, frames, raw in groups]
-    return SENSORS.pack(*counts) + b"".join(rows)
+    return marshal.dumps((counts, [tuple(group) for group in groups]), FORMAT)
+
+
+def watch_bytes(watch: WatchState) -> bytes:
+    """What safety remembers."""
+    motors, joints, filtered, stands, taut, slip_from, asked, wanted, goal, ropes, counts, owed = watch
+    arrays = (*motors, *joints, *filtered, *stands, slip_from, asked, wanted, goal)
+    plain = marshal.dumps((taut, tuple(ropes), tuple(counts), owed), FORMAT)
+    return b"".join([array.tobytes() for array in arrays]) + plain
 
 
 def progress_bytes(progress: Progress) -> bytes:

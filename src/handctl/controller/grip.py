@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from handctl.choose import known
 from handctl.controller.estimator import Estimate
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.model import HandModel
@@ -106,14 +107,15 @@ def hold(
     here = excursion(model, estimate)
     fast = grip.fast + (here - grip.fast) * -math.expm1(-model.period / FAST_S)
     slow = grip.slow + (here - grip.slow) * -math.expm1(-model.period / SLOW_S)
-    grip = replace(grip, fast=fast, slow=fast if t < grip.ready else slow)
     events: tuple[Event, ...] = ()
-    if t >= grip.ready:
-        grip = replace(grip, anchor=slow) if np.isnan(grip.anchor).all() else grip
-        opening = np.where(np.isnan(grip.tension), 0.0, slow - fast)
-        if (opening > OPENING_M).any():
+    judged, settled = t >= grip.ready, not math.isnan(grip.anchor[0])
+    anchor = slow if judged and not settled else grip.anchor
+    grip = Grip(grip.tension, anchor, fast, slow if judged else fast, grip.ready, grip.raised, grip.limited)
+    if judged:
+        opening = known(slow - fast + 0.0 * grip.tension)
+        if np.count_nonzero(opening > OPENING_M):
             grip, events = _answer(model, grip, plan, opening, t)
-    if np.isnan(grip.anchor).all() or not (events or plan.stiffness):
+    if not (judged or settled) or not (events or plan.stiffness):
         return grip, goals, events
     return grip, _goals(model, grip, plan, goals, here), events
 

@@ -6,6 +6,7 @@ from handctl.controller import digest as packing
 from handctl.controller.computed_torque import LawState
 from handctl.controller.filter_state import FilterState
 from handctl.controller.gains import Gains
+from handctl.controller.motors import Motors
 from handctl.controller.program import Progress
 from handctl.controller.retune import Coming
 from handctl.controller.types import Mode
@@ -57,19 +58,18 @@ class State(NamedTuple):
     gains: Gains | None = None
     coming: Coming | None = None
 
-    def digest(self) -> bytes:
-        """8 bytes that change with every part of the state."""
+    def digest(self, motors: Motors | None = None) -> bytes:
+        """8 bytes that change with every part of the state; ``motors``: the drives as columns, if they are at hand."""
         place = (self.k, self.mode, self.mode_since, self.goal_time, self.armed, self.clearing)
-        texts = (self.failure, self.unconfirmed, self.safety.counting, self.safety.latched)
         return packing.digest(
             packing.PLACE.pack(*place),
-            repr(texts).encode(),
+            packing.words((self.failure, self.unconfirmed, self.safety.counting, self.safety.latched)),
             packing.filter_bytes(self.filter),
             packing.law_bytes(self.law),
             packing.sensor_bytes(self.sensors),
             packing.progress_bytes(self.progress),
-            self.watch.key(),
+            packing.watch_bytes(self.watch),
             packing.gains_bytes(self.gains),
             packing.gains_bytes(self.coming),
-            *map(packing.drive_bytes, self.drives),
+            packing.motor_bytes(motors or Motors.of(self.drives)),
         )

@@ -155,9 +155,10 @@ class Controller:
         )
         state, retuned = (state, ()) if state.coming is None else self._retune(state, old_law, estimate, command)
         events = told + asked + tuple(_told(finding) for finding in verdict.findings) + moved + stepped + retuned
-        numbers = telemetry(self.model, state, measured, estimate, command, entry.t_ns)
+        motors, contact = Motors.of(state.drives), state.progress.contact
+        numbers = telemetry(self.model, motors, contact, measured, estimate, command, entry.t_ns)
         phase = state.progress.phase if state.mode == Mode.ACTIVE else state.mode.name.lower()
-        return state, TickOut(frames, state.mode, phase, verdict.action, numbers, events, state.digest())
+        return state, TickOut(frames, state.mode, phase, verdict.action, numbers, events, state.digest(motors))
 
     def signals(self, state: State, entry: TickIn) -> Signals:
         """What safety judges in a tick, from the state before it; for judging a recorded run by other limits."""

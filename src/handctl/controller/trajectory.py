@@ -17,8 +17,8 @@ class Trajectory(Protocol):
         """Time it takes [s]."""
         ...
 
-    def at(self, t: float) -> tuple[Vector, Vector, Vector]:
-        """Position [rad], velocity [rad/s] and acceleration [rad/s^2], (n,) each, at t [s]; the end holds after it."""
+    def at(self, t: float) -> Vector:
+        """(3, n): position [rad], velocity [rad/s] and acceleration [rad/s^2] at t [s]; the end holds after it."""
         ...
 
     def key(self) -> bytes:
@@ -42,14 +42,15 @@ class MinimumJerk:
     end: Vector
     duration: float
 
-    def at(self, t: float) -> tuple[Vector, Vector, Vector]:
-        """Position [rad], velocity [rad/s] and acceleration [rad/s^2] at t [s]; the end holds afterwards."""
+    def at(self, t: float) -> Vector:
+        """See ``Trajectory``."""
         s = min(max(t / self.duration, 0.0), 1.0)
-        way = self.end - self.start
-        position = self.start + way * (s * s * s * (10.0 - 15.0 * s + 6.0 * s * s))
-        velocity = way * (30.0 * s * s * (1.0 - s) * (1.0 - s) / self.duration)
-        acceleration = way * (60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / (self.duration * self.duration))
-        return position, velocity, acceleration
+        position = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
+        velocity = 30.0 * s * s * (1.0 - s) * (1.0 - s) / self.duration
+        acceleration = 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s) / (self.duration * self.duration)
+        way = np.array(((position,), (velocity,), (acceleration,))) * (self.end - self.start)
+        way[0] += self.start
+        return way
 
     def key(self) -> bytes:
         """See ``Trajectory``."""
@@ -83,7 +84,7 @@ class Curve:
         """See ``Trajectory``."""
         return float(self.times[-1])
 
-    def at(self, t: float) -> tuple[Vector, Vector, Vector]:
+    def at(self, t: float) -> Vector:
         """See ``Trajectory``."""
         held = min(max(t, 0.0), self.duration)
         piece = min(int(np.searchsorted(self.times, held, side="right")) - 1, len(self.times) - 2)
@@ -91,8 +92,7 @@ class Curve:
         a, b, c, d = self.coefficients[:, piece].tolist()
         moving = 1.0 if held == t else 0.0
         values = (d + s * (c + s * (b + s * a)), moving * (c + s * (2 * b + s * 3 * a)), moving * (2 * b + 6 * a * s))
-        position, velocity, acceleration = (np.full(self.coordinates, value) for value in values)
-        return position, velocity, acceleration
+        return _alike(values, self.coordinates)
 
     def key(self) -> bytes:
         """See ``Trajectory``."""
@@ -124,9 +124,9 @@ class Sample:
     acceleration: Vector
     duration: float = 0.0
 
-    def at(self, t: float) -> tuple[Vector, Vector, Vector]:
+    def at(self, t: float) -> Vector:
         """See ``Trajectory``; the same at any time."""
-        return self.position, self.velocity, self.acceleration
+        return np.array((self.position, self.velocity, self.acceleration))
 
     def key(self) -> bytes:
         """See ``Trajectory``."""
@@ -152,7 +152,7 @@ class Chirp:
     duration: float
     coordinates: int
 
-    def at(self, t: float) -> tuple[Vector, Vector, Vector]:
+    def at(self, t: float) -> Vector:
         """See ``Trajectory``."""
         s = min(max(t, 0.0), self.duration)
         size, growth, bend = self._envelope(s)
@@ -165,8 +165,7 @@ class Chirp:
         acceleration = bend * sine + 2.0 * growth * speed * cosine + size * (rise * cosine - speed**2 * sine)
         moving = self.amplitude if s == t else 0.0
         values = (self.centre + self.amplitude * way, moving * velocity, moving * acceleration)
-        position, velocity_, acceleration_ = (np.full(self.coordinates, value) for value in values)
-        return position, velocity_, acceleration_
+        return _alike(values, self.coordinates)
 
     def _envelope(self, t: float) -> tuple[float, float, float]:
         """Size of the swing at t [s], its rate [1/s] and the rate of that [1/s^2]; smooth at both ends."""
@@ -181,6 +180,11 @@ class Chirp:
     def key(self) -> bytes:
         """See ``Trajectory``."""
         return repr((self.centre, self.amplitude, self.low, self.high, self.duration, self.coordinates)).encode()
+
+
+def _alike(values: tuple[float, float, float], coordinates: int) -> Vector:
+    """(3, n) of a motion in which all coordinates are alike."""
+    return np.array([[value] * coordinates for value in values])
 
 
 PEAK_SPEED = 1.875

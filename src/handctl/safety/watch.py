@@ -117,13 +117,6 @@ class WatchState(NamedTuple):
             owed=(0,) * n,
         )
 
-    def key(self) -> bytes:
-        """Bytes that change with the state."""
-        motors, joints, filtered, stands, taut, slip_from, asked, wanted, goal, tense, counted, owed = self
-        arrays = (*motors, *joints, *filtered, *stands, slip_from, asked, wanted, goal)
-        rest = repr((taut, tense, counted, owed)).encode()
-        return b"".join([array.tobytes() for array in arrays]) + rest
-
 
 class Seen(NamedTuple):
     """One tick's raw facts, (N,) each unless said otherwise, NaN where nothing came.
