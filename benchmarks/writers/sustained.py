@@ -9,7 +9,6 @@ import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -106,7 +105,7 @@ def _loop(
 
     def tick(state: int, entry: TickIn) -> tuple[int, TickOut]:
         out = ticks[state % len(ticks)][1]
-        return state + 1, replace(out, mode=Mode.DONE) if entry.k >= last else out
+        return state + 1, out._replace(mode=Mode.DONE) if entry.k >= last else out
 
     clock = RealClock(PERIOD_NS, spin=spin)
     loop = Loop(clock, PERIOD_NS, [_Ready(ticks)], tick, (), tuple, events, record, lambda entry, out: None)

@@ -4,7 +4,6 @@ import itertools
 import json
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -64,7 +63,7 @@ def ten_minutes(path: Path) -> None:
     writer = LogWriter(path, run, lambda *what: None, 1)
     ticks = itertools.cycle(list(synthetic.Synthetic(run, 5.0)))
     for k, (tick_in, out) in zip(range(300_000), ticks, strict=False):
-        writer.add(pack(replace(tick_in, k=k, t_ns=k * run.period_ns), out)[FRAMING.size :])
+        writer.add(pack(tick_in._replace(k=k, t_ns=k * run.period_ns), out)[FRAMING.size :])
     writer.finish("finished", 0)
 
 
