@@ -157,9 +157,8 @@ def closing(model: HandModel, taut: Estimate) -> Run:
 
 def strong(model: HandModel, newtons: float) -> float:
     """Unexplained tension, the same in each tendon of the index, that stands for a force at its tip [N]."""
-    digit = model.digits[model.hand.digit_names.index("index")]
-    ones = np.ones(len(digit.reduced_moment_arms))
-    return newtons / felt(digit, np.full(digit.joint_count, 0.5), ones)
+    found = felt(model, np.full(len(model.hand.joints), 0.5), np.ones(model.tendon_count))
+    return newtons / float(found[model.hand.digit_names.index("index")])
 
 
 def test_contact_is_a_force_at_the_tip_that_lasts(model: HandModel, taut: Estimate) -> None:
@@ -186,12 +185,14 @@ def test_contact_is_a_force_at_the_tip_that_lasts(model: HandModel, taut: Estima
 
 def test_the_tip_is_felt_as_it_is(model: HandModel) -> None:
     """Tensions that balance a force at the tip are felt as that force, at any pose."""
-    for digit in model.digits:
-        q = np.linspace(0.2, 0.6, digit.joint_count)
+    q, balance, forces = np.empty(len(model.hand.joints)), np.empty(model.tendon_count), []
+    for d, digit in enumerate(model.digits):
+        own = np.linspace(0.2, 0.6, digit.joint_count)
         if len(digit.reduced_moment_arms) < digit.joint_count:
-            q[:] = 0.4
-        balance = digit.torque_to_tension @ joint_lever(digit, q)
-        assert felt(digit, q, 2.5 * balance) == pytest.approx(2.5)
+            own[:] = 0.4
+        forces.append(2.5 + d)
+        q[digit.joints], balance[digit.tendons] = own, forces[-1] * (digit.torque_to_tension @ joint_lever(digit, own))
+    np.testing.assert_allclose(felt(model, q, balance), forces)
 
 
 def test_two_digits_and_a_third_later(model: HandModel, taut: Estimate) -> None:

@@ -22,9 +22,10 @@ class AllDigits:
         spring, preload: (J,), return springs [N m/rad], [rad].
         ahead: (J, J), angles from a link to the last one of its digit, from joint angles.
         reach: (J, C), lever that a link along the last one gives a force at the tip about each coordinate [m].
+        beyond: (J, J), the same about each joint [m].
         coupling: (J, C), joints of coordinates.
         arms: (N, C), tendons of coordinates [m].
-        members: (D, C), 1 where a coordinate is the digit's.
+        members: (D, C), 1 where a coordinate is the digit's. ropes: (D, N), 1 where a tendon is.
     """
 
     inward: Vector
@@ -34,9 +35,11 @@ class AllDigits:
     preload: Vector
     ahead: Vector
     reach: Vector
+    beyond: Vector
     coupling: Vector
     arms: Vector
     members: Vector
+    ropes: Vector
 
     @staticmethod
     def of(digits: tuple[DigitModel, ...]) -> "AllDigits":
@@ -45,7 +48,7 @@ class AllDigits:
         gravity = [digit.gravity for digit in digits]
         sizes = [digit.joint_count for digit in digits]
         inward, coupling = block_diag(*(np.tri(size) for size in sizes)), block_diag(*(one.coupling for one in digits))
-        last = np.repeat(np.cumsum(sizes) - 1, sizes)
+        last, lengths = np.repeat(np.cumsum(sizes) - 1, sizes), np.diag(np.concatenate([one.lengths for one in digits]))
         return AllDigits(
             inward=inward,
             weight_x=np.concatenate([w * gx for w, (gx, _) in zip(moments, gravity, strict=True)]),
@@ -53,10 +56,12 @@ class AllDigits:
             spring=np.concatenate([digit.spring_stiffness for digit in digits]),
             preload=np.concatenate([digit.spring_preload for digit in digits]),
             ahead=inward[last] - inward,
-            reach=np.concatenate([digit.lengths for digit in digits])[:, None] * (inward @ coupling),
+            reach=lengths @ inward @ coupling,
+            beyond=lengths @ inward,
             coupling=coupling,
             arms=block_diag(*(digit.reduced_moment_arms for digit in digits)),
             members=block_diag(*(np.ones((1, digit.coupling.shape[1])) for digit in digits)),
+            ropes=block_diag(*(np.ones((1, digit.reduced_moment_arms.shape[0])) for digit in digits)),
         )
 
     def static_torque(self, q: Vector) -> Vector:
@@ -68,6 +73,14 @@ class AllDigits:
         angle = self.inward.dot(q)
         weight = self.weight_x * np.sin(angle) - self.weight_y * np.cos(angle)
         return np.asarray(weight.dot(self.inward) + self.spring * (q + self.preload))
+
+    def joint_lever(self, q: Vector) -> Vector:
+        """Levers of forces at the tips about the joints, (J,) [m], at angles (J,) [rad]; see ``tip.joint_lever``."""
+        return np.asarray(np.cos(self.ahead.dot(q)).dot(self.beyond))
+
+    def of_digit(self, values: Vector) -> Vector:
+        """(D,) sums over each digit's tendons of values (N,)."""
+        return np.asarray(self.ropes.dot(values))
 
     def tip_force(self, q: Vector, external: Vector) -> Vector:
         """Tip-equivalent forces of the tensions that contact explains, (D,) [N]; see ``tip.tip_force``.

@@ -220,6 +220,9 @@ def _motion(
 def _way(model: HandModel, table: GoalTable, t: float) -> Vector:
     """(3, J) angles [rad], rates [rad/s] and accelerations [rad/s^2] on the trajectories; zero for other digits."""
     coupling = model.all_digits.coupling
+    if table.together:
+        trajectory, since = table.together
+        return np.asarray(trajectory.at(t - since).dot(coupling.T))
     way = np.zeros((3, coupling.shape[1]))
     for move in table.moves:
         way[:, move.coordinates] = move.trajectory.at(t - move.since)

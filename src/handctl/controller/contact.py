@@ -7,26 +7,27 @@ digit adds stays, what a chattering rope adds comes and goes.
 
 import math
 
+import numpy as np
+
 from handctl.controller.estimator import Estimate
 from handctl.controller.model import HandModel
-from handctl.controller.tip import joint_lever
 from handctl.controller.types import Vector
-from handctl.hand.dynamics import DigitModel
 
 SMOOTH_S = 10e-3
 """Time constant: half of the time in which a contact is to be found."""
 
 
-def felt(digit: DigitModel, q: Vector, external: Vector) -> float:
-    """Force at the tip [N] that fits unexplained tensions best, in the sense of least squares of tension.
+def felt(model: HandModel, q: Vector, external: Vector) -> Vector:
+    """Forces at the tips (D,) [N] that fit unexplained tensions best, in the sense of least squares of tension.
 
     Args:
-        digit: the digit.
-        q: (n,) joint angles [rad].
-        external: (n_t,) unexplained tensions [N].
+        model: the hand.
+        q: (J,) joint angles [rad].
+        external: (N,) unexplained tensions [N].
     """
-    response = digit.torque_to_tension @ joint_lever(digit, q)
-    return float(response @ external / (response @ response))
+    digits = model.all_digits
+    response = model.torque_to_tension.dot(digits.joint_lever(q))
+    return np.asarray(digits.of_digit(response * external) / digits.of_digit(response * response))
 
 
 def feel(model: HandModel, before: tuple[float, ...], estimate: Estimate, closing: list[bool]) -> tuple[float, ...]:
@@ -38,10 +39,8 @@ def feel(model: HandModel, before: tuple[float, ...], estimate: Estimate, closin
         estimate: of this instant.
         closing: per digit, whether it is asked.
     """
-    share = -math.expm1(-model.period / SMOOTH_S)
-    forces = []
-    for d, (digit, tendons) in enumerate(zip(model.digits, model.digit_tendons, strict=True)):
-        old = before[d] if before else 0.0
-        now = felt(digit, estimate.q[digit.joints], estimate.external[tendons]) if closing[d] else 0.0
-        forces.append(old + share * (now - old) if closing[d] else 0.0)
-    return tuple(forces)
+    if True not in closing:
+        return (0.0,) * len(closing)
+    share, now = -math.expm1(-model.period / SMOOTH_S), felt(model, estimate.q, estimate.external).tolist()
+    rows = zip(before or (0.0,) * len(closing), now, closing, strict=True)
+    return tuple([old + share * (new - old) if asked else 0.0 for old, new, asked in rows])

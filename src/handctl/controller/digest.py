@@ -1,7 +1,6 @@
 """Eight bytes for the whole state of a controller: packed, not printed, since every tick pays for it."""
 
 import hashlib
-import marshal
 import struct
 
 from handctl.controller.computed_torque import LawState
@@ -9,14 +8,13 @@ from handctl.controller.filter_state import FilterState
 from handctl.controller.gains import Gains
 from handctl.controller.kept import Kept
 from handctl.controller.motors import Motors
+from handctl.controller.plain_bytes import plain_bytes
 from handctl.controller.program import Progress
 from handctl.controller.retune import Coming
 from handctl.drives.sensor_node import SensorState
 from handctl.safety.watch import WatchState
 
 PLACE = struct.Struct("<qBdd??")
-FORMAT = 2
-"""Of ``marshal``: the last one that writes equal values alike, whoever else refers to them."""
 NO_WORDS = ("", (), (), ())
 
 
@@ -49,27 +47,27 @@ def words(texts: tuple[object, ...]) -> bytes:
 def filter_bytes(state: FilterState) -> bytes:
     """The filter's state."""
     x, regimes, stopped, turning, measured, surprise, nis, doubtful, started = state
-    plain = marshal.dumps((regimes, stopped, turning, measured, doubtful, started), FORMAT)
+    plain = plain_bytes((regimes, stopped, turning, measured, doubtful, started))
     return plain + x.tobytes() + surprise.tobytes() + nis.tobytes()
 
 
 def motor_bytes(motors: Motors) -> bytes:
     """What is known of the drives; their protocols' own progress as text, which rarely changes."""
     phase, *known, private = motors
-    return bytes(phase) + marshal.dumps(known, FORMAT) + b"".join(map(_private, private))
+    return bytes(phase) + plain_bytes(known) + b"".join(map(_private, private))
 
 
 def sensor_bytes(sensors: SensorState) -> bytes:
     """What is known of the sensor node."""
     groups, *counts = sensors
-    return marshal.dumps((counts, [tuple(group) for group in groups]), FORMAT)
+    return plain_bytes((counts, [tuple(group) for group in groups]))
 
 
 def watch_bytes(watch: WatchState) -> bytes:
     """What safety remembers."""
     motors, joints, filtered, stands, taut, slip_from, asked, wanted, goal, ropes, counts, owed = watch
     arrays = (*motors, *joints, *filtered, *stands, slip_from, asked, wanted, goal)
-    plain = marshal.dumps((taut, tuple(ropes), tuple(counts), owed), FORMAT)
+    plain = plain_bytes((taut, tuple(ropes), tuple(counts), owed))
     return b"".join([array.tobytes() for array in arrays]) + plain
 
 

@@ -1,18 +1,18 @@
 """The tension filter in motion: load cell and encoder (and joint encoders) to tension, excursion and contact force.
 
-All tendons are one linear filter, run with filterpy's steady-state ``predict``/``update``. A missing measurement has no
-innovation, so the tick is a prediction; the same holds for a saturated one and for a single one that is too far off to
-be true. The result is the prediction to the present instant: the measurements of a tick were taken one period earlier,
-just before the previous command acted.
+All tendons are one linear filter, run with filterpy's steady-state ``predict``; its ``update`` is written out, because
+the innovation is known already. A missing measurement has none, so the tick is a prediction; the same holds for a
+saturated one and for a single one that is too far off to be true. The result is the prediction to the present instant:
+the measurements of a tick were taken one period earlier, just before the previous command acted.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from filterpy.kalman import predict_steadystate, update_steadystate
+from filterpy.kalman import predict_steadystate
 from numpy.typing import NDArray
 
-from handctl.choose import chosen, nothing, zeros
+from handctl.choose import known, nothing, zeros
 from handctl.controller import take_up
 from handctl.controller.filter_design import MEASUREMENTS, STATES, D, E, O, Regime, S, Stacked, V, W, X
 from handctl.controller.filter_state import FilterState
@@ -116,7 +116,7 @@ def step(
     filters = model.filter.stacked(state.regimes)
     z, expected = _usable(state, filters, measured), filters.H.dot(state.x)
     innovation, surprise, believed = gate(filters, state.surprise, z - expected)
-    x = update_steadystate(state.x, chosen(np.isnan(innovation), expected, z), filters.K, filters.H)
+    x = state.x + filters.K.dot(known(innovation.copy()))
     for i, change in believed:
         x[STATES * i + S] -= change / model.space.stiffness[i]
     tension = filters.tension.dot(x)
@@ -237,7 +237,7 @@ def _nis(filters: Stacked, innovation: Vector) -> Vector:
     """(N,) normalised innovation squared of encoder and load cell; NaN where one is missing."""
     encoder, cell = innovation[0::MEASUREMENTS], innovation[1::MEASUREMENTS]
     own, mixed, other = filters.information
-    return np.asarray(own * encoder * encoder + mixed * encoder * cell + other * cell * cell)
+    return np.asarray((own * encoder + mixed * cell) * encoder + other * (cell * cell))
 
 
 def _estimate(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.model import HandModel
-from handctl.controller.trajectory import Trajectory
+from handctl.controller.trajectory import MinimumJerk, Trajectory
 from handctl.controller.types import Vector
 from handctl.hand.dynamics import DigitModel
 
@@ -37,7 +37,7 @@ class GoalTable:
     """Goals of N tendons and J joints.
 
     Attributes:
-        moves: digits on their way.
+        moves: digits on their way. together: all digits on one way, if they are.
         expected: digits at a tension that are expected on a way.
         moving: (N,) tendons of these. all_moving: whether that is all of them.
         known: (J,) their joints.
@@ -52,6 +52,7 @@ class GoalTable:
     """
 
     moves: tuple[Move, ...]
+    together: tuple[MinimumJerk, float] | None
     expected: tuple[Move, ...]
     moving: Mask
     all_moving: bool
@@ -104,6 +105,7 @@ def goal_table(model: HandModel, goals: tuple[DigitGoal, ...]) -> GoalTable:
                 expected.append(Move(digit, coordinates, goal.trajectory, goal.since))
     return GoalTable(
         moves=tuple(moves),
+        together=_together(moves) if moving.all() else None,
         expected=tuple(expected),
         moving=moving,
         all_moving=bool(moving.all()),
@@ -118,3 +120,12 @@ def goal_table(model: HandModel, goals: tuple[DigitGoal, ...]) -> GoalTable:
         limit=limit,
         nothing=np.full(joints, np.nan),
     )
+
+
+def _together(moves: list[Move]) -> tuple[MinimumJerk, float] | None:
+    """The way of all digits in one, and when it began [s]; None if they do not move alike."""
+    ways = [move.trajectory for move in moves if isinstance(move.trajectory, MinimumJerk)]
+    if len(ways) < len(moves) or len({(way.duration, move.since) for way, move in zip(ways, moves, strict=True)}) > 1:
+        return None
+    start, end = (np.concatenate([getattr(way, name) for way in ways]) for name in ("start", "end"))
+    return MinimumJerk(start, end, ways[0].duration), moves[0].since

@@ -8,6 +8,7 @@ is not felt by any tendon or joint encoder.
 
 import math
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from handctl.choose import known
 from handctl.controller.estimator import Estimate
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.model import HandModel
+from handctl.controller.plain_bytes import plain_bytes
 from handctl.controller.types import Event, Vector
 
 FAST_S, SLOW_S = 0.02, 0.2
@@ -32,8 +34,7 @@ RATE_N_PER_S = 300.0
 """How fast an answer is given; a slip is faster than the closing of a grasp."""
 
 
-@dataclass(frozen=True, slots=True)
-class Grip:
+class Grip(NamedTuple):
     """What a hold carries from tick to tick, (N,) each; NaN for tendons of digits that do not hold.
 
     Attributes:
@@ -67,7 +68,7 @@ class Grip:
     def key(self) -> bytes:
         """Everything in it as bytes, for the state's hash."""
         arrays = b"".join(array.tobytes() for array in (self.tension, self.anchor, self.fast, self.slow))
-        return arrays + repr((self.ready, self.raised, self.limited)).encode()
+        return arrays + plain_bytes((self.ready, self.raised, self.limited))
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,14 +129,14 @@ def _answer(model: HandModel, grip: Grip, plan: GripPlan, opening: Vector, t: fl
         for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True)
         if tendons.start <= worst < tendons.stop
     )
-    grip = replace(grip, slow=grip.fast, ready=t + PAUSE_S)
+    grip = grip._replace(slow=grip.fast, ready=t + PAUSE_S)
     moved = f"{digit} is pushed open, {1e6 * opening[worst]:.0f} um of tendon"
     most = float(np.nanmax(np.append(plan.limit / grip.tension, 1.0)))
     if grip.raised < most:
-        grip = replace(grip, raised=min(grip.raised * STEP, most))
+        grip = grip._replace(raised=min(grip.raised * STEP, most))
         return grip, (Event("warn", "slip", digit, f"{moved}: force x {grip.raised:.2f}"),)
     told = Event("warn", "slip", digit, f"{moved}; the task allows no more force")
-    return replace(grip, limited=True), () if grip.limited else (told,)
+    return grip._replace(limited=True), () if grip.limited else (told,)
 
 
 def _goals(

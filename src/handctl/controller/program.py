@@ -10,6 +10,7 @@ from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.grip import Grip
 from handctl.controller.kept import Kept
 from handctl.controller.model import HandModel
+from handctl.controller.plain_bytes import plain_bytes
 from handctl.controller.trajectory import MinimumJerk
 from handctl.controller.types import Event, Vector
 from handctl.hand.dynamics import DigitModel
@@ -56,7 +57,7 @@ class Progress:
         """Everything in it as bytes, for the state's hash."""
         place = (self.step, self.since, self.phase, self.finished, self.failure, self.record, self.tare, self.felt)
         goals = b"".join(map(_goal, self.goals)) + (self.grip.key() if self.grip else b"")
-        return repr((place, self.contact, self.touching)).encode() + goals
+        return plain_bytes((place, self.contact, self.touching)) + goals
 
 
 _goal = Kept[DigitGoal](DigitGoal.key)
