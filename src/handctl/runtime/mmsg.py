@@ -86,6 +86,7 @@ class Slots:
         self._view = memoryview(headers).cast("B")
         self._fresh = bytes(self._view)
         self._lengths = [size] * count
+        self._equal = count, size
         self._usual: tuple[bytes, int] = (b"", 0)
 
     def even(self, count: int) -> int:
@@ -120,6 +121,14 @@ class Slots:
         """Set how much of a slot is sent."""
         if self._lengths[i] != length:
             self._lengths[i] = self._iovecs[i].len = length
+            self._equal = 0, 0
+
+    def set_lengths(self, count: int, length: int) -> None:
+        """Set how much of each of the first slots is sent."""
+        if count > self._equal[0] or length != self._equal[1]:
+            for i in range(count):
+                self.set_length(i, length)
+            self._equal = count, length
 
 
 def receive(fd: int, slots: Slots) -> int:

@@ -1,6 +1,7 @@
 """Linux SocketCAN, classical and FD: raw socket, whole batches in one system call, the kernel's receive stamps."""
 
 import fcntl
+import functools
 import os
 import socket
 import struct
@@ -16,14 +17,23 @@ from handctl.runtime.bus_events import BusEvents, Event
 from handctl.runtime.interface import wrong_rate
 from handctl.runtime.wall import WallOffset
 
+SLOTS = 128
+"""Frames of one system call."""
 CLASSICAL = struct.Struct("=IB3x8s")
 FD = struct.Struct("=IBB2x64s")
 """``struct can_frame`` and ``struct canfd_frame``. Source: Linux ``can.h``."""
 _SLOT = struct.Struct("=IBB2x8s56x")
 """Either of them on a socket that gets classical frames only: 8 bytes of payload are all there can be."""
+
+
+@functools.lru_cache(maxsize=SLOTS)
+def _batch(count: int) -> struct.Struct:
+    """So many classical frames in slots as one struct: a tick sends the same number again and again."""
+    return struct.Struct("=" + "IB3x8s56x" * count)
+
+
 CLASSICAL_MOST = 8
 """Payload that any frame can carry [bytes]."""
-SLOTS = 128
 READS = 64
 """Reads of one drain: a flood cannot make a tick long."""
 RECEIVE_BUFFER = 4 << 20
@@ -136,18 +146,26 @@ class SocketCanBus:
         return accepted
 
     def _pack(self, frames: Sequence[Frame]) -> None:
-        buffer, offset, set_length = self._out.data, 0, self._out.set_length
+        """Fill the slots; classical frames, as nearly always, in one go."""
+        values: list[int | bytes] = []
+        for can_id, data, flags, _, _ in frames:
+            size = len(data)
+            if flags or size > CLASSICAL_MOST:
+                return self._pack_each(frames)
+            values += (can_id, size, data)
+        _batch(len(frames)).pack_into(self._out.data, 0, *values)
+        self._out.set_lengths(len(frames), CLASSICAL.size)
+        return None
+
+    def _pack_each(self, frames: Sequence[Frame]) -> None:
+        buffer, offset = self._out.data, 0
         for i, frame in enumerate(frames):
             can_id, data, flags, _, _ = frame
-            size = len(data)
-            if size > CLASSICAL_MOST:
-                check_size(frame)
-            if flags & FDF:
-                FD.pack_into(buffer, offset, can_id, size, flags, data)
-                set_length(i, FD.size)
-            else:
-                CLASSICAL.pack_into(buffer, offset, can_id, size, data)
-                set_length(i, CLASSICAL.size)
+            check_size(frame)
+            layout = FD if flags & FDF else CLASSICAL
+            values = (can_id, len(data), flags, data) if layout is FD else (can_id, len(data), data)
+            layout.pack_into(buffer, offset, *values)
+            self._out.set_length(i, layout.size)
             offset += FD.size
 
     def take_events(self) -> list[Event]:
