@@ -98,19 +98,25 @@ def in_guest(floor: str, ticks: int) -> dict:
 def measure(medium: str, floor: str, ticks: int) -> dict:
     """Wall and CPU time of each way [us], by number of motors; a reason in words where one cannot be had.
 
-    In rounds, all ways in each, and the quietest round of each way counts: other work on the machine hits one round
-    more than another.
+    In rounds, all ways in each: other work on the machine hits one round more than another. The quietest round's wall
+    time counts; CPU time is the mean of all, as user-mode Linux counts it in steps of 10 ms.
     """
     result: dict = {}
     for motors in MOTORS:
-        rows: dict = {}
+        rounds: dict = {}
         for _ in range(ROUNDS):
             for name, row in a_round(medium, floor, motors, ticks // ROUNDS):
-                known = rows.setdefault(name, row)
-                if "skipped" not in row:
-                    known |= {key: min(known[key], row[key]) for key in row}
-        result[str(motors)] = with_ratios(rows)
+                rounds.setdefault(name, []).append(row)
+        result[str(motors)] = with_ratios({name: together(rows) for name, rows in rounds.items()})
     return result
+
+
+def together(rows: list[dict]) -> dict:
+    """One row of a way's rounds."""
+    if "skipped" in rows[0]:
+        return rows[0]
+    wall, used = ([row[key] for row in rows] for key in ("wall_us", "cpu_us"))
+    return {"wall_us": min(wall), "cpu_us": statistics.fmean(used)}
 
 
 def a_round(medium: str, floor: str, motors: int, ticks: int):
