@@ -116,15 +116,15 @@ def test_nothing_is_new_twice_and_what_is_missing_stays_missing(node: SensorNode
 def test_times_are_in_the_order_of_the_hand() -> None:
     node = SensorNode.of(Section(tendons=("t2", "t0", "t1", "t5", "t4", "t3")), 0, TENDONS[:7], JOINTS)
     state, _ = node.sync(node.initial(), 0)
-    assert node.tension_times(state) == [-1] * 7
+    assert node.tension_times(state) == (-1,) * 7
     first, second = encoded(0x1A0, "tension", 0, [0] * 6)
     state = received(node, state, [first._replace(t_ns=10), second._replace(t_ns=20)])
-    assert node.tension_times(state) == [10, 10, 10, 20, 10, 10, 20]
+    assert node.tension_times(state) == (10, 10, 10, 20, 10, 10, 20)
 
 
 def test_a_hand_without_load_cells_has_no_reading() -> None:
     node = SensorNode.of(Section(tendons=()), 0, TENDONS[:3], JOINTS)
-    assert node.tension_times(node.initial()) == [-1, -1, -1]
+    assert node.tension_times(node.initial()) == (-1, -1, -1)
 
 
 @given(st.one_of(st.just(0x1A1), st.integers(0, 2047)), st.binary(max_size=64), st.integers(0, 2))

@@ -139,7 +139,7 @@ def _print(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> None:
         if result.unasked:
             kinds = sorted({f"{frame.can_id:#05x}" for frame in result.unasked})
             print(f"  not asked on {', '.join(kinds)}: a drive that is here would take it as an order;")
-            print("  for what answers on that, scan again with that drive off, and give it a bus of its own")
+            print("  for what answers on that, scan again with that drive off")
         for drive in result.found:
             _print_drive(drive)
     if any(result.found for result in scans.values()):

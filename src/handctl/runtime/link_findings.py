@@ -43,7 +43,7 @@ def findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> l
         link: its state.
         bitrate, data_bitrate: what the hand wants [bit/s]; None: a classical bus.
     """
-    set_up = advice(name, bitrate, data_bitrate)
+    set_up = advice(name, bitrate, data_bitrate, there=True)
     found = [Finding(f"{name} is {'up' if link.up else 'down'}", link.up, set_up, fatal=not link.up)]
     if link.bitrate is not None or link.kind == "can":
         found.append(_rate("bit rate", link.bitrate, bitrate, set_up))

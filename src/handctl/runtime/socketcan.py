@@ -207,7 +207,8 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
             bit rate, or has too short a queue.
     """
     name, fd_mode = f"socketcan:{channel}", data_bitrate is not None
-    hint = "type: " + advice(channel, bitrate, data_bitrate)
+    there = channel in [known for _, known in socket.if_nameindex()]
+    hint = "type: " + advice(channel, bitrate, data_bitrate, there)
     try:
         link = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     except OSError as error:
@@ -244,11 +245,12 @@ def _ask(link: socket.socket, channel: str, request: int) -> int:
     return int(number)
 
 
-def advice(channel: str, bitrate: int, data_bitrate: int | None) -> str:
-    """Command that sets an interface up as the hand needs it."""
+def advice(channel: str, bitrate: int, data_bitrate: int | None, there: bool = False) -> str:
+    """Command that sets an interface up as the hand needs it, ``there`` if there is one already."""
     if channel.startswith("vcan"):
-        mtu = " && sudo ip link set {0} mtu 72" if data_bitrate else ""
-        return ("sudo ip link add {0} type vcan" + mtu + " && sudo ip link set {0} up").format(channel)
+        steps = ["sudo ip link set {0} down" if there else "sudo ip link add {0} type vcan"]
+        steps += ["sudo ip link set {0} mtu 72"] * bool(data_bitrate) + ["sudo ip link set {0} up"]
+        return " && ".join(steps).format(channel)
     fd = f" dbitrate {data_bitrate} fd on" if data_bitrate else ""
     down = f"sudo ip link set {channel} down; "
     return f"{down}sudo ip link set {channel} up txqueuelen 128 type can bitrate {bitrate}{fd}"

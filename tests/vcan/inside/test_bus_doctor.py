@@ -22,7 +22,9 @@ def test_an_interface_that_is_down_or_absent_comes_with_the_command(capsys: pyte
     subprocess.run(["ip", "link", "set", "vcan1", "down"], check=True)
     try:
         assert main(["bus", "doctor", "--bus", "socketcan:vcan1"]) == 1
-        assert "ip link set vcan1 up" in capsys.readouterr().out
+        said = capsys.readouterr().out
+        assert "sudo ip link set vcan1 up" in said
+        assert "link add" not in said, "it is there, and cannot be added twice"
     finally:
         subprocess.run(["ip", "link", "set", "vcan1", "up"], check=True)
     assert main(["bus", "doctor", "--bus", "socketcan:vcan7"]) == 1
