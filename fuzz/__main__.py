@@ -6,12 +6,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+from handctl.drives.registry import PROTOCOLS
+
 PLACE = Path("build/fuzz")
 DONE = re.compile(r"Done (\d+) runs in (\d+) second")
 COVERED = re.compile(r"cov: (\d+) ft: (\d+)")
-NAMES = ("mit", "odrive", "cia402", "sensor-node", "hand", "hand-text", "task", "trajectory", "gains", "calibration",
+NAMES = (*PROTOCOLS, "sensor-node", "hand", "hand-text", "task", "trajectory", "gains", "calibration",
          "log", "log-bytes", "request", "fault")  # fmt: skip
-LONGEST = {"mit": 64, "odrive": 64, "cia402": 64, "sensor-node": 64, "request": 256, "fault": 256, "hand": 128,
+LONGEST = {**dict.fromkeys(PROTOCOLS, 64), "sensor-node": 64, "request": 256, "fault": 256, "hand": 128,
            "task": 128, "trajectory": 128, "gains": 128, "calibration": 128}  # fmt: skip
 """Bytes of an input; more would only be more of the same."""
 

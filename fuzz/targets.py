@@ -4,13 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from fuzz import files, logs, texts, wire
+from handctl.drives.registry import PROTOCOLS
 from handctl.hand.description import HANDS
 
 Target = Callable[[bytes], bool]
 TARGETS: dict[str, Callable[[Path], Target]] = {
-    "mit": wire.drive("mit"),
-    "odrive": wire.drive("odrive"),
-    "cia402": wire.drive("cia402"),
+    **{name: wire.drive(name) for name in PROTOCOLS},
     "sensor-node": wire.sensors,
     "hand": files.hand,
     "hand-text": files.hand_text,
