@@ -140,8 +140,8 @@ class Soak:
     def fault(self) -> str:
         """Inject a random fault; its text."""
         hand = load_simulated("jamia")
-        kind = self.chance.choice([one for one in KINDS if any(instances(c, hand) for c in KINDS[one].components)])
-        found = [(component, name) for component in KINDS[kind].components for name in instances(component, hand)]
+        kind = self.chance.choice([one for one in KINDS if any(instances(c, hand, one) for c in KINDS[one].components)])
+        found = [(component, name) for component in KINDS[kind].components for name in instances(component, hand, kind)]
         component, name = self.chance.choice(found)
         text = f"{kind} {component}={name} for={self.chance.choice((1, 20, 200, 2000))}ms"
         if handctl("fault", "inject", text, "--bus", BUS).returncode:

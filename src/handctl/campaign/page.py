@@ -1,22 +1,26 @@
 """A campaign as one HTML page that needs nothing else, and as a table for a terminal."""
 
 import html
+from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
 
 from handctl.campaign.campaign import Report
 from handctl.campaign.scenarios import LEFT_OUT
 from handctl.campaign.trial import Result
+from handctl.safety.catalogue import CATALOGUE
 
 STYLE = """
-body { font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; max-width: 1100px; margin: 2em auto;
+body { font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; max-width: 1300px; margin: 2em auto;
        padding: 0 1em; }
 h1 { font-size: 1.5em; } h2 { font-size: 1.1em; margin-top: 2em; border-bottom: 1px solid #ccc; }
 table { border-collapse: collapse; font-size: .9em; } td, th { padding: .15em .8em .15em 0; text-align: left; }
 td.n { text-align: right; font-variant-numeric: tabular-nums; } .bad { color: #b00020; font-weight: 600; }
 .bar { display: inline-block; height: .7em; background: #3b6fb6; } .bar.bad { background: #b00020; }
 """
-BAR_EM = 8.0
+BAR_EM = 6.0
+HEAD = ("row", "fault", "tried", "slowest scenario", "found by", "took", "ticks", "bound", "of that", "tension", "")
+TITLES = {entry.id: entry.title for entry in CATALOGUE}
 
 
 def write_page(path: Path, report: Report) -> None:
@@ -38,11 +42,12 @@ def write_page(path: Path, report: Report) -> None:
     )
     parts = [f"<h1>{title}</h1><table>{head}</table>"]
     for protocol, results in report.results.items():
-        rate = report.rates[protocol]
-        parts.append(f"<h2>{protocol}, {rate:g} Hz: each row by its slowest scenario</h2>{_table(_slowest(results))}")
+        rate, number = report.rates[protocol], Counter(result.id for result in results)
+        title_ = f"{protocol}, {rate:g} Hz: each row by its slowest scenario"
+        parts.append(f"<h2>{title_}</h2>{_table(_slowest(results), rate, number)}")
         bad = [result for result in results if not result.ok]
         if bad:
-            parts.append(f"<h2 class=bad>{protocol}: not as they must be</h2>{_table(bad)}")
+            parts.append(f"<h2 class=bad>{protocol}: not as they must be</h2>{_table(bad, rate, number)}")
     rows = "".join(f"<tr><td>{id_}</td><td>{html.escape(why)}</td></tr>" for id_, why in LEFT_OUT.items())
     parts.append(f"<h2>Rows that are tried elsewhere</h2><table>{rows}</table>")
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{STYLE}</style>"
@@ -64,19 +69,23 @@ def share(result: Result) -> float:
     return result.ticks / max(result.bound, 1) if result.ticks >= 0 else 9.9
 
 
-def _table(results: Iterable[Result]) -> str:
-    head = "<tr><th>row<th>scenario<th>found by<th>ticks<th>bound<th><th>tension<th></tr>"
-    return f"<table>{head}{''.join(map(_row, results))}</table>"
+def _table(results: Iterable[Result], rate: float, number: Counter[str]) -> str:
+    head = "".join(f"<th>{name}" for name in HEAD)
+    rows = "".join(_row(result, rate, number[result.id]) for result in results)
+    return f"<table><tr>{head}</tr>{rows}</table>"
 
 
-def _row(result: Result) -> str:
+def _row(result: Result, rate: float, number: int) -> str:
     bad = "" if result.ok else " bad"
     width = BAR_EM * min(share(result), 1.0)
+    scenario = result.scenario.removeprefix(result.id).strip()
+    took = f"{result.ticks * 1e3 / rate:g} ms" if result.ticks >= 0 else "never"
     cells = [
-        f"<td>{result.id}</td><td>{html.escape(result.scenario)}</td><td>{html.escape(result.found)}</td>",
-        f"<td class=n>{result.ticks}</td><td class=n>{result.bound}</td>",
+        f"<td>{result.id}</td><td>{html.escape(TITLES[result.id])}</td><td class=n>{number}</td>",
+        f"<td>{html.escape(scenario)}</td><td>{html.escape(result.found or 'asked for')}</td>",
+        f"<td class=n>{took}</td><td class=n>{result.ticks}</td><td class=n>{result.bound}</td>",
         f'<td><span class="bar{bad}" style="width:{width:.2f}em"></span></td>',
-        f"<td class=n>{result.tension:.0f} N</td><td class=bad>{html.escape(result.why)}</td>",
+        f"<td class=n>{result.tension:.0f} of {result.most:.0f} N</td><td class=bad>{html.escape(result.why)}</td>",
     ]
     return f"<tr>{''.join(cells)}</tr>"
 

@@ -4,8 +4,10 @@ import math
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
+
 from handctl.campaign.course import Course
-from handctl.campaign.scenarios import HOST, Scenario
+from handctl.campaign.scenarios import GRASP, HOST, Scenario
 from handctl.controller.types import IoEvent, Mode, TickOut
 from handctl.safety.action import Action
 
@@ -13,6 +15,7 @@ AFTER_S = 1.3
 """How much longer than its bound a scenario is watched: until no torque is left [s]."""
 CUT = ('{"do": "cut"}',)
 """What a person asks a drive that does not let go."""
+RUNS_AWAY = "runaway"
 BEYOND = (Mode.DISARM, Mode.DONE)
 SECOND_AT_TICKS, PAIR_TICKS = 5, 2
 """Ticks between the two faults of a pair; and what the second may delay: a missed tick and its neighbour."""
@@ -29,7 +32,7 @@ class Result:
         bound: most ticks that it may take.
         found: row that found it, as id and instance; empty if none did.
         safe_ticks: from the event until no motor is asked for torque; -1 if it never was so.
-        tension: largest true tension from the event on [N].
+        tension: largest true tension from the event on [N]. most: what it may be [N]; see ``explained``.
         ok: felt, found by one of its rows, and in time.
         why: what is wrong if it is not.
     """
@@ -43,6 +46,7 @@ class Result:
     found: str = ""
     safe_ticks: int = -1
     tension: float = 0.0
+    most: float = 0.0
     ok: bool = False
     why: str = ""
 
@@ -64,7 +68,8 @@ def try_out(course: Course, scenario: Scenario, protocol: str) -> Result:
     bound = row.ticks + math.ceil(ms * 1e6 / course.period_ns)
     bound += PAIR_TICKS if scenario.second else 0
     result = Result(scenario.name, row.id, scenario.stage, bound=bound)
-    begin_ns = course.k * course.period_ns
+    begin_ns, before = course.k * course.period_ns, course.peer.truth()["tension"]
+    speed = _speeds(course)
     host = _Host(scenario.fault.removeprefix(HOST)) if scenario.fault.startswith(HOST) else None
     if host is None:
         course.peer.inject(scenario.fault)
@@ -83,7 +88,40 @@ def try_out(course: Course, scenario: Scenario, protocol: str) -> Result:
         if out.mode == Mode.DONE:
             break
     result.felt = 1 if host else int(course.peer.told()[0]["felt"])
+    result.most = explained(course, scenario, before, speed, max(result.safe_ticks, bound) * course.period_ns * 1e-9)
     return _judged(result, row.action)
+
+
+def _speeds(course: Course) -> list[float]:
+    """Speed of each cable as the controller knows it [m/s]; none before the first tick."""
+    if course.out is None:
+        return [0.0] * course.controller.model.tendon_count
+    spool = course.controller.model.space.spool
+    return [float(v) for v in np.nan_to_num(np.abs(course.out.telemetry.motor_velocity * spool))]
+
+
+def explained(course: Course, scenario: Scenario, before: list[float], speed: list[float], seconds: float) -> float:
+    """Largest tension that drive and momentum explain [N].
+
+    A drive that runs away pushes its rotor, of mass m at the cable, with its own limit F against the stiffness k of the
+    rope, from the tension T that was there: it overshoots to F + sqrt((F - T)^2 + k m v^2), where v is the speed that
+    the rotor had, and where the finger is free what F adds to it until the torque is gone. Of all other faults nobody's
+    drive needs to be feared: they must stay below the limit at which one sample means that the hand relaxes.
+
+    Args:
+        course: of the run. scenario: what was done.
+        before, speed: of each rope when it was done [N], [m/s].
+        seconds: time until no torque is asked for.
+    """
+    hand, space = course.controller.model.hand, course.controller.model.space
+    if RUNS_AWAY not in (scenario.fault.split()[0], *scenario.second.split()[:1]):
+        return max(max(tendon.tension_trip_N for tendon in hand.tendon), *before)
+    bounds = []
+    for tendon, k, m, taut, v in zip(hand.tendon, space.stiffness, space.motor_mass, before, speed, strict=True):
+        limit = tendon.drive_limit_N
+        faster = v if scenario.stage == GRASP else v + limit / m * seconds
+        bounds.append(limit + math.sqrt((limit - taut) ** 2 + k * m * faster**2))
+    return float(max(bounds))
 
 
 def _felt_ns(course: Course, host: "_Host | None", begin_ns: int) -> int:
@@ -126,6 +164,8 @@ def _judged(result: Result, action: Action) -> Result:
         why.append(f"late: {result.ticks} ticks, at most {result.bound}")
     if action >= Action.RELAX and result.felt and result.safe_ticks < 0:
         why.append("torque is left")
+    if result.tension > result.most:
+        why.append(f"{result.tension:.0f} N in a rope, at most {result.most:.0f} are explained")
     result.ok, result.why = not why, "; ".join(why)
     return result
 

@@ -28,6 +28,8 @@ READY_S = 0.1
 ARMING_TIMEOUT_S = 1.0
 RELAX_FLOOR_N = 5.0
 RELAX_RATE_N_PER_S = 500.0
+RELAX_FROM_MORE_N = 15.0
+"""More than the last command that relaxing may begin at: what a rope bears besides, in motion and by friction."""
 RELAX_TIMEOUT_S = 1.0
 RELAXED_WITHIN_N = 3.0
 DISARM_TIMEOUT_S = 1.0
@@ -256,14 +258,19 @@ def _pulling(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[st
 
 
 def _on_entry(model: HandModel, state: State) -> State:
-    """Goals that belong to a mode."""
+    """Goals that belong to a mode.
+
+    Relaxing begins at the tension that there is, but not at one that no motor was asked for: a load cell may be wrong.
+    """
     if state.mode != Mode.RELAX:
         return state
+    law = state.law
+    begin = np.minimum(law.setpoint, np.maximum(law.force, 0.0) + RELAX_FROM_MORE_N)
     goals = tuple(
-        DigitGoal(Kind.TENSION, tension=np.minimum(state.law.setpoint[s], RELAX_FLOOR_N), rate=RELAX_RATE_N_PER_S)
+        DigitGoal(Kind.TENSION, tension=np.minimum(begin[s], RELAX_FLOOR_N), rate=RELAX_RATE_N_PER_S)
         for s in model.digit_tendons
     )
-    return state._replace(progress=replace(state.progress, goals=goals))
+    return state._replace(progress=replace(state.progress, goals=goals), law=law._replace(setpoint=begin))
 
 
 def _may_pull(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:

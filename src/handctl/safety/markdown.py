@@ -4,6 +4,8 @@ from handctl.safety.catalogue import CATALOGUE, ON_HARDWARE, TABLE_, Entry
 from handctl.safety.fault import Fault
 from handctl.safety.table import TABLE
 
+ASKED_MS = 5.0
+"""A tick of the ideal drive for which the project's fault catalogue is written."""
 RATE_HZ = 500.0
 """Rate for which the catalogue gives times; that of the packaged hand with one motor a digit."""
 
@@ -22,12 +24,34 @@ def catalogue(entries: tuple[Entry, ...] = CATALOGUE) -> str:
 
 def _row(entry: Entry) -> str:
     judged = ", ".join(f"{f.id} {f.action.name}" for f in TABLE if f.row == entry.id) or entry.where
-    latest = f"{entry.latest_ms(RATE_HZ):g} ms, {round(entry.latest_ms(RATE_HZ) * RATE_HZ / 1e3)} ticks"
+    latest = f"{entry.latest_ms(RATE_HZ):g} ms, {_ticks(entry)} ticks"
+    latest += f"; ODrive {entry.odrive_ms:g} ms more" if entry.odrive_ms else ""
     latest = latest if entry.ticks or entry.ms else "before torque" if entry.where != TABLE_ else "1 tick"
     return (
         f"| {entry.id} | {entry.title} | {judged} | {entry.mit} | {entry.odrive} | {entry.cia402} | {latest} "
         f"| {entry.tried} |"
     )
+
+
+def _ticks(entry: Entry) -> int:
+    return round(entry.latest_ms(RATE_HZ) * RATE_HZ / 1e3)
+
+
+def late(entry: Entry) -> bool:
+    """Whether a row takes more ticks than the project's fault catalogue gives it."""
+    return _ticks(entry) > entry.asked
+
+
+def later(entries: tuple[Entry, ...] = CATALOGUE) -> str:
+    """Rows that take more ticks than were asked for, and why, in Markdown."""
+    rows = [
+        f"| {e.id} | {e.title} | {e.asked} | {_ticks(e)} | {e.asked * ASKED_MS:g} ms | {e.latest_ms(RATE_HZ):g} ms "
+        f"| {e.why} |"
+        for e in entries
+        if late(e)
+    ]
+    head = "| id | fault | asked, ticks | at 500 Hz, ticks | asked | takes | why |"
+    return "\n".join([head, "|---|---|---|---|---|---|---|", *rows])
 
 
 def checklist() -> str:
