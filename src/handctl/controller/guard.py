@@ -1,5 +1,6 @@
 """What one tick shows to safety: ages, errors, frames that should not be, and what the watcher makes of the rest."""
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -13,7 +14,7 @@ from handctl.controller.motors import Motors
 from handctl.controller.program import TARE_PHASE
 from handctl.controller.received import Received
 from handctl.controller.state import State
-from handctl.controller.types import Event, Mode, TickIn
+from handctl.controller.types import Event, Mode, TickIn, Vector
 from handctl.drives.causes import Cause
 from handctl.drives.contract import Drive, DriveState, Phase
 from handctl.drives.frame import EXTENDED, REMOTE
@@ -44,6 +45,8 @@ MUTE = (Mode.SILENT, Mode.DONE)
 """Modes in which nothing is asked."""
 NEVER = 1_000_000
 """Age of what never came [ticks]."""
+FOLLOW_S = 0.1
+"""Time in which a motor follows a goal that jumps, several times over [s]."""
 NOISE_TIMES, NOISE_STEPS = 9.0, 6.0
 """A noise burst has so many times the variance of: drive torque on the bare rotor, and so many counts of rounding."""
 
@@ -219,9 +222,15 @@ class Guard:
         return watch._replace(
             asked=command.torque / self.model.space.spool if acts else unknown,
             wanted=command.tension if goes else unknown,
-            goal=self.model.excursion_of(command.q) if goes else unknown,
+            goal=self._followed(watch.goal, self.model.excursion_of(command.q)) if goes else unknown,
             owed=watch.owed if mode in MUTE else asked(watch.owed, [drive.phase >= READY for drive in drives], k),
         )
+
+
+    def _followed(self, before: Vector, goal: Vector) -> Vector:
+        """(N,) goals as a motor can follow them [m]: where one jumps, a motor that has not moved yet is not stuck."""
+        share = 1.0 - math.exp(-self.model.period / FOLLOW_S)
+        return chosen(before != before, goal, before + share * (goal - before))
 
 
 def make_watcher(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) -> Watcher:

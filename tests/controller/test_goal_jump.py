@@ -1,0 +1,37 @@
+"""A goal that jumps: a motor that was at rest has not moved yet, which is not being stuck."""
+
+import numpy as np
+import pytest
+
+from handctl.controller.computed_torque import Command
+from handctl.controller.live import LiveProgram
+from handctl.controller.model import HandModel
+from handctl.controller.types import Mode
+from tests.controller.bench import Bench, bench
+
+
+def at(bench: Bench, angle: float) -> Command:
+    """A command of that angle for every joint [rad]."""
+    idle = Command.idle(bench.controller.model)
+    return idle._replace(q=np.full(len(idle.q), angle))
+
+
+def test_what_safety_takes_for_the_goal_goes_where_a_motor_can_follow(jamia: HandModel) -> None:
+    active = bench(jamia, LiveProgram())
+    guard, state = active.controller.guard, active.state
+    arms = np.asarray(active.controller.model.hand.moment_arms.sum(axis=1))
+
+    def goals(angle: float, ticks: int, watch: object = state.watch._replace(goal=np.full(4, np.nan))) -> object:
+        for _ in range(ticks):
+            watch = guard.commanded(watch, Mode.ACTIVE, at(active, angle), state.drives, state.k)
+        return watch
+
+    begun = goals(0.2, 1)
+    assert begun.goal == pytest.approx(arms * 0.2), "the first goal is taken as it is"
+    seconds = 0.1
+    after = goals(0.4, round(seconds / active.controller.model.period), begun)
+    assert after.goal == pytest.approx(arms * (0.4 - 0.2 * np.exp(-1.0)), rel=0.02)
+    assert goals(0.4, 1000, after).goal == pytest.approx(arms * 0.4, rel=1e-6)
+    limp = guard.commanded(after, Mode.ACTIVE, Command.idle(active.controller.model), state.drives, state.k)
+    assert np.isnan(limp.goal).all()
+    assert goals(0.1, 1, limp).goal == pytest.approx(arms * 0.1), "after a hold it begins anew"
