@@ -24,7 +24,7 @@ from handctl.log.recorder import Recorder
 from handctl.runtime.clock import RealClock, give_back_priority, take_priority
 from handctl.runtime.loop import Loop, LoopStats
 
-HAND, RATE_HZ, CYCLE_S = "jamia11", 1000, 2.0
+HAND, RATE_HZ, CYCLE_S = "jamia11", 1000, 0.5
 PERIOD_NS = 10**9 // RATE_HZ
 MARKS = {"p50": 50.0, "p99": 99.0, "p99_9": 99.9, "max": 100.0}
 

@@ -19,20 +19,22 @@ from handctl.controller.types import IoEvent, TickIn
 from handctl.errors import LogError
 from handctl.log.reader import RunLog
 from handctl.log.record import FRAMING, pack
-from handctl.log.recorder import Recorder
+from handctl.log.recorder import PIPE_BYTES, Recorder
 from handctl.log.syncer import Syncer
 from handctl.log.writer import LogWriter
+from handctl.log.writer_process import NICE
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
-KILLS, TOGETHER = 100 if NIGHTLY else 12, 4
+KILLS, TOGETHER = 100 if NIGHTLY else 8, 4
 RECORDER_KILLS = 100 if NIGHTLY else 1
 FEEDER = Path(__file__).with_name("feeder.py")
 
 
 @pytest.fixture
-def start(tmp_path: Path) -> Iterator[Callable[..., Recorder]]:
-    """Starts recorders and leaves none behind."""
+def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Recorder]]:
+    """Starts recorders, with the pipe that anybody may have, and leaves none behind."""
     started: list[Recorder] = []
+    monkeypatch.setattr("handctl.log.recorder.PIPE_BYTES", PIPE_BYTES[-1:])
 
     def one(name: str = "run.mcap", deterministic: bool = False, floor_bytes: int = 1, **more: object) -> Recorder:
         run = synthetic.header(rate_hz=1000, deterministic=deterministic, **more)
@@ -183,6 +185,11 @@ def test_interrupts_do_not_reach_the_recorder(start: Callable[..., Recorder], tm
     assert recorder.close("stopped by hand")["ticks"] == 10
     with RunLog(tmp_path / "run.mcap") as log:
         assert log.end["reason"] == "stopped by hand"
+
+
+def test_the_recorder_comes_before_what_else_the_machine_does(start: Callable[..., Recorder]) -> None:
+    own, child = (os.getpriority(os.PRIO_PROCESS, pid) for pid in (0, start()._child.pid))
+    assert child == (NICE if os.geteuid() == 0 else own)
 
 
 def test_what_was_known_before_the_first_tick_is_in_the_file_at_once(

@@ -18,8 +18,9 @@ from handctl.errors import LogError
 from handctl.log.header import RunHeader
 from handctl.log.record import END, HEADER, framed
 
-PIPE_BYTES = 1 << 20
-"""What an unprivileged process may ask for on Linux; holds more than 250 ticks of the largest hand."""
+PIPE_BYTES = (8 << 20, 1 << 20)
+"""What is asked for: the second is what an unprivileged process may have on Linux, and holds more than 250 ticks of the
+largest hand."""
 FLOOR_BYTES = 64 << 20
 """Free space at which a log is finished early; at four times this there is a warning."""
 START_S, CLOSE_S = 20.0, 20.0
@@ -28,11 +29,10 @@ LOCKSTEP_WAIT_S = 60.0
 
 def _grow(descriptor: int) -> int:
     """Size of the pipe after asking for PIPE_BYTES [bytes]."""
-    size = 1 << 16
-    if hasattr(fcntl, "F_SETPIPE_SZ"):
+    for size in PIPE_BYTES if hasattr(fcntl, "F_SETPIPE_SZ") else ():
         with suppress(OSError):
-            size = fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
-    return size
+            return fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, size)
+    return 1 << 16
 
 
 class Recorder:

@@ -27,6 +27,8 @@ FLUSH_S = 0.15
 """Longest that a tick waits to be written in real time; with the nap, the write and a busy machine a killed recorder
 loses less than 0.25 s."""
 SYNC_S = 1.0
+NICE = -10
+"""Before what else the machine does, where that is permitted; the loop has real-time priority and stays before it."""
 
 
 def tell(note: dict[str, object]) -> None:
@@ -110,6 +112,8 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     os.set_blocking(1, False)
+    with suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, NICE)
     session = Session(Path(sys.argv[1]), int(sys.argv[2]))
     try:
         session.run()

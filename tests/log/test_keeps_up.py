@@ -1,0 +1,21 @@
+"""Eleven motors at 1 kHz in real time, raw frames included: the recorder keeps up on one core."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from benchmarks.writers.sustained import sustained
+
+pytestmark = pytest.mark.realtime
+SECONDS = 30.0 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1.0
+FRAMES = 24
+"""A tick: eleven commands and their answers, a SYNC, and the load cells."""
+
+
+def test_nothing_is_dropped_and_the_recorder_has_a_core_to_spare(tmp_path: Path) -> None:
+    found = sustained(tmp_path / "run.mcap", SECONDS)
+    assert (found["dropped"], found["lost"]) == (0, 0)
+    assert found["ticks"] == found["ticks_in_log"] > 0.9 * 1000 * SECONDS
+    assert found["frames_in_log"] == pytest.approx(FRAMES * found["ticks"], rel=0.001)
+    assert found["recorder_core_share"] < 0.5
