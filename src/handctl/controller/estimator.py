@@ -147,10 +147,7 @@ def _usable(state: FilterState, filters: Stacked, measured: Measured) -> Vector:
 
 def _interleaved(*columns: Vector) -> Vector:
     """Columns (N,) as one vector, tendon after tendon."""
-    table = np.empty((len(columns[0]), len(columns)))
-    for i, column in enumerate(columns):
-        table[:, i] = column
-    return table.reshape(-1)
+    return np.array(columns).T.reshape(-1)
 
 
 def _start(model: HandModel, state: FilterState, measured: Measured) -> FilterState:

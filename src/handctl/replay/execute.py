@@ -6,10 +6,12 @@ There is no bus here, no clock that decides anything, and no file but the log.
 import gc
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 from handctl.controller.gains import Gains
+from handctl.controller.tick import Controller
 from handctl.controller.types import TickIn, TickOut
 from handctl.errors import LogError
 from handctl.log.reader import RunLog
@@ -79,10 +81,26 @@ def execute(
         LogError: it cannot be rebuilt, or the log is damaged.
     """
     controller, columns = rebuild(log, gains), Columns.of(log.header)
+    with _undisturbed():
+        return _execute(log, controller, columns, watch)
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """No garbage collection, as in the loop: a tick makes no cycles."""
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+
+
+def _execute(
+    log: RunLog, controller: Controller, columns: Columns, watch: Callable[[TickIn, TickOut], None] | None
+) -> Execution:
     state = controller.initial()
     differing = undecided = ticks = 0
     first = largest = None
-    gc.freeze()  # what is there already stays: no collection has to look at it again
     began, cpu_began = time.perf_counter(), time.process_time()
     for logged, numbers in zip(log.ticks(), log.packed(), strict=True):
         try:
@@ -106,5 +124,4 @@ def execute(
             default=None,
         )
     wall, cpu = time.perf_counter() - began, time.process_time() - cpu_began
-    gc.unfreeze()
     return Execution(ticks, differing, undecided, first, largest, wall, cpu, float(log.times[-1]) if len(log) else 0.0)
