@@ -79,17 +79,19 @@ class Drives(Ours):
         self.by_id = {drive.reply_id: i for i, drive in enumerate(self.drives)}
 
     def send(self, torques):
-        frames = []
-        for i, drive in enumerate(self.drives):
-            self.states[i], out = drive.advance(self.states[i], 0, self.want, torques[i])
+        frames, states, want = [], [], self.want
+        for drive, state, torque in zip(self.drives, self.states, torques, strict=True):
+            state, out = drive.advance(state, 0, want, torque)
+            states.append(state)
             frames += out
+        self.states = states
         self.bus.send(frames)
 
     def receive(self):
-        frames = self.bus.drain()
+        frames, drives, states, by_id = self.bus.drain(), self.drives, self.states, self.by_id
         for frame in frames:
-            i = self.by_id[frame.can_id]
-            self.states[i] = self.drives[i].receive(self.states[i], frame)
+            i = by_id[frame[0]]
+            states[i] = drives[i].receive(states[i], frame)
         return frames
 
 
