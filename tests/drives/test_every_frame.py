@@ -57,6 +57,7 @@ def test_a_frame_of_somebody_else_changes_nothing_and_no_frame_raises(bench: Ben
             drive.advance(after, t_ns, Want.DISABLE, 0.0)
 
 
+@pytest.mark.parametrize("bench", ["mit"], indirect=True)
 def test_the_sensor_node_s_decoder_takes_its_own_frames_only(bench: Bench) -> None:
     before = bench.sensors
     for frame in every_frame(9, bench.k * 2_000_000):
