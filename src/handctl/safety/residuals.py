@@ -107,6 +107,14 @@ def step(rotor: Rotor, state: Filtered, rope: Rope) -> Filtered:
     return Filtered(low, speed, position, turned)
 
 
+def begun(state: Filtered, rope: Rope) -> Filtered:
+    """Before the first tick: what is filtered quickly begins at what is there, not at nothing."""
+    low = state.low.copy()
+    low[TENSION] = rope.tension
+    low[QUICK_FORCE] = chosen(rope.force == rope.force, rope.force, rope.asked)
+    return state._replace(low=known(low))
+
+
 def unexplained(rotor: Rotor, state: Filtered) -> Vector:
     """(N,) tension that neither friction nor the tolerance of the torque constant explains [N], 0 or more."""
     known = rotor.coulomb + GAIN_SHARE * np.abs(state.low[FORCE])

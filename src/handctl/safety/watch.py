@@ -194,7 +194,8 @@ def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tu
         return watcher.start._replace(counts=state.counts, owed=state.owed), raw
     taut, begin, slip = _slip(watcher, state, seen, cell)
     rope = residuals.Rope(seen.position, seen.speed, seen.tension, seen.force, state.asked, slip)
-    filtered = residuals.step(watcher.rotor, state.filtered, rope)
+    first = state.filtered is watcher.start.filtered
+    filtered = residuals.step(watcher.rotor, residuals.begun(state.filtered, rope) if first else state.filtered, rope)
     tense = ropes.step(state.ropes, filtered.low[residuals.TENSION].tolist(), state.wanted.tolist())
     witnesses = _witnesses(watcher, state, filtered, seen)
     value = np.concatenate((seen.travel, seen.tension, seen.joints))
