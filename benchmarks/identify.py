@@ -3,12 +3,13 @@
 Each seed draws plant parameters off by up to 30 % and gains detuned by up to a factor of 3 either way, excites one
 digit in lockstep and fits its log. The simulator's truth is used for judging only.
 
-    python benchmarks/identify.py            # four seeds
-    python benchmarks/identify.py --seeds 100 --json
+    python benchmarks/identify.py                                  # four seeds
+    python benchmarks/identify.py --seeds 100 --into rows.jsonl    # goes on where it was interrupted
 """
 
 import argparse
 import json
+import math
 import random
 import sys
 import tempfile
@@ -16,16 +17,20 @@ import time
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.plan import Plan
+from handctl.cli.plan import Plan, fastest
 from handctl.cli.session import make_controller, run_lockstep
+from handctl.controller.bus_load import bus_loads
 from handctl.controller.excite import ExciteProgram
 from handctl.controller.gain_bounds import with_values
 from handctl.controller.gains import Gains
-from handctl.hand.description import hand_path, load_hand
+from handctl.controller.identified import DIGIT_KEYS
+from handctl.hand.description import Hand, hand_path, load_hand
 from handctl.log.reader import RunLog
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
 from handctl.tune.excitation import excitation
-from handctl.tune.identify import identify
+from handctl.tune.identify import Found, identify
+
+Row = dict[str, Any]
 
 OFF, DETUNED = 0.3, 3.0
 DRAWN = ("stiffness", "damping", "friction", "mass", "spring", "motor_inertia", "torque_constant")
@@ -54,7 +59,7 @@ def detuned(seed: int) -> Gains:
     return with_values(packaged, values, "detuned")
 
 
-def truth(hand: Any, tendon: str, factors: dict[str, float]) -> dict[str, float]:
+def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float]:
     """What identification should find."""
     rope = hand.tendon[hand.tendon_names.index(tendon)]
     motor = hand.motor_of(tendon)
@@ -69,82 +74,119 @@ def truth(hand: Any, tendon: str, factors: dict[str, float]) -> dict[str, float]
     }
 
 
-def one(seed: int, digit: str, folder: Path) -> dict[str, Any]:
+def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
     """Excite and fit one digit of one hand; error and coverage of every parameter, or why it failed."""
-    hand, factors, gains = load_hand("jamia"), plant(seed), detuned(seed)
-    plan = Plan(hand, gains, 500.0, ())
-    options = {"hand_path": str(hand_path("jamia")), "seed": seed, "homed": True, "perturb": factors}
+    hand, factors = load_hand(hand_name), plant(seed)
+    plan = Plan(hand, detuned(seed), fastest(bus_loads(hand)), ())
+    options = {"hand_path": str(hand_path(hand_name)), "seed": seed, "homed": True, "perturb": factors}
     peer = load_peer(SIMULATED_HAND, **options, period_ns=plan.period_ns)
     log = folder / f"{seed}.mcap"
-    program = ExciteProgram(excitation(hand, (digit,)))
-    controller = make_controller(plan, program, None, arm_at_once=True)
-    began = time.perf_counter()
+    controller = make_controller(plan, ExciteProgram(excitation(hand, (digit,))), None, arm_at_once=True)
+    began = time.process_time()
     outcome = run_lockstep(plan, controller, log, LockstepClock(peer, plan.period_ns))
     peer.close()
-    row: dict[str, Any] = {"seed": seed, "digit": digit, "simulated_s": outcome.state.k * 1e-9 * plan.period_ns}
-    row["excite_s"] = time.perf_counter() - began
+    row: Row = {"seed": seed, "digit": digit, "simulated_s": outcome.state.k * 1e-9 * plan.period_ns}
+    row["excite_cpu_s"] = time.process_time() - began
     if outcome.state.failure:
         return row | {"failure": outcome.state.failure}
     with RunLog(log) as record:
-        found = identify(record, hand)[f"{digit}_tendon"]
+        found = identify(record, hand)
     log.unlink()
-    row["fit_s"] = time.perf_counter() - began - row["excite_s"]
-    values, widths = found.fit.values, found.fit.half_widths
-    for name, real in truth(hand, f"{digit}_tendon", factors).items():
-        known = name in found.judged.names
-        error = values[name] / real - 1.0
-        row[name] = {
-            "identified": known,
-            "error": error,
-            "half_width": widths[name] / real,
-            "covered": known and abs(values[name] - real) <= widths[name],
-            "within": known and abs(error) <= WITHIN[name],
-        }
+    row["fit_cpu_s"] = time.process_time() - began - row["excite_cpu_s"]
+    shared = {name: one for tendon, one in found.items() for name in one.judged.names if name in DIGIT_KEYS}
+    row["parameters"] = [
+        judged(name, tendon, real, shared.get(name, one))
+        for tendon, one in found.items()
+        for name, real in truth(hand, tendon, factors).items()
+        if name not in DIGIT_KEYS or one is shared.get(name, one)
+    ]
     return row
 
 
-def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Of every parameter: how often within its limit, how often covered, and the spread of its errors."""
-    good = [row for row in rows if "failure" not in row]
-    told: dict[str, Any] = {"seeds": len(rows), "failed": [row for row in rows if "failure" in row]}
+def judged(name: str, tendon: str, real: float, found: Found) -> Row:
+    """One parameter beside the truth; widths and error as shares of it."""
+    known, error = name in found.judged.names, found.fit.values[name] / real - 1.0
+    width = found.fit.half_widths[name] / real
+    together = found.fit.half_widths_of(max(1, len(found.judged.names)))[name] / real
+    return {
+        "name": name,
+        "tendon": tendon,
+        "error": error,
+        "half_width": width,
+        "half_width_all_at_once": together,
+        "covered": known and abs(error) <= width,
+        "covered_all_at_once": known and abs(error) <= together,
+        "within": known and abs(error) <= WITHIN[name],
+    }
+
+
+def summary(rows: list[Row]) -> Row:
+    """Of every parameter: how often within its limit, how often covered, its errors; and how often all are at once."""
+    good = [row["parameters"] for row in rows if "failure" not in row]
+    told: Row = {"seeds": len(rows), "failed": [row for row in rows if "failure" in row], "parameters": {}}
     for name, limit in WITHIN.items():
-        errors = sorted(abs(row[name]["error"]) for row in good)
-        told[name] = {
+        own = [one for row in good for one in row if one["name"] == name]
+        errors = sorted(abs(one["error"]) for one in own)
+        told["parameters"][name] = {
             "limit": limit,
-            "within": sum(row[name]["within"] for row in good),
-            "covered": sum(row[name]["covered"] for row in good),
-            "median_error": errors[len(errors) // 2] if errors else None,
-            "worst_error": errors[-1] if errors else None,
-            "mean_error": sum(row[name]["error"] for row in good) / max(len(good), 1),
-            "median_half_width": sorted(row[name]["half_width"] for row in good)[len(good) // 2] if good else None,
+            "of": len(own),
+            "within": sum(one["within"] for one in own),
+            "covered": sum(one["covered"] for one in own),
+            "median_error": errors[len(errors) // 2] if errors else math.nan,
+            "worst_error": errors[-1] if errors else math.nan,
+            "mean_error": sum(one["error"] for one in own) / max(len(own), 1),
+            "median_half_width": sorted(one["half_width"] for one in own)[len(own) // 2] if own else math.nan,
         }
+    for key in ("within", "covered", "covered_all_at_once"):
+        told[f"all_{key}"] = sum(all(one[key] for one in row) for row in good)
     return told
+
+
+def gathered(args: argparse.Namespace) -> list[Row]:
+    """Rows of all seeds asked for; those that a file already has are not computed again."""
+    rows = [json.loads(line) for line in args.into.read_text().splitlines()] if args.into and args.into.exists() else []
+    done, digits = {row["seed"] for row in rows}, load_hand(args.hand).digit_names
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(args.first, args.first + (1 if args.quick else args.seeds)):
+            if seed in done:
+                continue
+            rows.append(one(seed, digits[seed % len(digits)], Path(folder), args.hand))
+            text = f"{rows[-1]['excite_cpu_s']:.0f} + {rows[-1].get('fit_cpu_s', 0.0):.0f} s of CPU"
+            print(f"seed {seed}: {rows[-1].get('failure', 'done')}, {text}", file=sys.stderr)
+            if args.into:
+                with args.into.open("a") as file:
+                    file.write(json.dumps(rows[-1]) + "\n")
+    return rows
 
 
 def main() -> int:
     """Run the seeds and print a table or JSON."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--hand", default="jamia", help="jamia or jamia11")
     parser.add_argument("--seeds", type=int, default=4)
     parser.add_argument("--first", type=int, default=1, help="first seed")
+    parser.add_argument(
+        "--into", type=Path, metavar="FILE", help="keep rows here, a JSON line each, and go on with them"
+    )
     parser.add_argument("--quick", action="store_true", help="one seed")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    digits, rows = load_hand("jamia").digit_names, []
-    with tempfile.TemporaryDirectory() as folder:
-        for seed in range(args.first, args.first + (1 if args.quick else args.seeds)):
-            rows.append(one(seed, digits[seed % len(digits)], Path(folder)))
-            print(f"seed {seed}: {rows[-1].get('failure', 'done')}, {rows[-1]['excite_s']:.0f} s", file=sys.stderr)
+    rows = gathered(args)
     told = summary(rows)
     if args.json:
         json.dump(told | {"rows": rows}, sys.stdout, indent=2)
         return 0
     print(f"{told['seeds']} seeds, {len(told['failed'])} failed")
-    for name, limit in WITHIN.items():
-        t = told[name]
+    for name, t in told["parameters"].items():
         print(
-            f"{name:<17} within {100 * limit:.0f} %: {t['within']}, covered by the 95 % interval: {t['covered']}; "
-            f"error median {100 * (t['median_error'] or 0):.1f} %, worst {100 * (t['worst_error'] or 0):.1f} %"
+            f"{name:<17} within {100 * t['limit']:.0f} %: {t['within']} of {t['of']}, covered by the 95 % interval: "
+            f"{t['covered']}; error median {100 * t['median_error']:.1f} %, worst {100 * t['worst_error']:.1f} %, "
+            f"mean {100 * t['mean_error']:+.1f} %; interval +- {100 * t['median_half_width']:.1f} %"
         )
+    print(
+        f"seeds with all within: {told['all_within']}, all covered by intervals of their own: {told['all_covered']}, "
+        f"by intervals for all at once: {told['all_covered_all_at_once']}"
+    )
     return 0
 
 

@@ -1,6 +1,5 @@
 """Estimates and measurements made up for a hand, for what runs on top of the filter."""
 
-
 import numpy as np
 
 from handctl.controller.estimator import Estimate, Measured

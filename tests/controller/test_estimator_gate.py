@@ -1,6 +1,5 @@
 """What the tension filter does with samples that cannot be right, with a load cell that drifts, and how it doubts."""
 
-
 import numpy as np
 import pytest
 

@@ -65,7 +65,7 @@ def test_a_change_is_taken_over_when_every_piece_is_designed(holding: Bench, jam
     ("request_", "values"),
     [
         (HOLD, {"tension.force_N": 45.0}),
-        (HOLD, {"tension.force_N": 5.0}),
+        (HOLD, {"tension.force_N": 1.5}),
         (HOLD, {"tension.integral_per_s": 0.0, "motion.disturbance_rejection": 0.0}),
         (MOVE, {"motion.force_N": 60.0}),
         (MOVE, {"motion.position_error_m": 1.8e-3, "motion.tension_feedback": 1.0}),
@@ -113,7 +113,7 @@ def test_two_requests_add_up_and_the_way_back_is_open(holding: Bench, jamia: Han
     gains = holding.state.gains
     assert gains is not None
     assert (gains.tension.force_N, gains.motion.tension_feedback) == (30.0, 0.1)
-    holding.tick(change({"tension.force_N": 15.0, "motion.tension_feedback": 0.3}))
+    holding.tick(change({"tension.force_N": jamia.gains.tension.force_N, "motion.tension_feedback": 0.3}))
     holding.run(0.1)
     assert holding.state.gains == jamia.gains
 

@@ -116,6 +116,7 @@ def test_a_slack_rope_and_a_torn_one():
 
 def test_joint_and_spool_are_compared_from_when_the_rope_is_taut():
     """Rope a: 20 mm of arms; 3 deg are 1.05 mm at the joints, filtered over 0.3 s; unfiltered 15 deg are told."""
+
     def slipped(deg):
         state, _ = ticks(100, excursion=0.0, read=True)
         assert not np.isnan(state.slip_from).any()

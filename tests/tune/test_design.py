@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
+from handctl.controller.gains import Gains
 from handctl.controller.identified import Identified
 from handctl.controller.model import HandModel
 from handctl.hand.description import load_hand
@@ -14,8 +15,18 @@ from handctl.tune.ensemble import LEAST_SPREAD, ensemble, widths
 from handctl.tune.linear import LoopKind, PlantFactors
 
 
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_the_packaged_gains_keep_their_margins(hand: str, request: pytest.FixtureRequest) -> None:
+    """On the ensemble that ``tune design`` takes by default."""
+    model: HandModel = request.getfixturevalue(hand)
+    worst = worst_of(model, tuple(linear_factors(one) for one in ensemble(8, 0)))
+    assert worst.enough, worst
+
+
 def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel) -> None:
     plants = tuple(linear_factors(one) for one in ensemble(2, 0))
+    bold = Gains.model_validate({"motion": {"force_N": 60.0}, "tension": {"force_N": 20.0}})
+    jamia = redesigned(jamia, bold.model_copy(update={"filter": jamia.gains.filter}))
     assert not keeps(jamia, plants)
     found = design(jamia, plants)
     assert found.worst_after.enough
@@ -30,8 +41,9 @@ def test_a_design_keeps_its_margins_and_more_authority_does_not(jamia: HandModel
 
 
 def test_a_filter_that_leaves_no_margin_is_refused(jamia: HandModel) -> None:
+    without = Gains.model_validate({"motion": {"disturbance_rejection": 0.0}})
     with pytest.raises(ValueError, match="margins"):
-        design(jamia, (PlantFactors(torque_constant=30.0),))
+        design(redesigned(jamia, without), (PlantFactors(torque_constant=30.0),))
 
 
 @pytest.mark.parametrize("hz", [3.0, 6.0])

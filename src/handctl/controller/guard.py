@@ -226,7 +226,6 @@ class Guard:
             owed=watch.owed if mode in MUTE else asked(watch.owed, [drive.phase >= READY for drive in drives], k),
         )
 
-
     def _followed(self, before: Vector, goal: Vector) -> Vector:
         """(N,) goals as a motor can follow them [m]: where one jumps, a motor that has not moved yet is not stuck."""
         share = 1.0 - math.exp(-self.model.period / FOLLOW_S)

@@ -1,9 +1,12 @@
 """Feedback gains of the motion loop and of the tension loop, by LQR on the discrete model, once, before arming.
 
 Both loops act on the tension filter's prediction, which already holds the bus delay, so the delay needs no state here.
+What the prediction does not know costs phase, the more the longer it reaches: at rates below that for which the force
+weights are said, they count less.
 Source: Bryson's rule for the weights; the Riccati solution comes from ``control``.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +33,15 @@ class MotionDesign:
     damping: Vector
     tension: Vector
     tension_speed: Vector
+
+
+FULL_S = 2e-3
+"""Control period up to which the force weights count in full [s]."""
+
+
+def bearable(force: float, period: float) -> float:
+    """Force weight [N] at a control period [s]: a loop's stiffness goes with it, its bandwidth with their root."""
+    return force * min(1.0, math.sqrt(FULL_S / period))
 
 
 def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesign:
@@ -81,7 +93,7 @@ def _motion(mass: float, gains: Gains, period: float) -> Vector:
     """Motor and digit as one mass on a rigid tendon, force per [m, m/s]."""
     weights = gains.motion
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0 / mass]])
-    return _dlqr(A, B, [weights.position_error_m, weights.speed_error_m_s], weights.force_N, period)
+    return _dlqr(A, B, [weights.position_error_m, weights.speed_error_m_s], bearable(weights.force_N, period), period)
 
 
 def _tension(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
@@ -89,4 +101,4 @@ def _tension(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
     weights = gains.tension
     mass, k, b = space.motor_mass[i], space.stiffness[i], space.motor_damping[i] + space.damping[i]
     A, B = np.array([[0.0, k], [-1.0 / mass, -b / mass]]), np.array([[0.0], [1.0 / mass]])
-    return _dlqr(A, B, [weights.tension_error_N, weights.speed_error_m_s], weights.force_N, period)
+    return _dlqr(A, B, [weights.tension_error_N, weights.speed_error_m_s], bearable(weights.force_N, period), period)

@@ -1,7 +1,7 @@
 """Gains by design: as much authority as the margins allow on every plant, or poles where a person wants them.
 
 Authority is LQR's one knob: the force that counts like the errors of Bryson's rule. More of it makes a loop faster and
-its margins smaller, so a bisection finds the most.
+its margins smaller, so it is turned up as far as they last.
 
 Poles: for a plant with one input and weights on position and speed, the closed loop's characteristic polynomial d
 satisfies d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r. Two poles and two ratios of weights: each pole
@@ -14,13 +14,13 @@ from dataclasses import dataclass, replace
 
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
-from handctl.controller.motion_design import design_motion
+from handctl.controller.motion_design import bearable, design_motion
 from handctl.tune.linear import LoopKind, PlantFactors, controller, joined, plant
 from handctl.tune.margins import Margins, all_margins, margins
 
 LEAST_FORCE_N, MOST_FORCE_N = 0.2, 400.0
-STEPS = 9
-"""Of the bisection: within two per cent."""
+STRIDE, STEPS = math.log(1.7), 5
+"""Of the logarithm of the force, and bisections of the last one: within two per cent."""
 REJECTION = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0)
 """Shares of disturbance rejection to try, from the largest: what a filter of this hand may leave no margin for."""
 
@@ -77,10 +77,12 @@ def with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float) -> G
     position, speed = (_motion_weights if kind == LoopKind.MOTION else _tension_weights)(model, w, damping)
     if kind == LoopKind.MOTION:
         own = model.gains.motion
-        table = {"position_error_m": own.force_N / position, "speed_error_m_s": own.force_N / speed}
+        force = bearable(own.force_N, model.period)
+        table = {"position_error_m": force / position, "speed_error_m_s": force / speed}
         return _checked(model.gains, motion={**own.model_dump(), **table})
     tension = model.gains.tension
-    table = {"tension_error_N": tension.force_N / position, "speed_error_m_s": tension.force_N / speed}
+    force = bearable(tension.force_N, model.period)
+    table = {"tension_error_N": force / position, "speed_error_m_s": force / speed}
     return _checked(model.gains, tension={**tension.model_dump(), **table})
 
 
@@ -167,12 +169,24 @@ def _with_motion(model: HandModel, **values: float) -> HandModel:
 
 
 def _boldest(model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]) -> HandModel | None:
-    """Bisection on the authority of one loop; None if the least of it is too much."""
-    low, high, best = math.log(LEAST_FORCE_N), math.log(MOST_FORCE_N), None
-    tried = _with_force(model, kind, LEAST_FORCE_N)
-    if not keeps(tried, plants, (kind,)):
-        return None
-    best = tried
+    """The most authority of one loop that keeps the margins; None if none does.
+
+    Too little loses them as well (an integral alone makes a rope ring), so it comes down from above in steps, and
+    bisects the last.
+    """
+    high = math.log(MOST_FORCE_N)
+    while high > math.log(LEAST_FORCE_N):
+        low = high - STRIDE
+        best = _with_force(model, kind, math.exp(low))
+        if keeps(best, plants, (kind,)):
+            return _bisected(model, kind, plants, low, high, best)
+        high = low
+    return None
+
+
+def _bisected(
+    model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...], low: float, high: float, best: HandModel
+) -> HandModel:
     for _ in range(STEPS):
         middle = (low + high) / 2.0
         tried = _with_force(model, kind, math.exp(middle))

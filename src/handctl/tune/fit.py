@@ -1,14 +1,12 @@
 """Fitting one tendon: all equations at once, with the load cell's slow drift as part of what is unknown.
 
 Parameters are scaled by what the hand file says, so that they are all of the order of one. Residuals are in standard
-deviations of the load cell. Intervals come from the spread of the residuals' scores in blocks of time, so that what the
-model lacks widens them, and not from the assumption that every row is a new measurement.
+deviations of the load cell.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from handctl.errors import LogError
@@ -17,6 +15,7 @@ from handctl.hand.dynamics import DigitModel
 from handctl.tune.fit_load import Bins, DigitLoad, LoadParameters, bins
 from handctl.tune.fit_motor import MotorWindows, motor_windows
 from handctl.tune.identify_data import Array, TendonData
+from handctl.tune.solve import solve
 
 NAMES = (
     "torque_gain", "motor_inertia", "motor_viscous", "motor_coulomb", "delay",
@@ -38,16 +37,9 @@ KNOT_S = 1.0
 """Distance of the knots of the drift."""
 STOP_BIN_S = 0.05
 """On the stop the cable creeps: only over this long does it cross enough encoder counts for their steps to average."""
-FREEDOM_LEAST = 3.0
-"""Fewest degrees of freedom that an interval is given."""
-STEPS = 40
-"""Most steps of the solver; data that need more do not tell what they are asked for."""
 LEAST, MOST = 0.02, 20.0
 """Of what a hand file says: what is beyond is no hand."""
-OUTLIER = 2.5
-"""Residuals beyond so many standard deviations count less and less: contact that nobody expected."""
-BLOCK_S = 0.25
-"""Blocks of time whose residuals are taken to be independent of one another."""
+CONFIDENCE = 0.95
 INFORMED = 0.5
 """A parameter whose interval is wider than this share of its value is not identified."""
 
@@ -171,16 +163,17 @@ class Fit:
     """What a fit found.
 
     Attributes:
-        z: scaled parameters, drift included. covariance: of them. jacobian: weighted, of all rows.
-        residual: (rows,). freedom: of each parameter's spread.
+        z: scaled parameters, drift included. covariance: of them. freedom: of each parameter's spread.
+        sensitivity: (rows, 13), weighted Jacobian of the rows that are data.
+        residual: (rows,), priors included.
     """
 
     problem: Problem
     z: Array
     covariance: Array
-    jacobian: Array
-    residual: Array
     freedom: Array
+    sensitivity: Array
+    residual: Array
 
     @property
     def values(self) -> dict[str, float]:
@@ -190,65 +183,24 @@ class Fit:
     @property
     def half_widths(self) -> dict[str, float]:
         """Half of each 95 % interval, in the parameter's unit."""
+        return self.half_widths_of(1)
+
+    def half_widths_of(self, count: int) -> dict[str, float]:
+        """Half of intervals that cover ``count`` parameters all at once with 95 %, in the parameters' units.
+
+        Source: Sidak (1967): no less likely than if the parameters were independent.
+        """
         spread = np.sqrt(np.diag(self.covariance))[: len(NAMES)] * self.problem.nominal
-        wide = student.ppf(0.975, self.freedom[: len(NAMES)])
+        wide = student.ppf(0.5 + 0.5 * CONFIDENCE ** (1.0 / count), self.freedom[: len(NAMES)])
         return dict(zip(NAMES, (wide * spread).tolist(), strict=True))
 
 
 def fit(problem: Problem) -> Fit:
     """Solve for all parameters of a tendon."""
-    first = least_squares(
-        problem.residuals,
-        problem.start(),
-        x_scale="jac",
-        loss="soft_l1",
-        f_scale=OUTLIER,
-        bounds=problem.bounds(),
-        max_nfev=STEPS,
-    )
-    weight = np.ones_like(first.fun)
-    data = len(_times(problem))
-    weight[:data] = np.abs(first.fun[:data]) < 2.0 * OUTLIER
-
-    def weighted(z: Array) -> Array:
-        return problem.residuals(z) * weight
-
-    found = least_squares(weighted, first.x, x_scale="jac", bounds=problem.bounds(), max_nfev=STEPS)
-    jacobian = np.asarray(found.jac)
-    covariance, freedom = _covariance(problem, jacobian, found.fun)
-    return Fit(problem, found.x, covariance, jacobian, found.fun, freedom)
-
-
-def _covariance(problem: Problem, jacobian: Array, residual: Array) -> tuple[Array, Array]:
-    """Covariance of the parameters and its degrees of freedom, from blocks of time and the priors as given.
-
-    Each block is judged by a fit without it.
-
-    Never less than what independent noise alone would give.
-    Source: the jackknife over clusters in its linear form (Bell & McCaffrey 2002, CR3); Satterthwaite's freedom.
-    """
     times = _times(problem)
-    data = len(times)
-    plain = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
-    order = np.floor((times - times.min()) / BLOCK_S).astype(int)
-    middle = jacobian[data:].T @ jacobian[data:]
-    squares = np.zeros(len(plain))
-    for block in np.unique(order):
-        rows = np.flatnonzero(order == block)
-        part = jacobian[rows]
-        alone = np.linalg.lstsq(np.eye(len(rows)) - part @ plain @ part.T, residual[rows], rcond=1e-9)[0]
-        score = part.T @ alone
-        middle += np.outer(score, score)
-        squares += (plain @ score) ** 4
-    robust = plain @ middle @ plain
-    wider = np.sqrt(np.maximum(np.diag(robust) / np.diag(plain), 1.0))
-    freedom = np.diag(robust) ** 2 / np.maximum(squares, 1e-300)
-    return np.asarray(plain * np.outer(wider, wider)), np.asarray(np.maximum(freedom, FREEDOM_LEAST))
-
-
-def data_rows(problem: Problem) -> int:
-    """How many of the residuals are data; the rest are priors."""
-    return len(_times(problem))
+    found = solve(problem.residuals, problem.start(), problem.bounds(), times)
+    sensitivity = found.jacobian[: len(times), : len(NAMES)]
+    return Fit(problem, found.z, found.covariance, found.freedom, sensitivity, found.residual)
 
 
 def _times(problem: Problem) -> Array:

@@ -12,8 +12,9 @@ import numpy as np
 
 from handctl.tune.identify_data import Array, TendonData
 
-HALF_S = 0.022
-"""Half the length of a window [s]: passes what a hand's motor does, and ten load-cell samples at 500 Hz."""
+HALF_S, HALF_LEAST = 0.022, 6
+"""Half the length of a window [s]: passes what a hand's motor does, and ten load-cell samples at 500 Hz; and its least
+in samples. A whole number of them, or sums are not the integrals that they stand for."""
 EVERY = 0.4
 """Distance of windows, as a share of their half length."""
 LEAST_SPEED_RAD_S = 0.25
@@ -30,6 +31,7 @@ class MotorWindows:
         acceleration: of the cable [m/s^2]. speed: [m/s]. sign: of the speed.
         commands: (m, taps) commands around each window [N].
         offsets: (taps + 1,) edges of the commands' intervals from the centre [s].
+        half_s: half the length of a window [s].
         spread: of the tension's noise that a window leaves [1].
     """
 
@@ -40,24 +42,24 @@ class MotorWindows:
     sign: Array
     commands: Array
     offsets: Array
+    half_s: float
     spread: float
 
     def command(self, delay: float) -> Array:
         """(m,) windowed command that acts ``delay`` [s] late [N]."""
-        share = np.diff(_cumulative((self.offsets + delay) / HALF_S))
+        share = np.diff(_cumulative((self.offsets + delay) / self.half_s))
         return np.asarray(self.commands @ share)
 
 
 def motor_windows(data: TendonData, spool: float) -> MotorWindows:
     """Window the signals of a tendon; windows in which the speed is too small or something is missing are left out."""
     period = data.period
-    half = max(3, round(HALF_S / period))
-    at = np.arange(-half, half + 1)
-    s = np.asarray(at * (period / HALF_S), np.float64)
-    weight = _window(s) * period / HALF_S
-    weight /= weight.sum()
-    first, second = _slope(s) / HALF_S**2 * period, _bend(s) / HALF_S**3 * period
-    centres = np.arange(half + 3, len(data.t) - half - 3, max(1, round(EVERY * HALF_S / period)))
+    half = max(HALF_LEAST, round(HALF_S / period))
+    half_s, at = half * period, np.arange(-half, half + 1)
+    s = np.asarray(at / half, np.float64)
+    weight = _window(s) / half
+    first, second = _slope(s) / half_s / half, _bend(s) / half_s**2 / half
+    centres = np.arange(half + 3, len(data.t) - half - 3, max(1, round(EVERY * half)))
     rows = centres[:, None] + at
     travel = data.travel[rows]
     speed = -travel @ first
@@ -74,6 +76,7 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
         sign=np.sign(speed[keep]),
         commands=data.command[centres[keep][:, None] + taps],
         offsets=np.append(taps, taps[-1] + 1) * period,
+        half_s=half_s,
         spread=float(np.sqrt((weight**2).sum())),
     )
 

@@ -11,7 +11,7 @@ from scipy.signal import coherence
 
 from handctl.controller.identified import UNITS
 from handctl.hand.sections import Tendon
-from handctl.tune.fit import INFORMED, NAMES, SCALE_DELAY_S, Fit, data_rows
+from handctl.tune.fit import INFORMED, NAMES, SCALE_DELAY_S, Fit
 from handctl.tune.identify_data import Array, TendonData
 
 CORRELATED = 0.95
@@ -48,7 +48,7 @@ def identifiability(fit: Fit, tendon: Tendon) -> Identifiability:
         fit: of a tendon.
         tendon: that tendon in the hand file.
     """
-    jacobian = fit.jacobian[: data_rows(fit.problem), : len(NAMES)]
+    jacobian = fit.sensitivity
     _, sizes, directions = np.linalg.svd(jacobian, full_matrices=False)
     widths, values = fit.half_widths, fit.values
     names = tuple(name for name in UNITS if _known(name, values[name], widths[name]) and _excited(jacobian, name))

@@ -11,8 +11,10 @@ import numpy as np
 from handctl.controller.identified import UNITS, Identified
 from handctl.errors import LogError
 from handctl.hand.description import Hand
+from handctl.hand.digit import DigitModel
 from handctl.log.reader import RunLog
 from handctl.tune.fit import NAMES, Fit, Problem, fit
+from handctl.tune.fit_digit import Balance, fit_digit, joined
 from handctl.tune.identifiability import Identifiability, excitation_coherence, identifiability
 from handctl.tune.identify_data import Array, TendonData, tendon_data
 
@@ -26,7 +28,7 @@ class Found:
 
     Attributes:
         data: from the log. fit: of all parameters. judged: what of it counts. coherence: mean over the swing's band.
-        spectrum: frequencies [Hz] and coherence.
+        spectrum: frequencies [Hz] and coherence. balance: of the digit, if it has several tendons and joint encoders.
     """
 
     data: TendonData
@@ -34,6 +36,7 @@ class Found:
     judged: Identifiability
     coherence: float
     spectrum: tuple[Array, Array]
+    balance: Balance | None = None
 
     def identified(self, log: Path, made: str) -> Identified | None:
         """For the calibration file; None if the data tell nothing."""
@@ -57,10 +60,12 @@ class Found:
     def told(self) -> dict[str, Any]:
         """For JSON."""
         values, widths, nominal = self.fit.values, self.fit.half_widths, self.fit.problem.nominal
+        together = self.fit.half_widths_of(max(1, len(self.judged.names)))
         rows = {
             name: {
                 "value": values[name],
                 "half_width_95": widths[name],
+                "half_width_95_all_at_once": together[name],
                 "unit": UNITS[name],
                 "hand_file": 0.0 if name == "delay" else float(nominal[NAMES.index(name)]),
                 "identified": name in self.judged.names,
@@ -93,23 +98,38 @@ def identify(log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda t
     Raises:
         LogError: nothing in the log moves.
     """
-    found, why = {}, ""
+    solved, why = [], ""
     for data in tendon_data(log, hand):
         progress(f"fitting {data.tendon}")
         try:
-            problem = Problem.of(data, hand)
+            solved.append((data, fit(Problem.of(data, hand))))
         except LogError as error:
             why = str(error)
-            continue
-        solved = fit(problem)
-        spectrum = excitation_coherence(data)
-        inside = (spectrum[0] >= BAND_HZ[0]) & (spectrum[0] <= BAND_HZ[1])
-        mean = float(spectrum[1][inside].mean()) if inside.any() else float("nan")
-        tendon = hand.tendon[hand.tendon_names.index(data.tendon)]
-        found[data.tendon] = Found(data, solved, identifiability(solved, tendon), mean, spectrum)
-    if not found:
+    if not solved:
         raise LogError(why or "no tendon of this hand in it", "the log", "a run in which digits move")
+    found: dict[str, Found] = {}
+    for name in hand.digit_names:
+        own = [(data, one) for data, one in solved if data.digit == name]
+        balance, fits = _of_digit(hand, name, own)
+        found |= {data.tendon: _found(hand, data, one, balance) for (data, _), one in zip(own, fits, strict=True)}
     return found
+
+
+def _of_digit(hand: Hand, name: str, own: list[tuple[TendonData, Fit]]) -> tuple[Balance | None, list[Fit]]:
+    """Fits of a digit's tendons; where there are several, with what only all of them together tell."""
+    fits = [one for _, one in own]
+    if len(own) < 2 or len(own) < len(hand.tendon[hand.digit_tendons[name]]):
+        return None, fits
+    balance = Balance.of(DigitModel.of(hand, name), [data for data, _ in own], fits)
+    return balance, fits if balance is None else joined(fits, fit_digit(balance), balance)
+
+
+def _found(hand: Hand, data: TendonData, one: Fit, balance: Balance | None) -> Found:
+    spectrum = excitation_coherence(data)
+    inside = (spectrum[0] >= BAND_HZ[0]) & (spectrum[0] <= BAND_HZ[1])
+    mean = float(spectrum[1][inside].mean()) if inside.any() else float("nan")
+    tendon = hand.tendon[hand.tendon_names.index(data.tendon)]
+    return Found(data, one, identifiability(one, tendon), mean, spectrum, balance)
 
 
 def now() -> str:
@@ -132,6 +152,12 @@ def table(found: dict[str, Found]) -> list[str]:
                 continue
             share = "" if key == "delay" else f"{100 * width / abs(value):5.1f} %   hand file {nominal:.4g}"
             lines.append(f"  {key:<17} {value:10.4g} +- {width:<9.2g} {shown:<11} {share}")
+        count = max(1, len(one.judged.names))
+        wider = [one.fit.half_widths_of(count)[name] / widths[name] for name in one.judged.names]
+        if wider:
+            lines.append(
+                f"  to cover all {count} at once with 95 %: {min(wider):.2f} to {max(wider):.2f} times as wide"
+            )
         lines.append(f"  data tell {one.judged.rank} of {one.judged.columns} combinations; least: {one.judged.weakest}")
         lines += [f"  {a} and {b} trade off: correlation {r:+.2f}" for a, b, r in one.judged.correlated]
         lines += [f"  cannot be told: {text}" for text in one.judged.missing]

@@ -39,6 +39,7 @@ class TendonData:
         travel: (n,) cable travel at the spool [m]; NaN where it was not read.
         tension: (n,) load cell, tared [N]; NaN where it was not read.
         command: (n,) motor force at the cable that the drive was told from this instant on [N].
+        joints: (n, joints) joint encoders of the digit [rad]; NaN where they were not read.
         limp: rope slack: the load cell shows its offset.
         stop: taut, on the open stop.
         free: taut, moving with nothing in the way.
@@ -52,6 +53,7 @@ class TendonData:
     travel: Array
     tension: Array
     command: Array
+    joints: Array
     limp: Mask
     stop: Mask
     free: Mask
@@ -87,6 +89,7 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
             travel=log.field("motor_position")[1:, i] * spool,
             tension=log.field("tension_raw")[1:, i],
             command=log.field("motor_torque_goal")[:-1, i] / spool / gain[i],
+            joints=log.field("joint_encoder")[1:, hand.digit_joints[digit]],
             limp=_during(phases, digit, TARES, late)[:-1],
             stop=_during(phases, digit, ON_STOP, settle)[:-1] & active,
             free=_during(phases, digit, FREE, settle)[:-1] & active,
@@ -127,6 +130,6 @@ def _cut(data: TendonData, phases: NDArray[np.str_], digit: str) -> TendonData:
     place = slice(int(own[0]), int(own[-1]) + 1)
     parts = {
         name: getattr(data, name)[place]
-        for name in ("t", "travel", "tension", "command", "limp", "stop", "free", "acting")
+        for name in ("t", "travel", "tension", "command", "joints", "limp", "stop", "free", "acting")
     }
     return replace(data, **parts)
