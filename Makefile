@@ -57,11 +57,11 @@ nightly: lint ## the tests with full counts: long property runs, fault campaigns
 bench: $(EXTRA) ## side by side with what a user would pick instead; prints ratios
 	@set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script"; done
 
-# `make fuzz RUNS=10000000 SECONDS=0` for the count that is asked for; TARGETS="mit log" for some of them.
+# `make fuzz RUNS=10000000 SECONDS=0 BLIND=--blind` for the count that is asked for; TARGETS="mit log" for some of them.
 SECONDS ?= 10
 RUNS ?= -1
 fuzz: $(EXTRA) ## every parser against mutated input; SECONDS= (10) or RUNS= for each, TARGETS=
-	$(BIN)/python -m fuzz --seconds $(SECONDS) --runs $(RUNS) $(TARGETS)
+	$(BIN)/python -m fuzz --seconds $(SECONDS) --runs $(RUNS) $(BLIND) $(TARGETS)
 
 mutation: $(EXTRA) ## mutants of safety, decoders, checks and filter; survivors against docs/evidence/mutation.md
 	rm -rf mutants
@@ -87,5 +87,5 @@ LOCK = $(BIN)/uv pip compile --quiet --no-config --universal --python-version 3.
   --generate-hashes --custom-compile-command "make lock" $(LOCK_FLAGS)
 
 clean: ## remove the environment and everything that was generated, but no log
-	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) build dist mutants .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find src firmware_sim tests benchmarks fuzz -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
