@@ -110,7 +110,7 @@ class Soak:
             return
         if self.controller.poll() is None:
             self.controller.send_signal(signal.SIGTERM)
-        out, err = self.controller.communicate(timeout=60.0)
+        out, err = self.controller.communicate(timeout=600.0)  # it judges its whole log
         code, path = self.controller.returncode, Path(f"{self.number}.mcap")
         self.controller = None
         self.counts[f"exit {code}"] += 1
