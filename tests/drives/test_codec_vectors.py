@@ -76,6 +76,7 @@ def test_codes_in_words() -> None:
     assert odrive.error_text(1 << 24 | 1 << 5) == "gate driver fault, watchdog expired"
     assert odrive.error_text(1 | 1 << 31) == "initializing, unknown error bit 31"
     assert odrive.error_text(0) == ""
+    assert odrive.error_text(1 << 32) == "", "32 bits"
     assert odrive.result_text(11) == "timeout"
     assert odrive.result_text(99) == "unknown result 99"
 

@@ -39,6 +39,21 @@ def test_the_report_says_what_it_promises(report):
     assert 0 < figures["worst_ticks"] <= 6
 
 
+def test_the_undisturbed_hand_alone():
+    """Seeds count on, so that hours can be run in pieces."""
+    seeds = []
+    def seen(hand, rate, seconds, seed):
+        seeds.append((round(rate), seconds, seed))
+        return []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign, "calm", seen)
+        report = campaign.run(
+            "jamia", ["mit"], lambda hand: RATE_HZ, jobs=1, quick=False, calm_s=30.0, calm_only=True, seed=76,
+            told=lambda protocol, done, most: None, keep=lambda course, result: None,
+        )  # fmt: skip
+    assert (seeds, report.all_results, report.simulated_s) == ([(500, 30.0, 76)], [], 30.0)
+
+
 def test_a_reaction_that_does_not_come_is_late(tmp_path):
     """The judge is judged: a fault that nobody can notice in time, and one that does nothing, are told."""
     hand = hand_in("jamia", "mit")

@@ -7,8 +7,15 @@ from handctl.safety import counts, residuals, ropes
 from handctl.safety.residuals import Filtered, Rope, Rotor
 
 T = 0.002
-ROTOR = Rotor(np.array([5.2]), np.array([40.0]), np.array([3.0]), T)
+ROTOR: Rotor
 RNG = np.random.default_rng(1)
+
+
+@pytest.fixture(autouse=True)
+def _rotor():
+    """Made for each test: what is made while a module is imported, no mutation test reaches."""
+    global ROTOR
+    ROTOR = Rotor(np.array([5.2]), np.array([40.0]), np.array([3.0]), T)
 
 
 def filtered(seconds, tension, force, speed=lambda t: 0.0, asked=None, noise=0.5):

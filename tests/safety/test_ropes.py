@@ -84,6 +84,7 @@ def test_the_cut_remembers_what_there_was_and_counts():
     (51, 30.0, 30.0, True),
     (50, 30.0, 24.1, True),
     (50, 30.0, 23.9, False),          # it fell by a fifth
+    (50, 20.0, 16.0, False),          # just by a fifth
     (50, 15.0, 15.0, False),          # no more than springs and weight hold
     (50, 15.1, 15.1, True),
     (50, 5.0, 40.0, True),            # grown
@@ -93,6 +94,13 @@ def test_the_cut_remembers_what_there_was_and_counts():
 def test_a_rope_that_somebody_still_pulls(ticks, before, now, found):
     state = Ropes((), (), ticks, (0.0, before))
     assert limp(state, ("a", "b"), [0.0, now], T) == ((("b", now),) if found else ())
+
+
+def test_ropes_and_names_belong_together():
+    with pytest.raises(ValueError, match="zip"):
+        slack(Ropes((1,), (1,)), ("a", "b"), T)
+    with pytest.raises(ValueError, match="zip"):
+        limp(Ropes((), (), 50, (30.0,)), ("a", "b"), [30.0, 30.0], T)
 
 
 def test_thresholds_leave_room_between_slack_and_taut():

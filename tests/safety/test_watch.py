@@ -12,12 +12,19 @@ from handctl.safety.watch import Seen, Watcher, WatchState, counted, screen, wat
 T, N = 0.002, np.nan
 PAIR = np.array([1.0, 1.0])
 LIMITS = Limits(("a", "b"), (140.0, 140.0), 240.0, ("ma", "mb"), noise_most=1e-4)
-WATCHER = Watcher(
-    limits=LIMITS, joints=("ja", "jb"), rotor=Rotor(5.0 * PAIR, 40.0 * PAIR, 3.0 * PAIR, T), stiffness=1e5 * PAIR,
-    spool=0.005 * PAIR, arms=np.array([0.02, 0.01]), spool_to_joints=np.array([[50.0, 0.0], [0.0, 100.0]]),
-    step_most=(np.array([0.1, 0.2]), np.array([0.3, 0.4])),
-)  # fmt: skip
+WATCHER: Watcher
 ARMED = Signals(armed=True, motor_age=(0, 0), sensor_age=(0, 0))
+
+
+@pytest.fixture(autouse=True)
+def _watcher():
+    """Made for each test: what is made while a module is imported, no mutation test reaches."""
+    global WATCHER
+    WATCHER = Watcher(
+        limits=LIMITS, joints=("ja", "jb"), rotor=Rotor(5.0 * PAIR, 40.0 * PAIR, 3.0 * PAIR, T), stiffness=1e5 * PAIR,
+        spool=0.005 * PAIR, arms=np.array([0.02, 0.01]), spool_to_joints=np.array([[50.0, 0.0], [0.0, 100.0]]),
+        step_most=(np.array([0.1, 0.2]), np.array([0.3, 0.4])),
+    )  # fmt: skip
 
 
 def seen(**given):

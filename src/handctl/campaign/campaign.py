@@ -82,6 +82,8 @@ def run(
     told: Told,
     keep: Callable[[Course, Result], None],
     only: Sequence[str] = (),
+    calm_only: bool = False,
+    seed: int = 1,
 ) -> Report:
     """Try everything out.
 
@@ -92,12 +94,13 @@ def run(
         calm_s: how long the undisturbed hand is watched, for each protocol [s].
         told: progress. keep: called where a scenario failed, with its course.
         only: rows to try; all if empty.
+        calm_only: nothing but the undisturbed hand. seed: of its first run; the next ones count on.
     """
     report = Report(name)
     for protocol in protocols:
         hand = hand_in(name, protocol)
         rate = report.rates[protocol] = rate_of(hand)
-        todo = plan(hand, protocol, quick, only)
+        todo = [] if calm_only else plan(hand, protocol, quick, only)
         results = report.results[protocol] = []
 
         def done(
@@ -106,21 +109,35 @@ def run(
             results.append(result)
             told(protocol, len(results), most)
 
-        with started(hand, rate, SEED) as course:
-            for stage in STAGES:
-                here = [one for one in todo if one.stage == stage]
-                if here:
-                    bring(course, stage)
-                    branch(course, here, jobs, protocol, done, keep)
-        report.alarms[protocol] = calm(hand, rate, calm_s)
+        if todo:
+            _try_all(hand, rate, todo, jobs, protocol, done, keep)
+        report.alarms[protocol] = calm(hand, rate, calm_s, seed)
         report.simulated_s += calm_s
     return report
 
 
-def calm(hand: Hand, rate_hz: float, seconds: float) -> list[str]:
+def _try_all(
+    hand: Hand,
+    rate: float,
+    todo: list[Scenario],
+    jobs: int,
+    protocol: str,
+    done: Callable[[Result], None],
+    keep: Callable[[Course, Result], None],
+) -> None:
+    """Bring one run to each stage, and let the scenarios of that stage branch off."""
+    with started(hand, rate, SEED) as course:
+        for stage in STAGES:
+            here = [one for one in todo if one.stage == stage]
+            if here:
+                bring(course, stage)
+                branch(course, here, jobs, protocol, done, keep)
+
+
+def calm(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) -> list[str]:
     """Faults with HOLD or more that an undisturbed hand raises while it moves and grasps, with noise and frame loss."""
     alarms: list[str] = []
-    left, seed = seconds, 1
+    left = seconds
     while left > 0.0:
         with started(hand, rate_hz, seed, {"noise": NOISE}) as course:
             for bus in hand.bus_names:

@@ -41,6 +41,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--calm", type=float, metavar="S", help="how long the undisturbed hand is watched (60; quick: 4)"
     )
+    parser.add_argument("--calm-only", action="store_true", help="nothing but the undisturbed hand")
+    parser.add_argument("--seed", type=int, default=1, help="of its first run; the next ones count on (default: 1)")
     parser.add_argument(
         "--report", type=Path, metavar="DIR", help="where report.html, report.json and the logs of failures go"
     )
@@ -67,6 +69,8 @@ def run(args: argparse.Namespace) -> int:
             told=told,
             keep=_keeper(folder),
             only=args.row,
+            calm_only=args.calm_only,
+            seed=args.seed,
         )
     write_page(folder / "report.html", report)
     (folder / "report.json").write_text(json.dumps(report.plain(), indent=1), encoding="utf-8")

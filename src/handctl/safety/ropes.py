@@ -66,7 +66,7 @@ def slack(state: Ropes, names: tuple[str, ...], period: float) -> Named:
     """Slack tendons and for how long [s]."""
     if not any(state.slack):
         return ()
-    return tuple([(name, ticks * period) for name, ticks in zip(names, state.slack, strict=False) if ticks])
+    return tuple([(name, ticks * period) for name, ticks in zip(names, state.slack, strict=True) if ticks])
 
 
 def snapped(
