@@ -147,7 +147,8 @@ LEFT_OUT = {
     "B18": "before arming: unit tests with error frames", "N03": "before arming: tests of the modes",
     "N12": "before arming: tests of the drives against other registers", "T07": "commissioning: its own tests",
     "T09": "needs minutes of motion: tests of the residuals", "H05": "real processes: tests/runtime",
-    "H07": "real processes: tests of the loop", "H11": "nothing uses the wall clock", "H12": "real processes",
+    "H07": "real processes: tests of the loop", "H11": "real processes, as root in a guest: tests/vcan",
+    "H12": "real processes",
     "H14": "real processes", "H15": "the soak",
 }  # fmt: skip
 """Rows of sections 2.1 to 2.4 that are not in the matrix, and where they are tried instead."""

@@ -141,7 +141,7 @@ CATALOGUE: tuple[Entry, ...] = (
     Entry("H09", "recorder stalls", TABLE_, ticks=1, asked=640),
     Entry("H10", "recorder dies", TABLE_, ticks=1, asked=1),
     Entry("H11", "wall-clock step", LOOP, _NO_CLOCK, _NO_CLOCK, _NO_CLOCK,
-          tried="tests/runtime/test_clock.py"),
+          tried="tests/vcan/inside/test_host_faults.py"),
     Entry("H12", "second controller, same host", ARMING, tried="tests/runtime/test_mailbox.py"),
     Entry("H13", "second controller, same bus", TABLE_, ticks=2, asked=2),
     Entry("H14", "viewer dies or hangs", LOOP, _APART, _APART, _APART,
