@@ -22,7 +22,7 @@ OPTIONS = {
     "mit": "",
     "odrive": "[motor.options]\n" + ENDPOINTS,
     "cia402": "[motor.options]\nrated_torque_N_m = 0.4\ncounts_per_turn = 65536\n",
-    "cubemars": '[motor.options]\nmotor_type = "ak80-9"\n',
+    "cubemars": '[motor.options]\nmotor_type = "ak80-6"\n',
 }
 GUARDED = tuple(sorted(PROTOCOLS.keys() - {"cubemars"}))
 """Protocols that keep every promise; what CubeMars motors cannot keep is in test_cubemars."""

@@ -10,7 +10,7 @@ from tests.drives.protocol_bench import hand_file
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("protocol", ["odrive", "cia402"])
+@pytest.mark.parametrize("protocol", ["odrive", "cia402", "cubemars"])
 def test_a_hand_grasps(protocol: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, log = hand_file(tmp_path, [protocol]), tmp_path / "run.mcap"
     assert main(["demo", "--lockstep", "--hand", str(path), "--log", str(log), "--json"]) == 0
