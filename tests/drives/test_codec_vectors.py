@@ -89,7 +89,7 @@ def test_odrive_payloads() -> None:
     assert odrive.sdo_request(1, 0x0102, b"\x05").hex(" ") == "01 02 01 00 05"
     assert odrive.sdo_request(0, 0x0102).hex(" ") == "00 02 01 00"
     assert odrive.sdo_request(0, 0xFEDC).hex(" ") == "00 dc fe 00"
-    assert odrive.sdo_reply(bytes.fromhex("00 02 01 00 05 06 07 08")) == (0x0102, b"\5\6\7\x08")
+    assert odrive.sdo_reply(bytes.fromhex("00 02 01 ff 05 06 07 08")) == (0x0102, b"\5\6\7\x08")
 
 
 def test_floats_are_finite_both_ways() -> None:
