@@ -15,7 +15,7 @@ from handctl.controller.gains import Gains, MotionGains
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.law_constants import UNWIND_SHARE
 from handctl.controller.model import HandModel
-from handctl.controller.statics import load_statics
+from handctl.controller.statics import load_statics, tendon_efficiency
 from handctl.controller.trajectory import MinimumJerk
 from tests.controller.synthetic import at_rest, known
 
@@ -149,7 +149,8 @@ class Plant:
         sliding = self.x.copy()
         sliding[:, V] = 1.0
         statics = load_statics(model, sliding, np.zeros(len(sliding)))
-        loss, base = -np.log(statics.efficiency), self.x[:, S].copy()
+        q = model.excursion_to_joints @ sliding[:, S]
+        loss, base = -np.log(tendon_efficiency(model, q, sliding[:, V])), self.x[:, S].copy()
         x, v, s, w = (self.x[:, one].copy() for one in (X, V, S, W))
         for _ in range(self.STEPS):
             tension = np.maximum(space.stiffness * (x - s) + space.damping * (v - w), 0.0)

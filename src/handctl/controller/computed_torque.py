@@ -19,7 +19,7 @@ import numpy as np
 from handctl.choose import chosen, nothing, only, zeros
 from handctl.controller.allocation import allocate
 from handctl.controller.estimator import Estimate
-from handctl.controller.friction_band import expected
+from handctl.controller.friction_band import look_ahead
 from handctl.controller.goal import DigitGoal
 from handctl.controller.goal_table import GoalTable, goal_table
 from handctl.controller.law_constants import FRICTION_SPEED, constants
@@ -43,6 +43,7 @@ class LawState(NamedTuple):
         rate: at which that changes until then [N/s]: the filter's other input.
         trim: motor force that still makes up for a change of gains [N]; None long after one.
         held: largest tension while safety holds [N]; None while it does not.
+        sliding: how far friction is developed, 1 winding, -1 paying out; NaN where nothing moves.
     """
 
     setpoint: Vector
@@ -52,6 +53,7 @@ class LawState(NamedTuple):
     rate: Vector
     trim: Vector | None = None
     held: Vector | None = None
+    sliding: Vector | None = None
 
     @staticmethod
     def initial(tendons: int) -> "LawState":
@@ -122,35 +124,18 @@ def step(
     tension = table.chosen(motion.tension, hold.setpoint, np.nan)
     load = table.chosen(motion.load, hold.setpoint, 0.0)
     acting = asked - _motor_friction(model, estimate, asked)
-    planned = _expected_tension(model, state, estimate, motion, acting, table) if table.moves else np.zeros_like(asked)
+    ahead = look_ahead(model, state.planned, estimate, acting, motion.load, motion.rate, motion.sliding, table.moving)
     law = LawState(
         chosen(table.held, hold.setpoint, estimate.tension) if table.holds else estimate.tension,
         only(table.held, hold.integral),
         acting,
-        planned,
-        _change(model, state.planned, planned),
+        ahead.planned,
+        ahead.rate,
         None if state.trim is None else _faded(state.trim, model.period),
         held,
+        ahead.sliding,
     )
     return law, Command(asked * model.space.spool, tension, load.dot(model.hand.moment_arms), motion.q, motion.dq)
-
-
-def _expected_tension(
-    model: HandModel, state: LawState, estimate: Estimate, motion: "_Motion", acting: Vector, table: GoalTable
-) -> Vector:
-    """(N,) tension of moving digits a period from now [N]; 0 for the others."""
-    half = 0.5 * model.period / model.space.motor_mass
-    speed = estimate.speed + half * (acting + estimate.motor_disturbance - estimate.tension)
-    load = np.maximum(motion.load + model.period * model.space.load_stiffness * motion.rate, model.floor)
-    found = expected(model, state.planned, estimate.tension, load, motion.sliding, model.period * speed)
-    return found if table.all_moving else only(table.moving, found)
-
-
-def _change(model: HandModel, before: Vector, now: Vector) -> Vector:
-    """(N,) rate at which planned tensions change [N/s]; none where nothing was or is planned."""
-    if not np.count_nonzero(now):
-        return zeros(len(now))
-    return only((before > 0.0) & (now > 0.0), (now - before) / model.period)
 
 
 TRIM_TIME_S = 0.2

@@ -94,6 +94,7 @@ def step(
     force: Vector,
     rate: Vector,
     contact: tuple[bool, ...],
+    sliding: Vector | None = None,
 ) -> tuple[FilterState, Estimate]:
     """Take in the measurements of one tick and predict to the present.
 
@@ -104,6 +105,7 @@ def step(
         force: (N,) motor force at the cable that acted since, without what friction takes [N].
         rate: (N,) at which the tension was meant to change since [N/s]; it counts where a digit moves freely.
         contact: per digit, whether it is known to touch.
+        sliding: (N,) how far friction is developed where that is known, 1 winding, -1 paying out; NaN elsewhere.
 
     Returns:
         state for the next tick, and the estimate now.
@@ -120,12 +122,12 @@ def step(
     for i, change in believed:
         x[STATES * i + S] -= change / model.space.stiffness[i]
     tension = filters.tension.dot(x)
-    statics = load_statics(model, x.reshape(-1, STATES), tension)
+    statics = load_statics(model, x.reshape(-1, STATES), tension, sliding)
     judged = _regimes(model, state, x, tension, statics, measured, contact)
     nis = _nis(filters, innovation)
     if judged.x is not x:
         x, filters = judged.x, model.filter.stacked(judged.regimes)
-        statics = load_statics(model, x.reshape(-1, STATES), filters.tension.dot(x))
+        statics = load_statics(model, x.reshape(-1, STATES), filters.tension.dot(x), sliding)
     external = _unexplained(model, judged, filters, statics)
     x = predict_steadystate(x, filters.F, _interleaved(force, rate), filters.B)
     watched = watch(model.period, state.nis, state.doubtful, nis)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handctl.choose import chosen
 from handctl.controller.filter_design import STATES, S, V
 from handctl.controller.model import HandModel
 from handctl.controller.types import Vector
@@ -20,12 +21,10 @@ class LoadStatics(NamedTuple):
 
     Attributes:
         resistance: tension that return springs and gravity balance [N].
-        efficiency: share of the load cell's tension that reaches the joints (above 1 when paying out).
-        pull: tension at the load cell times its efficiency [N].
+        pull: tensions at the joints that make the torques of those at the load cells, friction taken off [N].
     """
 
     resistance: Vector
-    efficiency: Vector
     pull: Vector
 
 
@@ -43,6 +42,7 @@ class Readout:
         path: (P N, J) joint angles that a tendon has wrapped at its first, second .. pulley. wrap: (P N,) [rad].
         friction: (N,) capstan coefficient, negative. frictions: (P N,) the same.
         shares: (N, P N) of each pulley in a tendon's moment arms.
+        pulls: (N, P N) tensions at the joints that make the torque of a tension at each pulley.
     """
 
     rows: Vector
@@ -56,22 +56,23 @@ class Readout:
     friction: Vector
     frictions: Vector
     shares: Vector
+    pulls: Vector
 
-    def efficiency(self, wrapped: Vector, speed: Vector) -> Vector:
-        """(N,) share of the load cell's tension at the joints.
+    def passed(self, wrapped: Vector, developed: Vector) -> Vector:
+        """(P, N) share of the load cell's tension at each pulley.
 
         Args:
-            wrapped: (P N,) angles [rad]. speed: (N,) winding speeds [m/s].
+            wrapped: (P N,) angles [rad]. developed: (N,) how far friction is, 1 winding, -1 paying out.
         """
-        rub = self.friction * np.tanh(speed / FRICTION_SPEED)
-        return np.asarray(self.shares.dot(np.exp(wrapped.reshape(-1, len(rub)) * rub).reshape(-1)))
+        rub = self.friction * developed
+        return np.asarray(np.exp(wrapped.reshape(-1, len(rub)) * rub))
 
 
 @functools.lru_cache(maxsize=16)
 def readout(model: HandModel) -> Readout:
     """The constants of a hand."""
     digits, arms, n = model.all_digits, model.torque_to_tension, model.tendon_count
-    path, shares = _pulleys(model)
+    path, shares, pulls = _pulleys(model)
     links, steps = len(digits.spring), np.arange(n) * STATES + S
     joints = np.zeros((links, n * STATES))
     joints[:, steps] = model.excursion_to_joints
@@ -89,37 +90,43 @@ def readout(model: HandModel) -> Readout:
         friction=-model.friction,
         frictions=np.tile(-model.friction, len(path) // n),
         shares=shares,
+        pulls=pulls,
     )
 
 
-def _pulleys(model: HandModel) -> tuple[Vector, Vector]:
-    """(P N, J) joints up to each pulley, and (N, P N) its share; 0 for the pulleys that a tendon does not have."""
+def _pulleys(model: HandModel) -> tuple[Vector, Vector, Vector]:
+    """(P N, J) joints up to each pulley, and (N, P N) its shares; 0 for the pulleys that a tendon does not have."""
     n, joints = model.pulleys.shape
     most = int(model.pulleys.sum(axis=1).max())
-    path, shares = np.zeros((most, n, joints)), np.zeros((n, most, n))
+    path, shares, pulls = np.zeros((most, n, joints)), np.zeros((n, most, n)), np.zeros((n, most, n))
     for tendon in range(n):
         for place, joint in enumerate(np.flatnonzero(model.pulleys[tendon])):
             path[place:, tendon, joint] = 1.0
             shares[tendon, place, tendon] = model.pulley_weights[tendon, joint]
-    return path.reshape(-1, joints), shares.reshape(n, -1)
+            pulls[:, place, tendon] = model.torque_to_tension[:, joint] * model.hand.moment_arms[tendon, joint]
+    return path.reshape(-1, joints), shares.reshape(n, -1), pulls.reshape(n, -1)
 
 
-def load_statics(model: HandModel, table: Vector, tension: Vector) -> LoadStatics:
+def load_statics(model: HandModel, table: Vector, tension: Vector, sliding: Vector | None = None) -> LoadStatics:
     """Evaluate them for a filter state.
 
-    Friction takes its direction from the cable's speed at the spool: the digit's own, a light mass on a spring, is
-    estimated so roughly that its sign would chatter.
+    Where nothing better is known, friction takes its direction from the cable's speed at the spool: the digit's own, a
+    light mass on a spring, is estimated so roughly that its sign would chatter.
 
     Args:
         model: the hand.
         table: (N, 7) filter state.
         tension: (N,) at the load cells [N].
+        sliding: (N,) how far friction is developed where that is known, 1 winding, -1 paying out; NaN elsewhere.
     """
     known = readout(model)
     found = known.rows.dot(table.reshape(-1)) + known.offsets
     resistance = known.weight.dot(np.sin(found[known.links])) + found[known.springs]
-    efficiency = known.efficiency(found[known.wraps], table[:, V])
-    return LoadStatics(resistance, efficiency, tension * efficiency)
+    developed = np.tanh(table[:, V] / FRICTION_SPEED)
+    if sliding is not None:
+        developed = chosen(np.isnan(sliding), developed, sliding)
+    passed = known.passed(found[known.wraps], developed)
+    return LoadStatics(resistance, known.pulls.dot((passed * tension).reshape(-1)))
 
 
 def tendon_efficiency(model: HandModel, q: Vector, speed: Vector) -> Vector:
@@ -133,7 +140,8 @@ def tendon_efficiency(model: HandModel, q: Vector, speed: Vector) -> Vector:
     Source: capstan equation.
     """
     known = readout(model)
-    return known.efficiency(known.path.dot(q) + known.wrap, speed)
+    passed = known.passed(known.path.dot(q) + known.wrap, np.tanh(speed / FRICTION_SPEED))
+    return np.asarray(known.shares.dot(passed.reshape(-1)))
 
 
 def sliding_efficiency(model: HandModel, q: Vector) -> Vector:

@@ -225,7 +225,8 @@ class Controller:
 
     def _estimate(self, state: State, measured: Measured) -> tuple[FilterState, Estimate]:
         held = tuple(c and state.mode in ACTING for c in state.progress.contact)
-        return estimator.step(self.model, state.filter, measured, state.law.force, state.law.rate, held)
+        law = state.law
+        return estimator.step(self.model, state.filter, measured, law.force, law.rate, held, law.sliding)
 
     def _program(
         self, state: State, action: Action, estimate: Estimate, measured: Measured
