@@ -26,8 +26,8 @@ from trials.script import Script, Step
 HANDS = ("jamia", "jamia11")
 SPEEDS = {"slow": 1.5, "medium": 0.5, "fast": 0.15}
 """Duration of a motion of 60 degrees [s], minimum jerk."""
-ANGLE_DEG, SETTLE_S, BACK_S, AFTER_S, BAND_DEG = 60.0, 0.5, 0.5, 0.05, 1.0
-"""Of the motion; time to settle after it; of the way back; that still counts as motion; that counts as settled."""
+ANGLE_DEG, SETTLE_S, BACK_S, REST_S, AFTER_S, BAND_DEG = 60.0, 0.5, 0.5, 0.2, 0.05, 1.0
+"""Of the motion; time to settle after it; of the way back, and rest after that; that still counts as motion; that counts as settled."""
 PLANTS: dict[str, dict[str, float]] = {
     "as known": {},
     "mass +20 %": {"mass": 1.2},
@@ -54,7 +54,7 @@ def moves(speeds: tuple[str, ...]) -> Script:
     """There and back at each speed."""
     steps = []
     for speed in speeds:
-        steps.append(Step(f"home {speed}", BACK_S + SETTLE_S, angle_deg=0.0, move_s=BACK_S))
+        steps.append(Step(f"home {speed}", BACK_S + REST_S, angle_deg=0.0, move_s=BACK_S))
         steps.append(Step(speed, SPEEDS[speed] + SETTLE_S, angle_deg=ANGLE_DEG, move_s=SPEEDS[speed]))
     return Script(tuple(steps))
 
