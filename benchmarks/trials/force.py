@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from handctl.controller.gains import FilterGains, Gains, MotionGains, TensionGains
+from handctl.controller.gains import Gains, MotionGains, TensionGains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.task import Task
 from handctl.document import validated
 from trials.jobs import Plan, collect
-from trials.lockstep import Course, Trial, run
+from trials.laws import on_raw_tension
+from trials.lockstep import Course, Trial, run, unchanged
 
 LOW_N, HIGH_N, RATE_N_PER_S, HOLD_S = 15.0, 40.0, 5000.0, 0.6
 STEADY_S, BAND_N = 0.2, 2.0
@@ -41,7 +42,7 @@ PLANTS: dict[str, dict[str, float]] = {
     "friction -50 %": {"friction": 0.5},
     "bias 1 N": {"bias": 1.0},
 }
-WEIGHTS = (1.0, 2.0, 4.0, 8.0, 16.0)
+WEIGHTS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Tension error [N] that counts like 15 N of motor force: the one weight of the loop, the same for both loops."""
 TUNING_SEED = 1000
 TUNED = Path(__file__).with_name("tuned_force.json")
@@ -50,11 +51,11 @@ TUNED = Path(__file__).with_name("tuned_force.json")
 
 @dataclass(frozen=True)
 class Loop:
-    """What the loop works with: filter, motion and tension gains that differ from the defaults."""
+    """What the loop works with: motion and tension gains that differ from the defaults, the raw sensor or not."""
 
-    filter: dict[str, float] = field(default_factory=dict)
     motion: dict[str, float] = field(default_factory=dict)
     tension: dict[str, float] = field(default_factory=dict)
+    raw: bool = False
 
 
 LOOPS = {
@@ -62,7 +63,7 @@ LOOPS = {
         motion={"disturbance_rejection": 0.0},
         tension={"tension_error_N": 100.0, "speed_error_m_s": 10.0, "force_N": 0.01, "integral_per_s": 0.0},
     ),
-    "loop on the raw sensor": Loop(filter={"free_rate_N_per_s": 1e4, "held_speed_m_s": 1.0}),
+    "loop on the raw sensor": Loop(raw=True),
     "loop on the estimate": Loop(),
 }
 
@@ -71,9 +72,11 @@ def trial(hand: str, law: str, weight: float, seed: int, plant: str) -> Trial:
     """One run."""
     loop = LOOPS[law]
     tension = {"tension_error_N": weight} | loop.tension
-    gains = Gains(filter=FilterGains(**loop.filter), motion=MotionGains(**loop.motion), tension=TensionGains(**tension))
+    gains = Gains(motion=MotionGains(**loop.motion), tension=TensionGains(**tension))
     program = TaskProgram(validated(TASK, Task, "benchmark"))
-    return Trial(hand, program, seed, "cylinder", PLANTS[plant], gains)
+    return Trial(
+        hand, program, seed, "cylinder", PLANTS[plant], gains, change=on_raw_tension if loop.raw else unchanged
+    )
 
 
 def judge(course: Course) -> dict[str, float]:

@@ -1,17 +1,20 @@
 """The steps of the ablation: what the controller knows of the hand, one thing more at each step."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
-from handctl.controller.gains import FilterGains, Gains, MotionGains, TensionGains
+import numpy as np
+
+from handctl.controller.estimator import Estimate, Measured
+from handctl.controller.filter_state import FilterState
+from handctl.controller.gains import Gains, MotionGains
 from handctl.controller.model import Inverse
+from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.hand.digit import DigitModel, Values
 from handctl.hand.dynamics import damping_torque, required_torque, spring_torque, static_torque
 from handctl.paper import equations
 
-RAW = {"free_rate_N_per_s": 1e4}
-"""Noise assumed of a filter that, on the way, believes the newest load-cell sample, as if there were none."""
 NO_FORCE_LOOP = {"disturbance_rejection": 0.0, "tension_feedback": 0.0}
 
 
@@ -50,45 +53,61 @@ def misprinted(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[f
     return tuple(tau + sum(parts) for tau, parts in zip(joint, passive, strict=True))
 
 
+class RawTension(Controller):
+    """The controller with the newest load-cell sample, a period old, for the tension wherever the law asks for it."""
+
+    __slots__ = ()
+
+    def _estimate(self, state: State, measured: Measured) -> tuple[FilterState, Estimate]:
+        filters, estimate = super()._estimate(state, measured)
+        cell = np.where(np.isnan(measured.tension), estimate.tension, measured.tension)
+        return filters, estimate._replace(tension=cell)
+
+
+def on_raw_tension(controller: Controller) -> Controller:
+    """The same controller, on the raw sensor."""
+    return RawTension(**{each.name: getattr(controller, each.name) for each in fields(controller)})
+
+
 @dataclass(frozen=True)
 class Law:
     """One step of the ablation.
 
     Attributes:
         inverse: joint torque that is fed forward.
-        motion, filter, tension: gains that differ from the defaults.
+        motion: gains that differ from the defaults.
+        raw: whether the force loop has the raw sensor.
     """
 
     inverse: Inverse
     motion: dict[str, float]
-    filter: dict[str, float]
-    tension: dict[str, float]
+    raw: bool = False
 
     def gains(self, position_error_m: float, speed_error_m_s: float) -> Gains:
         """Gains with the two weights that were tuned."""
         weights = {"position_error_m": position_error_m, "speed_error_m_s": speed_error_m_s}
-        motion = MotionGains(**weights, **self.motion)
-        return Gains(motion=motion, filter=FilterGains(**self.filter), tension=TensionGains(**self.tension))
+        return Gains(motion=MotionGains(**weights, **self.motion))
 
     @property
     def change(self) -> partial[Controller]:
         """What is done to the controller."""
-        return partial(_with_inverse, inverse=self.inverse)
+        return partial(_changed, inverse=self.inverse, raw=self.raw)
 
 
-def _with_inverse(controller: Controller, inverse: Inverse) -> Controller:
-    return replace(controller, model=replace(controller.model, inverse=inverse))
+def _changed(controller: Controller, inverse: Inverse, raw: bool) -> Controller:
+    other = replace(controller, model=replace(controller.model, inverse=inverse))
+    return on_raw_tension(other) if raw else other
 
 
 SPRINGS = {"inertia_share": 0.0, "friction_share": 0.0, **NO_FORCE_LOOP}
 MOTOR = {"friction_share": 0.0, **NO_FORCE_LOOP}
 LAWS = {
-    "PD alone": Law(nothing, SPRINGS, {}, {}),
-    "+ gravity and springs": Law(statics, SPRINGS, {}, {}),
-    "+ motor inertia": Law(statics, MOTOR, {}, {}),
-    "+ friction": Law(statics, NO_FORCE_LOOP, {}, {}),
-    "+ full computed torque": Law(required_torque, NO_FORCE_LOOP, {}, {}),
-    "+ force loop, raw sensor": Law(required_torque, {}, RAW, {}),
-    "+ force loop, estimate": Law(required_torque, {}, {}, {}),
-    "the same, Eq. 10-12 as printed": Law(misprinted, {}, {}, {}),
+    "PD alone": Law(nothing, SPRINGS),
+    "+ gravity and springs": Law(statics, SPRINGS),
+    "+ motor inertia": Law(statics, MOTOR),
+    "+ friction": Law(statics, NO_FORCE_LOOP),
+    "+ full computed torque": Law(required_torque, NO_FORCE_LOOP),
+    "+ force loop, raw sensor": Law(required_torque, {}, raw=True),
+    "+ force loop, estimate": Law(required_torque, {}),
+    "the same, Eq. 10-12 as printed": Law(misprinted, {}),
 }

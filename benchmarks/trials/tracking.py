@@ -27,7 +27,7 @@ HANDS = ("jamia", "jamia11")
 SPEEDS = {"slow": 1.5, "medium": 0.5, "fast": 0.15}
 """Duration of a motion of 60 degrees [s], minimum jerk."""
 ANGLE_DEG, SETTLE_S, BACK_S, REST_S, AFTER_S, BAND_DEG = 60.0, 0.5, 0.5, 0.2, 0.05, 1.0
-"""Of the motion; time to settle after it; of the way back, and rest after that; that still counts as motion; that counts as settled."""
+"""Of the motion; to settle after it; of the way back, to rest after that; still counts as motion; as settled."""
 PLANTS: dict[str, dict[str, float]] = {
     "as known": {},
     "mass +20 %": {"mass": 1.2},
