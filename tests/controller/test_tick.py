@@ -243,7 +243,7 @@ def changes(state: State) -> Iterator[tuple[str, State]]:
     yield "filter.started", state._replace(filter=state.filter._replace(started=not state.filter.started))
     for field in state.law._fields:
         present = getattr(state.law, field)
-        array = np.zeros_like(state.law.force) if present is None else present.copy()
+        array = np.zeros_like(state.law.force) if present is None else np.nan_to_num(present)
         array[-1] = np.nextafter(array[-1], 9e9)
         yield f"law.{field}", state._replace(law=state.law._replace(**{field: array}))
     coming = Coming(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
@@ -275,6 +275,8 @@ def changes(state: State) -> Iterator[tuple[str, State]]:
         gap = accepted._replace(gap=accepted.gap + 1)
         yield f"watch.{name}", state._replace(watch=state.watch._replace(**{name: gap}))
     yield "watch.stuck", state._replace(watch=state.watch._replace(stuck=stuck._replace(ticks=stuck.ticks + 1)))
+    yield "touch.tension", state._replace(touch=state.touch._replace(tension=state.touch.tension + 1.0))
+    yield "touch.blocked", state._replace(touch=state.touch._replace(blocked=(True,) * 4))
     yield "safety.counting", state._replace(safety=replace(safety, counting=(*safety.counting, ("B01", "x", 1))))
     yield "safety.latched", state._replace(safety=replace(safety, latched=(*safety.latched, ("B01", "x"))))  # type: ignore[arg-type]
 
@@ -306,7 +308,7 @@ def test_every_part_of_the_state_changes_its_digest(active: Bench) -> None:
         covered |= {one for one in names if getattr(changed, one) is not getattr(state, one)}
     assert covered == names, "a new part of the state needs a line in changes()"
     assert set(state.filter._fields) == {*FILTER_ARRAYS, *FILTER_TUPLES, "started"}
-    assert set(state.law._fields) == {"setpoint", "integral", "force", "planned", "rate", "trim", "held"}
+    assert set(state.law._fields) == {"setpoint", "integral", "force", "planned", "rate", "trim", "held", "sliding"}
     assert state._replace().digest() == state.digest()
 
 

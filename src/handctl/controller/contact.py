@@ -10,11 +10,26 @@ import math
 import numpy as np
 
 from handctl.controller.estimator import Estimate
+from handctl.controller.goal import DigitGoal
 from handctl.controller.model import HandModel
 from handctl.controller.types import Vector
 
-SMOOTH_S = 10e-3
-"""Time constant: half of the time in which a contact is to be found."""
+SMOOTH_S = 5e-3
+"""Time constant: a quarter of the time in which a contact is to be found."""
+
+ARRIVED_S, ARRIVED_FACTOR = 0.15, 2.0
+"""So long after the end of its way a digit counts as arrived, and needs so much more force: it meets nothing new by
+itself, and friction that creeps could be taken for a touch."""
+
+
+def needed(goal: DigitGoal, threshold: float, t: float) -> float:
+    """Force at the tip that counts as contact [N].
+
+    Args:
+        goal: of the digit. threshold: on its way [N]. t: time [s].
+    """
+    on_way = goal.trajectory is not None and t - goal.since < goal.trajectory.duration + ARRIVED_S
+    return threshold if on_way else ARRIVED_FACTOR * threshold
 
 
 def felt(model: HandModel, q: Vector, external: Vector) -> Vector:

@@ -11,6 +11,7 @@ from handctl.controller.motors import Motors
 from handctl.controller.plain_bytes import plain_bytes
 from handctl.controller.program import Progress
 from handctl.controller.retune import Coming
+from handctl.controller.touch import Touch
 from handctl.drives.sensor_node import SensorState
 from handctl.safety.watch import WatchState
 
@@ -69,6 +70,11 @@ def watch_bytes(watch: WatchState) -> bytes:
     arrays = (*motors, *joints, *filtered, *stands, slip_from, asked, wanted, goal)
     plain = plain_bytes((taut, tuple(ropes), tuple(counts), owed))
     return b"".join([array.tobytes() for array in arrays]) + plain
+
+
+def touch_bytes(touch: Touch) -> bytes:
+    """What is felt of the digits."""
+    return bytes(touch.blocked) + touch.tension.tobytes()
 
 
 def progress_bytes(progress: Progress) -> bytes:

@@ -19,14 +19,14 @@ class FilterGains(Document):
     the motions they come from.
     """
 
-    motor_disturbance_N: float = Field(0.25, gt=0, le=50)
+    motor_disturbance_N: float = Field(0.22, gt=0, le=50)
     motor_disturbance_time_s: float = Field(0.05, gt=0, le=10)
     free_rate_N_per_s: float = Field(40.0, gt=0, le=1e4)
     """How fast the tension of a freely moving digit changes, beside what the motion asks."""
     free_time_s: float = Field(0.05, gt=0, le=10)
-    held_speed_m_s: float = Field(1.2e-3, gt=0, le=1)
+    held_speed_m_s: float = Field(1.5e-3, gt=0, le=1)
     """Along the tendon, of a digit that rests on something."""
-    held_time_s: float = Field(0.05, gt=0, le=10)
+    held_time_s: float = Field(0.1, gt=0, le=10)
     motor_acceleration_noise_N: float = Field(0.03, gt=0, le=10)
     """Force on the rotor from one instant to the next that nothing explains; the more of it, the less phase the filter
     costs the loops (Doyle and Stein, 1979), and the more of the encoder's noise reaches the torque."""
@@ -73,8 +73,8 @@ class TensionGains(Document):
 class ContactGains(Document):
     """When tension that the model does not explain counts as contact of a closing digit."""
 
-    threshold_N: float = Field(0.55, gt=0, le=100)
-    """As a force at the tip, smoothed over 10 ms."""
+    threshold_N: float = Field(0.33, gt=0, le=100)
+    """As a force at the tip, smoothed over 5 ms; twice as much of a digit that is at the end of its way."""
     ticks: int = Field(1, ge=1, le=1000)
 
 

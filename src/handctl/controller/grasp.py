@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handctl.controller.allocation import allocate
-from handctl.controller.contact import feel
+from handctl.controller.contact import feel, needed
 from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.grip import Grip, GripPlan, hold
@@ -162,7 +162,8 @@ class TaskProgram:
         goals, contact, touching = list(progress.goals), list(progress.contact), list(progress.touching)
         events: list[Event] = []
         for d, tendons in enumerate(model.digit_tendons):
-            touching[d] = touching[d] + 1 if closing[d] and forces[d] > gains.threshold_N else 0
+            enough = closing[d] and forces[d] > needed(progress.goals[d], gains.threshold_N, t)
+            touching[d] = touching[d] + 1 if enough else 0
             if touching[d] >= gains.ticks:
                 contact[d] = True
                 start = np.maximum(estimate.tension[tendons], phase.contact_tension_N)

@@ -9,6 +9,7 @@ from handctl.controller.gains import Gains
 from handctl.controller.motors import Motors
 from handctl.controller.program import Progress
 from handctl.controller.retune import Coming
+from handctl.controller.touch import Touch
 from handctl.controller.types import Mode
 from handctl.drives.contract import DriveState
 from handctl.drives.sensor_node import SensorState
@@ -33,6 +34,7 @@ class State(NamedTuple):
         progress: of the program.
         safety: debounce and latches.
         watch: what safety remembers besides.
+        touch: what is felt of each digit, planned or not.
         commanded: (motor torques of the last tick are in ``law.force``); frames cut so far, for mode CUT.
         failure: why the run ends early, one line; empty if it does not.
         unconfirmed: motors that have not confirmed that they are disabled.
@@ -52,6 +54,7 @@ class State(NamedTuple):
     progress: Progress
     safety: SafetyState
     watch: WatchState
+    touch: Touch
     failure: str = ""
     unconfirmed: tuple[str, ...] = ()
     clearing: bool = False
@@ -69,6 +72,7 @@ class State(NamedTuple):
             packing.sensor_bytes(self.sensors),
             packing.progress_bytes(self.progress),
             packing.watch_bytes(self.watch),
+            packing.touch_bytes(self.touch),
             packing.gains_bytes(self.gains),
             packing.gains_bytes(self.coming),
             packing.motor_bytes(motors or Motors.of(self.drives)),

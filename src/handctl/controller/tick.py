@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from handctl.choose import nothing
-from handctl.controller import computed_torque, estimator, retune
+from handctl.controller import computed_torque, estimator, retune, touch
 from handctl.controller.answers import answer
 from handctl.controller.computed_torque import Command, LawState
 from handctl.controller.derating import restraints
@@ -30,6 +30,7 @@ from handctl.controller.program import Program, Progress
 from handctl.controller.received import Received
 from handctl.controller.state import State
 from handctl.controller.telemetry import telemetry
+from handctl.controller.touch import Touch
 from handctl.controller.types import Event, Mode, TickIn, TickOut, Vector
 from handctl.drives.contract import Drive, DriveState, Phase
 from handctl.drives.frame import ERROR, Frame
@@ -114,6 +115,7 @@ class Controller:
             progress=self.program.begin(self.model),
             safety=safety.SafetyState(),
             watch=self.guard.watcher.initial(),
+            touch=Touch.none(len(self.model.digits)),
         )
 
     def cut_frames(self) -> tuple[Frame, ...]:
@@ -140,6 +142,7 @@ class Controller:
         state, received = self._take_in(state, entry)
         state, wishes, asked = answer(self.model, state, received.estimate, entry.requests)
         told = doubts(self.model.hand.tendon_names, before.filter, state.filter)
+        told += touch.told(self.model.hand.digit_names, before.touch, state.touch, state.progress.contact)
         watch, signals = self.guard.look(before, state, entry, received, asked)
         measured, estimate, foreign = received.measured, received.estimate, received.foreign
         judged, verdict = safety.judge(state.safety, self.limits, signals)
@@ -155,7 +158,8 @@ class Controller:
         )
         state, retuned = (state, ()) if state.coming is None else self._retune(state, old_law, estimate, command)
         events = told + asked + tuple(_told(finding) for finding in verdict.findings) + moved + stepped + retuned
-        motors, contact = Motors.of(state.drives), state.progress.contact
+        motors = Motors.of(state.drives)
+        contact = tuple(map(max, state.progress.contact, state.touch.blocked))
         numbers = telemetry(self.model, motors, contact, measured, estimate, command, entry.t_ns)
         phase = state.progress.phase if state.mode == Mode.ACTIVE else state.mode.name.lower()
         return state, TickOut(frames, state.mode, phase, verdict.action, numbers, events, state.digest(motors))
@@ -172,7 +176,9 @@ class Controller:
         motors, counts_before = Motors.of(drives), tuple([drive.feedback_count for drive in state.drives])
         watch, measured, jumped = self.guard.screen(state, self._measured(state, motors, counts_before, sensors))
         filters, estimate = self._estimate(state, measured)
-        state = state._replace(k=entry.k, drives=drives, sensors=sensors, filter=filters, watch=watch)
+        commanded = state.mode in (ACTIVE, RELAX)
+        felt = touch.feel(self.model, state.touch, estimate) if commanded else Touch.none(len(self.model.digits))
+        state = state._replace(k=entry.k, drives=drives, sensors=sensors, filter=filters, watch=watch, touch=felt)
         return state, Received(motors, counts_before, measured, estimate, foreign, strange, jumped)
 
     def _receive(
@@ -224,8 +230,8 @@ class Controller:
         return len(self.guard.watcher.joints)
 
     def _estimate(self, state: State, measured: Measured) -> tuple[FilterState, Estimate]:
-        held = tuple(c and state.mode in ACTING for c in state.progress.contact)
-        law = state.law
+        law, felt = state.law, zip(state.progress.contact, state.touch.blocked, strict=True)
+        held = tuple([(touches and state.mode in ACTING) or blocked for touches, blocked in felt])
         return estimator.step(self.model, state.filter, measured, law.force, law.rate, held, law.sliding)
 
     def _program(
@@ -245,6 +251,7 @@ class Controller:
         if state.mode not in (ACTIVE, RELAX):
             return LawState.idle(estimate.tension), Command.idle(self.model)
         most, kept = restraints(self.model, self.limits, state, action, estimate.tension)
+        most = touch.gentle(self.model, state.touch, state.law.planned, most)
         return computed_torque.step(self.model, state.law, estimate, goals, t, most, kept)
 
     def _retune(
