@@ -16,8 +16,8 @@ from handctl.controller.grasp import TaskProgram
 from handctl.controller.task import Task
 from handctl.document import validated
 from trials.jobs import Plan, collect
-from trials.laws import on_raw_tension
-from trials.lockstep import Course, Trial, run, unchanged
+from trials.laws import force_scale, on_raw_tension
+from trials.lockstep import RATES_HZ, Course, Trial, run, unchanged
 
 LOW_N, HIGH_N, RATE_N_PER_S, HOLD_S = 15.0, 40.0, 5000.0, 0.6
 STEADY_S, BAND_N = 0.2, 2.0
@@ -44,7 +44,7 @@ PLANTS: dict[str, dict[str, float]] = {
 }
 WEIGHTS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 """Tension error [N] that counts like 15 N of motor force: the one weight of the loop, the same for both loops."""
-TUNING_SEED = 1000
+FORCE_N, TUNING_SEED = 15.0, 1000
 TUNED = Path(__file__).with_name("tuned_force.json")
 """By hand and law: RMSE of tension in the second of both steps [N] with each of ``WEIGHTS``, null: ended early."""
 
@@ -71,8 +71,9 @@ LOOPS = {
 def trial(hand: str, law: str, weight: float, seed: int, plant: str) -> Trial:
     """One run."""
     loop = LOOPS[law]
-    tension = {"tension_error_N": weight} | loop.tension
-    gains = Gains(motion=MotionGains(**loop.motion), tension=TensionGains(**tension))
+    fixed = {"force_N": FORCE_N * force_scale(RATES_HZ[hand]), "integral_per_s": 3.0, "tension_error_N": weight}
+    motion = {"disturbance_rejection": 1.0} | loop.motion
+    gains = Gains(motion=MotionGains(**motion), tension=TensionGains(**(fixed | loop.tension)))
     program = TaskProgram(validated(TASK, Task, "benchmark"))
     return Trial(
         hand, program, seed, "cylinder", PLANTS[plant], gains, change=on_raw_tension if loop.raw else unchanged

@@ -9,6 +9,7 @@ from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.filter_state import FilterState
 from handctl.controller.gains import Gains, MotionGains
 from handctl.controller.model import Inverse
+from handctl.controller.motion_design import bearable
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.hand.digit import DigitModel, Values
@@ -53,6 +54,15 @@ def misprinted(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[f
     return tuple(tau + sum(parts) for tau, parts in zip(joint, passive, strict=True))
 
 
+FORCE_N = 20.0
+"""Motor force that counts like the errors of the weights."""
+
+
+def force_scale(rate_hz: float) -> float:
+    """What a force weight is to be multiplied by so that it counts in full at a control rate."""
+    return 1.0 / bearable(1.0, 1.0 / rate_hz)
+
+
 class RawTension(Controller):
     """The controller with the newest load-cell sample, a period old, for the tension wherever the law asks for it."""
 
@@ -83,10 +93,11 @@ class Law:
     motion: dict[str, float]
     raw: bool = False
 
-    def gains(self, position_error_m: float, speed_error_m_s: float) -> Gains:
-        """Gains with the two weights that were tuned."""
+    def gains(self, position_error_m: float, speed_error_m_s: float, rate_hz: float) -> Gains:
+        """Gains with the two weights that were tuned; the others are fixed here, whatever the packaged ones are."""
         weights = {"position_error_m": position_error_m, "speed_error_m_s": speed_error_m_s}
-        return Gains(motion=MotionGains(**weights, **self.motion))
+        fixed = {"force_N": FORCE_N * force_scale(rate_hz), "disturbance_rejection": 1.0, "tension_feedback": 0.3}
+        return Gains(motion=MotionGains(**{**fixed, **weights, **self.motion}))
 
     @property
     def change(self) -> partial[Controller]:

@@ -20,7 +20,7 @@ from trials import force, force_page, page, tracking_page
 from trials.hands import CLEAR
 from trials.jobs import Plan, add_options, collect, plan_of
 from trials.laws import LAWS
-from trials.lockstep import Course, Trial, run
+from trials.lockstep import RATES_HZ, Course, Trial, run
 from trials.script import Script, Step
 
 HANDS = ("jamia", "jamia11")
@@ -62,7 +62,15 @@ def moves(speeds: tuple[str, ...]) -> Script:
 def trial(hand: str, law: str, weights: tuple[float, float], seed: int, plant: str, speeds: tuple[str, ...]) -> Trial:
     """One run of a law."""
     chosen = LAWS[law]
-    return Trial(hand + CLEAR, moves(speeds), seed, None, PLANTS[plant], chosen.gains(*weights), change=chosen.change)
+    return Trial(
+        hand + CLEAR,
+        moves(speeds),
+        seed,
+        None,
+        PLANTS[plant],
+        chosen.gains(*weights, RATES_HZ[hand]),
+        change=chosen.change,
+    )
 
 
 def judge(course: Course, speeds: tuple[str, ...]) -> dict[str, dict[str, float]]:
