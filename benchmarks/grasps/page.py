@@ -10,13 +10,12 @@ from grasps.objects import MOST_M
 
 DOCS = Path(__file__).parents[2] / "docs"
 PAGE, PICTURE = DOCS / "control-grasps.md", DOCS / "figures" / "grasps.png"
-BEGIN, END = "<!-- grasps: written by benchmarks/grasp.py -->", "<!-- end of grasps -->"
+MARKS = "<!-- {}: written by benchmarks/grasp.py -->", "<!-- end of {} -->"
 
 
 def text(result: dict[str, Any]) -> str:
     """All tables."""
-    parts = [(_success, "success"), (_payload, "payload"), (_contact, "contact"), (_tip, "tip"), (_slip, "slip")]
-    return "\n\n".join(write(result[key]) for write, key in parts if key in result)
+    return "\n\n".join(write(result[key]) for key, write in PARTS.items() if result.get(key))
 
 
 def _table(head: list[str], rows: list[list[str]]) -> str:
@@ -122,13 +121,22 @@ def _slip(rows: list[dict[str, Any]]) -> str:
     return _table(head, table)
 
 
+PARTS = {"success": _success, "payload": _payload, "contact": _contact, "tip": _tip, "slip": _slip}
+"""Tables by what was measured."""
+
+
 def write(result: dict[str, Any]) -> None:
-    """Write the tables into the page, between its marks, and draw the picture."""
+    """Write each table that there is into the page, between its marks; draw the picture if there are grasps."""
     page = PAGE.read_text("utf-8")
-    before, _, rest = page.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    PAGE.write_text(f"{before}{BEGIN}\n{text(result)}\n{END}{after}", "utf-8")
-    draw(result)
+    for key, table in PARTS.items():
+        if result.get(key):
+            begin, end = MARKS[0].format(key), MARKS[1].format(key)
+            before, _, rest = page.partition(begin)
+            _, _, after = rest.partition(end)
+            page = f"{before}{begin}\n{table(result[key])}\n{end}{after}"
+    PAGE.write_text(page, "utf-8")
+    if result.get("success"):
+        draw(result)
 
 
 def draw(result: dict[str, Any]) -> None:

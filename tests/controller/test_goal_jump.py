@@ -35,3 +35,16 @@ def test_what_safety_takes_for_the_goal_goes_where_a_motor_can_follow(jamia: Han
     limp = guard.commanded(after, Mode.ACTIVE, Command.idle(active.controller.model), state.drives, state.k)
     assert np.isnan(limp.goal).all()
     assert goals(0.1, 1, limp).goal == pytest.approx(arms * 0.1), "after a hold it begins anew"
+
+
+def test_a_motor_that_rests_where_it_was_to_go_is_not_stuck(jamia: HandModel) -> None:
+    """A quick motion is over before what follows it slowly: that must not go on while the motor rightly stands."""
+    active = bench(jamia, LiveProgram())
+    guard, state = active.controller.guard, active.state
+    arms = np.asarray(active.controller.model.hand.moment_arms.sum(axis=1))
+    command, there = at(active, 0.4), arms * 0.4
+    lagging = state.watch._replace(goal=arms * 0.2)
+    resting = guard.commanded(lagging, Mode.ACTIVE, command, state.drives, state.k, there)
+    np.testing.assert_array_equal(resting.goal, lagging.goal)
+    stuck = guard.commanded(lagging, Mode.ACTIVE, command, state.drives, state.k, arms * 0.1)
+    assert (stuck.goal > lagging.goal).all(), "one that is elsewhere is judged as before"

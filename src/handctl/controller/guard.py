@@ -47,6 +47,8 @@ NEVER = 1_000_000
 """Age of what never came [ticks]."""
 FOLLOW_S = 0.1
 """Time in which a motor follows a goal that jumps, several times over [s]."""
+ARRIVED_M = 0.2e-3
+"""From the goal: a motor that stands there is where it was to go."""
 NOISE_TIMES, NOISE_STEPS = 9.0, 6.0
 """A noise burst has so many times the variance of: drive torque on the bare rotor, and so many counts of rounding."""
 
@@ -214,22 +216,39 @@ class Guard:
         return tuple(shapes)
 
     def commanded(
-        self, watch: WatchState, mode: Mode, command: Command, drives: tuple[DriveState, ...], k: int
+        self,
+        watch: WatchState,
+        mode: Mode,
+        command: Command,
+        drives: tuple[DriveState, ...],
+        k: int,
+        excursion: Vector | None = None,
     ) -> WatchState:
-        """Remember what tick k asks and commands, for what the next one hears; drives: as they were before it."""
+        """Remember what tick k asks and commands, for what the next one hears.
+
+        Args:
+            watch: so far. mode: after the tick. command: of it. drives: as they were before it. k: its number.
+            excursion: (N,) where the digits are [m].
+        """
         acts, goes = mode in (Mode.ACTIVE, Mode.RELAX), mode == Mode.ACTIVE
         unknown = nothing(len(command.torque))
         return watch._replace(
             asked=command.torque / self.model.space.spool if acts else unknown,
             wanted=command.tension if goes else unknown,
-            goal=self._followed(watch.goal, self.model.excursion_of(command.q)) if goes else unknown,
+            goal=self._followed(watch.goal, self.model.excursion_of(command.q), excursion) if goes else unknown,
             owed=watch.owed if mode in MUTE else asked(watch.owed, [drive.phase >= READY for drive in drives], k),
         )
 
-    def _followed(self, before: Vector, goal: Vector) -> Vector:
-        """(N,) goals as a motor can follow them [m]: where one jumps, a motor that has not moved yet is not stuck."""
+    def _followed(self, before: Vector, goal: Vector, excursion: Vector | None) -> Vector:
+        """(N,) goals as a motor can follow them [m]: where one jumps, a motor that has not moved yet is not stuck.
+
+        Nor is one that rests where it was to go while this, which comes later, is still on its way.
+        """
         share = 1.0 - math.exp(-self.model.period / FOLLOW_S)
-        return chosen(before != before, goal, before + share * (goal - before))
+        moved = before + share * (goal - before)
+        if excursion is not None:
+            moved = chosen(np.abs(goal - excursion) < ARRIVED_M, before, moved)
+        return chosen(before != before, goal, moved)
 
 
 def make_watcher(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) -> Watcher:

@@ -152,7 +152,7 @@ class Controller:
         law, command = self._command(state, verdict.action, estimate, progress.goals, goal_time)
         drives, sensors, frames = self._encode(state, entry, command)
         old_law = state.law
-        watch = self.guard.commanded(watch, state.mode, command, before.drives, entry.k)
+        watch = self.guard.commanded(watch, state.mode, command, before.drives, entry.k, estimate.excursion)
         state = state._replace(
             progress=progress, goal_time=goal_time, law=law, drives=drives, sensors=sensors, watch=watch
         )
