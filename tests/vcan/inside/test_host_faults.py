@@ -33,6 +33,8 @@ HOUR_S = 3600.0
 AT_S, AFTER_S = 0.15, 0.3
 """When it happens, from the beginning of the pull on, and how long the pull would go on [s]."""
 TIME_SCALE = 0.1
+STOOD_STILL = ("H03", "B02", "N02", "B17", "N08")
+"""Rows by which a run ends if host or simulator are not run for a while, as they should."""
 
 
 def set_up(interface: str, up: bool) -> None:
@@ -79,18 +81,23 @@ def run(folder: Path, hostile: Hostile) -> tuple[Outcome, Truth]:
     return outcome, read_truth(folder / "truth")
 
 
-def run_until_done(folder: Path, hostile: Hostile) -> tuple[Outcome, Truth]:
-    """A run in which it was done: a host that is so busy that it stands still before, ends runs as it should."""
+def run_until_done(folder: Path, hostile: Hostile, expected: str) -> tuple[Outcome, Truth]:
+    """The first run in which it was done, and that did not end because the guest's one core was wanted elsewhere.
+
+    What is done may itself end runs in that way; then it ends each of five, which is told.
+    """
+    failure = ""
     for number in range(5):
         place = folder / str(number)
         place.mkdir()
+        hostile.begin()
         outcome, truth = run(place, hostile)
-        if not hostile.left:
+        failure = outcome.state.failure
+        if not hostile.left and (expected in failure if expected else not failure):
             (place / "run.mcap").rename(folder / "run.mcap")
             return outcome, truth
-        assert "H03" in outcome.state.failure, outcome.state.failure
-        hostile.begin()
-    pytest.fail("the guest stood still in each of five runs")
+        assert any(row in failure for row in STOOD_STILL), failure
+    pytest.fail(f"none of five runs came through: {failure}")
 
 
 @pytest.fixture
@@ -119,7 +126,7 @@ def test_steps_of_the_wall_clock_change_nothing(tmp_path: Path) -> None:
         time.clock_settime(time.CLOCK_REALTIME, time.time() + seconds)
         offsets.append(time.time() - time.monotonic())
 
-    outcome, truth = run_until_done(tmp_path, Hostile(lambda: step(HOUR_S), lambda: step(-2.0 * HOUR_S)))
+    outcome, truth = run_until_done(tmp_path, Hostile(lambda: step(HOUR_S), lambda: step(-2.0 * HOUR_S)), "")
     moved = np.diff(offsets[-3:])
     assert moved == pytest.approx([HOUR_S, -2.0 * HOUR_S], abs=5.0), "it was felt: all clocks moved"
     assert (outcome.state.failure, outcome.exit) == ("", Exit.DONE)
@@ -135,7 +142,7 @@ def test_steps_of_the_wall_clock_change_nothing(tmp_path: Path) -> None:
 def test_an_interface_that_is_taken_down_cuts_the_run_and_the_drives_let_go(interface: str, tmp_path: Path) -> None:
     """B14."""
     hostile = Hostile(lambda: set_up(interface, False))
-    outcome, truth = run_until_done(tmp_path, hostile)
+    outcome, truth = run_until_done(tmp_path, hostile, "B14")
     assert "B14" in outcome.state.failure, outcome.state.failure
     assert outcome.exit == Exit.REMOVE_POWER, "no drive could confirm"
     after = hostile.modes[hostile.modes.index(Mode.ACTIVE) :]
