@@ -91,6 +91,7 @@ def run_until_done(folder: Path, hostile: Hostile, expected: str) -> tuple[Outco
         place = folder / str(number)
         place.mkdir()
         hostile.begin()
+        set_up("vcan0", True)
         outcome, truth = run(place, hostile)
         failure = outcome.state.failure
         if not hostile.left and (expected in failure if expected else not failure):
