@@ -6,8 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import psutil
 import pytest
 
+from handctl.errors import LogError
 from handctl.log.reader import RunLog
 from handctl.log.record import FRAMING, pack
 from handctl.log.scan import scanned
@@ -77,3 +79,15 @@ def test_ten_minutes_have_a_picture_after_five_seconds_of_one_core(tmp_path: Pat
     found = json.loads(ran.stdout)
     assert found["handctl_cpu_s"] + found["viewer_cpu_s"] < 5.0
     assert found["png_bytes"] > 50_000
+
+
+def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(tmp_path: Path, vulkan: dict[str, str]) -> None:
+    data, place = bytearray(GOLDEN.read_bytes()), scanned(GOLDEN).chunks[2]
+    data[place.data + 40] ^= 0xFF
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(data)
+    with RunLog(broken, checked=False) as log:
+        subject, found = Subject.of(log.header, "x"), log.found
+    with pytest.raises(LogError, match="damaged"), browse(broken, subject, ["--headless"], vulkan, found):
+        raise AssertionError("it was shown")
+    assert not any("--headless" in child.cmdline() for child in psutil.Process().children())
