@@ -19,7 +19,7 @@ class FilterGains(Document):
     the motions they come from.
     """
 
-    motor_disturbance_N: float = Field(0.22, gt=0, le=50)
+    motor_disturbance_N: float = Field(0.12, gt=0, le=50)
     motor_disturbance_time_s: float = Field(0.05, gt=0, le=10)
     free_rate_N_per_s: float = Field(40.0, gt=0, le=1e4)
     """How fast the tension of a freely moving digit changes, beside what the motion asks."""
@@ -66,7 +66,7 @@ class TensionGains(Document):
     speed_error_m_s: float = Field(0.03, gt=0, le=10)
     force_N: float = Field(5.0, gt=0, le=500)
     """As that of motion."""
-    integral_per_s: float = Field(12.0, ge=0, le=100)
+    integral_per_s: float = Field(3.0, ge=0, le=100)
     rate_N_per_s: float = Field(200.0, gt=0, le=5000)
 
 
