@@ -4,9 +4,7 @@ The digits close on a cylinder, hold 15 N a tendon, are asked for 40 N at once (
 the plant's true tension at the load cell of every tendon whose digit is in contact.
 """
 
-import json
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,11 +40,8 @@ PLANTS: dict[str, dict[str, float]] = {
     "friction -50 %": {"friction": 0.5},
     "bias 1 N": {"bias": 1.0},
 }
-WEIGHTS = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
-"""Tension error [N] that counts like 15 N of motor force: the one weight of the loop, the same for both loops."""
-FORCE_N, TUNING_SEED = 15.0, 1000
-TUNED = Path(__file__).with_name("tuned_force.json")
-"""By hand and law: RMSE of tension in the second of both steps [N] with each of ``WEIGHTS``, null: ended early."""
+WEIGHT_N, FORCE_N, INTEGRAL_PER_S = 4.0, 15.0, 3.0
+"""Of both loops alike: tension error that counts like that motor force, and the integral; none of them is tuned."""
 
 
 @dataclass(frozen=True)
@@ -68,10 +63,14 @@ LOOPS = {
 }
 
 
-def trial(hand: str, law: str, weight: float, seed: int, plant: str) -> Trial:
+def trial(hand: str, law: str, seed: int, plant: str) -> Trial:
     """One run."""
     loop = LOOPS[law]
-    fixed = {"force_N": FORCE_N * force_scale(RATES_HZ[hand]), "integral_per_s": 3.0, "tension_error_N": weight}
+    fixed = {
+        "force_N": FORCE_N * force_scale(RATES_HZ[hand]),
+        "integral_per_s": INTEGRAL_PER_S,
+        "tension_error_N": WEIGHT_N,
+    }
     motion = {"disturbance_rejection": 1.0} | loop.motion
     gains = Gains(motion=MotionGains(**motion), tension=TensionGains(**(fixed | loop.tension)))
     program = TaskProgram(validated(TASK, Task, "benchmark"))
@@ -105,33 +104,14 @@ def work(job: tuple) -> dict[str, Any]:
     return judge(course) | {"why": course.failure}
 
 
-def tune(hands: tuple[str, ...], plan: Plan) -> None:
-    """Try all weights for each law on each hand; keep the errors."""
-    jobs = [(hand, law, w, TUNING_SEED, "as known") for hand in hands for law in LOOPS for w in WEIGHTS]
-    found = collect(work, jobs, plan)
-    table: dict = {}
-    for (hand, law, weight, *_), row in found.items():
-        print(f"{hand:<8} {law:<32} {weight:<6g} {row['rmse_N']:8.3f} N  {row['why']}")
-        error = None if row["why"] or not np.isfinite(row["rmse_N"]) else round(row["rmse_N"], 4)
-        table.setdefault(hand, {}).setdefault(law, []).append(error)
-    if len(found) == len(jobs):
-        TUNED.write_text(json.dumps(table, indent=1) + "\n", "utf-8")
-
-
-def tuned(hand: str, law: str) -> float:
-    """The best weight of a loop."""
-    errors = json.loads(TUNED.read_text("utf-8"))[hand][law]
-    return WEIGHTS[int(np.argmin([np.inf if error is None else error for error in errors]))]
-
-
 def measure(hands: tuple[str, ...], seeds: int, plan: Plan) -> dict[str, Any]:
     """Figures by hand, plant and law: mean over the seeds, and the spread of the RMSE."""
     cases = [(hand, law, plant) for plant in PLANTS for hand in hands for law in LOOPS]
-    jobs = [(hand, law, tuned(hand, law), k, plant) for k in range(seeds) for hand, law, plant in cases]
+    jobs = [(hand, law, k, plant) for k in range(seeds) for hand, law, plant in cases]
     found = collect(work, jobs, plan)
-    result: dict[str, Any] = {"hands": {}, "weights": {h: {law: tuned(h, law) for law in LOOPS} for h in hands}}
+    result: dict[str, Any] = {"hands": {}}
     for hand, law, plant in cases:
-        rows = [row for job, row in found.items() if (job[0], job[1], job[4]) == (hand, law, plant)]
+        rows = [row for job, row in found.items() if (job[0], job[1], job[3]) == (hand, law, plant)]
         if rows:
             result["hands"].setdefault(hand, {}).setdefault(plant, {})[law] = _over_seeds(rows)
     return result

@@ -20,7 +20,7 @@ def section(result: dict[str, Any]) -> str:
         "`python benchmarks/control.py --parts force --page`. The digits hold a cylinder with 15 N a tendon, are asked "
         "for 40 N at once (5000 N/s), and for 15 N again; the true tension at the load cells of all tendons in contact "
         "against what is asked, both steps together, mean over tendons and seeds. *set-point alone* has no feedback: "
-        "the motor makes the force that is asked. The one weight of the two loops is the best of the same six each. "
+        "the motor makes the force that is asked. Both loops have the same weights, and none is tuned. "
         "*overshoot* is the furthest beyond the goal, noise included."
     )
     for hand, plants in result["hands"].items():

@@ -192,7 +192,6 @@ def main() -> None:
     begin, plan, result = time.monotonic(), plan_of(args), {}
     if args.tune:
         tune(plan)
-        force.tune(HANDS, plan)
         return
     if "tracking" in args.parts:
         counts = (1, 0, ("fast",)) if args.quick else (args.seeds, args.wrong_seeds, tuple(SPEEDS))
