@@ -1,7 +1,7 @@
-"""Re-execution of logs, tick by tick: CPU time of reading, ticking and comparing, and who spends it.
+"""Re-execution of logs, tick by tick: what reading, ticking and comparing take, and who spends it.
 
-``python benchmarks/reexecute.py [LOG ...] [--quick] [--json]``, by default those of ``logs/golden``. CPU time of this
-process counts, so that a busy machine does not; the fastest of a few passes is told, for the same reason.
+``python benchmarks/reexecute.py [LOG ...] [--quick] [--json]``, by default those of ``logs/golden``. Each log is
+executed several times and the least that each tick took counts: what it takes when nothing else wants the core.
 """
 
 import argparse
@@ -12,6 +12,7 @@ from pathlib import Path
 
 from who import spent
 
+from handctl.controller.tick import Controller
 from handctl.log.reader import RunLog
 from handctl.replay.difference import same
 from handctl.replay.rebuild import rebuild
@@ -23,11 +24,11 @@ def main() -> None:
     """Measure, print."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("logs", nargs="*", type=Path, metavar="LOG", help="default: those of logs/golden")
-    parser.add_argument("--quick", action="store_true", help="one pass")
+    parser.add_argument("--quick", action="store_true", help="two passes")
     parser.add_argument("--json", action="store_true", help="numbers for programs")
     args = parser.parse_args()
     logs = args.logs or sorted(GOLDEN.glob("*.mcap"))
-    result = {log.name: measure(log, 1 if args.quick else 3) for log in logs}
+    result = {log.name: measure(log, 2 if args.quick else 10) for log in logs}
     print(json.dumps(result, indent=2)) if args.json else show(result)
 
 
@@ -35,37 +36,36 @@ def measure(path: Path, passes: int) -> dict:
     """One log."""
     with RunLog(path) as log:
         controller = rebuild(log)
-        for _ in controller, *zip(range(200), log.ticks(), strict=False):
-            pass
+        gc.disable()  # as while a log is executed, and in the loop
         found = [once(log, controller) for _ in range(passes)]
-        best = min(found, key=lambda one: one["read"] + one["tick"] + one["compare"])
-        ticks, seconds = len(log), float(log.times[-1])
-        equal = best.pop("equal")
+        gc.enable()
+        ticks, period_us = len(log), log.header.period_ns / 1e3
+        tick = sum(map(min, zip(*(one["tick"] for one in found), strict=True)))
+        least = {name: min(one[name] for one in found) for name in ("read", "compare")} | {"tick": tick}
         return {
             "ticks": ticks,
-            "equal": equal,
-            "us_a_tick": {name: took / ticks * 1e6 for name, took in best.items()},
-            "times_real_time": seconds / sum(best.values()),
+            "equal": found[0]["equal"],
+            "us_a_tick": {name: took / ticks * 1e6 for name, took in least.items()},
+            "times_real_time": period_us * ticks / (sum(least.values()) * 1e6),
             "spent": spent(lambda: once(log, controller)),
         }
 
 
-def once(log: RunLog, controller) -> dict:
-    """CPU time [s] of each stage, and how many ticks came out equal to the last byte."""
-    gc.freeze()
-    clock = time.process_time
-    began = clock()
+def once(log: RunLog, controller: Controller) -> dict:
+    """CPU time [s] of reading and comparing, time [s] of each tick, and how many were equal to the last byte."""
+    clock, cpu = time.perf_counter, time.process_time
+    began = cpu()
     logged = list(zip(log.ticks(), log.packed(), strict=True))
-    read = clock()
-    state, outs = controller.initial(), []
+    read = cpu() - began
+    state, outs, took = controller.initial(), [], []
     for one, _ in logged:
+        before = clock()
         state, out = controller.tick(state, one.tick_in)
+        took.append(clock() - before)
         outs.append(out)
-    ticked = clock()
+    began = cpu()
     equal = sum(same(one, numbers, out) for (one, numbers), out in zip(logged, outs, strict=True))
-    ended = clock()
-    gc.unfreeze()
-    return {"read": read - began, "tick": ticked - read, "compare": ended - ticked, "equal": equal}
+    return {"read": read, "tick": took, "compare": cpu() - began, "equal": equal}
 
 
 def show(result: dict) -> None:

@@ -19,7 +19,8 @@ PARTS = {
     "hash of the state": ("controller/digest", "controller/state", "controller/kept"),
     "telemetry": ("controller/telemetry",),
     "tick and modes": ("handctl/controller/",),
-    "lockstep clock and bus": ("handctl/runtime/", "benchmarks/"),
+    "reading a log": ("handctl/log/", "handctl/replay/"),
+    "lockstep clock and bus, this script": ("handctl/runtime/", "benchmarks/"),
 }  # fmt: skip
 """Name of a part to pieces of the paths (or names) of its functions; the first that fits counts."""
 
