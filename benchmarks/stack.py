@@ -1,5 +1,6 @@
 """The whole stack without a recorder: controller, codec both ways, simulated drives, plant; for ``lockstep.py``."""
 
+import time
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -70,12 +71,16 @@ class Stack:
         controller = make_controller(load_hand(hand), Gains(), rate_hz, program, None, arm_at_once=True)
         self.tick, self.state = controller.tick, controller.initial()
 
-    def run(self, seconds: float) -> None:
-        """So much simulated time [s], from the first tick on."""
+    def run(self, seconds: float) -> list[float]:
+        """So much simulated time [s], from the first tick on; CPU time of each tick [s]."""
         clock = LockstepClock(self.peer, self.period_ns)
         bus, state, tick, period_ns = LockstepBus(clock), self.state, self.tick, self.period_ns
+        took, now = [], time.process_time
         for k in range(round(seconds * 1e9) // period_ns):
+            before = now()
             late = clock.wait(k)
             state, out = tick(state, TickIn(k, k * period_ns, late, tuple(bus.drain())))
             bus.send(out.frames)
+            took.append(now() - before)
         self.state = state
+        return took

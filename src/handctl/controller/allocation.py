@@ -5,6 +5,8 @@ arm. Where the equations have a solution within the bounds it is taken as it is.
 closest torque is taken, all coordinates weighted alike, and the shortfall is returned. Source: Lee & Tsai (1991).
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from handctl.controller.types import Vector
@@ -26,7 +28,7 @@ def allocate(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector
     """
     tension = _exact(moment_arms, torque)
     if tension is None or (tension < floor).any() or (tension > ceiling).any():
-        tension = _bounded(moment_arms, torque, floor, ceiling)
+        tension = bounded(moment_arms, torque, floor, ceiling)
     return tension, torque - moment_arms.T @ tension
 
 
@@ -39,14 +41,40 @@ def _exact(moment_arms: Vector, torque: Vector) -> Vector | None:
     return np.asarray(np.linalg.solve(moment_arms.T, torque))
 
 
-def _bounded(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector) -> Vector:
-    """The quadratic program, by daqp."""
+class _Problem(NamedTuple):
+    """What does not change in a digit's quadratic program: arms over their mean, that mean [m], and the weights."""
+
+    arms: Vector
+    mean: float
+    weight: Vector
+    unconstrained: Vector
+
+
+_problems: dict[int, tuple[Vector, _Problem]] = {}
+MOST = 64
+
+
+def _problem(moment_arms: Vector) -> _Problem:
+    """The program of moment arms, which are constant and told apart by identity."""
+    found = _problems.get(id(moment_arms))
+    if found is not None and found[0] is moment_arms:
+        return found[1]
+    if len(_problems) >= MOST:
+        _problems.clear()
+    n, mean = len(moment_arms), float(np.abs(moment_arms).mean())
+    arms = moment_arms / mean
+    weight = np.ascontiguousarray(arms @ arms.T + REGULARISATION * np.eye(n))
+    problem = _Problem(arms, mean, weight, np.zeros((0, n)))
+    if not moment_arms.flags.writeable:
+        _problems[id(moment_arms)] = moment_arms, problem
+    return problem
+
+
+def bounded(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector) -> Vector:
+    """The quadratic program, by daqp: tensions (n_t,) within the bounds; see ``allocate``."""
     from daqp import solve
 
-    arms = moment_arms / np.abs(moment_arms).mean()
-    wanted = torque / np.abs(moment_arms).mean()
-    weight = np.ascontiguousarray(arms @ arms.T + REGULARISATION * np.eye(len(floor)))
-    linear = -(arms @ wanted + REGULARISATION * floor)
-    empty = np.zeros((0, len(floor)))
-    tension, _, _, _ = solve(weight, linear, empty, ceiling.copy(), floor.copy())
-    return np.asarray(np.clip(np.asarray(tension, dtype=np.float64), floor, ceiling))
+    arms, mean, weight, unconstrained = _problem(moment_arms)
+    linear = -(arms.dot(torque / mean) + REGULARISATION * floor)
+    found = solve(weight.copy(), linear, unconstrained, ceiling.copy(), floor.copy())
+    return np.minimum(np.maximum(np.asarray(found[0], dtype=np.float64), floor), ceiling)

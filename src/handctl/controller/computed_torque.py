@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.choose import chosen, nothing, only, zeros
-from handctl.controller.allocation import allocate
+from handctl.controller.allocation import bounded
 from handctl.controller.estimator import Estimate
 from handctl.controller.friction_band import look_ahead
 from handctl.controller.goal import DigitGoal
@@ -228,12 +228,13 @@ def _load(model: HandModel, table: GoalTable, way: Vector) -> Vector:
         return load
     if table.alone:
         return _within(load, model.floor, model.ceiling)
+    fine = good.tolist()
     for move in table.moves:
         digit, tendons = move.digit, move.digit.tendons
-        if not good[tendons].all():
-            wanted = digit.coupling.T @ torque[digit.joints]
+        if False in fine[tendons]:
+            wanted = torque[digit.joints].dot(digit.coupling)
             arms = digit.reduced_moment_arms
-            load[tendons] = allocate(arms, wanted, model.floor[tendons], model.ceiling[tendons])[0]
+            load[tendons] = bounded(arms, wanted, model.floor[tendons], model.ceiling[tendons])
     return load
 
 
