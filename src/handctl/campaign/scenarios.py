@@ -112,7 +112,7 @@ MATRIX: tuple[Row, ...] = (
     Row("N13", "duplicate node={node} seed=1", RELAX, 4, rows=("N13", "B06"), protocols=ONCE),
     Row("N14", "disobey node={node} size=0", RELAX, 22, rows=("N14", "T02", "T04"), stages=(GRASP,), protocols=ONCE),
     Row("N14", "runaway node={node}", RELAX, 10, rows=("N14", "T03", "N05", "T04")),
-    Row("N15", "slow node={node} size=2", WARN, 22, rows=("N15",), protocols=ONCE),
+    Row("N15", "slow node={node} size=2", WARN, 30, rows=("N15",), protocols=ONCE),
     Row("N15", "slow node={node} size=2", WARN, 4, rows=("B01",), protocols=(ODRIVE,)),
     Row("N16", "hold_on node={node}", CUT, 2, 100.0, ("N16",), (GRASP,)),
     Row("T01", "snap tendon={tendon}", RELAX, 10, rows=("T01",), stages=(GRASP,)),
