@@ -6,6 +6,7 @@ import struct
 import pytest
 
 from handctl.drives import cia402_codec as cia402
+from handctl.drives import mit_codec as mit
 from handctl.drives import odrive_codec as odrive
 
 STATUS = {
@@ -103,3 +104,15 @@ def test_floats_are_finite_both_ways() -> None:
     assert odrive.floats(odrive.FLOAT_TOP, -odrive.FLOAT_TOP)
     with pytest.raises(ValueError, match="cannot be sent"):
         odrive.floats(math.nextafter(odrive.FLOAT_TOP, math.inf))
+
+
+def test_registers_of_a_damiao_drive() -> None:
+    assert mit.register_bytes(mit.TIMEOUT, 1000.9).hex(" ") == "e8 03 00 00", "whole units"
+    assert mit.register_bytes(mit.CTRL_MODE, 1).hex(" ") == "01 00 00 00"
+    assert mit.register_bytes(mit.PMAX, 12.5) == struct.pack("<f", 12.5)
+    reply = mit.register_reply(bytes((3, 0, mit.READ, mit.TIMEOUT)) + b"\xe8\x03\0\0", 3)
+    assert reply is not None
+    assert (reply.operation, reply.register, reply.value) == (mit.READ, mit.TIMEOUT, 1000.0)
+    assert mit.register_reply(bytes((3, 1, mit.READ, mit.TIMEOUT)) + bytes(4), 3) is None, "of node 0x103"
+    assert mit.register_reply(bytes((3, 0, 0x77, mit.TIMEOUT)) + bytes(4), 3) is None
+    assert mit.register_reply(bytes((4, 0, mit.READ, mit.TIMEOUT)) + bytes(4), 3) is None

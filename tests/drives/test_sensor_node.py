@@ -167,3 +167,29 @@ def test_the_simulated_node_and_the_host_agree(node: SensorNode) -> None:
     now = received(node, before, frames)
     assert [value for _, value in node.new_tensions(before, now)] == pytest.approx(forces, abs=0.0625 / 2)
     assert [value for _, value in node.new_joints(before, now)] == pytest.approx(angles, abs=math.pi / 4096)
+
+
+def test_a_group_knows_its_counter_and_how_often_it_came(node: SensorNode) -> None:
+    state = node.initial()
+    for k in (5, 6):
+        state, sync = node.sync(state, k)
+        for frame in encoded(0x1A0, "tension", k & 0xF, [1.0] * CHANNELS, t_ns=k):
+            state = node.receive(state, frame)
+    assert [group.counter for group in state.groups[:3]] == [6, 6, 6]
+    assert [group.frames for group in state.groups[:3]] == [2, 2, 2]
+    assert [group.t_ns for group in state.groups[:3]] == [6, 6, 6]
+    other = SensorNode.of(Section(), 1, TENDONS, JOINTS)
+    assert other.sync(other.initial(), 0x1FF)[1] == Frame(0x080, b"\xff", bus=1)
+    assert sync.bus == 0
+
+
+def test_groups_belong_to_their_node(node: SensorNode) -> None:
+    whole = node.initial()
+    state, _ = node.sync(whole, 1)
+    for frame in encoded(0x1A0, "tension", 1, [1.0] * CHANNELS):
+        state = node.receive(state, frame)
+    with pytest.raises(ValueError, match="zip"):
+        node.new_tensions(whole._replace(groups=whole.groups[:1]), state)
+    short = state.groups[0]._replace(raw=state.groups[0].raw[:1])
+    with pytest.raises(ValueError, match="zip"):
+        node.new_tensions(whole, state._replace(groups=(short, *state.groups[1:])))

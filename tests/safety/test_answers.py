@@ -34,6 +34,7 @@ def test_one_question_more(owed, able, k, after):
     ((0, 0), [0, 0], (0, 0), []),
     ((1, 2), [1, 1], (0, 1), []),
     ((1, 0), [1, 1], (0, 0), [1]),
+    ((2, 2), [1, 1], (1, 1), []),
 ])  # fmt: skip
 def test_what_comes_pays_what_is_owed_and_the_rest_is_too_much(owed, came, after, too_many):
     assert answered(owed, came) == (after, too_many)
@@ -48,3 +49,10 @@ def test_a_run_of_late_answers_is_paid_once():
         assert extra == []
     assert owed == (0,)
     assert answered(asked(owed, (True,), 5), [2])[1] == [0]
+
+
+def test_as_many_answers_as_nodes() -> None:
+    with pytest.raises(ValueError, match="zip"):
+        asked((1,), (True, True), K)
+    with pytest.raises(ValueError, match="zip"):
+        answered((1, 2), [1])

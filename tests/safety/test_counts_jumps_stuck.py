@@ -20,6 +20,7 @@ def bits(text: str) -> int:
 @pytest.mark.parametrize(("before", "now", "after"), [
     ((), (False, False), ()),
     ((), (True, False), (0b1, 0b0)),
+    ((), (True, True), (0b1, 0b1)),
     ((0b1, 0b0), (False, True), (0b10, 0b1)),
     ((0b101, 0b1), (True, True), (0b1011, 0b11)),
     ((1 << (WINDOW - 1), 0), (False, False), ()),                # the last bit has left
@@ -28,6 +29,11 @@ def bits(text: str) -> int:
 ])  # fmt: skip
 def test_a_window_moves_on_by_a_tick(before, now, after):
     assert counts.shift(before, now) == after
+
+
+def test_as_many_bits_as_nodes():
+    with pytest.raises(ValueError, match="zip"):
+        counts.shift((1,), (True, True))
 
 
 def test_how_many_of_the_window_and_of_late():
@@ -53,6 +59,7 @@ def test_unknown_frames_leak_away_in_a_second():
     assert state.unknown == pytest.approx(3.0 * 0.99 + 2.0)
     assert counts.step(Counts(unknown=1.02e-3), NOTHING, NOTHING, 0, 0, 2, 100.0).unknown > 0.0
     assert counts.step(Counts(unknown=1.01e-3), NOTHING, NOTHING, 0, 0, 2, 100.0) == Counts()
+    assert counts.step(Counts(unknown=2e-3), NOTHING, NOTHING, 0, 0, 2, 2.0) == Counts(), "a thousandth is forgotten"
 
 
 def test_refused_goals_are_those_of_the_last_second():
@@ -100,6 +107,11 @@ def test_a_step_that_cannot_be_is_dropped_and_the_next_may_be_longer(value, gap,
 def test_a_missing_position_is_no_jump():
     state, told = jumps.screen(Accepted(np.array([1.0]), np.array([2.0])), np.array([NAN]), np.array([0.1]))
     assert (sizes(told, 1)[0], state.value[0], state.gap[0]) == (0.0, 1.0, 3.0)
+
+
+def test_a_tick_in_which_nothing_was_measured():
+    state = jumps.unread(Accepted(np.array([1.0, 2.0]), np.array([0.0, 3.0])))
+    assert (state.value.tolist(), state.gap.tolist()) == ([1.0, 2.0], [1.0, 4.0])
 
 
 def moved_on(state, value, witnesses):

@@ -91,6 +91,7 @@ def test_thresholds_leave_the_stated_false_alarms():
     assert sigma == pytest.approx(0.106, abs=0.001)
     assert residuals.noise_threshold(sigma, 1.0 / T) < 1.0
     assert residuals.noise_threshold(1.0, 500.0, 3600.0 * 500.0 * 0.3173) == pytest.approx(1.0, abs=1e-3)
+    assert residuals.noise_threshold(2.0, 10.0, 3600.0 * 10.0 * 0.0026997961) == pytest.approx(6.0, abs=1e-6)
 
 
 def test_bits_count_what_was_lost():

@@ -205,6 +205,7 @@ def test_positions_are_screened_apart():
     state, jumped, twisted = screen(WATCHER, state, np.array([0.0, 0.19]), None)
     assert (jumped, twisted) == (None, None)
     assert state.joints.gap.tolist() == [1.0, 2.0]
+    assert state.motors.value.tolist() == [0.0, 0.19]
     assert state.motors == jumps.Accepted(state.motors.value, state.motors.gap)
 
 
