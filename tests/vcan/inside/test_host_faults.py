@@ -21,6 +21,7 @@ from handctl.controller.gains import Gains
 from handctl.controller.live import JogProgram
 from handctl.controller.requests import HoldTension
 from handctl.controller.types import Mode, TickIn, TickOut
+from handctl.errors import LogError
 from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
 from tests.drives.protocol_bench import hand_file
@@ -92,7 +93,11 @@ def run_until_done(folder: Path, hostile: Hostile, expected: str) -> tuple[Outco
         place.mkdir()
         hostile.begin()
         set_up("vcan0", True)
-        outcome, truth = run(place, hostile)
+        try:
+            outcome, truth = run(place, hostile)
+        except LogError as error:  # the recorder has not started within twenty seconds
+            failure = str(error)
+            continue
         failure = outcome.state.failure
         if not hostile.left and (expected in failure if expected else not failure):
             (place / "run.mcap").rename(folder / "run.mcap")
