@@ -6,6 +6,7 @@ import pytest
 
 from handctl.cli.plan import Plan, fastest
 from handctl.cli.session import make_controller, run_lockstep
+from handctl.cli.tune_verify import _who
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.exercise import Exercise
 from handctl.controller.gains import Gains, MotionGains, TensionGains
@@ -46,3 +47,8 @@ def test_gains_that_ring_are_sent_back(new: Gains, goes_back: bool, tmp_path: Pa
     if watch.returned:
         assert "ring" in watch.returned.why
         assert watch.returned.k < asked[1].k <= watch.returned.k + 2
+
+
+def test_a_report_says_whose_gains_each_round_was_done_with() -> None:
+    assert [_who(i, None) for i in range(5)] == ["old", "old", "new", "new", "new"]
+    assert [_who(i, {"amplitude": 0.6}) for i in range(5)] == ["old", "old", "new", "new, then old", "old again"]

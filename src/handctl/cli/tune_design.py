@@ -75,14 +75,20 @@ def _plain(found: Any, out: Path, picture: Path, rate: float, plants: int) -> di
 
 
 def _print(found: Any, rate: float, plants: int) -> None:
+    from rich import box
     from rich.console import Console
     from rich.table import Table
 
-    table = Table(title=f"loops at {rate:g} Hz, before -> after; the worst of {plants} plants below")
-    for heading in ("tendon", "loop", "gain margin [dB]", "phase margin [deg]", "disk", "delay [ms]", "crossover [Hz]"):
-        table.add_column(heading)
+    title = f"loops at {rate:g} Hz, before \u2192 after; in the last row the least of {plants} plants"
+    table = Table(title=title, box=box.SIMPLE, pad_edge=False)
+    for heading in ("tendon", "loop", "gain dB", "phase deg", "disk", "delay ms", "cross Hz"):
+        table.add_column(heading, no_wrap=True)
+    alike: dict[tuple[str, ...], list[str]] = {}
     for (name, kind), after in found.after.items():
-        table.add_row(name, str(kind), *_cells(found.before[name, kind], after))
+        alike.setdefault((str(kind), *_cells(found.before[name, kind], after)), []).append(name)
+    for (kind, *cells), names in alike.items():
+        more = f" + {len(names) - 1}" if len(names) > 1 else ""
+        table.add_row(names[0].removesuffix("_tendon") + more, kind, *cells)
     table.add_section()
     table.add_row("worst", "", *_cells(found.worst_before, found.worst_after))
     Console().print(table)
@@ -90,12 +96,12 @@ def _print(found: Any, rate: float, plants: int) -> None:
 
 def _cells(before: Any, after: Any) -> list[str]:
     def pair(name: str, scale: float = 1.0, digits: int = 1) -> str:
-        return f"{getattr(before, name) * scale:.{digits}f} -> {getattr(after, name) * scale:.{digits}f}"
+        return f"{getattr(before, name) * scale:.{digits}f}\u2192{getattr(after, name) * scale:.{digits}f}"
 
     return [
         pair("gain_db"),
         pair("phase_deg", 1.0, 0),
         pair("disk", 1.0, 2),
         pair("delay_s", 1e3),
-        pair("crossover_hz"),
+        pair("crossover_hz", 1.0, 0),
     ]

@@ -110,14 +110,14 @@ def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespa
     from rich.console import Console
     from rich.table import Table
 
-    from handctl.tune.verify import AMPLITUDES, OLD_ROUNDS
+    from handctl.tune.verify import AMPLITUDES
 
     table = Table(title=f"judged by the {result['judged_by']}")
     for heading in ("gains", "amplitude", "tracking [deg]", "tension [N]", "effort [N m/s]", "peak tension [N]"):
         table.add_column(heading)
     for i, (one, amplitude) in enumerate(zip(rounds, AMPLITUDES, strict=False)):
         numbers = (one.tracking_deg, one.tension_N, one.effort_Nm_per_s, one.peak_tension_N)
-        table.add_row("new" if i >= OLD_ROUNDS else "old", f"{amplitude:g}", *(f"{number:.2f}" for number in numbers))
+        table.add_row(_who(i, result["returned"]), f"{amplitude:g}", *(f"{number:.2f}" for number in numbers))
     console = Console()
     console.print(table)
     back = result["returned"]
@@ -133,3 +133,15 @@ def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespa
     if result["failure"]:
         console.print(f"the run failed: {result['failure']}")
     console.print(f"log: {result['log']}\npicture: {result['picture']}", highlight=False)
+
+
+def _who(number: int, back: dict[str, Any] | None) -> str:
+    """Whose gains a round of the exercise was done with."""
+    from handctl.tune.verify import AMPLITUDES, OLD_ROUNDS
+
+    if number < OLD_ROUNDS:
+        return "old"
+    if back is None:
+        return "new"
+    end = OLD_ROUNDS + AMPLITUDES[OLD_ROUNDS:].index(back["amplitude"])
+    return "new" if number < end else "new, then old" if number == end else "old again"

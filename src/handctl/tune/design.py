@@ -11,12 +11,13 @@ pair with a damping above 1/sqrt(2) has its weights, in closed form. Source: Kal
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import reduce
 
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
 from handctl.controller.motion_design import bearable, design_motion
 from handctl.tune.linear import LoopKind, PlantFactors, controller, joined, plant
-from handctl.tune.margins import Margins, all_margins, margins
+from handctl.tune.margins import Margins, all_margins, margins, worse
 
 LEAST_FORCE_N, MOST_FORCE_N = 0.2, 400.0
 STRIDE, STEPS = math.log(1.7), 5
@@ -32,7 +33,7 @@ class Design:
     Attributes:
         gains: new ones.
         before, after: margins by tendon and loop, on the nominal plant.
-        worst_before, worst_after: the loop with the largest shortfall over the ensemble.
+        worst_before, worst_after: the least of every margin over the ensemble.
     """
 
     gains: Gains
@@ -117,8 +118,8 @@ def redesigned(model: HandModel, gains: Gains) -> HandModel:
 
 
 def worst_of(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind) -> Margins:
-    """The margins with the largest shortfall over plants, loops and unlike tendons."""
-    return max(_each(model, plants, kinds), key=lambda one: one.shortfall)
+    """The least of every margin over plants, loops and unlike tendons."""
+    return reduce(worse, _each(model, plants, kinds))
 
 
 def keeps(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind) -> bool:

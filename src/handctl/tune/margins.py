@@ -57,6 +57,19 @@ class Margins:
         return max(1.0 - self.gain_db / GAIN_MARGIN_DB, 1.0 - self.phase_deg / PHASE_MARGIN_DEG)
 
 
+def worse(one: Margins, other: Margins) -> Margins:
+    """Of each kind of margin the smaller; crossover and peak the larger."""
+    return Margins(
+        gain_db=min(one.gain_db, other.gain_db),
+        phase_deg=min(one.phase_deg, other.phase_deg),
+        disk=min(one.disk, other.disk),
+        delay_s=min(one.delay_s, other.delay_s),
+        crossover_hz=float(np.fmax(one.crossover_hz, other.crossover_hz)),
+        peak=max(one.peak, other.peak),
+        stable=one.stable and other.stable,
+    )
+
+
 def grid(period: float) -> Matrix:
     """Angular frequencies from a third of a hertz to just below half the sampling rate (POINTS,) [rad/s]."""
     return np.geomspace(2.0 * math.pi * LOWEST_HZ, 0.999 * math.pi / period, POINTS)

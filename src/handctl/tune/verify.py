@@ -141,7 +141,7 @@ class Watch:
                 bound = limits.tension_share * tendon.tension_trip_N
                 return f"tension of {tendon.name} {tension:.0f} N, limit {bound:.0f}"
         most = max(limits.ringing * self._most, limits.ringing_floor_Nm_per_s)
-        return f"motor torques ring with {ringing:.0f} N m/s, limit {most:.0f}" if ringing > most else ""
+        return f"motor torques ring with {ringing:.1f} N m/s, limit {most:.1f}" if ringing > most else ""
 
 
 def scores(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> list[Score]:
