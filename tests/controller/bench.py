@@ -46,7 +46,7 @@ class ToyHand:
         self.mass = np.array([m.inertia_kg_m2 for m in motors]) / self.spool**2
         self.coulomb = np.array([m.coulomb_N_m for m in motors]) / self.spool
         self.stiffness = np.array([t.stiffness_N_per_m for t in hand.tendon])
-        self.damping = 150.0
+        self.damping = np.full(len(self.stiffness), 150.0)
         n = len(motors)
         self.x, self.v, self.tension, self.bias = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
         self.order, self.silent_sensors, self.braked = list(range(n)), False, False
@@ -68,6 +68,10 @@ class ToyHand:
                     self.force_of[i] = 0.0
         self._move()
         return [answer._replace(t_ns=t_ns + 100_000 + i) for i, answer in enumerate(answers)]
+
+    def tear(self, i: int) -> None:
+        """Tear rope i: it bears nothing any more, however fast its spool runs."""
+        self.stiffness[i] = self.damping[i] = 0.0
 
     def close(self) -> None:
         """Nothing is kept."""
