@@ -49,6 +49,9 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
     np.testing.assert_allclose(closing.pull * opening.pull, tension**2, rtol=0.12)
     told = load_statics(model, stood(model, theta, -0.05), tension, np.full(model.tendon_count, 1.0))
     np.testing.assert_allclose(told.pull, closing.pull, err_msg="what is known of friction goes before the speed")
+    np.testing.assert_allclose(
+        told.eager, opening.pull, err_msg="but leaving a stop goes by the speed, or 0.5 deg are lost"
+    )
     np.testing.assert_array_equal(still.resistance, closing.resistance)
 
 

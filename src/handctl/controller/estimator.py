@@ -179,7 +179,7 @@ def _regimes(
     if still_taut and True not in state.stopped and state.regimes == _touching(model, contact):
         return state._replace(x=x, turning=(0,) * len(cells))  # taut before and now, and nowhere near a stop
     errors = x[E::STATES].tolist()
-    pull, resistance = statics.pull.tolist(), statics.resistance.tolist()
+    pull, resistance = statics.eager.tolist(), statics.resistance.tolist()
     regimes, stopped, turning = list(state.regimes), list(state.stopped), list(state.turning)
     ropes, table = state.measured, None
     for tendons, touches in zip(model.digit_tendons, contact, strict=True):

@@ -22,10 +22,12 @@ class LoadStatics(NamedTuple):
     Attributes:
         resistance: tension that return springs and gravity balance [N].
         pull: tensions at the joints that make the torques of those at the load cells, friction taken off [N].
+        eager: the same by the cable's speed alone, which is the first to tell that a digit leaves a stop [N].
     """
 
     resistance: Vector
     pull: Vector
+    eager: Vector
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,10 +125,11 @@ def load_statics(model: HandModel, table: Vector, tension: Vector, sliding: Vect
     found = known.rows.dot(table.reshape(-1)) + known.offsets
     resistance = known.weight.dot(np.sin(found[known.links])) + found[known.springs]
     developed = np.tanh(table[:, V] / FRICTION_SPEED)
+    eager = pull = known.pulls.dot((known.passed(found[known.wraps], developed) * tension).reshape(-1))
     if sliding is not None:
         developed = chosen(np.isnan(sliding), developed, sliding)
-    passed = known.passed(found[known.wraps], developed)
-    return LoadStatics(resistance, known.pulls.dot((passed * tension).reshape(-1)))
+        pull = known.pulls.dot((known.passed(found[known.wraps], developed) * tension).reshape(-1))
+    return LoadStatics(resistance, pull, eager)
 
 
 def tendon_efficiency(model: HandModel, q: Vector, speed: Vector) -> Vector:
