@@ -66,6 +66,7 @@ def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
     (Entry("B12", "t", "fault table", ticks=1, asked=1), "2 ms, 1 ticks | campaign |"),
     (Entry("B12", "t", "fault table", ticks=2, odrive_ms=9), "4 ms, 2 ticks; ODrive 9 ms more | campaign |"),
     (Entry("B12", "t", "fault table", tried="x.py"), "1 tick | x.py |"),
+    (Entry("B12", "t", "fault table", ticks=4, ms=15_000), "15008 ms, 7504 ticks | campaign |"),
     (Entry("B12", "t", "files", tried="x.py"), "before torque | x.py |"),
     (Entry("B12", "t", "files", ms=4), "4 ms, 2 ticks | campaign |"),
 ])  # fmt: skip

@@ -202,10 +202,10 @@ def test_positions_are_screened_apart():
     state, jumped, twisted = screen(WATCHER, state, np.array([0.11, 0.19]), np.array([0.29, 0.41]))
     assert jumped.tolist() == [0.11, 0.0]
     assert twisted.tolist() == [0.0, 0.41]
-    state, jumped, twisted = screen(WATCHER, state, np.array([0.0, 0.19]), None)
+    state, jumped, twisted = screen(WATCHER, state, np.array([0.05, 0.19]), None)
     assert (jumped, twisted) == (None, None)
     assert state.joints.gap.tolist() == [1.0, 2.0]
-    assert state.motors.value.tolist() == [0.0, 0.19]
+    assert state.motors.value.tolist() == [0.05, 0.19]
     assert state.motors == jumps.Accepted(state.motors.value, state.motors.gap)
 
 
