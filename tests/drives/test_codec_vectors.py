@@ -116,3 +116,11 @@ def test_registers_of_a_damiao_drive() -> None:
     assert mit.register_reply(bytes((3, 1, mit.READ, mit.TIMEOUT)) + bytes(4), 3) is None, "of node 0x103"
     assert mit.register_reply(bytes((3, 0, 0x77, mit.TIMEOUT)) + bytes(4), 3) is None
     assert mit.register_reply(bytes((4, 0, mit.READ, mit.TIMEOUT)) + bytes(4), 3) is None
+
+
+def test_requests_for_registers() -> None:
+    assert mit.register_request(3, mit.READ, mit.TIMEOUT, 9.0) == bytes((3, 0, mit.READ, mit.TIMEOUT)) + bytes(4)
+    assert mit.register_request(0x103, mit.REFRESH) == bytes((3, 1, mit.REFRESH, 0)) + bytes(4)
+    written = mit.register_request(3, mit.WRITE, mit.PMAX, 12.5)
+    assert written == bytes((3, 0, mit.WRITE, mit.PMAX)) + struct.pack("<f", 12.5)
+    assert mit.register_request(3, mit.WRITE)[3:] == bytes(5), "register 0, value 0"

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.drives.frame import Frame
-from handctl.drives.sensor_node import SensorNode, SensorState
+from handctl.drives.sensor_node import TENSION_TOP_N, TENSION_ZERO_N, SensorNode, SensorState, saturated
 
 RAW = st.integers(0, 4095)
 CHANNELS = 11
@@ -193,3 +193,21 @@ def test_groups_belong_to_their_node(node: SensorNode) -> None:
     short = state.groups[0]._replace(raw=state.groups[0].raw[:1])
     with pytest.raises(ValueError, match="zip"):
         node.new_tensions(whole, state._replace(groups=(short, *state.groups[1:])))
+
+
+def test_what_is_stale_and_what_cannot_be_read_are_counted_apart(node: SensorNode) -> None:
+    state, _ = node.sync(node.initial(), 1)
+    state = node.receive(state, Frame(0x1A0, bytes(3)))
+    (good, *_) = encoded(0x1A0, "tension", 2, [1.0] * CHANNELS)
+    state = node.receive(state, good)
+    assert (state.misread, state.stale) == (1, 1)
+    (fresh, *_) = encoded(0x1A0, "tension", 1, [1.0] * CHANNELS)
+    state = node.receive(state, fresh)
+    assert (state.misread, state.stale) == (1, 1), "neither is forgotten with the next good frame"
+
+
+def test_channels_that_are_empty_or_full() -> None:
+    low, top = TENSION_ZERO_N, TENSION_TOP_N
+    cells = [(0, low), (1, low + 0.1), (3, top - 0.1), (4, top), (7, math.nan)]
+    assert saturated(cells) == (0, 4, 7)
+    assert saturated([]) == ()
