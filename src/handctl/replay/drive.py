@@ -42,7 +42,8 @@ def recording(log: RunLog, period: float) -> Recording:
     A digit whose joints have no goal in either neighbouring tick held its tension: its joint goals are NaN.
     """
     begin, end = stretch(log)
-    times = np.asarray(begin + np.arange(round((end - begin) / period) + 1) * period, np.float64)
+    steps = np.rint(np.arange(round((end - begin) / period) + 1) * (period * 1e9))
+    times = np.asarray((round(begin * 1e9) + steps.astype(np.int64)) * 1e-9, np.float64)  # as ``log.times``, to the bit
     q, dq, tension = (_sampled(log, name, times) for name in ("q_goal", "dq_goal", "tension_goal"))
     ddq = np.gradient(log.field("dq_goal"), log.header.period_ns * 1e-9, axis=0)
     rate = _at(log, ddq, times)
