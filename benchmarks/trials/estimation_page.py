@@ -70,10 +70,13 @@ def _conclusion(result: dict) -> str:
     if above:
         text += f"Worse than the raw cell: {'; '.join(above)}. "
     return text + (
-        "A reversal flips the friction of the pulleys, up to a third of the tension, within a few milliseconds, and "
-        "the light digit rings: no filter that averages follows that as fast as the cell itself. While the rope is "
-        "taut nothing can tell the cell's error from tension: a bias is in the estimate as it is in the cell, and is "
-        "found only when the rope hangs loose."
+        "As a value for the present, a period later, the cell itself is worse, too (*raw now*). What the estimate "
+        "makes of the present includes one period of delay, at 200 Hz 5 ms: *limit now* is the bound of that; jamia11 "
+        "stays near it. Where a digit turns, friction takes the tension from one edge of its band to the other; the "
+        "filter is told how, from the cable's own speed. At an impact the first two samples decide, and a filter that "
+        "averages is late. While the rope is taut nothing can tell the cell's error from tension: a bias is in the "
+        "estimate as it is in the cell, and is found only when the rope hangs loose. The best average and the best "
+        "filter on the cell alone are chosen for each regime with hindsight, so that one of them wins here and there."
     )
 
 

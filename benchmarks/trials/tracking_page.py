@@ -8,6 +8,19 @@ ENDED = "ended"
 """For a law with which safety ends at least one of the runs."""
 
 
+WEAK = (
+    "Of one fast motion from rest, as in the tuning (seed 1000, `benchmarks/trials/tuned.json`, before the last "
+    "changes of the filter), the best PD errs by 0.525 deg on jamia and 0.967 deg on jamia11, the full computed "
+    "torque by 0.089 and 0.160 deg: 5.9 and 6.0 times better. In the table the fast motion is the third of a run."
+    " On jamia, which has no joint encoders, the estimated angle is by then 0.3 to 0.5 deg off (*steady*), which "
+    "no law can see: each return to the open stop leaves some of the rope's stretch in the wrong place. That is a"
+    " weakness of the estimate, found here and not mended, and it hides what the laws differ by. On jamia11 "
+    "weights that were tuned for one motion at the plant as known are too stiff for PD and for springs alone in a"
+    " sequence of motions. With one seed there is no spread."
+)
+"""What the tables do not say by themselves."""
+
+
 def section(result: dict, named: tuple[str, str, str, str]) -> str:
     """Markdown of a result of ``tracking.measure``; ``named``: PD alone, springs and gravity, best, misprinted."""
     parts = ["## Tracking: what each part of the law is worth", ""]
@@ -33,7 +46,7 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
         parts += ["", table(head, rows), "", _conclusion(hand, laws, named)]
         if len(plants) > 1:
             parts += ["", _wrong(hand, plants, named)]
-    parts += ["", "![Tracking error at the fast motion, by law](figures/control-tracking.png)"]
+    parts += ["", WEAK, "", "![Tracking error at the fast motion, by law](figures/control-tracking.png)"]
     return "\n".join(parts)
 
 
@@ -43,7 +56,8 @@ def _number(value: float) -> str:
 
 def _cell(row: dict[str, float]) -> str:
     finite = np.isfinite(row["rmse_deg"])
-    return f"{row['rmse_deg']:.3f} ± {row['rmse_spread_deg']:.3f}" if finite else ENDED
+    spread = f" ± {row['rmse_spread_deg']:.3f}" if row["seeds"] > 1 else ""
+    return f"{row['rmse_deg']:.3f}{spread}" if finite else ENDED
 
 
 def _conclusion(hand: str, laws: dict, named: tuple[str, str, str, str]) -> str:
@@ -52,12 +66,19 @@ def _conclusion(hand: str, laws: dict, named: tuple[str, str, str, str]) -> str:
     ratio, gain = plain["rmse_deg"] / best["rmse_deg"], springs["rmse_deg"] - best["rmse_deg"]
     spread = max(best["rmse_spread_deg"], springs["rmse_spread_deg"])
     verdict = "more" if ratio >= 5 else "less"
+    gained = f"{gain:+.2f} deg better than springs and gravity alone" + _times(gain, spread, best["seeds"])
+    if not np.isfinite(gain):
+        gained = "springs and gravity alone do not get to the end"
     return (
         f"At the fast motion the whole law tracks {ratio:.1f} times better than PD ({verdict} than the five times "
-        f"asked for), and {gain:.2f} deg better than springs and gravity alone, {gain / max(spread, 1e-9):.0f} times "
-        f"the spread. What each step gains at the fast motion, with the spread of the difference: {_steps(laws)}. "
-        f"{_printed(printed, best)}"
+        f"asked for); {gained}. What each step gains at the fast motion, with the spread of the difference: "
+        f"{_steps(laws)}. {_printed(printed, best)}"
     )
+
+
+def _times(gain: float, spread: float, seeds: int) -> str:
+    """How many spreads a gain is, if there are seeds to tell."""
+    return f", {gain / max(spread, 1e-9):.0f} times the spread" if seeds > 1 else " (one seed: no spread)"
 
 
 def _steps(laws: dict) -> str:
