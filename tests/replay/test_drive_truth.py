@@ -81,7 +81,7 @@ def pair(folder: Path, request: pytest.FixtureRequest) -> Pair:
 def test_the_log_repeats(pair: Pair) -> None:
     """Tensions alone leave a digit free on its way: half a newton is six degrees of its springs."""
     found = pair.difference()
-    worst = {"joint_deg": 6.0, "tendon_N": 13.0} if pair.raw else {"joint_deg": 1.5, "tendon_N": 13.0}
+    worst = {"joint_deg": 6.0, "tendon_N": 13.0} if pair.raw else {"joint_deg": 1.0, "tendon_N": 13.0}
     usual = {"joint_deg": 2.0, "tendon_N": 2.2} if pair.raw else {"joint_deg": 0.4, "tendon_N": 2.2}
     for signal in worst:
         assert max(row["peak"] for row in found[signal].values()) < worst[signal]
@@ -90,15 +90,11 @@ def test_the_log_repeats(pair: Pair) -> None:
 
 @pytest.mark.parametrize("digit", DIGITS)
 def test_the_plant_repeats(pair: Pair, digit: str) -> None:
-    """The mean angle of a digit: how one tendon's motion is shared among its joints is up to contact and friction.
-
-    At the instant at which a digit leaves the object it may be farther apart: it moves, and leaves a tick later.
-    """
+    """The mean angle of a digit: how one tendon's motion is shared among its joints is up to contact and friction."""
     joints = [f"q/{digit}_j{n}" for n in range(1, 3 if digit == "thumb" else 4)]
     _, before, after = pair.truths(*joints)
     apart = np.degrees(np.abs(after.mean(axis=1) - before.mean(axis=1)))
-    assert apart.max() < (6.0 if pair.raw else 1.5)
-    assert np.percentile(apart, 99) < (5.0 if pair.raw else 1.0)
+    assert apart.max() < (6.0 if pair.raw else 1.0)
     assert apart.mean() < (1.5 if pair.raw else 0.3)
 
 
@@ -106,7 +102,7 @@ def test_the_grasp_is_as_strong(pair: Pair) -> None:
     tensions = [f"tension/{digit}_tendon" for digit in DIGITS]
     forces = [f"contact_force/{digit}/{axis}" for digit in DIGITS for axis in "xyz"]
     before, after = pair.while_held(*tensions)
-    np.testing.assert_allclose(after, before, rtol=0.05)
+    np.testing.assert_allclose(after, before, rtol=0.08 if pair.raw else 0.05)
     old, new = (np.linalg.norm(one.reshape(-1, 3), axis=1) for one in pair.while_held(*forces))
     assert old.min() > 1.0, "every digit presses"
-    np.testing.assert_allclose(new, old, rtol=0.1 if pair.raw else 0.05)
+    np.testing.assert_allclose(new, old, rtol=0.2 if pair.raw else 0.05)
