@@ -354,3 +354,13 @@ def test_neither_state_nor_measurements_are_changed(model: HandModel) -> None:
         np.testing.assert_array_equal(now, before)
     np.testing.assert_array_equal(first.x, second.x)
     assert first.regimes == second.regimes
+
+
+def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None:
+    """Friction holds it there; taken for stopped, each return made its angle wrong by a little more."""
+    x = np.zeros((model.tendon_count, STATES))
+    x[:, S] = 1e-5
+    cell = 0.9 * load_statics(model, x, np.zeros(len(x))).resistance
+    x[:, X] = x[:, S] + cell / model.space.stiffness
+    state, _ = step(model, all_in(model, Regime.FREE, x), readings(model, x, cell), cell, nowhere(model))
+    assert not any(state.stopped)

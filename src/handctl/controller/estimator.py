@@ -24,8 +24,9 @@ from handctl.controller.types import Vector
 FREE, HELD, SLACK = (int(regime) for regime in Regime)
 STOP_BAND_M = (2e-5, 1e-4)
 """Excursion below which a digit may be on its open stop: to come to rest there, and to stay [m]."""
-STOP_PULL = (1.0, 1.05)
-"""Pull, as a share of what the springs ask, below which it is: to come to rest, and to stay."""
+STOP_PULL = (0.8, 1.05)
+"""Pull, as a share of what the springs ask, below which it is: to come to rest, so little that friction cannot hold
+it just above the stop, and to stay."""
 LOOSE_M = 2e-4
 """Rope that must hang loose for its load cell to show nothing but its error."""
 
