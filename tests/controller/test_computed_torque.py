@@ -118,6 +118,17 @@ def test_no_integral_while_the_rope_is_slack(model: HandModel) -> None:
     assert (law.integral > 0).all()
 
 
+def test_a_slack_rope_is_wound_against_the_friction_of_its_motor(model: HandModel) -> None:
+    """However soft the loop is: a pull of 3 N must end in a taut rope."""
+    law = LawState.idle(np.zeros(model.tendon_count))
+    loose = known(model, np.zeros((model.tendon_count, STATES)))._replace(slack=np.ones(model.tendon_count, dtype=bool))
+    for k in range(round(0.1 / model.period)):
+        law, command = step(model, law, loose, holding(model, 3.0), k * model.period)
+    assert (command.torque / model.space.spool > model.space.coulomb + 2.0).all()
+    _, command = step(model, LawState.idle(np.zeros(model.tendon_count)), loose, holding(model, 0.0), 0.0)
+    assert not command.torque.any(), "nothing is wound for nothing"
+
+
 def test_tension_goals_stay_below_the_ceiling(model: HandModel) -> None:
     law, estimate = LawState.initial(model.tendon_count), known(model, at_rest(model, 0.5))
     for k in range(3000):
@@ -222,10 +233,10 @@ def test_with_perfect_knowledge_the_tension_is_held(model: HandModel) -> None:
 
 def test_arguments_are_left_alone(model: HandModel) -> None:
     estimate, state = known(model, at_rest(model, 0.5)), LawState.initial(model.tendon_count)
-    before = [getattr(estimate, name).copy() for name in Estimate.__slots__]
+    before = [getattr(estimate, name).copy() for name in Estimate._fields]
     first = step(model, state, estimate, holding(model, 20.0), 0.0)
     second = step(model, state, estimate, holding(model, 20.0), 0.0)
-    for name, copy in zip(Estimate.__slots__, before, strict=True):
+    for name, copy in zip(Estimate._fields, before, strict=True):
         np.testing.assert_array_equal(getattr(estimate, name), copy)
     assert not state.setpoint.any()
     np.testing.assert_array_equal(first[1].torque, second[1].torque)

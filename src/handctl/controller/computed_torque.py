@@ -271,6 +271,8 @@ def _hold(
         + integral
         - constants(model).rejection * estimate.motor_disturbance
     )
+    if np.count_nonzero(estimate.slack):  # no tension feeds back yet, and a small one does not turn a rotor at rest
+        force = force + only(estimate.slack & (setpoint > 0.0), model.space.coulomb)
     if table.expected:
         force = force + _expected(model, table, t)
     return _Hold(_within(force, -table.limit, table.limit), setpoint, integral)

@@ -8,10 +8,10 @@ SLACK_BELOW_N, SLACK_TICKS = 1.0, 3
 """Estimated and measured tension below this (two standard deviations of the load cell) for so many ticks is slack."""
 TAUT_ABOVE_N = 2.5
 """A load-cell sample above this ends slack at once (five standard deviations)."""
-EVIDENCE = ((TAUT_ABOVE_N, 6), (1.5, 2), (0.75, 1))
+EVIDENCE = ((TAUT_ABOVE_N, 6), (1.5, 2), (1.0, 1))
 """Points that a sample above a tension [N] counts for a taut rope; one below all of them takes ``AGAINST`` away."""
 AGAINST, TAUT_POINTS = 2, 6
-"""Noise of 0.5 N alone comes to so many points about once in three million ticks."""
+"""Noise of 0.5 N alone hardly ever comes to so many points, nor does a cell that has drifted by less than 1 N."""
 
 
 def turning(regime: int, points: int, tension: float, cell: float, error: float) -> int:
