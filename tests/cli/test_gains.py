@@ -11,8 +11,11 @@ import pytest
 from handctl.cli.commission import write_calibration
 from handctl.cli.main import main
 from handctl.controller.calibration import Calibration, TendonCalibration
+from handctl.controller.gains import Gains
 from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
+
+PACKAGED_N = Gains().motion.force_N
 
 
 @pytest.fixture
@@ -45,10 +48,10 @@ def test_packaged_gains_say_so(capsys):
 
 
 def test_diff_rollback_and_log(applied, capsys):
-    assert told(capsys, "gains", "diff")["changed"] == {"motion.force_N": [20.0, 30.0]}
+    assert told(capsys, "gains", "diff")["changed"] == {"motion.force_N": [PACKAGED_N, 30.0]}
     assert told(capsys, "gains", "diff", "1", "2")["changed"] == {"motion.force_N": [25.0, 30.0]}
     assert told(capsys, "gains", "rollback")["provenance"]["restores"] == 1
-    assert told(capsys, "gains", "diff")["changed"] == {"motion.force_N": [20.0, 25.0]}
+    assert told(capsys, "gains", "diff")["changed"] == {"motion.force_N": [PACKAGED_N, 25.0]}
     history = told(capsys, "gains", "log")
     assert history["present"] == 3
     assert [entry["note"] for entry in history["entries"]] == ["25 N", "30 N", "rollback to 1"]

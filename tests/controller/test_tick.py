@@ -370,5 +370,5 @@ def test_a_hand_armed_under_tension_is_not_jerked() -> None:
     run.peer.braked = True
     run.until(Mode.ACTIVE)
     first = run.history[-1][2].telemetry
-    np.testing.assert_allclose(first.tension, 20.0, atol=4.0)
+    np.testing.assert_allclose(first.tension, 20.0, atol=6.0)
     assert (first.motor_torque_goal > 0.0).all(), "no kick backwards"

@@ -68,5 +68,5 @@ def test_the_gain_margin_is_where_the_loop_becomes_unstable(jamia: HandModel, ki
 
 def test_a_push_is_answered(jamia: HandModel) -> None:
     """A held tension comes back from a push of 1 N; a blocked rotor without a controller would keep all of it."""
-    _, tension = step_response(jamia, 0, LoopKind.TENSION, 0.5)
+    _, tension = step_response(jamia, 0, LoopKind.TENSION, 1.0)
     assert abs(tension[-1]) < 0.3 < np.abs(tension).max() < 2.0

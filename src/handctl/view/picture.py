@@ -15,6 +15,8 @@ SIZE = "1600x900"
 LOAD_S, SETTLE_S = 60.0, 1.0
 TOAST_S = 5.0
 """So long after its start the viewer still shows notices over the picture."""
+STILL_S = 10.0
+"""A picture that has not come to rest by then is taken as it is."""
 
 
 def draw(rrd: Path, at_s: float, out: Path) -> list[str]:
@@ -39,13 +41,25 @@ def draw(rrd: Path, at_s: float, out: Path) -> list[str]:
         wait_loaded(client)
         client.set_time(TIMELINE, duration=at_s, play_state="paused")
         time.sleep(max(SETTLE_S, clear - time.monotonic()))
-        png = client.take_screenshot()
+        png = still(client)
         reports = view_reports(client)
     try:
         out.write_bytes(png)
     except OSError as error:
         raise LogError(f"cannot write: {error.strerror}", str(out), "a place for the picture") from error
     return reports
+
+
+def still(client: "ViewerClient") -> bytes:
+    """The picture once it has stopped changing: on a busy machine views are drawn one after the other."""
+    end = time.monotonic() + STILL_S
+    before = client.take_screenshot()
+    while True:
+        time.sleep(SETTLE_S)
+        now = client.take_screenshot()
+        if now == before or time.monotonic() > end:
+            return now
+        before = now
 
 
 def connected(running: Viewer) -> "ViewerClient":
