@@ -16,6 +16,8 @@ from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
 
 PACKAGED_N = Gains().motion.force_N
+SAME = f"tension.force_N={Gains().tension.force_N}"
+"""A setting that changes nothing."""
 
 
 @pytest.fixture
@@ -92,7 +94,7 @@ def test_set_on_a_running_hand_is_in_its_log(place):
         try:
             assert "ready" in hand.stdout.readline()
             run = subprocess.Popen([*handctl, "run", "--bus", "local:set", "--log", str(log), "--json"])
-            change = [*handctl, "gains", "set", "motion.force_N=26", "tension.force_N=15", "--bus", "local:set"]
+            change = [*handctl, "gains", "set", "motion.force_N=26", SAME, "--bus", "local:set"]
             end = time.monotonic() + 60.0
             while (said := subprocess.run([*change, "--json"], capture_output=True, text=True)).returncode:
                 assert time.monotonic() < end, said.stderr
