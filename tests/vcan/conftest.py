@@ -21,8 +21,8 @@ INSIDE = Path(__file__).parent / "inside"
 REPORTS_FILE = os.environ.get("HANDCTL_VCAN_REPORTS")
 REQUIRED = os.environ.get("HANDCTL_REQUIRE_VCAN") == "1"
 GUEST_TIMEOUT_S = 1500.0
-SLOW = ("test_run.py", "test_drive.py")
-"""Files whose tests wait for minutes of slowed time."""
+TOGETHER = ("test_run.py", "test_drive.py", "test_foreign_clients.py", "test_firmware_sim.py", "test_bus_doctor.py")
+"""Files that share a guest: a run in slowed time, and so much besides that both guests end at about the same time."""
 Reports = dict[str, list[pytest.TestReport]]
 _reports = pytest.StashKey[Reports]()
 
@@ -61,12 +61,12 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
 
 
 def _run_inside(items: Sequence[pytest.Item]) -> Reports:
-    """Runs all these tests, a guest for those that wait longest and one for the rest: a guest has one core."""
+    """Runs all these tests, half of them in each of two guests: a guest has one core."""
     kind, why_not = uml.means()
     if not kind:
         return {item.nodeid: [_report(item, "skipped", (str(item.path), 0, why_not))] for item in items}
-    slow = [item for item in items if item.path.name in SLOW]
-    shares = [share for share in (slow, [item for item in items if item not in slow]) if share]
+    one = [item for item in items if item.path.name in TOGETHER]
+    shares = [share for share in (one, [item for item in items if item not in one]) if share]
     with ThreadPoolExecutor(len(shares)) as guests:
         parts = list(guests.map(_run_in_guest, shares))
     return {nodeid: reports for part in parts for nodeid, reports in part.items()}

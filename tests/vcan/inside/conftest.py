@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-TIME_SCALE = 0.1
+TIME_SCALE = 0.15
 """The guest has one core, and a look at a clock is a system call: plant, watchdogs and deadlines run at a tenth."""
 READY_S, END_S = 60.0, 20.0
 
