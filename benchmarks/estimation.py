@@ -20,6 +20,7 @@ from trials.hands import CLEAR, known
 from trials.jobs import Plan, add_options, collect, plan_of
 from trials.limits import DRIFT_N2_PER_S, limit
 from trials.lockstep import RATES_HZ, Course, Trial, run
+from trials.plants import PLANTS, TO_CONTACT
 from trials.script import Script, Step
 from trials.windows import REGIMES, windows
 
@@ -30,16 +31,6 @@ from handctl.controller.task import Task
 from handctl.document import validated
 
 HANDS = ("jamia", "jamia11")
-PLANTS: dict[str, dict[str, float]] = {
-    "as known": {},
-    "stiffness +20 %": {"stiffness": 1.2},
-    "stiffness -20 %": {"stiffness": 0.8},
-    "mass +20 %": {"mass": 1.2},
-    "mass -20 %": {"mass": 0.8},
-    "friction +50 %": {"friction": 1.5},
-    "friction -50 %": {"friction": 0.5},
-    "bias 1 N": {"bias": 1.0},
-}
 MOVES = Script(
     (
         Step("slow", 1.0, angle_deg=30.0, move_s=0.8),
@@ -55,9 +46,7 @@ GRASP = {
     "schema": 1,
     "name": "estimation",
     "phase": [
-        {"kind": "move", "name": "preshape", "angle_deg": {"index": 18.0, "middle": 18.0, "ring": 18.0, "thumb": 3.0},
-         "duration_s": 0.4},
-        {"kind": "close", "name": "close", "angle_deg": 85.0, "speed_deg_s": 60.0, "contact_tension_N": 14.0},
+        *TO_CONTACT,
         {"kind": "hold", "name": "hold", "tension_N": 30.0, "rate_N_per_s": 60.0, "duration_s": 1.5},
         {"kind": "release", "name": "release", "tension_N": 9.0, "rate_N_per_s": 100.0},
     ],
@@ -66,7 +55,7 @@ STRONG = {
     **GRASP,
     "name": "beyond the knee",
     "phase": [
-        *GRASP["phase"][:2],
+        *TO_CONTACT,
         {"kind": "hold", "name": "hold", "tension_N": 180.0, "rate_N_per_s": 200.0, "duration_s": 1.2},
         {"kind": "hold", "name": "strong", "tension_N": 232.0, "rate_N_per_s": 100.0, "duration_s": 1.2},
         {"kind": "hold", "name": "less", "tension_N": 160.0, "rate_N_per_s": 200.0, "duration_s": 0.6},

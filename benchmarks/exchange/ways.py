@@ -3,12 +3,10 @@
 What users would pick from the package index instead is in ``clients``.
 """
 
-import struct
 from functools import partial
 
 LIMIT, POSITION, VELOCITY = 0.8, 12.5, 50.0
 REPLY = bytes((0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 31))
-FEEDBACK = struct.Struct(">BH5B")
 DBC = """VERSION ""
 NS_ :
 BS_:

@@ -13,9 +13,11 @@ from handctl.controller.gains import Gains, MotionGains, TensionGains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.task import Task
 from handctl.document import validated
+from trials import plants
 from trials.jobs import Plan, collect
 from trials.laws import force_scale, on_raw_tension
 from trials.lockstep import RATES_HZ, Course, Trial, run, unchanged
+from trials.plants import TO_CONTACT
 
 LOW_N, HIGH_N, RATE_N_PER_S, HOLD_S = 15.0, 40.0, 5000.0, 0.6
 STEADY_S, BAND_N = 0.2, 2.0
@@ -24,22 +26,14 @@ TASK = {
     "schema": 1,
     "name": "force",
     "phase": [
-        {"kind": "move", "name": "preshape", "angle_deg": {"index": 18.0, "middle": 18.0, "ring": 18.0, "thumb": 3.0},
-         "duration_s": 0.4},
-        {"kind": "close", "name": "close", "angle_deg": 85.0, "speed_deg_s": 60.0, "contact_tension_N": 14.0},
+        *TO_CONTACT,
         {"kind": "hold", "name": "low", "tension_N": LOW_N, "rate_N_per_s": 60.0, "duration_s": 1.0},
         {"kind": "hold", "name": "up", "tension_N": HIGH_N, "rate_N_per_s": RATE_N_PER_S, "duration_s": HOLD_S},
         {"kind": "hold", "name": "down", "tension_N": LOW_N, "rate_N_per_s": RATE_N_PER_S, "duration_s": HOLD_S},
     ],
 }  # fmt: skip
-PLANTS: dict[str, dict[str, float]] = {
-    "as known": {},
-    "stiffness +20 %": {"stiffness": 1.2},
-    "stiffness -20 %": {"stiffness": 0.8},
-    "friction +50 %": {"friction": 1.5},
-    "friction -50 %": {"friction": 0.5},
-    "bias 1 N": {"bias": 1.0},
-}
+PLANTS = {plant: wrong for plant, wrong in plants.PLANTS.items() if "mass" not in wrong}
+"""Of a hand that hardly moves."""
 WEIGHT_N, FORCE_N, INTEGRAL_PER_S = 4.0, 15.0, 3.0
 """Of both loops alike: tension error that counts like that motor force, and the integral; none of them is tuned."""
 

@@ -21,6 +21,7 @@ from trials.hands import CLEAR
 from trials.jobs import Plan, add_options, collect, plan_of
 from trials.laws import LAWS
 from trials.lockstep import RATES_HZ, Course, Trial, run
+from trials.plants import PLANTS
 from trials.script import Script, Step
 
 HANDS = ("jamia", "jamia11")
@@ -28,16 +29,6 @@ SPEEDS = {"slow": 1.5, "medium": 0.5, "fast": 0.15}
 """Duration of a motion of 60 degrees [s], minimum jerk."""
 ANGLE_DEG, SETTLE_S, BACK_S, REST_S, AFTER_S, BAND_DEG = 60.0, 0.5, 0.5, 0.2, 0.05, 1.0
 """Of the motion; to settle after it; of the way back, to rest after that; still counts as motion; as settled."""
-PLANTS: dict[str, dict[str, float]] = {
-    "as known": {},
-    "mass +20 %": {"mass": 1.2},
-    "mass -20 %": {"mass": 0.8},
-    "stiffness +20 %": {"stiffness": 1.2},
-    "stiffness -20 %": {"stiffness": 0.8},
-    "friction +50 %": {"friction": 1.5},
-    "friction -50 %": {"friction": 0.5},
-    "bias 1 N": {"bias": 1.0},
-}
 WEIGHTS = tuple(
     (p * 1e-4, v * 1e-2) for p, v in ((0.2, 1), (0.3, 1.5), (0.5, 2), (0.8, 3), (1.5, 3), (3, 3), (3, 6), (6, 6))
 )

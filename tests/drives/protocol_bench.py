@@ -117,3 +117,8 @@ def described(protocol: str, node: int, torque: float, options: dict[str, object
             "watchdog_ms": 50, "options": options,
         }
     )  # fmt: skip
+
+
+def servo_torques(bench: Bench) -> list[float]:
+    """What the simulated drives are really told to do."""
+    return [motor.servo.torque for motor in bench.rig.world.plant.motors.values()]

@@ -16,7 +16,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.runtime.conformance import Subject, Verdict, checks
-from tests.drives.protocol_bench import Bench, described, hand_file
+from tests.drives.protocol_bench import Bench, described, hand_file, servo_torques
 from tests.drives.virtual_bench import VirtualBench, rig_on
 
 STEP_N_M = 36.0 / 4095
@@ -27,10 +27,6 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     made = Bench(hand_file(tmp_path, ["cubemars"]))
     yield made
     made.rig.close()
-
-
-def servo_torques(bench: Bench) -> list[float]:
-    return [motor.servo.torque for motor in bench.rig.world.plant.motors.values()]
 
 
 def first(bench: Bench) -> CubemarsNode:

@@ -9,7 +9,7 @@ import pytest
 
 from handctl.drives.contract import Phase, Want
 from handctl.drives.frame import EXTENDED, FDF, REMOTE, Frame
-from tests.drives.protocol_bench import GUARDED, Bench, hand_file
+from tests.drives.protocol_bench import GUARDED, Bench, hand_file, servo_torques
 
 
 @pytest.fixture(params=GUARDED)
@@ -22,11 +22,6 @@ def bench(protocol: str, tmp_path: Path) -> Iterator[Bench]:
     made = Bench(hand_file(tmp_path, [protocol]))
     yield made
     made.rig.close()
-
-
-def servo_torques(bench: Bench) -> list[float]:
-    """What the simulated drives are really told to do."""
-    return [motor.servo.torque for motor in bench.rig.world.plant.motors.values()]
 
 
 def test_from_silence_to_torque_and_a_confirmed_standstill(bench: Bench) -> None:

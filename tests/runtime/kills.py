@@ -29,8 +29,7 @@ from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
 from handctl.report.truth import Truth, read_truth
 from handctl.runtime.places import faults_path, local_bus_path, run_dir
-from tests.runtime.processes import BUS, end, start_hand
-from tests.runtime.test_process import LONG, write_calibration
+from tests.runtime.processes import BUS, LONG, end, start_hand, write_calibration
 
 SYNC, RECORD = 0x080, 72
 RATE_HZ = 500.0

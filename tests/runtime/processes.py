@@ -1,5 +1,6 @@
 """Real processes for the tests: a simulated hand, and handctl in another process."""
 
+import datetime
 import json
 import os
 import select
@@ -9,10 +10,16 @@ import sys
 import time
 from pathlib import Path
 
+from handctl.hand.description import Hand
+from handctl.hand.toml_text import toml_text
 from handctl.runtime.mailbox import Watcher
 
 READY_S = 60.0
 BUS = "local:t"
+GO = 'schema = 1\nname = "short"\n'
+MOVE = '[[phase]]\nkind = "move"\nname = "{name}"\nangle_deg = {angle}\nduration_s = {duration}\n'
+SHORT = GO + MOVE.format(name="bend", angle=25.0, duration=0.5) + MOVE.format(name="open", angle=0.0, duration=0.4)
+LONG = GO + MOVE.format(name="bend", angle=40.0, duration=0.5) + MOVE.format(name="stay", angle=40.0, duration=60.0)
 
 
 def start_hand(truth: Path, *words: str) -> "subprocess.Popen[str]":
@@ -68,3 +75,12 @@ def wait_for(phase: str, watcher: Watcher, process: "subprocess.Popen[str]", tim
 def sockets() -> list[str]:
     """What lies in the folder for sockets."""
     return sorted(os.listdir(os.environ["HANDCTL_RUN_DIR"]))
+
+
+def write_calibration(path: Path, description: Hand) -> None:
+    """A calibration of this minute for a hand that starts homed: nothing to tare, nothing to zero."""
+    made = datetime.datetime.now(datetime.UTC).isoformat()
+    nothing = {"tare_N": 0.0, "zero_rad": 0.0, "answer_N": 3.0, "crosstalk_N": 0.0}
+    head = {"schema": 1, "hand": description.name, "identity": description.identity, "made": made}
+    tables = "".join(f"\n[tendon.{name}]\n{toml_text(nothing)}" for name in description.tendon_names)
+    path.write_text(toml_text(head) + tables)

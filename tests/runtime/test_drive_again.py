@@ -1,7 +1,6 @@
 """``handctl replay drive`` on the real clock: a golden grasp on a simulated hand in another process."""
 
 import json
-import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +10,7 @@ from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
 from tests.replay.repeat import mean_angles_apart, tensions_held
 from tests.replay.runs import SCENE
-from tests.runtime.processes import BUS, end, handctl, start_hand
-from tests.runtime.test_process import write_calibration
+from tests.runtime.processes import BUS, end, handctl, start_hand, write_calibration
 
 pytestmark = pytest.mark.realtime
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
@@ -20,13 +18,10 @@ SCALE = ("--time-scale", "0.7")
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
-    with tempfile.TemporaryDirectory(prefix="h-") as short:
-        monkeypatch.setenv("HANDCTL_RUN_DIR", short)
-        monkeypatch.chdir(tmp_path)
-        (tmp_path / "scene.toml").write_text(SCENE.format(friction=0.5))
-        write_calibration(tmp_path / "c.toml", load_hand("jamia"))
-        yield tmp_path
+def place(place):
+    (place / "scene.toml").write_text(SCENE.format(friction=0.5))
+    write_calibration(place / "c.toml", load_hand("jamia"))
+    return place
 
 
 def test_a_golden_grasp_repeats_on_the_local_bus(place):

@@ -4,7 +4,6 @@ import contextlib
 import os
 import select
 import subprocess
-import tempfile
 import time
 
 import pytest
@@ -12,8 +11,7 @@ import pytest
 from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
 from handctl.runtime.mailbox import Watcher
-from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, wait_for
-from tests.runtime.test_process import LONG, write_calibration
+from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, wait_for, write_calibration
 
 pytestmark = pytest.mark.realtime
 SCALE = ("--time-scale", "0.6")
@@ -22,13 +20,9 @@ ROOM = "96m"
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
-    with tempfile.TemporaryDirectory(prefix="h-") as short:
-        monkeypatch.setenv("HANDCTL_RUN_DIR", short)
-        monkeypatch.chdir(tmp_path)
-        (tmp_path / "long.toml").write_text(LONG)
-        write_calibration(tmp_path / "c.toml", load_hand("jamia"))
-        yield tmp_path
+def place(place):
+    write_calibration(place / "c.toml", load_hand("jamia"))
+    return place
 
 
 @pytest.fixture

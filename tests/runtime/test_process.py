@@ -4,10 +4,8 @@ Time is slowed where a stall of the machine would end a run, which is what a sta
 how runs begin and end.
 """
 
-import datetime
 import itertools
 import signal
-import tempfile
 import tomllib
 
 import numpy as np
@@ -20,25 +18,20 @@ from handctl.hand.toml_text import toml_text
 from handctl.log.reader import RunLog
 from handctl.report.truth import read_truth
 from handctl.runtime.mailbox import Watcher
-from tests.runtime.processes import BUS, end, handctl, said, sockets, start_hand, start_handctl, wait_for
+from tests.runtime.processes import (
+    BUS,
+    end,
+    handctl,
+    said,
+    sockets,
+    start_hand,
+    start_handctl,
+    wait_for,
+    write_calibration,
+)
 
 pytestmark = pytest.mark.realtime
 SCALE = ("--time-scale", "0.4")
-GO = 'schema = 1\nname = "short"\n'
-MOVE = '[[phase]]\nkind = "move"\nname = "{name}"\nangle_deg = {angle}\nduration_s = {duration}\n'
-SHORT = GO + MOVE.format(name="bend", angle=25.0, duration=0.5) + MOVE.format(name="open", angle=0.0, duration=0.4)
-LONG = GO + MOVE.format(name="bend", angle=40.0, duration=0.5) + MOVE.format(name="stay", angle=40.0, duration=60.0)
-
-
-@pytest.fixture
-def place(tmp_path, monkeypatch):
-    """An empty folder to work in, a short one for sockets."""
-    with tempfile.TemporaryDirectory(prefix="h-") as short:
-        monkeypatch.setenv("HANDCTL_RUN_DIR", short)
-        monkeypatch.chdir(tmp_path)
-        (tmp_path / "short.toml").write_text(SHORT)
-        (tmp_path / "long.toml").write_text(LONG)
-        yield tmp_path
 
 
 @pytest.fixture
@@ -62,14 +55,6 @@ def calibrated(place):
     """Words for a hand that starts homed: nothing to tare, nothing to zero."""
     write_calibration(place / "c.toml", load_hand("jamia"))
     return ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml")
-
-
-def write_calibration(path, description):
-    made = datetime.datetime.now(datetime.UTC).isoformat()
-    nothing = {"tare_N": 0.0, "zero_rad": 0.0, "answer_N": 3.0, "crosstalk_N": 0.0}
-    head = {"schema": 1, "hand": description.name, "identity": description.identity, "made": made}
-    tables = "".join(f"\n[tendon.{name}]\n{toml_text(nothing)}" for name in description.tendon_names)
-    path.write_text(toml_text(head) + tables)
 
 
 def ended_well(log):

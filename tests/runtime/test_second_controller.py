@@ -6,20 +6,14 @@ import pytest
 
 from handctl.hand.description import load_hand
 from tests.runtime.kills import Listener, whole
-from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl
-from tests.runtime.test_process import (
-    LONG,
-    place,  # noqa: F401 (a fixture)
-    write_calibration,
-)
+from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, write_calibration
 
 pytestmark = pytest.mark.realtime
 SCALE = 0.7
 WORDS = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", "--json")
 
 
-def test_a_second_controller_is_refused_and_the_first_goes_on(place):  # noqa: F811
-    (place / "long.toml").write_text(LONG)
+def test_a_second_controller_is_refused_and_the_first_goes_on(place):
     write_calibration(place / "c.toml", load_hand("jamia"))
     simulated = start_hand(place / "hand.truth", "--hand", "jamia", "--time-scale", str(SCALE))
     first = start_handctl("run", *WORDS, "--log", "first.mcap", "--time-scale", str(SCALE))
