@@ -78,15 +78,17 @@ def least(runs: Iterable[list[float]]) -> float:
 
 def written_down(stack: Stack, seconds: float) -> Rollout:
     """Run the stack and note what it does to the bodies."""
-    engine = stack.engine
-    model_step, rows, contacts = engine.step, [], []
+    engine, plant = stack.engine, stack.peer.world.plant
+    advance, rows, contacts = plant.advance, [], []
 
-    def step() -> None:
-        rows.append((engine.applied.copy(), engine.rope_damping.copy(), engine._data.mocap_pos.copy()))
-        model_step()
-        contacts.append(engine._data.ncon)
+    def step_by_step(count: int) -> None:
+        for _ in range(count):
+            table = engine._data.mocap_pos.copy()
+            advance(1)
+            rows.append((engine.applied.copy(), engine.rope_damping.copy(), table))
+            contacts.append(engine._data.ncon)
 
-    engine.step = step
+    plant.advance = step_by_step
     stack.run(seconds)
     torque, damping, table = (np.array(column) for column in zip(*rows, strict=True))
     return Rollout(torque, damping, table, engine.q.copy(), float(np.mean(contacts)))

@@ -6,9 +6,9 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 
 PARTS = {
-    "mj_step": ("mj_step",),
-    "plant: ropes and rotors in Python": ("firmware_sim/plant", "firmware_sim/tendon", "firmware_sim/motor",
-        "firmware_sim/engine", "firmware_sim/table"),
+    "mj_step": ("mj_step", "firmware_sim/drivetrain.py/steps"),
+    "plant around its steps": ("firmware_sim/plant", "firmware_sim/tendon", "firmware_sim/motor",
+        "firmware_sim/engine", "firmware_sim/table", "firmware_sim/drivetrain"),
     "simulated drives and sensors, their codec": ("firmware_sim/",),
     "host's codec and drive states": ("handctl/drives/",),
     "filter": ("controller/estimator", "controller/filter_design", "controller/statics", "filterpy/"),
@@ -22,7 +22,10 @@ PARTS = {
     "reading a log": ("handctl/log/", "handctl/replay/"),
     "lockstep clock and bus, this script": ("handctl/runtime/", "benchmarks/"),
 }  # fmt: skip
-"""Name of a part to pieces of the paths (or names) of its functions; the first that fits counts."""
+"""Name of a part to pieces of the paths (or names) of its functions; the first that fits counts.
+
+``mj_step`` is called by the compiled step, so it has ropes and rotors with it.
+"""
 
 Function = tuple[str, int, str]
 

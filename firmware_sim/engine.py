@@ -1,11 +1,14 @@
 """MuJoCo, met in this module only; the rest of the simulator sees lists of floats."""
 
+import ctypes
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import mujoco  # type: ignore[import-untyped,unused-ignore]
 import numpy as np
 
+from firmware_sim.compiled import COMPILES
 from firmware_sim.mjcf import CONTACTS
 
 
@@ -13,7 +16,10 @@ class Engine:
     """Rigid bodies, joints, springs, stops and contact.
 
     Attributes:
-        step: advance by one step; a plain callable, it is the hot path.
+        step: advance by one step.
+        native: addresses of MuJoCo's step and of its two arguments, for compiled code; None if there are none.
+        q, dq: angles [rad] and velocities [rad/s] of the joints. applied: torques on them [N m].
+        rope_damping: of each tendon [N s/m]. All four are MuJoCo's own memory.
     """
 
     def __init__(self, xml: str, joint_count: int) -> None:
@@ -23,6 +29,7 @@ class Engine:
         mujoco.mj_forward(self._model, self._data)
         model, data, n = self._model, self._data, joint_count
         self.step: Callable[[], None] = lambda: mujoco.mj_step(model, data)
+        self.native = _native(model, data)
         # views into MuJoCo's own memory: they stay valid for the life of the data
         self.q: Any = data.qpos[:n]
         self.dq: Any = data.qvel[:n]
@@ -104,3 +111,15 @@ class Engine:
     def set_gravity(self, gravity: tuple[float, float, float]) -> None:
         """Change gravity in the palm frame [m/s2]."""
         self._model.opt.gravity[:] = gravity
+
+
+def _native(model: Any, data: Any) -> tuple[int, int, int] | None:
+    """Return the addresses of ``mj_step`` in the library that the bindings use, and of the model and the data.
+
+    An error of MuJoCo's own (it reports few, and none of a plant that diverges) ends the process when it is called so.
+    """
+    library = next(Path(mujoco.__file__).parent.glob("libmujoco*"), None)
+    if library is None or not COMPILES:
+        return None
+    step = ctypes.cast(ctypes.CDLL(str(library)).mj_step, ctypes.c_void_p).value
+    return (step, model._address, data._address) if step else None

@@ -2,20 +2,21 @@
 
 import random
 
+import numpy as np
+
 from firmware_sim.description import Hand, SimulatorError
+from firmware_sim.drivetrain import DIVERGED_RAD_S, pull, steps, tensions
 from firmware_sim.engine import Engine
 from firmware_sim.mjcf import STEP_S, model_text, opposed_digits
 from firmware_sim.motor import Motor
 from firmware_sim.scene import Scene
 from firmware_sim.stages import Stages
 from firmware_sim.table import Table
-from firmware_sim.tendon import Tendon
+from firmware_sim.tendon import Routing
 
 STEP_NS = round(STEP_S * 1e9)
 SLACK_M = (1e-3, 3e-3)
 """Slack of the ropes at power-up [m], drawn between these; the motors were limp."""
-DIVERGED_RAD_S = 1e5
-"""Sum of joint speeds that no hand has [rad/s]."""
 TABLE_STEPS = 4
 """The table is looked after at every so many steps."""
 
@@ -50,8 +51,14 @@ class Plant:
             self.engine = Engine(model_text(hand, scene), len(hand.joints))
         except ValueError as error:
             raise SimulatorError(f"hand {hand.name}: {str(error).splitlines()[0]}") from error
-        self.motors = {motor.name: Motor(motor, STEP_S) for motor in hand.motors}
-        self.ropes = self._routing()
+        self._rotors, self._rotor_rows = Motor.row_by_row(hand.motors, STEP_S)
+        self.motors = {spec.name: motor for spec, motor in zip(hand.motors, self._rotors, strict=True)}
+        routing = self._routing()
+        self.ropes = [(rope, self._rotors[rope.motor]) for rope in routing.tendons]
+        engine = self.engine
+        self._route = routing.rows, routing.joints, routing.arms, self._rotor_rows
+        self._drivetrain = *self._route, engine.q, engine.dq, engine.applied, engine.rope_damping
+        self._tensions = np.zeros(len(self.ropes))
         self.table = Table(scene.support, opposed_digits(hand)) if scene.support else None
         self.contact_forces = self.engine.forces_on("contact", [digit.name for digit in hand.digits])
         self.load = scene.load
@@ -61,17 +68,16 @@ class Plant:
         if not homed:
             self._slacken(seed)
 
-    def _routing(self) -> list[tuple[Tendon, Motor]]:
-        """Return each rope with the rotor that winds it."""
-        radii = {motor.name: motor.spool_radius for motor in self.hand.motors}
-        ropes = []
-        for spec in self.hand.tendons:
-            unknown = set(spec.arms) - set(self.hand.joints)
-            if spec.motor not in radii or unknown:
+    def _routing(self) -> Routing:
+        """Return the ropes."""
+        hand = self.hand
+        motors = [motor.name for motor in hand.motors]
+        for spec in hand.tendons:
+            unknown = set(spec.arms) - set(hand.joints)
+            if spec.motor not in motors or unknown:
                 wrong = ", ".join(sorted(unknown)) or spec.motor
-                raise SimulatorError(f"hand {self.hand.name}: {spec.name}: no such motor or joint: {wrong}")
-            ropes.append((Tendon(spec, self.hand.joints, radii[spec.motor]), self.motors[spec.motor]))
-        return ropes
+                raise SimulatorError(f"hand {hand.name}: {spec.name}: no such motor or joint: {wrong}")
+        return Routing(hand.tendons, hand.joints, motors, [motor.spool_radius for motor in hand.motors])
 
     def _slacken(self, seed: int) -> None:
         chance = random.Random(f"slack {seed}")
@@ -84,37 +90,67 @@ class Plant:
         return self.steps * STEP_NS
 
     def step(self) -> None:
+        """Let ropes pull, rotors turn and links move, once; see ``advance``."""
+        self.advance(1)
+
+    def advance(self, count: int) -> None:
         """Let ropes pull, rotors turn and links move.
 
-        Rope damping and Coulomb-like capstan friction are far too steep for an explicit step of the light links: the
-        engine takes their slope as a damping of the tendon, implicitly, and what that damping takes now is given back.
+        Args:
+            count: how many steps.
 
         Raises:
             SimulatorError: the plant's parameters are too extreme for the step.
         """
+        while count > 0:
+            block = min(count, self._undisturbed())
+            self._move(block)
+            count -= block
+            if self.table and self.steps % TABLE_STEPS == 0 and self._watches(self.table):
+                self._look_after(self.table)
+            if self.load:
+                pull = self.load.at(self.steps * STEP_S)
+                self.engine.push_object([pull * share for share in self.load.direction])
+
+    def _undisturbed(self) -> int:
+        """Return how many steps there are until something other than the drivetrain acts."""
+        if self.load:
+            return 1
+        watched = self.table and self._watches(self.table)
+        return TABLE_STEPS - self.steps % TABLE_STEPS if watched else 1 << 30
+
+    def _watches(self, table: Table) -> bool:
+        """Whether the table, or what happens after it, can still change anything."""
+        return bool(self.stages) or not table.settled
+
+    def _move(self, count: int) -> None:
+        """Make steps, compiled unless a fault in a motor wants to be asked in each."""
+        native = self.engine.native
+        if native and not any(motor.misread or motor.disobeys for motor in self._rotors):
+            done = steps(count, *self._drivetrain, *native)
+            self.steps += done
+            if done < count:
+                raise self._diverged()
+        else:
+            for _ in range(count):
+                self._move_once()
+
+    def _move_once(self) -> None:
+        """Make a step motor by motor."""
         engine = self.engine
-        q, dq = engine.q.tolist(), engine.dq.tolist()
-        if not abs(sum(dq)) < DIVERGED_RAD_S:  # not a number is diverged, too
-            raise SimulatorError(f"the plant diverged at {self.steps * STEP_S:.4f} s; expected less extreme parameters")
-        torque = [0.0] * len(q)
-        slopes = []
-        for rope, motor in self.ropes:
-            motor.advance(rope.radius * rope.pull(q, dq, motor.theta, motor.omega, torque))
-            slope = rope.slope
-            slopes.append(slope)
-            if slope:
-                push = slope * rope.speed
-                for joint, arm in rope.path:
-                    torque[joint] += arm * push
-        engine.rope_damping[:] = slopes
-        engine.applied[:] = torque
+        if not abs(sum(engine.dq.tolist())) < DIVERGED_RAD_S:  # not a number is diverged, too
+            raise self._diverged()
+        engine.applied[:] = 0.0
+        for i, (rope, motor) in enumerate(self.ropes):
+            pull(i, *self._route, engine.q, engine.dq, engine.applied)
+            motor.follow()
+            engine.rope_damping[i] = rope.slope
         engine.step()
         self.steps += 1
-        if self.table and self.steps % TABLE_STEPS == 0:
-            self._look_after(self.table)
-        if self.load:
-            pull = self.load.at(self.steps * STEP_S)
-            engine.push_object([pull * share for share in self.load.direction])
+
+    def _diverged(self) -> SimulatorError:
+        when = self.steps * STEP_S
+        return SimulatorError(f"the plant diverged at {when:.4f} s; expected less extreme parameters")
 
     def _look_after(self, table: Table) -> None:
         """Sink the table when the object is held, and do with it then what the scene says."""
@@ -136,5 +172,6 @@ class Plant:
 
     def tensions(self) -> list[float]:
         """Return the tension of each tendon at its load cell, now [N]."""
-        q, dq = self.engine.q.tolist(), self.engine.dq.tolist()
-        return [rope.tension_at(q, dq, motor.theta, motor.omega) for rope, motor in self.ropes]
+        tensions(*self._route, self.engine.q, self.engine.dq, self._tensions)
+        out: list[float] = self._tensions.tolist()
+        return out

@@ -20,6 +20,13 @@ class Table:
         self.depth = 0.0
         self.dropped_at: float | None = None
 
+    @property
+    def settled(self) -> bool:
+        """Whether it stays where it is from now on."""
+        if self.dropped_at is None:
+            return self._support.drop_when != "grasped"
+        return self.depth >= self._support.sink_depth
+
     def update(self, time: float, forces: list[float]) -> float:
         """Return the depth [m] at a time [s], given x, y, z of the contact force on each digit [N] in one list."""
         if self.dropped_at is None:

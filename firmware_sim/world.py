@@ -127,10 +127,14 @@ class World:
         now_ns = self.t_ns
         wake_ns = min([node.wake_ns for _, node in self._all], default=t_ns)
         while now_ns + STEP_NS <= t_ns:
-            if truth is not None and plant.t_ns >= truth.due_ns:
-                truth.write(now_ns + self.slip_ns, plant)
-            plant.step()
-            now_ns += STEP_NS
+            until_ns = t_ns
+            if truth is not None:
+                if plant.t_ns >= truth.due_ns:
+                    truth.write(now_ns + self.slip_ns, plant)
+                until_ns = min(until_ns, now_ns + truth.due_ns - plant.t_ns)
+            count = 1 if faults.on else _steps(now_ns, min(until_ns, wake_ns), t_ns)
+            plant.advance(count)
+            now_ns += count * STEP_NS
             if now_ns >= wake_ns:
                 self._wake(now_ns)
                 wake_ns = min([node.wake_ns for _, node in self._all], default=t_ns)
@@ -172,3 +176,8 @@ class World:
             "homed": self.homed,
             "encoder_offset_rad": self.encoder_offset,
         }
+
+
+def _steps(now_ns: int, due_ns: int, end_ns: int) -> int:
+    """Return how many steps, at least one, it takes until something is due, without going beyond the end."""
+    return max(1, min(-((now_ns - due_ns) // STEP_NS), (end_ns - now_ns) // STEP_NS))

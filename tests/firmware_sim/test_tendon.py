@@ -8,7 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_sim.description import TendonSpec, load_hand
-from firmware_sim.tendon import Tendon
+from firmware_sim.drivetrain import pull, tensions
+from firmware_sim.motor import Motor
+from firmware_sim.tendon import Routing
 
 HAND = load_hand("jamia")
 SPEC = HAND.tendons[0]
@@ -16,8 +18,36 @@ JOINTS = ["index_j1", "index_j2", "index_j3"]
 REST = [0.0, 0.0, 0.0]
 
 
-def rope(spec: TendonSpec = SPEC) -> Tendon:
-    return Tendon(spec, JOINTS, 0.005)
+class Rope:
+    """One rope on its spool."""
+
+    def __init__(self, spec: TendonSpec = SPEC) -> None:
+        routing = Routing([spec], JOINTS, [spec.motor], [0.005])
+        (self.motor,), rotors = Motor.row_by_row(HAND.motors[:1], 0.5e-3)
+        (self.row,) = routing.tendons
+        self.parts = routing.rows, routing.joints, routing.arms, rotors
+
+    def elastic(self, stretch: float) -> float:
+        return self.tension_at(REST, REST, stretch / 0.005, 0.0)
+
+    def tension_at(self, q: list[float], dq: list[float], theta: float, omega: float) -> float:
+        self.motor.theta, self.motor.omega = theta, omega
+        out = np.zeros(1)
+        tensions(*self.parts, np.array(q), np.array(dq), out)
+        return float(out[0])
+
+    def pull(self, q: list[float], dq: list[float], theta: float, omega: float, torque: list[float]) -> float:
+        """Add the torques of the pulleys, without what the rope's damping takes; the tension."""
+        self.motor.theta, self.motor.omega = theta, omega
+        total = np.zeros(3)
+        pull(0, *self.parts, np.array(q), np.array(dq), total)
+        back = self.row.slope * self.row.speed
+        torque[:] = [before + all_ - 0.003 * back for before, all_ in zip(torque, total.tolist(), strict=True)]
+        return self.row.tension
+
+
+def rope() -> Rope:
+    return Rope()
 
 
 def test_linear_up_to_the_knee_then_softer_without_a_kink() -> None:
@@ -88,7 +118,7 @@ def test_friction_takes_energy_and_the_integrator_knows_how_much(speed: float, q
     power = sum(t * v for t, v in zip(torque, dq, strict=True)) - tension * speed
     assert power <= 1e-9
     worst = max(abs(0.003 * tension - t) / 0.003 for t in torque)
-    assert tendon.slope * abs(speed) >= worst - 1e-6
+    assert tendon.row.slope * abs(speed) >= worst - 1e-6
 
 
 def test_slope_is_continuous_where_the_rope_stands_still() -> None:
@@ -96,5 +126,5 @@ def test_slope_is_continuous_where_the_rope_stands_still() -> None:
     for speed in (0.99e-6, 1.01e-6):
         tendon = rope()
         tendon.pull([0.2] * 3, [speed / 0.009] * 3, 0.6, 0.0, [0.0] * 3)
-        slopes.append(tendon.slope)
+        slopes.append(tendon.row.slope)
     assert slopes[0] == pytest.approx(slopes[1], rel=2e-3)
