@@ -31,6 +31,11 @@ class BrokenNode:
         return self._node.wake_ns
 
     @property
+    def ids(self) -> frozenset[int] | None:
+        """See ``nodes.Node``."""
+        return self._node.ids
+
+    @property
     def malformed(self) -> int:
         """See ``nodes.Node``."""
         return self._node.malformed

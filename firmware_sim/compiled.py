@@ -18,6 +18,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 COMPILES = not config.DISABLE_JIT  # type: ignore[attr-defined, unused-ignore]
 """Whether anything is compiled; with ``NUMBA_DISABLE_JIT=1`` Python runs the same lines."""
+REAL = types.float64
 COUNT = types.int64
 ADDRESS = types.intp
 VECTOR = types.Array(types.float64, 1, "C")

@@ -1,6 +1,7 @@
 """The plant: links, object and contacts by the engine, ropes and rotors of our own, in steps of 0.5 ms."""
 
 import random
+from typing import Any
 
 import numpy as np
 
@@ -170,8 +171,11 @@ class Plant:
         """Return the load and the sum of normal forces of each digit [N]; nothing in a scene without load."""
         return [self.load.at(self.steps * STEP_S), *self.normal_forces()] if self.load else []
 
+    def cells(self) -> Any:
+        """Return the tension of each tendon at its load cell, now [N], shape (tendons,); memory of the plant's own."""
+        tensions(*self._route, self.engine.q, self.engine.dq, self._tensions)
+        return self._tensions
+
     def tensions(self) -> list[float]:
         """Return the tension of each tendon at its load cell, now [N]."""
-        tensions(*self._route, self.engine.q, self.engine.dq, self._tensions)
-        out: list[float] = self._tensions.tolist()
-        return out
+        return [float(tension) for tension in self.cells().tolist()]

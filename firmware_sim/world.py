@@ -5,6 +5,8 @@ What is injected stands between the nodes and the wire, in a node, a sensor or t
 
 import random
 
+import numpy as np
+
 from firmware_sim.description import Hand, MotorSpec, SensorSpec, SimulatorError
 from firmware_sim.faults import Faults
 from firmware_sim.frame import Frame
@@ -53,6 +55,8 @@ class World:
             self.sensor_node = self._sensor_node(hand.sensors)
             self.nodes[self._bus(hand.sensors.bus)].append(self.sensor_node)
         self._all = [(index, node) for index, bus in enumerate(self.nodes) for node in bus]
+        self._all_of = [[(node, node.ids) for node in bus] for bus in self.nodes]
+        self._by_id: list[dict[int, list[tuple[Node, frozenset[int] | None]]]] = [{} for _ in self.nodes]
         self._spoken: list[Frame] = []
         self.faults = Faults(self)
         self._truth: TruthWriter | None = None
@@ -72,18 +76,9 @@ class World:
     def _sensor_node(self, spec: SensorSpec) -> SensorNode:
         plant, joints = self.plant, self.hand.joints
         names = [tendon.name for tendon in self.hand.tendons]
-        tendon_order = [names.index(name) for name in spec.tendons]
-        joint_order = [joints.index(name) for name in spec.joints]
-
-        def tensions() -> list[float]:
-            values = plant.tensions()
-            return [values[i] for i in tendon_order]
-
-        def angles() -> list[float]:
-            values = plant.engine.q.tolist()
-            return [values[i] for i in joint_order]
-
-        return SensorNode(spec, tensions, angles, self.seed)
+        tendon_order = np.array([names.index(name) for name in spec.tendons], np.int64)
+        joint_order = np.array([joints.index(name) for name in spec.joints], np.int64)
+        return SensorNode(spec, lambda: plant.cells()[tendon_order], lambda: plant.engine.q[joint_order], self.seed)
 
     def motor_spec(self, name: str) -> MotorSpec:
         """Return the description of a motor."""
@@ -107,19 +102,32 @@ class World:
         """Hand a frame to the nodes of its bus and return their answers, stamped with the present time."""
         answers: list[Frame] = []
         known, t_ns, bus, faults = False, self.t_ns, frame.bus, self.faults
-        for node in self.nodes[bus]:
+        for node, ids in self._all_of[bus] if faults.on else self._takers(bus, frame.can_id):
             replies = faults.exchange(node, frame, t_ns) if faults.on else node.receive(frame, t_ns)
+            if node.ids is not ids:
+                self._renumbered(bus)
             if replies is not None:
                 known = True
-                answers += [
-                    reply
-                    if reply.bus == bus and reply.t_ns == t_ns
-                    else Frame(reply.can_id, reply.data, reply.flags, bus, t_ns)
-                    for reply in replies
-                ]
+                for reply in replies:
+                    if reply.bus != bus or reply.t_ns != t_ns:
+                        reply = Frame(reply.can_id, reply.data, reply.flags, bus, t_ns)
+                    answers.append(reply)
         if not known:
             self.foreign += 1
         return answers
+
+    def _takers(self, bus: int, can_id: int) -> list[tuple[Node, frozenset[int] | None]]:
+        """Return the nodes that may answer an identifier, each with all of its own as they were when it was asked."""
+        takers = self._by_id[bus].get(can_id)
+        if takers is None:
+            takers = [(node, ids) for node, ids in self._all_of[bus] if ids is None or can_id in ids]
+            self._by_id[bus][can_id] = takers
+        return takers
+
+    def _renumbered(self, bus: int) -> None:
+        """Ask the nodes of a bus again who they are."""
+        self._all_of[bus] = [(node, node.ids) for node in self.nodes[bus]]
+        self._by_id[bus] = {}
 
     def advance(self, t_ns: int) -> None:
         """Let time pass until t_ns, in whole steps; what is left over waits for the next call."""

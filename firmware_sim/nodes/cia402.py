@@ -27,8 +27,8 @@ class Cia402Node:
 
     Attributes:
         nmt: state of the network slave. power: state machine of the power stage. objects: its dictionary.
-        thermal: temperatures. malformed: frames that it could not read. wake_ns: when time must pass next [ns].
-        fed_ns: last heartbeat of the master [ns]; -1 if it is not watched.
+        thermal: temperatures. ids: None: many. malformed: frames that it could not read.
+        wake_ns: when time must pass next [ns]. fed_ns: last heartbeat of the master [ns]; -1 if it is not watched.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -39,6 +39,7 @@ class Cia402Node:
         self._rated = float(spec.options.get("rated_torque_N_m", spec.torque_max / self._gear))
         self._counts = int(spec.options.get("counts_per_turn", 1 << 16))
         self.thermal = Thermal(spec.torque_constant)
+        self.ids: frozenset[int] | None = None
         self.malformed = 0
         self.wake_ns, self._warmed_ns = 0, -1
         self._spoken: list[Frame] = []

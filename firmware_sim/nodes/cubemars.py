@@ -49,8 +49,8 @@ class CubemarsNode:
         enabled: whether it follows commands. error: what is wrong.
         offset: wire angle at theta = 0 [rad]. thermal: temperatures.
         short: whether it answers with six bytes, as older firmware does.
-        malformed: frames on its identifier that it could not read. wake_ns: when time must pass for it next [ns].
-        fed_ns: below 0: it has no watchdog.
+        ids: its own. malformed: frames on its identifier that it could not read.
+        wake_ns: when time must pass for it next [ns]. fed_ns: below 0: it has no watchdog.
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
@@ -61,6 +61,7 @@ class CubemarsNode:
         self.short = bool(spec.options.get("short", False))
         self.malformed, self.wake_ns, self.fed_ns = 0, 0, -1
         self._id, self._direction = spec.node_id, spec.direction
+        self.ids = frozenset((spec.node_id,))
         self._ranges = Ranges(*FULL_SCALE[str(spec.options.get("motor_type", USUAL))])
         motor.servo.limit = min(spec.torque_peak, self._ranges.torque)
         self._warmed_ns = -1

@@ -14,10 +14,13 @@ class Node(Protocol):
     Attributes:
         wake_ns: when it wants ``wake`` to be called next [ns].
         malformed: frames on its own identifiers that it could not read.
+        ids: identifiers that it may answer, another object whenever they change; None: it must see every frame.
     """
 
     @property
     def wake_ns(self) -> int: ...
+    @property
+    def ids(self) -> frozenset[int] | None: ...
     @property
     def malformed(self) -> int: ...
 

@@ -10,7 +10,7 @@ from firmware_sim.description import MotorSpec
 from firmware_sim.frame import Frame
 from firmware_sim.motor import Motor
 from firmware_sim.nodes import mit_registers as reg
-from firmware_sim.nodes.mit_codec import Ranges, decode_command, encode_feedback
+from firmware_sim.nodes.mit_codec import WORD, Ranges, read_command, write_feedback
 from firmware_sim.nodes.thermal import Thermal
 
 REGISTER_ID = 0x7FF
@@ -41,6 +41,7 @@ class MitNode:
         registers: the register file.
         offset: wire angle at theta = 0 [rad].
         thermal: temperatures.
+        ids: identifiers that it may answer.
         malformed: frames on its identifiers that it could not read.
         wake_ns: when time must pass for it next [ns].
         fed_ns: last frame that fed its watchdog [ns].
@@ -64,6 +65,7 @@ class MitNode:
         """Take over what depends on registers."""
         self._id, self._reply_id = int(self.registers[reg.ESC_ID]), int(self.registers[reg.MST_ID])
         self._mode_ids = {self._id + offset for offset in (0x100, 0x200, 0x300)}
+        self.ids = frozenset((self._id, REGISTER_ID, *self._mode_ids))
         self._ranges = Ranges(self.registers[reg.PMAX], self.registers[reg.VMAX], self.registers[reg.TMAX])
         self.motor.servo.limit = min(self._torque_peak, self._ranges.torque)
         self._timeout_ns = int(self.registers[reg.TIMEOUT]) * WATCHDOG_UNIT_NS
@@ -97,10 +99,10 @@ class MitNode:
             return self._special(data, t_ns)
         self.fed_ns = t_ns
         if self.state == State.ENABLED:
-            command, servo, sign = decode_command(data, self._ranges), self.motor.servo, self._direction
-            servo.kp, servo.kd = command.kp, command.kd
-            servo.position, servo.velocity = sign * (command.position - self.offset), sign * command.velocity
-            servo.torque = sign * command.torque
+            servo, sign = self.motor.servo, self._direction
+            position, velocity, servo.kp, servo.kd, torque = read_command(WORD.unpack(data)[0], *self._ranges)
+            servo.position, servo.velocity = sign * (position - self.offset), sign * velocity
+            servo.torque = sign * torque
         return self.feedback()
 
     def _special(self, data: bytes, t_ns: int) -> bytes | None:
@@ -142,9 +144,9 @@ class MitNode:
 
     def feedback(self) -> bytes:
         """Return the feedback of this moment."""
-        motor, sign = self.motor, self._direction
-        motion = (sign * motor.encoder() + self.offset, sign * motor.velocity, sign * motor.torque)
-        return encode_feedback(self.state, self._id, motion, self._ranges, (self.thermal.mosfet, self.thermal.winding))
+        motor, sign, thermal, head = self.motor, self._direction, self.thermal, self.state << 4 | self._id & 0xF
+        p, v, t = sign * motor.encoder() + self.offset, sign * motor.velocity, sign * motor.torque
+        return WORD.pack(write_feedback(head, p, v, t, *self._ranges, thermal.mosfet, thermal.winding))
 
     def _register(self, data: bytes) -> bytes | None:
         operation, register = data[2], data[3]

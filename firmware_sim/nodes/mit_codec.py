@@ -1,9 +1,15 @@
-"""MIT frames as Damiao motors speak them: bytes <-> values. Source: facts, mit_damiao."""
+"""MIT frames as Damiao motors speak them: bytes <-> values, compiled. Source: facts, mit_damiao.
+
+Eight bytes are one number here, the first byte highest; its sign means nothing.
+"""
 
 import struct
 from typing import NamedTuple
 
-_FEEDBACK = struct.Struct(">BH5B")
+from firmware_sim.compiled import COUNT, REAL, compiled
+
+WORD = struct.Struct(">q")
+"""Bytes of a frame <-> number."""
 KP_MAX, KD_MAX = 500.0, 5.0
 """Ranges of the gains [N m/rad], [N m s/rad]."""
 
@@ -26,23 +32,24 @@ class Command(NamedTuple):
     torque: float
 
 
+@compiled(REAL, REAL, COUNT)
 def to_code(value: float, limit: float, bits: int) -> int:
     """Return the code of a value in -limit .. limit: clamped, then truncated as the firmware does."""
     clamped = -limit if value < -limit else limit if value > limit else value
     return int((clamped + limit) * ((1 << bits) - 1) / (2.0 * limit))
 
 
+@compiled(COUNT, REAL, COUNT)
 def from_code(code: int, limit: float, bits: int) -> float:
     """Return the value of a code over -limit .. limit."""
     return code * (2.0 * limit) / ((1 << bits) - 1) - limit
 
 
-def decode_command(data: bytes, ranges: Ranges) -> Command:
-    """Return the command in 8 bytes; the first field is in the highest bits."""
-    word = int.from_bytes(data, "big")
-    position, velocity, torque = ranges
-    return Command(
-        from_code(word >> 48, position, 16),
+@compiled(COUNT, REAL, REAL, REAL)
+def read_command(word: int, position: float, velocity: float, torque: float) -> tuple[float, ...]:
+    """Return the fields of ``Command`` in a word, given the ranges; the first field is in the highest bits."""
+    return (
+        from_code(word >> 48 & 0xFFFF, position, 16),
         from_code(word >> 36 & 0xFFF, velocity, 12),
         (word >> 24 & 0xFFF) * KP_MAX / 4095.0,
         (word >> 12 & 0xFFF) * KD_MAX / 4095.0,
@@ -50,27 +57,36 @@ def decode_command(data: bytes, ranges: Ranges) -> Command:
     )
 
 
-def encode_feedback(
-    state: int, node_id: int, motion: tuple[float, float, float], ranges: Ranges, temperatures: tuple[float, float]
-) -> bytes:
-    """Return 8 bytes of feedback.
-
-    Args:
-        state: state or error nibble.
-        node_id: ESC_ID, of which four bits travel.
-        motion: position [rad], velocity [rad/s], torque [N m]; beyond the ranges they saturate.
-        ranges: of registers 21 to 23.
-        temperatures: of MOSFET and winding [degC].
-    """
-    p = to_code(motion[0], ranges.position, 16)
-    v = to_code(motion[1], ranges.velocity, 12)
-    t = to_code(motion[2], ranges.torque, 12)
-    mosfet, winding = temperatures
-    return _FEEDBACK.pack(
-        state << 4 | node_id & 0xF, p, v >> 4, (v & 0xF) << 4 | t >> 8, t & 0xFF, _degrees(mosfet), _degrees(winding)
-    )
-
-
+@compiled(REAL)
 def _degrees(value: float) -> int:
     """Return a temperature as a byte, saturated."""
     return 0 if value < 0.0 else 255 if value > 255.0 else int(value)
+
+
+@compiled(COUNT, *(REAL,) * 8)
+def write_feedback(
+    head: int, p: float, v: float, t: float, position: float, velocity: float, torque: float,
+    mosfet: float, winding: float,
+) -> int:  # fmt: skip
+    """Return a word of feedback.
+
+    Args:
+        head: state or error nibble, and ESC_ID, of which four bits travel, as one byte.
+        p, v, t: position [rad], velocity [rad/s], torque [N m]; beyond the ranges they saturate.
+        position, velocity, torque: the ranges of registers 21 to 23.
+        mosfet, winding: temperatures [degC].
+    """
+    motion = to_code(p, position, 16) << 24 | to_code(v, velocity, 12) << 12 | to_code(t, torque, 12)
+    return head << 56 | motion << 16 | _degrees(mosfet) << 8 | _degrees(winding)
+
+
+def decode_command(data: bytes, ranges: Ranges) -> Command:
+    """Return the command in 8 bytes."""
+    return Command(*read_command(WORD.unpack(data)[0], *ranges))
+
+
+def encode_feedback(
+    state: int, node_id: int, motion: tuple[float, float, float], ranges: Ranges, temperatures: tuple[float, float]
+) -> bytes:
+    """Return 8 bytes of feedback; see ``write_feedback``."""
+    return WORD.pack(write_feedback(state << 4 | node_id & 0xF, *motion, *ranges, *temperatures))

@@ -42,13 +42,14 @@ class OdriveNode:
         endpoints: value by number, as bytes: enable_watchdog, watchdog_timeout, torque maximum and minimum.
         mode: control and input mode. velocity_limit: [turn/s]. current_limit: [A].
         gains: of position [1/s] and velocity [N m s/turn].
-        thermal: temperatures. malformed: frames that it could not read. wake_ns: when time must pass next [ns].
-        fed_ns: last setpoint [ns].
+        thermal: temperatures. ids: None: many. malformed: frames that it could not read.
+        wake_ns: when time must pass next [ns]. fed_ns: last setpoint [ns].
     """
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
         """Args: the motor's description; its rotor; shaft angle at theta = 0 [rad]."""
         self.motor, self._offset = motor, offset
+        self.ids: frozenset[int] | None = None
         self._node, options = spec.node_id, spec.options
         self._gear = float(options.get("gear_ratio", 1.0))
         self._sign, self._kt = spec.direction, spec.torque_constant

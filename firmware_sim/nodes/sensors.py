@@ -4,11 +4,15 @@ Frame layout: DBC of the hand, sensor_node; Intel packing, counter in bits 0..3,
 """
 
 import math
-import random
 from collections.abc import Callable, Sequence
+from typing import Any
 
+import numpy as np
+
+from firmware_sim.compiled import COUNT, COUNTS, REAL, VECTOR, compiled
 from firmware_sim.description import SensorSpec
 from firmware_sim.frame import Frame
+from firmware_sim.nodes.noise import Noise
 
 CHANNELS = 5
 """12-bit channels in a frame of 8 bytes, beside the counter."""
@@ -18,24 +22,84 @@ JOINT_OFFSET = 0x10
 """Identifier of the first joint frame, from the base."""
 _TOP = 4095
 _NEVER_NS = 1 << 62
+_TENSION = (TENSION_MIN_N, TENSION_STEP_N, 0)
+_JOINT = (0.0, JOINT_STEP_RAD, JOINT_ZERO)
+"""Value of the lowest code but for an offset, size of a code, offset of the code."""
+
+
+@compiled(REAL, REAL, REAL, COUNT)
+def _code(value: float, low: float, step: float, offset: int) -> int:
+    """Return the 12-bit code of a value; 0 and 4095 mean saturated."""
+    return min(_TOP, max(0, round((value - low) / step) + offset))
+
+
+@compiled(COUNT, COUNTS, COUNTS)
+def _pack(counter: int, codes: Any, words: Any) -> None:
+    """Fill words, of which each is a payload, with the counter (low four bits) and up to five codes."""
+    for g in range(len(words)):
+        word = counter & 0xF
+        for i in range(min(CHANNELS, len(codes) - g * CHANNELS)):
+            word |= codes[g * CHANNELS + i] << (4 + 12 * i)
+        words[g] = word
+
+
+@compiled(VECTOR, REAL, REAL, COUNT, COUNT, COUNTS, COUNTS)
+def _encode(values: Any, low: float, step: float, offset: int, counter: int, codes: Any, words: Any) -> None:
+    """Pack values by their codes; see ``_code`` and ``_pack``."""
+    for i in range(len(values)):
+        codes[i] = _code(values[i], low, step, offset)
+    _pack(counter, codes, words)
+
+
+@compiled(VECTOR, VECTOR, VECTOR, REAL, REAL, VECTOR)
+def _read(true: Any, bias: Any, chance: Any, drift: float, noise: float, read: Any) -> None:
+    """Let each bias walk, and add it and noise to what is true; ``chance``: of each walk, then of the noise."""
+    channels = len(true)
+    for i in range(channels):
+        bias[i] += chance[i] * drift
+    for i in range(channels):
+        read[i] = true[i] + bias[i] + chance[channels + i] * noise
 
 
 def tension_code(tension: float) -> int:
     """Return the 12-bit code of a tension [N]; 0 and 4095 mean saturated."""
-    return min(_TOP, max(0, round((tension - TENSION_MIN_N) / TENSION_STEP_N)))
+    return _code(tension, *_TENSION)
 
 
 def joint_code(angle: float) -> int:
     """Return the 12-bit code of a joint angle [rad]."""
-    return min(_TOP, max(0, round(angle / JOINT_STEP_RAD) + JOINT_ZERO))
+    return _code(angle, *_JOINT)
+
+
+class Payloads:
+    """The payloads of so many channels."""
+
+    def __init__(self, channels: int) -> None:
+        """Args: how many channels."""
+        starts = range(0, channels, CHANNELS)
+        self._codes, self._words = np.zeros(channels, np.int64), np.zeros(len(starts), np.int64)
+        self._sizes = [(4 + 12 * min(CHANNELS, channels - start) + 7) // 8 for start in starts]
+
+    def of_codes(self, counter: int, codes: Sequence[int]) -> list[bytes]:
+        """Return counter (low four bits) and codes, five to a payload, in as few bytes as they need."""
+        self._codes[:] = codes
+        _pack(counter, self._codes, self._words)
+        return self._cut()
+
+    def of_values(self, counter: int, values: Any, low: float, step: float, offset: int) -> list[bytes]:
+        """Return the same of the codes of values, shape (channels,)."""
+        _encode(values, low, step, offset, counter, self._codes, self._words)
+        return self._cut()
+
+    def _cut(self) -> list[bytes]:
+        raw = self._words.astype("<i8", copy=False).tobytes()
+        return [raw[8 * g : 8 * g + size] for g, size in enumerate(self._sizes)]
 
 
 def pack(counter: int, codes: Sequence[int]) -> bytes:
     """Return counter (low four bits) and up to five codes in as few bytes as they need."""
-    word = counter & 0xF
-    for i, code in enumerate(codes):
-        word |= code << (4 + 12 * i)
-    return word.to_bytes((4 + 12 * len(codes) + 7) // 8, "little")
+    (payload,) = Payloads(len(codes)).of_codes(counter, codes)
+    return payload
 
 
 class SensorNode:
@@ -43,19 +107,20 @@ class SensorNode:
 
     Attributes:
         bias: slow error of each load cell [N]. misread, misread_joints: faults by channel.
-        malformed: SYNC frames of a wrong length. wake_ns: never.
+        ids: of SYNC. malformed: SYNC frames of a wrong length. wake_ns: never.
     """
 
-    def __init__(
-        self, spec: SensorSpec, tensions: Callable[[], list[float]], angles: Callable[[], list[float]], seed: int
-    ) -> None:
-        """Args: description; true tensions [N] and joint angles [rad] in the node's own order; seed of the noise."""
+    def __init__(self, spec: SensorSpec, tensions: Callable[[], Any], angles: Callable[[], Any], seed: int) -> None:
+        """Args: description; true tensions [N] and joint angles [rad], arrays in the node's own order; noise's seed."""
         self._spec, self._tensions, self._angles = spec, tensions, angles
-        self._chance = random.Random(f"sensors {seed}")
-        self.bias = [spec.tension_bias] * len(spec.tendons)
+        self._noise = Noise(f"sensors {seed}")
+        self.bias: Any = np.full(len(spec.tendons), spec.tension_bias)
+        self._values: Any = np.zeros(len(spec.tendons))
+        self._payloads = Payloads(len(spec.tendons)), Payloads(len(spec.joints))
         self.misread: dict[int, Callable[[float], float]] = {}
         self.misread_joints: dict[int, Callable[[float], float]] = {}
         self._sampled_ns = -1
+        self.ids = frozenset((spec.sync_id,))
         self.malformed = 0
         self.wake_ns = _NEVER_NS
 
@@ -66,37 +131,27 @@ class SensorNode:
         if len(frame.data) != 1:
             self.malformed += 1
             return []
-        counter, base = frame.data[0], self._spec.base_id
-        payloads = self._group(base, counter, [tension_code(value) for value in self._sample(t_ns)])
-        if self._spec.joints and counter % self._spec.joint_decimation == 0:
-            noise = self._spec.joint_noise
-            read = [angle + self._chance.gauss(0.0, noise) for angle in self._angles()]
-            codes = [joint_code(angle) for angle in _wrong(read, self.misread_joints)]
-            payloads += self._group(base + JOINT_OFFSET, counter, codes)
+        spec, counter, (cells, encoders) = self._spec, frame.data[0], self._payloads
+        payloads = [*enumerate(cells.of_values(counter, self._sample(t_ns), *_TENSION), spec.base_id)]
+        if spec.joints and counter % spec.joint_decimation == 0:
+            read = _wrong(self._angles() + self._noise.take(len(spec.joints)) * spec.joint_noise, self.misread_joints)
+            payloads += enumerate(encoders.of_values(counter, read, *_JOINT), spec.base_id + JOINT_OFFSET)
         return [Frame(can_id, data, frame.flags, frame.bus, t_ns) for can_id, data in payloads]
 
-    def _sample(self, t_ns: int) -> list[float]:
-        self._drift(t_ns)
-        gauss, noise = self._chance.gauss, self._spec.tension_noise
-        read = [f + bias + gauss(0.0, noise) for f, bias in zip(self._tensions(), self.bias, strict=True)]
-        return _wrong(read, self.misread)
-
-    def _drift(self, t_ns: int) -> None:
-        """Let each bias walk at random: after 100 s its standard deviation is ``bias_drift``."""
+    def _sample(self, t_ns: int) -> Any:
+        """Return what the load cells read [N]; after 100 s the standard deviation of each bias is ``bias_drift``."""
         elapsed_s = (t_ns - self._sampled_ns) * 1e-9 if self._sampled_ns >= 0 else 0.0
         self._sampled_ns = t_ns
-        step = self._spec.bias_drift * math.sqrt(elapsed_s / 100.0)
-        self.bias = [bias + self._chance.gauss(0.0, step) for bias in self.bias]
-
-    @staticmethod
-    def _group(first_id: int, counter: int, codes: list[int]) -> list[tuple[int, bytes]]:
-        starts = range(0, len(codes), CHANNELS)
-        return [(first_id + g, pack(counter, codes[start : start + CHANNELS])) for g, start in enumerate(starts)]
+        drift, chance = self._spec.bias_drift * math.sqrt(elapsed_s / 100.0), self._noise.take(2 * len(self.bias))
+        _read(self._tensions(), self.bias, chance, drift, self._spec.tension_noise, self._values)
+        return _wrong(self._values, self.misread)
 
     def wake(self, t_ns: int) -> None:
         """Do nothing: this node acts on SYNC only."""
 
 
-def _wrong(read: list[float], faults: dict[int, Callable[[float], float]]) -> list[float]:
+def _wrong(read: Any, faults: dict[int, Callable[[float], float]]) -> Any:
     """Readings with the faults of some channels."""
-    return [faults[i](value) if i in faults else value for i, value in enumerate(read)] if faults else read
+    for i, fault in sorted(faults.items()):
+        read[i] = fault(float(read[i]))
+    return read

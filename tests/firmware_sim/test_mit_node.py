@@ -8,6 +8,7 @@ from firmware_sim.description import load_hand
 from firmware_sim.frame import BRS, EXTENDED, FDF, Frame
 from firmware_sim.motor import Motor
 from firmware_sim.nodes.mit import MitNode, State
+from firmware_sim.rig import Rig
 
 MS = 1_000_000
 SPEC = load_hand("jamia").motors[1]
@@ -208,3 +209,20 @@ def test_it_warms_up_and_protects_itself(bench: Bench) -> None:
     assert bench.state() == State.WINDING_HOT
     assert bench.t_ns > 20_000 * MS
     assert bench.ask(FULL_TORQUE)[7] >= 100
+
+
+def test_a_motor_that_gets_another_number_is_found_there_and_no_longer_where_it_was() -> None:
+    rig = Rig("jamia", homed=True)
+    world, torque = rig.world, bytes.fromhex("7fff7ff000000fff")
+
+    def answered(can_id: int, data: bytes = torque) -> list[int]:
+        return [frame.can_id for frame in world.receive(Frame(can_id, data))]
+
+    assert answered(ID) == [ID + 0x10]
+    assert answered(ID + 0x40) == []
+    assert world.foreign == 1
+    assert answered(0x7FF, struct.pack("<HBBI", ID, 0x55, 8, ID + 0x40)) == [ID + 0x10]
+    assert answered(ID + 0x40) == [ID + 0x10]
+    assert answered(ID) == []
+    assert answered(0x7FF, struct.pack("<HBBI", ID + 0x40, 0x55, 8, ID + 1)) == [ID + 0x10]
+    assert answered(ID + 1) == [ID + 0x10, ID + 0x11], "now there are two of that number"

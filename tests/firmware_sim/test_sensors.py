@@ -1,6 +1,7 @@
 """The sensor node: packing against bit strings, noise against statistics."""
 
 import math
+import random
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 
 from firmware_sim.description import SensorSpec, load_hand
 from firmware_sim.frame import Frame
+from firmware_sim.nodes.noise import BLOCK, Noise
 from firmware_sim.nodes.sensors import SensorNode, joint_code, pack, tension_code
 
 LOADED = load_hand("jamia11").sensors
@@ -20,7 +22,7 @@ SYNC = ELEVEN.sync_id
 
 def node(spec: SensorSpec = ELEVEN, tension: float = 20.0, angle: float = 0.5, seed: int = 0) -> SensorNode:
     tendons, joints = len(spec.tendons), len(spec.joints)
-    return SensorNode(spec, lambda: [tension] * tendons, lambda: [angle] * joints, seed)
+    return SensorNode(spec, lambda: np.full(tendons, tension), lambda: np.full(joints, angle), seed)
 
 
 def channels(data: bytes) -> tuple[int, list[int]]:
@@ -95,7 +97,7 @@ def test_drift_is_a_random_walk_of_the_given_size() -> None:
         sensors = node(seed=seed)
         for k in range(101):
             sensors.receive(Frame(SYNC, b"\1"), k * 1_000_000_000)
-        ends += sensors.bias
+        ends += sensors.bias.tolist()
     assert np.std(ends) == pytest.approx(ELEVEN.bias_drift, rel=0.15)
 
 
@@ -107,9 +109,16 @@ def test_drift_does_not_depend_on_how_often_it_is_asked() -> None:
             sensors = node(seed=seed)
             for k in range(10_000 // step_ms + 1):
                 sensors.receive(Frame(SYNC, b"\1"), k * step_ms * 1_000_000)
-            ends += sensors.bias
+            ends += sensors.bias.tolist()
         spread[step_ms] = float(np.std(ends))
     assert spread[10] == pytest.approx(spread[1000], rel=0.2)
+
+
+def test_noise_is_the_stream_of_pythons_own_generator() -> None:
+    noise, chance = Noise("a seed"), random.Random("a seed")
+    taken = [float(number) for k in range(200) for number in noise.take(k % 12)]
+    assert len(taken) > 2 * BLOCK
+    assert taken == pytest.approx([chance.gauss(0.0, 1.0) for _ in taken], rel=1e-14)
 
 
 def test_seeds() -> None:
