@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.controller.friction_band import expected
+from handctl.controller.friction_band import expected, look_ahead
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.model import HandModel
 from handctl.controller.task import Task
 from handctl.document import validated
 from tests.controller.plant_run import RATE_HZ, run_on_plant
+from tests.controller.synthetic import under
 
 MOVE_S = 0.3
 TURN_S = 0.05
@@ -43,6 +44,14 @@ def test_a_turn_takes_the_way_that_the_rope_needs(model: HandModel) -> None:
 def test_at_rest_friction_bears_nothing_in_the_end(model: HandModel) -> None:
     rest = follow(model, [0.0] * round(0.5 / model.period), 15.0)
     np.testing.assert_allclose(rest[-1], 12.0, atol=0.01)
+
+
+def test_a_rope_of_which_next_to_nothing_was_expected_pays_out(model: HandModel) -> None:
+    n = model.tendon_count
+    load, still = np.full(n, 12.0), np.zeros(n)
+    before, passed, moving = np.full(n, 5e-324), np.full(n, 0.8), np.ones(n, dtype=bool)
+    ahead = look_ahead(model, before, under(model, 1.0), still, load, still, passed, moving)
+    assert (ahead.sliding == -1.0).all()
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.choose import nothing, only, zeros
+from handctl.choose import chosen, nothing, only, zeros
 from handctl.controller.estimator import Estimate
 from handctl.controller.goal_table import Mask
 from handctl.controller.model import HandModel
@@ -70,9 +70,8 @@ def look_ahead(
     coming = np.maximum(load + model.period * model.space.load_stiffness * rate, model.floor)
     planned = expected(model, before, estimate.tension, coming, efficiency, model.period * speed)
     known = moving & (before > 0.0)
-    developed = np.log(before / np.maximum(load, LEAST_N), where=known, out=nothing(len(load)).copy()) / -np.log(
-        np.minimum(efficiency, MOST)
-    )
+    beyond = np.log(np.maximum(before, LEAST_N) / np.maximum(load, LEAST_N))
+    developed = chosen(known, beyond / -np.log(np.minimum(efficiency, MOST)), nothing(len(load)))
     return Ahead(
         only(moving, planned),
         only(known, (planned - before) / model.period),
