@@ -24,7 +24,14 @@ def rates_of_change(
         ds, dw = w - rate / space.stiffness[i], dv - (w - v) / gains.free_time_s
     else:
         ds, dw = w - s / 1e4, -w / gains.held_time_s
-    return np.array([v, dv, ds, dw, -d / gains.motor_disturbance_time_s, -e / 1e4, -o / 1e4])
+    return np.array([v, dv, ds, dw, -d / on_the_motor(model, regime)[1], -e / 1e4, -o / 1e4])
+
+
+def on_the_motor(model: HandModel, regime: Regime) -> tuple[float, float, float]:
+    """Unknown force on the motor [N], how long it lasts [s], and noise on it [N]: friction is known least at rest."""
+    kind = "held" if regime == Regime.HELD else "motor"
+    names = ("disturbance_N", "disturbance_time_s", "acceleration_noise_N")
+    return tuple(getattr(model.gains.filter, f"{kind}_{name}") for name in names)
 
 
 def jacobians(model: HandModel, i: int, regime: Regime) -> tuple[np.ndarray, np.ndarray]:
@@ -38,8 +45,9 @@ def intensity(model: HandModel, i: int, regime: Regime) -> np.ndarray:
     """Spectral density of the noise on the states, by what drives them: a Gauss-Markov state of sigma and tau has
     2 sigma^2 / tau, a walk sigma^2 / tau; what shakes the spool shakes the free digit that follows it."""
     space, gains = model.space, model.gains.filter
+    disturbance, lasts, shaking = on_the_motor(model, regime)
     spool = np.zeros(STATES)
-    spool[V] = gains.motor_acceleration_noise_N / space.motor_mass[i]
+    spool[V] = shaking / space.motor_mass[i]
     digit = np.zeros(STATES)
     if regime == Regime.FREE:
         spool[W] = spool[V]
@@ -50,7 +58,7 @@ def intensity(model: HandModel, i: int, regime: Regime) -> np.ndarray:
     sources = [
         spool,
         digit,
-        unit[D] * gains.motor_disturbance_N * np.sqrt(2 / gains.motor_disturbance_time_s),
+        unit[D] * disturbance * np.sqrt(2 / lasts),
         unit[E] * gains.cell_drift_N / np.sqrt(gains.cell_drift_time_s),
         unit[O] * gains.offset_m * np.sqrt(2 / gains.offset_time_s),
     ]

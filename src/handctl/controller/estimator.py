@@ -185,7 +185,8 @@ def _regimes(
     ropes, table = state.measured, None
     for tendons, touches in zip(model.digit_tendons, contact, strict=True):
         for i in range(tendons.start, tendons.stop):
-            turning[i] = take_up.turning(regimes[i], turning[i], tensions[i], cells[i], errors[i])
+            near = regimes[i] == SLACK and ropes[i] and take_up.near(x[STATES * i : STATES * (i + 1)])
+            turning[i] = take_up.turning(regimes[i], turning[i], tensions[i], cells[i], errors[i], near)
             if take_up.has_turned(regimes[i], turning[i]):
                 turning[i] = 0
                 if regimes[i] == SLACK:

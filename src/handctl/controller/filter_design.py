@@ -165,22 +165,30 @@ def _continuous(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) 
     else:
         A[W, W] = -1.0 / gains.held_time_s
         A[S, S] = -1.0 / FORGET_S
-    A[D, D] = -1.0 / gains.motor_disturbance_time_s
+    A[D, D] = -1.0 / _motor_noise(regime, gains)[1]
     A[E, E] = A[O, O] = -1.0 / FORGET_S
     return A, B, tension
+
+
+def _motor_noise(regime: Regime, gains: FilterGains) -> tuple[float, float, float]:
+    """What acts on the motor unknown: disturbance [N], its correlation time [s], and noise on its force [N]."""
+    if regime == Regime.HELD:
+        return gains.held_disturbance_N, gains.held_disturbance_time_s, gains.held_acceleration_noise_N
+    return gains.motor_disturbance_N, gains.motor_disturbance_time_s, gains.motor_acceleration_noise_N
 
 
 def _intensity(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -> Matrix:
     """Continuous process noise of one tendon, (7, 7): 2 sigma^2 / tau of each Gauss-Markov state, little on speeds."""
     Q = np.zeros((STATES, STATES))
-    Q[V, V] = gains.motor_acceleration_noise_N**2 / space.motor_mass[i] ** 2
+    disturbance, time, jerk = _motor_noise(regime, gains)
+    Q[V, V] = jerk**2 / space.motor_mass[i] ** 2
     if regime == Regime.FREE:
         rate = gains.free_rate_N_per_s / space.stiffness[i]
         Q[V, W] = Q[W, V] = Q[V, V]
         Q[W, W] = Q[V, V] + 2.0 * rate**2 / gains.free_time_s
     else:
         Q[W, W] = 2.0 * gains.held_speed_m_s**2 / gains.held_time_s
-    Q[D, D] = 2.0 * gains.motor_disturbance_N**2 / gains.motor_disturbance_time_s
+    Q[D, D] = 2.0 * disturbance**2 / time
     Q[E, E] = gains.cell_drift_N**2 / gains.cell_drift_time_s
     Q[O, O] = 2.0 * gains.offset_m**2 / gains.offset_time_s
     return Q

@@ -27,6 +27,10 @@ class FilterGains(Document):
     held_speed_m_s: float = Field(1.5e-3, gt=0, le=1)
     """Along the tendon, of a digit that rests on something."""
     held_time_s: float = Field(0.1, gt=0, le=10)
+    held_disturbance_N: float = Field(0.3, gt=0, le=50)
+    """Of the motor while its digit rests on something: it turns so slowly that what friction takes is hardly known."""
+    held_disturbance_time_s: float = Field(0.3, gt=0, le=10)
+    held_acceleration_noise_N: float = Field(0.022, gt=0, le=10)
     motor_acceleration_noise_N: float = Field(0.03, gt=0, le=10)
     """Force on the rotor from one instant to the next that nothing explains; the more of it, the less phase the filter
     costs the loops (Doyle and Stein, 1979), and the more of the encoder's noise reaches the torque."""
@@ -39,7 +43,8 @@ class FilterGains(Document):
     """Time since a rope was loose, for which the variance of a taut one is told."""
     offset_m: float = Field(1e-5, gt=0, le=0.01)
     offset_time_s: float = Field(60.0, gt=0, le=1e4)
-    encoder_noise_counts: float = Field(0.4, gt=0, le=100)
+    encoder_noise_counts: float = Field(0.3, gt=0, le=100)
+    """A count's rounding: 1 / sqrt(12)."""
 
 
 class MotionGains(Document):

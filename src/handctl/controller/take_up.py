@@ -12,9 +12,12 @@ EVIDENCE = ((TAUT_ABOVE_N, 6), (1.5, 2), (1.0, 1))
 """Points that a sample above a tension [N] counts for a taut rope; one below all of them takes ``AGAINST`` away."""
 AGAINST, TAUT_POINTS = 2, 6
 """Noise of 0.5 N alone hardly ever comes to so many points, nor does a cell that has drifted by less than 1 N."""
+NEAR_M, NEAR_FACTOR = 5e-5, 3
+"""A rope that by its encoder hangs no looser than this is about to become taut, and every point counts threefold: a
+sample of three standard deviations ends slack at once. Stops and friction leave its length open by about as much."""
 
 
-def turning(regime: int, points: int, tension: float, cell: float, error: float) -> int:
+def turning(regime: int, points: int, tension: float, cell: float, error: float, near: bool = False) -> int:
     """What speaks for becoming taut (if slack: points) or slack (if taut: consecutive ticks).
 
     A missing sample ends a count of ticks and leaves points as they are.
@@ -22,6 +25,7 @@ def turning(regime: int, points: int, tension: float, cell: float, error: float)
     Args:
         regime: of the tendon. points: so far. tension: estimated [N]. cell: load cell [N].
         error: of the load cell, as far as it is known [N].
+        near: whether the spool has wound in what hung loose.
     """
     if regime != SLACK:
         return points + 1 if tension < SLACK_BELOW_N and cell < SLACK_BELOW_N else 0
@@ -29,8 +33,13 @@ def turning(regime: int, points: int, tension: float, cell: float, error: float)
         return points
     for above, worth in EVIDENCE:
         if cell - error > above:
-            return points + worth
+            return points + worth * (NEAR_FACTOR if near else 1)
     return max(points - AGAINST, 0)
+
+
+def near(x: Vector) -> bool:
+    """Whether a rope of known length, slack and in the state (7,), is about to become taut by its encoder."""
+    return bool(x[X] - x[S] - x[O] > -NEAR_M)
 
 
 def has_turned(regime: int, points: int) -> bool:
