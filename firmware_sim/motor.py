@@ -6,6 +6,7 @@ gains that are stable in the drive are stable here, without sub-steps.
 
 import math
 from collections.abc import Callable, Sequence
+from math import floor
 from typing import Any
 
 from firmware_sim.description import MotorSpec
@@ -56,8 +57,9 @@ class Motor(RotorRow):
 
     def encoder(self) -> float:
         """Return the spool angle as the drive measures it [rad]."""
-        angle = math.floor(self.theta / ENCODER_STEP) * ENCODER_STEP
-        return self.misread(angle) if self.misread else angle
+        angle = floor(self.theta / ENCODER_STEP) * ENCODER_STEP
+        misread = self.misread
+        return misread(angle) if misread else angle
 
     def advance(self, load: float) -> None:
         """Integrate one step, semi-implicitly, against the rope's torque [N m]."""

@@ -1,6 +1,7 @@
 """The simulator in lockstep: the caller's ticks are its clock, and nobody sleeps."""
 
 from collections.abc import Iterable, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ FRAME_NS = 135_000
 """Worst case of a classical frame of 8 bytes at 1 Mbit/s [ns], by which answers follow one another. Source: VCAN."""
 FD_FRAME_NS = 57_000
 """Worst case of an FD frame of 8 bytes at 1/5 Mbit/s [ns]. Source: VCAN."""
+_ARRIVAL_NS = itemgetter(4)
 
 
 class Rig:
@@ -77,20 +79,19 @@ class Rig:
         """
         if self.wired is not None:
             return self.wired.step(t_ns, [Frame(*frame) for frame in frames], t_ns + self._period_ns)
-        self.world.advance(t_ns)
-        busy_ns = [0] * len(self.world.nodes)
-        answers = []
+        world, make, last_ns = self.world, Frame._make, self._period_ns - 1
+        world.advance(t_ns)
+        busy_ns = [0] * len(world.nodes)
+        answers: list[Frame] = []
         for frame in frames:
-            question = Frame(*frame)
-            busy_ns[question.bus] += _duration_ns(question)
-            answers += self.world.receive(question)
+            busy_ns[frame[3]] += FD_FRAME_NS if frame[2] & FDF else FRAME_NS
+            answers += world.receive(make(frame))
         stamped = []
-        for answer in answers:
-            busy_ns[answer.bus] += _duration_ns(answer)
-            can_id, data, flags, bus, _ = answer
-            stamped.append(Frame(can_id, data, flags, bus, t_ns + min(busy_ns[bus], self._period_ns - 1)))
-        self.world.advance(t_ns + self._period_ns)
-        return sorted(stamped + self.world.take_spoken(), key=_arrival_ns)
+        for can_id, data, flags, bus, _ in answers:
+            busy_ns[bus] = after_ns = busy_ns[bus] + (FD_FRAME_NS if flags & FDF else FRAME_NS)
+            stamped.append(make((can_id, data, flags, bus, t_ns + (after_ns if after_ns < last_ns else last_ns))))
+        world.advance(t_ns + self._period_ns)
+        return sorted(stamped + world.take_spoken(), key=_ARRIVAL_NS)
 
     def inject(self, text: str) -> None:
         """Let a fault begin now, or ``at`` a time from now; see ``fault_text``.
@@ -120,11 +121,3 @@ class Rig:
         """Share of the time that each wire was occupied."""
         assert self.wired
         return [round(wire.load(0, max(1, self.world.t_ns)), 4) for wire in self.wired.wires]
-
-
-def _arrival_ns(frame: Frame) -> int:
-    return frame.t_ns
-
-
-def _duration_ns(frame: Frame) -> int:
-    return FD_FRAME_NS if frame.flags & FDF else FRAME_NS

@@ -1,7 +1,5 @@
 """The table under the object, which sinks once the object is held."""
 
-import math
-
 from firmware_sim.scene import Support
 
 
@@ -46,7 +44,8 @@ class Table:
 
     def _grasped(self, forces: list[float]) -> bool:
         """Whether enough digits press, and if so asked from both sides."""
-        sizes = [math.hypot(*forces[i : i + 3]) for i in range(0, len(forces), 3)]
-        pressing = [side for side, size in zip(self._opposed, sizes, strict=True) if size > self._support.drop_force]
+        least = self._support.drop_force**2
+        squares = [x * x + y * y + z * z for x, y, z in zip(forces[::3], forces[1::3], forces[2::3], strict=True)]
+        pressing = [side for side, square in zip(self._opposed, squares, strict=True) if square > least]
         enough = len(pressing) >= self._support.drop_digits
         return enough and (not self._support.drop_opposed or (any(pressing) and not all(pressing)))

@@ -101,27 +101,27 @@ class World:
     def receive(self, frame: Frame) -> list[Frame]:
         """Hand a frame to the nodes of its bus and return their answers, stamped with the present time."""
         answers: list[Frame] = []
-        known, t_ns, bus, faults = False, self.t_ns, frame.bus, self.faults
-        for node, ids in self._all_of[bus] if faults.on else self._takers(bus, frame.can_id):
-            replies = faults.exchange(node, frame, t_ns) if faults.on else node.receive(frame, t_ns)
+        known, t_ns, bus, faults = False, self.t_ns, frame[3], self.faults
+        struck = faults.on
+        takers = self._all_of[bus] if struck else self._by_id[bus].get(frame[0]) or self._takers(bus, frame[0])
+        for node, ids in takers:
+            replies = faults.exchange(node, frame, t_ns) if struck else node.receive(frame, t_ns)
             if node.ids is not ids:
                 self._renumbered(bus)
             if replies is not None:
                 known = True
-                for reply in replies:
-                    if reply.bus != bus or reply.t_ns != t_ns:
-                        reply = Frame(reply.can_id, reply.data, reply.flags, bus, t_ns)
-                    answers.append(reply)
+                answers += replies
         if not known:
             self.foreign += 1
+        for i, (can_id, data, flags, at_bus, at_ns) in enumerate(answers):
+            if at_bus != bus or at_ns != t_ns:
+                answers[i] = Frame(can_id, data, flags, bus, t_ns)
         return answers
 
     def _takers(self, bus: int, can_id: int) -> list[tuple[Node, frozenset[int] | None]]:
         """Return the nodes that may answer an identifier, each with all of its own as they were when it was asked."""
-        takers = self._by_id[bus].get(can_id)
-        if takers is None:
-            takers = [(node, ids) for node, ids in self._all_of[bus] if ids is None or can_id in ids]
-            self._by_id[bus][can_id] = takers
+        takers = [(node, ids) for node, ids in self._all_of[bus] if ids is None or can_id in ids]
+        self._by_id[bus][can_id] = takers
         return takers
 
     def _renumbered(self, bus: int) -> None:
@@ -133,6 +133,8 @@ class World:
         """Let time pass until t_ns, in whole steps; what is left over waits for the next call."""
         plant, truth, faults = self.plant, self._truth, self.faults
         now_ns = self.t_ns
+        if now_ns + STEP_NS > t_ns:
+            return
         wake_ns = min([node.wake_ns for _, node in self._all], default=t_ns)
         while now_ns + STEP_NS <= t_ns:
             until_ns = t_ns

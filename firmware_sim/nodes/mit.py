@@ -33,6 +33,9 @@ class State(enum.IntEnum):
     OVERLOAD = 0xE
 
 
+_ENABLED = State.ENABLED
+
+
 class MitNode:
     """One motor node.
 
@@ -72,9 +75,10 @@ class MitNode:
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Return the answers to a frame in the frame's own format; None if it is not for this motor."""
-        can_id, data = frame.can_id, frame.data
+        can_id, data, flags, bus, _ = frame
         if can_id == self._id:
-            self.wake(t_ns)
+            if t_ns >= self.wake_ns:
+                self.wake(t_ns)
             answer = self._command(data, t_ns)
         elif can_id == REGISTER_ID:
             if len(data) < 4 or int.from_bytes(data[:2], "little") != self._id:
@@ -90,15 +94,15 @@ class MitNode:
         if answer is None:
             self.malformed += 1
             return []
-        return [Frame(self._reply_id, answer, frame.flags, frame.bus, t_ns)]
+        return [Frame(self._reply_id, answer, flags, bus, t_ns)]
 
     def _command(self, data: bytes, t_ns: int) -> bytes | None:
         if len(data) != 8:
             return None
-        if data[:7] == _SPECIAL and data[7] >= _CLEAR and data[7] != 0xFF:
+        if data[7] >= _CLEAR and data[7] != 0xFF and data[:7] == _SPECIAL:
             return self._special(data, t_ns)
         self.fed_ns = t_ns
-        if self.state == State.ENABLED:
+        if self.state == _ENABLED:
             servo, sign = self.motor.servo, self._direction
             position, velocity, servo.kp, servo.kd, torque = read_command(WORD.unpack(data)[0], *self._ranges)
             servo.position, servo.velocity = sign * (position - self.offset), sign * velocity
@@ -189,9 +193,12 @@ class MitNode:
         self._schedule()
 
     def _schedule(self) -> None:
-        self.wake_ns = self._warmed_ns + WARM_PERIOD_NS
-        if self.state == State.ENABLED and self._timeout_ns:
-            self.wake_ns = min(self.wake_ns, self.fed_ns + self._timeout_ns)
+        wake_ns = self._warmed_ns + WARM_PERIOD_NS
+        if self._timeout_ns and self.state == _ENABLED:
+            starved_ns = self.fed_ns + self._timeout_ns
+            self.wake_ns = starved_ns if starved_ns < wake_ns else wake_ns
+        else:
+            self.wake_ns = wake_ns
 
     def _warm(self, t_ns: int) -> None:
         if self._warmed_ns >= 0:

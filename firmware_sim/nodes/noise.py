@@ -25,15 +25,20 @@ class Noise:
 
     def __init__(self, seed: str) -> None:
         """Args: seed of the stream."""
-        self._uniform = random.Random(seed).random
+        _, state, _ = random.Random(seed).getstate()
+        generator = np.random.RandomState()
+        # numpy makes its numbers of that state as Python does
+        generator.set_state(("MT19937", np.array(state[:-1], np.uint32), state[-1], 0, 0.0))
+        self._uniform = generator.random_sample
         self._left: Any = np.empty(0)
+        self._first = 0
 
     def take(self, count: int) -> Any:
         """Return the next numbers of mean 0 and standard deviation 1, shape (count,)."""
-        while len(self._left) < count:
-            uniform = self._uniform
-            block = np.array([uniform() for _ in range(BLOCK)])
+        while len(self._left) < self._first + count:
+            block = self._uniform(BLOCK)
             _to_normal(block)
-            self._left = np.concatenate((self._left, block))
-        taken, self._left = self._left[:count], self._left[count:]
-        return taken
+            self._left, self._first = np.concatenate((self._left[self._first :], block)), 0
+        first = self._first
+        self._first = first + count
+        return self._left[first : first + count]
