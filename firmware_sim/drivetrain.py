@@ -164,15 +164,24 @@ def pull(i: int, ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: An
 
 
 @compiled(ROTORS)
+def follow(rotors: Any) -> None:
+    """Let the rotors follow their servos against the loads that are there."""
+    for i in range(len(rotors)):
+        _see(rotors[i])
+        _decide(rotors[i])
+        _turn(rotors[i])
+
+
+@compiled(ROTORS)
 def decide(rotors: Any) -> None:
-    """The torques that the servos command."""
+    """The first half of ``follow``, with angles that somebody has measured: the torques that the servos command."""
     for i in range(len(rotors)):
         _decide(rotors[i])
 
 
 @compiled(ROTORS)
 def turn(rotors: Any) -> None:
-    """Let the rotors follow what is commanded."""
+    """The second half of ``follow``: let the rotors follow what is commanded."""
     for i in range(len(rotors)):
         _turn(rotors[i])
 

@@ -4,13 +4,15 @@ import random
 from typing import Any
 
 from firmware_sim import fault_plant, fault_wire
-from firmware_sim.fault_text import BUS, KINDS, NODE, SENSORS, Fault, instances, parse_fault
+from firmware_sim.fault_text import BUS, FOREVER_NS, KINDS, NODE, SENSORS, Fault, instances, parse_fault
 from firmware_sim.fault_wire import Active
 from firmware_sim.frame import Frame
 
 TURN_NS = 1_000_000
 FOREIGN_NS = 10_000_000
 FLOOD_ID, UNKNOWN_ID = 0x000, 0x7E5
+INVENTED = ("flood", "unknown", "foreign")
+"""Kinds of fault in which nobody speaks, every so often."""
 
 
 class Faults:
@@ -18,6 +20,7 @@ class Faults:
 
     Attributes:
         on: whether any fault waits or acts.
+        struck: what acts on the wire of a node, by its identity.
         everything: every fault so far, in the order of injection.
     """
 
@@ -27,7 +30,7 @@ class Faults:
         self.on = False
         self._waiting: list[Active] = []
         self._acting: list[tuple[Active, fault_plant.Undo]] = []
-        self._by_node: dict[int, list[Active]] = {}
+        self.struck: dict[int, list[Active]] = {}
         self._all_wire: list[tuple[int, Active]] = []
         self._turn_ns = self._foreign_ns = 0
         self.everything: list[Active] = []
@@ -95,18 +98,29 @@ class Faults:
             self._index()
         frames = [frame for bus, one in self._all_wire for frame in fault_wire.due([one], t_ns)]
         if t_ns >= self._turn_ns:
-            self._turn_ns = t_ns + TURN_NS
+            since_ns = t_ns - self._turn_ns if self._turn_ns else 0  # turns are a whole number of TURN_NS apart
+            self._turn_ns = t_ns - since_ns % TURN_NS + TURN_NS
             frames += self._invented(t_ns)
         return frames
 
+    def due_ns(self) -> int:
+        """Return when something begins, ends, is let go or is said by nobody next [ns]."""
+        due = [one.fault.start_ns for one in self._waiting]
+        for one, _ in self._acting:
+            due += [one.fault.start_ns + one.fault.duration_ns, *(at_ns for at_ns, _ in one.held)]
+            if one.fault.kind in INVENTED:
+                due.append(self._turn_ns)
+        return min(due, default=FOREVER_NS)
+
     def _index(self) -> None:
-        """Who is struck on the wire."""
-        self._by_node, self._all_wire = {}, []
+        """Who is struck on the wire; a node that was reset may have another number."""
+        self._world.look_again()
+        self.struck, self._all_wire = {}, []
         for one, _ in self._acting:
             if one.fault.component not in (NODE, BUS):
                 continue
             for node, bus in self._struck(one.fault):
-                self._by_node.setdefault(id(node), []).append(one)
+                self.struck.setdefault(id(node), []).append(one)
                 self._all_wire.append((bus, one))
 
     def _struck(self, fault: Fault) -> list[tuple[Any, int]]:
@@ -119,7 +133,7 @@ class Faults:
 
     def exchange(self, node: Any, frame: Frame, t_ns: int) -> list[Frame] | None:
         """What a node answers to a frame, if it gets it and the answer arrives."""
-        active = self._by_node.get(id(node))
+        active = self.struck.get(id(node))
         if not active:
             answers: list[Frame] | None = node.receive(frame, t_ns)
             return answers
@@ -133,7 +147,7 @@ class Faults:
 
     def spoken(self, node: Any, frames: list[Frame], t_ns: int) -> list[Frame]:
         """What becomes of frames that a node sends of its own accord."""
-        active = self._by_node.get(id(node))
+        active = self.struck.get(id(node))
         return fault_wire.transmit(active, frames, t_ns) if active else frames
 
     def _invented(self, t_ns: int) -> list[Frame]:

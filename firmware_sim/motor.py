@@ -10,7 +10,7 @@ from math import floor
 from typing import Any
 
 from firmware_sim.description import MotorSpec
-from firmware_sim.drivetrain import ENCODER_STEP, decide, turn
+from firmware_sim.drivetrain import ENCODER_STEP, decide, follow, turn
 from firmware_sim.rows import RotorRow, Servo, array_of
 
 CURRENT_LAG_S = 0.3e-3
@@ -68,6 +68,9 @@ class Motor(RotorRow):
 
     def follow(self) -> None:
         """Integrate one step against the load that is there, with the faults of encoder and power stage."""
+        if not (self.misread or self.disobeys):
+            follow(self._row)
+            return
         if self.servo.kp or self.servo.kd:
             self.angle = self.encoder()
         decide(self._row)

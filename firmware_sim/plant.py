@@ -127,7 +127,7 @@ class Plant:
     def _move(self, count: int) -> None:
         """Make steps, compiled unless a fault in a motor wants to be asked in each."""
         native = self.engine.native
-        if native and not self._struck():
+        if native and not self.struck:
             done = steps(count, *self._drivetrain, *native)
             self.steps += done
             if done < count:
@@ -136,7 +136,8 @@ class Plant:
             for _ in range(count):
                 self._move_once()
 
-    def _struck(self) -> bool:
+    @property
+    def struck(self) -> bool:
         """Whether a fault stands between a motor and its encoder or its power stage."""
         for motor in self._rotors:  # noqa: SIM110 - any() of a generator takes three times as long
             if motor.misread or motor.disobeys:

@@ -55,8 +55,8 @@ class World:
             self.sensor_node = self._sensor_node(hand.sensors)
             self.nodes[self._bus(hand.sensors.bus)].append(self.sensor_node)
         self._all = [(index, node) for index, bus in enumerate(self.nodes) for node in bus]
-        self._all_of = [[(node, node.ids) for node in bus] for bus in self.nodes]
-        self._by_id: list[dict[int, list[tuple[Node, frozenset[int] | None]]]] = [{} for _ in self.nodes]
+        self._by_id: list[dict[int, list[tuple[Node, frozenset[int] | None]]]]
+        self.look_again()
         self._spoken: list[Frame] = []
         self.faults = Faults(self)
         self._truth: TruthWriter | None = None
@@ -102,12 +102,12 @@ class World:
         """Hand a frame to the nodes of its bus and return their answers, stamped with the present time."""
         answers: list[Frame] = []
         known, t_ns, bus, faults = False, self.t_ns, frame[3], self.faults
-        struck = faults.on
+        struck = faults.struck  # by a fault that may have something to do with frames for others
         takers = self._all_of[bus] if struck else self._by_id[bus].get(frame[0]) or self._takers(bus, frame[0])
         for node, ids in takers:
             replies = faults.exchange(node, frame, t_ns) if struck else node.receive(frame, t_ns)
             if node.ids is not ids:
-                self._renumbered(bus)
+                self.look_again()
             if replies is not None:
                 known = True
                 answers += replies
@@ -124,10 +124,10 @@ class World:
         self._by_id[bus][can_id] = takers
         return takers
 
-    def _renumbered(self, bus: int) -> None:
-        """Ask the nodes of a bus again who they are."""
-        self._all_of[bus] = [(node, node.ids) for node in self.nodes[bus]]
-        self._by_id[bus] = {}
+    def look_again(self) -> None:
+        """Ask the nodes again who they are."""
+        self._all_of = [[(node, node.ids) for node in bus] for bus in self.nodes]
+        self._by_id = [{} for _ in self.nodes]
 
     def advance(self, t_ns: int) -> None:
         """Let time pass until t_ns, in whole steps; what is left over waits for the next call."""
@@ -142,15 +142,18 @@ class World:
                 if plant.t_ns >= truth.due_ns:
                     truth.write(now_ns + self.slip_ns, plant)
                 until_ns = min(until_ns, now_ns + truth.due_ns - plant.t_ns)
-            count = 1 if faults.on else _steps(now_ns, min(until_ns, wake_ns), t_ns)
+            if faults.on:
+                until_ns = min(until_ns, now_ns if plant.struck else faults.due_ns())
+            count = _steps(now_ns, min(until_ns, wake_ns), t_ns)
             plant.advance(count)
             now_ns += count * STEP_NS
             if now_ns >= wake_ns:
                 self._wake(now_ns)
                 wake_ns = min([node.wake_ns for _, node in self._all], default=t_ns)
             if faults.on:
-                self.t_ns = wake_ns = now_ns
+                self.t_ns = now_ns
                 self._spoken += faults.advance(now_ns)
+                wake_ns = min([node.wake_ns for _, node in self._all], default=t_ns)
         self.t_ns = now_ns
 
     def _wake(self, now_ns: int) -> None:
