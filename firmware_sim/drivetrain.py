@@ -156,11 +156,28 @@ def tensions(ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, o
         out[i] = _at_cell(ropes[i], joints, arms, rotors[ropes[i]["motor"]], q, dq)
 
 
-@compiled(COUNT, ROPES, *ROUTE, ROTORS, *JOINTS, VECTOR)
-def pull(i: int, ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any) -> None:
-    """One rope alone pulls, and gives back what its damping takes."""
-    _pull(ropes[i], joints, arms, rotors[ropes[i]["motor"]], q, dq, torque)
-    _give_back(ropes[i], joints, arms, torque)
+@inner
+def _drive(
+    ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any, everyone: bool
+) -> None:
+    """Let all ropes pull, and those rotors turn that nobody asks to wait, or everyone."""
+    torque[:] = 0.0
+    for i in range(len(ropes)):
+        rope = ropes[i]
+        rotor = rotors[rope["motor"]]
+        _pull(rope, joints, arms, rotor, q, dq, torque)
+        if everyone or rotor["waits"] == 0:
+            _see(rotor)
+            _decide(rotor)
+            _turn(rotor)
+        _give_back(rope, joints, arms, torque)
+        damping[i] = rope["slope"]
+
+
+@compiled(ROPES, *ROUTE, ROTORS, *JOINTS, VECTOR, VECTOR)
+def drive(ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any) -> None:
+    """One step without the engine, in which some rotors wait; see ``steps``."""
+    _drive(ropes, joints, arms, rotors, q, dq, torque, damping, False)
 
 
 @compiled(ROTORS)
@@ -208,15 +225,6 @@ def steps(
             speeds += speed
         if not abs(speeds) < DIVERGED_RAD_S:  # not a number is diverged, too
             return done
-        torque[:] = 0.0
-        for i in range(len(ropes)):
-            rope = ropes[i]
-            rotor = rotors[rope["motor"]]
-            _pull(rope, joints, arms, rotor, q, dq, torque)
-            _see(rotor)
-            _decide(rotor)
-            _turn(rotor)
-            _give_back(rope, joints, arms, torque)
-            damping[i] = rope["slope"]
+        _drive(ropes, joints, arms, rotors, q, dq, torque, damping, True)
         call(step, model, data)
     return count

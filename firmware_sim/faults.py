@@ -97,9 +97,8 @@ class Faults:
             self._acting.remove((one, undo))
             self._index()
         frames = [frame for bus, one in self._all_wire for frame in fault_wire.due([one], t_ns)]
-        if t_ns >= self._turn_ns:
-            since_ns = t_ns - self._turn_ns if self._turn_ns else 0  # turns are a whole number of TURN_NS apart
-            self._turn_ns = t_ns - since_ns % TURN_NS + TURN_NS
+        if not self._turn_ns or (t_ns >= self._turn_ns and (t_ns - self._turn_ns) % TURN_NS == 0):
+            self._turn_ns = t_ns + TURN_NS
             frames += self._invented(t_ns)
         return frames
 

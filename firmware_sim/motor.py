@@ -55,6 +55,11 @@ class Motor(RotorRow):
             motor._describe(spec, step_s)
         return motors, array_of(memory, RotorRow)
 
+    @property
+    def struck(self) -> bool:
+        """Whether a fault stands between it and its encoder or its power stage."""
+        return bool(self.misread or self.disobeys)
+
     def encoder(self) -> float:
         """Return the spool angle as the drive measures it [rad]."""
         angle = floor(self.theta / ENCODER_STEP) * ENCODER_STEP
@@ -68,7 +73,7 @@ class Motor(RotorRow):
 
     def follow(self) -> None:
         """Integrate one step against the load that is there, with the faults of encoder and power stage."""
-        if not (self.misread or self.disobeys):
+        if not self.struck:
             follow(self._row)
             return
         if self.servo.kp or self.servo.kd:

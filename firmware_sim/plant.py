@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from firmware_sim.description import Hand, SimulatorError
-from firmware_sim.drivetrain import DIVERGED_RAD_S, pull, steps, tensions
+from firmware_sim.drivetrain import DIVERGED_RAD_S, drive, steps, tensions
 from firmware_sim.engine import Engine
 from firmware_sim.mjcf import STEP_S, model_text, opposed_digits
 from firmware_sim.motor import Motor
@@ -126,34 +126,31 @@ class Plant:
 
     def _move(self, count: int) -> None:
         """Make steps, compiled unless a fault in a motor wants to be asked in each."""
-        native = self.engine.native
-        if native and not self.struck:
-            done = steps(count, *self._drivetrain, *native)
-            self.steps += done
-            if done < count:
-                raise self._diverged()
-        else:
+        native, struck = self.engine.native, self.struck
+        if not native or struck:
             for _ in range(count):
-                self._move_once()
+                self._move_once(struck)
+            return
+        done = steps(count, *self._drivetrain, *native)
+        self.steps += done
+        if done < count:
+            raise self._diverged()
 
     @property
-    def struck(self) -> bool:
-        """Whether a fault stands between a motor and its encoder or its power stage."""
-        for motor in self._rotors:  # noqa: SIM110 - any() of a generator takes three times as long
-            if motor.misread or motor.disobeys:
-                return True
-        return False
+    def struck(self) -> list[Motor]:
+        """The motors in which there is a fault."""
+        return [motor for motor in self._rotors if motor.misread or motor.disobeys]
 
-    def _move_once(self) -> None:
-        """Make a step motor by motor."""
+    def _move_once(self, struck: list[Motor]) -> None:
+        """Make a step in which some motors turn by themselves."""
         engine = self.engine
         if not abs(sum(engine.dq.tolist())) < DIVERGED_RAD_S:  # not a number is diverged, too
             raise self._diverged()
-        engine.applied[:] = 0.0
-        for i, (rope, motor) in enumerate(self.ropes):
-            pull(i, *self._route, engine.q, engine.dq, engine.applied)
+        for motor in self._rotors:
+            motor.waits = motor in struck
+        drive(*self._drivetrain)
+        for motor in struck:
             motor.follow()
-            engine.rope_damping[i] = rope.slope
         engine.step()
         self.steps += 1
 

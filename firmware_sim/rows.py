@@ -34,19 +34,21 @@ class Servo(ctypes.Structure):
 
 
 class RotorRow(ctypes.Structure):
-    """A rotor with its servo; see ``motor.Motor`` for the state.
+    """A rotor with its servo, its ``law``; see ``motor.Motor`` for the state.
 
     Attributes:
         inertia: [kg m2]. viscous: [N m s/rad]. coulomb: [N m]. gain: torque that appears over the one believed.
         step: [s]. lag, velocity_lag: shares by which current and estimate follow in a step.
         load: torque of the rope [N m]. angle: of the spool as the servo sees it [rad]. command: to the current [N m].
         drag: load and Coulomb friction [N m]. stiff: inertia over step, and the slope of the friction [N m s/rad].
+        waits: whether it turns by itself, not with the others.
     """
 
     _fields_ = [
         *((name, ctypes.c_double) for name in ("theta", "omega", "torque", "velocity", "heat")),
         *((name, ctypes.c_double) for name in ("inertia", "viscous", "coulomb", "gain", "step", "lag", "velocity_lag")),
         *((name, ctypes.c_double) for name in ("load", "angle", "command", "drag", "stiff")),
+        ("waits", ctypes.c_int64),
         ("law", Servo),
     ]
     theta: float
@@ -64,6 +66,7 @@ class RotorRow(ctypes.Structure):
     load: float
     angle: float
     command: float
+    waits: int
     law: Servo
 
 

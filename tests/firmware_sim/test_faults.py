@@ -138,3 +138,31 @@ def test_a_torn_rope_bears_nothing_and_a_mended_one_does():
     assert run.truth()["tension"][0] == 0.0
     ask(run, 10)
     assert run.truth()["tension"][0] > 15.0
+
+
+MANY = (
+    "drop node=index_motor p=0.2 for=60ms", "delay node=index_motor p=0.3 size=3.3 at=70500us",
+    "flood bus=can0 size=2 at=17500us for=20ms", "foreign node=middle_motor at=31ms for=30ms",
+    "runaway node=ring_motor size=0.5 at=25ms for=40ms", "reset node=thumb_motor at=50500us for=10ms",
+)  # fmt: skip
+
+
+def test_what_is_due_between_steps_happens_as_if_every_step_were_looked_at():
+    """One hand goes tick by tick, in blocks of what is due; the other step by step."""
+
+    def run(step_ns):
+        one = rig()
+        world = one.world
+        for text in MANY:
+            one.inject(text.replace("can0", HAND.buses[0]))
+        heard = []
+        for k in range(60):
+            for t_ns in range(world.t_ns + step_ns, (k + 1) * 2_000_000 + 1, step_ns):
+                world.advance(t_ns)
+            heard += [*world.receive(REFRESH), *world.receive(Frame(SYNC, bytes((k,)))), *world.take_spoken()]
+        told = [{key: value for key, value in fault.items() if key != "state"} for fault in one.told()]
+        return heard, told, [motor.theta.hex() for motor in world.plant.motors.values()]
+
+    far, near = run(2_000_000), run(500_000)
+    assert far == near
+    assert sum(fault["felt"] > 0 for fault in far[1]) == len(MANY)

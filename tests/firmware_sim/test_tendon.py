@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_sim.description import TendonSpec, load_hand
-from firmware_sim.drivetrain import pull, tensions
+from firmware_sim.drivetrain import drive, tensions
 from firmware_sim.motor import Motor
 from firmware_sim.tendon import Routing
 
@@ -39,8 +39,8 @@ class Rope:
     def pull(self, q: list[float], dq: list[float], theta: float, omega: float, torque: list[float]) -> float:
         """Add the torques of the pulleys, without what the rope's damping takes; the tension."""
         self.motor.theta, self.motor.omega = theta, omega
-        total = np.zeros(3)
-        pull(0, *self.parts, np.array(q), np.array(dq), total)
+        self.motor.waits, total = True, np.zeros(3)
+        drive(*self.parts, np.array(q), np.array(dq), total, np.zeros(1))
         back = self.row.slope * self.row.speed
         torque[:] = [before + all_ - 0.003 * back for before, all_ in zip(torque, total.tolist(), strict=True)]
         return self.row.tension
