@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from handctl.controller.filter_design import FilterDesign
+from handctl.controller.filter_state import FilterState
 from handctl.controller.gains import Gains
 from handctl.controller.program import Program
 from handctl.controller.setup import make_controller
@@ -26,6 +28,8 @@ RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
 DEFAULTS = Gains()
 Array = NDArray[np.float64]
 Change = Callable[[Controller], Controller]
+Row = tuple[TickIn, TickOut, Array, FilterState]
+"""A tick: what came in and went out, the filter's inputs (N, 2) and its state after it."""
 
 
 def unchanged(controller: Controller) -> Controller:
@@ -71,6 +75,7 @@ class Course:
         phase: (ticks,) name.
         numbers: telemetry by field, (ticks, ..) each.
         force: (ticks, N) motor force that acted before each tick, the filter's input [N].
+        filtered: (ticks, N) tension that the filter holds for the instant of the tick's samples, a period ago [N].
         real: the plant's truth.
         failure: why the run ended early.
         events: (t [s], name, where, text).
@@ -82,6 +87,7 @@ class Course:
     phase: NDArray[np.str_]
     numbers: dict[str, Array]
     force: Array
+    filtered: Array
     real: Truth
     failure: str
     events: tuple[tuple[float, str, str, str], ...]
@@ -127,13 +133,13 @@ def run(trial: Trial) -> Course:
         peer = load_peer(
             SIMULATED_HAND, hand_path=file, truth_path=str(path), period_ns=period_ns, homed=True, **options
         )
-        rows: list[tuple[TickIn, TickOut, Array]] = []
+        rows: list[Row] = []
         state, waiting, end = controller.initial(), list[Frame](), round(trial.limit_s * rate)
         for k in range(end):
             entry = TickIn(k, k * period_ns, 0, tuple(Frame(*frame) for frame in waiting))
-            force = state.law.force
+            inputs = np.column_stack((state.law.force, state.law.rate))
             state, out = controller.tick(state, entry)
-            rows.append((entry, out, force))
+            rows.append((entry, out, inputs, state.filter))
             if out.mode == Mode.DONE:
                 break
             waiting = peer.step(entry.t_ns, list(out.frames))
@@ -141,19 +147,32 @@ def run(trial: Trial) -> Course:
         return _course(hand, controller, rows, read_truth(path), state)
 
 
-def _course(
-    hand: Hand, controller: Controller, rows: list[tuple[TickIn, TickOut, Array]], real: Truth, state: State
-) -> Course:
+def _filtered(design: FilterDesign, inputs: Array, after: FilterState) -> list[float]:
+    """(N,) tensions before the prediction to the present, which is taken back [N].
+
+    Args:
+        design: of the filter. inputs: (N, 2) of the tick. after: the filter's state when it is done.
+    """
+    found = []
+    for i, (regime, x) in enumerate(zip(after.regimes, after.x.reshape(len(inputs), -1), strict=True)):
+        block = design.blocks[i][regime]
+        found.append(max(float(block.tension_row @ np.linalg.solve(block.F, x - block.B @ inputs[i])), 0.0))
+    return found
+
+
+def _course(hand: Hand, controller: Controller, rows: list[Row], real: Truth, state: State) -> Course:
     active = [row for row in rows if row[1].mode == Mode.ACTIVE]
     fields = TELEMETRY_FIELDS
-    events = [(entry.t_ns / 1e9, *event[1:]) for entry, out, _ in rows for event in out.events]
+    events = [(entry.t_ns / 1e9, *event[1:]) for entry, out, *_ in rows for event in out.events]
+    design = controller.model.filter
     return Course(
         hand,
         controller,
-        np.array([entry.t_ns for entry, _, _ in active]),
-        np.array([out.phase for _, out, _ in active]),
-        {name: np.array([getattr(out.telemetry, name) for _, out, _ in active]) for name in fields},
-        np.array([force for _, _, force in active]),
+        np.array([entry.t_ns for entry, *_ in active]),
+        np.array([out.phase for _, out, *_ in active]),
+        {name: np.array([getattr(out.telemetry, name) for _, out, *_ in active]) for name in fields},
+        np.array([inputs[:, 0] for *_, inputs, _ in active]),
+        np.array([_filtered(design, inputs, after) for *_, inputs, after in active]),
         real,
         state.failure,
         tuple(events),
