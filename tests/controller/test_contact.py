@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handctl.controller.contact import USUAL_S, grown, usual
 from handctl.controller.grasp import TaskProgram
+from handctl.controller.model import HandModel
 from handctl.controller.task import Task
 from tests.controller.plant_run import model_of, run_on_plant
 
@@ -80,3 +82,16 @@ def test_nothing_is_found_where_there_is_nothing(hand: str, tmp_path: Path) -> N
 def test_nothing_is_found_in_ten_minutes(hand: str, tmp_path: Path) -> None:
     alarms = [free_motion(hand, 60.0, seed, tmp_path) for seed in range(10)]
     assert alarms == [0] * 10
+
+
+def test_a_force_that_was_below_zero_all_along_counts_from_there() -> None:
+    """A thumb near the end of its way: the model expects 0.35 N too much, and the contact grows to 0.2 N only."""
+    assert grown((0.2, 0.2), (-0.35, 0.1)) == [pytest.approx(0.55), 0.2]
+    assert grown((0.2,), ()) == [0.2]
+
+
+def test_what_is_usual_follows_in_tenths_of_a_second(jamia: HandModel) -> None:
+    felt, known = (0.0,), (-0.3,)
+    for _ in range(round(USUAL_S / jamia.period)):
+        known = usual(jamia, known, felt)
+    assert known[0] == pytest.approx(-0.3 * math.exp(-1.0), rel=1e-6)

@@ -2,7 +2,8 @@
 
 Each digit's tendons are weighed as a unit force at the tip would load them, so that a proximal tendon, which feels the
 tip most and friction least, counts most. The force is smoothed over a few milliseconds: what the contact of a closing
-digit adds stays, what a chattering rope adds comes and goes.
+digit adds stays, what a chattering rope adds comes and goes. A model that expects too much tension hides a contact
+behind a force below zero, which is there for longer than a contact takes to grow: it is taken off.
 """
 
 import math
@@ -16,6 +17,8 @@ from handctl.controller.types import Vector
 
 SMOOTH_S = 5e-3
 """Time constant: a quarter of the time in which a contact is to be found."""
+USUAL_S = 0.15
+"""Time constant of what is felt anyway: several times that in which a contact grows."""
 
 ARRIVED_S, ARRIVED_FACTOR = 0.15, 2.0
 """So long after the end of its way a digit counts as arrived, and needs so much more force: it meets nothing new by
@@ -59,3 +62,22 @@ def feel(model: HandModel, before: tuple[float, ...], estimate: Estimate, closin
     share, now = -math.expm1(-model.period / SMOOTH_S), felt(model, estimate.q, estimate.external).tolist()
     rows = zip(before or (0.0,) * len(closing), now, closing, strict=True)
     return tuple([old + share * (new - old) if asked else 0.0 for old, new, asked in rows])
+
+
+def grown(felt: tuple[float, ...], usual: tuple[float, ...]) -> list[float]:
+    """What counts of the forces felt at the tips [N]: all of it, and what makes up for less than nothing before.
+
+    Args:
+        felt: per digit, smoothed [N]. usual: what was felt until then [N]; empty at the beginning.
+    """
+    return [now - min(before, 0.0) for now, before in zip(felt, usual or felt, strict=True)]
+
+
+def usual(model: HandModel, before: tuple[float, ...], felt: tuple[float, ...]) -> tuple[float, ...]:
+    """What is felt of each digit for longer [N].
+
+    Args:
+        model: the hand. before: from the last tick; empty at the beginning. felt: of this tick, smoothed [N].
+    """
+    share = -math.expm1(-model.period / USUAL_S)
+    return tuple([old + share * (new - old) for old, new in zip(before or felt, felt, strict=True)])

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handctl.controller.allocation import allocate
-from handctl.controller.contact import feel, needed
+from handctl.controller.contact import feel, grown, needed, usual
 from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.grip import Grip, GripPlan, hold
@@ -93,7 +93,8 @@ class TaskProgram:
         if isinstance(phase, Hold) and not any(contact):
             events.append(Event("warn", "phase", "", f"{phase.name}: no digit is in contact"))
         grip = Grip.of(model, goals, estimate, t) if isinstance(phase, Hold) and any(contact) else None
-        progress = replace(progress, goals=goals, contact=contact, touching=(0,) * len(names), felt=(), grip=grip)
+        untouched = (0,) * len(names)
+        progress = replace(progress, goals=goals, contact=contact, touching=untouched, felt=(), usual=(), grip=grip)
         return progress, tuple(events)
 
     def _goal(self, model: HandModel, progress: Progress, d: int, name: str, estimate: Estimate, t: float) -> DigitGoal:
@@ -158,7 +159,8 @@ class TaskProgram:
         closing = [
             goal.kind == Kind.MOTION and not known for goal, known in zip(progress.goals, progress.contact, strict=True)
         ]
-        forces = feel(model, progress.felt, estimate, closing)
+        felt = feel(model, progress.felt, estimate, closing)
+        forces = grown(felt, progress.usual)
         goals, contact, touching = list(progress.goals), list(progress.contact), list(progress.touching)
         events: list[Event] = []
         for d, tendons in enumerate(model.digit_tendons):
@@ -170,8 +172,8 @@ class TaskProgram:
                 goals[d] = DigitGoal(Kind.TENSION, tension=start, rate=model.gains.tension.rate_N_per_s)
                 name = model.hand.digit_names[d]
                 events.append(Event("info", "contact", name, f"{name} touches, {forces[d]:.2f} N at its tip"))
-        changed = replace(progress, goals=tuple(goals), contact=tuple(contact), touching=tuple(touching), felt=forces)
-        return changed, tuple(events)
+        changed = replace(progress, goals=tuple(goals), contact=tuple(contact), touching=tuple(touching))
+        return replace(changed, felt=felt, usual=usual(model, progress.usual, felt)), tuple(events)
 
     def _phase_over(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> bool:
         phase, elapsed = self.task.phase[progress.step - 1], t - progress.since

@@ -31,6 +31,7 @@ class Progress:
         failure: why the program gave up; empty if it did not.
         record: numbers that the program keeps for its result.
         felt: per digit, smoothed force at the tip while it closes [N]; empty otherwise.
+        usual: per digit, the mean of that over a longer time [N]; empty otherwise.
         grip: of a hold; None otherwise.
         tare: what every load cell is to read less from now on [N]; empty for what the controller knows anyway.
     """
@@ -46,6 +47,7 @@ class Progress:
     record: tuple[float, ...] = ()
     tare: tuple[float, ...] = ()
     felt: tuple[float, ...] = ()
+    usual: tuple[float, ...] = ()
     grip: Grip | None = None
 
     @staticmethod
@@ -55,9 +57,9 @@ class Progress:
 
     def key(self) -> bytes:
         """Everything in it as bytes, for the state's hash."""
-        place = (self.step, self.since, self.phase, self.finished, self.failure, self.record, self.tare, self.felt)
+        place = (self.step, self.since, self.phase, self.finished, self.failure, self.record, self.tare)
         goals = b"".join(map(_goal, self.goals)) + (self.grip.key() if self.grip else b"")
-        return plain_bytes((place, self.contact, self.touching)) + goals
+        return plain_bytes((place, self.felt, self.usual, self.contact, self.touching)) + goals
 
 
 _goal = Kept[DigitGoal](DigitGoal.key)
