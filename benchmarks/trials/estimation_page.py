@@ -76,16 +76,16 @@ def _conclusion(result: dict) -> str:
         "Measured against the limit without its delay, the estimate for the present (not the same instant, so that it "
         f"need not come near) is at {', '.join(strict)}. "
     )
-    return text + " ".join(_against_raw(result, ratio) for ratio in WHEN) + (
-        " Where a digit turns, friction takes the tension from one edge of its band to the other; the filter is told "
-        "how, from the cable's own speed. At an impact the first two samples decide, and a filter that averages is "
-        "late: that is where jamia11 gains least. While the rope is taut nothing can tell the cell's error from "
-        "tension: a bias is in the estimate as it is in the cell, and is found only when the rope hangs loose. The "
-        "best average and the best filter on the cell alone are chosen for each regime with hindsight, so that one of "
-        "them wins here and there."
-    )
+    return " ".join((text.strip(), *(_against_raw(result, ratio) for ratio in WHEN), WHY))
 
 
+WHY = (
+    "Where a digit turns, friction takes the tension from one edge of its band to the other; the filter is told how, "
+    "from the cable's own speed. At an impact the first two samples decide, and a filter that averages is late: that "
+    "is where jamia11 gains least. While the rope is taut nothing can tell the cell's error from tension: a bias is in "
+    "the estimate as it is in the cell, and is found only when the rope hangs loose. The best average and the best "
+    "filter on the cell alone are chosen for each regime with hindsight, so that one of them wins here and there."
+)
 WHEN = {
     "filtered / raw": "At the instant of the sample",
     "estimate / raw now": "At present",
@@ -121,7 +121,14 @@ def picture(result: dict) -> None:
 
     hands = result["hands"]
     figure, axes = plt.subplots(1, len(hands), figsize=(4.6 * len(hands), 3.4), sharey=True, squeeze=False)
-    ways = {"raw": "#dddddd", "filtered": "#88aadd", "raw now": "#bbbbbb", "average": "#ccbb44", "cell alone": "#66ccee", "estimate": "#4477aa"}
+    ways = {
+        "raw": "#dddddd",
+        "filtered": "#88aadd",
+        "raw now": "#bbbbbb",
+        "average": "#ccbb44",
+        "cell alone": "#66ccee",
+        "estimate": "#4477aa",
+    }
     for axis, (hand, plants) in zip(axes[0], hands.items(), strict=True):
         found = plants["as known"]
         places = np.arange(len(found))
