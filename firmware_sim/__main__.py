@@ -1,160 +1,25 @@
 """``python -m firmware_sim``: a simulated hand on a bus, in real time; ``drive``: drives alone; ``bus``: a hub."""
 
-import argparse
-import gc
-import math
-import select
 import sys
-from contextlib import closing
-from pathlib import Path
 
-from firmware_sim import bench
-from firmware_sim.command import Parser, until_signal
-from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.fault_socket import FaultSocket
-from firmware_sim.perturb import KEYS, perturbed
-from firmware_sim.places import faults_path, truth_path
-from firmware_sim.ports import Port, assign, open_port
-from firmware_sim.priority import take_priority
-from firmware_sim.scene import load_scene, packaged
-from firmware_sim.server import ScaledClock, Server
-from firmware_sim.truth import TruthWriter
-from firmware_sim.wire.options import KEYS as WIRE_KEYS
-from firmware_sim.wired import ALONE_BITRATES, maker
-from firmware_sim.world import World
-
-_LOOK_S = 0.2
-"""How often a hub alone looks whether it has been told to end."""
-_KEYS = "\n".join(f"  {key:16}{text}" for key, text in KEYS.items())
-_WIRE_KEYS = "\n".join(f"  {key:16}{text}" for key, text in WIRE_KEYS.items())
-_EPILOG = f"""
-factors for --perturb:
-{_KEYS}
-
-values for --wire, and what holds without them:
-{_WIRE_KEYS}
-
-examples:
-  python -m firmware_sim --hand jamia --bus local:demo --scene cylinder
-  python -m firmware_sim --hand jamia --bus socketcan:vcan0 --perturb stiffness=1.2 friction=1.5
-  python -m firmware_sim drive mit --ids 1,2 --bus local:lab     drives with free shafts; "drive --help" tells more
-  python -m firmware_sim --hand jamia --bus local:demo --wire queue=10 stuffing=actual
-  python -m firmware_sim bus demo        a bus without a hand; a simulator joins it with --bus join:demo
-"""
-
-
-def _parser() -> argparse.ArgumentParser:
-    parser = Parser(
-        prog="python -m firmware_sim",
-        description="A simulated hand: drives, load cells, tendons, fingers, an object: the other side of a CAN bus.",
-        epilog=_EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add = parser.add_argument
-    add("--hand", required=True, metavar="NAME|FILE", help="packaged hand or a .toml file")
-    add("--bus", required=True, action="append", metavar="[BUS=]SPEC",
-        help="local:NAME, join:NAME or socketcan:INTERFACE; repeat for a hand with several buses")  # fmt: skip
-    add("--scene", metavar="NAME|FILE", help=f"{', '.join(packaged())}, NAME:MILLIMETRES or a .toml file (free hand)")
-    add("--seed", type=int, default=0, help="of noise, initial slack and encoder offsets (0)")
-    add("--homed", action="store_true", help="start with taut ropes and encoders at zero")
-    add("--time-scale", type=float, default=1.0, metavar="X", help="plant time per wall time (1)")
-    add("--truth", type=Path, metavar="FILE", help="where to record what really happens (in the run directory)")
-    add("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time on a local bus (they take none)")
-    add("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help="a plant unlike its hand file")
-    return parser
-
-
-def _factors(words: list[str]) -> dict[str, float]:
-    factors = {}
-    for word in words:
-        key, _, value = word.partition("=")
-        try:
-            factors[key] = float(value)
-        except ValueError:
-            raise SimulatorError(f"--perturb {word}: expected KEY=FACTOR, as in stiffness=1.2") from None
-    return factors
-
-
-def _simulate(args: argparse.Namespace) -> None:
-    if not (math.isfinite(args.time_scale) and 0.0 < args.time_scale <= 100.0):
-        raise SimulatorError(f"--time-scale {args.time_scale}: expected a factor above 0, at most 100")
-    factors = _factors(args.perturb)
-    hand, scene = perturbed(load_hand(args.hand), factors), load_scene(args.scene)
-    specs = assign(args.bus, hand.buses)
-    clock = ScaledClock(args.time_scale)
-    world = World(hand, scene, args.seed, args.homed, clock.now_ns())
-    wired = maker(args.wire, hand.bitrates, clock.now_ns)
-    ports: list[Port] = []
-    try:
-        for bus, spec in enumerate(specs):
-            ports.append(open_port(spec, bus, wired))
-        path = args.truth or truth_path(specs[0])
-        with closing(FaultSocket(faults_path(specs[0]), world.faults)) as faults:
-            _serve(Server(world, ports, clock, faults), world, path, factors, " ".join(args.bus), args.time_scale)
-    finally:
-        for port in ports:
-            port.close()
-
-
-def _serve(server: Server, world: World, path: Path, factors: dict[str, float], buses: str, time_scale: float) -> None:
-    header = {**world.header("monotonic"), "perturb": factors, "time_scale": time_scale}
-    try:
-        truth = TruthWriter(path, world.plant, header)
-    except OSError as error:
-        raise SimulatorError(f"truth file {path}: {error.strerror}") from error
-    world.record(truth)
-
-    def stop() -> None:
-        server.running = False
-
-    until_signal(stop)
-    take_priority()
-    gc.collect()
-    gc.freeze()  # what is loaded by now lives on; the collector need not look at it in the loop
-    print(
-        f"firmware_sim: ready hand={world.hand.name} scene={world.plant.scene.name} bus={buses} truth={path}",
-        flush=True,
-    )
-    try:
-        server.run()
-    finally:
-        summary = server.summary()
-        truth.close(summary)
-        counts = " ".join(f"{key}={value}" for key, value in summary.items())
-        print(f"firmware_sim: ended {counts}", file=sys.stderr)
-
-
-def _bus_alone(words: list[str]) -> None:
-    parser = Parser(
-        prog="python -m firmware_sim bus", description="A local bus without a hand, until it is told to end."
-    )
-    parser.add_argument("name", help="of the bus: others reach it as local:NAME")
-    parser.add_argument("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time (they take none)")
-    args = parser.parse_args(words)
-    wired = maker(args.wire, [ALONE_BITRATES], ScaledClock().now_ns, nodes=False)
-    port = open_port(f"local:{args.name}", 0, wired)
-    running = [True]
-    until_signal(running.clear)
-    print(f"firmware_sim: ready bus=local:{args.name}", flush=True)
-    try:
-        while running:
-            wait_ns = max(0, port.due_ns - ScaledClock().now_ns())
-            ready, _, _ = select.select(port.readers(), port.writers(), [], min(_LOOK_S, wait_ns * 1e-9))
-            while port.receive(ready):
-                ready = []
-    finally:
-        port.close()
+from firmware_sim.description import SimulatorError
 
 
 def main(words: list[str]) -> int:
     """Run; return the exit code: 0 after SIGTERM or SIGINT, 2 for arguments that cannot be served."""
-    try:
+    try:  # each imports what it needs: a bus needs neither MuJoCo nor a compiler
         if words[:1] == ["bus"]:
-            _bus_alone(words[1:])
+            from firmware_sim import alone
+
+            alone.run(words[1:])
         elif words[:1] == ["drive"]:
+            from firmware_sim import bench
+
             bench.run(words[1:])
         else:
-            _simulate(_parser().parse_args(words))
+            from firmware_sim import simulate
+
+            simulate.run(words)
     except SimulatorError as error:
         print(f"firmware_sim: {error}", file=sys.stderr)
         return 2

@@ -3,9 +3,12 @@
 import json
 import socket
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from firmware_sim.description import SimulatorError
-from firmware_sim.faults import Faults
+
+if TYPE_CHECKING:  # a bus alone has a server, too, but neither faults nor a plant
+    from firmware_sim.faults import Faults
 
 LONGEST = 4096
 """Bytes of a question."""
@@ -14,7 +17,7 @@ LONGEST = 4096
 class FaultSocket:
     """A Unix datagram socket; ``{"inject": TEXT}``, ``{"list": true}`` or ``{"kinds": true}`` in, a JSON object out."""
 
-    def __init__(self, path: Path, faults: Faults) -> None:
+    def __init__(self, path: Path, faults: "Faults") -> None:
         """Args: where it lies; whose faults it takes.
 
         Raises:

@@ -139,7 +139,7 @@ class WiredPort:
         for frame in frames:
             controller = self._nodes.get(frame.can_id)
             if controller is None:
-                controller = self._nodes[frame.can_id] = self.wire.add(lambda frame, t_ns: None)
+                controller = self._nodes[frame.can_id] = self.wire.add()
             self._refused += not controller.offer(frame, self._at_ns)
 
     def close(self) -> None:

@@ -29,12 +29,13 @@ class WiredTick:
         self._nodes: dict[tuple[int, int], Controller] = {}
 
     def _to_host(self, bus: int) -> Callable[[Frame, int], None]:
-        return lambda frame, t_ns: self._arrived.append(frame._replace(bus=bus, t_ns=t_ns))
+        return lambda frame, t_ns: self._arrived.append(Frame(frame[0], frame[1], frame[2], bus, t_ns))
 
     def _to_nodes(self, bus: int) -> Callable[[Frame, int], None]:
         def hear(frame: Frame, t_ns: int) -> None:
-            if not frame.can_id & ERROR:
-                self._heard.append(frame._replace(bus=bus, t_ns=t_ns))
+            can_id, data, flags, _, _ = frame
+            if not can_id & ERROR:
+                self._heard.append(Frame(can_id, data, flags, bus, t_ns))
 
         return hear
 
@@ -47,7 +48,7 @@ class WiredTick:
         for frame in frames:
             self._hosts[frame.bus].offer(frame, t_ns)
         while True:
-            at_ns = min(wire.next_ns() for wire in self.wires)
+            at_ns = min([wire.next_ns() for wire in self.wires])
             self._world.advance(min(at_ns, end_ns))
             if self._say(self._world.take_spoken()):
                 continue
@@ -62,16 +63,21 @@ class WiredTick:
     def _answer(self) -> None:
         heard, self._heard = self._heard, []
         for frame in heard:
-            self._say([answer._replace(t_ns=frame.t_ns) for answer in self._world.receive(frame)])
+            for can_id, data, flags, bus, _ in self._world.receive(frame):
+                self._queue(Frame(can_id, data, flags, bus, frame.t_ns))
 
     def _say(self, frames: Sequence[Frame]) -> bool:
-        """Queue frames of nodes, each identifier in a controller of its own; whether there were any."""
+        """Queue frames of nodes; whether there were any."""
         for frame in frames:
-            key = frame.bus, frame.can_id
-            if key not in self._nodes:
-                self._nodes[key] = self.wires[frame.bus].add(lambda frame, t_ns: None)
-            self.refused += not self._nodes[key].offer(frame, frame.t_ns)
+            self._queue(frame)
         return bool(frames)
+
+    def _queue(self, frame: Frame) -> None:
+        """Queue a frame of a node, each identifier in a controller of its own."""
+        key = frame.bus, frame.can_id
+        if key not in self._nodes:
+            self._nodes[key] = self.wires[frame.bus].add()
+        self.refused += not self._nodes[key].offer(frame, frame.t_ns)
 
 
 def _arrival_ns(frame: Frame) -> int:

@@ -39,12 +39,13 @@ class Controller:
         state: of fault confinement.
         refused: frames that found the queue full, or the controller off the bus.
         sent: frames that went out.
-        heard: is called with each frame that this controller receives, error frames of its own included.
+        heard: is called with each frame that this controller receives, error frames of its own included; None: by
+            nobody.
         retry_ns: it does not send before this time [ns]: a passive sender lets others go first.
     """
 
-    def __init__(self, depth: int, heard: Callable[[Frame, int], None]) -> None:
-        """Args: frames that the queue can hold; who listens."""
+    def __init__(self, depth: int, heard: Callable[[Frame, int], None] | None) -> None:
+        """Args: frames that the queue can hold; who listens, if anybody."""
         self.queue: deque[tuple[int, int, Frame]] = deque()
         self.tx_errors = self.rx_errors = 0
         self.state = State.ACTIVE
@@ -71,22 +72,25 @@ class Controller:
 
     def ready_ns(self) -> int:
         """Return from when on the frame at the head may be sent [ns]; the queue must not be empty."""
-        return max(self.queue[0][0], self.retry_ns)
+        since_ns, retry_ns = self.queue[0][0], self.retry_ns
+        return since_ns if since_ns > retry_ns else retry_ns
 
     def went_well(self, t_ns: int) -> None:
         """Count the frame at the head as sent."""
         self.queue.popleft()
         self.sent += 1
         self._last = 0
-        self.tx_errors = max(0, self.tx_errors - 1)
-        self._update(t_ns)
+        if self.tx_errors:
+            self.tx_errors -= 1
+            self._update(t_ns)
 
     def received(self, frame: Frame, t_ns: int) -> None:
         """Count a frame of another as received."""
         if self.rx_errors:
             self.rx_errors = min(self.rx_errors, PASSIVE_AT) - 1
             self._update(t_ns)
-        self.heard(frame, t_ns)
+        if self.heard:
+            self.heard(frame, t_ns)
 
     def unanswered(self, t_ns: int) -> None:
         """Nobody acknowledged: a passive sender's counter stays, so that one who is alone never goes off the bus."""
@@ -141,6 +145,8 @@ class Controller:
         return receive * (self.rx_errors >= limit) | send * (self.tx_errors >= limit)
 
     def _tell(self, kind: int, t_ns: int, more: dict[int, int] | None = None) -> None:
+        if not self.heard:
+            return
         data = bytearray(8)
         for i, value in (more or {}).items():
             data[i] = value

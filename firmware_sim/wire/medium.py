@@ -63,11 +63,11 @@ class Wire:
         self._end_ns = NEVER
         self._restarts: list[tuple[int, Controller]] = []
 
-    def add(self, heard: Callable[[Frame, int], None], queue: int | None = None) -> Controller:
+    def add(self, heard: Callable[[Frame, int], None] | None = None, queue: int | None = None) -> Controller:
         """Connect another controller.
 
         Args:
-            heard: is called with each frame it receives and the time [ns].
+            heard: is called with each frame it receives and the time [ns]; None for one that listens to nothing.
             queue: frames its queue holds; None for what the options say.
         """
         controller = Controller(self.options.queue if queue is None else queue, heard)
@@ -82,12 +82,16 @@ class Wire:
 
     def next_ns(self) -> int:
         """Return when something happens next [ns]; NEVER if nothing will by itself."""
-        restart = min((at for at, _ in self._restarts), default=NEVER)
-        return min(restart, self._end_ns if self._end_ns != NEVER else self._start_ns())
+        due = self._end_ns if self._end_ns != NEVER else self._start_ns()
+        return min(due, self._restart_ns()) if self._restarts else due
+
+    def _restart_ns(self) -> int:
+        """When the next controller that is off the bus is started again."""
+        return min((at for at, _ in self._restarts), default=NEVER)
 
     def step(self, t_ns: int) -> bool:
         """Let the next thing happen that is due by t_ns; whether there was one."""
-        restart, end = min((at for at, _ in self._restarts), default=NEVER), self._end_ns
+        restart, end = self._restart_ns() if self._restarts else NEVER, self._end_ns
         if end == NEVER:
             start = self._start_ns()
             if min(start, restart) > t_ns:
@@ -118,23 +122,31 @@ class Wire:
 
     def _start_ns(self) -> int:
         """When the next frame can begin."""
-        ready = min((c.ready_ns() for c in self._controllers if c.queue), default=NEVER)
+        ready = min([c.ready_ns() for c in self._controllers if c.queue], default=NEVER)
         return max(ready, self._free_ns) if ready != NEVER else NEVER
 
     def _begin(self, t_ns: int) -> None:
         """Arbitration: of all that want to begin now the lowest identifier goes on."""
         candidates = [c for c in self._controllers if c.queue and c.ready_ns() <= t_ns]
-        lowest = min(c.queue[0][1] for c in candidates)
+        lowest = min([c.queue[0][1] for c in candidates])
         self._sending = [c for c in candidates if c.queue[0][1] == lowest]
         frames = [c.queue[0][2] for c in self._sending]
-        alike = all(frame[:3] == frames[0][:3] for frame in frames)  # two of one identifier destroy each other
-        self._acknowledged = any(c.on_bus and c not in self._sending for c in self._controllers)
+        # two of one identifier destroy each other
+        alike = len(frames) == 1 or all(frame[:3] == frames[0][:3] for frame in frames)
+        self._acknowledged = self._answered()
         self._good = alike and self._acknowledged and not self._disturbed()
         span = max(map(self.rate.frame_ns, frames))
         if not self._good:
             span += self.rate.bits_ns((FLAGS_BITS if self._acknowledged else FLAG_BITS) - CUT_BITS)
         self.busy_ns += span
         self._end_ns = t_ns + span
+
+    def _answered(self) -> bool:
+        """Whether there is anybody beside the senders."""
+        for controller in self._controllers:
+            if controller.state != State.BUS_OFF and controller not in self._sending:
+                return True
+        return False
 
     def _disturbed(self) -> bool:
         if self.disturbed:
@@ -155,12 +167,13 @@ class Wire:
 
     def _deliver(self, sending: list[Controller], t_ns: int) -> None:
         self.frames += 1
-        frame = sending[0].queue[0][2]._replace(t_ns=t_ns)
+        can_id, data, flags, bus, _ = sending[0].queue[0][2]
+        frame = Frame(can_id, data, flags, bus, t_ns)
         for controller in sending:
             controller.went_well(t_ns)
             self._suspend(controller, t_ns)
         for controller in self._controllers:
-            if controller.on_bus and controller not in sending:
+            if (controller.heard or controller.rx_errors) and controller.on_bus and controller not in sending:
                 controller.received(frame, t_ns)
 
     def _destroy(self, sending: list[Controller], t_ns: int) -> None:
