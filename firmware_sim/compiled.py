@@ -1,51 +1,92 @@
-"""What the simulator computes every half millisecond, as machine code: a compiled loop instead of Python's.
+"""Laws of the simulator as machine code, for those who step a plant without waiting for a clock.
 
-Types are declared, so that everything is compiled while its module is imported, and read from numba's cache at the next
-start. Operations keep their order and their rounding (no fast math): results are those of the same lines run by Python.
-The cache of a file does not notice changes in others: functions that call one another belong into one file.
+A law is a plain function; ``compiled`` notes the types of its arguments. ``machine_code`` makes the compiled twins of a
+module's laws, and only then is numba imported: that takes the better part of a second, too long for a simulator that
+starts as a process of its own. Operations keep their order and their rounding (no fast math): both do the same to the
+bit. The code is kept in numba's cache; since the cache of a file does not notice changes in others, laws that call one
+another belong into one file.
 """
 
 import ctypes
 from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from functools import cache
+from types import FunctionType, ModuleType, SimpleNamespace
+from typing import Any, TypeVar
 
 import numpy as np
-from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]
-from numba import config, from_dtype, njit, types
-from numba.extending import intrinsic
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-COMPILES = not config.DISABLE_JIT  # type: ignore[attr-defined, unused-ignore]
-"""Whether anything is compiled; with ``NUMBA_DISABLE_JIT=1`` Python runs the same lines."""
-REAL = types.float64
-COUNT = types.int64
-ADDRESS = types.intp
-VECTOR = types.Array(types.float64, 1, "C")
-COUNTS = types.Array(types.int64, 1, "C")
+_LAWS: dict[str, dict[str, tuple[str | type, ...] | None]] = {}
+"""Module to its laws and the types of their arguments; None for those that only other laws call."""
 
 
-def rows(structure: type[ctypes.Structure]) -> object:
-    """Return the type of an array of such structures."""
-    return types.Array(from_dtype(np.dtype(structure)), 1, "C")
+def compiled(*arguments: str | type) -> Callable[[F], F]:
+    """Let a function be a law.
 
+    Args:
+        arguments: the type of each: real, count, flag, address, vector (of reals), counts; or a ``ctypes.Structure``
+            for an array of such rows.
+    """
 
-def compiled(*arguments: object) -> Callable[[F], F]:
-    """Compile a function of these argument types; division by zero gives inf or NaN, as in numpy."""
+    def note(function: F) -> F:
+        _LAWS.setdefault(function.__module__, {})[function.__name__] = arguments
+        return function
 
-    def decorate(function: F) -> F:
-        return cast(F, njit(arguments, cache=True, error_model="numpy")(function))
-
-    return decorate
+    return note
 
 
 def inner(function: F) -> F:
-    """Compile a function for the use of compiled functions of the same file."""
-    return cast(F, njit(error_model="numpy")(function))
+    """Let a function be a law for other laws of the same file."""
+    _LAWS.setdefault(function.__module__, {})[function.__name__] = None
+    return function
 
 
-def _call(typing: Any, function: Any, first: Any, second: Any) -> Any:
-    """Return type and code of ``call``."""
+def call(function: int, first: int, second: int) -> None:
+    """Call a C function ``void f(void *, void *)``, all three by their addresses; in compiled laws only."""
+    raise NotImplementedError
+
+
+@cache
+def machine_code(module: ModuleType) -> Any:
+    """Return the compiled laws of a module by their names; division by zero gives inf or NaN, as in numpy."""
+    from numba import njit
+
+    names = dict(vars(module), call=_intrinsic())
+    for name, arguments in _LAWS[module.__name__].items():
+        law = FunctionType(vars(module)[name].__code__, names, name)  # calls the twins, not the plain laws
+        if arguments is None:
+            names[name] = njit(error_model="numpy")(law)
+        else:
+            names[name] = njit(tuple(map(_type, arguments)), cache=True, error_model="numpy")(law)
+    return SimpleNamespace(**{name: names[name] for name in _LAWS[module.__name__]})
+
+
+def use(module: ModuleType) -> None:
+    """Have the compiled laws of a module used by everybody in this process who calls them through the module."""
+    vars(module).update(vars(machine_code(module)))
+
+
+def _type(name: str | type) -> Any:
+    """Numba's type of an argument."""
+    from numba import from_dtype, types
+
+    if not isinstance(name, str):
+        return types.Array(from_dtype(np.dtype(name)), 1, "C")
+    real, count = types.float64, types.int64
+    if name in ("vector", "counts"):
+        return types.Array(real if name == "vector" else count, 1, "C")
+    return {"real": real, "count": count, "flag": types.boolean, "address": types.intp}[name]
+
+
+def _intrinsic() -> Any:
+    """What stands for ``call`` in compiled laws.
+
+    An address is an argument, not a constant: code with a constant address could not be kept for the next process.
+    """
+    from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]
+    from numba import types
+    from numba.extending import intrinsic
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         pointer = ir.IntType(8).as_pointer()
@@ -54,11 +95,12 @@ def _call(typing: Any, function: Any, first: Any, second: Any) -> Any:
         builder.call(builder.inttoptr(target, kind), [builder.inttoptr(value, pointer) for value in values])
         return context.get_dummy_value()
 
-    return types.void(ADDRESS, ADDRESS, ADDRESS), code
+    def typed(typing: Any, function: Any, first: Any, second: Any) -> Any:
+        return types.void(types.intp, types.intp, types.intp), code
+
+    return intrinsic(typed)
 
 
-call: Any = intrinsic(_call)
-"""Calls a C function ``void f(void *, void *)`` from compiled code, all three given by their addresses.
-
-An address is an argument, not a constant: code with a constant address could not be kept for the next process.
-"""
+def array_of(memory: Any, structure: type[ctypes.Structure]) -> Any:
+    """Return the memory of many structures as an array of rows."""
+    return np.frombuffer(memory, np.dtype(structure)) if ctypes.sizeof(memory) else np.empty(0, np.dtype(structure))

@@ -1,4 +1,6 @@
-"""What ropes, rotors and servos do in a step: the laws of tendons and motors, compiled; all in scalars.
+"""What ropes, rotors and servos do in a step: the laws of tendons and motors, all in scalars.
+
+Ropes and rotors are rows of an array in compiled laws, objects in a list in plain ones; both have their values by name.
 
 Rope damping and Coulomb-like capstan friction are far too steep for an explicit step of the light links: the engine
 takes their slope as a damping of the tendon, implicitly, and what that damping takes now is given back.
@@ -7,7 +9,7 @@ takes their slope as a damping of the tendon, implicitly, and what that damping 
 import math
 from typing import Any
 
-from firmware_sim.compiled import ADDRESS, COUNT, COUNTS, VECTOR, call, compiled, inner, rows
+from firmware_sim.compiled import call, compiled, inner
 from firmware_sim.rows import RopeRow, RotorRow
 
 CAPSTAN_SPEED = 1e-3
@@ -19,11 +21,8 @@ ENCODER_STEP = 2.0 * math.pi / (1 << 14)
 DIVERGED_RAD_S = 1e5
 """Sum of joint speeds that no hand has [rad/s]."""
 
-ROPES, ROTORS = rows(RopeRow), rows(RotorRow)
-ROUTE = (COUNTS, VECTOR)
-"""Joint and moment arm [m] of each pulley, rope by rope."""
-JOINTS = (VECTOR, VECTOR)
-"""Angles [rad] and velocities [rad/s] of the joints."""
+DRIVETRAIN = (RopeRow, "counts", "vector", RotorRow)
+"""Ropes; joint and moment arm [m] of each pulley, rope by rope; rotors."""
 
 
 @inner
@@ -34,12 +33,12 @@ def _elastic(rope: Any, stretch: float) -> float:
     """
     if stretch <= 0.0:
         return 0.0
-    x = stretch - rope["knee_stretch"]
+    x = stretch - rope.knee_stretch
     if x <= 0.0:
-        return float(rope["stiffness"] * stretch)
-    width = rope["knee_width"]
-    soft = (rope["stiffness"] - rope["beyond"]) * width * (1.0 - math.exp(-x / width))
-    return float(rope["knee"] + rope["beyond"] * x + soft)
+        return float(rope.stiffness * stretch)
+    width = rope.knee_width
+    soft = (rope.stiffness - rope.beyond) * width * (1.0 - math.exp(-x / width))
+    return float(rope.knee + rope.beyond * x + soft)
 
 
 @inner
@@ -48,22 +47,22 @@ def _secant(rope: Any, loss: float, tension_angle: float) -> float:
 
     Args: the rope; loss of tension by friction [N]; tension times angle of wrap [N rad].
     """
-    speed = abs(rope["speed"])
+    speed = abs(rope.speed)
     if speed < 1e-3 * CAPSTAN_SPEED:
-        return float(tension_angle * rope["friction"] / CAPSTAN_SPEED)
+        return float(tension_angle * rope.friction / CAPSTAN_SPEED)
     return float(loss / speed)
 
 
 @inner
 def _at_cell(rope: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: Any) -> float:
     """Tension at the load cell [N]."""
-    stretch, rate = rope["radius"] * rotor["theta"] - rope["longer"], rope["radius"] * rotor["omega"]
-    for i in range(rope["first"], rope["end"]):
+    stretch, rate = rope.radius * rotor.theta - rope.longer, rope.radius * rotor.omega
+    for i in range(rope.first, rope.end):
         stretch -= arms[i] * q[joints[i]]
         rate -= arms[i] * dq[joints[i]]
     if stretch <= 0.0:
         return 0.0
-    return max(0.0, float(_elastic(rope, stretch) + rope["damping"] * rate))
+    return max(0.0, float(_elastic(rope, stretch) + rope.damping * rate))
 
 
 @inner
@@ -72,9 +71,9 @@ def _rub(rope: Any, joints: Any, arms: Any, q: Any, torque: Any) -> None:
 
     The tension at a pulley is that behind it, its own joint angle's wrap included. Source: MODEL, section 3.
     """
-    tension, angle = rope["tension"], rope["wrap"]
-    rub, least, most = rope["friction"] * math.tanh(rope["speed"] / CAPSTAN_SPEED), tension, tension
-    for i in range(rope["first"], rope["end"]):
+    tension, angle = rope.tension, rope.wrap
+    rub, least, most = rope.friction * math.tanh(rope.speed / CAPSTAN_SPEED), tension, tension
+    for i in range(rope.first, rope.end):
         angle += q[joints[i]]
         local = tension * math.exp(-rub * angle)
         torque[joints[i]] += arms[i] * local
@@ -83,127 +82,102 @@ def _rub(rope: Any, joints: Any, arms: Any, q: Any, torque: Any) -> None:
         elif local > most:
             most = local
     loss = tension - least if tension - least > most - tension else most - tension
-    rope["slope"] = rope["damping"] + _secant(rope, loss, tension * angle)
+    rope.slope = rope.damping + _secant(rope, loss, tension * angle)
 
 
 @inner
 def _pull(rope: Any, joints: Any, arms: Any, rotor: Any, q: Any, dq: Any, torque: Any) -> None:
     """Add the rope's joint torques to ``torque`` [N m]; tension, speed and slope of the rope, load of its rotor."""
-    stretch, speed = rope["radius"] * rotor["theta"] - rope["longer"], 0.0
-    for i in range(rope["first"], rope["end"]):
+    stretch, speed = rope.radius * rotor.theta - rope.longer, 0.0
+    for i in range(rope.first, rope.end):
         stretch -= arms[i] * q[joints[i]]
         speed += arms[i] * dq[joints[i]]
     tension = 0.0
     if stretch > 0.0:
-        tension = _elastic(rope, stretch) + rope["damping"] * (rope["radius"] * rotor["omega"] - speed)
-    rope["speed"], rope["slope"], rope["tension"] = speed, 0.0, 0.0
+        tension = _elastic(rope, stretch) + rope.damping * (rope.radius * rotor.omega - speed)
+    rope.speed, rope.slope, rope.tension = speed, 0.0, 0.0
     if tension > 0.0:
-        rope["tension"] = tension
+        rope.tension = tension
         _rub(rope, joints, arms, q, torque)
-    rotor["load"] = rope["radius"] * rope["tension"]
+    rotor.load = rope.radius * rope.tension
 
 
 @inner
 def _give_back(rope: Any, joints: Any, arms: Any, torque: Any) -> None:
     """Add what the engine's damping of the tendon takes now to ``torque`` [N m]."""
-    push = rope["slope"] * rope["speed"]
-    for i in range(rope["first"], rope["end"]):
+    push = rope.slope * rope.speed
+    for i in range(rope.first, rope.end):
         torque[joints[i]] += arms[i] * push
 
 
 @inner
-def _see(rotor: Any) -> None:
+def see(rotor: Any) -> None:
     """Measure the angle of the spool."""
-    rotor["angle"] = math.floor(rotor["theta"] / ENCODER_STEP) * ENCODER_STEP
+    rotor.angle = math.floor(rotor.theta / ENCODER_STEP) * ENCODER_STEP
 
 
 @inner
-def _decide(rotor: Any) -> None:
+def decide(rotor: Any) -> None:
     """The servo's torque [N m] at the velocity that the rotor will have at the end of the step, within its limit."""
-    servo, lag, gain = rotor["law"], rotor["lag"], rotor["gain"]
-    bend = math.tanh(rotor["omega"] / COULOMB_SPEED)
-    slope = rotor["coulomb"] * (1.0 - bend * bend) / COULOMB_SPEED
-    inertia, drag = rotor["inertia"] / rotor["step"] + slope, rotor["load"] + rotor["coulomb"] * bend
-    command, limit = servo["torque"], servo["limit"]
-    if servo["kp"] != 0.0 or servo["kd"] != 0.0:
-        fixed = command + servo["kp"] * (servo["position"] - rotor["angle"]) + servo["kd"] * servo["velocity"]
-        stiff = servo["kd"] + rotor["step"] * servo["kp"]
-        push = inertia * rotor["omega"] + gain * ((1.0 - lag) * rotor["torque"] + lag * fixed) - drag
-        command = fixed - stiff * push / (inertia + rotor["viscous"] + gain * lag * stiff)
+    servo, lag, gain = rotor.law, rotor.lag, rotor.gain
+    bend = math.tanh(rotor.omega / COULOMB_SPEED)
+    slope = rotor.coulomb * (1.0 - bend * bend) / COULOMB_SPEED
+    inertia, drag = rotor.inertia / rotor.step + slope, rotor.load + rotor.coulomb * bend
+    command, limit = servo.torque, servo.limit
+    if servo.kp != 0.0 or servo.kd != 0.0:
+        fixed = command + servo.kp * (servo.position - rotor.angle) + servo.kd * servo.velocity
+        stiff = servo.kd + rotor.step * servo.kp
+        push = inertia * rotor.omega + gain * ((1.0 - lag) * rotor.torque + lag * fixed) - drag
+        command = fixed - stiff * push / (inertia + rotor.viscous + gain * lag * stiff)
     if command > limit:
         command = limit
     elif command < -limit:
         command = -limit
-    rotor["command"], rotor["drag"], rotor["stiff"] = command, drag, inertia
+    rotor.command, rotor.drag, rotor.stiff = command, drag, inertia
 
 
 @inner
-def _turn(rotor: Any) -> None:
+def turn(rotor: Any) -> None:
     """Let current, rotor and the drive's estimate follow, semi-implicitly."""
-    torque = rotor["torque"] + rotor["lag"] * (rotor["command"] - rotor["torque"])
-    push = rotor["stiff"] * rotor["omega"] + rotor["gain"] * torque - rotor["drag"]
-    omega = push / (rotor["stiff"] + rotor["viscous"])
-    rotor["torque"], rotor["omega"] = torque, omega
-    rotor["theta"] += rotor["step"] * omega
-    rotor["velocity"] += rotor["velocity_lag"] * (omega - rotor["velocity"])
-    rotor["heat"] += rotor["step"] * torque * torque
+    torque = rotor.torque + rotor.lag * (rotor.command - rotor.torque)
+    push = rotor.stiff * rotor.omega + rotor.gain * torque - rotor.drag
+    omega = push / (rotor.stiff + rotor.viscous)
+    rotor.torque, rotor.omega = torque, omega
+    rotor.theta += rotor.step * omega
+    rotor.velocity += rotor.velocity_lag * (omega - rotor.velocity)
+    rotor.heat += rotor.step * torque * torque
 
 
-@compiled(ROPES, *ROUTE, ROTORS, *JOINTS, VECTOR)
+@compiled(*DRIVETRAIN, "vector", "vector", "vector")
 def tensions(ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, out: Any) -> None:
     """The tension of each rope at its load cell, now, into ``out`` [N]."""
     for i in range(len(ropes)):
-        out[i] = _at_cell(ropes[i], joints, arms, rotors[ropes[i]["motor"]], q, dq)
+        out[i] = _at_cell(ropes[i], joints, arms, rotors[ropes[i].motor], q, dq)
 
 
-@inner
-def _drive(
+@compiled(*DRIVETRAIN, "vector", "vector", "vector", "vector", "flag")
+def drive(
     ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any, everyone: bool
 ) -> None:
-    """Let all ropes pull, and those rotors turn that nobody asks to wait, or everyone."""
-    torque[:] = 0.0
+    """One step without the engine; see ``steps``.
+
+    Args: everyone: whether rotors turn that want to wait, too.
+    """
+    for i in range(len(torque)):
+        torque[i] = 0.0
     for i in range(len(ropes)):
         rope = ropes[i]
-        rotor = rotors[rope["motor"]]
+        rotor = rotors[rope.motor]
         _pull(rope, joints, arms, rotor, q, dq, torque)
-        if everyone or rotor["waits"] == 0:
-            _see(rotor)
-            _decide(rotor)
-            _turn(rotor)
+        if everyone or rotor.waits == 0:
+            see(rotor)
+            decide(rotor)
+            turn(rotor)
         _give_back(rope, joints, arms, torque)
-        damping[i] = rope["slope"]
+        damping[i] = rope.slope
 
 
-@compiled(ROPES, *ROUTE, ROTORS, *JOINTS, VECTOR, VECTOR)
-def drive(ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any) -> None:
-    """One step without the engine, in which some rotors wait; see ``steps``."""
-    _drive(ropes, joints, arms, rotors, q, dq, torque, damping, False)
-
-
-@compiled(ROTORS)
-def follow(rotors: Any) -> None:
-    """Let the rotors follow their servos against the loads that are there."""
-    for i in range(len(rotors)):
-        _see(rotors[i])
-        _decide(rotors[i])
-        _turn(rotors[i])
-
-
-@compiled(ROTORS)
-def decide(rotors: Any) -> None:
-    """The first half of ``follow``, with angles that somebody has measured: the torques that the servos command."""
-    for i in range(len(rotors)):
-        _decide(rotors[i])
-
-
-@compiled(ROTORS)
-def turn(rotors: Any) -> None:
-    """The second half of ``follow``: let the rotors follow what is commanded."""
-    for i in range(len(rotors)):
-        _turn(rotors[i])
-
-
-@compiled(COUNT, ROPES, *ROUTE, ROTORS, *JOINTS, VECTOR, VECTOR, ADDRESS, ADDRESS, ADDRESS)
+@compiled("count", *DRIVETRAIN, "vector", "vector", "vector", "vector", "address", "address", "address")
 def steps(
     count: int, ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any,
     step: int, model: int, data: int,
@@ -225,6 +199,6 @@ def steps(
             speeds += speed
         if not abs(speeds) < DIVERGED_RAD_S:  # not a number is diverged, too
             return done
-        _drive(ropes, joints, arms, rotors, q, dq, torque, damping, True)
+        drive(ropes, joints, arms, rotors, q, dq, torque, damping, True)
         call(step, model, data)
     return count

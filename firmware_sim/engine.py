@@ -8,7 +8,6 @@ from typing import Any
 import mujoco  # type: ignore[import-untyped,unused-ignore]
 import numpy as np
 
-from firmware_sim.compiled import COMPILES
 from firmware_sim.mjcf import CONTACTS
 
 
@@ -119,7 +118,7 @@ def _native(model: Any, data: Any) -> tuple[int, int, int] | None:
     An error of MuJoCo's own (it reports few, and none of a plant that diverges) ends the process when it is called so.
     """
     library = next(Path(mujoco.__file__).parent.glob("libmujoco*"), None)
-    if library is None or not COMPILES:
+    if library is None:
         return None
     step = ctypes.cast(ctypes.CDLL(str(library)).mj_step, ctypes.c_void_p).value
     return (step, model._address, data._address) if step else None

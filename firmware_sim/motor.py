@@ -9,9 +9,10 @@ from collections.abc import Callable, Sequence
 from math import floor
 from typing import Any
 
+from firmware_sim.compiled import array_of
 from firmware_sim.description import MotorSpec
-from firmware_sim.drivetrain import ENCODER_STEP, decide, follow, turn
-from firmware_sim.rows import RotorRow, Servo, array_of
+from firmware_sim.drivetrain import ENCODER_STEP, decide, see, turn
+from firmware_sim.rows import RotorRow, Servo
 
 CURRENT_LAG_S = 0.3e-3
 """Time constant of the current loop, of the order of a 500 Hz bandwidth."""
@@ -19,46 +20,40 @@ VELOCITY_LAG_S = 1e-3
 """Time constant of the drive's velocity estimate."""
 
 
-class Motor(RotorRow):
-    """The rotor.
+class Motor:
+    """The rotor; its laws are in ``drivetrain``.
 
     Attributes:
         theta: spool angle, positive winds [rad]. omega: [rad/s].
         torque: what the drive believes to make, from its current [N m].
         velocity: the drive's estimate [rad/s].
         heat: integral of torque squared since the node last asked [N2 m2 s].
-        servo: what the drive regulates.
-        coulomb: friction [N m].
+        servo, law: what the drive regulates.
+        inertia: [kg m2]. viscous: [N m s/rad]. coulomb: friction [N m]. gain: torque that appears over that believed.
+        step: of the plant [s]. lag, velocity_lag: shares by which current and estimate follow in a step.
+        load: torque of the rope [N m]. angle: of the spool as the servo sees it [rad]. command: to the current [N m].
+        drag: load and Coulomb friction [N m]. stiff: inertia over step, and the slope of the friction [N m s/rad].
+        waits: whether it turns by itself, not with the others.
         misread, disobeys: faults of its encoder, and of its power stage, on an angle [rad] and a torque [N m].
     """
 
+    law: Servo
+
     def __init__(self, spec: MotorSpec, step_s: float) -> None:
         """Args: the motor; the plant's step [s]."""
+        self.law = Servo()
         self._describe(spec, step_s)
 
     def _describe(self, spec: MotorSpec, step_s: float) -> None:
-        self.servo: Servo = self.law
+        self.theta = self.omega = self.torque = self.velocity = self.heat = 0.0
         self.inertia, self.viscous, self.coulomb = spec.inertia, spec.viscous, spec.coulomb
-        self.misread: Callable[[float], float] | None = None
-        self.disobeys: Callable[[float], float] | None = None
         self.gain, self.step = spec.torque_gain, step_s
         self.lag = 1.0 - math.exp(-step_s / CURRENT_LAG_S)
         self.velocity_lag = 1.0 - math.exp(-step_s / VELOCITY_LAG_S)
-        self._row = array_of(self, RotorRow)
-
-    @staticmethod
-    def row_by_row(specs: Sequence[MotorSpec], step_s: float) -> "tuple[list[Motor], Any]":
-        """Return motors that lie one behind the other, and the array of them."""
-        memory = (Motor * len(specs))()
-        motors = list(memory)
-        for motor, spec in zip(motors, specs, strict=True):
-            motor._describe(spec, step_s)
-        return motors, array_of(memory, RotorRow)
-
-    @property
-    def struck(self) -> bool:
-        """Whether a fault stands between it and its encoder or its power stage."""
-        return bool(self.misread or self.disobeys)
+        self.load = self.angle = self.command = self.drag = self.stiff = 0.0
+        self.waits, self.servo = False, self.law
+        self.misread: Callable[[float], float] | None = None
+        self.disobeys: Callable[[float], float] | None = None
 
     def encoder(self) -> float:
         """Return the spool angle as the drive measures it [rad]."""
@@ -73,12 +68,23 @@ class Motor(RotorRow):
 
     def follow(self) -> None:
         """Integrate one step against the load that is there, with the faults of encoder and power stage."""
-        if not self.struck:
-            follow(self._row)
-            return
-        if self.servo.kp or self.servo.kd:
-            self.angle = self.encoder()
-        decide(self._row)
+        see(self)
+        if self.misread and (self.servo.kp or self.servo.kd):
+            self.angle = self.misread(self.angle)
+        decide(self)
         if self.disobeys:
             self.command = self.disobeys(self.command)
-        turn(self._row)
+        turn(self)
+
+
+class MotorRow(RotorRow, Motor):
+    """A motor whose numbers are a row of an array."""
+
+
+def row_by_row(specs: Sequence[MotorSpec], step_s: float) -> tuple[list[Motor], Any]:
+    """Return motors that lie one behind the other, and the array of them; the step is the plant's [s]."""
+    memory = (MotorRow * len(specs))()
+    motors: list[Motor] = list(memory)
+    for motor, spec in zip(motors, specs, strict=True):
+        motor._describe(spec, step_s)
+    return motors, array_of(memory, RotorRow)

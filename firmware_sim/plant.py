@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
+from firmware_sim import drivetrain
+from firmware_sim.compiled import machine_code
 from firmware_sim.description import Hand, SimulatorError
-from firmware_sim.drivetrain import DIVERGED_RAD_S, drive, steps, tensions
 from firmware_sim.engine import Engine
 from firmware_sim.mjcf import STEP_S, model_text, opposed_digits
-from firmware_sim.motor import Motor
+from firmware_sim.motor import Motor, row_by_row
 from firmware_sim.scene import Scene
 from firmware_sim.stages import Stages
 from firmware_sim.table import Table
@@ -38,11 +39,12 @@ class Plant:
         steps: how many steps were made.
     """
 
-    def __init__(self, hand: Hand, scene: Scene, seed: int = 0, homed: bool = False) -> None:
+    def __init__(self, hand: Hand, scene: Scene, seed: int = 0, homed: bool = False, compiled: bool = True) -> None:
         """Build the model.
 
         Args:
             hand: the hand. scene: object and support. seed: of the ropes' slack. homed: whether the ropes start taut.
+            compiled: whether its laws are; no to start in a second less, and to take longer for each step.
 
         Raises:
             SimulatorError: the engine does not accept the hand, or a tendon names no motor or joint.
@@ -52,13 +54,19 @@ class Plant:
             self.engine = Engine(model_text(hand, scene), len(hand.joints))
         except ValueError as error:
             raise SimulatorError(f"hand {hand.name}: {str(error).splitlines()[0]}") from error
-        self._rotors, self._rotor_rows = Motor.row_by_row(hand.motors, STEP_S)
+        self._laws: Any = machine_code(drivetrain) if compiled else drivetrain
+        rotors: Any
+        if compiled:
+            self._rotors, rotors = row_by_row(hand.motors, STEP_S)
+        else:
+            self._rotors = rotors = [Motor(motor, STEP_S) for motor in hand.motors]
         self.motors = {spec.name: motor for spec, motor in zip(hand.motors, self._rotors, strict=True)}
-        routing = self._routing()
+        routing = self._routing(compiled)
         self.ropes = [(rope, self._rotors[rope.motor]) for rope in routing.tendons]
+        self._drivetrain = routing.rows, routing.joints, routing.arms, rotors
         engine = self.engine
-        self._route = routing.rows, routing.joints, routing.arms, self._rotor_rows
-        self._drivetrain = *self._route, engine.q, engine.dq, engine.applied, engine.rope_damping
+        self._native = engine.native if compiled else None
+        self._bodies = (engine.q, engine.dq, engine.applied, engine.rope_damping) if compiled else None
         self._tensions = np.zeros(len(self.ropes))
         self.table = Table(scene.support, opposed_digits(hand)) if scene.support else None
         self.contact_forces = self.engine.forces_on("contact", [digit.name for digit in hand.digits])
@@ -69,7 +77,7 @@ class Plant:
         if not homed:
             self._slacken(seed)
 
-    def _routing(self) -> Routing:
+    def _routing(self, compiled: bool) -> Routing:
         """Return the ropes."""
         hand = self.hand
         motors = [motor.name for motor in hand.motors]
@@ -78,7 +86,7 @@ class Plant:
             if spec.motor not in motors or unknown:
                 wrong = ", ".join(sorted(unknown)) or spec.motor
                 raise SimulatorError(f"hand {hand.name}: {spec.name}: no such motor or joint: {wrong}")
-        return Routing(hand.tendons, hand.joints, motors, [motor.spool_radius for motor in hand.motors])
+        return Routing(hand.tendons, hand.joints, motors, [motor.spool_radius for motor in hand.motors], compiled)
 
     def _slacken(self, seed: int) -> None:
         chance = random.Random(f"slack {seed}")
@@ -125,13 +133,13 @@ class Plant:
         return bool(self.stages) or not table.settled
 
     def _move(self, count: int) -> None:
-        """Make steps, compiled unless a fault in a motor wants to be asked in each."""
-        native, struck = self.engine.native, self.struck
-        if not native or struck:
+        """Make steps, in one go unless a fault in a motor wants to be asked in each."""
+        struck = self.struck
+        if not self._native or not self._bodies or struck:
             for _ in range(count):
                 self._move_once(struck)
             return
-        done = steps(count, *self._drivetrain, *native)
+        done = self._laws.steps(count, *self._drivetrain, *self._bodies, *self._native)
         self.steps += done
         if done < count:
             raise self._diverged()
@@ -144,15 +152,24 @@ class Plant:
     def _move_once(self, struck: list[Motor]) -> None:
         """Make a step in which some motors turn by themselves."""
         engine = self.engine
-        if not abs(sum(engine.dq.tolist())) < DIVERGED_RAD_S:  # not a number is diverged, too
+        q, dq, torque, damping = self._bodies or self._lists()
+        if not abs(sum(engine.dq.tolist())) < drivetrain.DIVERGED_RAD_S:  # not a number is diverged, too
             raise self._diverged()
-        for motor in self._rotors:
-            motor.waits = motor in struck
-        drive(*self._drivetrain)
+        if struck:
+            for motor in self._rotors:
+                motor.waits = motor in struck
+        self._laws.drive(*self._drivetrain, q, dq, torque, damping, not struck)
         for motor in struck:
             motor.follow()
+        if not self._bodies:
+            engine.applied[:], engine.rope_damping[:] = torque, damping
         engine.step()
         self.steps += 1
+
+    def _lists(self) -> tuple[list[float], list[float], list[float], list[float]]:
+        """For plain laws: angles and velocities of the joints, room for torques on them and damping of the ropes."""
+        q, dq = self.engine.q.tolist(), self.engine.dq.tolist()
+        return q, dq, [0.0] * len(q), [0.0] * len(self.ropes)
 
     def _diverged(self) -> SimulatorError:
         when = self.steps * STEP_S
@@ -178,7 +195,8 @@ class Plant:
 
     def cells(self) -> Any:
         """Return the tension of each tendon at its load cell, now [N], shape (tendons,); memory of the plant's own."""
-        tensions(*self._route, self.engine.q, self.engine.dq, self._tensions)
+        q, dq, *_ = self._bodies or self._lists()
+        self._laws.tensions(*self._drivetrain, q, dq, self._tensions)
         return self._tensions
 
     def tensions(self) -> list[float]:

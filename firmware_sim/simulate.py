@@ -84,7 +84,7 @@ def run(words: list[str]) -> None:
     hand, scene = perturbed(load_hand(args.hand), factors), load_scene(args.scene)
     specs = assign(args.bus, hand.buses)
     clock = ScaledClock(args.time_scale)
-    world = World(hand, scene, args.seed, args.homed, clock.now_ns())
+    world = World(hand, scene, args.seed, args.homed, clock.now_ns(), compiled=False)
     wired = maker(args.wire, hand.bitrates, clock.now_ns)
     ports: list[Port] = []
     try:

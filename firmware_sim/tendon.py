@@ -6,22 +6,32 @@ from typing import Any
 
 import numpy as np
 
+from firmware_sim.compiled import array_of
 from firmware_sim.description import TendonSpec
-from firmware_sim.rows import RopeRow, array_of
+from firmware_sim.rows import RopeRow
 
 
-class Tendon(RopeRow):
-    """The rope; its law is in ``drivetrain``.
+class Tendon:
+    """The rope; its laws are in ``drivetrain``.
 
     Attributes:
         tension: at the load cell, between spool and first pulley, as of the last pull [N].
         speed: of the rope towards the spool, positive when the digit closes, as of the last pull [m/s].
-        longer: by how much it is longer than described [m].
         slope: rope damping plus friction over speed, for an implicit integrator [N s/m].
+        longer: by how much it is longer than described [m].
+        radius: of the spool [m].
+        stiffness, beyond: up to the knee and far beyond it [N/m]. knee: [N]. knee_stretch, knee_width: [m].
+        damping: [N s/m]. friction: coefficient. wrap: angle on the way to the first joint [rad].
+        motor: number of its rotor. first, end: numbers of its pulleys, ``first`` to before ``end``.
     """
 
-    def _describe(self, spec: TendonSpec, spool_radius: float) -> None:
-        self.radius = spool_radius
+    first: int
+    end: int
+
+    def describe(self, spec: TendonSpec, motor: int, spool_radius: float) -> None:
+        """Take over the parameters: of the tendon, the number of its motor, the spool's radius [m]."""
+        self.tension = self.speed = self.slope = self.longer = 0.0
+        self.motor, self.radius = motor, spool_radius
         self.stiffness, self.damping = spec.stiffness, spec.damping
         self.beyond, self.knee_width, self.knee = spec.stiffness * spec.beyond_ratio, spec.knee_width, spec.knee
         self.knee_stretch = spec.knee / spec.stiffness if spec.stiffness else math.inf
@@ -38,25 +48,33 @@ class Tendon(RopeRow):
         return mend
 
 
+class TendonRow(RopeRow, Tendon):
+    """A tendon whose numbers are a row of an array."""
+
+
 class Routing:
     """The tendons of a hand and the joints that each of them passes.
 
     Attributes:
-        tendons: the ropes. rows: the array of them.
-        joints: index of each pulley's joint, tendon by tendon. arms: of each pulley [m].
+        tendons: the ropes. rows: the array of them, for compiled laws; otherwise the same list.
+        joints: of each pulley, tendon by tendon, the joint's index. arms: of each pulley [m]. Arrays, or lists.
     """
 
-    def __init__(self, specs: Sequence[TendonSpec], joints: list[str], motors: list[str], radii: list[float]) -> None:
-        """Args: the tendons; names of the hand's joints and motors; radius of each motor's spool [m]."""
-        memory = (Tendon * len(specs))()
+    def __init__(
+        self, specs: Sequence[TendonSpec], joints: list[str], motors: list[str], radii: list[float], compiled: bool
+    ) -> None:
+        """Args: the tendons; names of joints and motors; radius of each spool [m]; whether for compiled laws."""
+        memory = (TendonRow * len(specs))() if compiled else [Tendon() for _ in specs]
         self.tendons: list[Tendon] = list(memory)
-        self.rows: Any = array_of(memory, RopeRow)
         path: list[tuple[int, float]] = []
         for rope, spec in zip(self.tendons, specs, strict=True):
-            rope.motor = motors.index(spec.motor)
-            rope._describe(spec, radii[rope.motor])
+            motor = motors.index(spec.motor)
+            rope.describe(spec, motor, radii[motor])
             rope.first = len(path)
             path += [(joints.index(name), arm) for name, arm in spec.arms.items() if arm]
             rope.end = len(path)
-        self.joints = np.array([joint for joint, _ in path], np.int64)
-        self.arms = np.array([arm for _, arm in path], np.float64)
+        self.rows: Any = array_of(memory, RopeRow) if compiled else self.tendons
+        self.joints: Any = [joint for joint, _ in path]
+        self.arms: Any = [arm for _, arm in path]
+        if compiled:
+            self.joints, self.arms = np.array(self.joints, np.int64), np.array(self.arms, np.float64)

@@ -7,10 +7,11 @@ import random
 
 import numpy as np
 
+from firmware_sim.compiled import use
 from firmware_sim.description import Hand, MotorSpec, SensorSpec, SimulatorError
 from firmware_sim.faults import Faults
 from firmware_sim.frame import Frame
-from firmware_sim.nodes import PROTOCOLS
+from firmware_sim.nodes import PROTOCOLS, mit_codec, sensors
 from firmware_sim.nodes.kind import Node
 from firmware_sim.nodes.sensors import SensorNode
 from firmware_sim.plant import STEP_NS, Plant
@@ -38,10 +39,26 @@ class World:
         encoder_offset: angle each encoder shows at theta = 0, by motor [rad].
     """
 
-    def __init__(self, hand: Hand, scene: Scene, seed: int = 0, homed: bool = False, origin_ns: int = 0) -> None:
-        """Args: hand; scene; seed of everything random; whether it starts homed; the clock at the start [ns]."""
+    def __init__(
+        self,
+        hand: Hand,
+        scene: Scene,
+        seed: int = 0,
+        homed: bool = False,
+        origin_ns: int = 0,
+        compiled: bool = True,
+    ) -> None:
+        """Build plant and nodes.
+
+        Args:
+            hand: the hand. scene: object and support. seed: of everything random. homed: whether it starts homed.
+            origin_ns: the clock at the start [ns]. compiled: whether laws are, see ``Plant``.
+        """
         self.hand, self.seed, self.homed = hand, seed, homed
-        self.plant = Plant(hand, scene, seed, homed)
+        self.plant = Plant(hand, scene, seed, homed, compiled)
+        if compiled:
+            use(mit_codec)
+            use(sensors)
         self.t_ns = self._origin_ns = origin_ns
         self.foreign = 0
         chance = random.Random(f"encoders {seed}")

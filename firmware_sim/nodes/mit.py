@@ -9,8 +9,9 @@ import enum
 from firmware_sim.description import MotorSpec
 from firmware_sim.frame import Frame
 from firmware_sim.motor import Motor
+from firmware_sim.nodes import mit_codec as codec
 from firmware_sim.nodes import mit_registers as reg
-from firmware_sim.nodes.mit_codec import WORD, Ranges, read_command, write_feedback
+from firmware_sim.nodes.mit_codec import WORD, Ranges
 from firmware_sim.nodes.thermal import Thermal
 
 REGISTER_ID = 0x7FF
@@ -104,7 +105,7 @@ class MitNode:
         self.fed_ns = t_ns
         if self.state == _ENABLED:
             servo, sign = self.motor.servo, self._direction
-            position, velocity, servo.kp, servo.kd, torque = read_command(WORD.unpack(data)[0], *self._ranges)
+            position, velocity, servo.kp, servo.kd, torque = codec.read_command(WORD.unpack(data)[0], *self._ranges)
             servo.position, servo.velocity = sign * (position - self.offset), sign * velocity
             servo.torque = sign * torque
         return self.feedback()
@@ -150,7 +151,7 @@ class MitNode:
         """Return the feedback of this moment."""
         motor, sign, thermal, head = self.motor, self._direction, self.thermal, self.state << 4 | self._id & 0xF
         p, v, t = sign * motor.encoder() + self.offset, sign * motor.velocity, sign * motor.torque
-        return WORD.pack(write_feedback(head, p, v, t, *self._ranges, thermal.mosfet, thermal.winding))
+        return WORD.pack(codec.write_feedback(head, p, v, t, *self._ranges, thermal.mosfet, thermal.winding))
 
     def _register(self, data: bytes) -> bytes | None:
         operation, register = data[2], data[3]

@@ -1,12 +1,13 @@
-"""MIT frames as Damiao motors speak them: bytes <-> values, compiled. Source: facts, mit_damiao.
+"""MIT frames as Damiao motors speak them: bytes <-> values. Source: facts, mit_damiao.
 
-Eight bytes are one number here, the first byte highest; its sign means nothing.
+Eight bytes are one number here, the first byte highest; its sign means nothing. Whoever wants these laws compiled, if
+they are, calls them through the module.
 """
 
 import struct
 from typing import NamedTuple
 
-from firmware_sim.compiled import COUNT, REAL, compiled
+from firmware_sim.compiled import compiled
 
 WORD = struct.Struct(">q")
 """Bytes of a frame <-> number."""
@@ -32,20 +33,20 @@ class Command(NamedTuple):
     torque: float
 
 
-@compiled(REAL, REAL, COUNT)
+@compiled("real", "real", "count")
 def to_code(value: float, limit: float, bits: int) -> int:
     """Return the code of a value in -limit .. limit: clamped, then truncated as the firmware does."""
     clamped = -limit if value < -limit else limit if value > limit else value
     return int((clamped + limit) * ((1 << bits) - 1) / (2.0 * limit))
 
 
-@compiled(COUNT, REAL, COUNT)
+@compiled("count", "real", "count")
 def from_code(code: int, limit: float, bits: int) -> float:
     """Return the value of a code over -limit .. limit."""
     return code * (2.0 * limit) / ((1 << bits) - 1) - limit
 
 
-@compiled(COUNT, REAL, REAL, REAL)
+@compiled("count", "real", "real", "real")
 def read_command(word: int, position: float, velocity: float, torque: float) -> tuple[float, ...]:
     """Return the fields of ``Command`` in a word, given the ranges; the first field is in the highest bits."""
     return (
@@ -57,13 +58,13 @@ def read_command(word: int, position: float, velocity: float, torque: float) -> 
     )
 
 
-@compiled(REAL)
+@compiled("real")
 def _degrees(value: float) -> int:
     """Return a temperature as a byte, saturated."""
     return 0 if value < 0.0 else 255 if value > 255.0 else int(value)
 
 
-@compiled(COUNT, *(REAL,) * 8)
+@compiled("count", *("real",) * 8)
 def write_feedback(
     head: int, p: float, v: float, t: float, position: float, velocity: float, torque: float,
     mosfet: float, winding: float,
@@ -77,7 +78,8 @@ def write_feedback(
         mosfet, winding: temperatures [degC].
     """
     motion = to_code(p, position, 16) << 24 | to_code(v, velocity, 12) << 12 | to_code(t, torque, 12)
-    return head << 56 | motion << 16 | _degrees(mosfet) << 8 | _degrees(winding)
+    signed = head - 256 if head > 127 else head
+    return signed << 56 | motion << 16 | _degrees(mosfet) << 8 | _degrees(winding)
 
 
 def decode_command(data: bytes, ranges: Ranges) -> Command:

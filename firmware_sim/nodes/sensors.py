@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.compiled import COUNT, COUNTS, REAL, VECTOR, compiled
+from firmware_sim.compiled import compiled
 from firmware_sim.description import SensorSpec
 from firmware_sim.frame import Frame
 from firmware_sim.nodes.noise import Noise
@@ -27,13 +27,13 @@ _JOINT = (0.0, JOINT_STEP_RAD, JOINT_ZERO)
 """Value of the lowest code but for an offset, size of a code, offset of the code."""
 
 
-@compiled(REAL, REAL, REAL, COUNT)
+@compiled("real", "real", "real", "count")
 def _code(value: float, low: float, step: float, offset: int) -> int:
     """Return the 12-bit code of a value; 0 and 4095 mean saturated."""
     return min(_TOP, max(0, round((value - low) / step) + offset))
 
 
-@compiled(COUNT, COUNTS, COUNTS)
+@compiled("count", "counts", "counts")
 def _pack(counter: int, codes: Any, words: Any) -> None:
     """Fill words, of which each is a payload, with the counter (low four bits) and up to five codes."""
     for g in range(len(words)):
@@ -43,7 +43,7 @@ def _pack(counter: int, codes: Any, words: Any) -> None:
         words[g] = word
 
 
-@compiled(VECTOR, REAL, REAL, COUNT, COUNT, COUNTS, COUNTS)
+@compiled("vector", "real", "real", "count", "count", "counts", "counts")
 def _encode(values: Any, low: float, step: float, offset: int, counter: int, codes: Any, words: Any) -> None:
     """Pack values by their codes; see ``_code`` and ``_pack``."""
     for i in range(len(values)):
@@ -51,7 +51,7 @@ def _encode(values: Any, low: float, step: float, offset: int, counter: int, cod
     _pack(counter, codes, words)
 
 
-@compiled(VECTOR, VECTOR, VECTOR, REAL, REAL, VECTOR)
+@compiled("vector", "vector", "vector", "real", "real", "vector")
 def _read(true: Any, bias: Any, chance: Any, drift: float, noise: float, read: Any) -> None:
     """Let each bias walk, and add it and noise to what is true; ``chance``: of each walk, then of the noise."""
     channels = len(true)

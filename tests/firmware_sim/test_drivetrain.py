@@ -1,27 +1,23 @@
 """The compiled drivetrain: the same motion as motor by motor, as by Python, and as MuJoCo's own ``mj_step``."""
 
-import json
-import os
 import subprocess
 import sys
 
 import pytest
 
 from firmware_sim.description import load_hand
-from firmware_sim.engine import Engine
+from firmware_sim.frame import Frame
 from firmware_sim.plant import Plant
 from firmware_sim.rig import Rig
 from firmware_sim.scene import load_scene
 from firmware_sim.world import World
 
-PLAIN = "import json; from tests.firmware_sim.test_drivetrain import moved; print(json.dumps(moved('jamia', 120)))"
 
-
-def closing(hand: str, native: bool = True) -> Plant:
+def closing(hand: str, native: bool = True, compiled: bool = True) -> Plant:
     """A hand that closes on a cylinder: slack ropes, then taut; some motors follow a torque, others a position."""
-    plant = Plant(load_hand(hand), load_scene("cylinder"), seed=3)
+    plant = Plant(load_hand(hand), load_scene("cylinder"), seed=3, compiled=compiled)
     if not native:
-        plant.engine.native = None
+        plant._native = None
     for i, motor in enumerate(plant.motors.values()):
         motor.servo.limit, motor.servo.torque, motor.omega = 0.8, 0.05 + 0.02 * i, 3.0 * (-1) ** i
         if i % 2:
@@ -38,30 +34,46 @@ def state(plant: Plant) -> list[str]:
     return [float(number).hex() for number in numbers]
 
 
-def moved(hand: str, count: int, native: bool = True) -> list[str]:
-    plant = closing(hand, native)
-    plant.advance(count)
-    return state(plant)
-
-
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
-def test_a_block_of_steps_is_the_same_steps(hand: str) -> None:
-    block, single, by_motor = closing(hand), closing(hand), closing(hand, native=False)
-    block.advance(601)
-    for _ in range(601):
-        single.step()
-        by_motor.step()
-    assert block.steps == single.steps == by_motor.steps == 601
+def test_however_steps_are_made_they_are_the_same(hand: str) -> None:
+    """In a block, one by one, with the engine stepped by its bindings, and by plain Python: equal to the last bit."""
+    block, single = closing(hand), closing(hand)
+    bindings, plain = closing(hand, native=False), closing(hand, compiled=False)
+    block.advance(401)
+    for _ in range(401):
+        for plant in (single, bindings, plain):
+            plant.step()
     assert max(block.tensions()) > 5.0, "ropes pulled"
-    assert state(block) == state(single)
-    assert state(block) == state(by_motor)
+    for plant in (single, bindings, plain):
+        assert plant.steps == block.steps == 401
+        assert state(plant) == state(block)
 
 
-def test_compiled_and_plain_python_agree_to_the_bit() -> None:
-    words = [sys.executable, "-c", PLAIN]
-    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": os.pathsep.join(sys.path)}
-    plain = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
-    assert json.loads(plain.stdout) == moved("jamia", 120)
+def test_a_whole_hand_says_the_same_compiled_and_plain() -> None:
+    """Also with a fault in a motor, in a load cell, and on the wire."""
+    worlds = [
+        World(load_hand("jamia"), load_scene("cylinder"), seed=4, compiled=compiled) for compiled in (True, False)
+    ]
+    faults = "runaway node=ring_motor size=0.3 at=20ms", "noise cell=index_tendon", "noise encoder=thumb_motor"
+    said = []
+    for world in worlds:
+        for fault in faults:
+            world.faults.inject(fault)
+        answers = []
+        for k in range(40):
+            world.advance(k * 2_000_000)
+            for data in (b"\xff" * 7 + b"\xfc", bytes.fromhex("9fff7ff0ff0337ff")):
+                answers += world.receive(Frame(1, data))
+            answers += world.receive(Frame(0x080, bytes((k,))))
+        said.append((answers, state(world.plant)))
+    assert said[0] == said[1]
+
+
+@pytest.mark.parametrize("module", ["server", "rig", "simulate", "bench", "alone"])
+def test_who_does_not_step_in_lockstep_waits_for_no_compiler(module: str) -> None:
+    code = f"import sys, firmware_sim.{module}; print('numba' in sys.modules)"
+    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert said.stdout.strip() == "False"
 
 
 def test_the_engine_knows_its_own_addresses() -> None:
@@ -91,11 +103,3 @@ def test_a_fault_of_a_motor_is_asked_in_every_step() -> None:
     assert len(seen) == 4
     assert rig.world.plant.motors["ring_motor"].torque > 0.2
     assert rig.world.plant.motors["index_motor"].torque == 0.0
-
-
-def test_without_the_library_the_engine_steps_by_its_bindings(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("firmware_sim.engine._native", lambda model, data: None)
-    plant = closing("jamia")
-    assert isinstance(plant.engine, Engine)
-    plant.advance(50)
-    assert state(plant) == moved("jamia", 50)

@@ -22,27 +22,26 @@ class Rope:
     """One rope on its spool."""
 
     def __init__(self, spec: TendonSpec = SPEC) -> None:
-        routing = Routing([spec], JOINTS, [spec.motor], [0.005])
-        (self.motor,), rotors = Motor.row_by_row(HAND.motors[:1], 0.5e-3)
-        (self.row,) = routing.tendons
-        self.parts = routing.rows, routing.joints, routing.arms, rotors
+        routing = Routing([spec], JOINTS, [spec.motor], [0.005], compiled=False)
+        self.motor, (self.row,) = Motor(HAND.motors[0], 0.5e-3), routing.tendons
+        self.parts = routing.rows, routing.joints, routing.arms, [self.motor]
 
     def elastic(self, stretch: float) -> float:
         return self.tension_at(REST, REST, stretch / 0.005, 0.0)
 
     def tension_at(self, q: list[float], dq: list[float], theta: float, omega: float) -> float:
         self.motor.theta, self.motor.omega = theta, omega
-        out = np.zeros(1)
-        tensions(*self.parts, np.array(q), np.array(dq), out)
-        return float(out[0])
+        out = [0.0]
+        tensions(*self.parts, q, dq, out)
+        return out[0]
 
     def pull(self, q: list[float], dq: list[float], theta: float, omega: float, torque: list[float]) -> float:
         """Add the torques of the pulleys, without what the rope's damping takes; the tension."""
         self.motor.theta, self.motor.omega = theta, omega
-        self.motor.waits, total = True, np.zeros(3)
-        drive(*self.parts, np.array(q), np.array(dq), total, np.zeros(1))
+        self.motor.waits, total = True, [0.0] * 3
+        drive(*self.parts, q, dq, total, [0.0], False)
         back = self.row.slope * self.row.speed
-        torque[:] = [before + all_ - 0.003 * back for before, all_ in zip(torque, total.tolist(), strict=True)]
+        torque[:] = [before + all_ - 0.003 * back for before, all_ in zip(torque, total, strict=True)]
         return self.row.tension
 
 
