@@ -4,7 +4,8 @@ The real plant differs from the hand file by up to 30 per cent, the gains begin 
 search sees only an ensemble around the hand file, the other the plant itself; the gains of both are then judged on the
 plant itself, by the simulator's truth. Their ratio is what not knowing costs.
 
-    python benchmarks/tuning.py [--quick] [--json] [--trials N] [--workers N]
+    python benchmarks/tuning.py [--quick] [--json] [--trials N] [--plants N] [--workers N]
+    python benchmarks/tuning.py --trials 96 --into studies    # goes on where it was interrupted, or with more trials
 """
 
 import argparse
@@ -47,9 +48,10 @@ def main() -> int:
     parser.add_argument("--trials", type=int, default=48, help="of each search (default: 48)")
     parser.add_argument("--plants", type=int, default=3, help="of the ensemble (default: 3)")
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--into", type=Path, metavar="DIR", help="keep both studies here, and go on with them")
     args = parser.parse_args()
     trials, plants = (10, 2) if args.quick else (args.trials, args.plants)
-    result = compare(args.hand, trials, plants, args.workers)
+    result = compare(args.hand, trials, plants, args.workers, args.into)
     if args.json:
         print(json.dumps(result, indent=2))
     else:
@@ -57,8 +59,8 @@ def main() -> int:
     return 0
 
 
-def compare(hand_name: str, trials: int, plants: int, count: int) -> dict[str, Any]:
-    """Both searches, and their gains on the real plant."""
+def compare(hand_name: str, trials: int, plants: int, count: int, into: Path | None) -> dict[str, Any]:
+    """Both searches, and their gains on the real plant; studies are kept in a folder if one is given."""
     hand = load_hand(hand_name)
     packaged = Gains()
     own = flat(packaged)
@@ -67,11 +69,13 @@ def compare(hand_name: str, trials: int, plants: int, count: int) -> dict[str, A
     rate = fastest(bus_loads(hand))
     crew = workers(count, None)
     try:
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as passing:
+            folder = into or Path(passing)
+            folder.mkdir(parents=True, exist_ok=True)
             blind = Plan(str(hand_path(hand_name)), rate, detuned, ensemble(plants, 0), 1, trials, (packaged,))
             knowing = Plan(blind.hand, rate, detuned, (PLANT,), 1, trials, (packaged,))
-            found, spent = _searched(blind, Path(folder) / "blind", crew)
-            known, _ = _searched(knowing, Path(folder) / "knowing", crew)
+            found, spent = _searched(blind, folder / "blind", crew)
+            known, _ = _searched(knowing, folder / "knowing", crew)
         jobs = [_judged(knowing, gains) for gains in (detuned, packaged, _best(detuned, found), _best(detuned, known))]
         scores = [Score(**score) for _, score in sorted(crew.scores(jobs), key=lambda pair: pair[0])]
     finally:

@@ -20,8 +20,18 @@ SEEDS = 100
 COVERED = 90
 
 
-@pytest.mark.parametrize(("seed", "digit"), [(3, "thumb"), pytest.param(4, "index", marks=pytest.mark.nightly)])
+WEAK_MOTOR, STIFF_MOTOR = (23, "thumb"), (39, "thumb")
+
+
+@pytest.mark.parametrize(
+    ("seed", "digit"),
+    [
+        WEAK_MOTOR,
+        *(pytest.param(*hand, marks=pytest.mark.nightly) for hand in (STIFF_MOTOR, (60, "index"), (4, "index"))),
+    ],
+)
 def test_a_hand_off_by_thirty_percent_with_detuned_gains(tmp_path: Path, seed: int, digit: str) -> None:
+    """A motor that lacks 29 % of its torque is no wrong load cell; one that rubs moves its rope nevertheless."""
     row = one(seed, digit, tmp_path)
     assert "failure" not in row
     assert {found["name"] for found in row["parameters"]} == WITHIN.keys()
@@ -80,8 +90,8 @@ def test_the_excitation_keeps_within_the_hand_s_limits() -> None:
     steps = excitation(hand, hand.digit_names)
     for digit in hand.digit_names:
         own = [step for step in steps if step.digit == digit]
-        assert sum(step.duration_s for step in own) < 17.0
-        assert max(step.target for step in own if step.kind in ("tension", "taut")) <= 0.8 * 110.0
+        assert sum(step.duration_s for step in own) < 21.0
+        assert max(step.target for step in own if step.kind in ("tension", "taut")) <= 0.5 * 110.0
         stretch = [step.target for step in own if step.name == "stretch"]
         assert max(stretch) < 0.7 * lift_off(hand, digit)
     with pytest.raises(ConfigError, match="pinky"):

@@ -1,4 +1,4 @@
-"""What a digit does so that its parameters show: within its limits, in about fifteen seconds."""
+"""What a digit does so that its parameters show: within its limits, in about twenty seconds."""
 
 import math
 
@@ -9,12 +9,15 @@ from handctl.hand.description import Hand
 LOW_DEG, HIGH_DEG = 6.0, 32.0
 """Range of free sweeps: clear of the open stop, and short of where the packaged hands' fingers meet thumb or palm."""
 SWING_DEG, SWING_LOW_HZ, SWING_HIGH_HZ = 9.0, 0.7, 6.0
-PRESS_SHARE = (0.08, 0.4, 0.8)
-"""Tension to which a press ends, and between which a digit is pressed, as shares of the most allowed."""
+PRESS_SHARE = (0.08, 0.15, 0.5)
+"""Tension to which a press ends, and between which a digit is pressed, as shares of the most allowed. A motor 30 %
+weaker than its file lacks a third of what it is asked for; pressed harder, it is taken for a wrong load cell (T04b)."""
 LEAST_N, LIFT_SHARE = 1.1, 0.6
 """A digit on its open stop is stretched between the first, above what counts as slack, and the second, a share of the
 tension that lifts it off against springs as in the hand file."""
-STRETCH_S, STRETCHES = 0.25, 8
+STRETCH_S, STRETCHES = 0.9, 4
+"""The motor's own friction is more than this tension, and gains may be weak: on quicker ramps the rope's tension
+makes a third of its way."""
 SWEEP_S = (0.8, 0.3, 0.55, 0.8)
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from handctl.controller.identified import UNITS
-from handctl.tune.fit import NAMES
+from handctl.tune.fit import NAMES, on_stop
 from handctl.tune.fit_load import LoadParameters
 from handctl.tune.identify import BAND_HZ, Found
 
@@ -57,7 +57,7 @@ def _stop(axis: Any, found: Found) -> None:
         axis.text(0.5, 0.5, "not in these data", ha="center", transform=axis.transAxes)
         return
     order = np.argsort(seen.travel)
-    slope = values["rope_stiffness"] / (1.0 + values["stop_softness"])
+    slope = on_stop(values["rope_stiffness"], values["stop_softness"], found.fit.problem.nominal)
     axis.plot(1e6 * seen.travel, seen.tension - _drift(found, seen.t), ".", color=MEASURED, label="50 ms means")
     line = slope * (seen.travel[order] - values["stretch_offset"])
     label = f"k = {values['rope_stiffness'] / 1e3:.1f} kN/m"
