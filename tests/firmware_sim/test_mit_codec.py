@@ -6,6 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_sim.compiled import machine_code
+from firmware_sim.nodes import mit_codec
 from firmware_sim.nodes.mit_codec import Ranges, decode_command, encode_feedback, from_code, to_code
 
 RANGES = Ranges(12.5, 50.0, 0.8)
@@ -67,3 +69,17 @@ def test_codes_are_truncated_and_saturate(value: float) -> None:
 @given(st.integers(0, 65535))
 def test_the_middle_of_a_code_comes_back(code: int) -> None:
     assert to_code(from_code(code, 12.5, 16) + 0.5 * 25.0 / 65535, 12.5, 16) == code
+
+
+MOTION = st.tuples(*[st.floats(-60.0, 60.0)] * 3)
+
+
+@given(st.integers(0, 255), MOTION, st.floats(-50.0, 300.0), st.integers(0, 2**64 - 1))
+def test_compiled_laws_are_the_plain_ones(head: int, motion: tuple[float, ...], degrees: float, word: int) -> None:
+    """Plain as long as nobody in this process uses the compiled ones; their sources in any case."""
+    laws, signed = machine_code(mit_codec), word - (word >> 63 << 64)
+    feedback = (head, *motion, *RANGES, degrees, degrees)
+    assert (
+        laws.write_feedback(*feedback) == laws.write_feedback.py_func(*feedback) == mit_codec.write_feedback(*feedback)
+    )
+    assert laws.read_command(signed, *RANGES) == laws.read_command.py_func(signed, *RANGES)
