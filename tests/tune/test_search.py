@@ -2,7 +2,9 @@
 
 import os
 import signal
+import warnings
 from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ from handctl.controller.gains import Gains, MotionGains
 from handctl.errors import ConfigError
 from handctl.hand.description import hand_path
 from handctl.tune.ensemble import ensemble
-from handctl.tune.search import Found, Plan, Trial, search
+from handctl.tune.search import RANDOM_BATCHES, Found, Plan, Trial, _sampler, _study, search
 from handctl.tune.space import SPACE, within
 from handctl.tune.trial import Score, evaluate
 from handctl.tune.workers import Cluster, Here, Processes, Workers
@@ -44,6 +46,30 @@ def test_two_processes_find_what_one_finds(plan: Plan, found: Found, tmp_path: P
         crew.close()
     assert len(found.trials) == TRIALS
     assert not found.trials[0].score.failure
+
+
+def test_the_sampler_knows_which_trials_keep_their_margins(plan: Plan, found: Found, tmp_path: Path) -> None:
+    """Those that were drawn at random, too; and Optuna has nothing to warn of."""
+    search(plan, tmp_path / "study", Remembered(found), _nothing)
+    told = _study(plan, tmp_path / "study").trials
+    assert [one.constraints for one in told] == [{"margins": one.score.shortfall} for one in found.trials]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", FutureWarning)
+        _sampler(plan.seed, RANDOM_BATCHES)
+
+
+class Remembered:
+    """Knows the scores already."""
+
+    def __init__(self, found: Found) -> None:
+        self.found = found
+
+    def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
+        for i in range(len(jobs)):
+            yield i, asdict(self.found.trials[i].score)
+
+    def close(self) -> None:
+        return
 
 
 class Tired:

@@ -183,6 +183,7 @@ def _batch(study: Any, plan: Plan, crew: Workers, show: Callable[[Found], None])
 
 def _tell(study: Any, trial: Any, score: Score) -> None:
     trial.set_user_attr("score", asdict(score))
+    trial.set_constraint("margins", score.shortfall)
     study.tell(trial, list(score.objectives))
 
 
@@ -192,12 +193,7 @@ def _sampler(seed: int, batch: int) -> Any:
     own = (seed * 7919 + batch) % (1 << 31)
     if batch < RANDOM_BATCHES:
         return RandomSampler(seed=own)
-    return TPESampler(seed=own, multivariate=True, constant_liar=True, constraints_func=_constraints)
-
-
-def _constraints(trial: Any) -> tuple[float, ...]:
-    """Margins, as Optuna wants them: above 0 is a violation."""
-    return (float(trial.user_attrs["score"]["shortfall"]),)
+    return TPESampler(seed=own, multivariate=True, constant_liar=True)
 
 
 def _distributions() -> dict[str, Any]:

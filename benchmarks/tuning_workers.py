@@ -1,0 +1,86 @@
+"""How much faster two workers of a search are than one, by the clock and by CPU time, on the same trials.
+
+On a machine that does something else as well the clock measures that; then the CPU time of the busiest worker says how
+long the trials would have taken on cores of their own. Starting a worker is part of both.
+
+    python benchmarks/tuning_workers.py [--quick] [--json] [--trials N] [--workers N]
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from handctl.controller.gain_bounds import with_values
+from handctl.controller.gains import Gains
+from handctl.hand.description import hand_path
+from handctl.tune.ensemble import ensemble
+from handctl.tune.workers import Processes
+
+Row = dict[str, Any]
+
+RATE_HZ = 500.0
+
+
+def jobs(count: int) -> list[Row]:
+    """Trials of gains that differ a little, so that none is another's."""
+    changed = [with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark") for i in range(count)]
+    plain = {"hand": str(hand_path("jamia")), "rate_hz": RATE_HZ, "plants": list(ensemble(1, 0)), "seed": 1}
+    return [plain | {"gains": gains.model_dump(by_alias=True)} for gains in changed]
+
+
+def cpu_s(pid: int) -> float:
+    """CPU time of a process so far [s]. Source: proc(5), fields 14 and 15 of stat."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def timed(count: int, work: list[Row]) -> tuple[Row, list[Row]]:
+    """How long workers take, and the scores in order."""
+    began = time.monotonic()
+    crew = Processes(count)
+    try:
+        scores = dict(crew.scores(work))
+        spent = [cpu_s(pid) for pid in crew.pids]
+    finally:
+        crew.close()
+    row = {"workers": count, "clock_s": time.monotonic() - began, "cpu_s": spent, "load": os.getloadavg()[0]}
+    return row, [scores[i] for i in range(len(work))]
+
+
+def main() -> int:
+    """Time one worker and several."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--quick", action="store_true", help="four trials")
+    parser.add_argument("--trials", type=int, default=12, help="of each crew (default: 12)")
+    parser.add_argument("--workers", type=int, default=2, help="beside one (default: 2)")
+    args = parser.parse_args()
+    work = jobs(4 if args.quick else args.trials)
+    (one, first), (several, second) = timed(1, work), timed(args.workers, work)
+    result = {
+        "trials": len(work),
+        "one": one,
+        "several": several,
+        "faster_by_the_clock": one["clock_s"] / several["clock_s"],
+        "faster_by_cpu": one["cpu_s"][0] / max(several["cpu_s"]),
+        "same_scores": first == second,
+    }
+    if args.json:
+        print(json.dumps(result, indent=2))
+    else:
+        for row in (one, several):
+            busy = ", ".join(f"{spent:.1f}" for spent in row["cpu_s"])
+            print(f"{row['workers']} worker(s): {row['clock_s']:.1f} s, CPU {busy} s, load {row['load']:.1f}")
+        print(
+            f"{args.workers} workers are {result['faster_by_the_clock']:.2f} times as fast by the clock, "
+            f"{result['faster_by_cpu']:.2f} times by CPU time; same scores: {result['same_scores']}"
+        )
+    return 0 if result["same_scores"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
