@@ -98,10 +98,16 @@ def work(job: tuple) -> dict[str, Any]:
     return judge(course) | {"why": course.failure}
 
 
-def measure(hands: tuple[str, ...], seeds: int, plan: Plan) -> dict[str, Any]:
-    """Figures by hand, plant and law: mean over the seeds, and the spread of the RMSE."""
+def measure(hands: tuple[str, ...], seeds: int, wrong_seeds: int, plan: Plan) -> dict[str, Any]:
+    """Figures by hand, plant and law: mean over the seeds (fewer of wrong plants), and the spread of the RMSE."""
     cases = [(hand, law, plant) for plant in PLANTS for hand in hands for law in LOOPS]
-    jobs = [(hand, law, k, plant) for k in range(seeds) for hand, law, plant in cases]
+    counts = [seeds if plant == "as known" else wrong_seeds for _, _, plant in cases]
+    jobs = [
+        (hand, law, k, plant)
+        for k in range(max(seeds, wrong_seeds))
+        for (hand, law, plant), n in zip(cases, counts, strict=True)
+        if k < n
+    ]
     found = collect(work, jobs, plan)
     result: dict[str, Any] = {"hands": {}}
     for hand, law, plant in cases:

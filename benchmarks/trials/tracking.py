@@ -193,7 +193,7 @@ def main() -> None:
         counts = (1, 0, ("fast",)) if args.quick else (args.seeds, args.wrong_seeds, tuple(SPEEDS))
         result["tracking"] = measure(*counts, plan, HANDS[:1] if args.quick else HANDS)
     if "force" in args.parts and not args.quick:
-        result["force"] = force.measure(HANDS, args.seeds, plan)
+        result["force"] = force.measure(HANDS, args.seeds, args.wrong_seeds, plan)
     result["wall_s"] = time.monotonic() - begin
     print(json.dumps(result, indent=2)) if args.json else show(result)
     if args.page and "tracking" in result:
