@@ -11,7 +11,7 @@ from handctl.controller.task import Hold
 
 PAPER_KG = 0.915
 """Source: the paper's section 5: 18 N at friction 0.5."""
-TENSION_N = {"jamia": 30.0, "jamia11": 28.0}
+TENSION_N = {"jamia": 33.0, "jamia11": 28.0}
 """Of every tendon, such that the fingers press with about 6 N each."""
 ALONG = {
     "along the hinges": (0.0, 0.0, -1.0),
