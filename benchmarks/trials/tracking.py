@@ -6,6 +6,8 @@ plant's effects are those of the hand files and of firmware_sim (capstan and mot
 damping, current loop, encoder and load-cell resolution, noise, drift, one period of bus delay) and none of them was
 changed for any law. The two weights of a law, PD included, are the best of the same ``WEIGHTS``, by the fast motion of
 the plant as known, in the same run of three, on a seed that is not among those judged; ``--tune`` looks for them again.
+The best weights of all leave a loop hardly any margin. So the laws are compared a second time with the best of those
+weights that keep what packaged gains must keep, 6 dB and 45 degrees on the plants drawn around the hand file's.
 """
 
 import argparse
@@ -15,9 +17,13 @@ from pathlib import Path
 
 import numpy as np
 
+from handctl.controller.model import HandModel
 from handctl.report.summary import mean_angles
+from handctl.tune.design import keeps, linear_factors
+from handctl.tune.ensemble import ensemble
+from handctl.tune.linear import LoopKind
 from trials import force, force_page, page, tracking_page
-from trials.hands import CLEAR
+from trials.hands import CLEAR, known
 from trials.jobs import Plan, add_options, collect, plan_of
 from trials.laws import LAWS
 from trials.lockstep import RATES_HZ, Course, Trial, run
@@ -32,18 +38,23 @@ ANGLE_DEG, SETTLE_S, BACK_S, REST_S, AFTER_S, BAND_DEG = 60.0, 0.5, 0.5, 0.2, 0.
 WEIGHTS = tuple(
     (p * 1e-4, v * 1e-2)
     for p, v in ((0.2, 1), (0.3, 1.5), (0.5, 2), (0.8, 2), (0.8, 3), (1.2, 3), (1.5, 2), (1.5, 3), (1.5, 6), (2.2, 3),
-                 (3, 3), (3, 6), (6, 6), (10, 10))
+                 (3, 3), (3, 6), (6, 6), (8, 6), (10, 10), (14, 10))
 )  # fmt: skip
 """Position [m] and speed [m/s] errors that count alike, to choose from: the same for every law."""
 TUNING_SEED = 1000
 TUNED = Path(__file__).with_name("tuned.json")
-"""By hand and law: RMSE [deg] of the fast motion with each of ``WEIGHTS``, null where a motion did not get to its end.
+"""With each of ``WEIGHTS``, by hand and law: RMSE [deg] of the fast motion, null where a motion did not get to its end,
+and whether the motion loop keeps its margins.
 
 Slow, medium and fast in one run, as it is judged: what is best in one motion from rest may not bear three.
 """
 PLAIN, SPRINGS_LAW, BEST, MISPRINTED = [list(LAWS)[i] for i in (0, 1, -2, -1)]
 COMPARED = (PLAIN, SPRINGS_LAW, BEST)
 """Laws that are also tried where the plant is wrong."""
+CAREFUL = (PLAIN, SPRINGS_LAW, list(LAWS)[-4], BEST)
+"""Laws that are also tried with weights that keep their margins."""
+PLANTS_DRAWN = 8
+"""On which margins must be kept."""
 
 
 def moves(speeds: tuple[str, ...]) -> Script:
@@ -104,50 +115,70 @@ def work(job: tuple) -> dict[str, dict[str, float | str]]:
 
 
 def tune(plan: Plan) -> None:
-    """Try all weights for each law on each hand; keep the errors of the fast motion."""
+    """Try all weights for each law on each hand; keep the errors of the fast motion, and which keep their margins."""
     jobs = [(h, law, w, TUNING_SEED, "as known", tuple(SPEEDS)) for h in HANDS for law in LAWS for w in WEIGHTS]
     found = collect(work, jobs, plan)
-    table: dict = {}
+    table: dict = {"rmse_deg": {}, "keeps_margins": {}}
     for (hand, law, weights, *_), rows in found.items():
-        error = rows["fast"]["rmse_deg"]
-        print(f"{hand:<8} {law:<32} {weights!s:<18} {error:8.3f} deg  {rows['fast'].get('why', '')}")
-        table.setdefault(hand, {}).setdefault(law, []).append(round(error, 4) if np.isfinite(error) else None)
+        error, keeps = rows["fast"]["rmse_deg"], keeps_margins(hand, law, weights)
+        why = rows["fast"].get("why", "")
+        print(f"{hand:<8} {law:<32} {weights!s:<18} {error:8.3f} deg  {'keeps margins' if keeps else ''} {why}")
+        table["rmse_deg"].setdefault(hand, {}).setdefault(law, []).append(
+            round(error, 4) if np.isfinite(error) else None
+        )
+        table["keeps_margins"].setdefault(hand, {}).setdefault(law, []).append(keeps)
     if len(found) == len(jobs):
         TUNED.write_text(json.dumps(table, indent=1) + "\n", "utf-8")
 
 
-def tuned(hand: str, law: str) -> tuple[float, float]:
-    """The best weights of a law."""
-    errors = json.loads(TUNED.read_text("utf-8"))[hand][law]
-    return WEIGHTS[int(np.argmin([np.inf if error is None else error for error in errors]))]
+def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
+    """Whether the motion loop of every tendon keeps 6 dB and 45 degrees on plants around the hand file's."""
+    model = HandModel.of(known(hand), LAWS[law].gains(*weights, RATES_HZ[hand]), RATES_HZ[hand])
+    plants = tuple(linear_factors(one) for one in ensemble(PLANTS_DRAWN, 0))
+    return keeps(model, plants, (LoopKind.MOTION,))
+
+
+def tuned(hand: str, law: str, careful: bool = False) -> tuple[float, float]:
+    """The best weights of a law; if ``careful``, of those that keep their margins (the softest if none does both)."""
+    table = json.loads(TUNED.read_text("utf-8"))
+    errors, kept = table["rmse_deg"][hand][law], table["keeps_margins"][hand][law]
+    usable = [i for i, error in enumerate(errors) if error is not None and (kept[i] or not careful)]
+    return WEIGHTS[min(usable, key=errors.__getitem__, default=len(WEIGHTS) - 1 if careful else 0)]
 
 
 def measure(seeds: int, wrong_seeds: int, speeds: tuple[str, ...], plan: Plan, hands: tuple[str, ...] = HANDS) -> dict:
     """All figures: mean and spread over the seeds that there was time for."""
-    plants = list(PLANTS)[1:] if wrong_seeds else []
-    cases = [(hand, law, "as known") for hand in hands for law in LAWS]
-    cases += [(hand, law, plant) for plant in plants for hand in hands for law in COMPARED]
+    cases = [(hand, law, "as known", False) for hand in hands for law in LAWS]
+    cases += [(hand, law, "as known", True) for hand in hands for law in CAREFUL]
+    for plant in list(PLANTS)[1:] if wrong_seeds else []:
+        cases += [(hand, law, plant, True) for hand in hands for law in COMPARED]
     counts = [seeds if case[2] == "as known" else wrong_seeds for case in cases]
-    jobs = [
-        (hand, law, tuned(hand, law), k, plant, speeds)
-        for k in range(max(counts))
-        for (hand, law, plant), n in zip(cases, counts, strict=True)
-        if k < n
-    ]
-    found = collect(work, jobs, plan)
-    result: dict = {"weights": {hand: {law: tuned(hand, law) for law in LAWS} for hand in hands}, "hands": {}}
-    for hand, law, plant in cases:
-        rows = [row for job, row in found.items() if (job[0], job[1], job[4]) == (hand, law, plant)]
+
+    def job(case: tuple[str, str, str, bool], seed: int) -> tuple:
+        hand, law, plant, careful = case
+        return hand, law, tuned(hand, law, careful), seed, plant, speeds
+
+    jobs = [job(case, k) for k in range(max(counts)) for case, n in zip(cases, counts, strict=True) if k < n]
+    found = collect(work, list(dict.fromkeys(jobs)), plan)
+    result: dict = {
+        "weights": {hand: {law: tuned(hand, law) for law in LAWS} for hand in hands},
+        "careful weights": {hand: {law: tuned(hand, law, True) for law in CAREFUL} for hand in hands},
+        "hands": {},
+        "careful": {},
+    }
+    for case, n in zip(cases, counts, strict=True):
+        hand, law, plant, careful = case
+        rows = [found[job(case, k)] for k in range(n) if job(case, k) in found]
         if rows:
-            of_hand = result["hands"].setdefault(hand, {}).setdefault(plant, {})
+            of_hand = result["careful" if careful else "hands"].setdefault(hand, {}).setdefault(plant, {})
             of_hand[law] = {speed: _over_seeds([row[speed] for row in rows]) for speed in rows[0]}
     return result
 
 
 def _over_seeds(rows: list[dict]) -> dict:
     """Mean of each figure, spread of the RMSE, number of seeds, of those that ended early, and why."""
-    whys = [row.pop("why") for row in rows if "why" in row]
-    mean = {name: float(np.mean([row[name] for row in rows])) for name in rows[0]}
+    whys = [row["why"] for row in rows if "why" in row]
+    mean = {name: float(np.mean([row[name] for row in rows])) for name in rows[0] if name != "why"}
     rmse = [row["rmse_deg"] for row in rows]
     spread = float(np.std(rmse)) if np.isfinite(rmse).all() else float("nan")
     return mean | {"rmse_spread_deg": spread, "seeds": len(rows), "ended": len(whys), "why": sorted(set(whys))}
@@ -160,9 +191,11 @@ def show(result: dict) -> None:
     if "tracking" not in result:
         return
     print("tracking of the mean joint angle, RMSE +- spread over the seeds / peak / steady [deg], settling [s]")
-    for hand, plants in result["tracking"]["hands"].items():
-        for plant, laws in plants.items():
-            print(f"\n{hand}, plant {plant}")
+    shown = [(hand, *item) for hand, plants in result["tracking"]["hands"].items() for item in plants.items()]
+    careful = [(hand, *item) for hand, plants in result["tracking"]["careful"].items() for item in plants.items()]
+    for weights, rows in (("best weights", shown), ("weights that keep their margins", careful)):
+        for hand, plant, laws in rows:
+            print(f"\n{hand}, plant {plant}, {weights}")
             for law, speeds in laws.items():
                 told = [
                     f"{speed} {r['rmse_deg']:.3f} +- {r['rmse_spread_deg']:.3f} / {r['peak_deg']:.2f} / "
