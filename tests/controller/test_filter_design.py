@@ -116,3 +116,10 @@ def test_asking_for_other_gains_gives_other_filters() -> None:
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(11)
+
+
+def test_tendons_that_are_alike_share_a_design(jamia11: HandModel) -> None:
+    """The thumb's last tendon carries less than a finger's."""
+    blocks = dict(zip(jamia11.hand.tendon_names, jamia11.filter.blocks, strict=True))
+    assert blocks["index_t1"] is blocks["ring_t1"]
+    assert len({id(each) for each in blocks.values()}) == 5

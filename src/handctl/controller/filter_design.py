@@ -14,7 +14,7 @@ Source: linearised tendon plant; van Loan (1978) for the discretisation; the Ric
 
 import enum
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,7 +141,7 @@ class Stacked:
 
 
 def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_period: Matrix) -> FilterDesign:
-    """Design the filter of each tendon in each regime.
+    """Design the filter of each tendon in each regime; tendons that are alike share theirs.
 
     Args:
         space: the hand along its tendons.
@@ -149,12 +149,14 @@ def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_p
         period: control period [s].
         joint_period: (N,) from one excursion measured by joint encoders to the next [s]; inf where there are none.
     """
-    return FilterDesign(
-        tuple(
-            tuple(_block(space, i, regime, gains, period, float(joint_period[i])) for regime in Regime)
-            for i in range(len(space.spool))
-        )
-    )
+    made: dict[tuple[float, ...], tuple[Block, ...]] = {}
+    found = []
+    for i, joints in enumerate(joint_period.tolist()):
+        kind = (joints, *(float(getattr(space, each.name)[i]) for each in fields(space)))
+        if kind not in made:
+            made[kind] = tuple(_block(space, i, regime, gains, period, joints) for regime in Regime)
+        found.append(made[kind])
+    return FilterDesign(tuple(found))
 
 
 def _continuous(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -> tuple[Matrix, Matrix, Matrix]:
