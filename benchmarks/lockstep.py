@@ -57,6 +57,7 @@ def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
     rollout = written_down(Stack(hand, rate_hz, made), seconds)
     bare = least(repeated(Stack(hand, rate_hz, made), rollout) for _ in range(PASSES))
     whole = least(Stack(hand, rate_hz, made).run(seconds) for _ in range(PASSES))
+    peer = least(behind_the_wire(Stack(hand, rate_hz, made), seconds) for _ in range(PASSES // 2))
     ticks = round(seconds * rate_hz)
     return {
         "rate_hz": rate_hz,
@@ -67,6 +68,7 @@ def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
         "share_of_bare": bare / whole,
         "bare_us_a_tick": bare / ticks * 1e6,
         "rest_us_a_tick": (whole - bare) / ticks * 1e6,
+        "simulator_us_a_tick": (peer - bare) / ticks * 1e6,
         "spent": spent(lambda: Stack(hand, rate_hz, made).run(seconds)),
     }
 
@@ -74,6 +76,21 @@ def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
 def least(runs: Iterable[list[float]]) -> float:
     """Sum of the least that each piece of the runs took [s]."""
     return sum(map(min, zip(*runs, strict=True)))
+
+
+def behind_the_wire(stack: Stack, seconds: float) -> list[float]:
+    """The same run; CPU time that the other side of the wire takes of each tick, steps of the plant included [s]."""
+    step, took, now = stack.peer.step, [], time.process_time
+
+    def timed(*question: object) -> object:
+        before = now()
+        answer = step(*question)
+        took.append(now() - before)
+        return answer
+
+    stack.peer.step = timed
+    stack.run(seconds)
+    return took
 
 
 def written_down(stack: Stack, seconds: float) -> Rollout:
@@ -124,7 +141,10 @@ def show(result: dict) -> None:
                 f"{found['bare_times_real_time']:.1f}, whole stack {found['whole_times_real_time']:.1f} times real "
                 f"time: {100 * found['share_of_bare']:.0f} %"
             )
-            print(f"  mj_step {found['bare_us_a_tick']:.0f} us a tick, the rest {found['rest_us_a_tick']:.0f} us:")
+            print(
+                f"  mj_step {found['bare_us_a_tick']:.0f} us a tick, the rest {found['rest_us_a_tick']:.0f} us, of it "
+                f"{found['simulator_us_a_tick']:.0f} us behind the wire:"
+            )
             rest = {who: share for who, share in found["spent"].items() if who != "mj_step"}
             for who, share in sorted(rest.items(), key=lambda row: -row[1]):
                 print(f"    {100 * share / sum(rest.values()):5.1f} %  {who}")
