@@ -58,8 +58,18 @@ def machine_code(module: ModuleType) -> Any:
         if arguments is None:
             names[name] = njit(error_model="numpy")(law)
         else:
-            names[name] = njit(tuple(map(_type, arguments)), cache=True, error_model="numpy")(law)
+            names[name] = _kept(tuple(map(_type, arguments)), law)
     return SimpleNamespace(**{name: names[name] for name in _LAWS[module.__name__]})
+
+
+def _kept(arguments: tuple[Any, ...], law: FunctionType) -> Any:
+    """Compile a law, and keep its code for the next process where there is a folder that can be written."""
+    from numba import njit
+
+    try:
+        return njit(arguments, cache=True, error_model="numpy")(law)
+    except RuntimeError:  # numba finds no such folder, neither beside the source nor the user's own
+        return njit(arguments, error_model="numpy")(law)
 
 
 def use(module: ModuleType) -> None:

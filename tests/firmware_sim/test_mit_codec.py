@@ -1,5 +1,8 @@
 """MIT frames against bit strings written down from the fact sheet, not from the code."""
 
+import os
+import subprocess
+import sys
 from fractions import Fraction
 
 import pytest
@@ -83,3 +86,9 @@ def test_compiled_laws_are_the_plain_ones(head: int, motion: tuple[float, ...], 
         laws.write_feedback(*feedback) == laws.write_feedback.py_func(*feedback) == mit_codec.write_feedback(*feedback)
     )
     assert laws.read_command(signed, *RANGES) == laws.read_command.py_func(signed, *RANGES)
+
+
+def test_laws_compile_where_no_folder_can_be_written() -> None:
+    code = "from firmware_sim.compiled import use; from firmware_sim.nodes import mit_codec; use(mit_codec)"
+    nowhere = os.environ | {"NUMBA_CACHE_LOCATOR_CLASSES": "ZipCacheLocator"}
+    subprocess.run([sys.executable, "-c", code], env=nowhere, check=True)
