@@ -176,12 +176,13 @@ def measure(seeds: int, wrong_seeds: int, speeds: tuple[str, ...], plan: Plan, h
 
 
 def _over_seeds(rows: list[dict]) -> dict:
-    """Mean of each figure, spread of the RMSE, number of seeds, of those that ended early, and why."""
-    whys = [row["why"] for row in rows if "why" in row]
-    mean = {name: float(np.mean([row[name] for row in rows])) for name in rows[0] if name != "why"}
-    rmse = [row["rmse_deg"] for row in rows]
-    spread = float(np.std(rmse)) if np.isfinite(rmse).all() else float("nan")
-    return mean | {"rmse_spread_deg": spread, "seeds": len(rows), "ended": len(whys), "why": sorted(set(whys))}
+    """Mean of each figure and spread of the RMSE over the runs that got to the end, how many did not, and why."""
+    whys = sorted({row["why"] for row in rows if "why" in row})
+    good = [row for row in rows if np.isfinite(row["rmse_deg"])]
+    names = [name for name in rows[0] if name != "why"]
+    mean = {name: float(np.mean([row[name] for row in good])) if good else float("inf") for name in names}
+    spread = float(np.std([row["rmse_deg"] for row in good])) if good else float("nan")
+    return mean | {"rmse_spread_deg": spread, "seeds": len(rows), "ended": len(rows) - len(good), "why": whys}
 
 
 def show(result: dict) -> None:
