@@ -5,7 +5,9 @@ import numpy as np
 from trials.page import FIGURES, table
 
 ENDED = "ended"
-"""For a law with which safety ends at least one of the runs."""
+"""For a law with which safety ends all of the runs."""
+LEAST_DEG = 0.03
+"""Left end of the picture."""
 
 
 def section(result: dict, named: tuple[str, str, str, str]) -> str:
@@ -145,25 +147,30 @@ def picture(result: dict) -> None:
     from matplotlib import pyplot as plt
 
     hands = result["hands"]
-    figure, axes = plt.subplots(1, len(hands), figsize=(5.5 * len(hands), 3.6), sharey=True, squeeze=False)
+    figure, axes = plt.subplots(1, len(hands), figsize=(5.8 * len(hands), 4.4), sharey=True, squeeze=False)
     for axis, (hand, plants) in zip(axes[0], hands.items(), strict=True):
         laws = plants["as known"]
-        mean = [found["fast"]["rmse_deg"] for found in laws.values()]
-        spread = [found["fast"]["rmse_spread_deg"] for found in laws.values()]
-        shown = [value if np.isfinite(value) else 0.0 for value in mean]
-        spread = [value if np.isfinite(m) else 0.0 for value, m in zip(spread, mean, strict=True)]
-        places = np.arange(len(laws))
-        axis.barh(places, shown, xerr=np.nan_to_num(spread), color="#4477aa", ecolor="#222222", capsize=2)
         careful = result["careful"].get(hand, {}).get("as known", {})
-        other = [(list(laws).index(law), found["fast"]["rmse_deg"]) for law, found in careful.items()]
-        axis.plot([e for _, e in other], [p for p, _ in other], "D", color="#cc6677", label="weights with margins")
-        for place, value in zip(places, mean, strict=True):
-            text = f"{value:.2f}" if np.isfinite(value) else ENDED
-            axis.annotate(text, (value if np.isfinite(value) else 0.0, place), (6, -3), textcoords="offset points")
+        places = np.arange(len(laws))
+        for rows, shift, colour, label in (
+            (laws, -0.2, "#4477aa", "best weights"),
+            (careful, 0.2, "#cc6677", "best weights that keep margins"),
+        ):
+            found = [(list(laws).index(law) + shift, row["fast"]) for law, row in rows.items()]
+            good = [(place, row) for place, row in found if np.isfinite(row["rmse_deg"])]
+            mean, spread = ([row[key] for _, row in good] for key in ("rmse_deg", "rmse_spread_deg"))
+            axis.barh([p for p, _ in good], mean, 0.38, xerr=spread, color=colour, label=label, capsize=2)
+            for place, row in found:
+                value = row["rmse_deg"]
+                text = f"{value:.2f}" if np.isfinite(value) else ENDED
+                end = value + row["rmse_spread_deg"] if np.isfinite(value) else LEAST_DEG
+                axis.annotate(text, (end, place), (4, -3),
+                              textcoords="offset points", fontsize=8)  # fmt: skip
         axis.set_yticks(places, list(laws))
+        axis.set_xscale("log")
+        axis.set_xlim(LEAST_DEG, 30.0)
         axis.set_xlabel("RMSE, 0 to 60 deg in 0.15 s [deg]")
         axis.set_title(hand)
-        axis.margins(x=0.15)
     axes[0][0].invert_yaxis()
     axes[0][-1].legend(fontsize=8, loc="lower right")
     figure.tight_layout()
