@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.contact import USUAL_S, grown, usual
+from handctl.controller.contact import USUAL_S, averaged, grown
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.model import HandModel
 from handctl.controller.task import Task
@@ -86,12 +86,17 @@ def test_nothing_is_found_in_ten_minutes(hand: str, tmp_path: Path) -> None:
 
 def test_a_force_that_was_below_zero_all_along_counts_from_there() -> None:
     """A thumb near the end of its way: the model expects 0.35 N too much, and the contact grows to 0.2 N only."""
-    assert grown((0.2, 0.2), (-0.35, 0.1)) == [pytest.approx(0.55), 0.2]
-    assert grown((0.2,), ()) == [0.2]
+    assert grown((0.2, 0.2), (-0.35, 0.1), ()) == [pytest.approx(0.55), 0.2]
+    assert grown((0.2,), (), ()) == [0.2]
 
 
-def test_what_is_usual_follows_in_tenths_of_a_second(jamia: HandModel) -> None:
-    felt, known = (0.0,), (-0.3,)
+def test_what_is_felt_in_all_closing_does_not_count() -> None:
+    """A load cell that has drifted by half a newton in half a minute."""
+    assert grown((0.35, 0.35), (0.2, 0.2), (0.2, -0.2)) == [pytest.approx(0.15), 0.35]
+
+
+def test_a_mean_follows_in_its_time_while_a_digit_closes(jamia: HandModel) -> None:
+    lately = (-0.3, -0.3)
     for _ in range(round(USUAL_S / jamia.period)):
-        known = usual(jamia, known, felt)
-    assert known[0] == pytest.approx(-0.3 * math.exp(-1.0), rel=1e-6)
+        lately = averaged(jamia, lately, (0.0, 0.0), [True, False], USUAL_S)
+    assert lately == (pytest.approx(-0.3 * math.exp(-1.0), rel=1e-6), -0.3)

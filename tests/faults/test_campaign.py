@@ -42,9 +42,11 @@ def test_the_report_says_what_it_promises(report):
 def test_the_undisturbed_hand_alone():
     """Seeds count on, so that hours can be run in pieces."""
     seeds = []
+
     def seen(hand, rate, seconds, seed):
         seeds.append((round(rate), seconds, seed))
         return []
+
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(campaign, "calm", seen)
         report = campaign.run(

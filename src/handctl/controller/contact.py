@@ -3,7 +3,8 @@
 Each digit's tendons are weighed as a unit force at the tip would load them, so that a proximal tendon, which feels the
 tip most and friction least, counts most. The force is smoothed over a few milliseconds: what the contact of a closing
 digit adds stays, what a chattering rope adds comes and goes. A model that expects too much tension hides a contact
-behind a force below zero, which is there for longer than a contact takes to grow: it is taken off.
+behind a force below zero, which is there for longer than a contact takes to grow: it is taken off. A force above zero
+that is there in all of a digit's closing is a load cell's drift, and is taken off, too.
 """
 
 import math
@@ -17,8 +18,8 @@ from handctl.controller.types import Vector
 
 SMOOTH_S = 5e-3
 """Time constant: a quarter of the time in which a contact is to be found."""
-USUAL_S = 0.15
-"""Time constant of what is felt anyway: several times that in which a contact grows."""
+USUAL_S, DRIFT_S = 0.15, 2.0
+"""Time constants of what is felt anyway: several times that in which a contact grows, and one in which it is found."""
 
 ARRIVED_S, ARRIVED_FACTOR = 0.15, 2.0
 """So long after the end of its way a digit counts as arrived, and needs so much more force: it meets nothing new by
@@ -64,20 +65,27 @@ def feel(model: HandModel, before: tuple[float, ...], estimate: Estimate, closin
     return tuple([old + share * (new - old) if asked else 0.0 for old, new, asked in rows])
 
 
-def grown(felt: tuple[float, ...], usual: tuple[float, ...]) -> list[float]:
-    """What counts of the forces felt at the tips [N]: all of it, and what makes up for less than nothing before.
+def grown(felt: tuple[float, ...], usual: tuple[float, ...], drift: tuple[float, ...]) -> list[float]:
+    """What counts of the forces felt at the tips [N].
 
     Args:
-        felt: per digit, smoothed [N]. usual: what was felt until then [N]; empty at the beginning.
+        felt: per digit, smoothed [N].
+        usual, drift: what was felt lately, and in all of its closing [N]; empty at the beginning.
     """
-    return [now - min(before, 0.0) for now, before in zip(felt, usual or felt, strict=True)]
+    rows = zip(felt, usual or felt, drift or (0.0,) * len(felt), strict=True)
+    return [now - min(lately, 0.0) - max(always, 0.0) for now, lately, always in rows]
 
 
-def usual(model: HandModel, before: tuple[float, ...], felt: tuple[float, ...]) -> tuple[float, ...]:
-    """What is felt of each digit for longer [N].
+def averaged(
+    model: HandModel, before: tuple[float, ...], felt: tuple[float, ...], closing: list[bool], time: float
+) -> tuple[float, ...]:
+    """Mean of what is felt of each digit while it closes [N].
 
     Args:
-        model: the hand. before: from the last tick; empty at the beginning. felt: of this tick, smoothed [N].
+        model: the hand. before: from the last tick. felt: of this tick, smoothed [N].
+        closing: per digit, whether it does; the others keep theirs.
+        time: constant of the mean [s].
     """
-    share = -math.expm1(-model.period / USUAL_S)
-    return tuple([old + share * (new - old) for old, new in zip(before or felt, felt, strict=True)])
+    share = -math.expm1(-model.period / time)
+    rows = zip(before, felt, closing, strict=True)
+    return tuple([old + share * (new - old) if asked else old for old, new, asked in rows])

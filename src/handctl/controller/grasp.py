@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from handctl.controller.allocation import allocate
-from handctl.controller.contact import feel, grown, needed, usual
+from handctl.controller.contact import DRIFT_S, USUAL_S, averaged, feel, grown, needed
 from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.grip import Grip, GripPlan, hold
@@ -160,7 +160,7 @@ class TaskProgram:
             goal.kind == Kind.MOTION and not known for goal, known in zip(progress.goals, progress.contact, strict=True)
         ]
         felt = feel(model, progress.felt, estimate, closing)
-        forces = grown(felt, progress.usual)
+        forces = grown(felt, progress.usual, progress.drift)
         goals, contact, touching = list(progress.goals), list(progress.contact), list(progress.touching)
         events: list[Event] = []
         for d, tendons in enumerate(model.digit_tendons):
@@ -173,7 +173,9 @@ class TaskProgram:
                 name = model.hand.digit_names[d]
                 events.append(Event("info", "contact", name, f"{name} touches, {forces[d]:.2f} N at its tip"))
         changed = replace(progress, goals=tuple(goals), contact=tuple(contact), touching=tuple(touching))
-        return replace(changed, felt=felt, usual=usual(model, progress.usual, felt)), tuple(events)
+        lately = averaged(model, progress.usual or felt, felt, closing, USUAL_S)
+        always = averaged(model, progress.drift or (0.0,) * len(felt), felt, closing, DRIFT_S)
+        return replace(changed, felt=felt, usual=lately, drift=always), tuple(events)
 
     def _phase_over(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> bool:
         phase, elapsed = self.task.phase[progress.step - 1], t - progress.since

@@ -32,6 +32,7 @@ class Progress:
         record: numbers that the program keeps for its result.
         felt: per digit, smoothed force at the tip while it closes [N]; empty otherwise.
         usual: per digit, the mean of that over a longer time [N]; empty otherwise.
+        drift: per digit, the same over all its closing so far, which is the load cells' error [N]; empty before.
         grip: of a hold; None otherwise.
         tare: what every load cell is to read less from now on [N]; empty for what the controller knows anyway.
     """
@@ -48,6 +49,7 @@ class Progress:
     tare: tuple[float, ...] = ()
     felt: tuple[float, ...] = ()
     usual: tuple[float, ...] = ()
+    drift: tuple[float, ...] = ()
     grip: Grip | None = None
 
     @staticmethod
@@ -59,7 +61,7 @@ class Progress:
         """Everything in it as bytes, for the state's hash."""
         place = (self.step, self.since, self.phase, self.finished, self.failure, self.record, self.tare)
         goals = b"".join(map(_goal, self.goals)) + (self.grip.key() if self.grip else b"")
-        return plain_bytes((place, self.felt, self.usual, self.contact, self.touching)) + goals
+        return plain_bytes((place, self.felt, self.usual, self.drift, self.contact, self.touching)) + goals
 
 
 _goal = Kept[DigitGoal](DigitGoal.key)
