@@ -159,7 +159,7 @@ def draw(result: dict[str, Any]) -> None:
     left.set(xscale="log", xlabel="largest motion in 5 s, of three orientations with a push of 1 N [mm]")
     left.set_yticks(range(len(names)), names, fontsize=8)
     left.invert_yaxis()
-    left.legend(title="x: no success", loc="lower right", fontsize=8)
+    left.legend(title="x: no success", loc="upper left", fontsize=8)
     for row in result.get("slip", ()):
         if row["seed"] == 0:
             style = "-" if row["answered"] else ":"
