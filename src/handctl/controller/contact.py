@@ -21,17 +21,21 @@ SMOOTH_S = 5e-3
 USUAL_S, DRIFT_S = 0.15, 2.0
 """Time constants of what is felt anyway: several times that in which a contact grows, and one in which it is found."""
 
+USUAL_JOINTS = 2
+"""Of a digit for which the threshold is said: every joint more adds its own friction to what is felt at the tip, 0.33 N
+on fingers of three joints that touch nothing; they find a contact long before 1 N."""
 ARRIVED_S, ARRIVED_FACTOR = 0.15, 2.0
 """So long after the end of its way a digit counts as arrived, and needs so much more force: it meets nothing new by
 itself, and friction that creeps could be taken for a touch."""
 
 
-def needed(goal: DigitGoal, threshold: float, t: float) -> float:
+def needed(goal: DigitGoal, joints: int, threshold: float, t: float) -> float:
     """Force at the tip that counts as contact [N].
 
     Args:
-        goal: of the digit. threshold: on its way [N]. t: time [s].
+        goal: of the digit. joints: it has. threshold: of one with two joints, on its way [N]. t: time [s].
     """
+    threshold *= joints / USUAL_JOINTS
     on_way = goal.trajectory is not None and t - goal.since < goal.trajectory.duration + ARRIVED_S
     return threshold if on_way else ARRIVED_FACTOR * threshold
 

@@ -79,7 +79,10 @@ class ContactGains(Document):
     """When tension that the model does not explain counts as contact of a closing digit."""
 
     threshold_N: float = Field(0.3, gt=0, le=100)
-    """As a force at the tip, smoothed over 5 ms; twice as much of a digit that is at the end of its way."""
+    """As a force at the tip of a digit of two joints, smoothed over 5 ms.
+
+    Half as much again of a digit of three, and twice as much of one that is at the end of its way.
+    """
     ticks: int = Field(1, ge=1, le=1000)
 
 

@@ -164,7 +164,9 @@ class TaskProgram:
         goals, contact, touching = list(progress.goals), list(progress.contact), list(progress.touching)
         events: list[Event] = []
         for d, tendons in enumerate(model.digit_tendons):
-            enough = closing[d] and forces[d] > needed(progress.goals[d], gains.threshold_N, t)
+            enough = closing[d] and forces[d] > needed(
+                progress.goals[d], model.digits[d].joint_count, gains.threshold_N, t
+            )
             touching[d] = touching[d] + 1 if enough else 0
             if touching[d] >= gains.ticks:
                 contact[d] = True
