@@ -1,4 +1,4 @@
-"""Runs the tests in inside/ beside real vcan interfaces, in two guests, and reports each as if it had run here.
+"""Runs the tests in inside/ beside real vcan interfaces, in three guests, and reports each as if it had run here.
 
 The same file is the other end: in the guest it writes every report of pytest, as data, into a file that is named by
 HANDCTL_VCAN_REPORTS. With HANDCTL_REQUIRE_VCAN=1 a skipped test is a failed one.
@@ -21,8 +21,12 @@ INSIDE = Path(__file__).parent / "inside"
 REPORTS_FILE = os.environ.get("HANDCTL_VCAN_REPORTS")
 REQUIRED = os.environ.get("HANDCTL_REQUIRE_VCAN") == "1"
 GUEST_TIMEOUT_S = 1500.0
-TOGETHER = ("test_run.py", "test_drive.py", "test_foreign_clients.py", "test_firmware_sim.py", "test_bus_doctor.py")
-"""Files that share a guest: a run in slowed time, and so much besides that both guests end at about the same time."""
+SHARES = (
+    ("test_run.py", "test_drive.py", "test_bus_doctor.py"),
+    ("test_protocols.py", "test_foreign_clients.py", "test_python_can.py"),
+)
+"""Files of a guest each, all others are a third one's: so parted that all end at about the same time. A guest has one
+core and leaves it to others for more than half of the time, since it runs hands in slowed time."""
 Reports = dict[str, list[pytest.TestReport]]
 _reports = pytest.StashKey[Reports]()
 
@@ -61,12 +65,14 @@ def pytest_runtest_protocol(item: pytest.Item) -> bool | None:
 
 
 def _run_inside(items: Sequence[pytest.Item]) -> Reports:
-    """Runs all these tests, half of them in each of two guests: a guest has one core."""
+    """Runs all these tests, each in the guest that has its file."""
     kind, why_not = uml.means()
     if not kind:
         return {item.nodeid: [_report(item, "skipped", (str(item.path), 0, why_not))] for item in items}
-    one = [item for item in items if item.path.name in TOGETHER]
-    shares = [share for share in (one, [item for item in items if item not in one]) if share]
+    parts_of: dict[int, list[pytest.Item]] = defaultdict(list)
+    for item in items:
+        parts_of[next((i for i, names in enumerate(SHARES) if item.path.name in names), len(SHARES))].append(item)
+    shares = list(parts_of.values())
     with ThreadPoolExecutor(len(shares)) as guests:
         parts = list(guests.map(_run_in_guest, shares))
     return {nodeid: reports for part in parts for nodeid, reports in part.items()}
