@@ -1,5 +1,6 @@
 """The simulated hand as a process of its own on the other side of vcan."""
 
+import contextlib
 import select
 import signal
 import subprocess
@@ -12,6 +13,8 @@ import pytest
 TIME_SCALE = 0.15
 """The guest has one core, and a look at a clock is a system call: plant, watchdogs and deadlines run at a tenth."""
 READY_S, END_S = 60.0, 20.0
+STOOD_STILL = ("H03", "B02", "N02", "B17", "N08")
+"""Rows by which a run ends if host or simulator are not run for a while, as they should."""
 
 
 SIMULATOR = """
@@ -23,11 +26,10 @@ runpy.run_module("firmware_sim", run_name="__main__", alter_sys=True)
 it: with any that is no system call the step is a hundred times faster. The result only feeds MuJoCo's profile."""
 
 
-@pytest.fixture(scope="module")
-def simulator(request: pytest.FixtureRequest) -> Iterator["subprocess.Popen[str]"]:
-    """``firmware_sim`` serving hand jamia on vcan0, with more options as its parameter; it must end when told to."""
-    words = ["--hand", "jamia", "--bus", "socketcan:vcan0", "--time-scale", str(TIME_SCALE), "--seed", "1"]
-    words += getattr(request, "param", [])
+@contextlib.contextmanager
+def serving(*options: str) -> Iterator["subprocess.Popen[str]"]:
+    """``firmware_sim`` serving hand jamia on vcan0, with more options; it must end when told to."""
+    words = ["--hand", "jamia", "--bus", "socketcan:vcan0", "--time-scale", str(TIME_SCALE), "--seed", "1", *options]
     process = subprocess.Popen([sys.executable, "-c", SIMULATOR, *words], stdout=subprocess.PIPE, text=True)
     try:
         wait_until_ready(process)
@@ -37,6 +39,13 @@ def simulator(request: pytest.FixtureRequest) -> Iterator["subprocess.Popen[str]
     finally:
         process.kill()
         process.wait()
+
+
+@pytest.fixture(scope="module")
+def simulator(request: pytest.FixtureRequest) -> Iterator["subprocess.Popen[str]"]:
+    """A simulated hand for all tests of a module, with the options that are its parameter."""
+    with serving(*getattr(request, "param", ())) as process:
+        yield process
 
 
 def wait_until_ready(process: "subprocess.Popen[str]") -> None:

@@ -25,6 +25,7 @@ from handctl.errors import LogError
 from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
 from tests.drives.protocol_bench import hand_file
+from tests.vcan.inside.conftest import STOOD_STILL
 from tests.vcan.inside.test_protocols import DIGITS, PULL_N, RATE_HZ, simulated
 
 SIOCGIFFLAGS, SIOCSIFFLAGS, IFF_UP = 0x8913, 0x8914, 1
@@ -34,8 +35,6 @@ HOUR_S = 3600.0
 AT_S, AFTER_S = 0.15, 0.3
 """When it happens, from the beginning of the pull on, and how long the pull would go on [s]."""
 TIME_SCALE = 0.1
-STOOD_STILL = ("H03", "B02", "N02", "B17", "N08")
-"""Rows by which a run ends if host or simulator are not run for a while, as they should."""
 
 
 def set_up(interface: str, up: bool) -> None:

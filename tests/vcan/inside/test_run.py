@@ -7,22 +7,41 @@ from pathlib import Path
 
 import pytest
 
-from tests.vcan.inside.conftest import TIME_SCALE
+from tests.vcan.inside.conftest import STOOD_STILL, TIME_SCALE, serving
 
 HANDCTL = Path(sys.executable).with_name("handctl")
 TASK = Path(__file__).with_name("short_grasp.toml")
 DIGITS = {"index", "middle", "ring", "thumb"}
 
 
-@pytest.mark.timeout(900)
-@pytest.mark.parametrize("simulator", [["--scene", "cylinder"]], indirect=True, ids=["cylinder"])
-@pytest.mark.usefixtures("simulator")
-def test_a_run_grasps_holds_and_lets_go(tmp_path: Path) -> None:
-    log = tmp_path / "run.mcap"
+ATTEMPTS = 3
+
+
+def run_on(folder: Path) -> subprocess.CompletedProcess[str]:
+    """``handctl run``, commissioning first, with a simulator of its own."""
     words = ["run", "--hand", "jamia", "--bus", "socketcan:vcan0", "--task", str(TASK), "--time-scale", str(TIME_SCALE)]
-    files = ["--json", "--log", str(log), "--calibration", str(tmp_path / "jamia.calibration.toml")]
-    ran = subprocess.run([HANDCTL, *words, *files], cwd=tmp_path, capture_output=True, text=True, check=False)
+    files = ["--json", "--log", str(folder / "run.mcap"), "--calibration", str(folder / "jamia.calibration.toml")]
+    with serving("--scene", "cylinder"):
+        return subprocess.run([HANDCTL, *words, *files], cwd=folder, capture_output=True, text=True, check=False)
+
+
+def run_until_undisturbed(folder: Path) -> tuple[subprocess.CompletedProcess[str], Path]:
+    """The first run that did not end because the guest's one core was not there for a while; its folder."""
+    for number in range(ATTEMPTS):
+        place = folder / str(number)
+        place.mkdir()
+        ran = run_on(place)
+        if ran.returncode == 0:
+            break
+        assert any(row in ran.stderr for row in STOOD_STILL), ran.stderr + ran.stdout
     assert ran.returncode == 0, ran.stderr + ran.stdout
+    return ran, place
+
+
+@pytest.mark.timeout(900)
+def test_a_run_grasps_holds_and_lets_go(tmp_path: Path) -> None:
+    ran, place = run_until_undisturbed(tmp_path)
+    log = place / "run.mcap"
     result = json.loads(ran.stdout)
     assert result["failure"] == ""
     assert result["log_complete"]
