@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -27,10 +28,16 @@ it: with any that is no system call the step is a hundred times faster. The resu
 
 
 @contextlib.contextmanager
-def serving(*options: str) -> Iterator["subprocess.Popen[str]"]:
-    """``firmware_sim`` serving hand jamia on vcan0, with more options; it must end when told to."""
+def serving(*options: str, told: Path | None = None) -> Iterator["subprocess.Popen[str]"]:
+    """``firmware_sim`` serving hand jamia on vcan0, with more options; it must end when told to.
+
+    What it says of itself while it runs and in the end goes into the file ``told``.
+    """
     words = ["--hand", "jamia", "--bus", "socketcan:vcan0", "--time-scale", str(TIME_SCALE), "--seed", "1", *options]
-    process = subprocess.Popen([sys.executable, "-c", SIMULATOR, *words], stdout=subprocess.PIPE, text=True)
+    with told.open("w") if told else contextlib.nullcontext() as stderr:
+        process = subprocess.Popen(
+            [sys.executable, "-c", SIMULATOR, *words], stdout=subprocess.PIPE, stderr=stderr, text=True
+        )
     try:
         wait_until_ready(process)
         yield process
