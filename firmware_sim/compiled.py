@@ -43,8 +43,12 @@ def inner(function: F) -> F:
 
 
 def call(function: int, first: int, second: int) -> None:
-    """Call a C function ``void f(void *, void *)``, all three by their addresses; in compiled laws only."""
-    raise NotImplementedError
+    """Call a C function ``void f(void *, void *)``, all three by their addresses.
+
+    Raises:
+        NotImplementedError: always, in plain laws: in compiled ones ``_intrinsic`` stands for it.
+    """
+    raise NotImplementedError("an address can be called in compiled laws only")
 
 
 @cache
@@ -94,7 +98,7 @@ def _intrinsic() -> Any:
 
     An address is an argument, not a constant: code with a constant address could not be kept for the next process.
     """
-    from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]
+    from llvmlite import ir  # type: ignore[import-untyped, unused-ignore]  # some releases come without types
     from numba import types
     from numba.extending import intrinsic
 

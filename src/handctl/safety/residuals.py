@@ -1,8 +1,8 @@
 """What remains when motor torque, inertia and friction are taken off a rope's tension, and the like, filtered.
 
 A rotor at the cable: m a = F - T - b v - c sign(v). What the load cell says besides, over a fifth of a second, is the
-cell's, the motor's or the friction's fault. Thresholds are so far from the noise that it raises
-none of them in ten thousand hours.
+cell's, the motor's or the friction's fault. Thresholds are so far from the noise that it raises none of
+them in ten thousand hours.
 """
 
 from dataclasses import dataclass, field
@@ -21,6 +21,7 @@ GAIN_SHARE = 0.1
 """Share of the motor's force that its torque constant may be wrong by. Source: usual tolerance of K_t."""
 RUB_SPEED = 5e-3
 """Cable speed above which friction is fully developed [m/s]."""
+
 BALANCE, FORCE, ASKED, TENSION, QUICK_FORCE, SLIP, JERK, RUB = range(8)
 """Rows of ``Filtered.low``."""
 _TIMES = np.array([SLOW_S, SLOW_S, ASKED_S, QUICK_S, QUICK_S, SLIP_S, NOISE_S, RUB_S])
