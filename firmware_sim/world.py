@@ -152,7 +152,7 @@ class World:
         now_ns = self.t_ns
         if now_ns + STEP_NS > t_ns:
             return
-        wake_ns = min([node.wake_ns for _, node in self._all], default=t_ns)
+        wake_ns = self._next_wake(t_ns)
         while now_ns + STEP_NS <= t_ns:
             until_ns = t_ns
             if truth is not None:
@@ -166,12 +166,16 @@ class World:
             now_ns += count * STEP_NS
             if now_ns >= wake_ns:
                 self._wake(now_ns)
-                wake_ns = min([node.wake_ns for _, node in self._all], default=t_ns)
+                wake_ns = self._next_wake(t_ns)
             if faults.on:
                 self.t_ns = now_ns
                 self._spoken += faults.advance(now_ns)
-                wake_ns = min([node.wake_ns for _, node in self._all], default=t_ns)
+                wake_ns = self._next_wake(t_ns)
         self.t_ns = now_ns
+
+    def _next_wake(self, end_ns: int) -> int:
+        """Return when time must pass for a node next [ns]; ``end_ns`` if there is none."""
+        return min([node.wake_ns for _, node in self._all], default=end_ns)
 
     def _wake(self, now_ns: int) -> None:
         """Wake the nodes whose time has come, and keep what they say."""
