@@ -17,8 +17,10 @@ settings.load_profile("nightly" if NIGHTLY else "every run")
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 """A shell's background job begins with SIGINT ignored, and so would every program that these tests start."""
-os.environ.setdefault("HANDCTL_RUN_DIR", tempfile.mkdtemp(prefix="handctl-"))
-"""Buses and truths of these tests alone, whatever else runs on this machine."""
+if "HANDCTL_RUN_DIR" not in os.environ:
+    RUN_DIR = tempfile.TemporaryDirectory(prefix="handctl-", ignore_cleanup_errors=True)
+    """Buses and truths of these tests alone, whatever else runs on this machine; gone with this process."""
+    os.environ["HANDCTL_RUN_DIR"] = RUN_DIR.name
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -96,8 +96,10 @@ def _verb(name: str, words: list[str]) -> int:
         return _say(error, Exit.FAILED)
     except BrokenPipeError:
         return Exit.DONE
+    except OSError as error:
+        return _say(f"{error.filename}: {error.strerror}" if error.filename else str(error), Exit.FAILED)
 
 
-def _say(error: HandctlError, code: Exit) -> int:
+def _say(error: HandctlError | str, code: Exit) -> int:
     print(f"handctl: {error}", file=sys.stderr)
     return code

@@ -1,6 +1,8 @@
 """Judging a finished run: numbers, picture, and a table for a person."""
 
 import shutil
+import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +11,13 @@ from handctl.cli.session import Outcome
 from handctl.log.reader import RunLog
 from handctl.report.figure import draw_run
 from handctl.report.summary import summarise
-from handctl.report.truth import read_truth
+from handctl.report.truth import Truth, read_truth
 
 
 def judge(plan: Plan, outcome: Outcome, log: Path, truth_file: Path | None, picture: bool = True) -> dict[str, Any]:
     """Numbers of a run, with its picture beside the log.
+
+    A disk that became full under the run costs the picture, said in a line, and nothing else.
 
     Args:
         plan: of the run.
@@ -22,18 +26,11 @@ def judge(plan: Plan, outcome: Outcome, log: Path, truth_file: Path | None, pict
         truth_file: of the simulator, copied beside the log; None on hardware.
         picture: whether to draw.
     """
-    if truth_file is not None:
-        beside = log.with_suffix(".truth")
-        if truth_file != beside:
-            shutil.copyfile(truth_file, beside)
-        truth_file = beside
+    truth_file = _beside(log, truth_file) if truth_file else None
     truth = read_truth(truth_file) if truth_file else None
     with RunLog(log) as record:
         result = summarise(record, plan.hand, truth, outcome.offset_ns)
-        if picture:
-            draw_run(
-                log.with_suffix(".png"), record, plan.hand, truth, outcome.offset_ns, f"{plan.hand.name}: {log.name}"
-            )
+        drawn = _picture(plan, outcome, record, truth, log) if picture else None
     stats = outcome.stats
     result |= {
         "missed": stats.missed,
@@ -44,12 +41,43 @@ def judge(plan: Plan, outcome: Outcome, log: Path, truth_file: Path | None, pict
         "log": str(log),
         "log_bytes": int(str(outcome.log["bytes"])),
         "log_complete": bool(outcome.log["complete"]),
-        "picture": str(log.with_suffix(".png")) if picture else None,
+        "picture": str(drawn) if drawn else None,
         "truth": str(truth_file) if truth_file else None,
         "priority": str(outcome.priority) if outcome.priority else "lockstep",
         "failure": outcome.state.failure,
     }
     return result
+
+
+def _beside(log: Path, truth: Path) -> Path:
+    """The truth beside the log, or where it is if there is no room."""
+    beside = log.with_suffix(".truth")
+    if truth == beside:
+        return beside
+    try:
+        shutil.copyfile(truth, beside)
+    except OSError as error:
+        _left_out(beside, error)
+        return truth
+    return beside
+
+
+def _picture(plan: Plan, outcome: Outcome, record: RunLog, truth: Truth | None, log: Path) -> Path | None:
+    """The picture of the run; None if there is no room."""
+    path = log.with_suffix(".png")
+    try:
+        draw_run(path, record, plan.hand, truth, outcome.offset_ns, f"{plan.hand.name}: {log.name}")
+    except OSError as error:
+        _left_out(path, error)
+        return None
+    return path
+
+
+def _left_out(path: Path, error: OSError) -> None:
+    """Say that a file beside the log could not be written; half of one is worth nothing."""
+    with suppress(OSError):
+        path.unlink()
+    print(f"handctl: {path} is left out: {error.strerror or error}", file=sys.stderr)
 
 
 def lost_frames(outcome: Outcome) -> int:

@@ -1,0 +1,49 @@
+"""No room beside the log: what cannot be written is told in a line and left out, and nothing else is lost."""
+
+import json
+from pathlib import Path
+
+from handctl.cli.main import main
+from handctl.cli.verdict import _beside
+
+GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
+FULL = Path("/dev/full")
+"""A device that takes nothing, as a full disk does."""
+TASK = """schema = 1
+name = "short"
+[[phase]]
+kind = "move"
+name = "bend"
+angle_deg = 10.0
+duration_s = 0.1
+"""
+
+
+def test_a_run_without_room_for_its_picture_keeps_its_numbers(place, capsys):
+    (place / "short.toml").write_text(TASK)
+    (place / "run.png").symlink_to(FULL)
+    words = ("--lockstep", "--json", "--task", "short.toml", "--scene", "none", "--log", "run.mcap")
+    assert main(["demo", *words]) == 0
+    out, err = capsys.readouterr()
+    assert "handctl: run.png is left out: No space left on device" in err.splitlines()
+    result = json.loads(out)
+    assert result["ticks"] > 100
+    assert result["picture"] is None
+    assert not (place / "run.png").is_symlink(), "half a picture is worth nothing"
+
+
+def test_a_truth_that_cannot_be_copied_is_read_where_it_is(place, capsys):
+    truth = place / "sim.truth"
+    truth.write_bytes(bytes(100))
+    (place / "run.truth").symlink_to(FULL)
+    assert _beside(place / "run.mcap", truth) == truth
+    assert capsys.readouterr().err == "handctl: " + str(place / "run.truth") + " is left out: No space left on device\n"
+
+
+def test_a_page_that_cannot_be_written_is_one_line(place, capsys):
+    out = place / "page.html"
+    out.symlink_to(FULL)
+    assert main(["report", str(GOLDEN / "jamia-fault.mcap"), "--output", str(out)]) == 1
+    err = capsys.readouterr().err
+    assert len(err.splitlines()) == 1
+    assert "No space left on device" in err
