@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from handctl.controller.allocation import REGULARISATION, allocate
+from handctl.controller.allocation import REGULARISATION, allocate, bounded
 from handctl.hand.description import load_hand
 from handctl.hand.digit import DigitModel
 
@@ -95,6 +95,18 @@ def test_one_tendon_pulls_between_its_bounds(torque: float) -> None:
     expected = min(max(torque / arms[0, 0], 3.0), 110.0)
     np.testing.assert_allclose(tension, [expected], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(missing, [torque - arms[0, 0] * expected], rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_where_the_solver_starts_changes_nothing(case: str) -> None:
+    arms, rng = arms_of(case), np.random.default_rng(3)
+    n = len(arms)
+    floor, ceiling = np.full(n, 3.0), np.full(n, 110.0)
+    for _ in range(100):
+        torque = arms.T @ rng.uniform(-100.0, 200.0, n)
+        first = bounded(arms, torque, floor, ceiling, floor)
+        for near in (ceiling, rng.uniform(-1e3, 1e3, n), np.where(rng.random(n) < 0.5, -1e9, 1e9)):
+            np.testing.assert_allclose(bounded(arms, torque, floor, ceiling, near), first, rtol=1e-7, atol=1e-7)
 
 
 def test_arguments_are_left_alone() -> None:

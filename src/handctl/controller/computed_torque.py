@@ -233,8 +233,8 @@ def _load(model: HandModel, table: GoalTable, way: Vector) -> Vector:
         digit, tendons = move.digit, move.digit.tendons
         if False in fine[tendons]:
             wanted = torque[digit.joints].dot(digit.coupling)
-            arms = digit.reduced_moment_arms
-            load[tendons] = bounded(arms, wanted, model.floor[tendons], model.ceiling[tendons])
+            low, high = model.floor[tendons], model.ceiling[tendons]
+            load[tendons] = bounded(digit.reduced_moment_arms, wanted, low, high, load[tendons])
     return load
 
 
