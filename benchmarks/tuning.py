@@ -1,11 +1,14 @@
 """What tuning is worth: detuned gains on a plant that is not the hand file's, and a search that knew that plant.
 
 The real plant differs from the hand file by up to 30 per cent, the gains begin a factor of three off either way. One
-search sees only an ensemble around the hand file, the other the plant itself; the gains of both are then judged on the
-plant itself, by the simulator's truth. Their ratio is what not knowing costs.
+search sees only an ensemble around the hand file, the other the plant itself, and with ``--fit`` a third one what was
+identified of it; the gains of all are then judged on the plant itself, by the simulator's truth. Their ratio is what not
+knowing costs.
 
     python benchmarks/tuning.py [--quick] [--json] [--trials N] [--plants N] [--workers N]
     python benchmarks/tuning.py --trials 96 --into studies    # goes on where it was interrupted, or with more trials
+    handctl identify --lockstep --perturb stiffness=0.7 friction=1.3 mass=1.3 spring=1.1 motor_inertia=0.7 damping=1.3
+    python benchmarks/tuning.py --fit jamia.calibration.toml
 """
 
 import argparse
@@ -13,17 +16,21 @@ import json
 import sys
 import tempfile
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from handctl.cli.plan import fastest
+from handctl.cli.tune_files import subject
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gain_bounds import flat, with_values
 from handctl.controller.gains import Gains
-from handctl.hand.description import hand_path, load_hand
+from handctl.controller.model import HandModel
+from handctl.hand.description import Hand
+from handctl.tune.design import linear_factors, worst_of
 from handctl.tune.ensemble import ensemble
 from handctl.tune.search import Found, Plan, search
-from handctl.tune.trial import Score
+from handctl.tune.trial import Score, exercise
 from handctl.tune.workers import Workers, workers
 
 PLANT = {"stiffness": 0.7, "friction": 1.3, "mass": 1.3, "spring": 1.1, "motor_inertia": 0.7, "damping": 1.3}
@@ -37,6 +44,8 @@ DETUNED = {
     "filter.motor_disturbance_N": 3.0,
 }
 """Factors on the packaged gains to begin from, fixed before anything was tuned."""
+JUDGE_SEED = 1000
+"""Of noise that no search has seen."""
 
 
 def main() -> int:
@@ -48,10 +57,11 @@ def main() -> int:
     parser.add_argument("--trials", type=int, default=48, help="of each search (default: 48)")
     parser.add_argument("--plants", type=int, default=3, help="of the ensemble (default: 3)")
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--fit", type=Path, metavar="FILE", help="calibration that was identified on the real plant")
     parser.add_argument("--into", type=Path, metavar="DIR", help="keep both studies here, and go on with them")
     args = parser.parse_args()
     trials, plants = (10, 2) if args.quick else (args.trials, args.plants)
-    result = compare(args.hand, trials, plants, args.workers, args.into)
+    result = compare(args.hand, trials, plants, args.workers, args.into, args.fit)
     if args.json:
         print(json.dumps(result, indent=2))
     else:
@@ -59,9 +69,11 @@ def main() -> int:
     return 0
 
 
-def compare(hand_name: str, trials: int, plants: int, count: int, into: Path | None) -> dict[str, Any]:
-    """Both searches, and their gains on the real plant; studies are kept in a folder if one is given."""
-    hand = load_hand(hand_name)
+def compare(
+    hand_name: str, trials: int, plants: int, count: int, into: Path | None, fit: Path | None
+) -> dict[str, Any]:
+    """The searches, and their gains on the real plant; studies are kept in a folder if one is given."""
+    hand, twin, spread = subject(hand_name, fit)
     packaged = Gains()
     own = flat(packaged)
     values = {key: factor * own[key] for key, factor in DETUNED.items()}
@@ -72,15 +84,20 @@ def compare(hand_name: str, trials: int, plants: int, count: int, into: Path | N
         with tempfile.TemporaryDirectory() as passing:
             folder = into or Path(passing)
             folder.mkdir(parents=True, exist_ok=True)
-            blind = Plan(str(hand_path(hand_name)), rate, detuned, ensemble(plants, 0), 1, trials, (packaged,))
+            blind = Plan(hand.to_toml(), rate, detuned, ensemble(plants, 0), 1, trials, (packaged,))
             knowing = Plan(blind.hand, rate, detuned, (PLANT,), 1, trials, (packaged,))
             found, spent = _searched(blind, folder / "blind", crew)
             known, _ = _searched(knowing, folder / "knowing", crew)
+            around = Plan(twin.to_toml(), rate, detuned, ensemble(plants, 0, spread), 1, trials, (packaged,))
+            fitted = _searched(around, folder / "identified", crew)[0] if fit else None
         jobs = [_judged(knowing, gains) for gains in (detuned, packaged, _best(detuned, found), _best(detuned, known))]
         scores = [Score(**score) for _, score in sorted(crew.scores(jobs), key=lambda pair: pair[0])]
     finally:
         crew.close()
-    names = ("detuned", "packaged", "tuned", "tuned_knowing_the_plant")
+    names = ["detuned", "packaged", "tuned", "tuned_knowing_the_plant"]
+    if fitted:
+        names.append("tuned_as_identified")
+        scores.append(_with_model(hand, HandModel.of(twin, _best(detuned, fitted), rate)))
     costs = [score.cost(scores[0]) for score in scores]
     return {
         "hand": hand_name,
@@ -93,6 +110,7 @@ def compare(hand_name: str, trials: int, plants: int, count: int, into: Path | N
             for name, cost, score in zip(names, costs, scores, strict=True)
         },
         "cost_of_not_knowing": costs[2] / costs[3],
+        "cost_with_identification": costs[4] / costs[3] if fitted else None,
     }
 
 
@@ -116,8 +134,14 @@ def _best(base: Gains, found: Found) -> Gains:
 
 def _judged(plan: Plan, gains: Gains) -> dict[str, Any]:
     """A job on the real plant, with noise that no search has seen, whatever the margins."""
-    table = {"gains": gains.model_dump(by_alias=True), "seed": 1000, "must_keep_margins": False}
+    table = {"gains": gains.model_dump(by_alias=True), "seed": JUDGE_SEED, "must_keep_margins": False}
     return plan.job({}, first=True) | table
+
+
+def _with_model(hand: Hand, model: HandModel) -> Score:
+    """The real plant under a controller that has what was identified; margins are those of the hand as identified."""
+    margins = worst_of(model, (linear_factors(dict.fromkeys(PLANT, 1.0)),))
+    return replace(exercise(hand, model, PLANT, JUDGE_SEED), shortfall=margins.shortfall)
 
 
 def _print(result: dict[str, Any]) -> None:
@@ -130,6 +154,8 @@ def _print(result: dict[str, Any]) -> None:
             f"{row['effort_Nm_per_s']:>6.1f} N m/s{margin:>10}"
         )
     print(f"cost of not knowing the plant: {result['cost_of_not_knowing']:.3f}; search: {result['search_s']:.0f} s")
+    if result["cost_with_identification"]:
+        print(f"cost with what was identified: {result['cost_with_identification']:.3f}")
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from typing import Any
 
 from handctl.controller.gain_bounds import with_values
 from handctl.controller.gains import Gains
-from handctl.hand.description import hand_path
+from handctl.hand.description import load_hand
 from handctl.tune.ensemble import ensemble
 from handctl.tune.workers import Processes
 
@@ -28,7 +28,7 @@ RATE_HZ = 500.0
 def jobs(count: int) -> list[Row]:
     """Trials of gains that differ a little, so that none is another's."""
     changed = [with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark") for i in range(count)]
-    plain = {"hand": str(hand_path("jamia")), "rate_hz": RATE_HZ, "plants": list(ensemble(1, 0)), "seed": 1}
+    plain = {"hand": load_hand("jamia").to_toml(), "rate_hz": RATE_HZ, "plants": list(ensemble(1, 0)), "seed": 1}
     return [plain | {"gains": gains.model_dump(by_alias=True)} for gains in changed]
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from benchmarks.identify import WITHIN, one, summary
 from handctl.cli.commission import write_calibration
+from handctl.cli.tune_files import subject
 from handctl.controller.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.controller.identified import UNITS, Identified, identified_hand, torque_gain
 from handctl.errors import ConfigError
@@ -132,3 +133,19 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace("identified.ring_tendon", "identified.pinky_tendon"))
     with pytest.raises(ConfigError, match="no such tendon"):
         load_calibration(path, hand)
+
+
+def test_what_is_tuned_is_the_hand_as_identified(tmp_path: Path) -> None:
+    """The model, and the middle of the ensemble; the gains are for the hand, whatever is known of it."""
+    hand, path = load_hand("jamia"), tmp_path / "c.toml"
+    rows = dict.fromkeys(hand.tendon_names, TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0))
+    made = Calibration(hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows)
+    write_calibration(path, made.model_copy(update={"identified": {"ring_tendon": found(capstan=0.04)}}))
+    known = subject("jamia", path)
+    assert known.hand.identity == hand.identity != known.twin.identity
+    assert [rope.friction_coefficient for rope in known.twin.tendon] == [0.08, 0.08, 0.04, 0.08]
+    assert known.spread.keys() == {"friction"}
+    assert subject("jamia", None).twin.identity == hand.identity
+    write_calibration(path, made)
+    with pytest.raises(ConfigError, match="holds nothing identified"):
+        subject("jamia", path)

@@ -12,7 +12,7 @@ import pytest
 
 from handctl.controller.gains import Gains, MotionGains
 from handctl.errors import ConfigError
-from handctl.hand.description import hand_path
+from handctl.hand.description import load_hand
 from handctl.tune.ensemble import ensemble
 from handctl.tune.search import RANDOM_BATCHES, Found, Plan, Trial, _sampler, _study, search
 from handctl.tune.space import SPACE, within
@@ -25,7 +25,7 @@ TRIALS = 3
 @pytest.fixture(scope="session")
 def plan() -> Plan:
     """Few trials on the nominal plant."""
-    return Plan(str(hand_path("jamia")), 500.0, Gains(), ensemble(1, 0), seed=5, trials=TRIALS)
+    return Plan(load_hand("jamia").to_toml(), 500.0, Gains(), ensemble(1, 0), seed=5, trials=TRIALS)
 
 
 def _nothing(found: Found) -> None:

@@ -9,11 +9,10 @@ from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import layered_gains
 from handctl.cli.options import print_json
 from handctl.cli.plan import fastest
-from handctl.cli.tune_files import checked_count, output_files, spread_of, write_gains
+from handctl.cli.tune_files import checked_count, output_files, subject, write_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.model import HandModel
 from handctl.errors import ConfigError
-from handctl.hand.description import load_hand
 
 
 def run(args: argparse.Namespace) -> int:
@@ -24,19 +23,19 @@ def run(args: argparse.Namespace) -> int:
     from handctl.tune.ensemble import ensemble
     from handctl.tune.plots import draw_loops
 
-    hand = load_hand(args.hand)
+    hand, twin, spread = subject(args.hand, args.fit)
     gains = layered_gains(args, hand.name).gains
     rate = args.rate or fastest(bus_loads(hand))
     out, picture = output_files(args, hand.name, "design")
-    factors = ensemble(checked_count(args.plants, "--plants", 1024), args.seed, spread_of(args.fit, hand))
+    factors = ensemble(checked_count(args.plants, "--plants", 1024), args.seed, spread)
     plants = tuple(linear_factors(one) for one in factors)
-    model = HandModel.of(hand, gains, rate)
+    model = HandModel.of(twin, gains, rate)
     with Console(stderr=True).status(f"keeping margins on {len(plants)} plants"):
         try:
             found: Design = _placed(args, model, plants) if args.poles else design(model, plants)
         except ValueError as error:
             raise ConfigError(str(error), "tune design") from None
-    after = HandModel.of(hand, found.gains, rate)
+    after = HandModel.of(twin, found.gains, rate)
     note = f"tune design at {rate:g} Hz on {len(plants)} plants, seed {args.seed}"
     write_gains(out, found.gains, hand, note, fit=args.fit)
     draw_loops(picture, model, after, f"{hand.name} at {rate:g} Hz")

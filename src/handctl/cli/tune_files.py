@@ -2,11 +2,13 @@
 
 import argparse
 from pathlib import Path
+from typing import NamedTuple
 
 from handctl.controller.calibration import load_calibration
 from handctl.controller.gains import Gains, Provenance, gains_text
+from handctl.controller.identified import identified_hand
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand
+from handctl.hand.description import Hand, load_hand
 from handctl.tune.ensemble import widths
 from handctl.tune.gains_store import write_whole
 
@@ -42,19 +44,35 @@ def write_gains(path: Path, gains: Gains, hand: Hand, note: str, fit: Path | Non
     write_whole(path, gains_text(gains, told))
 
 
-def spread_of(fit: Path | None, hand: Hand) -> dict[str, float]:
-    """Half widths of the ensemble by an identification: how far from the hand file its intervals reach.
+class Subject(NamedTuple):
+    """What is tuned.
+
+    Attributes:
+        hand: as in its file, whose name and identity the gains carry.
+        twin: the same with what was identified in the place of what the file says: the controller's model, as with
+            this calibration in a run, and the middle of the ensemble.
+        spread: half widths of the ensemble that the identification asks for; see ``ensemble``.
+    """
+
+    hand: Hand
+    twin: Hand
+    spread: dict[str, float]
+
+
+def subject(name: str, fit: Path | None) -> Subject:
+    """The hand to tune.
 
     Args:
+        name: of a packaged hand, or its file.
         fit: calibration file with identified parameters, or None.
-        hand: that it is of.
 
     Raises:
-        ConfigError: the file cannot be read, is of another hand, or holds nothing identified.
+        ConfigError: a file cannot be read, is of another hand, or holds nothing identified.
     """
+    hand = load_hand(name)
     if fit is None:
-        return {}
+        return Subject(hand, hand, {})
     found = load_calibration(fit, hand).identified
     if not found:
         raise ConfigError("holds nothing identified", str(fit), "a calibration that handctl identify wrote")
-    return widths(hand, found)
+    return Subject(hand, identified_hand(hand, found), widths(found))

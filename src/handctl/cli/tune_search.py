@@ -10,12 +10,12 @@ from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import layered_gains
 from handctl.cli.options import print_json
 from handctl.cli.plan import fastest
-from handctl.cli.tune_files import checked_count, output_files, spread_of, write_gains
+from handctl.cli.tune_files import checked_count, output_files, subject, write_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gain_bounds import with_values
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
-from handctl.hand.description import Hand, hand_path, load_hand
+from handctl.hand.description import Hand
 
 
 def run(args: argparse.Namespace) -> int:
@@ -25,15 +25,16 @@ def run(args: argparse.Namespace) -> int:
     from handctl.tune.search import Plan, search
     from handctl.tune.workers import workers
 
-    hand = load_hand(args.hand)
+    hand, twin, spread = subject(args.hand, args.fit)
     gains = layered_gains(args, hand.name).gains
     rate = args.rate or fastest(bus_loads(hand))
     out, picture = output_files(args, hand.name, "search")
-    plants = ensemble(checked_count(args.plants, "--plants", 256), args.seed, spread_of(args.fit, hand))
+    plants = ensemble(checked_count(args.plants, "--plants", 256), args.seed, spread)
     trials = checked_count(args.trials, "--trials", 100_000)
     crew_size = checked_count(args.workers, "--workers", 64)
     storage = args.study or Path(f"{hand.name}.study")
-    plan = Plan(str(hand_path(args.hand)), rate, gains, plants, args.seed, trials, _designed(hand, gains, rate, plants))
+    designed = _designed(twin, gains, rate, plants)
+    plan = Plan(twin.to_toml(), rate, gains, plants, args.seed, trials, designed)
     with _Progress(trials, args.json) as progress:
         crew = workers(crew_size, args.scheduler)
         try:

@@ -1,4 +1,4 @@
-"""Plants that the real one may be: drawn around the hand file, as far as the identification leaves them uncertain."""
+"""Plants that the real one may be: drawn around the hand as it is known, as far as that leaves them uncertain."""
 
 from collections.abc import Mapping
 
@@ -6,7 +6,6 @@ import numpy as np
 from scipy.stats import qmc
 
 from handctl.controller.identified import Identified
-from handctl.hand.description import Hand
 
 LEAST_SPREAD = {"stiffness": 0.2, "friction": 0.5, "mass": 0.2, "spring": 0.1, "motor_inertia": 0.1, "damping": 0.5}
 """Half width of each factor, at least: what an identification is never trusted beyond. The first two are those that a
@@ -46,33 +45,15 @@ KINDS = {
 """Key of the ensemble that covers each identified parameter."""
 
 
-def widths(hand: Hand, found: Mapping[str, Identified]) -> dict[str, float]:
-    """Half width of each factor that reaches, around the hand file, to the far end of every 95 % interval.
+def widths(found: Mapping[str, Identified]) -> dict[str, float]:
+    """Half width of each factor that reaches, around what was identified, to the ends of every 95 % interval.
 
     Args:
-        hand: as in its file.
         found: identified parameters by tendon.
     """
     spread: dict[str, float] = {}
-    for tendon, known in found.items():
+    for known in found.values():
         for name, value, half in zip(known.names, known.values, known.half_widths, strict=True):
-            file = _in_file(hand, tendon, name)
-            if file > 0.0:
-                reach = abs(value / file - 1.0) + half / file
-                spread[KINDS[name]] = max(spread.get(KINDS[name], 0.0), reach)
+            if name in KINDS and value > 0.0:
+                spread[KINDS[name]] = max(spread.get(KINDS[name], 0.0), half / value)
     return spread
-
-
-def _in_file(hand: Hand, tendon: str, name: str) -> float:
-    """What the hand file says of a parameter; 0 if the ensemble does not have it."""
-    motor, rope = hand.motor_of(tendon), hand.tendon[hand.tendon_names.index(tendon)]
-    known = {
-        "rope_stiffness": rope.stiffness_N_per_m,
-        "capstan": rope.friction_coefficient,
-        "motor_coulomb": motor.coulomb_N_m,
-        "motor_viscous": motor.viscous_N_m_s_per_rad,
-        "motor_inertia": motor.inertia_kg_m2,
-        "spring_stiffness": 1.0,
-        "joint_damping": 1.0,
-    }
-    return known.get(name, 0.0)

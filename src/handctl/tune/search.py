@@ -30,7 +30,7 @@ class Plan:
     """What a search does.
 
     Attributes:
-        hand: name or path.
+        hand: text of its file, which a worker on another machine need not have.
         rate_hz: control rate.
         gains: to begin from; the first trial.
         others: more points to try first, e.g. a design's.

@@ -1,6 +1,7 @@
 """Gains on trial: the whole controller does the exercise on simulated plants in lockstep, and the truth judges it."""
 
 import tempfile
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from handctl.controller.model import HandModel
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.controller.tick import Controller
 from handctl.controller.types import Mode, TickIn, TickOut
-from handctl.hand.description import Hand, hand_path, load_hand
+from handctl.hand.description import Hand, hand_from
 from handctl.report.summary import mean_angles, rms
 from handctl.report.truth import Truth, read_truth
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, load_peer
@@ -66,13 +67,13 @@ def evaluate(job: Mapping[str, Any]) -> dict[str, Any]:
     """Score gains; a plain function of plain data, for whoever computes.
 
     Args:
-        job: hand (name or path), rate_hz, gains (table), plants (factor tables), seed, and optionally
+        job: hand (text of its file), rate_hz, gains (table), plants (factor tables), seed, and optionally
             must_keep_margins: do not simulate gains that fall short of them.
 
     Returns:
         a ``Score`` as a table.
     """
-    hand = load_hand(str(job["hand"]))
+    hand = hand_from(tomllib.loads(job["hand"]), "the hand on trial")
     gains = Gains.model_validate(job["gains"])
     model = HandModel.of(hand, gains, float(job["rate_hz"]))
     plants = job["plants"]
@@ -81,7 +82,7 @@ def evaluate(job: Mapping[str, Any]) -> dict[str, Any]:
         return _table(Score(FAILED, FAILED, FAILED, 0.0, shortfall, "margins"))
     runs = []
     for i, factors in enumerate(plants):
-        runs.append(exercise(hand, str(job["hand"]), model, factors, int(job["seed"]) + i))
+        runs.append(exercise(hand, model, factors, int(job["seed"]) + i))
         if runs[-1].failure:
             return _table(Score(FAILED, FAILED, FAILED, runs[-1].peak_tension_N, shortfall, runs[-1].failure))
     tracking, tension, effort = np.sqrt(np.mean([np.square(run.objectives) for run in runs], axis=0)).tolist()
@@ -92,23 +93,23 @@ def _table(score: Score) -> dict[str, Any]:
     return {name: getattr(score, name) for name in Score.__dataclass_fields__}
 
 
-def exercise(hand: Hand, hand_name: str, model: HandModel, factors: Mapping[str, float], seed: int) -> Score:
+def exercise(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> Score:
     """One run of the exercise on one plant, with nothing said of margins.
 
     Args:
         hand: description.
-        hand_name: name or path, for the simulator.
         model: the hand with the gains.
-        factors: of the plant.
+        factors: of the plant, on what the hand's description says.
         seed: of its noise.
     """
     period_ns = round(model.period * 1e9)
     ticks: list[tuple[TickIn, TickOut]] = []
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
-        truth_file = Path(folder) / "truth"
+        truth_file, hand_file = Path(folder) / "truth", Path(folder) / "hand.toml"
+        hand_file.write_text(hand.to_toml(), "utf-8")
         peer = load_peer(
             SIMULATED_HAND,
-            hand_path=str(hand_path(hand_name)),
+            hand_path=str(hand_file),
             seed=seed,
             period_ns=period_ns,
             perturb=dict(factors),
