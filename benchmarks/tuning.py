@@ -2,8 +2,8 @@
 
 The real plant differs from the hand file by up to 30 per cent, the gains begin a factor of three off either way. One
 search sees only an ensemble around the hand file, the other the plant itself, and with ``--fit`` a third one what was
-identified of it; the gains of all are then judged on the plant itself, by the simulator's truth. Their ratio is what not
-knowing costs.
+identified of it; the gains of all are then judged on the plant itself, by the simulator's truth. The ratio is what it
+costs not to know.
 
     python benchmarks/tuning.py [--quick] [--json] [--trials N] [--plants N] [--workers N]
     python benchmarks/tuning.py --trials 96 --into studies    # goes on where it was interrupted, or with more trials
