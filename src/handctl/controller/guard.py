@@ -14,12 +14,13 @@ from handctl.controller.motors import Motors
 from handctl.controller.program import TARE_PHASE
 from handctl.controller.received import Received
 from handctl.controller.state import State
+from handctl.controller.surplus import surplus
 from handctl.controller.types import Event, Mode, TickIn, Vector
 from handctl.drives.causes import Cause
 from handctl.drives.contract import Drive, DriveState, Phase
 from handctl.drives.frame import EXTENDED, REMOTE
 from handctl.drives.sensor_node import SensorNode, SensorState
-from handctl.safety.answers import Owed, answered, asked
+from handctl.safety.answers import asked
 from handctl.safety.residuals import Rotor
 from handctl.safety.signals import (
     LEAST_SILENT,
@@ -60,7 +61,6 @@ class Guard:
     Attributes:
         model: the hand. drives: per motor. sensors: the node.
         watcher: of safety.
-        strict: per motor, whether each command has exactly one answer.
         cyclic_ns: per motor, how often feedback comes by itself [ns]; 0 if every tick asks for it.
         period_ns: control period [ns].
     """
@@ -69,17 +69,15 @@ class Guard:
     drives: tuple[Drive, ...]
     sensors: SensorNode
     watcher: Watcher
-    strict: tuple[bool, ...]
     cyclic_ns: tuple[int, ...]
     period_ns: int
 
     @staticmethod
     def of(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) -> "Guard":
         """The guard of a hand."""
-        strict = tuple(drive.answers_once for drive in drives)
         cyclic_ns = tuple(round(drive.feedback_period_s * 1e9) for drive in drives)
         watcher = make_watcher(model, drives, sensors)
-        return Guard(model, drives, sensors, watcher, strict, cyclic_ns, round(model.period * 1e9))
+        return Guard(model, drives, sensors, watcher, cyclic_ns, round(model.period * 1e9))
 
     def screen(self, state: State, measured: Measured) -> tuple[WatchState, Measured, Named]:
         """Drop positions that cannot be, before anything else sees them; only under torque."""
@@ -120,11 +118,13 @@ class Guard:
         """
         measured, motors = received.measured, received.motors
         raw = self._raw(before, state, entry, received)
-        owed, twice = self._twice(before, state, entry, received)
-        raw = raw._replace(twice=twice) if twice else raw
+        counts = zip(motors.feedback_count, received.counts_before, strict=True)
+        extra = surplus(self.drives, self.sensors, before, state, entry.frames, [now - was for now, was in counts])
+        if extra.twice or extra.unasked:
+            raw = raw._replace(twice=extra.twice, foreign=(*raw.foreign, *extra.unasked))
         shapes = self._misshapen(before, state, received)
         refused = len([event for event in told if event.level == "warn"])
-        watch = state.watch._replace(owed=owed)
+        watch = state.watch._replace(owed=extra.owed)
         watch, raw = counted(self.watcher, watch, raw, shapes, (len(received.strange), refused), entry.k)
         force = np.array(motors.torque) / self.model.space.spool
         np.putmask(force, np.isnan(measured.travel), np.nan)
@@ -173,20 +173,6 @@ class Guard:
         """Name, code and cause of every drive in fault."""
         rows = zip(self.drives, motors.phase, motors.error, strict=True)
         return tuple([(drive.name, error, drive.cause(error)) for drive, phase, error in rows if phase == FAULT])
-
-    def _twice(self, before: State, state: State, entry: TickIn, received: Received) -> tuple[Owed, Named]:
-        """What the motors still owe, and nodes that answered more often than they were asked."""
-        counts = zip(received.motors.feedback_count, received.counts_before, strict=True)
-        owed, often = answered(state.watch.owed, [now - was for now, was in counts])
-        found = []
-        for drive in [self.drives[i] for i in often if self.strict[i]]:
-            payloads = [f.data for f in entry.frames if f.bus == drive.bus and f.can_id in drive.node_ids]
-            found.append((drive.name, float(payloads[-1] != payloads[-2])))
-        for can_id, was, now in zip(self.sensors.ids, before.sensors.groups, state.sensors.groups, strict=True):
-            if now.frames > was.frames + 1:
-                payloads = [f.data for f in entry.frames if f.bus == self.sensors.bus and f.can_id == can_id]
-                found.append((LOAD_CELLS, float(payloads[-1] != payloads[-2])))
-        return owed, tuple(found)
 
     def _stale(self, before: State, state: State, entry: TickIn) -> Named:
         """Whether the load cells answered an older question, and whether the fresh answer had come before."""

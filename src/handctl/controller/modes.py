@@ -59,7 +59,7 @@ class Circumstances(NamedTuple):
         elapsed: time in the present mode [s].
         action: what safety demands.
         wishes: what people asked.
-        foreign: frames that only a second controller can have sent.
+        foreign: signs of a second controller: identifiers that only a host sends, motors that nobody here has asked.
     """
 
     model: HandModel
@@ -120,7 +120,7 @@ def next_mode(
         state: with this tick's drive and filter states.
         action: what safety demands.
         wishes: what people asked.
-        foreign: frames that only a second controller can have sent, as text.
+        foreign: signs of a second controller, as text.
         t: time of the tick [s].
     """
     seen = Circumstances(model, drives, t - state.mode_since, action, wishes, foreign)
@@ -156,7 +156,7 @@ def _before_arming(state: State, seen: Circumstances) -> Next | None:
     if seen.wishes.stop or seen.wishes.cut:
         return Mode.DONE, ""
     if seen.foreign:
-        return Mode.DONE, f"another controller is on the bus (it sent {', '.join(seen.foreign)})"
+        return Mode.DONE, f"another controller is on the bus (heard: {', '.join(seen.foreign)})"
     return (Mode.DONE, _latched(state)) if seen.action >= Action.RELAX else None
 
 

@@ -144,10 +144,11 @@ class Controller:
         told = doubts(self.model.hand.tendon_names, before.filter, state.filter)
         told += touch.told(self.model.hand.digit_names, before.touch, state.touch, state.progress.contact)
         watch, signals = self.guard.look(before, state, entry, received, asked)
-        measured, estimate, foreign = received.measured, received.estimate, received.foreign
+        measured, estimate = received.measured, received.estimate
         judged, verdict = safety.judge(state.safety, self.limits, signals)
         state = state if judged is state.safety else state._replace(safety=judged)
-        state, moved = next_mode(self.model, self.drives, state, verdict.action, wishes, foreign, entry.t_ns / 1e9)
+        t, foreign = entry.t_ns / 1e9, signals.foreign
+        state, moved = next_mode(self.model, self.drives, state, verdict.action, wishes, foreign, t)
         progress, goal_time, stepped = self._program(state, verdict.action, estimate, measured)
         law, command = self._command(state, verdict.action, estimate, progress.goals, goal_time)
         drives, sensors, frames = self._encode(state, entry, command)

@@ -47,7 +47,8 @@ HOST_FAULTS: tuple[Fault, ...] = (
           recorder("dropped", "filling")),
     Fault("H10", "recorder lost", "the recorder process or its disk is gone", 1, Action.WARN, ITSELF,
           recorder("gone", "error")),
-    Fault("H13", "a second controller", "a frame that only the host may send", 1, Action.RELAX, PERSON, _foreign),
+    Fault("H13", "a second controller", "a frame that only the host may send, or an answer it did not ask for", 1,
+          Action.RELAX, PERSON, _foreign),
     Fault("I07a", "a bad live goal", "refused; the last good one stays", 1, Action.WARN, ITSELF, _refused),
     Fault("I07b", "bad live goals", "three refused within a second", 1, Action.RELAX, PERSON, _refused_often),
 )  # fmt: skip

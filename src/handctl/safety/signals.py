@@ -87,7 +87,7 @@ class Signals(NamedTuple):
         heard: whether any node has ever answered.
         unknown: frames of unknown identifiers in the last second.
         drive_errors: (motor, code, cause) of every drive in fault; from here on all is seldom told.
-        foreign: identifiers of the host seen from somebody else, as text.
+        foreign: identifiers of the host seen from somebody else, and motors that answer somebody else, as text.
         io: (kind, where, number) of buses and host.
         misshapen: nodes with a frame of a wrong shape in this tick, and how many there were of late.
         twice: nodes that answered twice, and whether the second answer was another one (1) or the same (0).

@@ -1,0 +1,83 @@
+"""Answers that were not asked for: one too many from a node that was asked, or any at all from one that was not.
+
+A motor that answers although this host has asked it nothing yet was asked by another one: H13, the second controller,
+of which one frame is enough, as one of its own frames is. One answer more than questions is a duplicate (B05) or, with
+other bytes, a masquerade (B06). What counts as an answer is what drive and sensor node accept as one: a heartbeat
+beside it, or a frame with an old counter, is none.
+"""
+
+from typing import NamedTuple
+
+from handctl.controller.state import State
+from handctl.drives.contract import Drive
+from handctl.drives.frame import Frame
+from handctl.drives.sensor_node import SensorNode
+from handctl.safety.answers import Owed, answered
+from handctl.safety.signals import LOAD_CELLS, Named
+
+Frames = tuple[Frame, ...]
+
+
+class Surplus(NamedTuple):
+    """What one tick's answers leave.
+
+    Attributes:
+        owed: per motor, questions that are still open.
+        twice: nodes that answered more often than they were asked, and whether with other bytes (1) or the same (0).
+        unasked: of motors that were asked nothing and answered, a phrase each.
+    """
+
+    owed: Owed
+    twice: Named = ()
+    unasked: tuple[str, ...] = ()
+
+
+def surplus(
+    drives: tuple[Drive, ...],
+    sensors: SensorNode,
+    before: State,
+    state: State,
+    frames: Frames,
+    answers: list[int],
+) -> Surplus:
+    """Compare what was asked with what came.
+
+    Args:
+        drives: of the motors; whose commands have no answer of their own each are left out.
+        sensors: the sensor node.
+        before: state before the tick. state: with what was received in it.
+        frames: received in it. answers: per motor, how many of them it accepted as feedback.
+    """
+    due = before.watch.owed
+    owed, often = answered(due, answers)
+    strict = [i for i in often if drives[i].answers_once]
+    twice = [(drives[i].name, _differ(_of_motor(drives[i], before, i, frames), due[i])) for i in strict if due[i]]
+    for group, (was, now) in enumerate(zip(before.sensors.groups, state.sensors.groups, strict=True)):
+        if now.frames > was.frames + 1:
+            twice.append((LOAD_CELLS, _differ(_of_cells(sensors, before, group, frames), 1)))
+    return Surplus(owed, tuple(twice), tuple([f"{drives[i].name} answering it" for i in strict if not due[i]]))
+
+
+def _differ(payloads: list[bytes], due: int) -> float:
+    """1 if what came beyond the questions is not all as the last answer that was due, else 0."""
+    return float(len(set(payloads[due - 1 :])) > 1)
+
+
+def _of_motor(drive: Drive, before: State, i: int, frames: Frames) -> list[bytes]:
+    """Payloads of the frames that a drive takes for feedback, in order."""
+    known, taken = before.drives[i], []
+    for frame in frames:
+        after = drive.receive(known, frame)
+        taken += [frame.data] if after.feedback_count > known.feedback_count else []
+        known = after
+    return taken
+
+
+def _of_cells(sensors: SensorNode, before: State, group: int, frames: Frames) -> list[bytes]:
+    """Payloads that the sensor node's group takes for this tick's, in order."""
+    known, taken = before.sensors, []
+    for frame in frames:
+        after = sensors.receive(known, frame)
+        taken += [frame.data] if after.groups[group].frames > known.groups[group].frames else []
+        known = after
+    return taken

@@ -1,0 +1,115 @@
+"""Answers beyond the questions: whose fault they are, and which frames count as answers at all."""
+
+import pytest
+
+from handctl.controller.live import LiveProgram
+from handctl.controller.model import HandModel
+from handctl.controller.types import Mode, TickOut
+from handctl.drives.frame import Frame
+from tests.controller.bench import Bench, bench
+
+UNASKED = Frame(0x11, bytes([0x11, 0x80, 0, 0x80, 8, 0, 30, 30]))
+"""Feedback of the first motor, enabled."""
+
+
+@pytest.fixture
+def silent(jamia: HandModel) -> Bench:
+    """A hand that has been asked nothing yet."""
+    run = bench(jamia, LiveProgram())
+    run.tick()
+    return run
+
+
+@pytest.fixture
+def run(jamia: HandModel) -> Bench:
+    """A hand at work."""
+    run = bench(jamia, LiveProgram())
+    run.until(Mode.ACTIVE)
+    run.run(0.1)
+    return run
+
+
+def faults(out: TickOut) -> list[str]:
+    return [event.text[:3] for event in out.events if event.name == "fault"]
+
+
+@pytest.mark.parametrize("times", [1, 3])
+def test_a_motor_that_answers_before_it_was_asked_was_asked_by_another_controller(silent: Bench, times: int) -> None:
+    out = silent.tick(extra=(UNASKED,) * times)
+    assert faults(out) == ["H13"], "one is enough; it is no duplicate, since nothing was asked"
+    assert out.mode == Mode.DONE
+    name = silent.controller.drives[0].name
+    assert silent.state.failure == f"another controller is on the bus (heard: {name} answering it)"
+    assert all(out.frames == () for _, _, out in silent.history)
+
+
+def test_a_question_of_somebody_else_and_its_answer_in_one_tick_are_both_told(silent: Bench) -> None:
+    out = silent.tick(extra=(Frame(0x01, bytes(8)), UNASKED))
+    assert faults(out) == ["H13", "H13"]
+    assert "(heard: 0x001, " in silent.state.failure
+
+
+def test_the_first_answer_to_the_first_question_is_no_surplus(silent: Bench) -> None:
+    silent.until(Mode.INVENTORY)
+    assert not silent.tick().events
+    assert not silent.tick().events
+
+
+def test_what_is_no_answer_does_not_make_a_duplicate_a_masquerade(run: Bench) -> None:
+    """Of the frames of a motor only those count that were taken for feedback."""
+    run.to_host = lambda frames: [*frames, *[f for f in frames if f.can_id == 0x11], Frame(0x11, bytes([0x12] * 8))]
+    assert faults(run.tick()) == ["B05", "B09"]
+
+
+def test_two_answers_with_other_bytes_are_a_masquerade_whatever_lies_between(run: Bench) -> None:
+    run.to_host = lambda frames: [*frames, Frame(0x11, bytes(7)), UNASKED]
+    assert "B06" in faults(run.tick())
+
+
+@pytest.mark.parametrize(("behind", "found"), [
+    (lambda cell: [cell, cell], ["B05"]),
+    (lambda cell: [cell, cell, older(cell)], ["B05", "B07"]),
+    (lambda cell: [older(cell), cell, cell], ["B04", "B05"]),
+    (lambda cell: [cell, changed(cell)], ["B06"]),
+    (lambda cell: [cell, changed(cell), older(cell), older(cell)], ["B06", "B07"]),
+    (lambda cell: [cell, older(cell)], ["B07"]),
+])  # fmt: skip
+def test_load_cells_count_by_what_answers_this_tick(run, behind, found) -> None:
+    run.to_host = lambda frames: [f for frame in frames for f in (behind(frame) if is_cell(run, frame) else [frame])]
+    assert sorted(faults(run.tick())) == found
+
+
+def is_cell(run: Bench, frame: Frame) -> bool:
+    return frame.can_id == run.controller.sensors.ids[0]
+
+
+def older(cell: Frame) -> Frame:
+    """The same with the counter of another SYNC."""
+    return cell._replace(data=bytes([cell.data[0] ^ 1]) + cell.data[1:])
+
+
+def changed(cell: Frame) -> Frame:
+    """An answer to the same SYNC with another tension."""
+    return cell._replace(data=bytes([cell.data[0] ^ 0x10]) + cell.data[1:])
+
+
+@pytest.mark.parametrize(("owed", "came", "found"), [
+    (1, "AA", "B05"), (1, "AB", "B06"), (1, "ABB", "B06"), (1, "AAB", "B06"), (1, "AAA", "B05"),
+    (2, "ABB", "B05"), (2, "AAB", "B06"), (2, "ABA", "B06"), (2, "AB", None),
+])  # fmt: skip
+def test_only_what_comes_beyond_the_questions_is_compared_with_the_last_one_due(run, owed, came, found) -> None:
+    """The answer to an older question, which comes late with the fresh one, may well have other bytes."""
+    if owed == 2:
+        run.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x11]
+        run.tick()
+    run.to_host = lambda frames: [f for frame in frames for f in several(frame, came)]
+    told = [id_ for id_ in faults(run.tick()) if id_ in ("B05", "B06")]
+    assert told == ([found] if found else [])
+
+
+def several(answer: Frame, kinds: str) -> list[Frame]:
+    """Of the first motor A for the answer as it is, B for the same at another temperature; others are left alone."""
+    if answer.can_id != 0x11:
+        return [answer]
+    other = answer._replace(data=answer.data[:7] + bytes([answer.data[7] ^ 1]))
+    return [answer if kind == "A" else other for kind in kinds]
