@@ -27,6 +27,8 @@ HOT_C, COOL_C = 100.0, 90.0
 ZEROING_NS = 1_000_000_000
 """Silence while it takes a new zero."""
 _SPECIAL = b"\xff" * 7
+COLDEST_C = -40
+"""What the byte of the temperature counts from; the manual's example of a reply takes 40 away."""
 _ENABLE, _DISABLE, _ZERO = 0xFC, 0xFD, 0xFE
 
 
@@ -119,7 +121,7 @@ class CubemarsNode:
             word = word << bits | code
         data = word.to_bytes(6, "big")
         if not self.short:
-            data += bytes((min(255, max(0, int(self.thermal.mosfet))), self.error))
+            data += bytes((min(255, max(0, int(self.thermal.mosfet) - COLDEST_C)), self.error))
         return Frame(self._id, data, frame.flags, frame.bus, t_ns)
 
     def trip(self, error: Error) -> None:

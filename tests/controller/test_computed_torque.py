@@ -14,9 +14,10 @@ from handctl.controller.filter_design import STATES, S, V, W, X
 from handctl.controller.gains import Gains, MotionGains
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.law_constants import UNWIND_SHARE
-from handctl.controller.model import HandModel
+from handctl.controller.model import HandModel, _torque_limit
 from handctl.controller.statics import load_statics, tendon_efficiency
 from handctl.controller.trajectory import MinimumJerk
+from handctl.hand.description import load_hand
 from tests.controller.synthetic import at_rest, known
 
 
@@ -32,6 +33,22 @@ def holding(model: HandModel, tension: float, rate: float = 200.0, limit: float 
         DigitGoal(Kind.TENSION, tension=np.full(s.stop - s.start, tension), rate=rate, force_limit=limit)
         for s in model.digit_tendons
     )
+
+
+@pytest.mark.parametrize("gain", [None, 0.5, 1.0, 1.7])
+def test_a_saturated_law_asks_no_drive_for_more_than_its_limit(gain: float | None) -> None:
+    """What is divided by the spool and the gain and multiplied again may be a last bit more."""
+    hand = load_hand("jamia")
+    gains = None if gain is None else np.full(len(hand.tendon), gain)
+    beyond = 0
+    for torque in np.arange(0.3, 1.6, 0.1).round(1).tolist():
+        for spool in np.arange(4.0, 9.0, 0.5).tolist():
+            motors = [one.model_copy(update={"torque_max_N_m": torque}) for one in hand.motor]
+            limit = _torque_limit(hand.model_copy(update={"motor": tuple(motors)}), gains)
+            asked = limit / (spool * 1e-3) * (spool * 1e-3)
+            assert (asked / (1.0 if gains is None else gains) <= torque).all(), (torque, spool)
+            beyond += torque / (spool * 1e-3) * (spool * 1e-3) > torque
+    assert beyond, "there are numbers that come out larger"
 
 
 number = st.floats(-1e4, 1e4, allow_nan=False)

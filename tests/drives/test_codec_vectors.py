@@ -124,3 +124,10 @@ def test_requests_for_registers() -> None:
     written = mit.register_request(3, mit.WRITE, mit.PMAX, 12.5)
     assert written == bytes((3, 0, mit.WRITE, mit.PMAX)) + struct.pack("<f", 12.5)
     assert mit.register_request(3, mit.WRITE)[3:] == bytes(5), "register 0, value 0"
+
+
+def test_the_hotter_of_an_odrive_s_two_temperatures_and_one_of_them_if_the_other_has_no_sensor() -> None:
+    assert odrive.hottest(struct.pack("<ff", 31.0, 42.0)) == 42.0
+    assert odrive.hottest(struct.pack("<ff", 31.0, math.nan)) == 31.0
+    assert odrive.hottest(struct.pack("<ff", math.inf, 42.0)) == 42.0
+    assert odrive.hottest(struct.pack("<ff", math.nan, math.nan)) is None

@@ -93,6 +93,21 @@ def test_an_error_is_told_in_words_and_goes_by_order_only(bench: Bench, error: E
     bench.until(Want.ENABLE, Phase.ENABLED)
 
 
+def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
+    """CubeMars AK Series Actuator Driver Manual, 5.3: range -40 to 215; or as it is, where a motor is like that."""
+    for more, told in (({}, 45.0), ({"temperature_offset_C": 0}, 85.0), ({"temperature_offset_C": -40.0}, 45.0)):
+        drive = make_drive(described("cubemars", 1, 18.0, {"motor_type": "ak80-9"} | more), 0)
+        state = drive.receive(drive.initial(), Frame(1, bytes((1, 0x80, 0, 0x80, 8, 0, 85, 0))))
+        assert state.temperature == told
+
+
+@pytest.mark.parametrize("offset", [True, "cold", 40])
+def test_another_offset_of_temperature_is_refused(offset: object) -> None:
+    with pytest.raises(ConfigError, match="temperature_offset_C") as told:
+        make_drive(described("cubemars", 1, 18.0, {"motor_type": "ak80-9", "temperature_offset_C": offset}), 0)
+    assert "-40 or 0" in str(told.value)
+
+
 def test_older_firmware_answers_with_six_bytes(bench: Bench) -> None:
     for node in bench.rig.world.nodes[0][:4]:
         node.short = True  # type: ignore[attr-defined]
@@ -167,6 +182,6 @@ def test_the_client_of_a_university_says_the_same() -> None:
     bench.motors[0].theta = 1.25
     (answer,) = bench.receive(Frame(1, b"\xff" * 7 + b"\xfc"))  # type: ignore[arg-type]
     told = manager.parse_MIT_message(answer.data, "AK80-9")
-    assert (told.temperature, told.error) == (25, 0)
+    assert (told.temperature, told.error) == (25 + 40, 0), "this client forgets that byte 6 counts from -40 degC"
     assert told.position == pytest.approx(1.25, abs=1e-3)
     assert told.current == pytest.approx(0.0, abs=2 * STEP_N_M)

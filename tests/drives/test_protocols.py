@@ -72,6 +72,13 @@ def test_a_cut_takes_the_torque_away_in_the_same_tick_and_disarms(bench: Bench) 
     assert {state.phase for state in bench.states} <= {Phase.READY, Phase.FAULT}
 
 
+def test_a_node_is_told_to_lose_its_torque_before_it_reads_no_more(bench: Bench) -> None:
+    """CiA 301: no PDO is read outside of operational; CiA 402-2 asks for no reaction to pre-operational."""
+    for drive in bench.drives:
+        orders = [frame.can_id for frame in drive.cut()]
+        assert 0 not in orders[:1], "an NMT order comes after the control word"
+
+
 def test_disabling_is_not_confirmed_by_silence(bench: Bench) -> None:
     bench.until(Want.ENABLE, Phase.ENABLED)
     for _ in range(400):

@@ -130,10 +130,11 @@ class HandModel:
 def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
     """(N,) torque that the host may ask, at the spool: what the hand file says, and no more than the drive can be told.
 
-    A drive that makes less than it is told has to be told more; a hair is left for the division to come.
+    A drive that makes less than it is told has to be told more. A hair is left for what is divided by the spool and
+    the gain and multiplied again: a drive takes nothing beyond its limit, not by the last bit.
     """
-    most = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon])
-    return most if gain is None else most * np.minimum(gain, 1.0) * (1.0 - 1e-12)
+    most = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (1.0 - 1e-12)
+    return most if gain is None else most * np.minimum(gain, 1.0)
 
 
 def _joint_period(hand: Hand, period: float) -> Vector:

@@ -26,7 +26,7 @@ from handctl.drives.cia402_progress import (
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
 from handctl.drives.frame import Frame
-from handctl.drives.options import positive, switch
+from handctl.drives.options import positive, switch, whole
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = Want
@@ -81,8 +81,8 @@ class Cia402Drive:
             raise ConfigError(str(motor.node_id), f"motor[{motor.name}].node_id", f"1 to {setup.MASTER - 1}")
         ratio = positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", 1000)
         rated = positive(options.pop("rated_torque_N_m", None), f"{where}.rated_torque_N_m", 1000)
-        counts = positive(options.pop("counts_per_turn", None), f"{where}.counts_per_turn", 1 << 24)
-        heartbeat = positive(options.pop("heartbeat_ms", 50), f"{where}.heartbeat_ms", 1000)
+        counts = whole(options.pop("counts_per_turn", None), f"{where}.counts_per_turn", 1 << 24)
+        heartbeat = whole(options.pop("heartbeat_ms", 50), f"{where}.heartbeat_ms", 1000)
         unit, sync = options.pop("rated_torque_unit", "mN_m"), switch(options.pop("sync", False), f"{where}.sync")
         if unit not in UNITS:
             raise ConfigError(repr(unit), f"{where}.rated_torque_unit", " or ".join(UNITS))
@@ -92,7 +92,9 @@ class Cia402Drive:
         most = math.ceil(motor.torque_max_N_m / ratio / rated * 1000)
         if most > codec.TORQUE_TOP:
             raise ConfigError(f"{motor.torque_max_N_m:g}", f"motor[{motor.name}].torque_max_N_m", "32 x rated at most")
-        watchdog, beat = round(motor.watchdog_ms), round(heartbeat)
+        if round(rated * UNITS[unit]) < 1:
+            raise ConfigError(f"{rated:g}", f"{where}.rated_torque_N_m", f"at least one {unit}")
+        watchdog = round(motor.watchdog_ms)
         return Cia402Drive(
             name=motor.name,
             bus=bus,
@@ -101,11 +103,11 @@ class Cia402Drive:
             ratio=motor.direction * ratio,
             zero=motor.zero_rad,
             rated=rated,
-            counts=round(counts),
-            steps=setup.steps(motor.node_id, round(rated * UNITS[unit]), most, watchdog, beat),
+            counts=counts,
+            steps=setup.steps(motor.node_id, round(rated * UNITS[unit]), most, watchdog, heartbeat),
             sync=sync,
             beat_every_ns=watchdog * 1_000_000 // 3,
-            patience_ns=round(beat * HEARTBEATS_MISSED * 1e6),
+            patience_ns=round(heartbeat * HEARTBEATS_MISSED * 1e6),
         )
 
     @property
@@ -262,8 +264,12 @@ class Cia402Drive:
         return CAUSES.get(error, Cause.OTHER if error in codec.ERRORS else Cause.UNKNOWN)
 
     def cut(self) -> tuple[Frame, ...]:
-        """Disable voltage, and out of operational with the highest priority of the bus: a fault by 0x6007."""
-        return (self._nmt(codec.PRE_OPERATIONAL), self._rpdo(codec.DISABLE_VOLTAGE, 0.0))
+        """Disable voltage, then out of operational, which is a fault by 0x6007.
+
+        In this order: a node that is no longer operational reads no PDO, and CiA 402-2 does not oblige one to lose its
+        torque because it became pre-operational.
+        """
+        return (self._rpdo(codec.DISABLE_VOLTAGE, 0.0), self._nmt(codec.PRE_OPERATIONAL))
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Begin with the inventory again, and reset the fault at its end."""

@@ -42,6 +42,9 @@ SIZES = (6, 8)
 """Of the feedback; six bytes on older firmware, without temperature and error."""
 ANSWERS = 3
 """Answers to an order that make it count as obeyed; one may have been under way before."""
+COLDEST_C = -40.0
+"""What byte 6 counts from. Source: CubeMars AK Series Actuator Driver Manual, 5.3, its example of a reply; who reads it
+as it is (TMotorCANControl does) is 40 degC too hot."""
 QUIET = 0.02
 """Torque that counts as none, as a share of full scale: what a current sensor shows at rest."""
 GONE_NS = 250_000_000
@@ -50,6 +53,7 @@ CAVEATS = (
     "watchdog: CubeMars' MIT mode has none; a dead host leaves torque on",
     "does not tell whether it is enabled; an answer to disable without torque counts as disabled",
     "ranges cannot be read back; motor_type must be right",
+    "temperature counts from -40 degC by the manual; a cold motor that reads below zero needs temperature_offset_C = 0",
 )
 
 
@@ -81,6 +85,7 @@ class CubemarsDrive:
         torque_limit: largest torque that can be commanded [N m].
         direction: 1 if positive torque of the motor winds.
         zero: motor angle of the spool's zero [rad].
+        coldest: what byte 6 of the feedback counts from [degC].
         lines: by which feedback is decoded; follow from the others.
     """
 
@@ -91,6 +96,7 @@ class CubemarsDrive:
     torque_limit: float
     direction: int
     zero: float
+    coldest: float
     lines: codec.Lines = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -108,14 +114,17 @@ class CubemarsDrive:
         if model not in MODELS:
             what = "missing" if model is None else repr(model)
             raise ConfigError(what, f"{where}.options.motor_type", "one of " + ", ".join(MODELS))
+        coldest = options.pop("temperature_offset_C", COLDEST_C)
+        if isinstance(coldest, bool) or coldest not in (COLDEST_C, 0.0):
+            raise ConfigError(repr(coldest), f"{where}.options.temperature_offset_C", f"{COLDEST_C:g} or 0")
         if options:
-            raise ConfigError("unknown key", f"{where}.options.{next(iter(options))}", "motor_type")
+            known = "motor_type or temperature_offset_C"
+            raise ConfigError("unknown key", f"{where}.options.{next(iter(options))}", known)
         ranges = MODELS[model]
         if motor.torque_max_N_m > ranges.torque:
             raise ConfigError(f"{motor.torque_max_N_m:g}", f"{where}.torque_max_N_m", f"at most {ranges.torque:g}")
-        return CubemarsDrive(
-            motor.name, bus, motor.node_id, ranges, motor.torque_max_N_m, motor.direction, motor.zero_rad
-        )
+        most, zero = motor.torque_max_N_m, motor.zero_rad
+        return CubemarsDrive(motor.name, bus, motor.node_id, ranges, most, motor.direction, zero, float(coldest))
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
@@ -163,7 +172,7 @@ class CubemarsDrive:
             return state
         if len(data) not in SIZES or data[0] != self.node_id & 0xFF:
             return state._replace(misread=state.misread + 1)
-        temperature, error = (float(data[6]), data[7]) if len(data) == 8 else (math.nan, 0)
+        temperature, error = (data[6] + self.coldest, data[7]) if len(data) == 8 else (math.nan, 0)
         _, position, velocity, torque, _ = codec.decode_feedback(data[:6] + bytes(2), self.lines)
         phase, _, _, _, _, _, count, before, text, misread, private = state
         values = (phase, position, velocity, torque, temperature, t_ns, count + 1, before, text, misread, private)

@@ -160,11 +160,11 @@ class OdriveDrive:
 
     def _take_values(self, state: DriveState, command: int, frame: Frame) -> DriveState:
         """Position and velocity, torque, or temperatures."""
+        if command == codec.TEMPERATURE and (hottest := codec.hottest(frame.data)) is not None:
+            return state._replace(temperature=hottest)
         values = codec.pair(frame.data)
         if values is None:
             return state._replace(misread=state.misread + 1)
-        if command == codec.TEMPERATURE:
-            return state._replace(temperature=max(values))
         if command == codec.TORQUES:
             return state._replace(torque=values[1] * self.ratio)
         return state._replace(

@@ -76,6 +76,11 @@ def pair(data: bytes) -> tuple[float, float] | None:
     return (first, second) if math.isfinite(first) and math.isfinite(second) else None
 
 
+def hottest(data: bytes) -> float | None:
+    """The larger of two temperatures in float32 [degC]; a sensor that is not there may say NaN, both are None."""
+    return max((value for value in struct.unpack("<ff", data) if math.isfinite(value)), default=None)
+
+
 def floats(*values: float) -> bytes:
     """Payload of float32.
 

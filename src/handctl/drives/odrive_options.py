@@ -5,8 +5,11 @@ from typing import Any, NamedTuple
 
 from handctl.drives import odrive_endpoints as endpoints
 from handctl.drives.odrive_05 import FIRMWARE
+from handctl.drives.options import positive, whole
 from handctl.errors import ConfigError
 
+MOST = 1000
+"""Largest ratio, current [A] and period [ms] that make sense."""
 KNOWN = "gear_ratio, current_limit_A, heartbeat_ms, encoder_period_ms, firmware, torque_feedback or endpoint_..."
 
 
@@ -22,7 +25,7 @@ class Options(NamedTuple):
 
     ratio: float
     current: float
-    heartbeat: float
+    heartbeat: int
     torque_feedback: bool
     cyclic_s: float
     old: bool
@@ -49,18 +52,12 @@ def take_options(options: MutableMapping[str, Any], where: str) -> Options:
         raise ConfigError("firmware 0.5 has no SDO", f"{where}.{keys[0]}", "no such key")
     cyclic = options.pop("encoder_period_ms", None)
     if cyclic is not None:
-        _positive(cyclic, f"{where}.encoder_period_ms")
+        cyclic = whole(cyclic, f"{where}.encoder_period_ms", MOST)
     return Options(
-        ratio=_positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio"),
-        current=_positive(options.pop("current_limit_A", 10.0), f"{where}.current_limit_A"),
-        heartbeat=_positive(options.pop("heartbeat_ms", 100), f"{where}.heartbeat_ms"),
+        ratio=positive(options.pop("gear_ratio", 1.0), f"{where}.gear_ratio", MOST),
+        current=positive(options.pop("current_limit_A", 10.0), f"{where}.current_limit_A", MOST),
+        heartbeat=whole(options.pop("heartbeat_ms", 100), f"{where}.heartbeat_ms", MOST),
         torque_feedback=feedback,
-        cyclic_s=(cyclic or 0.0) / 1e3,
+        cyclic_s=(cyclic or 0) / 1e3,
         old=old,
     )
-
-
-def _positive(value: object, where: str) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= 1000:
-        raise ConfigError(repr(value), where, "a number above 0, at most 1000")
-    return float(value)

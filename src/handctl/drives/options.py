@@ -19,6 +19,23 @@ def positive(value: object, where: str, most: float) -> float:
     return float(value)
 
 
+def whole(value: object, where: str, most: int) -> int:
+    """A whole number from 1 on.
+
+    Args:
+        value: as the hand file has it; 50.0 is one, too.
+        where: key path.
+        most: largest that makes sense.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    number = value if not isinstance(value, float) else int(value) if value.is_integer() else 0
+    if isinstance(number, bool) or not isinstance(number, int) or not 1 <= number <= most:
+        raise ConfigError("missing" if value is None else repr(value), where, f"a whole number from 1 to {most}")
+    return number
+
+
 def switch(value: object, where: str) -> bool:
     """True or false, nothing that only counts as one.
 

@@ -1,0 +1,37 @@
+"""What a hand file may say of a drive: nothing that a drive would then count with and divide by."""
+
+import pytest
+
+from handctl.drives.registry import make_drive
+from handctl.errors import ConfigError
+from tests.drives.protocol_bench import described
+
+CIA402 = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}
+
+
+@pytest.mark.parametrize(
+    ("protocol", "options", "key", "right"),
+    [
+        ("cia402", CIA402 | {"counts_per_turn": 0.4}, "counts_per_turn", "a whole number from 1 to 16777216"),
+        ("cia402", CIA402 | {"heartbeat_ms": 0.3}, "heartbeat_ms", "a whole number from 1 to 1000"),
+        ("cia402", CIA402 | {"heartbeat_ms": True}, "heartbeat_ms", "a whole number from 1 to 1000"),
+        ("cia402", CIA402 | {"rated_torque_N_m": 4e-4}, "rated_torque_N_m", "at least one mN_m"),
+        ("odrive", {"heartbeat_ms": 1e-7}, "heartbeat_ms", "a whole number from 1 to 1000"),
+        ("odrive", {"encoder_period_ms": 2.5}, "encoder_period_ms", "a whole number from 1 to 1000"),
+        ("odrive", {"gear_ratio": 0.0}, "gear_ratio", "a number above 0, at most 1000"),
+    ],
+)
+def test_a_number_that_rounds_to_nothing_is_refused(
+    protocol: str, options: dict[str, object], key: str, right: str
+) -> None:
+    with pytest.raises(ConfigError) as told:
+        make_drive(described(protocol, 1, 0.01, options), 0)
+    assert key in str(told.value)
+    assert right in str(told.value)
+
+
+@pytest.mark.parametrize("heartbeat", [1, 50.0, 1000])
+def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
+    for protocol, options in (("cia402", CIA402), ("odrive", {})):
+        drive = make_drive(described(protocol, 1, 0.01, options | {"heartbeat_ms": heartbeat}), 0)
+        assert drive.background[0][2] > 999.0 / heartbeat, "as often at least as it is told"
