@@ -11,13 +11,16 @@ import time
 from types import TracebackType
 from typing import Any, Self
 
-from handctl.errors import BusError, DriveError
-from handctl.runtime.mailbox import Watcher, send_request
-from handctl.runtime.places import mailbox_path
+from handctl.errors import BusError, ConfigError, DriveError
+from handctl.runtime.mailbox import Watcher, answers, send_request
 
 START_S = 60.0
 """Longest start: commissioning included."""
 STOP_S = 10.0
+ANSWER_S = 2.0
+"""Longest time in which a controller takes a goal, or refuses it [s]."""
+TAKEN, REFUSED = "asked: ", "refused: "
+"""How the events begin by which it does; what it cannot read has neither."""
 POLL_S = 0.2
 """How long a line is waited for before the started controller is looked at [s]."""
 
@@ -34,7 +37,7 @@ def connect(hand: str = "jamia", bus: str = "local:demo", *arguments: str) -> "H
         DriveError: the controller does not start; its own words say why.
     """
     child = None
-    if not mailbox_path(bus).exists():
+    if not answers(bus):
         command = [sys.executable, "-m", "handctl.cli", "run", "--hand", hand, "--bus", bus, "--json", *arguments]
         child = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
     return HandClient(bus, child)
@@ -62,14 +65,23 @@ class HandClient:
         self.close()
 
     def move(self, duration_s: float = 1.0, wait: bool = True, **angle_deg: float) -> None:
-        """Move digits to joint angles, e.g. ``hand.move(index=30, thumb=10)`` [deg]; returns when they are there."""
-        self._ask({"do": "move", "angle_deg": angle_deg, "duration_s": duration_s})
+        """Move digits to joint angles, e.g. ``hand.move(index=30, thumb=10)`` [deg]; returns when that time is over.
+
+        Raises:
+            ConfigError: the controller refuses, e.g. a digit that the hand does not have.
+            BusError: it does not answer.
+        """
+        self._set_goal({"do": "move", "angle_deg": angle_deg, "duration_s": duration_s})
         if wait:
             time.sleep(duration_s)
 
     def hold(self, rate_N_per_s: float = 100.0, **tension_N: float) -> None:
-        """Hold tensions, one for all tendons of a digit, e.g. ``hand.hold(index=12)`` [N]."""
-        self._ask({"do": "hold", "tension_N": tension_N, "rate_N_per_s": rate_N_per_s})
+        """Hold tensions, one for all tendons of a digit, e.g. ``hand.hold(index=12)`` [N].
+
+        Raises:
+            ConfigError, BusError: see ``move``.
+        """
+        self._set_goal({"do": "hold", "tension_N": tension_N, "rate_N_per_s": rate_N_per_s})
 
     def state(self, timeout_s: float = 2.0) -> dict[str, Any]:
         """The next status line: mode, phase, q_rad, tension_N, tip_force_N, contact.
@@ -108,6 +120,21 @@ class HandClient:
         if self.child is not None:
             out, _ = self.child.communicate(timeout=STOP_S + START_S)
             self.result = json.loads(out) if out else {}
+
+    def _set_goal(self, request: dict[str, Any]) -> None:
+        """Ask, and hear what the tick that takes it says."""
+        self._watcher.next(ANSWER_S)
+        self._ask(request)
+        end = time.monotonic() + ANSWER_S
+        while time.monotonic() < end:
+            line = self._watcher.following(POLL_S) or {"events": ()}
+            said = [event["text"] for event in line["events"] if event["name"] == "request"]
+            unread = [] if any(text.startswith(TAKEN) for text in said) else said
+            if refused := [text for text in said if text.startswith(REFUSED)] or unread:
+                raise ConfigError(refused[0].removeprefix(REFUSED), f"the controller of {self.bus}")
+            if said:
+                return
+        raise BusError("the controller does not answer", f"bus {self.bus}", "a running handctl run")
 
     def _ask(self, request: dict[str, Any]) -> None:
         send_request(self.bus, json.dumps(request))

@@ -8,7 +8,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.controller.requests import (
-    LARGEST_REQUEST,
     Arm,
     Clear,
     Cut,
@@ -17,6 +16,7 @@ from handctl.controller.requests import (
     Stop,
     parse_request,
 )
+from handctl.runtime.mailbox import LARGEST
 
 GOOD = [
     ('{"do": "arm"}', Arm),
@@ -67,10 +67,10 @@ BAD = [
     '{"do": "stop"} {"do": "stop"}',
     '{"do": "move", "angle_deg": {"\\ud800": "x"}}',
     '{"do": "move", "angle_deg": {"\\u001b[2J\\n": "x"}}',
-    "[" * LARGEST_REQUEST,
-    '{"a":' * (LARGEST_REQUEST // 5),
+    "[" * LARGEST,
+    '{"a":' * (LARGEST // 5),
     '{"do": "move", "angle_deg": {"' + "x" * 4000 + '": "x"}}',
-    "9" * LARGEST_REQUEST,
+    "9" * LARGEST,
 ]
 
 

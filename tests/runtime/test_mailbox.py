@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from handctl.errors import BusError
-from handctl.runtime.mailbox import LARGEST, PER_TICK, Mailbox, Watcher, send_request
+from handctl.runtime.mailbox import LARGEST, PER_TICK, Mailbox, Watcher, answers, send_request
 from handctl.runtime.places import local_bus_path, mailbox_path, run_dir, truth_path
 
 
@@ -169,6 +169,31 @@ def test_watchers_get_what_is_published_each_once() -> None:
     ends[1].close()
     box.publish({"k": 3})
     assert box.watchers == []
+    box.close()
+
+
+def test_a_program_may_watch_two_controllers() -> None:
+    boxes = [Mailbox("local:x"), Mailbox("local:y")]
+    watchers = [Watcher("local:x"), Watcher("local:y")]
+    for box, watcher in zip(boxes, watchers, strict=True):
+        watcher.next(0.0)
+        box.read()
+        box.publish({"name": watcher.name})
+    assert [watcher.following(1.0) for watcher in watchers] == [{"name": "local:x"}, {"name": "local:y"}]
+    for one in (*watchers, *boxes):
+        one.close()
+
+
+def test_what_a_killed_controller_leaves_behind_does_not_answer(folder: Path) -> None:
+    assert not answers("local:x")
+    folder.mkdir()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as left:
+        left.bind(str(mailbox_path("local:x")))
+    assert mailbox_path("local:x").exists()
+    assert not answers("local:x")
+    box = Mailbox("local:x")
+    assert answers("local:x")
+    assert box.read() == (), "to be looked for is no request"
     box.close()
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import handctl as library
-from handctl.errors import DriveError
+from handctl.errors import ConfigError, DriveError
 from handctl.hand.description import HANDS, load_hand
 from handctl.hand.toml_text import toml_text
 from handctl.log.reader import RunLog
@@ -105,6 +105,10 @@ def test_a_program_moves_holds_and_looks(place, hand, calibrated):
             if bent > 28.0:
                 break
         assert bent == pytest.approx(30.0, abs=2.0)
+        with pytest.raises(ConfigError, match="no digit 'indx', expected one of index, middle, ring, thumb"):
+            client.move(indx=30.0)
+        with pytest.raises(ConfigError, match=r"request move\.duration_s"):
+            client.move(duration_s=-1.0, index=30.0)
         client.hold(thumb=12.0)
         for _ in range(200):
             state = client.state()

@@ -65,10 +65,6 @@ Request = Arm | Stop | Cut | Clear | MoveDigits | HoldTension | SetGains
 
 _ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
-LARGEST_REQUEST = 4096
-"""Bytes of a request datagram; what is longer is refused unread."""
-
-
 LONGEST_LINE = 200
 
 

@@ -5,6 +5,7 @@ changes nothing, so it ends here and is not given to the tick.
 """
 
 import fcntl
+import itertools
 import json
 import os
 import socket
@@ -100,6 +101,16 @@ def _locked(path: Path) -> int:
     return descriptor
 
 
+def answers(name: str) -> bool:
+    """Whether a controller takes requests there now; a socket that a killed one left behind does not count."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
+        try:
+            out.connect(str(mailbox_path(name)))
+        except OSError:
+            return False
+    return True
+
+
 def send_request(name: str, text: str) -> None:
     """Send one request to the controller of a bus.
 
@@ -118,9 +129,11 @@ def send_request(name: str, text: str) -> None:
 class Watcher:
     """Receiving end of a program that watches a running controller."""
 
+    _numbers = itertools.count()
+
     def __init__(self, name: str) -> None:
         """Watch controller ``name``; it need not run yet."""
-        self.name, self.path = name, watcher_path()
+        self.name, self.path = name, watcher_path(next(self._numbers))
         self.path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         self.path.unlink(missing_ok=True)
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)

@@ -27,9 +27,9 @@ def mailbox_path(spec: str) -> Path:
     return run_dir() / f"{_flat(spec)}.requests"
 
 
-def watcher_path() -> Path:
-    """Socket on which this process gets status lines."""
-    return run_dir() / f"watcher-{os.getpid()}"
+def watcher_path(number: int) -> Path:
+    """Socket on which this process gets status lines, one for each controller that it watches."""
+    return run_dir() / f"watcher-{os.getpid()}-{number}"
 
 
 def faults_path(spec: str) -> Path:
