@@ -1,6 +1,7 @@
 """What import-linter cannot see: the shape of the source itself."""
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -75,11 +76,13 @@ def test_no_rubbish_drawers_and_nothing_left_for_later() -> None:
 
 
 def test_the_locks_name_no_place_and_hash_every_package() -> None:
-    for name in ("requirements.lock", "requirements-dev.lock"):
+    for name in ("requirements.lock", "requirements-dev.lock", "requirements-extra.lock"):
         text = (ROOT / name).read_text(encoding="utf-8")
         assert "://" not in text, name
         assert "--index" not in text, name
         assert "--find-links" not in text, name
         pins = [block for block in text.split("\n") if "==" in block and not block.lstrip().startswith("#")]
         assert pins, name
-        assert all(line.endswith("\\") for line in pins), f"{name}: a package without hashes"
+        blocks = re.findall(r"^[a-z0-9][^\n]*==(?:[^\n]*\\\n)*[^\n]*", text, re.MULTILINE)
+        assert len(blocks) == len(pins), name
+        assert all("--hash=sha256:" in block for block in blocks), f"{name}: a package without hashes"

@@ -141,7 +141,7 @@ def test_a_second_run_goes_on_in_the_peers_time_with_its_own_zero() -> None:
 
 
 def test_peers_are_loaded_by_name() -> None:
-    assert isinstance(load_peer(f"{__name__}:Peer"), object)
+    assert isinstance(load_peer(f"{__name__}:Peer"), Peer)
     for entry in ("no.such.module:Peer", f"{__name__}:Nobody", "nonsense"):
         with pytest.raises(ConfigError, match="module:Class"):
             load_peer(entry)

@@ -1,4 +1,4 @@
-"""``handctl clear``: clear the latched faults of a running hand; it stays disarmed until it is armed again.
+"""``handctl clear``: clear the latched faults of a running controller; it never arms a hand by itself.
 
 What a drive has latched after a controller died is cleared by ``handctl run --clear``, before anything is armed.
 """

@@ -32,7 +32,7 @@ class Cut(Document):
 
 
 class Clear(Document):
-    """Clear latched faults; the hand stays disarmed."""
+    """Clear latched faults; a hand that they disarmed stays so."""
 
     do: Literal["clear"]
 

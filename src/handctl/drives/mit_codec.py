@@ -126,7 +126,7 @@ def register_request(node_id: int, operation: int, register: int = 0, value: flo
 
 
 def register_bytes(register: int, value: float) -> bytes:
-    """A register's value as four bytes, rounded to what the register can hold."""
+    """A register's value as four bytes; an integer register takes the integer part."""
     layout = _FORMATS.get(register, _FLOAT)
     return layout.pack(int(value)) if layout is _INTEGER else layout.pack(value)
 

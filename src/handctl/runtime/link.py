@@ -38,14 +38,14 @@ class Link(NamedTuple):
 
 
 class NoTool(Exception):  # noqa: N818 - tells that a program is missing
-    """There is no ``ip`` here."""
+    """There is no ``ip`` here, or it does not answer in time."""
 
 
 def read_link(name: str) -> Link | None:
     """State of an interface; None if there is no such interface.
 
     Raises:
-        NoTool: iproute2 is not installed.
+        NoTool: iproute2 is not installed, or does not answer.
     """
     command = ["ip", "-details", "-statistics", "-json", "link", "show", "dev", name]
     try:
