@@ -189,21 +189,23 @@ def test_a_lost_frame_of_one_tendon_leaves_the_others_alone(model: HandModel) ->
     assert not changed[[i for i in range(len(x)) if not tendons.start <= i < tendons.stop]].any()
 
 
-def test_it_starts_with_the_first_complete_measurement(model: HandModel) -> None:
+def test_it_starts_when_every_encoder_has_been_read(model: HandModel) -> None:
     n = model.tendon_count
     travel, cell = np.linspace(-3e-3, 2e-3, n), np.zeros(n)
-    state = FilterState.initial(n)
-    partial = nothing_read(model)._replace(travel=travel.copy(), tension=cell)
-    partial.travel[n - 1] = np.nan
-    for incomplete in (nothing_read(model), partial, nothing_read(model)._replace(tension=cell)):
-        state, _ = step(model, state, incomplete, cell, nowhere(model))
-        assert not state.started
-    state, estimate = step(
-        model, state, nothing_read(model)._replace(travel=travel, tension=cell), cell, nowhere(model)
-    )
+    state, _ = step(model, FilterState.initial(n), readings_of(model, travel, cell), cell, nowhere(model))
+    assert not state.started, "not by itself"
+    partial = travel.copy()
+    partial[n - 1] = np.nan
+    assert estimator.start(model, state, partial) == state
+    state = estimator.start(model, state, travel)
     assert state.started
+    state, estimate = step(model, state, readings_of(model, partial, cell), cell, nowhere(model))
     np.testing.assert_allclose(estimate.travel, travel, atol=1e-6)
     np.testing.assert_allclose(estimate.tension, 0.0, atol=1e-9)
+
+
+def readings_of(model: HandModel, travel: np.ndarray, cell: np.ndarray) -> Measured:
+    return nothing_read(model)._replace(travel=travel, tension=cell)
 
 
 def test_a_hand_that_is_under_tension_before_its_encoders_speak(model: HandModel) -> None:
@@ -212,7 +214,8 @@ def test_a_hand_that_is_under_tension_before_its_encoders_speak(model: HandModel
     cell, state = np.full(n, 5.0), FilterState.initial(n)
     for _ in range(20):
         state, _ = step(model, state, nothing_read(model)._replace(tension=cell), np.zeros(n), nowhere(model))
-    whole = nothing_read(model)._replace(travel=np.full(n, 2e-3), tension=cell)
+    whole = readings_of(model, np.full(n, 2e-3), cell)
+    state = estimator.start(model, state, whole.travel)
     for k in range(20):
         state, estimate = step(model, state, whole, cell, nowhere(model))
         assert np.abs(estimate.tension - (cell if k > SLACK_TICKS else cell / 2)).max() < 4.0, k

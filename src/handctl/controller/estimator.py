@@ -88,6 +88,21 @@ class Estimate(NamedTuple):
     dq: Vector
 
 
+def start(model: HandModel, state: FilterState, travel: Vector) -> FilterState:
+    """Begin, once every load cell has been read: hand open, ropes slack.
+
+    Args:
+        model: the hand.
+        state: not started.
+        travel: (N,) last reading of each encoder, cable travel at the spool [m]; NaN, and it does not begin yet.
+    """
+    if np.isnan(travel).any():
+        return state
+    x = np.zeros((model.tendon_count, STATES))
+    x[:, X] = travel
+    return state._replace(x=x.ravel(), started=True)
+
+
 def step(
     model: HandModel,
     state: FilterState,
@@ -101,7 +116,7 @@ def step(
 
     Args:
         model: the hand.
-        state: from the last tick.
+        state: from the last tick; one that is not started, see ``start``, stays as it is.
         measured: taken at the last tick's instant.
         force: (N,) motor force at the cable that acted since, without what friction takes [N].
         rate: (N,) at which the tension was meant to change since [N/s]; it counts where a digit moves freely.
@@ -111,8 +126,6 @@ def step(
     Returns:
         state for the next tick, and the estimate now.
     """
-    if not state.started:
-        state = _start(model, state, measured)
     if not state.started:
         unknown = nothing(model.tendon_count)
         return state, _estimate(model, state, state.x, unknown, unknown, zeros(model.tendon_count))
@@ -151,15 +164,6 @@ def _usable(state: FilterState, filters: Stacked, measured: Measured) -> Vector:
 def _interleaved(*columns: Vector) -> Vector:
     """Columns (N,) as one vector, tendon after tendon."""
     return np.array(columns).T.reshape(-1)
-
-
-def _start(model: HandModel, state: FilterState, measured: Measured) -> FilterState:
-    """Begin at the first complete measurement: hand open, rope slack."""
-    if np.isnan(measured.travel).any() or np.isnan(measured.tension).any():
-        return state
-    x = np.zeros((model.tendon_count, STATES))
-    x[:, X] = measured.travel
-    return state._replace(x=x.ravel(), started=True)
 
 
 def _regimes(

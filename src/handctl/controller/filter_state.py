@@ -20,7 +20,7 @@ class FilterState(NamedTuple):
         surprise: (N,) last load-cell innovation by its standard deviation; 0 if there was none.
         nis: (N,) normalised innovation squared, averaged over ``DOUBT_S``.
         doubtful: per tendon, whether that is too much.
-        started: False until encoder and load cell of every tendon were read once.
+        started: False until encoder and load cell of every tendon were read once, be it in different ticks.
     """
 
     x: Vector

@@ -4,6 +4,7 @@ SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE, wit
 Each mode is one small function that says which mode comes next, and why if that is a failure.
 """
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -182,7 +183,16 @@ def _inventory(state: State, seen: Circumstances) -> Next:
     silent += ["the sensor node"] if unheard else []
     stuck = [f"{name}: {drive.error_text or 'not configured in time'}" for name, drive in behind if name not in silent]
     unheard_of = [f"no answer from {', '.join(silent)}{STILL_LATCHED if state.clearing else ''}"] if silent else []
-    return Mode.DONE, "; ".join([*stuck, *unheard_of])
+    return Mode.DONE, "; ".join([*stuck, *unheard_of, *_unread(state, seen)])
+
+
+def _unread(state: State, seen: Circumstances) -> list[str]:
+    """What the filter cannot begin without, although every drive is ready and every frame of the node was heard."""
+    blind = [name for name, drive in _named(state, seen) if drive.phase == Phase.READY and math.isnan(drive.position)]
+    sensed = seen.model.hand.sensor_node.tendons
+    bare = [name for name in seen.model.hand.tendon_names if name not in sensed]
+    told = [f"no position from {', '.join(blind)}"] if blind else []
+    return [*told, f"no load cell of {', '.join(bare)} in sensor_node.tendons"] if bare else told
 
 
 def _ready(state: State, seen: Circumstances) -> Next:

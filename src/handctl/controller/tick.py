@@ -176,6 +176,9 @@ class Controller:
         drives, sensors, foreign, strange = self._receive(state, entry)
         motors, counts_before = Motors.of(drives), tuple([drive.feedback_count for drive in state.drives])
         watch, measured, jumped = self.guard.screen(state, self._measured(state, motors, counts_before, sensors))
+        if not state.filter.started and self.sensors.all_read(sensors):  # though perhaps in different ticks
+            travel = (np.array(motors.position) - self.zero) * self.model.space.spool
+            state = state._replace(filter=estimator.start(self.model, state.filter, travel))
         filters, estimate = self._estimate(state, measured)
         commanded = state.mode in (ACTIVE, RELAX)
         felt = touch.feel(self.model, state.touch, estimate) if commanded else Touch.none(len(self.model.digits))
@@ -213,22 +216,18 @@ class Controller:
             tension[index] = value
         taken_off = self.tare + state.progress.tare if state.progress.tare else self.tare
         read = self.sensors.new_joints(state.sensors, sensors)
-        joints, excursion = self._joints(read) if read else (nothing(self.joint_count), nothing(len(tension)))
+        unread = nothing(len(self.guard.watcher.joints)), nothing(len(tension))
+        joints, excursion = self._joints(read) if read else unread
         travel, railed = angle * self.model.space.spool, saturated(cells)
         return Measured(travel, np.array(tension) - taken_off, excursion, joints, railed, bool(read), angle)
 
     def _joints(self, read: list[tuple[int, float]]) -> tuple[Vector, Vector]:
         """Joint encoders that are new [rad], and the excursions that follow from them [m]; NaN for the rest."""
-        joints = [math.nan] * self.joint_count
+        joints = [math.nan] * len(self.guard.watcher.joints)
         for index, value in read:
             joints[index] = value
         known = np.array(joints)
         return known, self.model.excursion_of(known)
-
-    @property
-    def joint_count(self) -> int:
-        """J."""
-        return len(self.guard.watcher.joints)
 
     def _estimate(self, state: State, measured: Measured) -> tuple[FilterState, Estimate]:
         law, felt = state.law, zip(state.progress.contact, state.touch.blocked, strict=True)

@@ -187,6 +187,10 @@ class SensorNode:
         fresh = self._fresh(before, now, slice(self.tension_frames, None))
         return [(i, (raw - JOINT_ZERO) * JOINT_STEP_RAD) for i, raw in fresh]
 
+    def all_read(self, state: SensorState) -> bool:
+        """Whether the load cell of every tendon was read at least once."""
+        return all(frame >= 0 and state.groups[frame].frames > 0 for frame in self.frame_of)
+
     def tension_times(self, state: SensorState) -> tuple[int, ...]:
         """Reception of each tendon's latest reading [ns], -1 before the first; (N,) in the hand's order.
 

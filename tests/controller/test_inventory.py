@@ -1,0 +1,87 @@
+"""What the inventory waits for: every drive, every load cell, a first reading of each, though they take turns."""
+
+import math
+import tomllib
+
+import pytest
+
+from handctl.controller.gains import Gains
+from handctl.controller.live import LiveProgram
+from handctl.controller.model import HandModel
+from handctl.controller.modes import INVENTORY_TIMEOUT_S, Wishes, next_mode
+from handctl.controller.state import State
+from handctl.controller.types import Mode
+from handctl.drives.contract import Phase
+from handctl.drives.frame import Frame
+from handctl.hand.description import hand_from, hand_path
+from handctl.safety.action import Action
+from tests.controller.bench import Bench, bench
+
+READ, WRITTEN = 0x33, 0x55
+"""Third byte of a register's reply."""
+
+
+@pytest.fixture
+def hand(jamia: HandModel) -> Bench:
+    return bench(jamia, LiveProgram())
+
+
+def test_motors_that_answer_by_turns_are_armed_too(hand: Bench) -> None:
+    """As drives with a cycle of their own do; the filter begins when each has been read once."""
+    motors = range(0x11, 0x15)
+
+    def in_turn(frame: Frame) -> bool:
+        return frame.can_id not in motors or frame.can_id == motors[hand.k % 4] or frame.data[2] in (READ, WRITTEN)
+
+    hand.to_host = lambda frames: [frame for frame in frames if in_turn(frame)]
+    hand.until(Mode.READY)
+    assert hand.state.failure == ""
+    hand.to_host = lambda frames: frames
+    hand.until(Mode.ACTIVE)
+
+
+def test_load_cells_that_come_by_turns_are_all_waited_for(jamia11: HandModel) -> None:
+    run = bench(jamia11, LiveProgram())
+    first, *others = run.controller.sensors.ids[: run.controller.sensors.tension_frames]
+    run.to_host = lambda frames: [frame for frame in frames if frame.can_id not in others]
+    run.until(Mode.INVENTORY)
+    run.run(0.5)
+    assert not run.state.filter.started
+    run.to_host = lambda frames: [frame for frame in frames if frame.can_id != first]
+    run.tick()
+    run.tick()
+    assert run.state.filter.started
+
+
+def in_inventory_for(hand: Bench, seconds: float) -> State:
+    """A hand that is ready but for what a test takes away, so long after the inventory began."""
+    hand.until(Mode.READY)
+    return hand.state._replace(mode=Mode.INVENTORY, mode_since=-seconds)
+
+
+def decided(hand: Bench, state: State) -> tuple[Mode, str]:
+    after, _ = next_mode(hand.controller.model, hand.controller.drives, state, Action.PASS, Wishes(), (), 0.0)
+    return after.mode, after.failure
+
+
+def test_a_drive_that_is_ready_but_never_tells_its_position_is_named(hand: Bench) -> None:
+    """An ODrive is ready by its heartbeat; its encoder's messages may be switched off."""
+    known = in_inventory_for(hand, INVENTORY_TIMEOUT_S + 0.1)
+    blind = known.drives[1]._replace(position=math.nan)
+    unread = known._replace(
+        drives=(known.drives[0], blind, *known.drives[2:]), filter=known.filter._replace(started=False)
+    )
+    assert decided(hand, unread) == (Mode.DONE, "no position from middle_motor")
+    late = unread._replace(drives=(known.drives[0], blind._replace(phase=Phase.CONFIGURING), *known.drives[2:]))
+    assert decided(hand, late) == (Mode.DONE, "middle_motor: not configured in time")
+    assert decided(hand, unread._replace(mode_since=0.0))[0] == Mode.INVENTORY
+    assert decided(hand, known) == (Mode.READY, "")
+
+
+def test_a_tendon_without_a_load_cell_is_named() -> None:
+    content = tomllib.loads(hand_path("jamia").read_text())
+    content["sensor_node"]["tendons"].remove("ring_tendon")
+    run = bench(HandModel.of(hand_from(content, "three cells"), Gains(), 200.0), LiveProgram())
+    run.peer.order.remove(2)
+    run.until(Mode.DONE)
+    assert run.state.failure == "no load cell of ring_tendon in sensor_node.tendons"
