@@ -11,7 +11,7 @@ from handctl.cli.options import json_option, print_json, say
 from handctl.errors import LogError
 from handctl.log.reader import RunLog
 
-EXAMPLE = "handctl log --help   # with a log: handctl log info logs/RUN.mcap"
+EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl log info run.mcap"
 
 FORMATS = {
     "parquet": "one table, a row a tick",

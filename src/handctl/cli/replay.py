@@ -10,7 +10,7 @@ from pathlib import Path
 
 from handctl.cli.options import json_option, run_options
 
-EXAMPLE = "handctl replay --help   # with a log: handctl replay execute logs/RUN.mcap"
+EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl replay execute run.mcap"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import json_option, print_json, say
 
-EXAMPLE = "handctl report --help   # with a log: handctl report logs/RUN.mcap"
+EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl report run.mcap"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:

@@ -10,7 +10,7 @@ from handctl.cli.exit_codes import Exit
 from handctl.cli.options import json_option, print_json, say
 from handctl.errors import ConfigError
 
-EXAMPLE = "handctl view logs/run.mcap --png run.png --at 4.2"
+EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl view run.mcap --save run.rrd"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
