@@ -85,8 +85,9 @@ def test_a_row_that_no_tick_judges_says_where_it_is() -> None:
 def test_rows_that_take_longer_than_asked() -> None:
     soon, just = Entry("A", "t", "fault table", ticks=2, asked=3), Entry("B", "t", "fault table", ticks=3, asked=3)
     longer = Entry("C", "u", "fault table", ticks=1, ms=30, asked=5, why="because")
-    assert [late(one) for one in (soon, just, longer)] == [False, False, True]
-    assert later((soon, just, longer)).splitlines() == [
+    free = Entry("D", "t", "fault table", ticks=9)  # no time is given: it cannot be late
+    assert [late(one) for one in (soon, just, longer, free)] == [False, False, True, False]
+    assert later((soon, just, longer, free)).splitlines() == [
         "| id | fault | asked, ticks | at 500 Hz, ticks | asked | takes | why |", "|---|---|---|---|---|---|---|",
         "| C | u | 5 | 16 | 25 ms | 32 ms | because |",
     ]  # fmt: skip

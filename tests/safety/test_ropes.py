@@ -71,11 +71,27 @@ def test_nothing_snaps_before_anything_is_wanted():
 
 
 def test_the_cut_remembers_what_there_was_and_counts():
-    state = cut(Ropes((0, 0), (0, 3)), [30.0, 20.0])
+    state = cut(Ropes((0, 0), (0, 3)), [30.0, 20.0], [31.0, 21.0])
     assert state == Ropes((), (), 0, (30.0, 20.0))
-    state = cut(state, [10.0, 10.0])
+    state = cut(state, [10.0, NAN], [31.0, 21.0])
     assert state == Ropes((), (), 1, (30.0, 20.0))
-    assert cut(state, [10.0, 10.0]).cut == 2
+    assert cut(state, [10.0, 10.0], [31.0, 21.0]).cut == 2
+
+
+def test_a_sample_that_is_missing_at_the_cut_counts_as_the_last_one_before():
+    state = cut(Ropes(), [NAN, 20.0], [31.0, NAN])
+    assert state.cut_from == (31.0, 20.0)
+    assert cut(state, [10.0, 10.0], [NAN, NAN]).cut_from == (31.0, 20.0)
+
+
+def test_a_rope_of_which_nothing_was_known_at_the_cut_counts_from_its_first_reading():
+    state = cut(Ropes(), [NAN, 20.0], [NAN, NAN])
+    assert math.isnan(state.cut_from[0])
+    state = cut(state, [NAN, NAN], [40.0, 40.0])
+    assert math.isnan(state.cut_from[0]), "what there was before the cut is asked for once"
+    state = cut(state, [25.0, 5.0], [NAN, NAN])
+    assert state.cut_from == (25.0, 20.0)
+    assert cut(state, [24.0, 5.0], [NAN, NAN]).cut_from == (25.0, 20.0)
 
 
 @pytest.mark.parametrize(("ticks", "before", "now", "found"), [
@@ -89,7 +105,7 @@ def test_the_cut_remembers_what_there_was_and_counts():
     (50, 15.1, 15.1, True),
     (50, 5.0, 40.0, True),            # grown
     (50, 30.0, NAN, False),
-    (50, NAN, 30.0, False),
+    (50, NAN, 30.0, False),           # read for the first time in this tick, or never
 ])  # fmt: skip
 def test_a_rope_that_somebody_still_pulls(ticks, before, now, found):
     state = Ropes((), (), ticks, (0.0, before))
@@ -99,6 +115,8 @@ def test_a_rope_that_somebody_still_pulls(ticks, before, now, found):
 def test_ropes_and_names_belong_together():
     with pytest.raises(ValueError, match="zip"):
         slack(Ropes((1,), (1,)), ("a", "b"), T)
+    with pytest.raises(ValueError, match="zip"):
+        cut(Ropes(), [30.0], [30.0, 20.0])
     with pytest.raises(ValueError, match="zip"):
         limp(Ropes((), (), 50, (30.0,)), ("a", "b"), [30.0, 30.0], T)
 

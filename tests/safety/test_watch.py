@@ -80,6 +80,15 @@ def test_after_the_cut_a_rope_that_does_not_let_go_is_told():
     assert state.ropes.cut_from == (30.0, 8.0)
 
 
+def test_a_rope_that_does_not_let_go_is_told_though_its_sample_was_lost_at_the_cut():
+    state = ticks(3, tension=[30.0, 25.0])[0]
+    state = ticks(2, state, tension=N)[0]
+    for k in range(51):
+        state, told = watched(WATCHER, state, ARMED, seen(tension=[30.0, 8.0] if k else N, cut=True))
+    assert told.limp == (("a", 30.0),)
+    assert state.ropes.cut_from == (30.0, 25.0)
+
+
 @pytest.mark.parametrize(("tension", "residual"), [(29.8, 4.8), (30.2, 5.2), (9.7, 5.3), (5.0, 10.0), (20.0, 0.0)])
 def test_a_residual_that_lasts(tension, residual):
     """Of what the torque does not explain, 3 N are friction, and a tenth of 20 N the torque constant's tolerance."""

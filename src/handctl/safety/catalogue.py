@@ -20,7 +20,7 @@ class Entry(NamedTuple):
         mit, odrive, cia402: how far each protocol shows it; detected, or "replaced: by what", or "lost: why".
         ticks, ms: latest reaction, together: so many ticks, and a time besides.
         odrive_ms: what an ODrive needs besides, since it tells its state every 100 ms [ms].
-        asked: ticks of 5 ms that the project's fault catalogue gives an ideal drive; 0: before torque, or no tick.
+        asked: ticks of 5 ms that the project's fault catalogue gives an ideal drive; 0: none given, as before torque.
         why: more ticks are needed than that; empty if not.
         tried: ``campaign``, or the test that produces it.
     """
@@ -126,7 +126,6 @@ CATALOGUE: tuple[Entry, ...] = (
           _SLACK, _SLACK, _SLACK, ticks=8, ms=900, asked=4,
           why="joint angles come by turns, and a filter of 300 ms finds what is smaller than 15 degrees (N06)"),
     Entry("T09", "friction grows", TABLE_, odrive=f"{DETECTED}: against the torque asked for", ticks=4, ms=15000,
-          why="once a cycle: friction is judged over 5 s of motion",
           tried="tests/safety/test_residuals.py"),
     Entry("H01", "one late tick", TABLE_, ticks=1, asked=1),
     Entry("H02", "a missed tick", TABLE_, ticks=1, asked=1),

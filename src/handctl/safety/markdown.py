@@ -38,8 +38,8 @@ def _ticks(entry: Entry) -> int:
 
 
 def late(entry: Entry) -> bool:
-    """Whether a row takes more ticks than the project's fault catalogue gives it."""
-    return _ticks(entry) > entry.asked
+    """Whether a row takes more ticks than the project's fault catalogue gives it; never if it gives none."""
+    return 0 < entry.asked < _ticks(entry)
 
 
 def later(entries: tuple[Entry, ...] = CATALOGUE) -> str:

@@ -20,7 +20,7 @@ class Ropes(NamedTuple):
         taut_ago: ticks since the rope was taut; -1 if it was not since tension is wanted.
         slack: ticks for which it has been slack.
         cut: ticks since the torque was cut; -1 if it is not.
-        cut_from: tension back then [N].
+        cut_from: tension back then [N]; NaN if no load cell has told it yet.
     """
 
     taut_ago: tuple[int, ...] = ()
@@ -55,11 +55,18 @@ def step(state: Ropes, tension: list[float], wanted: list[float]) -> Ropes:
     return Ropes(tuple(taut_ago), tuple(slack))
 
 
-def cut(state: Ropes, tension: list[float]) -> Ropes:
-    """One tick after the torque was cut; a missing sample counts as the last one."""
-    if state.cut < 0:
-        return Ropes(cut=0, cut_from=tuple(tension))
-    return state._replace(cut=state.cut + 1)
+def cut(state: Ropes, tension: list[float], last: list[float]) -> Ropes:
+    """One tick after the torque was cut.
+
+    Args:
+        state: from the last tick.
+        tension: load cells [N]; NaN if missing, as many a frame is where a cut was needed.
+        last: reading of each before the cut, which counts if the first one after it is missing; NaN if there was none,
+            and then the first that comes counts [N].
+    """
+    first, second = (tension, last) if state.cut < 0 else (state.cut_from, tension)
+    known = tuple([a if a == a else b for a, b in zip(first, second, strict=True)])
+    return Ropes(cut=state.cut + 1, cut_from=known)
 
 
 def slack(state: Ropes, names: tuple[str, ...], period: float) -> Named:

@@ -188,7 +188,8 @@ def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tu
     """Filter and remember; only under torque, or just after it."""
     cell = seen.tension.tolist()
     if seen.cut:
-        state = state._replace(ropes=ropes.cut(state.ropes, cell))
+        last = state.stuck.value[len(cell) : 2 * len(cell)].tolist()
+        state = state._replace(ropes=ropes.cut(state.ropes, cell, last))
         return state, raw._replace(limp=ropes.limp(state.ropes, watcher.limits.tendons, cell, watcher.period))
     if not raw.armed:
         return watcher.start._replace(counts=state.counts, owed=state.owed), raw
