@@ -1,10 +1,17 @@
 """What a hand file may say of a drive: nothing that a drive would then count with and divide by."""
 
+import math
+from pathlib import Path
+
+import numpy as np
 import pytest
 
+from handctl.controller.tendon_space import tendon_space
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
-from tests.drives.protocol_bench import described
+from handctl.hand.description import load_hand
+from handctl.hand.digit import DigitModel
+from tests.drives.protocol_bench import described, hand_file
 
 CIA402 = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}
 
@@ -35,3 +42,20 @@ def test_a_whole_number_may_be_written_with_a_point(heartbeat: float) -> None:
     for protocol, options in (("cia402", CIA402), ("odrive", {})):
         drive = make_drive(described(protocol, 1, 0.01, options | {"heartbeat_ms": heartbeat}), 0)
         assert drive.background[0][2] > 999.0 / heartbeat, "as often at least as it is told"
+
+
+def test_how_fine_a_position_is_told() -> None:
+    """An encoder of a thousand counts is coarser than 16 bit over the range, and the filter must know."""
+    coarse = CIA402 | {"counts_per_turn": 1000, "gear_ratio": 2.0}
+    assert make_drive(described("cia402", 1, 0.01, coarse), 0).position_step == pytest.approx(math.pi / 1000)
+    assert make_drive(described("mit", 1, 0.01, {}), 0).position_step == pytest.approx(25.0 / 65535)
+    assert make_drive(described("odrive", 1, 0.01, {}), 0).position_step == 0.0
+
+
+@pytest.mark.parametrize(("counts", "step"), [(1000, math.tau / 1000), (1 << 20, 25.0 / 65535)])
+def test_the_filter_counts_with_the_drive_s_encoder(tmp_path: Path, counts: int, step: float) -> None:
+    path = hand_file(tmp_path, ["cia402"])
+    path.write_text(path.read_text().replace("counts_per_turn = 65536", f"counts_per_turn = {counts}"))
+    hand = load_hand(path)
+    space = tendon_space(hand, tuple(DigitModel.of(hand, name) for name in hand.digit_names))
+    np.testing.assert_allclose(space.encoder_step, step * space.spool)

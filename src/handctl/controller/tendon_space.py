@@ -10,8 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from handctl.controller.types import Vector
+from handctl.drives.registry import make_drive
 from handctl.hand.description import Hand
 from handctl.hand.dynamics import DigitModel, mass_matrix
+from handctl.hand.sections import Motor
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +30,7 @@ class TendonSpace:
         load_stiffness: effective return spring along the tendon [N/m].
         load_damping: effective joint damping along the tendon [N s/m].
         spool: radius [m].
-        encoder_step: one count of the motor's position, along the cable [m].
+        encoder_step: the motor's position is not told any finer, along the cable [m].
         tension_noise: standard deviation of a load-cell sample [N].
     """
 
@@ -43,10 +45,6 @@ class TendonSpace:
     spool: Vector
     encoder_step: Vector
     tension_noise: Vector
-
-
-POSITION_COUNTS = 2**16 - 1
-"""Counts over the position range of a motor's feedback. Source: MIT mode, 16 bit position."""
 
 
 def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
@@ -71,9 +69,14 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
         load_stiffness=load[1],
         load_damping=load[2],
         spool=spool,
-        encoder_step=np.array([2 * motors[t.motor].position_range_rad for t in tendons]) / POSITION_COUNTS * spool,
+        encoder_step=np.array([_position_step(motors[tendon.motor]) for tendon in tendons]) * spool,
         tension_noise=np.full(len(tendons), hand.sensor_node.tension_noise_N),
     )
+
+
+def _position_step(motor: Motor) -> float:
+    """Of a motor as its drive tells it [rad]; what is finer than 16 bit over its range is taken for noise."""
+    return max(2 * motor.position_range_rad / 0xFFFF, make_drive(motor, 0).position_step)
 
 
 def _load(digit: DigitModel) -> Vector:

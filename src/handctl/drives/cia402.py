@@ -142,6 +142,11 @@ class Cia402Drive:
         return True
 
     @property
+    def position_step(self) -> float:
+        """A count of its encoder."""
+        return math.tau / (self.counts * abs(self.ratio))
+
+    @property
     def feedback_period_s(self) -> float:
         """SYNC asks for it."""
         return 0.0

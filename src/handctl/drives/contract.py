@@ -83,6 +83,7 @@ class Drive(Protocol):
         node_ids: identifiers that the drive answers on.
         caveats: guards that cannot be verified with this configuration, for a person to read before arming.
         answers_once: whether every command has exactly one feedback: then one more is a duplicate, or a second node.
+        position_step: smallest difference of two positions that it can tell [rad at the spool]; 0: not known.
         feedback_period_s: how often feedback comes by itself [s]; 0 if every tick asks for it.
     """
 
@@ -104,6 +105,8 @@ class Drive(Protocol):
     def caveats(self) -> tuple[str, ...]: ...
     @property
     def answers_once(self) -> bool: ...
+    @property
+    def position_step(self) -> float: ...
     @property
     def feedback_period_s(self) -> float: ...
 

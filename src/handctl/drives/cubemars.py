@@ -157,6 +157,11 @@ class CubemarsDrive:
         return True
 
     @property
+    def position_step(self) -> float:
+        """16 bit over its model's range, both ways."""
+        return self.ranges.position_step
+
+    @property
     def feedback_period_s(self) -> float:
         """Every command asks for it."""
         return 0.0

@@ -127,6 +127,11 @@ class MitDrive:
         return True
 
     @property
+    def position_step(self) -> float:
+        """16 bit over its range, both ways."""
+        return self.ranges.position_step
+
+    @property
     def feedback_period_s(self) -> float:
         """Every command asks for it."""
         return 0.0

@@ -50,6 +50,11 @@ class Ranges(NamedTuple):
     velocity: float
     torque: float
 
+    @property
+    def position_step(self) -> float:
+        """One count of the 16 bit position [rad]."""
+        return 2 * self.position / 0xFFFF
+
 
 Lines = tuple[float, float, float, float, float, float]
 """Slope and offset by which a code of position, of velocity and of torque becomes a value."""

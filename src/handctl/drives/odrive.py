@@ -133,6 +133,11 @@ class OdriveDrive:
         return False
 
     @property
+    def position_step(self) -> float:
+        """A float32 of turns: the encoder's own steps are larger, and are not told."""
+        return 0.0
+
+    @property
     def feedback_period_s(self) -> float:
         """With ``encoder_period_ms`` position is not asked for."""
         return self.cyclic_s
@@ -232,8 +237,7 @@ class OdriveDrive:
         if not progress.version:
             return self._ask_version(state, progress, t_ns)
         if progress.write:
-            wrote = state._replace(private=progress._replace(write=b""))
-            return wrote, (self._frame(codec.RX_SDO, progress.write),)
+            return state._replace(private=progress._replace(write=b"")), (self._frame(codec.RX_SDO, progress.write),)
         if progress.walk.step < len(self.settings):
             walk, data, problem = endpoints.ask(progress.walk, self.settings, t_ns)
             known = state._replace(private=progress._replace(walk=walk))
@@ -243,10 +247,8 @@ class OdriveDrive:
             return state, ()
         mode = self._frame(codec.SET_MODE, codec.integers(codec.TORQUE_MODE, codec.PASSTHROUGH))
         done = progress._replace(configured=True, verified_ns=t_ns)
-        return state._replace(phase=READY, error_text="", private=done), (
-            mode,
-            self._frame(codec.SET_LIMITS, self.limits),
-        )
+        limits = self._frame(codec.SET_LIMITS, self.limits)
+        return state._replace(phase=READY, error_text="", private=done), (mode, limits)
 
     def _ask_version(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         if t_ns - progress.sent_ns < REPEAT_NS:
@@ -259,9 +261,7 @@ class OdriveDrive:
 
     def _questions(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """What is asked for in a tick."""
-        frames = [self._ask(codec.ENCODER)] if not self.cyclic_s else []
-        if self.torque_feedback:
-            frames.append(self._ask(codec.TORQUES))
+        frames = [self._ask(codec.ENCODER)] * (not self.cyclic_s) + [self._ask(codec.TORQUES)] * self.torque_feedback
         progress = progress_of(state)
         if t_ns - progress.warmed_ns >= TEMPERATURE_NS and not self.old:
             frames.append(self._ask(codec.TEMPERATURE))
