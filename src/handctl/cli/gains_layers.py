@@ -33,7 +33,7 @@ def gains_options(parser: argparse.ArgumentParser) -> None:
         "--gains", type=Path, metavar="FILE", help="gains file (default: HAND.gains.toml, else the packaged gains)"
     )
     parser.add_argument(
-        "--gain", action="append", metavar="KEY=VALUE", help="one gain for this run, before all files; may be repeated"
+        "--gain", action="append", metavar="KEY=VALUE", help="one gain, over every gains file; may be repeated"
     )
 
 

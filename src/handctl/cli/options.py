@@ -43,7 +43,7 @@ def run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> N
     bus_option(parser, bus_required)
     json_option(parser)
     dry_run_option(parser)
-    parser.add_argument("--clear", action="store_true", help="clear what the drives have latched: you have looked why")
+    parser.add_argument("--clear", action="store_true", help="clear latched drive errors; find the cause first")
     gains_options(parser)
     parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: by the bus load)")
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="default: HAND.calibration.toml")

@@ -7,10 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
+from handctl.controller.task import Angle, Tension
 from handctl.document import Document
-
-Angle = Annotated[float, Field(ge=-30, le=150)]
-Tension = Annotated[float, Field(ge=0, le=1000)]
 
 
 class Arm(Document):
