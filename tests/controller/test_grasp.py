@@ -9,7 +9,7 @@ import pytest
 from handctl.controller.contact import SMOOTH_S, felt
 from handctl.controller.estimator import Estimate
 from handctl.controller.goal import Kind
-from handctl.controller.grasp import SETTLE_AFTER_CLOSE_S, TaskProgram
+from handctl.controller.grasp import RELEASE_TIMEOUT_S, RELEASED_WITHIN_N, SETTLE_AFTER_CLOSE_S, TaskProgram
 from handctl.controller.model import HandModel
 from handctl.controller.program import TIGHTEN_TIMEOUT_S, Progress
 from handctl.controller.task import Task
@@ -242,10 +242,61 @@ def test_release_waits_for_the_tension_to_fall(model: HandModel, taut: Estimate)
     assert run.progress.phase == "release"
     run.until("open", under(model, 9.0))
     assert not any(run.progress.contact), "free again"
-    stuck = closing(model, taut)
-    stuck.touch(touch)
-    stuck.until("release", touch)
-    assert stuck.until("open", under(model, 50.0)) == pytest.approx(10.0, abs=0.1), "but not for ever"
+    assert not [event for event in run.events if event.level == "warn"]
+
+
+def released(model: HandModel, taut: Estimate, tension: float, **release: float) -> tuple[Run, float]:
+    """A run after its release, with the index at a tension [N] all the while; and how long it took [s]."""
+    task = {**TASK, "phase": [{**p, **release} if p["kind"] == "release" else p for p in TASK["phase"]]}
+    run, touch = Run(model, task), touching(model, {"index": 12.0})
+    run.until("close", taut)
+    run.touch(touch)
+    run.until("release", touch)
+    return run, run.until("open", under(model, tension))
+
+
+@pytest.mark.parametrize(("tension", "settle", "took", "told"), [
+    (50.0, 0.1, RELEASE_TIMEOUT_S, True),      # not for ever
+    (8.0 + RELEASED_WITHIN_N, 0.1, RELEASE_TIMEOUT_S, True),
+    (7.9 + RELEASED_WITHIN_N, 0.1, 0.1, False),
+    (9.0, 12.0, 12.0, False),                  # the time to settle counts, though it is longer
+    (50.0, 12.0, 12.0, True),
+])  # fmt: skip
+def test_a_release_that_does_not_let_go_is_told(model, taut, tension, settle, took, told) -> None:
+    run, lasted = released(model, taut, tension, settle_s=settle)
+    assert lasted == pytest.approx(took, abs=0.1)
+    warnings = [(event.where, event.text) for event in run.events if event.level == "warn"]
+    assert warnings == ([("index", f"release: above 8 N after {took:g} s, and going on")] if told else [])
+
+
+def test_what_was_released_must_be_touched_anew_to_be_held(model: HandModel, taut: Estimate) -> None:
+    close, hold, release = TASK["phase"][2:5]
+    phases = [close, hold, release, {**close, "name": "again"}, {**hold, "name": "more"}]
+    run = Run(model, {**TASK, "phase": phases})
+    run.until("close", taut)
+    touch, index = touching(model, {"index": 12.0}), model.hand.digit_names.index("index")
+    run.touch(touch)
+    run.until("release", touch)
+    run.tick(under(model, 20.0))
+    assert run.progress.contact[index], "until it has let go"
+    run.until("again", taut)
+    assert not any(run.progress.contact), "free again"
+    assert {goal.kind for goal in run.progress.goals} == {Kind.MOTION}, "all close"
+    assert run.until("more", taut) > 0.3
+    assert not any(run.progress.contact)
+    assert [event.text for event in run.events if event.level == "warn"] == ["more: no digit is in contact"]
+
+
+def test_a_digit_that_is_held_stays_so_while_others_close(model: HandModel, taut: Estimate) -> None:
+    """Only a release or a motion makes it free."""
+    close, hold = TASK["phase"][2:4]
+    run = Run(model, {**TASK, "phase": [close, hold, {**close, "name": "again"}]})
+    run.until("close", taut)
+    touch, index = touching(model, {"index": 12.0}), model.hand.digit_names.index("index")
+    run.touch(touch)
+    run.until("again", touch)
+    assert run.progress.contact[index]
+    assert run.progress.goals[index].kind == Kind.TENSION
 
 
 def test_a_tip_force_becomes_the_tension_that_stands_for_it(model: HandModel, taut: Estimate) -> None:

@@ -31,6 +31,8 @@ FOLLOW_START_DEG = 4.0
 """How far a digit may be from where its curve begins."""
 SETTLE_AFTER_CLOSE_S = 0.3
 """A digit that found nothing may come to rest before the next phase."""
+RELEASED_WITHIN_N, RELEASE_TIMEOUT_S = 2.0, 10.0
+"""A digit has let go when its tensions are so near to what they shall fall to; it is waited for so long, if not."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +60,7 @@ class TaskProgram:
         progress, slipped = self._hold_on(model, progress, estimate, t)
         events += slipped
         if self._phase_over(model, progress, estimate, t):
+            events += self._not_released(model, progress, estimate)
             progress, entered = self._enter(model, progress, estimate, t)
             events += entered
         return progress, events
@@ -83,18 +86,19 @@ class TaskProgram:
         if step > len(self.task.phase):
             return replace(progress, finished=True, phase="end"), (Event("info", "phase", "", "task complete"),)
         phase = self.task.phase[step - 1]
-        progress = replace(progress, step=step, since=t, phase=phase.name)
+        free = isinstance(phase, Move | Follow) or (step > 1 and isinstance(self.task.phase[step - 2], Release))
+        contact = (False,) * len(model.digits) if free else progress.contact
+        progress = replace(progress, step=step, since=t, phase=phase.name, contact=contact)
         names = model.hand.digit_names
         if isinstance(phase, Follow) and (away := _far_from(model, phase, estimate)):
             return replace(progress, finished=True, failure=away), (Event("error", "phase", "", away),)
         goals = tuple(self._goal(model, progress, d, names[d], estimate, t) for d in range(len(names)))
-        contact = (False,) * len(names) if isinstance(phase, Move | Follow) else progress.contact
         events = [Event("info", "phase", "", phase.name)]
         if isinstance(phase, Hold) and not any(contact):
             events.append(Event("warn", "phase", "", f"{phase.name}: no digit is in contact"))
         grip = Grip.of(model, goals, estimate, t) if isinstance(phase, Hold) and any(contact) else None
         untouched = (0,) * len(names)
-        progress = replace(progress, goals=goals, contact=contact, touching=untouched, felt=(), usual=(), grip=grip)
+        progress = replace(progress, goals=goals, touching=untouched, felt=(), usual=(), grip=grip)
         return progress, tuple(events)
 
     def _goal(self, model: HandModel, progress: Progress, d: int, name: str, estimate: Estimate, t: float) -> DigitGoal:
@@ -189,9 +193,26 @@ class TaskProgram:
             moving = [goal for goal in progress.goals if goal.kind == Kind.MOTION and goal.trajectory is not None]
             longest = max((goal.trajectory.duration for goal in moving if goal.trajectory), default=0.0)
             return elapsed >= min(longest + SETTLE_AFTER_CLOSE_S, phase.timeout_s) if moving else True
-        held = [model.digit_tendons[d] for d, goal in enumerate(progress.goals) if goal.kind == Kind.TENSION]
-        highest = max((float(estimate.tension[tendons].max()) for tendons in held), default=0.0)
-        return (highest < phase.tension_N + 2.0 and elapsed >= phase.settle_s) or elapsed > 10.0
+        late = elapsed > RELEASE_TIMEOUT_S
+        return elapsed >= phase.settle_s and (late or not _pulling(model, progress, phase, estimate))
+
+    def _not_released(self, model: HandModel, progress: Progress, estimate: Estimate) -> tuple[Event, ...]:
+        """At the end of a release, which digits have not let go in their time."""
+        phase = self.task.phase[progress.step - 1]
+        if not isinstance(phase, Release):
+            return ()
+        waited = max(phase.settle_s, RELEASE_TIMEOUT_S)
+        text = f"{phase.name}: above {phase.tension_N:g} N after {waited:g} s, and going on"
+        return tuple([Event("warn", "phase", name, text) for name in _pulling(model, progress, phase, estimate)])
+
+
+def _pulling(model: HandModel, progress: Progress, phase: Release, estimate: Estimate) -> list[str]:
+    """Names of the digits that hold a tension, and still more of it than a release leaves them."""
+    most = phase.tension_N + RELEASED_WITHIN_N
+    rows = zip(model.hand.digit_names, progress.goals, model.digit_tendons, strict=True)
+    return [
+        name for name, goal, tendons in rows if goal.kind == Kind.TENSION and estimate.tension[tendons].max() >= most
+    ]
 
 
 def _plan(model: HandModel, phase: Hold) -> GripPlan:

@@ -74,7 +74,7 @@ class Hold(Document):
 
 
 class Release(Document):
-    """Let the tension go down, then count as free again."""
+    """Let the tension go down; from the next phase on the digits count as free again, and must touch anew to hold."""
 
     kind: Literal["release"]
     name: str = "release"
