@@ -125,10 +125,12 @@ def _resized(scene: Scene, millimetres: str, text: str) -> Scene:
 
 def _read(path: Any, where: str) -> Scene:
     try:
+        if not path.is_file():
+            raise ValueError("no such file")
         raw = tomllib.loads(path.read_text("utf-8"))
         thing, support, load = _thing(raw.get("object")), _support(raw.get("support")), _load(raw.get("load"))
         scene = Scene(raw["name"], thing, support, load, tuple(read_stage(stage) for stage in raw.get("stage", ())))
-    except (OSError, tomllib.TOMLDecodeError, KeyError, TypeError, ValueError) as error:
+    except (OSError, RecursionError, KeyError, TypeError, ValueError) as error:
         raise SimulatorError(f"scene {where}: {error}") from error
     if scene.support and not scene.thing:
         raise SimulatorError(f"scene {where}: a support without an object")

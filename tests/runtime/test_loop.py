@@ -275,6 +275,21 @@ def test_two_signals_within_a_tick_are_both_heard() -> None:
         assert signals.take() == ('{"do": "cut"}',)
 
 
+def test_a_terminal_that_goes_stops_the_hand_unless_nohup_was_asked_for() -> None:
+    signals, before = Signals(), signal.getsignal(signal.SIGHUP)
+    with signals.installed():
+        os.kill(os.getpid(), signal.SIGHUP)
+        assert signals.take() == ('{"do": "stop"}',)
+    assert signal.getsignal(signal.SIGHUP) == before
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with signals.installed():
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert signals.take() == ()
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
 def test_signal_handlers_are_given_back() -> None:
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     signals = Signals()

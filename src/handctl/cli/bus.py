@@ -6,7 +6,7 @@ The arguments are declared here; what does it is imported when it is asked for, 
 import argparse
 import importlib
 
-from handctl.cli.options import bus_option, json_option
+from handctl.cli.options import bitrate_options, bus_option, json_option
 
 EXAMPLE = "handctl bus plan --hand jamia11 --rate 200"
 
@@ -19,8 +19,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--hand", metavar="NAME|FILE", help=about)
     bus_option(parser, required=False)
     json_option(parser)
-    parser.add_argument("--bitrate", type=int, default=1_000_000, metavar="BIT/S", help="without a hand (1000000)")
-    parser.add_argument("--data-bitrate", type=int, metavar="BIT/S", help="without a hand: of CAN FD's data phase")
+    bitrate_options(parser, "without a hand", "without a hand: of CAN FD's data phase")
     parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: the highest that fits)")
     parser.add_argument("--detail", action="store_true", help="what is counted, frame by frame")
     parser.add_argument("--table", action="store_true", help="no hand: the protocols beside each other, bare")

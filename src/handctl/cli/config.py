@@ -10,6 +10,7 @@ from handctl.controller.bus_load import bus_loads
 from handctl.controller.gain_bounds import flat
 from handctl.controller.identified import UNITS
 from handctl.controller.setup import caveats, make_drives
+from handctl.errors import ConfigError
 from handctl.hand.description import Hand, hand_path, load_hand, packaged_hands
 
 EXAMPLE = "handctl config show --hand jamia"
@@ -35,6 +36,9 @@ def run(args: argparse.Namespace) -> int:
     layers = layered_gains(args, hand.name)
     if args.task:
         find_task(args.task, hand)
+    if args.calibration and not args.calibration.exists():
+        raise ConfigError("no such file", str(args.calibration), "a calibration to check")
+    calibration = _calibration_lines(args, hand)
     loads = bus_loads(hand)
     rate = fastest(loads)
     load = {one.name: one.at(rate) for one in loads}
@@ -58,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"# from {source}, identity {hand.identity[:16]}")
         print(hand.to_toml(), end="")
         print("\n".join(_gains_with_sources(layers)))
-        print("\n".join(f"# {line}" for line in _calibration_lines(args, hand)))
+        print("\n".join(f"# {line}" for line in calibration))
     for text in caveats(make_drives(hand)):
         print(f"# caution: {text}")
     told = ", ".join(f"bus {name} {100 * share:.0f} %" for name, share in load.items())

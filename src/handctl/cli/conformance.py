@@ -8,7 +8,7 @@ import tomllib
 from typing import Any
 
 from handctl.cli.exit_codes import Exit
-from handctl.cli.options import json_option, print_json
+from handctl.cli.options import bitrate_options, json_option, print_json
 from handctl.cli.scan import identified
 from handctl.drives.contract import Drive, Phase, Want
 from handctl.drives.discovery import Found
@@ -44,8 +44,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         help="largest torque to ask for, at the drive's shaft; it becomes the drive's own limit too")  # fmt: skip
     add("--yes", action="store_true", help="the shaft may turn now: hands and cables are away from it")
     add("--option", action="append", default=[], metavar="KEY=VALUE", help="as in [motor.options] of a hand file")
-    add("--bitrate", type=int, default=1_000_000, metavar="BIT/S", help="of the bus (1000000)")
-    add("--data-bitrate", type=int, metavar="BIT/S", help="of CAN FD's data phase")
+    bitrate_options(parser, "of the bus", "of CAN FD's data phase")
     json_option(parser)
     parser.add_argument("--dry-run", action="store_true", help="print what would be checked, open no bus")
 
@@ -86,7 +85,7 @@ def _options(words: list[str]) -> dict[str, Any]:
     """
     try:
         return tomllib.loads("\n".join(words))
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:
         raise ConfigError(f"{' '.join(words)}: {error}", "--option", "KEY=VALUE, as in gear_ratio=6.0") from None
 
 

@@ -19,3 +19,7 @@ class Exit(IntEnum):
     """A bug in handctl; the drives were told to let go."""
     REMOVE_POWER = 71
     """A drive did not confirm that it is disabled: remove power."""
+    INTERRUPTED = 130
+    """Ctrl-C, where no hand ran; a hand that runs is relaxed and disarmed, and the code says how that went."""
+    TERMINATED = 143
+    """SIGTERM or SIGHUP, likewise."""

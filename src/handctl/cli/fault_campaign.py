@@ -28,6 +28,7 @@ from handctl.log.recorder import Recorder
 QUICK_CALM_S, CALM_S = 4.0, 60.0
 """How long the undisturbed hand is watched for each protocol, in a sample and in full [s]."""
 JOBS_MOST = 64
+CALM_MOST_S = 86_400.0
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -54,6 +55,8 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(f"{args.jobs}", "--jobs", f"1 to {JOBS_MOST}")
     for id_ in set(args.row) - {row.id for row in MATRIX}:
         raise ConfigError(repr(id_), "--row", "one of " + ", ".join(dict.fromkeys(row.id for row in MATRIX)))
+    if args.calm is not None and not 0 <= args.calm <= CALM_MOST_S:
+        raise ConfigError(f"{args.calm:g}", "--calm", f"0 to {CALM_MOST_S:g} s")
     load_hand(args.hand)
     folder: Path = args.report or Path("logs") / "campaign"
     folder.mkdir(parents=True, exist_ok=True)

@@ -57,10 +57,11 @@ def run(args: argparse.Namespace) -> int:
         print(f"{plan.hand.name}: would move {len({s.digit for s in program.steps})} digits for {total:.0f} s")
         return Exit.DONE
     log = args.log or default_log(plan.hand, "identify")
-    print(f"exciting {plan.hand.name} for about {total:.0f} s, one digit at a time", file=sys.stderr)
+    about = f"exciting {plan.hand.name} for about {total:.0f} s, one digit at a time"
     if args.lockstep:
-        calibration, outcome = _in_lockstep(args, plan, program, log)
+        calibration, outcome = _in_lockstep(args, plan, program, log, about)
     else:
+        _say(about)
         known = calibration or ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))
         calibration, outcome = known, run_live(plan, make_controller(plan, program, known, arm_at_once=True), log)
     if outcome.state.failure or not outcome.state.progress.finished:
@@ -75,7 +76,7 @@ def _say(text: str) -> None:
 
 
 def _in_lockstep(
-    args: argparse.Namespace, plan: Plan, program: ExciteProgram, log: Path
+    args: argparse.Namespace, plan: Plan, program: ExciteProgram, log: Path, about: str
 ) -> tuple[Calibration, Outcome]:
     """Commission and excite the simulated hand in virtual time."""
     peer = load_peer(
@@ -87,6 +88,7 @@ def _in_lockstep(
         truth_path=str(log.with_suffix(".truth")),
     )
     clock = LockstepClock(peer, plan.period_ns)
+    _say(about)
 
     def runner(plan: Plan, controller: Controller, log: Path) -> Outcome:
         return run_lockstep(plan, controller, log, clock)

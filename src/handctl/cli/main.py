@@ -1,13 +1,17 @@
 """The command line: a table of verbs, each a module that is imported only when it is asked for."""
 
 import argparse
+import errno
 import importlib
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Protocol
 
+from handctl.cli.ended import Terminated, ended_by_signals
 from handctl.cli.exit_codes import Exit
-from handctl.errors import BusError, ConfigError, HandctlError, IncomparableError, LogError
+from handctl.cli.streams import flush, give_up_output, make_usable
+from handctl.errors import ConfigError, HandctlError, IncomparableError, LogError
 
 VERBS = {
     "demo": "close a simulated hand on an object and look at the run",
@@ -35,7 +39,13 @@ VERBS = {
 """Each verb and what a person wants with it."""
 
 EPILOG = """exit codes: 0 done, 1 failed, 2 bad input, 3 lossy log, 4 not comparable, 70 internal error, 71 remove power
+            130 interrupted, 143 terminated (where no hand ran)
 first steps: handctl demo        help on a verb: handctl VERB --help"""
+
+WRONG_NAME = {
+    errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENOTEMPTY, errno.ENAMETOOLONG, errno.ELOOP,
+}  # fmt: skip
+"""Where a person gave a name that cannot be; every other failure of a file is the machine's."""
 
 
 class Verb(Protocol):
@@ -53,8 +63,36 @@ class Verb(Protocol):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point of ``handctl``."""
+    """Entry point of ``handctl``; what goes wrong becomes one line and an exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
+    make_usable()
+    try:
+        with ended_by_signals():
+            if any("\0" in word for word in words):
+                raise ConfigError("a word with a NUL in it", "the command line", "names as files can have them")
+            code = _done(words)
+            flush()
+            return code
+    except IncomparableError as error:
+        return _say(error, Exit.NOT_COMPARABLE)
+    except (ConfigError, LogError) as error:
+        return _say(error, Exit.BAD_INPUT)
+    except HandctlError as error:
+        return _say(error, Exit.FAILED)
+    except BrokenPipeError:
+        give_up_output()
+        return Exit.DONE
+    except OSError as error:
+        text = f"{error.filename}: {error.strerror}" if error.filename else str(error.strerror or error)
+        return _say(text, Exit.BAD_INPUT if error.errno in WRONG_NAME else Exit.FAILED)
+    except Terminated:
+        return _say("ended by a signal", Exit.TERMINATED)
+    except KeyboardInterrupt:
+        return _say("interrupted", Exit.INTERRUPTED)
+
+
+def _done(words: list[str]) -> int:
+    """The exit code of what was asked for."""
     if words and words[0] in VERBS:
         return _verb(words[0], words[1:])
     parser = argparse.ArgumentParser(
@@ -76,7 +114,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _verb(name: str, words: list[str]) -> int:
-    """Run one verb; errors become one line and an exit code."""
+    """Run one verb."""
     module: Verb = importlib.import_module(f"handctl.cli.{name}")
     parser = argparse.ArgumentParser(
         prog=f"handctl {name}",
@@ -85,21 +123,10 @@ def _verb(name: str, words: list[str]) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     module.configure(parser)
-    args = parser.parse_args(words)
-    try:
-        return module.run(args)
-    except IncomparableError as error:
-        return _say(error, Exit.NOT_COMPARABLE)
-    except (ConfigError, LogError) as error:
-        return _say(error, Exit.BAD_INPUT)
-    except (BusError, HandctlError) as error:
-        return _say(error, Exit.FAILED)
-    except BrokenPipeError:
-        return Exit.DONE
-    except OSError as error:
-        return _say(f"{error.filename}: {error.strerror}" if error.filename else str(error), Exit.FAILED)
+    return module.run(parser.parse_args(words))
 
 
 def _say(error: HandctlError | str, code: Exit) -> int:
-    print(f"handctl: {error}", file=sys.stderr)
+    with suppress(OSError):  # the code tells, too
+        print(f"handctl: {error}", file=sys.stderr)
     return code

@@ -9,6 +9,8 @@ from typing import Any
 from handctl.cli.gains_layers import gains_options
 
 LONGEST_LINE = 4000
+SLOWEST_BUS, FASTEST_BUS = 10_000, 8_000_000
+"""Bit rates that a hand file takes [bit/s]."""
 
 
 def hand_option(parser: argparse.ArgumentParser) -> None:
@@ -25,6 +27,21 @@ def bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
         metavar="[NAME=]SPEC",
         help="local:NAME, socketcan:can0 or any python-can interface:channel; repeat as NAME=SPEC for several buses",
     )
+
+
+def bitrate_options(parser: argparse.ArgumentParser, nominal: str, data: str) -> None:
+    """--bitrate and --data-bitrate, with what they are said to be of."""
+    add = parser.add_argument
+    add("--bitrate", type=_bit_rate, default=1_000_000, metavar="BIT/S", help=f"{nominal} (1000000)")
+    add("--data-bitrate", type=_bit_rate, metavar="BIT/S", help=data)
+
+
+def _bit_rate(word: str) -> int:
+    """A bit rate that a hand file can have, too [bit/s]."""
+    rate = int(word)
+    if not SLOWEST_BUS <= rate <= FASTEST_BUS:
+        raise argparse.ArgumentTypeError(f"{word}; expected {SLOWEST_BUS} to {FASTEST_BUS} bit/s")
+    return rate
 
 
 def json_option(parser: argparse.ArgumentParser) -> None:

@@ -80,7 +80,7 @@ def _export(folder: Path) -> None:
 
 def _print(args: argparse.Namespace, parts: tuple[Section, ...]) -> None:
     if args.json:
-        json.dump(plain([item for part in parts for item in part.items]), sys.stdout, indent=2, ensure_ascii=False)
+        json.dump(plain([item for part in parts for item in part.items]), sys.stdout, indent=2)
         sys.stdout.write("\n")
     elif args.markdown:
         sys.stdout.write(markdown(parts))

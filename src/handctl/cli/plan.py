@@ -70,26 +70,30 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> Plan:
     layers = layered_gains(args, hand.name)
     buses = () if lockstep else bus_specs(hand, args.bus)
     loads = bus_loads(hand)
-    rate = fastest(loads) if args.rate is None else _rate(args.rate, hand)
+    rate = control_rate(args.rate, hand, loads)
     load = tuple(one.at(rate) for one in loads)
     if not 0 < args.time_scale <= 100:
         raise ConfigError(f"{args.time_scale:g}", "--time-scale", "more than 0, at most 100")
-    for name, share in zip(hand.bus_names, load, strict=True):
-        if share > MOST:
-            best = fastest(loads)
-            raise ConfigError(
-                f"bus {name} would be {100 * share:.0f} % full at {rate:g} Hz", "--rate", f"at most {best:g}"
-            )
     _check_log(args.log)
     attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
     return Plan(hand, layers.gains, rate, load, buses, attachments, args.time_scale, args.json, args.clear)
 
 
-def _rate(rate: float, hand: Hand) -> float:
-    """A rate from the command line, if the drives' watchdogs allow a lost tick at it."""
+def control_rate(asked: float | None, hand: Hand, loads: Sequence[BusLoad]) -> float:
+    """The rate that was asked for [Hz], or the highest usual one.
+
+    Raises:
+        ConfigError: the drives' watchdogs do not allow a lost tick at it, or a bus cannot carry it.
+    """
+    best = fastest(loads)
+    rate = best if asked is None else asked
     lowest = TICKS_IN_WATCHDOG * 1e3 / min(motor.watchdog_ms for motor in hand.motor)
-    if not lowest <= rate < math.inf:
+    if not lowest <= rate < math.inf and asked is not None:
         raise ConfigError(f"{rate:g}", "--rate", f"at least {lowest:g}, for the drives' watchdogs")
+    for name, load in zip(hand.bus_names, loads, strict=True):
+        if load.at(rate) > MOST:
+            what = f"bus {name} would be {100 * load.at(rate):.0f} % full at {rate:g} Hz"
+            raise ConfigError(what, "--rate", f"at most {best:g}")
     return rate
 
 

@@ -8,11 +8,15 @@ from typing import Any
 
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import print_json, say
+from handctl.errors import ConfigError
 
 
 def run(args: argparse.Namespace) -> int:
     """Execute the log again."""
     from handctl.log.reader import RunLog
+
+    if args.within is not None and not args.within >= 0:
+        raise ConfigError(f"{args.within:g}", "--within", "0 or more")
 
     with RunLog(args.recorded) as log:
         if log.warning:

@@ -8,7 +8,7 @@ from typing import Any
 
 from handctl.cli.exit_codes import Exit
 from handctl.cli.fragment import fragment
-from handctl.cli.options import bus_option, json_option, print_json
+from handctl.cli.options import bitrate_options, bus_option, json_option, print_json
 from handctl.drives import cia402_codec
 from handctl.drives.discovery import Found
 from handctl.drives.frame import REMOTE, Frame
@@ -28,8 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     json_option(parser)
     parser.add_argument("--dry-run", action="store_true", help="print every frame that may be sent, open no bus")
     parser.add_argument("--force", action="store_true", help="ask although another host seems to control the bus")
-    parser.add_argument("--bitrate", type=int, default=1_000_000, metavar="BIT/S", help="of the buses (1000000)")
-    parser.add_argument("--data-bitrate", type=int, metavar="BIT/S", help="of CAN FD's data phase, for the fragment")
+    bitrate_options(parser, "of the buses", "of CAN FD's data phase, for the fragment")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from handctl.cli.gains_layers import gains_options
 from handctl.cli.options import bus_option, dry_run_option, hand_option, json_option
+from handctl.errors import ConfigError
 
 EXAMPLE = "handctl tune design --hand jamia --plants 4 --out tuned.toml"
 
@@ -25,6 +26,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Tune."""
+    if args.seed < 0:
+        raise ConfigError(f"{args.seed}", "--seed", "0 or more")
     done: int = importlib.import_module(f"handctl.cli.tune_{args.kind}").run(args)
     return done
 

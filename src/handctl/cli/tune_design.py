@@ -8,11 +8,13 @@ from typing import Any
 from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import layered_gains
 from handctl.cli.options import print_json
-from handctl.cli.plan import fastest
+from handctl.cli.plan import control_rate
 from handctl.cli.tune_files import checked_count, output_files, subject, write_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.model import HandModel
 from handctl.errors import ConfigError
+
+LOWEST_POLE_HZ, MOST_DAMPING = 0.01, 100.0
 
 
 def run(args: argparse.Namespace) -> int:
@@ -25,14 +27,14 @@ def run(args: argparse.Namespace) -> int:
 
     hand, twin, spread = subject(args.hand, args.fit)
     gains = layered_gains(args, hand.name).gains
-    rate = args.rate or fastest(bus_loads(hand))
+    rate = control_rate(args.rate, hand, bus_loads(hand))
     out, picture = output_files(args, hand.name, "design")
     factors = ensemble(checked_count(args.plants, "--plants", 1024), args.seed, spread)
     plants = tuple(linear_factors(one) for one in factors)
     model = HandModel.of(twin, gains, rate)
     with Console(stderr=True).status(f"keeping margins on {len(plants)} plants"):
         try:
-            found: Design = _placed(args, model, plants) if args.poles else design(model, plants)
+            found: Design = _placed(args, model, plants, rate) if args.poles else design(model, plants)
         except ValueError as error:
             raise ConfigError(str(error), "tune design") from None
     after = HandModel.of(twin, found.gains, rate)
@@ -48,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     return Exit.DONE if good else Exit.FAILED
 
 
-def _placed(args: argparse.Namespace, model: HandModel, plants: Any) -> Any:
+def _placed(args: argparse.Namespace, model: HandModel, plants: Any, rate: float) -> Any:
     """Poles where the person wants them."""
     from handctl.tune.design import placed
 
@@ -56,6 +58,10 @@ def _placed(args: argparse.Namespace, model: HandModel, plants: Any) -> Any:
         motion, tension = (float(word) for word in args.poles.split(","))
     except ValueError:
         raise ConfigError(repr(args.poles), "--poles-Hz", "two numbers, e.g. 6,25") from None
+    if not (LOWEST_POLE_HZ <= motion < rate / 2 and LOWEST_POLE_HZ <= tension < rate / 2):
+        raise ConfigError(args.poles, "--poles-Hz", f"{LOWEST_POLE_HZ:g} to half of the rate, {rate / 2:g}")
+    if not 0 < args.damping <= MOST_DAMPING:
+        raise ConfigError(f"{args.damping:g}", "--damping", f"more than 0, at most {MOST_DAMPING:g}")
     return placed(model, plants, motion, tension, args.damping)
 
 

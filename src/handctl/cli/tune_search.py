@@ -9,7 +9,7 @@ from typing import Any
 from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import layered_gains
 from handctl.cli.options import print_json
-from handctl.cli.plan import fastest
+from handctl.cli.plan import control_rate
 from handctl.cli.tune_files import checked_count, output_files, subject, write_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gain_bounds import with_values
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
 
     hand, twin, spread = subject(args.hand, args.fit)
     gains = layered_gains(args, hand.name).gains
-    rate = args.rate or fastest(bus_loads(hand))
+    rate = control_rate(args.rate, hand, bus_loads(hand))
     out, picture = output_files(args, hand.name, "search")
     plants = ensemble(checked_count(args.plants, "--plants", 256), args.seed, spread)
     trials = checked_count(args.trials, "--trials", 100_000)

@@ -60,6 +60,8 @@ def read_truth(path: Path) -> Truth:
         LogError: it is not there or not a truth file.
     """
     try:
+        if path.exists() and not path.is_file():
+            raise LogError("not a file", str(path), "the simulator's truth file")
         with path.open("rb") as file:
             header = json.loads(file.readline())
             columns = tuple(str(name) for name in header["columns"])

@@ -53,7 +53,10 @@ class LoopStats:
 
 
 class Signals:
-    """SIGINT and SIGTERM as requests: the first relaxes and stops, the second cuts."""
+    """Signals that end a program, as requests: the first relaxes and stops, the second cuts.
+
+    SIGHUP is one of them, or a hand would be left armed when a terminal goes; with ``nohup`` it stays ignored.
+    """
 
     def __init__(self) -> None:
         self.count = 0
@@ -72,7 +75,9 @@ class Signals:
     @contextmanager
     def installed(self) -> Iterator[None]:
         """Receive the signals while the loop runs."""
-        before = {number: signal.signal(number, self) for number in (signal.SIGINT, signal.SIGTERM)}
+        hangs_up = signal.getsignal(signal.SIGHUP) != signal.SIG_IGN
+        numbers = (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hangs_up else []))
+        before = {number: signal.signal(number, self) for number in numbers}
         try:
             yield
         finally:

@@ -1,0 +1,124 @@
+"""Files that are none and numbers that are none: one line, exit code 2, for every verb that takes them."""
+
+import os
+
+import pytest
+
+from handctl.cli.main import main
+from handctl.hand.description import HANDS
+
+BUS = ("--bus", "local:nobody")
+
+
+def refused(capsys, *words):
+    """The one line that a command ends with."""
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("handctl: ")
+    assert err.count("\n") == 1, err
+    return err
+
+
+def a_pipe(path):
+    os.mkfifo(path)
+
+
+def a_folder(path):
+    path.mkdir()
+
+
+def a_number_without_end(path):
+    path.write_text("schema = " + "9" * 5000)
+
+
+def nested_without_end(path):
+    path.write_text("a = " + "[" * 3000 + "]" * 3000)
+
+
+def a_loop(path):
+    path.symlink_to(path.name)
+
+
+READS = {
+    "hand": ("config", "check", "--hand", "odd"),
+    "task": ("config", "check", "--task", "odd"),
+    "gains": ("config", "check", "--gains", "odd"),
+    "calibration": ("config", "check", "--calibration", "odd"),
+    "trajectory": ("run", *BUS, "--trajectory", "odd"),
+    "candidate": ("tune", "verify", "odd", "--lockstep", "--dry-run"),
+    "scene": ("demo", "--lockstep", "--dry-run", "--scene", "odd.toml"),
+    "log": ("log", "info", "odd"),
+}
+
+
+@pytest.mark.parametrize("make", [a_pipe, a_folder, a_number_without_end, nested_without_end], ids=lambda f: f.__name__)
+@pytest.mark.parametrize("what", READS)
+def test_a_file_that_is_none(place, capsys, what, make):
+    make(place / "odd")
+    (place / "odd.toml").symlink_to("odd")
+    assert "odd" in refused(capsys, *READS[what])
+
+
+def test_a_truth_that_is_a_pipe_is_not_waited_for(place, capsys):
+    a_pipe(place / "truth")
+    golden = HANDS.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
+    assert "not a file" in refused(capsys, "report", str(golden), "--truth", "truth")
+
+
+@pytest.mark.parametrize("name", ["n" * 300, "odd/x", "loop"])
+@pytest.mark.parametrize("what", [what for what in READS if what != "scene"])
+def test_a_name_that_cannot_be(place, capsys, what, name):
+    (place / "odd").write_text("")
+    a_loop(place / "loop")
+    refused(capsys, *(word.replace("odd", name) for word in READS[what]))
+
+
+def test_a_nul_in_a_name(capsys):
+    for words in READS.values():
+        assert "NUL" in refused(capsys, *(word.replace("odd", "o\0d") for word in words))
+
+
+NUMBERS = [
+    ("tune", "design", "--rate=nan"),
+    ("tune", "design", "--rate=inf"),
+    ("tune", "design", "--rate=0"),
+    ("tune", "design", "--rate=1"),
+    ("tune", "search", "--rate=-1"),
+    ("tune", "design", "--seed=-1"),
+    ("tune", "search", "--seed=-1"),
+    ("tune", "design", "--plants=1", "--poles-Hz=0,0"),
+    ("tune", "design", "--plants=1", "--poles-Hz=nan,25"),
+    ("tune", "design", "--plants=1", "--poles-Hz=6,2500"),
+    ("tune", "design", "--plants=1", "--poles-Hz=6,25", "--damping=1e308"),
+    ("tune", "design", "--plants=1", "--poles-Hz=6,25", "--damping=nan"),
+    ("fault", "campaign", "--calm=inf"),
+    ("fault", "campaign", "--calm=nan"),
+    ("fault", "campaign", "--calm=-1"),
+    ("replay", "execute", "no.mcap", "--within=nan"),
+    ("replay", "execute", "no.mcap", "--within=-1"),
+]
+
+
+@pytest.mark.parametrize("words", NUMBERS, ids=" ".join)
+def test_a_number_that_is_none(capsys, words):
+    assert words[-1].partition("=")[0] in refused(capsys, *words)
+
+
+def test_an_option_of_a_drive_without_end(capsys):
+    words = ("--drive", "odrive", "--node", "1", "--bus", "local:nobody", "--torque-limit-Nm", "0.1", "--dry-run")
+    assert "--option" in refused(capsys, "conformance", *words, "--option", "gear_ratio=" + "9" * 5000)
+
+
+@pytest.mark.parametrize("rate", ["-1", "0", "9" * 30])
+@pytest.mark.parametrize("option", ["--bitrate", "--data-bitrate"])
+@pytest.mark.parametrize("verb", [("bus", "doctor"), ("scan",)], ids=" ".join)
+def test_a_bit_rate_that_no_bus_has(capsys, verb, option, rate):
+    with pytest.raises(SystemExit) as ended:
+        main([*verb, *BUS, f"{option}={rate}"])
+    assert ended.value.code == 2
+    assert "expected 10000 to 8000000" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_what_the_simulator_cannot_perturb_is_told_before_anything_is_begun(capsys):
+    refused(capsys, "identify", "--lockstep", "--digits", "thumb", "--perturb", "luck=2")

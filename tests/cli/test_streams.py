@@ -1,0 +1,80 @@
+"""A verb in a pipe that nobody reads, without room, without streams, and ended by a signal."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from handctl.cli.ended import Terminated, ended_by_signals
+from handctl.cli.main import main
+
+VERSION = (sys.executable, "-m", "handctl.cli", "--version")
+BUFFERED = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
+
+
+def shell(redirected, words=VERSION, **environment):
+    """A verb as a shell starts it: exit code, output, errors."""
+    command = ["sh", "-c", f'exec "$0" "$@" {redirected}', *words]
+    ran = subprocess.run(command, env=BUFFERED | environment, capture_output=True, text=True, check=False)
+    return ran.returncode, ran.stdout, ran.stderr
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_no_room_for_the_output_is_one_line(unbuffered):
+    code, _, err = shell("> /dev/full", PYTHONUNBUFFERED=unbuffered)
+    assert code == 1
+    assert err.startswith("handctl: ")
+    assert err.endswith("No space left on device\n")
+    assert err.count("\n") == 1
+
+
+def test_nobody_who_reads_is_no_error():
+    code, out, err = shell("| true")
+    assert (code, out, err) == (0, "", "")
+
+
+@pytest.mark.parametrize("closed", [">&-", "<&-", "2>&-", ">&- 2>&- <&-"])
+def test_closed_streams_are_no_error(closed):
+    code, _, err = shell(closed)
+    assert (code, err) == (0, "")
+
+
+def test_what_a_terminal_cannot_show_is_escaped(place):
+    words = (sys.executable, "-m", "handctl.cli", "log", "info", "h\u00e4nd\udcff.mcap")
+    code, _, err = shell("", words, PYTHONIOENCODING="ascii")
+    assert code == 2
+    assert "h\\xe4nd" in err
+    words = (sys.executable, "-m", "handctl.cli", "sim", "--bus", "local:\u00e4\udcff", "--dry-run")
+    code, out, err = shell("", words, PYTHONIOENCODING="ascii")
+    assert (code, err) == (0, "")
+    assert "\\xe4\\udcff" in out
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 143)])
+def test_a_signal_ends_a_verb_with_a_line_and_its_code(capsys, monkeypatch, number, code):
+    handlers = {one: signal.getsignal(one) for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+
+    def interrupted(args):
+        os.kill(os.getpid(), number)
+        raise AssertionError("the signal was not felt")
+
+    monkeypatch.setattr("handctl.cli.config.run", interrupted)
+    assert main(["config", "list"]) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("handctl: ")
+    assert err.count("\n") == 1
+    assert {one: signal.getsignal(one) for one in handlers} == handlers
+
+
+def test_what_is_ignored_stays_ignored():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with ended_by_signals():
+            os.kill(os.getpid(), signal.SIGHUP)
+            with pytest.raises(Terminated):
+                os.kill(os.getpid(), signal.SIGTERM)
+    finally:
+        signal.signal(signal.SIGHUP, before)
