@@ -1,0 +1,73 @@
+"""Where digits are on their ways, and the tensions that their motion takes, digit by digit."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handctl.controller.allocation import allocate
+from handctl.controller.computed_torque import _load, _way
+from handctl.controller.goal import DigitGoal, Kind
+from handctl.controller.goal_table import GoalTable, goal_table
+from handctl.controller.model import HandModel
+from handctl.controller.trajectory import MinimumJerk
+
+
+def moving(model: HandModel, since: float, durations: tuple[float, ...]) -> tuple[DigitGoal, ...]:
+    goals = []
+    for digit, duration in zip(model.digits, durations, strict=True):
+        n = digit.coupling.shape[1]
+        way = MinimumJerk(np.full(n, 0.2), np.full(n, 0.9), duration)
+        goals.append(DigitGoal(Kind.MOTION, way, since=since))
+    return tuple(goals)
+
+
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+@pytest.mark.parametrize("durations", [(0.5,) * 4, (0.5, 0.4, 0.5, 0.6)])
+def test_a_way_counts_from_when_it_began(
+    hand: str, durations: tuple[float, ...], request: pytest.FixtureRequest
+) -> None:
+    """Also where all digits move alike, which is looked up once for all."""
+    model: HandModel = request.getfixturevalue(hand)
+    first, later = (goal_table(model, moving(model, since, durations)) for since in (0.0, 2.0))
+    assert (first.together is None) == (len(set(durations)) > 1)
+    np.testing.assert_allclose(_way(model, later, 2.1), _way(model, first, 0.1), rtol=1e-9)
+    assert np.ptp(_way(model, first, 0.1)[1]) >= 0.0 < _way(model, first, 0.1)[1].min()
+
+
+def by_digit(model: HandModel, table: GoalTable, way: np.ndarray) -> np.ndarray:
+    """The same, each digit for itself and without a short cut."""
+    found = np.zeros(model.tendon_count)
+    q, dq, ddq = way.tolist()
+    for digit, tendons in zip(model.digits, model.digit_tendons, strict=True):
+        own = digit.joints
+        torque = np.array(model.inverse(digit, q[own], dq[own], ddq[own])) @ digit.coupling
+        low, high = model.floor[tendons], model.ceiling[tendons]
+        found[tendons] = allocate(digit.reduced_moment_arms, torque, low, high)[0]
+    return found
+
+
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_a_load_is_what_each_digit_can_bear(hand: str, request: pytest.FixtureRequest) -> None:
+    """Some digits within the bounds, some below and some above; the others are not touched by it."""
+    model: HandModel = request.getfixturevalue(hand)
+    table, rng = goal_table(model, moving(model, 0.0, (0.5, 0.4, 0.5, 0.6))), np.random.default_rng(4)
+    joints = len(model.hand.joints)
+    kinds = set()
+    for spread in (0.0, 1.0, 30.0, 1000.0, 1e5):
+        for _ in range(20):
+            way = rng.normal(size=(3, joints)) * np.array([[0.3], [1.0], [spread]]) + np.array([[0.7], [0.0], [0.0]])
+            load = _load(model, table, way)
+            np.testing.assert_allclose(load, by_digit(model, table, way), rtol=1e-6, atol=1e-6)
+            bound = (load <= model.floor) | (load >= model.ceiling)
+            kinds.add("all" if bound.all() else "some" if bound.any() else "none")
+    assert kinds >= {"some", "none"}
+
+
+def test_what_does_not_move_loads_nothing_that_does(jamia11: HandModel) -> None:
+    goals = moving(jamia11, 0.0, (0.5,) * 4)
+    alone = (goals[0], *(replace(goal, kind=Kind.LIMP, trajectory=None) for goal in goals[1:]))
+    way = _way(jamia11, goal_table(jamia11, goals), 0.2)
+    own = jamia11.digit_tendons[0]
+    both = [_load(jamia11, goal_table(jamia11, one), way)[own] for one in (goals, alone)]
+    np.testing.assert_allclose(both[0], both[1], rtol=1e-9)
