@@ -1,5 +1,6 @@
 """Commissioning on a hand made up by the test: results, and every way in which a tendon can be wrong."""
 
+import re
 from collections.abc import Callable
 
 import numpy as np
@@ -129,7 +130,7 @@ def whole(faster: HandModel) -> Bench:
     return bench(faster, CommissionProgram())
 
 
-@pytest.mark.parametrize("bias", [-2.0, 0.0, 2.0, 15.0])
+@pytest.mark.parametrize("bias", [-2.0, 0.0, 2.0, 4.5])
 def test_load_cells_that_were_never_tared_are_no_hindrance(whole: Bench, bias: float) -> None:
     """From the tare on the tension loop works with tared readings, or it would pull with the bias as well."""
     whole.peer.bias[:] = np.array([1.0, -1.0, 0.5, 0.0]) + bias
@@ -144,7 +145,36 @@ def test_load_cells_that_were_never_tared_are_no_hindrance(whole: Bench, bias: f
 def test_a_load_cell_beyond_taring_is_named(whole: Bench) -> None:
     whole.peer.bias[2] = 25.0
     whole.until(Mode.DONE, 30.0)
-    assert whole.state.failure == "ring_tendon: load cell reads 25.0 N without tension"
+    told = "ring_tendon: load cell reads 25.0 N without tension, which can be tared from -4 to 6 N"
+    assert whole.state.failure == told
+
+
+@pytest.mark.parametrize(("tare", "refused"), [(-4.1, True), (-3.9, False), (5.9, False), (6.1, True)])
+def test_a_tare_leaves_room_to_either_end_of_the_range(model: HandModel, tare: float, refused: bool) -> None:
+    """The one that is furthest out is named, though another reads more."""
+
+    def cells(i: int) -> np.ndarray:
+        tension = good(model)(i) - BIAS_N
+        tension[0] += tare
+        tension[1] += 3.95
+        return tension
+
+    progress = commissioned(model, cells, noise=0.0) if refused else tared(model, cells)
+    assert progress.failure == (
+        f"{model.hand.tendon_names[0]}: load cell reads {tare:.1f} N without tension, which can be tared from -4 to 6 N"
+        if refused
+        else ""
+    )
+
+
+def tared(model: HandModel, cells: Cells) -> Progress:
+    """The program after its tare."""
+    program, progress, k = CommissionProgram(), CommissionProgram().begin(model), 0
+    while progress.step == 0 and not progress.finished:
+        measured = nothing_read(model)._replace(tension=cells(-1) + BIAS_N)
+        progress, _ = program.advance(model, progress, slack(model), measured, k * model.period)
+        k += 1
+    return progress
 
 
 def test_swapped_load_cells_are_found_and_both_named(whole: Bench) -> None:
@@ -207,6 +237,19 @@ def test_a_calibration_of_another_hand_or_with_a_tendon_missing_is_refused(
     )
     with pytest.raises(ConfigError, match="ring_tendon"):
         load_calibration(path, jamia.hand)
-    path.write_text(path.read_text().replace("tare_N = ", "tare_N = 2"))
-    with pytest.raises(ConfigError, match="tare_N"):
+
+
+@pytest.mark.parametrize(("tare", "right"), [("-4.1", False), ("-4.0", True), ("6.0", True), ("6.1", False)])
+def test_a_tare_that_hides_an_end_of_the_range_is_refused(jamia: HandModel, tmp_path, tare: str, right: bool) -> None:  # type: ignore[no-untyped-def]
+    from handctl.cli.commission import write_calibration
+
+    path = tmp_path / "c.toml"
+    write_calibration(path, result(jamia, commissioned(jamia, good(jamia)), "2024-01-01T00:00:00+00:00"))
+    path.write_text(re.sub(r"tare_N = .*", f"tare_N = {tare}", path.read_text(), count=1))
+    if right:
+        assert load_calibration(path, jamia.hand).tare(jamia.hand)[0] == float(tare)
+        return
+    with pytest.raises(ConfigError) as refused:
         load_calibration(path, jamia.hand)
+    said = f"tendon.index_tendon.tare_N: {tare}; expected -4 to 6 N: adjust the load cell, then commission again"
+    assert str(refused.value) == f"{path}: {said}"

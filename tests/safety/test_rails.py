@@ -5,8 +5,10 @@ import math
 import pytest
 
 from handctl.safety.action import Action
+from handctl.safety.calm import calm
 from handctl.safety.judge import SafetyState, judge
 from handctl.safety.signals import Limits, Signals
+from handctl.safety.table import TABLE
 
 LIMITS = Limits(("a", "b"), (140.0, 140.0), 243.9, ("m", "n"), tension_low=-4.0)
 
@@ -27,3 +29,18 @@ def test_what_a_rope_can_do_is_no_fault(tension: float) -> None:
     for _ in range(10):
         state, verdict = judge(state, LIMITS, Signals(armed=True, tension=(5.0, tension)))
         assert verdict.action == Action.PASS
+
+
+def t06(signals: Signals) -> list[tuple[str, float]]:
+    """What the row finds."""
+    (row,) = [fault for fault in TABLE if fault.id == "T06"]
+    return list(row.detect(LIMITS, signals))
+
+
+def test_what_is_at_a_rail_is_told_once_with_what_it_reads_whatever_the_tare() -> None:
+    """Of a tare of -3 N a broken wire reads -3 N, which a rope may for a moment."""
+    signals = Signals(armed=True, tension=(5.0, -3.0), railed=(("b", -3.0),))
+    assert t06(signals) == [("b", -3.0)]
+    assert t06(signals._replace(armed=False)) == []
+    assert t06(signals._replace(tension=(250.0, 244.0), railed=(("b", 244.0),))) == [("a", 250.0), ("b", 244.0)]
+    assert not calm(LIMITS, signals._replace(motor_age=(0, 0)))

@@ -133,7 +133,12 @@ OTHER_SIGNS = {
     "B16": [io("ebadf")],
     "N04": [with_(stuck_joint=(("j0", 11.0),))],
     "N11": [error(Cause.HOT), error(Cause.LOST)],
-    "T06": [tensions(-5.0, 0.0), tensions(300.0, 0.0)],
+    "T06": [
+        tensions(-5.0, 0.0),
+        tensions(300.0, 0.0),
+        with_(railed=(("t0", -3.0),)),
+        with_(tension=(), railed=(("t0", 9.0),)),
+    ],
     "H08": [io("recorder", "disk_low")],
     "H09": [io("recorder", "filling")],
     "H10": [io("recorder", "error")],

@@ -11,6 +11,7 @@ from pydantic import Field, field_validator
 from handctl.controller.identified import Identified, check_identified
 from handctl.controller.types import Vector
 from handctl.document import Document, validated
+from handctl.drives.sensor_node import TARE_LEAST_N, TARE_MOST_N
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand, read_toml
 
@@ -18,7 +19,7 @@ from handctl.hand.description import Hand, read_toml
 class TendonCalibration(Document):
     """One tendon's result of the sign test."""
 
-    tare_N: float = Field(ge=-20, le=20)
+    tare_N: float
     """Load-cell reading without tension."""
     zero_rad: float = Field(ge=-1000, le=1000)
     """Motor position at which the rope is just taut and the digit open."""
@@ -26,6 +27,13 @@ class TendonCalibration(Document):
     """How much its own load cell answered to the pull."""
     crosstalk_N: float
     """The most that any other load cell answered."""
+
+    @field_validator("tare_N")
+    @classmethod
+    def _readable(cls, tare: float) -> float:
+        if not TARE_LEAST_N <= tare <= TARE_MOST_N:
+            raise ValueError(f"{TARE_LEAST_N:g} to {TARE_MOST_N:g} N: adjust the load cell, then commission again")
+        return tare
 
 
 class Calibration(Document):

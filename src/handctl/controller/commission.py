@@ -14,13 +14,12 @@ from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.model import HandModel
 from handctl.controller.program import TARE_PHASE, Progress
 from handctl.controller.types import Event, Vector
+from handctl.drives.sensor_node import TARE_LEAST_N, TARE_MOST_N
 
 PULL_N = 3.0
 PULL_FORCE_LIMIT_N = 12.0
 """Motor force that a pull may use, should its load cell not answer: pull, friction and a margin."""
 TARE_S = 0.5
-TARE_LIMIT_N = 20.0
-"""A load cell that reads more without tension is not tared but looked at. Source: range of ``tare_N``."""
 SETTLE_S = 0.7
 TAKE_UP_TIMEOUT_S = 3.0
 MEASURE_S = 0.3
@@ -69,9 +68,10 @@ class CommissionProgram:
         if t - progress.since < TARE_S:
             return progress, ()
         tare = _tare(table)
-        worst = int(np.abs(tare).argmax())
-        if abs(tare[worst]) > TARE_LIMIT_N:
-            return self._refuse(model, progress, worst, f"load cell reads {tare[worst]:.1f} N without tension")
+        worst = int(np.maximum(tare - TARE_MOST_N, TARE_LEAST_N - tare).argmax())
+        if not TARE_LEAST_N <= tare[worst] <= TARE_MOST_N:
+            read, bounds = f"{tare[worst]:.1f} N without tension", f"from {TARE_LEAST_N:g} to {TARE_MOST_N:g} N"
+            return self._refuse(model, progress, worst, f"load cell reads {read}, which can be tared {bounds}")
         return self._next(model, replace(progress, tare=tuple(tare.tolist())), t)
 
     def _pull(

@@ -159,7 +159,13 @@ class Guard:
             io=tuple([(event.kind, event.where, event.number) for event in entry.io_events]),
             stale=self._stale(before, state, entry),
             jumped=received.jumped,
+            railed=self._railed(received.measured) if received.measured.railed else (),
         )
+
+    def _railed(self, measured: Measured) -> Named:
+        """Tendons whose load cell is at an end of its range, and what it reads [N]."""
+        tendons = self.watcher.limits.tendons
+        return tuple([(tendons[i], float(measured.tension[i])) for i in measured.railed])
 
     def _ages(self, times_ns: tuple[int, ...], now_ns: int, cyclic_ns: tuple[int, ...] = ()) -> tuple[int, ...]:
         """Whole ticks by which readings are overdue; one that came within the last period is on time."""

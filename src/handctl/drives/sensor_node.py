@@ -23,8 +23,9 @@ TENSION_ZERO_N = -6.0
 TENSION_TOP_N = TENSION_ZERO_N + FULL * TENSION_STEP_N
 """Reading of a channel that is full, as zero is of one that is empty: the cell is saturated."""
 LOW_MARGIN_N = 2.0
-TARE_MOST_N = 6.0
-"""Largest tare: a load cell that is further off cannot be read down to zero tension any more."""
+TARE_LEAST_N, TARE_MOST_N = TENSION_ZERO_N + LOW_MARGIN_N, 6.0
+"""What a load cell may read without tension: lower, and noise takes it to the end of its range, so that a broken wire
+looks like a loose rope; higher, and its range ends below what ``tension_rail`` says."""
 JOINT_STEP_RAD = 2 * math.pi / 4096
 JOINT_ZERO = 2048
 JOINT_FRAMES = 0x10

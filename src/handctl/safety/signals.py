@@ -28,7 +28,7 @@ class Limits:
         tendons: names, (N,).
         tension_trip: (N,) tension of one sample that means relax [N].
         tension_rail: reading at which a load cell is saturated [N].
-        tension_low: reading that no rope can make: a broken wire or a sensor without supply [N].
+        tension_low: reading, after any tare, that no rope can make: a broken wire or a sensor without supply [N].
         motors: names, (M,).
         drive_limit: (N,) tension that the drive's own torque limit can make; above it, cut [N].
         silent_ticks: replies in a row that may be missing before a node counts as silent.
@@ -108,6 +108,7 @@ class Signals(NamedTuple):
         stuck_motor: motors whose position stands although goal or tension moves; what moved [mm or N].
         stuck_joint: joints whose encoder stands although the spool moves [deg].
         stuck_cell: tendons whose load cell repeats itself although the motor's torque moves [N].
+        railed: tendons whose load cell is at an end of its range, whatever it is tared to, and what it reads [N].
     """
 
     armed: bool
@@ -142,6 +143,7 @@ class Signals(NamedTuple):
     stuck_motor: Named = ()
     stuck_joint: Named = ()
     stuck_cell: Named = ()
+    railed: Named = ()
 
 
 FIRST_RARE = Signals._fields.index("drive_errors")

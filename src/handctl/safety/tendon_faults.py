@@ -43,10 +43,12 @@ def _within(limits: Limits, tension: tuple[float, ...]) -> bool:
 
 
 def _saturated(limits: Limits, s: Signals) -> Sequence[Reading]:
-    if not s.armed or _within(limits, s.tension):
+    """At an end of the range, or tared and beyond what a rope can make: a tare may hide the one or the other."""
+    if not s.armed or (not s.railed and _within(limits, s.tension)):
         return NOTHING
     rows = zip(limits.tendons, s.tension, strict=False)
-    return [(name, f) for name, f in rows if (f >= limits.tension_rail or f <= limits.tension_low)]
+    beyond = [(name, f) for name, f in rows if (f >= limits.tension_rail or f <= limits.tension_low)]
+    return list(dict((*beyond, *s.railed)).items())
 
 
 def _drifts(limits: Limits, s: Signals) -> Sequence[Reading]:
