@@ -9,7 +9,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
-from handctl.errors import LogError
 from handctl.log.export import _candump, columns, export_candump, export_csv
 from handctl.log.parquet import export_parquet
 from handctl.log.reader import RunLog
@@ -95,6 +94,6 @@ def test_nothing_is_overwritten(log: RunLog, tmp_path: Path) -> None:
     path = tmp_path / "there"
     path.write_text("mine")
     for export in (export_csv, export_candump, export_parquet):
-        with pytest.raises(LogError, match="there"):
+        with pytest.raises(FileExistsError, match="there"):
             export(log, path)
     assert path.read_text() == "mine"

@@ -11,7 +11,6 @@ from rerun.chunk import RrdReader
 from rerun.experimental import LeRobotReader
 
 from handctl.controller.types import TELEMETRY_FIELDS, Mode
-from handctl.errors import LogError
 from handctl.log.export import columns, export_csv
 from handctl.log.lerobot import export_lerobot
 from handctl.log.parquet import export_parquet
@@ -120,6 +119,6 @@ def test_rerun_reads_the_recording(log: RunLog, tmp_path: Path) -> None:
 
 def test_a_folder_that_is_there_is_left_alone(log: RunLog, tmp_path: Path) -> None:
     (tmp_path / "x").mkdir()
-    with pytest.raises(LogError, match="x"):
+    with pytest.raises(FileExistsError, match="x"):
         export_lerobot(log, tmp_path / "x")
     assert list((tmp_path / "x").iterdir()) == []

@@ -8,7 +8,7 @@ import pytest
 import synthetic
 from oracle import messages
 
-from handctl.errors import LogError
+from handctl.errors import ConfigError, LogError
 from handctl.log.logfile import LogFile
 from handctl.log.reader import RunLog
 from handctl.log.recover import Recovery, Status, recover
@@ -133,7 +133,7 @@ def test_a_damaged_summary_costs_nothing(small_log: Path, tmp_path: Path) -> Non
 def test_an_existing_file_is_not_overwritten(small_log: Path, tmp_path: Path) -> None:
     precious = tmp_path / "precious.mcap"
     precious.write_text("precious")
-    with pytest.raises(LogError, match="cannot create"):
+    with pytest.raises(ConfigError, match="is there already"):
         recover(small_log, precious)
     assert precious.read_text() == "precious"
 

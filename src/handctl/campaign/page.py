@@ -8,6 +8,7 @@ from pathlib import Path
 from handctl.campaign.campaign import Report
 from handctl.campaign.scenarios import LEFT_OUT
 from handctl.campaign.trial import Result
+from handctl.output import write_whole
 from handctl.safety.catalogue import CATALOGUE
 
 STYLE = """
@@ -51,7 +52,7 @@ def write_page(path: Path, report: Report) -> None:
     rows = "".join(f"<tr><td>{id_}</td><td>{html.escape(why)}</td></tr>" for id_, why in LEFT_OUT.items())
     parts.append(f"<h2>Rows that are tried elsewhere</h2><table>{rows}</table>")
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{STYLE}</style>"
-    path.write_text(page + "\n".join(parts) + "</html>\n", encoding="utf-8")
+    write_whole(path, page + "\n".join(parts) + "</html>\n")
 
 
 def _slowest(results: Iterable[Result]) -> list[Result]:

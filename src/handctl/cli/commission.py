@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from handctl.cli.options import print_json, run_options
-from handctl.cli.plan import Plan, default_log, find_calibration, make_plan
+from handctl.cli.plan import Plan, calibration_path, default_log, make_plan
 from handctl.cli.session import Outcome, Runner, make_controller, run_live
 from handctl.controller.calibration import Calibration, load_calibration
 from handctl.controller.commission import CommissionProgram, result
@@ -14,7 +14,7 @@ from handctl.controller.identified import Identified
 from handctl.errors import ConfigError, DriveError
 from handctl.hand.description import Hand
 from handctl.hand.toml_text import toml_text
-from handctl.tune.gains_store import write_whole
+from handctl.output import write_whole
 
 EXAMPLE = "handctl commission --hand jamia --bus local:demo --calibration /tmp/jamia.calibration.toml --dry-run"
 
@@ -27,7 +27,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Commission the hand; each tendon is pulled with 3 N."""
     plan = make_plan(args)
-    path, _, _ = find_calibration(args, plan.hand) if not args.calibration else (args.calibration, None, "")
+    path = calibration_path(args, plan.hand)
     if args.dry_run:
         print(f"{plan.hand.name}: ready to commission at {plan.rate_hz:g} Hz, would write {path}")
         return 0

@@ -24,6 +24,7 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand, load_hand
 from handctl.log.record import pack
 from handctl.log.recorder import Recorder
+from handctl.output import write_whole
 
 QUICK_CALM_S, CALM_S = 4.0, 60.0
 """How long the undisturbed hand is watched for each protocol, in a sample and in full [s]."""
@@ -76,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
             seed=args.seed,
         )
     write_page(folder / "report.html", report)
-    (folder / "report.json").write_text(json.dumps(report.plain(), indent=1), encoding="utf-8")
+    write_whole(folder / "report.json", json.dumps(report.plain(), indent=1))
     _say(report, folder, args.json)
     figures = report.plain()
     return Exit.FAILED if figures["late"] or figures["false_alarms"] else Exit.DONE

@@ -10,6 +10,7 @@ from handctl.cli.exit_codes import Exit
 from handctl.cli.options import json_option, print_json, say
 from handctl.errors import LogError
 from handctl.log.reader import RunLog
+from handctl.output import whole
 
 EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl log info run.mcap"
 
@@ -149,16 +150,10 @@ def _rows(unit: str, rows: dict[str, Any]) -> None:
 
 def _export(args: argparse.Namespace) -> int:
     os.environ.setdefault("RUST_LOG", "error")  # Rerun's own notes; what matters is said by us
-    out = args.output or args.log.with_suffix(f".{args.format}")
-    if args.format == "rrd":
-        from handctl.view.feed import write_rrd
-        from handctl.view.subject import Subject
-
-        with RunLog(args.log) as log:
-            count = write_rrd(args.log, Subject.of(log.header, args.log.stem), out)
-    else:
-        with RunLog(args.log) as log:
-            count = _write(args.format, log, out)
+    with RunLog(args.log) as log:
+        out = args.output or args.log.with_suffix(f".{args.format}")
+        with whole(out, new=True) as part:
+            count = _write(args, log, part)
     if args.json:
         print_json({"log": str(args.log), "output": str(out), "count": count})
     else:
@@ -166,7 +161,13 @@ def _export(args: argparse.Namespace) -> int:
     return Exit.DONE
 
 
-def _write(form: str, log: RunLog, out: Path) -> int:
+def _write(args: argparse.Namespace, log: RunLog, out: Path) -> int:
+    form = args.format
+    if form == "rrd":
+        from handctl.view.feed import write_rrd
+        from handctl.view.subject import Subject
+
+        return write_rrd(args.log, Subject.of(log.header, args.log.stem), out)
     if form == "parquet":
         from handctl.log.parquet import export_parquet
 

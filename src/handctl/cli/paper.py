@@ -14,6 +14,7 @@ from handctl.errors import ConfigError
 from handctl.hand.description import load_hand
 from handctl.hand.mjcf import mjcf
 from handctl.hand.urdf import urdf
+from handctl.output import check_output, write_whole
 from handctl.paper.experiments import Job, count, measure, name
 from handctl.paper.figures.all import draw_all
 from handctl.paper.item import Verdict
@@ -57,15 +58,15 @@ def run(args: argparse.Namespace) -> int:
         with tempfile.TemporaryDirectory() as folder:
             figures = draw_all(args.figures or Path(folder), results)
             if args.report:
-                args.report.write_text(report(parts, figures), encoding="utf-8")
+                write_whole(args.report, report(parts, figures))
     _print(args, parts)
     return Exit.DONE
 
 
 def _writable(report_file: Path | None, *folders: Path | None) -> None:
     """Find out before the experiments whether their results can be written."""
-    if report_file and not report_file.parent.is_dir():
-        raise ConfigError("no such folder", f"--report {report_file}", "a file in a folder that is there")
+    if report_file:
+        check_output(report_file, "--report")
     for folder in filter(None, folders):
         if folder.exists() and not folder.is_dir():
             raise ConfigError("not a folder", str(folder), "a folder, or a name for a new one")
@@ -74,8 +75,8 @@ def _writable(report_file: Path | None, *folders: Path | None) -> None:
 
 def _export(folder: Path) -> None:
     hand = load_hand("jamia")
-    (folder / f"{hand.name}.urdf").write_text(urdf(hand), encoding="utf-8")
-    (folder / f"{hand.name}.xml").write_text(mjcf(hand), encoding="utf-8")
+    write_whole(folder / f"{hand.name}.urdf", urdf(hand))
+    write_whole(folder / f"{hand.name}.xml", mjcf(hand))
 
 
 def _print(args: argparse.Namespace, parts: tuple[Section, ...]) -> None:

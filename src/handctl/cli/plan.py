@@ -3,6 +3,7 @@
 import argparse
 import datetime
 import math
+import os
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -16,6 +17,7 @@ from handctl.controller.task import Task, check_task, load_task, load_trajectory
 from handctl.drives.load import MOST, highest_rate
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand, load_hand
+from handctl.output import check_output
 
 TASKS = Path(__file__).parent.parent / "tasks"
 TICKS_IN_WATCHDOG = 2
@@ -99,8 +101,8 @@ def control_rate(asked: float | None, hand: Hand, loads: Sequence[BusLoad]) -> f
 
 def _check_log(log: Path | None) -> None:
     """Refuse a log that could not be created, before anything is opened."""
-    if log is not None and (log.exists() or not log.parent.is_dir()):
-        raise ConfigError(str(log), "--log", "a new file in a folder that exists")
+    if log is not None and (log.suffix != ".mcap" or os.path.lexists(log) or not log.parent.is_dir()):
+        raise ConfigError(str(log), "--log", "a new file ending in .mcap in a folder that exists")
 
 
 def bus_specs(hand: Hand, given: Sequence[str]) -> tuple[str, ...]:
@@ -161,6 +163,17 @@ def _check(task: Task, hand: Hand, where: str) -> None:
     check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, tendons)
 
 
+def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
+    """Where the hand's calibration is or shall be.
+
+    Raises:
+        ConfigError: none could be written there: that is known before a hand moves for it.
+    """
+    path: Path = args.calibration or Path(f"{hand.name}.calibration.toml")
+    check_output(path, "--calibration")
+    return path
+
+
 def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibration | None, str]:
     """The hand's calibration file, if it is good enough to arm with.
 
@@ -168,9 +181,9 @@ def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibr
         where it is or shall be, the calibration or None, and why it is None.
 
     Raises:
-        ConfigError: the file named on the command line is there and cannot be used.
+        ConfigError: the file named on the command line is there and cannot be used, or none could be written there.
     """
-    path = args.calibration or Path(f"{hand.name}.calibration.toml")
+    path = calibration_path(args, hand)
     if not path.exists():
         return path, None, f"there is no {path}"
     try:

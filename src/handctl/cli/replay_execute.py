@@ -9,6 +9,7 @@ from typing import Any
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import print_json, say
 from handctl.errors import ConfigError
+from handctl.output import check_output
 
 
 def run(args: argparse.Namespace) -> int:
@@ -82,8 +83,9 @@ def _other_gains(args: argparse.Namespace, log: Any) -> int:
     from handctl.replay.execute import execute
 
     commands = Commands()
-    found = execute(log, load_gains(args.gains), commands.add)
     picture = args.picture or args.recorded.with_suffix(".gains.png")
+    check_output(picture, "--picture")
+    found = execute(log, load_gains(args.gains), commands.add)
     draw(picture, log, commands, f"{log.header.metadata['hand']}: {args.recorded.name} with {args.gains.name}")
     change = summary(log, commands)
     if args.json:

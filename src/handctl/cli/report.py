@@ -5,6 +5,7 @@ from pathlib import Path
 
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import json_option, print_json, say
+from handctl.output import check_output
 
 EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl report run.mcap"
 
@@ -27,9 +28,11 @@ def run(args: argparse.Namespace) -> int:
     from handctl.report.page import write_page
     from handctl.report.truth import read_truth
 
-    out = args.output or args.log.with_suffix(".html")
+    if args.output:
+        check_output(args.output, "--output")
     truth = read_truth(args.truth) if args.truth else None
     with RunLog(args.log) as log:
+        out = args.output or args.log.with_suffix(".html")
         offset = log.header.metadata.get(TRUTH_OFFSET, "0")
         size = write_page(out, log, logged_hand(log), truth, int(offset) if offset.isdecimal() else 0, args.log.name)
         lossy = bool(log.warning)

@@ -9,8 +9,8 @@ from handctl.controller.gains import Gains, Provenance, gains_text
 from handctl.controller.identified import identified_hand
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand, load_hand
+from handctl.output import check_output, write_whole
 from handctl.tune.ensemble import widths
-from handctl.tune.gains_store import write_whole
 
 
 def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, Path]:
@@ -20,10 +20,9 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
         ConfigError: their folder is not there.
     """
     out: Path = args.out or Path(f"{hand}.{kind}.toml")
+    check_output(out, "--out")
     picture: Path = args.picture or out.with_suffix(".png")
-    for path in (out, picture):
-        if not path.parent.is_dir():
-            raise ConfigError(str(path), "--out" if path is out else "--picture", "a file in a folder that exists")
+    check_output(picture, "--picture")
     return out, picture
 
 

@@ -9,6 +9,7 @@ from typing import Any
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import json_option, print_json, say
 from handctl.errors import ConfigError
+from handctl.output import check_output, whole
 
 EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl view run.mcap --save run.rrd"
 
@@ -74,6 +75,8 @@ def _check(args: argparse.Namespace) -> None:
     for option, path, suffix in (("--save", args.save, ".rrd"), ("--png", args.png, ".png")):
         if path and (path.suffix != suffix or not path.parent.is_dir()):
             raise ConfigError(str(path), option, f"a file name ending in {suffix} in a folder that exists")
+        if path:
+            check_output(path, option)
     if args.png:
         software_vulkan()
     elif not args.save:
@@ -87,14 +90,18 @@ def _write(args: argparse.Namespace, subject: Any, at_s: float, found: Any) -> d
         return {}
     from handctl.view.feed import write_rrd
 
-    if args.save and not args.png:
-        size = write_rrd(args.log, subject, args.save)
-        _say(args, f"wrote {args.save}, {size / 1e6:.1f} MB; open it with: rerun {args.save}")
-        return {"rrd": args.save, "bytes": size}
+    result: dict[str, Any] = {}
+    if args.save:
+        with whole(args.save) as part:
+            result = {"rrd": args.save, "bytes": write_rrd(args.log, subject, part)}
+        _say(args, f"wrote {args.save}, {result['bytes'] / 1e6:.1f} MB; open it with: rerun {args.save}")
+    if not args.png:
+        return result
     with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
         rrd = args.save or Path(folder) / f"{args.log.stem}.rrd"
-        size = write_rrd(args.log, subject, rrd)
-        return _picture(args, rrd, at_s) | ({"rrd": args.save, "bytes": size} if args.save else {})
+        if not args.save:
+            write_rrd(args.log, subject, rrd)
+        return _picture(args, rrd, at_s) | result
 
 
 def _picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]:

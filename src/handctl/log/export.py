@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from handctl.controller.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Mode
 from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
-from handctl.errors import LogError
-from handctl.log.logfile import printable
 from handctl.log.reader import RunLog
 from handctl.safety.action import Action
 
@@ -65,20 +63,17 @@ def export_csv(log: RunLog, path: Path) -> int:
     """Write one row a tick; numbers read back bit for bit, NaN is an empty field; the number of rows.
 
     Raises:
-        LogError: the file cannot be written.
+        OSError: the file is there already or cannot be written.
     """
     count = 0
-    try:
-        with path.open("x", newline="", encoding="utf-8") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(("k", "t_ns", "late_ns", *WORDS, *columns(log)))
-            for block in blocks(log):
-                fixed = zip(*(part.tolist() for part in block[:3]), *block[3:6], strict=True)
-                for head, row in zip(fixed, block.numbers.tolist(), strict=True):
-                    writer.writerow((*head, *("" if value != value else repr(value) for value in row)))
-                    count += 1
-    except OSError as error:
-        raise LogError(f"cannot write: {error.strerror}", printable(str(path)), "a new file") from None
+    with path.open("x", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(("k", "t_ns", "late_ns", *WORDS, *columns(log)))
+        for block in blocks(log):
+            fixed = zip(*(part.tolist() for part in block[:3]), *block[3:6], strict=True)
+            for head, row in zip(fixed, block.numbers.tolist(), strict=True):
+                writer.writerow((*head, *("" if value != value else repr(value) for value in row)))
+                count += 1
     return count
 
 
@@ -88,20 +83,17 @@ def export_candump(log: RunLog, path: Path) -> int:
     Received frames carry the time at which they came, sent ones that of their tick; R or T tells them apart.
 
     Raises:
-        LogError: the file cannot be written.
+        OSError: the file is there already or cannot be written.
     """
     count, buses, offset = 0, log.header.buses, log.header.offset_ns
-    try:
-        with path.open("x", encoding="ascii") as file:
-            for tick in log.ticks():
-                began = tick.tick_in.t_ns + tick.tick_in.late_ns
-                for frame in tick.tick_in.frames:
-                    file.write(_candump(frame, offset + frame.t_ns, buses, "R"))
-                for frame in tick.frames:
-                    file.write(_candump(frame, offset + began, buses, "T"))
-                count += len(tick.tick_in.frames) + len(tick.frames)
-    except OSError as error:
-        raise LogError(f"cannot write: {error.strerror}", printable(str(path)), "a new file") from None
+    with path.open("x", encoding="ascii") as file:
+        for tick in log.ticks():
+            began = tick.tick_in.t_ns + tick.tick_in.late_ns
+            for frame in tick.tick_in.frames:
+                file.write(_candump(frame, offset + frame.t_ns, buses, "R"))
+            for frame in tick.frames:
+                file.write(_candump(frame, offset + began, buses, "T"))
+            count += len(tick.tick_in.frames) + len(tick.frames)
     return count
 
 

@@ -31,24 +31,22 @@ def export_lerobot(log: RunLog, path: Path) -> int:
     """Write the dataset into a new folder; the number of frames.
 
     Raises:
-        LogError: the hand was never active, or the folder cannot be written.
+        LogError: the hand was never active.
+        OSError: the folder is there already or cannot be written.
     """
     fps = round(1e9 / log.header.period_ns)
     rows = _rows(log, fps)
     vectors = _vectors(log, rows)
     scalars = _scalars(len(rows), fps)
     task = _task(log)
-    try:
-        path.mkdir()
-        _write(path / DATA.format(chunk_index=0, file_index=0), _frames(vectors, scalars))
-        _write(path / EPISODES.format(chunk_index=0, file_index=0), _episodes(len(rows), task))
-        _write(path / "meta" / "tasks.parquet", _tasks(task))
-        named = {name: names for name, (names, _) in vectors.items()}
-        _json(path / "meta" / "info.json", _info(log, fps, len(rows), named, scalars))
-        values = {name: table for name, (_, table) in vectors.items()} | scalars
-        _json(path / "meta" / "stats.json", {name: _statistics(table) for name, table in values.items()})
-    except OSError as error:
-        raise LogError(f"cannot write: {error.strerror}", printable(str(path)), "a new folder") from None
+    path.mkdir()
+    _write(path / DATA.format(chunk_index=0, file_index=0), _frames(vectors, scalars))
+    _write(path / EPISODES.format(chunk_index=0, file_index=0), _episodes(len(rows), task))
+    _write(path / "meta" / "tasks.parquet", _tasks(task))
+    named = {name: names for name, (names, _) in vectors.items()}
+    _json(path / "meta" / "info.json", _info(log, fps, len(rows), named, scalars))
+    values = {name: table for name, (_, table) in vectors.items()} | scalars
+    _json(path / "meta" / "stats.json", {name: _statistics(table) for name, table in values.items()})
     return len(rows)
 
 

@@ -13,6 +13,7 @@ from handctl.log.container import Container, Run
 from handctl.log.logfile import ChunkPlace, LogFile, reading
 from handctl.log.messages_in import definitions, rows
 from handctl.log.scan import Scan, scan
+from handctl.output import whole
 
 
 class Status(enum.IntEnum):
@@ -52,34 +53,26 @@ def recover(path: Path, out: Path) -> Recovery:
         out: a new file; not written if there is nothing to keep.
 
     Raises:
-        LogError: path cannot be opened or is no MCAP file, or out cannot be created.
+        LogError: path cannot be opened or is no MCAP file.
+        ConfigError: out cannot be created.
+        OSError: out cannot be written.
     """
     file, found = LogFile(path), Scan()
     try:
         problem = scan_all(file, found)
         if not found.chunks:
             return Recovery(Status.NOTHING, lost=((0, file.size),), problem=problem)
-        descriptor = _create(out)
-        try:
-            recovery = _copy(file, found, problem, Container(descriptor))
-            os.fsync(descriptor)
-        except OSError as error:
-            out.unlink(missing_ok=True)
-            raise LogError(f"cannot write: {error.strerror}", str(out), "room for a copy") from error
-        finally:
-            os.close(descriptor)
-        if recovery.status == Status.NOTHING:
-            out.unlink()
+        with whole(out, new=True) as part:
+            descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
+            try:
+                recovery = _copy(file, found, problem, Container(descriptor))
+            finally:
+                os.close(descriptor)
+            if recovery.status == Status.NOTHING:
+                part.unlink()
         return recovery
     finally:
         file.close()
-
-
-def _create(out: Path) -> int:
-    try:
-        return os.open(out, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o644)
-    except OSError as error:
-        raise LogError(f"cannot create: {error.strerror}", str(out), "a new file") from error
 
 
 def scan_all(file: LogFile, found: Scan) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from handctl.controller.types import TickIn, TickOut
 from handctl.log.reader import RunLog
+from handctl.output import save_figure
 
 Array = NDArray[np.float64]
 LOGGED, OTHER = "#3b6fb6", "#d9822b"
@@ -80,4 +81,4 @@ def draw(path: Path, log: RunLog, commands: Commands, title: str) -> None:
             axes.margins(x=0)
         rows[-1, column].set_xlabel("time [s]")
     rows[0, 0].legend(fontsize=8, loc="upper left", ncols=2)
-    figure.savefig(path, dpi=100)
+    save_figure(figure, path, 100)

@@ -11,6 +11,7 @@ from handctl.controller.types import Mode
 from handctl.hand.description import Hand
 from handctl.log.logfile import printable
 from handctl.log.reader import RunLog
+from handctl.output import save_figure
 from handctl.report.summary import mean_angles
 from handctl.report.truth import Truth
 
@@ -55,7 +56,7 @@ def draw_run(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_ns
         axes.set(ylabel="lateness\nof a tick [us]", xlabel="time [s]")
     _dress(grid, late, log, hand)
     figure.legend(*_key(truth is not None), loc="outside lower center", ncols=4, fontsize=8, frameon=False)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)
 
 
 def _dress(grid: Any, late: list[Any], log: RunLog, hand: Hand) -> None:

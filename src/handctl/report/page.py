@@ -15,6 +15,7 @@ from handctl.log.clock_pairs import steps
 from handctl.log.logfile import printable
 from handctl.log.moments import LoggedEvent
 from handctl.log.reader import RunLog
+from handctl.output import whole
 from handctl.report.figure import draw_run
 from handctl.report.pictures import lateness, loads, poses
 from handctl.report.summary import summarise
@@ -65,7 +66,8 @@ def write_page(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_
     ]
     page = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{STYLE}</style>"
     data = (page + "\n".join(sections) + "</html>\n").encode()
-    path.write_bytes(data)
+    with whole(path) as part:
+        part.write_bytes(data)
     return len(data)
 
 

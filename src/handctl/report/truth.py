@@ -61,7 +61,7 @@ def read_truth(path: Path) -> Truth:
     """
     try:
         if path.exists() and not path.is_file():
-            raise LogError("not a file", str(path), "the simulator's truth file")
+            raise LogError("cannot be read: not a file", str(path), "the simulator's truth file")
         with path.open("rb") as file:
             header = json.loads(file.readline())
             columns = tuple(str(name) for name in header["columns"])

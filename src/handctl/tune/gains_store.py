@@ -5,13 +5,13 @@ beside and moved into place: whoever reads finds the old file or the new one, ne
 """
 
 import datetime
-import os
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
 from handctl.controller.gains import Gains, GainsFile, Provenance, gains_text, load_gains_file
 from handctl.errors import ConfigError
+from handctl.output import write_whole
 
 BY_HAND = "edited by hand"
 
@@ -117,7 +117,7 @@ class GainsStore:
         text = gains_text(gains, told)
         try:
             self.history.mkdir(parents=True, exist_ok=True)
-            write_new(self.history / f"{told.number:04d}.toml", text)
+            write_whole(self.history / f"{told.number:04d}.toml", text, new=True)
             write_whole(self.path, text)
         except OSError as error:
             raise ConfigError(f"cannot be written: {error.strerror}", str(self.path), "a folder to write in") from None
@@ -136,47 +136,3 @@ def _before(entries: dict[int, Entry], present: GainsFile) -> int:
     if told.restores == 0:
         raise ConfigError("the packaged gains are the first", "rollback", "handctl gains rollback --to N")
     return told.replaces
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file so that a reader, or a power cut, meets the old or the new one.
-
-    Raises:
-        OSError: it cannot be written.
-    """
-    beside = _beside(path, text)
-    os.replace(beside, path)
-    _settle(path.parent)
-
-
-def write_new(path: Path, text: str) -> None:
-    """The same for a file that must not exist yet.
-
-    Raises:
-        OSError: it cannot be written, or exists.
-    """
-    beside = _beside(path, text)
-    try:
-        os.link(beside, path)
-    finally:
-        beside.unlink()
-    _settle(path.parent)
-
-
-def _beside(path: Path, text: str) -> Path:
-    """A file with the text on the disk, next to where it shall be."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    with beside.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    return beside
-
-
-def _settle(folder: Path) -> None:
-    """Have the folder's entry on the disk, too."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from handctl.controller.identified import UNITS
+from handctl.output import save_figure
 from handctl.tune.fit import NAMES, on_stop
 from handctl.tune.fit_load import LoadParameters
 from handctl.tune.identify import BAND_HZ, Found
@@ -34,7 +35,7 @@ def draw(path: Path, found: Found, title: str) -> None:
     _motor(axes[1, 0], found)
     _coherence(axes[1, 1], found)
     _parameters(axes[1, 2], found)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)
     plt.close(figure)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from handctl.controller.model import HandModel
 from handctl.hand.description import Hand
 from handctl.log.reader import RunLog
+from handctl.output import save_figure
 from handctl.report.summary import mean_angles
 from handctl.report.truth import Truth
 from handctl.tune.linear import LoopKind, loop
@@ -43,7 +44,7 @@ def draw_loops(path: Path, before: HandModel, after: HandModel, title: str) -> N
         for model, colour, name in ((before, BEFORE, "before"), (after, AFTER, "after")):
             _loop(row, model, kind, colour, name)
         _frame(row, kind)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)
 
 
 def _loop(row: Any, model: HandModel, kind: LoopKind, colour: str, name: str) -> None:
@@ -119,7 +120,7 @@ def draw_search(path: Path, found: Found, title: str) -> None:
     right.set(xlabel="trial", ylabel="cost, the first trial's is 1", title="the best so far")
     for axes in (left, right):
         axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)
 
 
 def draw_verify(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, back: Return | None) -> None:
@@ -158,4 +159,4 @@ def draw_verify(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset
         axes.margins(x=0)
     angle.legend(loc="upper right")
     torque.set(xlabel=f"time [s]{'; red: ' + back.why if back else ''}")
-    figure.savefig(path, dpi=110)
+    save_figure(figure, path)

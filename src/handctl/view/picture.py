@@ -4,7 +4,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from handctl.errors import HandctlError, LogError
+from handctl.errors import HandctlError
+from handctl.output import whole
 from handctl.view.arrow import TIMELINE
 from handctl.view.viewer import Viewer, software_vulkan, viewer
 
@@ -33,7 +34,7 @@ def draw(rrd: Path, at_s: float, out: Path) -> list[str]:
     Raises:
         ConfigError: there is no Vulkan driver.
         HandctlError: the viewer did not do it.
-        LogError: the picture cannot be written.
+        OSError: the picture cannot be written.
     """
     with viewer(["--headless", "--window-size", SIZE, str(rrd)], software_vulkan()) as running:
         clear = time.monotonic() + TOAST_S
@@ -43,10 +44,8 @@ def draw(rrd: Path, at_s: float, out: Path) -> list[str]:
         time.sleep(max(SETTLE_S, clear - time.monotonic()))
         png = still(client)
         reports = view_reports(client)
-    try:
-        out.write_bytes(png)
-    except OSError as error:
-        raise LogError(f"cannot write: {error.strerror}", str(out), "a place for the picture") from error
+    with whole(out) as part:
+        part.write_bytes(png)
     return reports
 
 

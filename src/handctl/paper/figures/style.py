@@ -4,6 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from handctl.output import save_figure
 from handctl.paper.page import PREFIX
 
 BLUE, ORANGE, GREEN, RED, PURPLE, GREY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#8e5ba6", "#6b6b6b"
@@ -45,7 +46,7 @@ def draw(folder: Path, name: str, size: tuple[float, float], content: Callable[[
         figure = Figure(figsize=size, layout="constrained")
         FigureCanvasAgg(figure)
         content(figure)
-        figure.savefig(folder / f"{PREFIX}{name}.png", dpi=DPI)
+        save_figure(figure, folder / f"{PREFIX}{name}.png", DPI)
         path = folder / f"{PREFIX}{name}.svg"
         figure.savefig(path, metadata={"Date": None})
     return path
