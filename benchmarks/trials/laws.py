@@ -68,8 +68,8 @@ class RawTension(Controller):
 
     __slots__ = ()
 
-    def _estimate(self, state: State, measured: Measured) -> tuple[FilterState, Estimate]:
-        filters, estimate = super()._estimate(state, measured)
+    def _estimate(self, state: State, measured: Measured, missed: int) -> tuple[FilterState, Estimate]:
+        filters, estimate = super()._estimate(state, measured, missed)
         cell = np.where(np.isnan(measured.tension), estimate.tension, measured.tension)
         return filters, estimate._replace(tension=cell)
 

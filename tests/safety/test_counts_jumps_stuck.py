@@ -114,6 +114,30 @@ def test_a_tick_in_which_nothing_was_measured():
     assert (state.value.tolist(), state.gap.tolist()) == ([1.0, 2.0], [1.0, 4.0])
 
 
+@pytest.mark.parametrize(("missed", "steps", "told"), [
+    # steps of single readings, by what one period allows; which of them jumps. The first reading after skipped ticks
+    # may answer a question of after or of before them, and the second is then late by as much.
+    (0, (1.0, 1.0), (0, 0)), (0, (1.1, 0.9), (1, 0)), (0, (1.0, 1.1), (0, 1)),
+    (1, (2.0, 1.0), (0, 0)), (1, (1.0, 2.0), (0, 0)), (1, (2.1, 0.0), (1, 0)), (1, (1.0, 2.1), (0, 1)),
+    (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),
+])  # fmt: skip
+def test_what_moves_goes_on_while_ticks_are_skipped(missed, steps, told):
+    """Two positions alike, or one that was read and one that was not: the two ways through."""
+    for other in (0.0, NAN):
+        state, at, seen = Accepted(np.array([0.0, other]), np.zeros(2)), 0.0, []
+        for k, step in enumerate(steps):
+            at += step
+            state, jumped = jumps.screen(state, np.array([at, other]), np.ones(2), 0 if k else missed)
+            seen.append(int(sizes(jumped, 2)[0] > 0.0))
+        assert tuple(seen) == told, other
+
+
+def test_a_reading_that_is_missing_after_skipped_ticks_may_be_further_off_by_them():
+    state = Accepted(np.array([1.0]), np.array([1.0]))
+    assert jumps.screen(state, np.array([NAN]), np.array([0.1]), 3)[0].gap.tolist() == [5.0]
+    assert jumps.unread(state, 3).gap.tolist() == [5.0]
+
+
 def moved_on(state, value, witnesses):
     """One tick, and how far the witnesses have gone since the reading stands."""
     after = stuck.step(state, value, witnesses)

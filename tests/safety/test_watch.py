@@ -218,6 +218,17 @@ def test_positions_are_screened_apart():
     assert state.motors == jumps.Accepted(state.motors.value, state.motors.gap)
 
 
+def test_after_missed_ticks_motors_and_joints_may_have_gone_so_much_further():
+    before = screen(WATCHER, WATCHER.start, np.zeros(2), np.zeros(2))[0]
+    motor, joint = np.array([0.29, 0.61]), np.array([0.91, 1.19])
+    _, jumped, twisted = screen(WATCHER, before, motor, joint)
+    assert (jumped.tolist(), twisted.tolist()) == ([0.29, 0.61], [0.91, 1.19])
+    _, jumped, twisted = screen(WATCHER, before, motor, joint, 2)
+    assert jumped.tolist() == [0.0, 0.61], "three times 0.1 and 0.2"
+    assert twisted.tolist() == [0.91, 0.0], "three times 0.3 and 0.4"
+    assert screen(WATCHER, before, motor, None, 2)[0].joints.gap.tolist() == [3.0, 3.0]
+
+
 def counting(raw=ARMED, state=None, misshapen=(False,) * 3, strange=(0, 0), k=1):
     return counted(WATCHER, state or WATCHER.start, raw, misshapen, strange, k)
 

@@ -3,7 +3,8 @@
 All tendons are one linear filter, run with filterpy's steady-state ``predict``; its ``update`` is written out, because
 the innovation is known already. A missing measurement has none, so the tick is a prediction; the same holds for a
 saturated one and for a single one that is too far off to be true. The result is the prediction to the present instant:
-the measurements of a tick were taken one period earlier, just before the previous command acted.
+the measurements of a tick were taken one period earlier, just before the previous command acted. Ticks that were
+skipped are predicted one by one, too: meanwhile the motors held what they had been told, and nothing was planned.
 """
 
 from typing import NamedTuple
@@ -27,6 +28,8 @@ STOP_BAND_M = (2e-5, 1e-4)
 STOP_PULL = (0.8, 1.05)
 """Pull, as a share of what the springs ask, below which it is: to come to rest, so little that friction cannot hold
 it just above the stop, and to stay."""
+HELD_TORQUE_S = 0.05
+"""Longest time without a command that is predicted; then the drives' watchdogs have let go."""
 LOOSE_M = 2e-4
 """Rope that must hang loose for its load cell to show nothing but its error."""
 
@@ -111,6 +114,7 @@ def step(
     rate: Vector,
     contact: tuple[bool, ...],
     sliding: Vector | None = None,
+    missed: int = 0,
 ) -> tuple[FilterState, Estimate]:
     """Take in the measurements of one tick and predict to the present.
 
@@ -122,6 +126,7 @@ def step(
         rate: (N,) at which the tension was meant to change since [N/s]; it counts where a digit moves freely.
         contact: per digit, whether it is known to touch.
         sliding: (N,) how far friction is developed where that is known, 1 winding, -1 paying out; NaN elsewhere.
+        missed: ticks that were skipped since.
 
     Returns:
         state for the next tick, and the estimate now.
@@ -144,6 +149,8 @@ def step(
         statics = load_statics(model, x.reshape(-1, STATES), filters.tension.dot(x), sliding)
     external = _unexplained(model, judged, filters, statics)
     x = predict_steadystate(x, filters.F, _interleaved(force, rate), filters.B)
+    for _ in range(min(missed, round(HELD_TORQUE_S / model.period))):
+        x = predict_steadystate(x, filters.F, _interleaved(force, zeros(len(force))), filters.B)
     watched = watch(model.period, state.nis, state.doubtful, nis)
     after = FilterState(x, judged.regimes, judged.stopped, judged.turning, judged.measured, surprise, *watched, True)
     return after, _estimate(model, after, x, innovation[1::MEASUREMENTS], nis, external)

@@ -79,12 +79,12 @@ class Guard:
         watcher = make_watcher(model, drives, sensors)
         return Guard(model, drives, sensors, watcher, cyclic_ns, round(model.period * 1e9))
 
-    def screen(self, state: State, measured: Measured) -> tuple[WatchState, Measured, Named]:
-        """Drop positions that cannot be, before anything else sees them; only under torque."""
+    def screen(self, state: State, measured: Measured, missed: int) -> tuple[WatchState, Measured, Named]:
+        """Drop positions that cannot be, so long after the last tick, before anything else sees them; under torque."""
         if state.mode not in ACTING:
             return state.watch, measured, ()
         joints = measured.joints if measured.read else None
-        watch, motor, joint = screen(self.watcher, state.watch, measured.position, joints)
+        watch, motor, joint = screen(self.watcher, state.watch, measured.position, joints, missed)
         if motor is None and joint is None:
             return watch, measured, ()
         n, j = len(self.drives), len(self.watcher.joints)

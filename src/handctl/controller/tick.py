@@ -175,11 +175,12 @@ class Controller:
         """Frames to drive states, measurements and the estimate."""
         drives, sensors, foreign, strange = self._receive(state, entry)
         motors, counts_before = Motors.of(drives), tuple([drive.feedback_count for drive in state.drives])
-        watch, measured, jumped = self.guard.screen(state, self._measured(state, motors, counts_before, sensors))
+        measured, missed = self._measured(state, motors, counts_before, sensors), entry.k - state.k - 1
+        watch, measured, jumped = self.guard.screen(state, measured, missed)
         if not state.filter.started and self.sensors.all_read(sensors):  # though perhaps in different ticks
             travel = (np.array(motors.position) - self.zero) * self.model.space.spool
             state = state._replace(filter=estimator.start(self.model, state.filter, travel))
-        filters, estimate = self._estimate(state, measured)
+        filters, estimate = self._estimate(state, measured, missed)
         commanded = state.mode in (ACTIVE, RELAX)
         felt = touch.feel(self.model, state.touch, estimate) if commanded else Touch.none(len(self.model.digits))
         state = state._replace(k=entry.k, drives=drives, sensors=sensors, filter=filters, watch=watch, touch=felt)
@@ -229,10 +230,10 @@ class Controller:
         known = np.array(joints)
         return known, self.model.excursion_of(known)
 
-    def _estimate(self, state: State, measured: Measured) -> tuple[FilterState, Estimate]:
+    def _estimate(self, state: State, measured: Measured, missed: int) -> tuple[FilterState, Estimate]:
         law, felt = state.law, zip(state.progress.contact, state.touch.blocked, strict=True)
         held = tuple([(touches and state.mode in ACTING) or blocked for touches, blocked in felt])
-        return estimator.step(self.model, state.filter, measured, law.force, law.rate, held, law.sliding)
+        return estimator.step(self.model, state.filter, measured, law.force, law.rate, held, law.sliding, missed)
 
     def _program(
         self, state: State, action: Action, estimate: Estimate, measured: Measured

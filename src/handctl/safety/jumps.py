@@ -11,7 +11,13 @@ Vector = NDArray[np.float64]
 
 
 class Accepted(NamedTuple):
-    """Attributes: value: (n,) last accepted [rad], NaN before the first. gap: (n,) ticks since then."""
+    """What was accepted last.
+
+    Attributes:
+        value: (n,) [rad]; NaN before the first.
+        gap: (n,) ticks by which it may be older than the last one: those since then, and those that were missed before
+            it came, since it may answer a question of before them.
+    """
 
     value: Vector
     gap: Vector
@@ -22,27 +28,28 @@ class Accepted(NamedTuple):
         return Accepted(nothing(n), zeros(n))
 
 
-def screen(state: Accepted, value: Vector, step_most: Vector) -> tuple[Accepted, Vector | None]:
+def screen(state: Accepted, value: Vector, step_most: Vector, missed: int = 0) -> tuple[Accepted, Vector | None]:
     """Drop what cannot be.
 
     Args:
         state: from the last tick.
         value: (n,) new positions [rad], NaN where missing.
-        step_most: (n,) largest step of one tick [rad].
+        step_most: (n,) largest step in a period [rad].
+        missed: ticks that were skipped before this one: what moves went on meanwhile.
 
     Returns:
         state, and how far each dropped sample jumped [rad], 0 where none was; None if none was at all.
     """
     step = np.abs(value - state.value)
     if np.count_nonzero(step <= step_most) == len(step):  # nearly always: nothing is missing, nothing jumps
-        return Accepted(value, zeros(len(step))), None
-    gap = state.gap + 1.0
+        return Accepted(value, zeros(len(step)) + missed if missed else zeros(len(step))), None
+    gap = state.gap + (1.0 + missed)
     wrong = step > step_most * gap
     fresh = (value == value) & ~wrong
     jumped = only(wrong, step) if np.count_nonzero(wrong) else None
-    return Accepted(chosen(fresh, value, state.value), gap * ~fresh), jumped
+    return Accepted(chosen(fresh, value, state.value), chosen(fresh, zeros(len(step)) + missed, gap)), jumped
 
 
-def unread(state: Accepted) -> Accepted:
-    """One tick in which nothing was measured."""
-    return Accepted(state.value, state.gap + 1.0)
+def unread(state: Accepted, missed: int = 0) -> Accepted:
+    """One tick in which nothing was measured; ``missed``: ticks that were skipped before it."""
+    return Accepted(state.value, state.gap + (1.0 + missed))

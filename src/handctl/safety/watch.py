@@ -35,7 +35,7 @@ class Watcher:
         rotor: motors at the cable.
         stiffness: (N,) of the ropes [N/m]. spool: (N,) radius [m]. arms: (N,) sum of a tendon's moment arms [m].
         spool_to_joints: (J, N) joint angles that excursions stand for [rad/m].
-        step_most: (N,) largest step of a motor's position in a tick, and (J,) of a joint's [rad].
+        step_most: (N,) largest step of a motor's position in a period, and (J,) of a joint's [rad].
         suspicion: (8, N) see ``residuals.suspicion``.
         patience: (2 N + J,) ticks for which motors, load cells and joints may stand before anybody asks why.
         start: what is remembered at first.
@@ -141,22 +141,23 @@ class Seen(NamedTuple):
 
 
 def screen(
-    watcher: Watcher, state: WatchState, position: Vector, joints: Vector | None
+    watcher: Watcher, state: WatchState, position: Vector, joints: Vector | None, missed: int = 0
 ) -> tuple[WatchState, Vector | None, Vector | None]:
     """Look at positions before anything else does.
 
     Args:
         watcher: of the hand. state: what is remembered.
         position: (N,) of the motors [rad]. joints: (J,) [rad]; None if none was read.
+        missed: ticks that were skipped before this one.
 
     Returns:
         state, and how far each jumped, (N,) and (J,), 0 where it did not; None where none did.
     """
     most_motor, most_joint = watcher.step_most
-    motors, jumped = jumps.screen(state.motors, position, most_motor)
+    motors, jumped = jumps.screen(state.motors, position, most_motor, missed)
     if joints is None:
-        return state._replace(motors=motors, joints=jumps.unread(state.joints)), jumped, None
-    accepted, twisted = jumps.screen(state.joints, joints, most_joint)
+        return state._replace(motors=motors, joints=jumps.unread(state.joints, missed)), jumped, None
+    accepted, twisted = jumps.screen(state.joints, joints, most_joint, missed)
     return state._replace(motors=motors, joints=accepted), jumped, twisted
 
 
