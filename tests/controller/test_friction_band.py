@@ -20,9 +20,9 @@ TURN_S = 0.05
 def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
     """(ticks, N) expected tensions of a rope that winds at these speeds, 12 N asked, a fifth lost to friction."""
     n = model.tendon_count
-    load, sliding, now, found = np.full(n, 12.0), np.full(n, 0.8), np.full(n, begin), []
+    load, efficiency, now, found = np.full(n, 12.0), np.full(n, 0.8), np.full(n, begin), []
     for speed in speeds:
-        now = expected(model, now, now, load, sliding, np.full(n, speed * model.period))
+        now = expected(model, now, now, load, efficiency, np.full(n, speed * model.period))
         found.append(now)
     return np.array(found)
 
@@ -51,7 +51,7 @@ def test_a_rope_of_which_next_to_nothing_was_expected_pays_out(model: HandModel)
     load, still = np.full(n, 12.0), np.zeros(n)
     before, passed, moving = np.full(n, 5e-324), np.full(n, 0.8), np.ones(n, dtype=bool)
     ahead = look_ahead(model, before, under(model, 1.0), still, load, still, passed, moving)
-    assert (ahead.sliding == -1.0).all()
+    assert (ahead.friction_state == -1.0).all()
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])

@@ -11,7 +11,7 @@ from handctl.controller.statics import load_statics, tendon_efficiency
 from handctl.controller.tip import tip_force, tip_lever
 from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
 from handctl.hand.kinematics import points, tip_jacobian
-from handctl.hand.tendons import FRICTION_SPEED
+from handctl.hand.tendons import ROPE_FRICTION_SPEED
 
 
 def stood(model: HandModel, theta: list[np.ndarray], speed: float = 0.0) -> np.ndarray:
@@ -57,14 +57,14 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
 
 def test_efficiency_is_the_mean_of_the_capstan_over_the_pulleys(model: HandModel) -> None:
     rng = np.random.default_rng(7)
-    q, speed = rng.uniform(0.0, 1.4, len(model.hand.joints)), rng.normal(size=model.tendon_count) * FRICTION_SPEED
+    q, speed = rng.uniform(0.0, 1.4, len(model.hand.joints)), rng.normal(size=model.tendon_count) * ROPE_FRICTION_SPEED
     found = tendon_efficiency(model, q, speed)
     for i, tendon in enumerate(model.hand.tendon):
         passed, shares, arms = tendon.wrap_angle_rad, 0.0, 0.0
         for joint, angle in zip(model.hand.joints, q, strict=True):
             arm = abs(tendon.moment_arm_m.get(joint, 0.0))
             passed += angle if arm else 0.0
-            shares += arm * math.exp(-tendon.friction_coefficient * passed * math.tanh(speed[i] / FRICTION_SPEED))
+            shares += arm * math.exp(-tendon.friction_coefficient * passed * math.tanh(speed[i] / ROPE_FRICTION_SPEED))
             arms += arm
         assert found[i] == pytest.approx(shares / arms, rel=1e-12)
 

@@ -308,7 +308,8 @@ def test_every_part_of_the_state_changes_its_digest(active: Bench) -> None:
         covered |= {one for one in names if getattr(changed, one) is not getattr(state, one)}
     assert covered == names, "a new part of the state needs a line in changes()"
     assert set(state.filter._fields) == {*FILTER_ARRAYS, *FILTER_TUPLES, "started"}
-    assert set(state.law._fields) == {"setpoint", "integral", "force", "planned", "rate", "trim", "held", "sliding"}
+    law = {"setpoint", "integral", "force", "planned", "rate", "trim", "held", "friction_state"}
+    assert set(state.law._fields) == law
     assert state._replace().digest() == state.digest()
 
 

@@ -12,7 +12,7 @@ from handctl.controller.state import State
 from handctl.controller.types import Event, Mode
 from handctl.safety import judge as safety
 
-BEFORE_ARMING = (Mode.SILENT, Mode.INVENTORY)
+BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
 """Modes in which an order to clear also clears the drives."""
 
 
@@ -41,7 +41,7 @@ def answer(
         elif isinstance(request, Arm):
             state = state._replace(armed=True)
         elif isinstance(request, Clear):
-            state = state._replace(safety=safety.clear(state.safety), clearing=state.mode in BEFORE_ARMING)
+            state = state._replace(safety=safety.clear(state.safety), clearing=state.mode in BEFORE_READY)
         elif isinstance(request, SetGains):
             coming, refused = retune.asked(state.coming.gains if state.coming else model.gains, request.set)
             state = state._replace(coming=coming or state.coming)

@@ -1,15 +1,16 @@
 """Computed torque of a tendon-driven digit, and its tension loop.
 
-Motion: the wanted acceleration, feedback included, gives the joint torque by inverse dynamics, the torque gives tendon
-tensions, and the motor makes the tension plus its own inertia and friction:
+Motion: the plan gives the joint torque by inverse dynamics, the torque gives tendon tensions, and the motor makes the
+tension plus what its own inertia and friction need, and what corrects the way:
 
-    a = theta_d'' + K_v (theta_d' - theta') + K_p (theta_d - theta)
-    f = allocate(M theta_d'' + h(theta, theta'))        f_0 = f / efficiency
-    u = f_0 + m_m R_r a + b_m v + friction - disturbance + K_f (f_0 - f_hat)
+    f = allocate(M theta_d'' + h(theta_d, theta_d'))    f_0 = f / efficiency
+    u = f_0 + (m_m + m_l) (k (s_d - s) + d (s_d' - v)) + c_i m_m s_d'' + c_f (b_m v + friction(s_d'))
+        - c_d disturbance + K_f (f_0 - f_hat)
 
-The rotor is some twenty times heavier than the finger it drives, so the feedback acceleration goes to the rotor's
-inertia. Hold: state feedback on tension error and cable speed, with a slow integral; where a way is expected, its speed
-and the rotor's share of it are fed forward. Source: LQR of ``motion_design``.
+with excursions s = R_r theta, the cable's speed v at the spool, which damps the rotor and not the digit behind its
+rope, and shares c of the gains. The rotor is some twenty times heavier than the finger m_l that it drives; the feedback
+is to accelerate both. Hold: state feedback on tension error and cable speed, with a slow integral; where a way is
+expected, its speed and the rotor's share of it are fed forward. Source: LQR of ``motion_design``.
 """
 
 from typing import NamedTuple
@@ -22,11 +23,11 @@ from handctl.controller.estimator import Estimate
 from handctl.controller.friction_band import look_ahead
 from handctl.controller.goal import DigitGoal
 from handctl.controller.goal_table import GoalTable, goal_table
-from handctl.controller.law_constants import FRICTION_SPEED, constants
+from handctl.controller.law_constants import MOTOR_FRICTION_SPEED, constants
 from handctl.controller.model import HandModel
-from handctl.controller.statics import sliding_efficiency
+from handctl.controller.statics import winding_efficiency
 from handctl.controller.types import Vector
-from handctl.hand.tendons import FRICTION_SPEED as SLIDING_SPEED
+from handctl.hand.tendons import ROPE_FRICTION_SPEED
 
 INTEGRAL_LIMIT_N = 8.0
 """Anti-windup: the tension integral never asks for more than this [N]."""
@@ -43,7 +44,7 @@ class LawState(NamedTuple):
         rate: at which that changes until then [N/s]: the filter's other input.
         trim: motor force that still makes up for a change of gains [N]; None long after one.
         held: largest tension while safety holds [N]; None while it does not.
-        sliding: how far friction is developed, 1 winding, -1 paying out; NaN where nothing moves.
+        friction_state: how far friction is developed, 1 winding, -1 paying out; NaN where nothing moves.
     """
 
     setpoint: Vector
@@ -53,7 +54,7 @@ class LawState(NamedTuple):
     rate: Vector
     trim: Vector | None = None
     held: Vector | None = None
-    sliding: Vector | None = None
+    friction_state: Vector | None = None
 
     @staticmethod
     def initial(tendons: int) -> "LawState":
@@ -124,7 +125,8 @@ def step(
     tension = table.chosen(motion.tension, hold.setpoint, np.nan)
     load = table.chosen(motion.load, hold.setpoint, 0.0)
     acting = asked - _motor_friction(model, estimate, asked)
-    ahead = look_ahead(model, state.planned, estimate, acting, motion.load, motion.rate, motion.sliding, table.moving)
+    planned = (motion.load, motion.rate, motion.efficiency)
+    ahead = look_ahead(model, state.planned, estimate, acting, *planned, table.moving)
     law = LawState(
         chosen(table.held, hold.setpoint, estimate.tension) if table.holds else estimate.tension,
         only(table.held, hold.integral),
@@ -133,7 +135,7 @@ def step(
         ahead.rate,
         None if state.trim is None else _faded(state.trim, model.period),
         held,
-        ahead.sliding,
+        ahead.friction_state,
     )
     return law, Command(asked * model.space.spool, tension, load.dot(model.hand.moment_arms), motion.q, motion.dq)
 
@@ -161,13 +163,16 @@ def _motor_friction(model: HandModel, estimate: Estimate, asked: Vector) -> Vect
 
 
 class _Motion(NamedTuple):
-    """What computed torque asks, (N,) each; of no meaning for tendons that do not move. q, dq: (J,), NaN there."""
+    """What computed torque asks, (N,) each; of no meaning for tendons that do not move. q, dq: (J,), NaN there.
+
+    Attributes: efficiency: share of a tension that reaches the joints while the rope winds.
+    """
 
     force: Vector
     tension: Vector
     load: Vector
     rate: Vector
-    sliding: Vector
+    efficiency: Vector
     q: Vector
     dq: Vector
 
@@ -185,10 +190,10 @@ def _motion(
     excursion, rate, acceleration = way.dot(model.hand.moment_arms.T)
     known, gains, design = constants(model), model.gains.motion, model.motion
     feedback = design.stiffness * (excursion - estimate.excursion) + design.damping * (rate - estimate.speed)
-    sliding = sliding_efficiency(model, way[0])
-    efficiency = known.frictionless + known.friction * sliding ** np.tanh(rate / SLIDING_SPEED)
+    efficiency = winding_efficiency(model, way[0])
+    passed = known.frictionless + known.friction * efficiency ** np.tanh(rate / ROPE_FRICTION_SPEED)
     ceiling = model.ceiling if most is None else np.minimum(model.ceiling, most)
-    tension = _within(load / efficiency, model.floor, ceiling)
+    tension = _within(load / passed, model.floor, ceiling)
     force = (
         tension
         + known.mass * feedback
@@ -196,10 +201,10 @@ def _motion(
         - known.rejection * estimate.motor_disturbance
         + gains.tension_feedback * (tension - estimate.tension)
         + known.damping * estimate.speed
-        + known.coulomb * np.tanh(rate / FRICTION_SPEED)
+        + known.coulomb * np.tanh(rate / MOTOR_FRICTION_SPEED)
     )
     q, dq = way[:2] if table.all_moving else np.where(table.known, way[:2], np.nan)
-    return _Motion(force, tension, load, rate, sliding, q, dq)
+    return _Motion(force, tension, load, rate, efficiency, q, dq)
 
 
 def _way(model: HandModel, table: GoalTable, t: float) -> Vector:
@@ -284,5 +289,5 @@ def _expected(model: HandModel, table: GoalTable, t: float) -> Vector:
     for digit, _, trajectory, since in table.expected:
         way[:, digit.tendons] = trajectory.at(t - since)[1:] @ digit.reduced_moment_arms.T
     space, (speed, acceleration) = model.space, way
-    own = space.coulomb * np.tanh(speed / FRICTION_SPEED) + space.motor_mass * acceleration
+    own = space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED) + space.motor_mass * acceleration
     return np.asarray(own + (model.motion.tension_speed + space.motor_damping) * speed)

@@ -113,7 +113,7 @@ def step(
     force: Vector,
     rate: Vector,
     contact: tuple[bool, ...],
-    sliding: Vector | None = None,
+    friction_state: Vector | None = None,
     missed: int = 0,
 ) -> tuple[FilterState, Estimate]:
     """Take in the measurements of one tick and predict to the present.
@@ -125,7 +125,7 @@ def step(
         force: (N,) motor force at the cable that acted since, without what friction takes [N].
         rate: (N,) at which the tension was meant to change since [N/s]; it counts where a digit moves freely.
         contact: per digit, whether it is known to touch.
-        sliding: (N,) how far friction is developed where that is known, 1 winding, -1 paying out; NaN elsewhere.
+        friction_state: (N,) how far friction is developed where that is known, 1 winding, -1 paying out; NaN elsewhere.
         missed: ticks that were skipped since.
 
     Returns:
@@ -141,12 +141,12 @@ def step(
     for i, change in believed:
         x[STATES * i + S] -= change / model.space.stiffness[i]
     tension = filters.tension.dot(x)
-    statics = load_statics(model, x.reshape(-1, STATES), tension, sliding)
+    statics = load_statics(model, x.reshape(-1, STATES), tension, friction_state)
     judged = _regimes(model, state, x, tension, statics, measured, contact)
     nis = _nis(filters, innovation)
     if judged.x is not x:
         x, filters = judged.x, model.filter.stacked(judged.regimes)
-        statics = load_statics(model, x.reshape(-1, STATES), filters.tension.dot(x), sliding)
+        statics = load_statics(model, x.reshape(-1, STATES), filters.tension.dot(x), friction_state)
     external = _unexplained(model, judged, filters, statics)
     x = predict_steadystate(x, filters.F, _interleaved(force, rate), filters.B)
     for _ in range(min(missed, round(HELD_TORQUE_S / model.period))):

@@ -4,7 +4,7 @@ Friction leaves the tension a band about what springs and gravity ask: its upper
 one where it pays out. When the direction turns the digit sticks, the motor alone goes on, and the tension runs from one
 edge to the other with the rope's stiffness: some ten milliseconds, and not when the plan turns but when the rope does.
 At rest the digit creeps until friction has nothing to bear any more.
-Source: Prandtl's elastic-plastic element, its slider viscous below ``FRICTION_SPEED``.
+Source: Prandtl's elastic-plastic element, its slider viscous below ``ROPE_FRICTION_SPEED``.
 """
 
 from typing import NamedTuple
@@ -16,9 +16,9 @@ from handctl.controller.estimator import Estimate
 from handctl.controller.goal_table import Mask
 from handctl.controller.model import HandModel
 from handctl.controller.types import Vector
-from handctl.hand.tendons import FRICTION_SPEED
+from handctl.hand.tendons import ROPE_FRICTION_SPEED
 
-CREEP_SPEED = 1.3 * FRICTION_SPEED
+CREEP_SPEED = 1.3 * ROPE_FRICTION_SPEED
 """Speed at which the slider's straight line meets the band's edge, so as to be near the tanh [m/s]."""
 LEAST_N = 1e-3
 """Friction that is always assumed [N], so that a rope without any has a band that is narrow and not nothing."""
@@ -34,12 +34,12 @@ class Ahead(NamedTuple):
     Attributes:
         planned: tension a period from now [N]; 0 for the others.
         rate: at which it changes until then [N/s]; 0 where nothing was expected before.
-        sliding: how far friction is developed at present, 1 winding, -1 paying out; NaN for the others.
+        friction_state: how far friction is developed at present, 1 winding, -1 paying out; NaN for the others.
     """
 
     planned: Vector
     rate: Vector
-    sliding: Vector
+    friction_state: Vector
 
 
 def look_ahead(
@@ -79,7 +79,9 @@ def look_ahead(
     )
 
 
-def expected(model: HandModel, before: Vector, tension: Vector, load: Vector, sliding: Vector, wound: Vector) -> Vector:
+def expected(
+    model: HandModel, before: Vector, tension: Vector, load: Vector, efficiency: Vector, wound: Vector
+) -> Vector:
     """(N,) tensions a period from now [N].
 
     Args:
@@ -87,10 +89,10 @@ def expected(model: HandModel, before: Vector, tension: Vector, load: Vector, sl
         before: (N,) what was expected for the present [N]; 0 where nothing was.
         tension: (N,) estimated at present [N], to begin from.
         load: (N,) tensions that the digits ask without friction a period from now [N].
-        sliding: (N,) share of a tension that reaches the joints while the rope winds.
+        efficiency: (N,) share of a tension that reaches the joints while the rope winds.
         wound: (N,) rope that the spool takes up in the period [m].
     """
     now = np.where(before > 0.0, before, tension)
-    creep = model.space.stiffness * CREEP_SPEED * model.period / (load * (1.0 - sliding) + LEAST_N)
+    creep = model.space.stiffness * CREEP_SPEED * model.period / (load * (1.0 - efficiency) + LEAST_N)
     stuck = (now + model.space.stiffness * wound + creep * load) / (1.0 + creep)
-    return np.minimum(np.maximum(stuck, load * sliding), load / sliding)
+    return np.minimum(np.maximum(stuck, load * efficiency), load / efficiency)

@@ -15,7 +15,7 @@ from handctl.controller.program import TARE_PHASE
 from handctl.controller.received import Received
 from handctl.controller.state import State
 from handctl.controller.surplus import surplus
-from handctl.controller.types import Event, Mode, TickIn, Vector
+from handctl.controller.types import ACTING, Event, Mode, TickIn, Vector
 from handctl.drives.causes import Cause
 from handctl.drives.contract import Drive, DriveState, Phase
 from handctl.drives.frame import EXTENDED, REMOTE
@@ -35,9 +35,8 @@ from handctl.safety.signals import (
 )
 from handctl.safety.watch import JUMP_MARGIN, Seen, Watcher, WatchState, counted, screen, watched
 
-ACTING = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX)
 CUT_OFF = (Mode.CUT, Mode.DISARM)
-"""Modes in which torque may act, and in which none must act any more."""
+"""Modes in which no torque must act any more."""
 READY, FAULT = Phase.READY, Phase.FAULT
 """As names of this module: looking a member up in its enumeration costs more than comparing it."""
 JOINT_RATE_RAD_S = 60.0

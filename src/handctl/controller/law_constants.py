@@ -8,7 +8,7 @@ import numpy as np
 from handctl.controller.model import HandModel
 from handctl.controller.types import Vector
 
-FRICTION_SPEED = 2.5e-3
+MOTOR_FRICTION_SPEED = 2.5e-3
 """Cable speed at which motor friction is taken as fully developed [m/s]: 0.5 rad/s at a 5 mm spool."""
 UNWIND_SHARE = 0.3
 """Share of the torque limit that may be used to pay out: enough to brake the rotor, little to throw rope off."""
@@ -57,5 +57,5 @@ def constants(model: HandModel) -> Constants:
         damping=gains.friction_share * space.motor_damping,
         coulomb=gains.friction_share * space.coulomb,
         half=half,
-        stopping=FRICTION_SPEED + half * space.coulomb,
+        stopping=MOTOR_FRICTION_SPEED + half * space.coulomb,
     )

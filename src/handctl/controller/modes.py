@@ -14,7 +14,7 @@ import numpy as np
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.model import HandModel
 from handctl.controller.state import State
-from handctl.controller.types import Event, Mode
+from handctl.controller.types import ACTING, BEFORE_ARMING, Event, Mode
 from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.safety.action import Action
 
@@ -36,11 +36,6 @@ RELAXED_WITHIN_N = 3.0
 DISARM_TIMEOUT_S = 1.0
 CUT_S = 0.1
 """Cut frames are repeated for this long."""
-
-BEFORE_ARMING = (Mode.SILENT, Mode.INVENTORY, Mode.READY)
-"""Modes in which no drive has been enabled."""
-ACTING = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX)
-"""Modes in which torque may act."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,6 @@ class State(NamedTuple):
         safety: debounce and latches.
         watch: what safety remembers besides.
         touch: what is felt of each digit, planned or not.
-        commanded: (motor torques of the last tick are in ``law.force``); frames cut so far, for mode CUT.
         failure: why the run ends early, one line; empty if it does not.
         unconfirmed: motors that have not confirmed that they are disabled.
         gains: that a person has set since the start; None before.

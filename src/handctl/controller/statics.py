@@ -13,7 +13,7 @@ from handctl.choose import chosen
 from handctl.controller.filter_design import STATES, S, V
 from handctl.controller.model import HandModel
 from handctl.controller.types import Vector
-from handctl.hand.tendons import FRICTION_SPEED
+from handctl.hand.tendons import ROPE_FRICTION_SPEED
 
 
 class LoadStatics(NamedTuple):
@@ -109,7 +109,7 @@ def _pulleys(model: HandModel) -> tuple[Vector, Vector, Vector]:
     return path.reshape(-1, joints), shares.reshape(n, -1), pulls.reshape(n, -1)
 
 
-def load_statics(model: HandModel, table: Vector, tension: Vector, sliding: Vector | None = None) -> LoadStatics:
+def load_statics(model: HandModel, table: Vector, tension: Vector, friction_state: Vector | None = None) -> LoadStatics:
     """Evaluate them for a filter state.
 
     Where nothing better is known, friction takes its direction from the cable's speed at the spool: the digit's own, a
@@ -119,15 +119,15 @@ def load_statics(model: HandModel, table: Vector, tension: Vector, sliding: Vect
         model: the hand.
         table: (N, 7) filter state.
         tension: (N,) at the load cells [N].
-        sliding: (N,) how far friction is developed where that is known, 1 winding, -1 paying out; NaN elsewhere.
+        friction_state: (N,) how far friction is developed where that is known, 1 winding, -1 paying out; NaN elsewhere.
     """
     known = readout(model)
     found = known.rows.dot(table.reshape(-1)) + known.offsets
     resistance = known.weight.dot(np.sin(found[known.links])) + found[known.springs]
-    developed = np.tanh(table[:, V] / FRICTION_SPEED)
+    developed = np.tanh(table[:, V] / ROPE_FRICTION_SPEED)
     eager = pull = known.pulls.dot((known.passed(found[known.wraps], developed) * tension).reshape(-1))
-    if sliding is not None:
-        developed = chosen(np.isnan(sliding), developed, sliding)
+    if friction_state is not None:
+        developed = chosen(np.isnan(friction_state), developed, friction_state)
         pull = known.pulls.dot((known.passed(found[known.wraps], developed) * tension).reshape(-1))
     return LoadStatics(resistance, pull, eager)
 
@@ -143,11 +143,11 @@ def tendon_efficiency(model: HandModel, q: Vector, speed: Vector) -> Vector:
     Source: capstan equation.
     """
     known = readout(model)
-    passed = known.passed(known.path.dot(q) + known.wrap, np.tanh(speed / FRICTION_SPEED))
+    passed = known.passed(known.path.dot(q) + known.wrap, np.tanh(speed / ROPE_FRICTION_SPEED))
     return np.asarray(known.shares.dot(passed.reshape(-1)))
 
 
-def sliding_efficiency(model: HandModel, q: Vector) -> Vector:
+def winding_efficiency(model: HandModel, q: Vector) -> Vector:
     """The same while the rope winds so fast that friction is fully developed, (N,); paying out, about one over it.
 
     Args:

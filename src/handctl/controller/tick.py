@@ -24,14 +24,14 @@ from handctl.controller.goal import DigitGoal
 from handctl.controller.guard import Guard
 from handctl.controller.innovation import doubts
 from handctl.controller.model import HandModel
-from handctl.controller.modes import ACTING, next_mode, wanted_of_drives
+from handctl.controller.modes import next_mode, wanted_of_drives
 from handctl.controller.motors import Motors
 from handctl.controller.program import Program, Progress
 from handctl.controller.received import Received
 from handctl.controller.state import State
 from handctl.controller.telemetry import telemetry
 from handctl.controller.touch import Touch
-from handctl.controller.types import Event, Mode, TickIn, TickOut, Vector
+from handctl.controller.types import ACTING, Event, Mode, TickIn, TickOut, Vector
 from handctl.drives.contract import Drive, DriveState, Phase
 from handctl.drives.frame import ERROR, Frame
 from handctl.drives.sensor_node import SensorNode, SensorState, saturated
@@ -233,7 +233,7 @@ class Controller:
     def _estimate(self, state: State, measured: Measured, missed: int) -> tuple[FilterState, Estimate]:
         law, felt = state.law, zip(state.progress.contact, state.touch.blocked, strict=True)
         held = tuple([(touches and state.mode in ACTING) or blocked for touches, blocked in felt])
-        return estimator.step(self.model, state.filter, measured, law.force, law.rate, held, law.sliding, missed)
+        return estimator.step(self.model, state.filter, measured, law.force, law.rate, held, law.friction_state, missed)
 
     def _program(
         self, state: State, action: Action, estimate: Estimate, measured: Measured

@@ -34,8 +34,14 @@ class Mode(enum.IntEnum):
     """Disarmed and confirmed (or found impossible to confirm); the loop may end."""
 
 
+BEFORE_ARMING = (Mode.SILENT, Mode.INVENTORY, Mode.READY)
+"""Modes in which no drive has been enabled."""
+ACTING = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX)
+"""Modes in which torque may act."""
+
+
 class IoEvent(NamedTuple):
-    """Something the bus or the host did, as data: ``kind`` e.g. enobufs, enetdown, dropped, signal, recorder."""
+    """Something the bus or the host did, as data: ``kind`` e.g. enobufs, bus_off, dropped, recorder, suspended."""
 
     kind: str
     where: str = ""

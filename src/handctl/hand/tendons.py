@@ -8,7 +8,7 @@ import numpy as np
 from handctl.hand.digit import Array, DigitModel, Values
 from handctl.hand.sections import Tendon
 
-FRICTION_SPEED = 1e-3
+ROPE_FRICTION_SPEED = 1e-3
 """Winding speed at which capstan friction is mostly developed, v0 of tanh(v / v0) [m/s]; a regularisation."""
 
 
@@ -118,7 +118,7 @@ def pulley_factors(digit: DigitModel, q: Values, speed: Values) -> Array:
         (n_t, n).
     """
     passed = np.cumsum((digit.moment_arms != 0.0) * np.asarray(q), axis=1)
-    exponent = digit.friction * np.tanh(np.divide(speed, FRICTION_SPEED))
+    exponent = digit.friction * np.tanh(np.divide(speed, ROPE_FRICTION_SPEED))
     return np.asarray(np.exp(-exponent[:, None] * (digit.wrap[:, None] + passed)))
 
 
