@@ -1,11 +1,11 @@
-"""What the tension filter does with samples that cannot be right, with a load cell that drifts, and how it doubts."""
+"""The tension filter on samples that cannot be right or do not come, on a load cell that drifts; and how it doubts."""
 
 import numpy as np
 import pytest
 
 from handctl.controller import estimator
 from handctl.controller.estimator import LOOSE_M, Estimate
-from handctl.controller.filter_design import STATES, E, Regime, X
+from handctl.controller.filter_design import STATES, E, Regime, S, V, X
 from handctl.controller.filter_state import FilterState
 from handctl.controller.innovation import DOUBT_S, doubts
 from handctl.controller.model import HandModel
@@ -131,3 +131,26 @@ def test_a_model_that_does_not_fit_is_told_once(model: HandModel) -> None:
         told += doubts(names, before, hand.state)
     assert [event.level for event in told].count("info") == len(names)
     assert len(told) == 2 * len(names)
+
+
+@pytest.mark.parametrize(("missed", "predicted_s"), [(0, 0.0), (1, None), (4, None), (10_000, 0.05)])
+def test_the_filter_predicts_every_tick_that_was_skipped(model, missed: int, predicted_s: float | None) -> None:
+    """The motors' force stays, until after 50 ms nobody knows it; a change of tension was planned for one period."""
+    state, force = coasting(model)
+    rate, nowhere = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)
+    after, estimate = estimator.step(model, state, nothing_read(model), force, rate, nowhere, missed=missed)
+    once, _ = estimator.step(model, state, nothing_read(model), force, rate, nowhere)
+    filters, x = model.filter.stacked(once.regimes), once.x
+    for _ in range(missed if predicted_s is None else round(predicted_s / model.period)):
+        x = filters.F @ x + filters.B @ np.column_stack((force, np.zeros(model.tendon_count))).ravel()
+    np.testing.assert_allclose(after.x, x, rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(estimate.travel, after.x[X::STATES])
+    assert after[1:5] == once[1:5], "nothing else is judged of what nobody saw"
+
+
+def coasting(model: HandModel) -> tuple[FilterState, np.ndarray]:
+    """Every digit held half closed under 20 N while its rotor winds, and the forces that balance the tension [N]."""
+    x = np.zeros((model.tendon_count, STATES))
+    x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
+    x[:, X], x[:, V] = x[:, S] + 20.0 / model.space.stiffness, 1e-3
+    return FilterState.of(x.ravel(), Regime.HELD, stopped=False), np.full(model.tendon_count, 20.0)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from typing import Any
 
@@ -211,3 +211,14 @@ def test_channels_that_are_empty_or_full() -> None:
     cells = [(0, low), (1, low + 0.1), (3, top - 0.1), (4, top), (7, math.nan)]
     assert saturated(cells) == (0, 4, 7)
     assert saturated([]) == ()
+
+
+def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) -> None:
+    """In whatever order and tick; what is said of joints does not count."""
+    state = node.initial()
+    for k, (base, done) in enumerate([(0x1B0, False), (0x1A0, False), (0x1A0, False), (0x1A1, False), (0x1A2, True)]):
+        state, _ = node.sync(state, k)
+        size = node.lengths[node.ids.index(base)]
+        state = node.receive(state, Frame(base, bytes([k] + [0] * (size - 1))))
+        assert node.all_read(state) == done, hex(base)
+    assert not replace(node, frame_of=(*node.frame_of[:-1], -1)).all_read(state), "one has no load cell"
