@@ -205,6 +205,28 @@ def test_a_cell_that_repeats_itself_while_the_torque_moves(number, force, tensio
     assert [name for name, _ in signals.stuck_cell] == (["a"] if told else [])
 
 
+@pytest.mark.parametrize("late", [0, 1])
+def test_an_even_motion_is_no_noise_and_no_force_because_ticks_were_skipped(late):
+    """The way of five ticks at once, in the tick behind the gap, or in the next one, whose answer is from behind it."""
+
+    def course(raw):
+        state, at, speed, told = ticks(5, speed=0.1, force=27.0)[0], 0.0, 0.1, []
+        for k in range(20):
+            at, speed = (at + 0.25, 0.14) if k == 10 + late else (at + 0.05, speed)
+            tick = raw if k == 10 else ARMED
+            state, signals = watched(WATCHER, state, tick, seen(position=at, speed=speed, force=23.0 + 40.0 * speed))
+            told.append(signals.noise)
+        noisy = any(max(noise, default=0.0) > LIMITS.noise_most for noise in told)
+        return noisy, state.filtered.low[residuals.BALANCE]
+
+    noisy, balance = course(ARMED._replace(missed=4))
+    assert not noisy
+    assert np.abs(balance).max() < 0.05
+    noisy, balance = course(ARMED)
+    assert noisy, "positive control"
+    assert np.abs(balance).max() > 0.5
+
+
 def test_positions_are_screened_apart():
     state, jumped, twisted = screen(WATCHER, WATCHER.start, np.zeros(2), np.zeros(2))
     assert (jumped, twisted) == (None, None)

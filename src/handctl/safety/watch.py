@@ -195,7 +195,8 @@ def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tu
     if not raw.armed:
         return watcher.start._replace(counts=state.counts, owed=state.owed), raw
     taut, begin, slip = _slip(watcher, state, seen, cell)
-    rope = residuals.Rope(seen.position, seen.speed, seen.tension, seen.force, state.asked, slip)
+    went = (seen.position, seen.speed) if not raw.missed else (nothing(len(cell)),) * 2  # over how long, nobody knows
+    rope = residuals.Rope(*went, seen.tension, seen.force, state.asked, slip)
     first = state.filtered is watcher.start.filtered
     filtered = residuals.step(watcher.rotor, residuals.begun(state.filtered, rope) if first else state.filtered, rope)
     tense = ropes.step(state.ropes, filtered.low[residuals.TENSION].tolist(), state.wanted.tolist())
