@@ -122,3 +122,42 @@ def test_a_bit_rate_that_no_bus_has(capsys, verb, option, rate):
 
 def test_what_the_simulator_cannot_perturb_is_told_before_anything_is_begun(capsys):
     refused(capsys, "identify", "--lockstep", "--digits", "thumb", "--perturb", "luck=2")
+
+
+BUSES = ["x", ":x", "local:", "local:../x", "local:a/b", "local:.x", "socketcan:", ""]
+
+
+@pytest.mark.parametrize("bus", BUSES)
+def test_a_bus_that_is_none_is_refused_before_anything_is_begun(place, capsys, bus):
+    drive = ("--drive", "mit", "--node", "1", "--torque-limit-Nm", "0.1")
+    for words in (("run", "--task", "grasp.toml"), ("scan",), ("jog", "index", "--angle", "3"), ("bus", "doctor")):
+        assert main([*words, "--bus", bus]) == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err.splitlines()[-1].startswith("handctl: ")
+        assert "commissioning" not in err
+    assert main(["conformance", *drive, "--yes", "--bus", bus]) == 2
+    assert list(place.iterdir()) == []
+
+
+@pytest.mark.parametrize("bus", ["local:" + "n" * 300, "socketcan:nosuch", "nosuch:x", "slcan:/dev/nosuch"])
+def test_a_bus_that_is_not_there_is_a_failure(capsys, bus):
+    assert main(["scan", "--bus", bus]) == 1
+    err = capsys.readouterr().err
+    assert err.startswith("handctl: ")
+    assert err.count("\n") == 1, err
+
+
+@pytest.mark.parametrize("bus", ["main=virtual:x=y", "virtual:x=y"])
+def test_a_controller_is_called_by_its_bus_whatever_it_is_named(capsys, bus):
+    for words in (("stop",), ("clear",), ("gains", "set", "motion.force_N=20")):
+        assert main([*words, "--bus", bus]) == 1
+        assert "bus virtual:x=y: " in capsys.readouterr().err
+
+
+def test_a_working_folder_that_has_gone(place, monkeypatch, capsys):
+    (place / "gone").mkdir()
+    monkeypatch.chdir("gone")
+    (place / "gone").rmdir()
+    for words in (("demo", "--lockstep"), ("doctor",), ("config", "show")):
+        assert "folder" in refused(capsys, *words) or words[0] == "demo"

@@ -1,9 +1,11 @@
 """A verb in a pipe that nobody reads, without room, without streams, and ended by a signal."""
 
+import json
 import os
 import signal
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -78,3 +80,39 @@ def test_what_is_ignored_stays_ignored():
                 os.kill(os.getpid(), signal.SIGTERM)
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+def test_a_run_in_lockstep_that_is_interrupted_keeps_its_log(place, monkeypatch, capsys):
+    def interrupted(entry, out):
+        if entry.k == 100:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    monkeypatch.setattr("handctl.cli.session._show_nothing", interrupted)
+    assert main(["demo", "--lockstep", "--scene", "none", "--log", "run.mcap", "--json"]) == 130
+    assert capsys.readouterr().out == ""
+    assert main(["log", "info", "run.commission.mcap", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["ticks"] >= 100
+    assert told["end"]["reason"] == "interrupted"
+
+
+def test_a_search_that_is_interrupted_says_how_it_goes_on(monkeypatch, capsys):
+    def interrupted(*words):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    monkeypatch.setattr("handctl.tune.search.search", interrupted)
+    monkeypatch.setattr("handctl.cli.tune_search._designed", lambda *words: ())
+    assert main(["tune", "search", "--plants", "1", "--json"]) == 143
+    assert capsys.readouterr() == ("", "handctl: interrupted; the same command goes on with jamia.study\n")
+
+
+def test_a_worker_of_the_paper_leaves_no_folder(place):
+    command = [sys.executable, "-m", "handctl.paper.worker"]
+    worker = subprocess.Popen(command, env=os.environ | {"TMPDIR": str(place)}, stdin=subprocess.PIPE, stderr=-1)
+    while not list(place.glob("handctl-paper-*")):
+        assert worker.poll() is None
+        time.sleep(0.02)
+    worker.send_signal(signal.SIGINT)
+    worker.terminate()
+    assert worker.communicate()[1] == b""
+    assert list(place.iterdir()) == []

@@ -144,7 +144,8 @@ def _in_copy(
     course: Course, scenario: Scenario, protocol: str, writing: int, keep: Callable[[Course, Result], None]
 ) -> None:
     """Run a scenario, hand its result over, and end this process without anything of the original's."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_DFL)
     code = 1
     try:
         result = try_out(course, scenario, protocol)

@@ -12,7 +12,7 @@ from handctl.drives.registry import DISCOVERIES
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand, load_hand
 from handctl.hand.sections import Bus as BusSection
-from handctl.runtime.bus import Bus, open_bus
+from handctl.runtime.bus import Bus, check_spec, open_bus
 from handctl.runtime.link import NoTool, read_link
 from handctl.runtime.link_findings import WIRING, Finding, absent, findings
 from handctl.runtime.round_trip import RoundTrip, round_trip
@@ -47,6 +47,8 @@ def _wanted(args: argparse.Namespace, hand: Hand | None) -> Sequence[tuple[str, 
         from handctl.cli.plan import bus_specs  # it brings the whole controller along
 
         return tuple(zip(bus_specs(hand, args.bus), hand.bus, strict=True))
+    for spec in args.bus:
+        check_spec(spec)
     rates = {"bitrate": args.bitrate, "data_bitrate": args.data_bitrate}
     return tuple((spec, BusSection(name=f"bus{i}", **rates)) for i, spec in enumerate(args.bus))
 

@@ -5,7 +5,7 @@ What a drive has latched after a controller died is cleared by ``handctl run --c
 
 import argparse
 
-from handctl.cli.options import bus_option, json_option, print_json
+from handctl.cli.options import bus_option, controller_bus, json_option, print_json
 from handctl.runtime.mailbox import send_request
 
 EXAMPLE = "handctl clear --help   # with a hand running on local:demo: handctl clear --bus local:demo"
@@ -19,7 +19,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Ask the controller of the bus to clear."""
-    bus = args.bus[0].partition("=")[2] or args.bus[0]
+    bus = controller_bus(args)
     send_request(bus, '{"do": "clear"}')
     if args.json:
         print_json({"asked": "clear", "bus": bus})

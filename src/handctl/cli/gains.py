@@ -8,7 +8,7 @@ from typing import Any
 
 from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import assignments, gains_options, layered_gains
-from handctl.cli.options import bus_option, hand_option, json_option, print_json
+from handctl.cli.options import bus_option, controller_bus, hand_option, json_option, print_json
 from handctl.controller.gain_bounds import bounds, flat, with_values
 from handctl.controller.gains import Gains, Provenance, load_gains_file
 from handctl.errors import BusError, ConfigError
@@ -171,7 +171,7 @@ def _set(args: argparse.Namespace, hand: Hand) -> int:
 
     values = assignments(args.values, "gains set")
     with_values(Gains(), values, "gains set", live=True)
-    bus = args.bus[0].partition("=")[2] if "=" in args.bus[0].partition(":")[0] else args.bus[0]
+    bus = controller_bus(args)
     watcher = Watcher(bus)
     try:
         watcher.next(TAKEN_OVER_S)

@@ -83,12 +83,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         give_up_output()
         return Exit.DONE
     except OSError as error:
-        text = f"{error.filename}: {error.strerror}" if error.filename else str(error.strerror or error)
+        nameless = "the working folder: " if error.errno == errno.ENOENT else ""  # it has been taken away
+        where = f"{error.filename}: " if error.filename else nameless
+        text = f"{where}{error.strerror or error}"
         return _say(text, Exit.BAD_INPUT if error.errno in WRONG_NAME else Exit.FAILED)
-    except Terminated:
-        return _say("ended by a signal", Exit.TERMINATED)
-    except KeyboardInterrupt:
-        return _say("interrupted", Exit.INTERRUPTED)
+    except Terminated as error:
+        return _say(str(error) or "ended by a signal", Exit.TERMINATED)
+    except KeyboardInterrupt as error:
+        return _say(str(error) or "interrupted", Exit.INTERRUPTED)
 
 
 def _done(words: list[str]) -> int:

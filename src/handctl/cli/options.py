@@ -44,6 +44,12 @@ def _bit_rate(word: str) -> int:
     return rate
 
 
+def controller_bus(args: argparse.Namespace) -> str:
+    """The bus by which a running controller is called: the first, without the name that a hand file gives it."""
+    head, equals, spec = args.bus[0].partition("=")
+    return spec if equals and ":" not in head else str(args.bus[0])
+
+
 def json_option(parser: argparse.ArgumentParser) -> None:
     """--json: machine-readable output on stdout, nothing else there."""
     parser.add_argument("--json", action="store_true", help="print the result as JSON on standard output")

@@ -18,6 +18,7 @@ from handctl.drives.load import MOST, highest_rate
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand, load_hand
 from handctl.output import check_output
+from handctl.runtime.bus import check_spec
 
 TASKS = Path(__file__).parent.parent / "tasks"
 TICKS_IN_WATCHDOG = 2
@@ -109,9 +110,16 @@ def bus_specs(hand: Hand, given: Sequence[str]) -> tuple[str, ...]:
     """Specification of each bus of a hand, from ``--bus``.
 
     Raises:
-        ConfigError: a bus is missing, given twice, or not the hand's.
+        ConfigError: a bus is missing, given twice, not the hand's, or none.
     """
-    names = hand.bus_names
+    specs = _specs(hand.bus_names, given)
+    for spec in specs:
+        check_spec(spec)
+    return specs
+
+
+def _specs(names: tuple[str, ...], given: Sequence[str]) -> tuple[str, ...]:
+    """What was given for each name."""
     if len(names) == 1 and len(given) == 1 and "=" not in given[0].partition(":")[0]:
         return (given[0],)
     found: dict[str, str] = {}

@@ -235,6 +235,9 @@ def _finish(
     try:
         state = loop.run(controller.initial())
         reason = state.failure or "done"
+    except KeyboardInterrupt:
+        reason = "interrupted"
+        raise
     finally:
         if display:
             display.close()

@@ -2,7 +2,7 @@
 
 import argparse
 
-from handctl.cli.options import bus_option, json_option, print_json
+from handctl.cli.options import bus_option, controller_bus, json_option, print_json
 from handctl.runtime.mailbox import send_request
 
 EXAMPLE = "handctl stop --help   # with a hand running on local:demo: handctl stop --bus local:demo"
@@ -18,7 +18,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Ask the controller of the bus to stop."""
     word = "cut" if args.cut else "stop"
-    bus = args.bus[0].partition("=")[2] or args.bus[0]
+    bus = controller_bus(args)
     send_request(bus, f'{{"do": "{word}"}}')
     if args.json:
         print_json({"asked": word, "bus": bus})

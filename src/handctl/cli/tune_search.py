@@ -39,9 +39,8 @@ def run(args: argparse.Namespace) -> int:
         crew = workers(crew_size, args.scheduler)
         try:
             found = search(plan, storage, crew, progress.show)
-        except KeyboardInterrupt:
-            progress.interrupted(storage)
-            return Exit.FAILED
+        except KeyboardInterrupt as error:
+            raise type(error)(f"interrupted; the same command goes on with {storage}") from None
         finally:
             crew.close()
     draw_search(picture, found, f"{hand.name} at {rate:g} Hz: {len(found.trials)} trials on {len(plants)} plants")
@@ -104,11 +103,6 @@ class _Progress:
         if not self._quiet and self._bar.disable and time.monotonic() >= self._next:
             self._next = time.monotonic() + 5.0
             self._console.print(f"trial {len(found.trials)}: {text}", highlight=False)
-
-    def interrupted(self, storage: Path) -> None:
-        """What a person who pressed Ctrl-C wants to know."""
-        self._bar.stop()
-        self._console.print(f"interrupted; the same command goes on with {storage}", highlight=False)
 
 
 def _result(found: Any, storage: Path, out: Path, picture: Path) -> dict[str, Any]:

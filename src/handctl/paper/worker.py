@@ -1,6 +1,7 @@
 """A process that does experiments: a job on each line of its standard input, a result on each line of its output."""
 
 import json
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -10,7 +11,12 @@ from handctl.paper.experiments import do
 
 
 def main() -> None:
-    """Work until the input ends; an experiment that fails answers with its error."""
+    """Work until the input ends; an experiment that fails answers with its error.
+
+    Ctrl-C is for the process that gives the jobs; it ends this one by SIGTERM, which takes the folder away, too.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
     with tempfile.TemporaryDirectory(prefix="handctl-paper-") as folder:
         for line in sys.stdin:
             try:

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from handctl.drives.frame import FDF, Frame
-from handctl.errors import BusError
+from handctl.errors import ConfigError
 from handctl.runtime.bus_events import Event
 
 Stamp = Callable[[int], int]
@@ -51,6 +51,19 @@ def _monotonic(t_ns: int) -> int:
     return t_ns
 
 
+def check_spec(spec: str) -> None:
+    """Refuse what no bus can be called, before anything is opened.
+
+    Raises:
+        ConfigError: no kind, no channel, or a local bus whose name is no plain one.
+    """
+    kind, _, channel = spec.partition(":")
+    if not kind or not channel:
+        raise ConfigError("is no bus", repr(spec), "local:NAME, socketcan:can0 or another python-can INTERFACE:CHANNEL")
+    if kind == "local" and ("/" in channel or channel.startswith(".")):
+        raise ConfigError("is no name of a bus", repr(spec), "a plain name, as in local:demo")
+
+
 def open_bus(spec: str, index: int, bitrate: int, data_bitrate: int | None = None, stamp: Stamp = _monotonic) -> Bus:
     """Open a bus.
 
@@ -63,11 +76,11 @@ def open_bus(spec: str, index: int, bitrate: int, data_bitrate: int | None = Non
         stamp: makes the run's time of a CLOCK_MONOTONIC time.
 
     Raises:
+        ConfigError: that is no specification.
         BusError: it cannot be opened; the line says what to type.
     """
+    check_spec(spec)
     kind, _, channel = spec.partition(":")
-    if not kind or not channel:
-        raise BusError("is no bus", repr(spec), "local:NAME, socketcan:can0 or another python-can INTERFACE:CHANNEL")
     if kind == "local":
         from handctl.runtime.local import LocalBus
 

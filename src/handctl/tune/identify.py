@@ -98,15 +98,15 @@ def identify(log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda t
     Raises:
         LogError: nothing in the log moves.
     """
-    solved, why = [], ""
+    solved, why = [], LogError("no tendon of this hand in it", "the log", "a run in which digits move")
     for data in tendon_data(log, hand):
         progress(f"fitting {data.tendon}")
         try:
             solved.append((data, fit(Problem.of(data, hand))))
         except LogError as error:
-            why = str(error)
+            why = error
     if not solved:
-        raise LogError(why or "no tendon of this hand in it", "the log", "a run in which digits move")
+        raise why
     found: dict[str, Found] = {}
     for name in hand.digit_names:
         own = [(data, one) for data, one in solved if data.digit == name]
