@@ -86,7 +86,8 @@ def test_rows_that_take_longer_than_asked() -> None:
     soon, just = Entry("A", "t", "fault table", ticks=2, asked=3), Entry("B", "t", "fault table", ticks=3, asked=3)
     longer = Entry("C", "u", "fault table", ticks=1, ms=30, asked=5, why="because")
     free = Entry("D", "t", "fault table", ticks=9)  # no time is given: it cannot be late
-    assert [late(one) for one in (soon, just, longer, free)] == [False, False, True, False]
+    at_once = Entry("E", "t", "fault table", ticks=2, asked=1)
+    assert [late(one) for one in (soon, just, longer, free, at_once)] == [False, False, True, False, True]
     assert later((soon, just, longer, free)).splitlines() == [
         "| id | fault | asked, ticks | at 500 Hz, ticks | asked | takes | why |", "|---|---|---|---|---|---|---|",
         "| C | u | 5 | 16 | 25 ms | 32 ms | because |",

@@ -40,14 +40,14 @@ def screen(state: Accepted, value: Vector, step_most: Vector, missed: int = 0) -
     Returns:
         state, and how far each dropped sample jumped [rad], 0 where none was; None if none was at all.
     """
-    step = np.abs(value - state.value)
+    step, late = np.abs(value - state.value), zeros(len(value)) + missed
     if np.count_nonzero(step <= step_most) == len(step):  # nearly always: nothing is missing, nothing jumps
-        return Accepted(value, zeros(len(step)) + missed if missed else zeros(len(step))), None
+        return Accepted(value, late), None
     gap = state.gap + (1.0 + missed)
     wrong = step > step_most * gap
     fresh = (value == value) & ~wrong
     jumped = only(wrong, step) if np.count_nonzero(wrong) else None
-    return Accepted(chosen(fresh, value, state.value), chosen(fresh, zeros(len(step)) + missed, gap)), jumped
+    return Accepted(chosen(fresh, value, state.value), chosen(fresh, late, gap)), jumped
 
 
 def unread(state: Accepted, missed: int = 0) -> Accepted:
