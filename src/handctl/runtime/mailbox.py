@@ -154,7 +154,7 @@ class Watcher:
         self.socket.settimeout(timeout_s)
         try:
             line: dict[str, Any] = json.loads(self.socket.recv(LARGEST_STATUS))
-        except TimeoutError:
+        except (TimeoutError, BlockingIOError):  # the latter if it may take no time at all
             return None
         return line
 
