@@ -90,7 +90,7 @@ NODE_FAULTS: tuple[Fault, ...] = (
           _caused_by(Cause.VOLTAGE)),
     Fault("N11", "drive reports an error", "error code in the feedback", 1, Action.RELAX, PERSON,
           _caused_by(Cause.OTHER, Cause.HOT, Cause.LOST)),
-    Fault("N11b", "drive reports an unknown error", "a code that nobody knows is the worst", 1, Action.CUT, PERSON,
+    Fault("N11b", "drive reports an unknown error", "an unknown code counts as the most severe", 1, Action.CUT, PERSON,
           _caused_by(Cause.UNKNOWN)),
     Fault("N12", "another drive than configured", "a read-back differs, or somebody else has enabled it", 1,
           Action.CUT, PERSON, _caused_by(Cause.MISMATCH)),

@@ -87,6 +87,6 @@ TENDON_FAULTS: tuple[Fault, ...] = (
     Fault("T06", "load cell saturated", "a rail, or a broken wire, three ticks", 3, Action.RELAX, PERSON, _saturated),
     Fault("T08", "a rope left its pulley", "joint and spool differ by more than any stretch, three ticks", 3,
           Action.RELAX, PERSON, _derailed),
-    Fault("T09", "friction has grown", "3 N more than the hand file says, over 5 s of motion", 1, Action.WARN, ITSELF,
+    Fault("T09", "friction has grown", "3 N above the hand file's, averaged over 5 s of motion", 1, Action.WARN, ITSELF,
           _rubs),
 )  # fmt: skip
