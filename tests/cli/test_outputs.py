@@ -131,3 +131,10 @@ def test_a_picture_is_named_as_it_was_asked_for(place):
     assert b"<svg" in (place / "picture.svg").read_bytes()
     for name in ("picture", "picture.odd", "picture.svg"):
         (place / name).unlink()
+
+
+def test_a_recording_is_not_begun_without_room_for_it(monkeypatch, capsys):
+    monkeypatch.setattr("handctl.view.feed.ROOM", 10**12)
+    for words in (("log", "export", "--rrd", LOG, "--output", "new.rrd", "--json"), ("view", LOG, "--save", "new.rrd")):
+        assert main(words) == 1
+        assert capsys.readouterr() == ("", "handctl: new.rrd: No space left on device\n")

@@ -1,5 +1,8 @@
 """From a log to Rerun: all chunks of a run, into a file or into a viewer."""
 
+import errno
+import os
+import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,6 +22,8 @@ from handctl.view.styles import styles
 from handctl.view.subject import Subject
 from handctl.view.windows import SPAN_NS, windows
 
+ROOM = 2
+"""Free space that a recording wants, in sizes of its log: on a full disk Rerun's writer waits for ever."""
 DECODERS = ("ros2msg", "ros2_reflection", "urdf")
 
 
@@ -112,7 +117,10 @@ def write_rrd(path: Path, subject: Subject, out: Path) -> int:
 
     Raises:
         LogError: the log is damaged, or the file cannot be written.
+        OSError: there is no room for it.
     """
+    if shutil.disk_usage(out.absolute().parent).free < ROOM * path.stat().st_size:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(out))
     stream = recording(subject)
     try:
         stream.save(out, default_blueprint=dashboard(subject))
