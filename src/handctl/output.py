@@ -1,5 +1,6 @@
 """Files that verbs write: all of one or nothing of it, whatever comes between."""
 
+import errno
 import os
 import shutil
 from collections.abc import Iterator
@@ -9,6 +10,8 @@ from typing import Any
 
 from handctl.errors import ConfigError
 
+NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS}
+"""What file systems without links answer, such as that of a memory stick."""
 LOG = ".mcap"
 """Suffix of what nothing may be written over."""
 DRAWN = {".png", ".svg", ".pdf"}
@@ -41,7 +44,7 @@ def whole(path: Path, new: bool = False) -> Iterator[Path]:
             yield beside
             if beside.exists():
                 _settle(beside)
-                os.replace(beside, target)
+                _move(beside, target, new)
                 _settle(target.parent)
     finally:
         if beside.is_dir():
@@ -102,6 +105,19 @@ def _named(path: Path, written: Path) -> Iterator[None]:
             raise
         text = os.strerror(error.errno) if error.errno else str(error)
         raise OSError(error.errno, text, str(path)) from None
+
+
+def _move(beside: Path, target: Path, new: bool) -> None:
+    """Put a file in its place; a new one never over what another process has put there meanwhile."""
+    if new and beside.is_file():
+        try:
+            os.link(beside, target)
+        except OSError as error:
+            if error.errno not in NO_LINKS:
+                raise
+        else:
+            return
+    os.replace(beside, target)
 
 
 def _settle(path: Path) -> None:
