@@ -116,3 +116,11 @@ def test_a_worker_of_the_paper_leaves_no_folder(place):
     worker.terminate()
     assert worker.communicate()[1] == b""
     assert list(place.iterdir()) == []
+
+
+def test_a_bug_of_ours_is_shown_whole_and_has_a_code_of_its_own(capsys, monkeypatch):
+    monkeypatch.setattr("handctl.cli.doctor.run", lambda args: {}["nobody thought of this"])
+    assert main(["doctor"]) == 70
+    err = capsys.readouterr().err
+    assert "KeyError: 'nobody thought of this'" in err
+    assert err.splitlines()[-1] == "handctl: this is a bug in handctl; what stands above tells us where"

@@ -4,6 +4,7 @@ import argparse
 import errno
 import importlib
 import sys
+import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Protocol
@@ -91,6 +92,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _say(str(error) or "ended by a signal", Exit.TERMINATED)
     except KeyboardInterrupt as error:
         return _say(str(error) or "interrupted", Exit.INTERRUPTED)
+    except Exception:  # noqa: BLE001 - whatever is left is a bug of ours, and says so
+        traceback.print_exc()
+        return _say("this is a bug in handctl; what stands above tells us where", Exit.INTERNAL)
 
 
 def _done(words: list[str]) -> int:
