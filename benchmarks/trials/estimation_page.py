@@ -76,7 +76,7 @@ def _conclusion(result: dict) -> str:
         "Measured against the limit without its delay, the estimate for the present (not the same instant, so that it "
         f"need not come near) is at {', '.join(strict)}. "
     )
-    return " ".join((text.strip(), *(_against_raw(result, ratio) for ratio in WHEN), WHY))
+    return " ".join((text.strip(), *(_against_raw(result, ratio) for ratio in WHEN), _otherwise_wrong(result), WHY))
 
 
 WHY = (
@@ -110,6 +110,28 @@ def _against_raw(result: dict, ratio: str) -> str:
             f"worst is {worst:.2f} times ({name})."
         )
     return f"{WHEN[ratio]} it is worse than the raw cell in: {'; '.join(above)}."
+
+
+def _otherwise_wrong(result: dict) -> str:
+    """Where the raw cell is better on plants that are wrong in something else than stiffness."""
+    rows = [
+        (row["estimate / raw now"], row["nis"], f"{hand} {regime}, {plant}")
+        for hand, plants in result["hands"].items()
+        for plant, found in plants.items()
+        if plant != "as known" and not plant.startswith("stiffness")
+        for regime, row in found.items()
+    ]
+    if not rows:
+        return ""
+    above = [f"{name} ({value:.2f})" for value, _, name in rows if value > 1.0]
+    nis, name = max((nis, name) for _, nis, name in rows)
+    if not above:
+        return "With mass, friction or the cell itself wrong it is at present never worse than the raw cell."
+    return (
+        f"With something else wrong it is at present worse than the raw cell in: {'; '.join(above)}. "
+        f"The innovations tell of it (the largest NIS is {nis:.2f}, {name}), and `handctl identify` finds friction "
+        "within some per cent."
+    )
 
 
 def picture(result: dict) -> None:

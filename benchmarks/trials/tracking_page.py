@@ -5,6 +5,13 @@ import numpy as np
 from trials.page import FIGURES, table
 
 ENDED = "ended"
+SAID = {
+    "N04": "with weights so soft a motor may stand in its own friction while its goal goes on, which the watch takes "
+    "for an encoder that is stuck",
+    "T02b": "a rope stayed slack",
+    "T01": "a rope ran out without tension, as one that has snapped",
+}
+"""What faults mean that ended runs."""
 """For a law with which safety ends all of the runs."""
 LEAST_DEG = 0.03
 """Left end of the picture."""
@@ -136,7 +143,27 @@ def _wrong(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
         whole = [_cell(laws[named[2]][speed]) for speed in speeds]
         ratio = _number(plain["rmse_deg"] / best["rmse_deg"])
         rows.append([plant, _cell(plain), _cell(springs), *whole, ratio, str(best["seeds"])])
-    return table(head, rows)
+    return "\n".join((table(head, rows), "", _costs(plants, named[2]), _why_ended(plants)))
+
+
+def _costs(plants: dict, law: str) -> str:
+    """What the wrong plants cost a law at the fast motion, the dearest first."""
+    known = plants["as known"][law]["fast"]["rmse_deg"]
+    more = {plant: laws[law]["fast"]["rmse_deg"] - known for plant, laws in plants.items() if law in laws}
+    dear = sorted((plant for plant in more if plant != "as known"), key=lambda plant: -more[plant])
+    return f"What it costs the whole law at the fast motion: {', '.join(f'{p} {more[p]:+.2f} deg' for p in dear)}."
+
+
+def _why_ended(plants: dict) -> str:
+    """Why runs ended, by law."""
+    told: dict[str, set[str]] = {}
+    for laws in plants.values():
+        for law, speeds in laws.items():
+            faults = {word for row in speeds.values() for why in row["why"] for word in why.split() if word in SAID}
+            told.setdefault(law, set()).update(faults)
+    return " ".join(
+        f"Runs of '{law}' ended by {fault}: {SAID[fault]}." for law, faults in told.items() for fault in sorted(faults)
+    )
 
 
 def picture(result: dict) -> None:
