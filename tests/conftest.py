@@ -16,7 +16,9 @@ settings.register_profile("nightly", CALM, max_examples=2000, print_blob=True)
 settings.load_profile("nightly" if NIGHTLY else "every run")
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
-"""A shell's background job begins with SIGINT ignored, and so would every program that these tests start."""
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
+"""A shell's background job begins with SIGINT ignored, one of nohup with SIGHUP, and so would every program that these
+tests start."""
 if "HANDCTL_RUN_DIR" not in os.environ:
     RUN_DIR = tempfile.TemporaryDirectory(prefix="handctl-", ignore_cleanup_errors=True)
     """Buses and truths of these tests alone, whatever else runs on this machine; gone with this process."""

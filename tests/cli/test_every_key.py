@@ -135,8 +135,8 @@ def spoilt(content, path, kind):
     return text_of(changed(content, path, NEVER[kind] if kind in NEVER else PERHAPS[kind](old)))
 
 
-class OpenedError(BaseException):
-    """A bus was about to be opened; no failure of a verb, which would be told in a line."""
+class OpenedError(Exception):
+    """A bus was about to be opened."""
 
 
 @pytest.fixture(autouse=True)

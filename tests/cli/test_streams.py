@@ -118,9 +118,19 @@ def test_a_worker_of_the_paper_leaves_no_folder(place):
     assert list(place.iterdir()) == []
 
 
-def test_a_bug_of_ours_is_shown_whole_and_has_a_code_of_its_own(capsys, monkeypatch):
-    monkeypatch.setattr("handctl.cli.doctor.run", lambda args: {}["nobody thought of this"])
-    assert main(["doctor"]) == 70
-    err = capsys.readouterr().err
-    assert "KeyError: 'nobody thought of this'" in err
-    assert err.splitlines()[-1] == "handctl: this is a bug in handctl; what stands above tells us where"
+BUGGY = """
+import atexit, sys
+import handctl.cli.doctor
+from handctl.cli.main import main
+handctl.cli.doctor.run = lambda args: atexit.register(print, "put away") and {}["nobody thought of this"]
+sys.argv = ["handctl", "doctor"]
+sys.exit(main())
+"""
+
+
+def test_a_bug_of_ours_is_shown_whole_and_has_a_code_of_its_own():
+    ended = subprocess.run([sys.executable, "-c", BUGGY], capture_output=True, text=True)
+    assert ended.returncode == 70
+    assert "KeyError: 'nobody thought of this'" in ended.stderr
+    assert ended.stderr.splitlines()[-1] == "handctl: this is a bug in handctl; what stands above tells where"
+    assert ended.stdout == "put away\n"

@@ -1,12 +1,18 @@
-"""Signals that end a verb where no hand runs: they unwind it, so that files, children and sockets are put away.
+"""How a verb ends that does not end by itself: by a signal, or by a bug.
 
-While a hand runs the loop has the signals: see ``runtime.loop.Signals``.
+Where no hand runs a signal unwinds the verb, so that files, children and sockets are put away; while a hand runs the
+loop has the signals: see ``runtime.loop.Signals``.
 """
 
+import atexit
+import os
 import signal
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
-from types import FrameType
+from contextlib import contextmanager, suppress
+from types import FrameType, TracebackType
+
+from handctl.cli.exit_codes import Exit
 
 
 class Terminated(KeyboardInterrupt):
@@ -27,3 +33,26 @@ def ended_by_signals() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def give_bugs_a_code() -> None:
+    """Have an exception that nobody expected end this process with its traceback and ``Exit.INTERNAL``.
+
+    Everything is put away as ever: the code is set last, when all else that waits for the end has been called.
+    """
+    bugs: list[BaseException] = []
+
+    def show(kind: type[BaseException], bug: BaseException, trace: TracebackType | None) -> None:
+        sys.__excepthook__(kind, bug, trace)
+        print("handctl: this is a bug in handctl; what stands above tells where", file=sys.stderr)
+        bugs.append(bug)
+
+    def end() -> None:
+        if bugs:
+            for stream in (sys.stdout, sys.stderr):
+                with suppress(OSError):
+                    stream.flush()
+            os._exit(Exit.INTERNAL)
+
+    atexit.register(end)
+    sys.excepthook = show

@@ -4,12 +4,11 @@ import argparse
 import errno
 import importlib
 import sys
-import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Protocol
 
-from handctl.cli.ended import Terminated, ended_by_signals
+from handctl.cli.ended import Terminated, ended_by_signals, give_bugs_a_code
 from handctl.cli.exit_codes import Exit
 from handctl.cli.streams import flush, give_up_output, make_usable
 from handctl.errors import ConfigError, HandctlError, IncomparableError, LogError
@@ -66,6 +65,8 @@ class Verb(Protocol):
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of ``handctl``; what goes wrong becomes one line and an exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
+    if argv is None:
+        give_bugs_a_code()
     make_usable()
     try:
         with ended_by_signals():
@@ -92,9 +93,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _say(str(error) or "ended by a signal", Exit.TERMINATED)
     except KeyboardInterrupt as error:
         return _say(str(error) or "interrupted", Exit.INTERRUPTED)
-    except Exception:  # noqa: BLE001 - whatever is left is a bug of ours, and says so
-        traceback.print_exc()
-        return _say("this is a bug in handctl; what stands above tells us where", Exit.INTERNAL)
 
 
 def _done(words: list[str]) -> int:
