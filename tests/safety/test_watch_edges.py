@@ -1,0 +1,91 @@
+"""What safety remembers, at its very limits: they are judged as they are written, to the last bit."""
+
+import numpy as np
+import pytest
+
+from handctl.safety import residuals, ropes, watch
+from handctl.safety.residuals import Rotor
+from handctl.safety.signals import Limits
+from handctl.safety.stuck import Stuck
+from handctl.safety.watch import CELL_FORCE_N, CELL_TICKS, DEG, SLIP_SETTLE_S, STUCK_JOINT_DEG, STUCK_S, Seen, Watcher
+
+T, N = 0.002, np.nan
+PAIR = np.ones(2)
+SOFT = 5e3
+"""A rope that stretches by four millimetres under 20 N [N/m]."""
+
+
+@pytest.fixture
+def watcher() -> Watcher:
+    return Watcher(
+        limits=Limits(("a", "b"), (140.0, 140.0), 240.0, ("ma", "mb"), noise_most=1e-4), joints=("ja", "jb"),
+        rotor=Rotor(5.0 * PAIR, 40.0 * PAIR, 3.0 * PAIR, T), stiffness=SOFT * PAIR, spool=0.005 * PAIR,
+        arms=0.02 * PAIR, spool_to_joints=np.diag([50.0, 100.0]), step_most=(0.2 * PAIR, 0.3 * PAIR),
+    )  # fmt: skip
+
+
+def seen(tension: float, **given: object) -> Seen:
+    facts: dict[str, object] = {"travel": 0.0, "position": 0.0, "speed": 0.0, "force": 20.0, "excursion": 0.0,
+                                "joints": 0.0, "read": True, "cut": False}  # fmt: skip
+    facts |= {"tension": tension} | given
+    return Seen(**{name: v if isinstance(v, bool) else np.array(v) * PAIR for name, v in facts.items()})  # type: ignore[arg-type]
+
+
+def test_what_a_rope_stretches_turns_no_joint(watcher: Watcher) -> None:
+    """The spool winds as far as the rope gives way under a tension that has grown."""
+    low = watcher.start.filtered.low.copy()
+    low[residuals.TENSION] = 20.0
+    filtered = watcher.start.filtered._replace(low=low)
+    turned = watch._witnesses(watcher, watcher.start, filtered, seen(20.0, travel=20.0 / SOFT))
+    np.testing.assert_allclose(turned[0, 4:], 0.0, atol=1e-12)
+    turned = watch._witnesses(watcher, watcher.start, filtered, seen(20.0, travel=[20.0 / SOFT + 1e-3, 20.0 / SOFT]))
+    np.testing.assert_allclose(turned[0, 4:], [0.05, 0.0], atol=1e-12)
+    assert np.isnan(turned[1, 2:]).all(), "the second witness of cells and joints says nothing"
+
+
+@pytest.mark.parametrize(("tension", "taut"), [(ropes.SLACK_N, 1.0), (ropes.SLACK_N - 1e-9, 0.0), (ropes.TAUT_N, 1.0),
+                                               (ropes.TAUT_N + 1e-9, 1.0 + T)])  # fmt: skip
+def test_between_slack_and_taut_time_stands(watcher: Watcher, tension: float, taut: float) -> None:
+    state = watcher.start._replace(taut=(1.0, 1.0))
+    found, _, _ = watch._slip(watcher, state, seen(tension), [tension, tension])
+    assert found == (taut, taut)
+
+
+def test_joint_and_spool_are_not_compared_before_the_rope_has_settled(watcher: Watcher) -> None:
+    for since, settled in ((SLIP_SETTLE_S, False), (np.nextafter(SLIP_SETTLE_S, 1.0), True)):
+        state = watcher.start._replace(taut=(float(since), 1.0), slip_from=np.zeros(2))
+        _, begin, slip = watch._slip(watcher, state, seen(2.2, excursion=[0.0, 1e-3]), [2.2, 2.2])
+        assert np.isnan(begin[0]) != settled
+        assert np.isnan(slip[0]) != settled
+        assert slip[1] == pytest.approx((-2.2 / SOFT - 1e-3) / 0.02 * DEG)
+
+
+def names(watcher: Watcher, ticks: list[int], value: float, away: list[list[float]]) -> dict[str, list[str]]:
+    stands = Stuck(np.full(6, value), np.array(ticks), np.zeros((2, 6)))
+    told = watch._stuck_signals(watcher, stands, np.array(away))
+    return {kind: [name for name, _ in found] for kind, found in told.items()}
+
+
+def test_what_stands_is_told_beyond_its_limits_and_not_at_them(watcher: Watcher) -> None:
+    long = int(STUCK_S / T)
+    calm = [[0.0] * 6, [0.0] * 6]
+    assert not any(names(watcher, [9999] * 6, 20.0, calm).values())
+    at = [[watch.STUCK_GOAL_MM / 1e3, 0.0, CELL_FORCE_N, 9.0, STUCK_JOINT_DEG / DEG, 0.1],
+          [0.0, watch.STUCK_TENSION_N, 0.0, 0.0, 0.0, 0.0]]  # fmt: skip
+    assert at[0][0] * 1e3 == watch.STUCK_GOAL_MM
+    assert at[0][4] * DEG == STUCK_JOINT_DEG
+    found = names(watcher, [9999] * 6, 20.0, at)
+    assert found == {"stuck_motor": [], "stuck_joint": [], "stuck_cell": ["b"]}
+    beyond = [[value * 1.01 for value in row] for row in at]
+    assert names(watcher, [long + 1] * 6, 20.0, beyond) == {
+        "stuck_motor": ["ma", "mb"], "stuck_joint": ["ja"], "stuck_cell": ["a", "b"],
+    }  # fmt: skip
+    assert names(watcher, [long] * 6, 20.0, beyond)["stuck_motor"] == []
+    assert names(watcher, [long] * 6, 20.0, beyond)["stuck_joint"] == []
+
+
+def test_a_cell_may_repeat_itself_one_tick_less_than_the_row_says(watcher: Watcher) -> None:
+    pushed = [[0.0, 0.0, 9.0, 9.0, 0.0, 0.0], [0.0] * 6]
+    assert names(watcher, [CELL_TICKS] * 6, 20.0, pushed)["stuck_cell"] == ["a", "b"]
+    assert names(watcher, [CELL_TICKS - 1] * 6, 20.0, pushed)["stuck_cell"] == []
+    assert names(watcher, [CELL_TICKS] * 6, ropes.TAUT_N, pushed)["stuck_cell"] == [], "a slack rope's cell may rest"
