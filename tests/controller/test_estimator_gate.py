@@ -154,3 +154,18 @@ def coasting(model: HandModel) -> tuple[FilterState, np.ndarray]:
     x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), 0.5)
     x[:, X], x[:, V] = x[:, S] + 20.0 / model.space.stiffness, 1e-3
     return FilterState.of(x.ravel(), Regime.HELD, stopped=False), np.full(model.tendon_count, 20.0)
+
+
+@pytest.mark.parametrize("every", [5, 11, 30])
+def test_a_position_that_comes_now_and_then_does_not_make_the_filter_swing(jamia: HandModel, every: int) -> None:
+    """The gains are for a measurement in every tick; a drive that was reset told its position in every eleventh."""
+    held = Held(jamia).settled()
+    chance = np.random.default_rng(7)
+    for k in range(100 * every):
+        travel = 2e-5 * chance.standard_normal() if k % every == 0 else np.nan
+        estimate = held.sample(TENSION, travel=travel)
+        assert np.abs(estimate.travel - held.travel).max() < 0.05, k
+    for _ in range(200):
+        estimate = held.sample(TENSION)
+    np.testing.assert_allclose(estimate.travel, held.travel, atol=1e-4)
+    np.testing.assert_allclose(estimate.speed, 0.0, atol=2e-3)

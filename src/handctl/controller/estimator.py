@@ -28,6 +28,8 @@ STOP_BAND_M = (2e-5, 1e-4)
 STOP_PULL = (0.8, 1.05)
 """Pull, as a share of what the springs ask, below which it is: to come to rest, so little that friction cannot hold
 it just above the stop, and to stay."""
+LOST_M = 5e-3
+"""No cable goes so far between two measurements, and no filter that knows where it is errs by so much."""
 HELD_TORQUE_S = 0.05
 """Longest time without a command that is predicted; then the drives' watchdogs have let go."""
 LOOSE_M = 2e-4
@@ -135,9 +137,10 @@ def step(
         unknown = nothing(model.tendon_count)
         return state, _estimate(model, state, state.x, unknown, unknown, zeros(model.tendon_count))
     filters = model.filter.stacked(state.regimes)
-    z, expected = _usable(state, filters, measured), filters.H.dot(state.x)
-    innovation, surprise, believed = gate(filters, state.surprise, z - expected)
-    x = state.x + filters.K.dot(known(innovation.copy()))
+    z = _usable(state, filters, measured)
+    before, innovation = _found_again(state.x, filters, z, z - filters.H.dot(state.x))
+    innovation, surprise, believed = gate(filters, state.surprise, innovation)
+    x = before + filters.K.dot(known(innovation.copy()))
     for i, change in believed:
         x[STATES * i + S] -= change / model.space.stiffness[i]
     tension = filters.tension.dot(x)
@@ -154,6 +157,20 @@ def step(
     watched = watch(model.period, state.nis, state.doubtful, nis)
     after = FilterState(x, judged.regimes, judged.stopped, judged.turning, judged.measured, surprise, *watched, True)
     return after, _estimate(model, after, x, innovation[1::MEASUREMENTS], nis, external)
+
+
+def _found_again(x: Vector, filters: Stacked, z: Vector, innovation: Vector) -> tuple[Vector, Vector]:
+    """State and innovations (3N,), with a cable that was lost begun anew where its encoder sees it, at rest.
+
+    The filter's gains are those of a measurement in every tick. Where one comes now and then only, as of a drive that
+    was reset, they correct a speed for much longer than they mean to, each time by more.
+    """
+    lost = np.abs(innovation[::MEASUREMENTS]) > LOST_M
+    if not np.count_nonzero(lost):
+        return x, innovation
+    again = x.copy().reshape(-1, STATES)
+    again[lost, X], again[lost, V] = z[::MEASUREMENTS][lost], 0.0
+    return again.ravel(), z - filters.H.dot(again.ravel())
 
 
 def _usable(state: FilterState, filters: Stacked, measured: Measured) -> Vector:
