@@ -37,19 +37,20 @@ def _success(rows: list[dict[str, Any]]) -> str:
         cells = []
         for hand in hands:
             own = [row for row in tried if row["hand"] == hand]
-            worst = max((max(row["motion_mm"]) for row in own if row["motion_mm"]), default=float("nan"))
-            cells.append(f"{sum(row['ok'] for row in own)} of {len(own)}, {min(worst, 99.0):.1f} mm" if own else "-")
+            moved = [max(row["motion_mm"]) for row in own if row["motion_mm"]]
+            worst = f", {min(max(moved), 99.0):.1f} mm" if moved else ""
+            cells.append(f"{sum(row['ok'] for row in own)} of {len(own)}{worst}" if own else "-")
         table.append([grasp, thing, *cells])
     totals = []
     for grasp in dict.fromkeys(row["grasp"] for row in rows):
         for hand in hands:
             own = [row for row in rows if row["hand"] == hand and row["grasp"] == grasp]
             totals.append(f"{hand} {grasp} {100 * np.mean([row['ok'] for row in own]):.0f} % of {len(own)}")
-    failures = [
-        f"* {row['hand']}, {row['grasp']}, {row['object']}, seed {row['seed']}: {row['why']}"
-        for row in rows
-        if row["why"]
-    ]
+    failures = []
+    for (hand, grasp, thing), failed in _groups([row for row in rows if row["why"]], "hand", "grasp", "object").items():
+        whys = _groups(failed, "why")
+        told = [f"{why} (seed {', '.join(str(row['seed']) for row in own)})" for (why,), own in whys.items()]
+        failures.append(f"* {hand}, {grasp}, {thing}: {'; '.join(told)}")
     named = "\n\nFailures:\n\n" + "\n".join(failures) if failures else "\n\nNo failures."
     head = ["grasp", "object", *[f"{hand}: held, worst motion" for hand in hands]]
     return f"{_table(head, table)}\n\nIn total: {'; '.join(totals)}.{named}"
@@ -112,13 +113,19 @@ def _slip(rows: list[dict[str, Any]]) -> str:
         table.append([
             hand, f"up to {slip.LIMIT_N:g} N" if answered else "no",
             f"{len(lost)} of {len(tried)}" + (f", from {min(lost):.1f} N" if lost else ""),
-            " / ".join(f"{min(row['motion_mm'], 99.0):.1f}" for row in tried),
-            " / ".join(f"{value:.2f}" for value in noticed) or "never",
-            " / ".join(f"{row['tension_end_N']:.0f}" for row in tried),
+            _range([min(row["motion_mm"], 99.0) for row in tried], 1),
+            _range(noticed, 2) or "never",
+            _range([row["tension_end_N"] for row in tried], 0),
         ])  # fmt: skip
     load = max(row["load_end_N"] for row in rows)
     head = ["hand", "answer", "lost", f"motion by {load:.0f} N, mm", "first told after, mm", "tension at the end, N"]
     return _table(head, table)
+
+
+def _range(values: list[float], digits: int) -> str:
+    """From the least to the largest; one number if they look alike."""
+    ends = [f"{end:.{digits}f}" for end in (min(values), max(values))] if values else []
+    return " to ".join(dict.fromkeys(ends))
 
 
 PARTS = {"success": _success, "payload": _payload, "contact": _contact, "tip": _tip, "slip": _slip}
@@ -159,7 +166,7 @@ def draw(result: dict[str, Any]) -> None:
     left.set(xscale="log", xlabel="largest motion in 5 s, of three orientations with a push of 1 N [mm]")
     left.set_yticks(range(len(names)), names, fontsize=8)
     left.invert_yaxis()
-    left.legend(title="x: no success", loc="upper left", fontsize=8)
+    left.legend(title="x: no success", loc="upper right", fontsize=8)
     for row in result.get("slip", ()):
         if row["seed"] == 0:
             style = "-" if row["answered"] else ":"
