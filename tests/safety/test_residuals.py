@@ -57,6 +57,18 @@ def test_inertia_friction_and_damping_are_explained():
     assert residuals.friction(state)[0] < 1.0
 
 
+def test_what_accelerates_a_rotor_is_no_residual():
+    """Ten metres a second squared for a tenth of a second: 52 N that the rope does not get."""
+    def force(t):
+        speed = 10.0 * t
+        return 20.0 + 5.2 * 10.0 + 40.0 * speed + 3.0 * np.tanh(speed * 1e3)
+
+    state = filtered(0.1, lambda t: 20.0, force, speed=lambda t: 10.0 * t, noise=0.0)
+    assert abs(state.low[residuals.BALANCE][0]) < 0.2
+    still = filtered(0.1, lambda t: 20.0, force, noise=0.0)
+    assert still.low[residuals.BALANCE][0] > 10.0, "it would be, if the rotor stood"
+
+
 @pytest.mark.parametrize("drift", [-20.0, 20.0])
 def test_a_load_cell_that_is_wrong_is_seen_within_a_second(drift):
     state = filtered(1.0, lambda t: 24.0 + drift, lambda t: 24.0)
