@@ -97,8 +97,11 @@ def test_friction_that_has_grown_is_seen_in_motion_only():
 
 
 def test_torque_that_is_not_made_is_seen():
-    state = filtered(0.3, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 24.0)
-    assert state.low[residuals.ASKED][0] > 15.0
+    """A motor that lets 24 N go is asked for some 39 N; to be seen within 22 ticks, its way included."""
+    state = filtered(20 * T, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 39.0)
+    assert state.low[residuals.ASKED][0] > DISOBEYED_N
+    state = filtered(0.5, lambda t: 0.0, lambda t: 0.0, asked=lambda t: 14.9)
+    assert state.low[residuals.ASKED][0] < DISOBEYED_N
 
 
 def test_noise_raises_nothing_in_ten_thousand_hours():

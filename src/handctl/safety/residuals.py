@@ -15,7 +15,7 @@ from handctl.choose import chosen, known, nothing
 
 Vector = NDArray[np.float64]
 
-SLOW_S, QUICK_S, ASKED_S, SLIP_S, NOISE_S, RUB_S = 0.2, 0.02, 0.1, 0.3, 0.1, 5.0
+SLOW_S, QUICK_S, ASKED_S, SLIP_S, NOISE_S, RUB_S = 0.2, 0.02, 0.08, 0.3, 0.1, 5.0
 """Time constants of the filters [s]."""
 GAIN_SHARE = 0.1
 """Share of the motor's force that its torque constant may be wrong by. Source: usual tolerance of K_t."""
