@@ -125,10 +125,8 @@ class HandClient:
         """Ask, and hear what the tick that takes it says."""
         self._watcher.next(ANSWER_S)
         self._ask(request)
-        end = time.monotonic() + ANSWER_S
-        while time.monotonic() < end:
-            line = self._watcher.following(POLL_S) or {"events": ()}
-            said = [event["text"] for event in line["events"] if event["name"] == "request"]
+        for events in self._watcher.heard(ANSWER_S):
+            said = [event["text"] for event in events if event["name"] == "request"]
             unread = [] if any(text.startswith(TAKEN) for text in said) else said
             if refused := [text for text in said if text.startswith(REFUSED)] or unread:
                 raise ConfigError(refused[0].removeprefix(REFUSED), f"the controller of {self.bus}")

@@ -6,18 +6,9 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.hand.description import HANDS
+from tests.cli.refused import refused
 
 BUS = ("--bus", "local:nobody")
-
-
-def refused(capsys, *words):
-    """The one line that a command ends with."""
-    assert main(words) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("handctl: ")
-    assert err.count("\n") == 1, err
-    return err
 
 
 def a_pipe(path):

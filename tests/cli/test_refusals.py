@@ -10,6 +10,7 @@ import pytest
 from handctl.cli.main import VERBS, main
 from handctl.hand.description import HANDS, hand_from, load_hand
 from handctl.hand.toml_text import toml_text
+from tests.cli.refused import refused
 
 BUS = ("--bus", "local:does-not-exist")
 GRASP = ("--task", "grasp.toml")
@@ -25,16 +26,6 @@ def no_bus(monkeypatch):
     monkeypatch.setattr("handctl.cli.session.open_bus", opened)
     monkeypatch.setattr("handctl.cli.session.Mailbox", opened)
     monkeypatch.setattr("handctl.cli.demo.simulator", opened)
-
-
-def refused(capsys, *words):
-    """The one line that a command ends with."""
-    assert main(words) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith("handctl: ")
-    assert err.count("\n") == 1, err
-    return err
 
 
 def jamia():

@@ -18,21 +18,8 @@ from handctl.controller.model import HandModel, _torque_limit
 from handctl.controller.statics import load_statics, tendon_efficiency
 from handctl.controller.trajectory import MinimumJerk
 from handctl.hand.description import load_hand
+from tests.controller.goals import holding, moving
 from tests.controller.synthetic import at_rest, known
-
-
-def moving(model: HandModel, start: float, end: float, duration: float) -> tuple[DigitGoal, ...]:
-    sizes = [digit.coupling.shape[1] for digit in model.digits]
-    return tuple(
-        DigitGoal(Kind.MOTION, MinimumJerk(np.full(n, start), np.full(n, end), duration), since=0.0) for n in sizes
-    )
-
-
-def holding(model: HandModel, tension: float, rate: float = 200.0, limit: float = math.inf) -> tuple[DigitGoal, ...]:
-    return tuple(
-        DigitGoal(Kind.TENSION, tension=np.full(s.stop - s.start, tension), rate=rate, force_limit=limit)
-        for s in model.digit_tendons
-    )
 
 
 @pytest.mark.parametrize("gain", [None, 0.5, 1.0, 1.7])

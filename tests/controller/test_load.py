@@ -10,16 +10,11 @@ from handctl.controller.computed_torque import _load, _way
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.goal_table import GoalTable, goal_table
 from handctl.controller.model import HandModel
-from handctl.controller.trajectory import MinimumJerk
+from tests.controller.goals import moving
 
 
-def moving(model: HandModel, since: float, durations: tuple[float, ...]) -> tuple[DigitGoal, ...]:
-    goals = []
-    for digit, duration in zip(model.digits, durations, strict=True):
-        n = digit.coupling.shape[1]
-        way = MinimumJerk(np.full(n, 0.2), np.full(n, 0.9), duration)
-        goals.append(DigitGoal(Kind.MOTION, way, since=since))
-    return tuple(goals)
+def ways(model: HandModel, since: float, durations: tuple[float, ...]) -> tuple[DigitGoal, ...]:
+    return moving(model, 0.2, 0.9, durations, since)
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
@@ -29,7 +24,7 @@ def test_a_way_counts_from_when_it_began(
 ) -> None:
     """Also where all digits move alike, which is looked up once for all."""
     model: HandModel = request.getfixturevalue(hand)
-    first, later = (goal_table(model, moving(model, since, durations)) for since in (0.0, 2.0))
+    first, later = (goal_table(model, ways(model, since, durations)) for since in (0.0, 2.0))
     assert (first.together is None) == (len(set(durations)) > 1)
     np.testing.assert_allclose(_way(model, later, 2.1), _way(model, first, 0.1), rtol=1e-9)
     assert np.ptp(_way(model, first, 0.1)[1]) >= 0.0 < _way(model, first, 0.1)[1].min()
@@ -51,7 +46,7 @@ def by_digit(model: HandModel, table: GoalTable, way: np.ndarray) -> np.ndarray:
 def test_a_load_is_what_each_digit_can_bear(hand: str, request: pytest.FixtureRequest) -> None:
     """Some digits within the bounds, some below and some above; the others are not touched by it."""
     model: HandModel = request.getfixturevalue(hand)
-    table, rng = goal_table(model, moving(model, 0.0, (0.5, 0.4, 0.5, 0.6))), np.random.default_rng(4)
+    table, rng = goal_table(model, ways(model, 0.0, (0.5, 0.4, 0.5, 0.6))), np.random.default_rng(4)
     joints = len(model.hand.joints)
     kinds = set()
     for spread in (0.0, 1.0, 30.0, 1000.0, 1e5):
@@ -65,7 +60,7 @@ def test_a_load_is_what_each_digit_can_bear(hand: str, request: pytest.FixtureRe
 
 
 def test_what_does_not_move_loads_nothing_that_does(jamia11: HandModel) -> None:
-    goals = moving(jamia11, 0.0, (0.5,) * 4)
+    goals = ways(jamia11, 0.0, (0.5,) * 4)
     alone = (goals[0], *(replace(goal, kind=Kind.LIMP, trajectory=None) for goal in goals[1:]))
     way = _way(jamia11, goal_table(jamia11, goals), 0.2)
     own = jamia11.digit_tendons[0]

@@ -6,23 +6,14 @@ import pytest
 from handctl.controller.computed_torque import TRIM_LEAST_N, TRIM_TIME_S, LawState, step
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.model import HandModel
-from handctl.controller.trajectory import MinimumJerk
+from tests.controller.goals import holding, moving
 from tests.controller.synthetic import under
 
 HIGH_N = 60.0
 
 
-def holding(model: HandModel, tension: float) -> tuple[DigitGoal, ...]:
-    return tuple(
-        DigitGoal(Kind.TENSION, tension=np.full(s.stop - s.start, tension), rate=1e6, force_limit=np.inf)
-        for s in model.digit_tendons
-    )
-
-
-def moving(model: HandModel) -> tuple[DigitGoal, ...]:
-    sizes = [digit.coupling.shape[1] for digit in model.digits]
-    ways = [MinimumJerk(np.zeros(n), np.full(n, 1.2), 0.2) for n in sizes]
-    return tuple(DigitGoal(Kind.MOTION, way, since=0.0) for way in ways)
+AT_ONCE = 1e6
+"""Rate at which a set-point is at its goal in one tick [N/s]."""
 
 
 def idle(model: HandModel) -> LawState:
@@ -36,7 +27,7 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
 ) -> None:
     n = jamia.tendon_count
     most, kept = (None if value is None else np.full(n, value) for value in (warm, held))
-    law, command = step(jamia, idle(jamia), under(jamia, 0.0), holding(jamia, HIGH_N), 0.0, most, kept)
+    law, command = step(jamia, idle(jamia), under(jamia, 0.0), holding(jamia, HIGH_N, AT_ONCE), 0.0, most, kept)
     np.testing.assert_allclose(command.tension, limit)
     asked = command.torque / jamia.space.spool
     np.testing.assert_allclose(asked, limit + jamia.space.coulomb)
@@ -45,7 +36,7 @@ def test_the_lower_limit_counts_for_tension_and_for_torque(
 
 
 def test_without_a_limit_the_goal_is_what_is_asked(jamia: HandModel) -> None:
-    law, command = step(jamia, idle(jamia), under(jamia, 0.0), holding(jamia, HIGH_N), 0.0)
+    law, command = step(jamia, idle(jamia), under(jamia, 0.0), holding(jamia, HIGH_N, AT_ONCE), 0.0)
     np.testing.assert_allclose(command.tension, HIGH_N)
     assert (command.torque / jamia.space.spool > HIGH_N).all()
     assert law.held is None
@@ -53,8 +44,8 @@ def test_without_a_limit_the_goal_is_what_is_asked(jamia: HandModel) -> None:
 
 def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety_holds(jamia: HandModel) -> None:
     n = jamia.tendon_count
-    free = step(jamia, idle(jamia), under(jamia, 5.0), moving(jamia), 0.1)[1]
-    kept = step(jamia, idle(jamia), under(jamia, 5.0), moving(jamia), 0.1, None, np.full(n, 6.0))[1]
+    free = step(jamia, idle(jamia), under(jamia, 5.0), moving(jamia, 0.0, 1.2, 0.2), 0.1)[1]
+    kept = step(jamia, idle(jamia), under(jamia, 5.0), moving(jamia, 0.0, 1.2, 0.2), 0.1, None, np.full(n, 6.0))[1]
     assert (free.torque / jamia.space.spool > 6.0 + jamia.space.coulomb).all()
     np.testing.assert_array_less(kept.torque / jamia.space.spool, 6.0 + jamia.space.coulomb + 1e-9)
     np.testing.assert_allclose(kept.q, free.q)
@@ -62,9 +53,9 @@ def test_on_its_way_a_digit_pulls_no_more_than_its_limit_and_stands_while_safety
     assert not kept.dq.any(), "the place on the way is the goal then, its speed is not"
 
 
-@pytest.mark.parametrize("goals", [holding, moving])
-def test_a_trim_is_added_and_fades(jamia: HandModel, goals: object) -> None:
-    asked = goals(jamia, 20.0) if goals is holding else goals(jamia)  # type: ignore[operator]
+@pytest.mark.parametrize("held", [True, False])
+def test_a_trim_is_added_and_fades(jamia: HandModel, held: bool) -> None:
+    asked = holding(jamia, 20.0, AT_ONCE) if held else moving(jamia, 0.0, 1.2, 0.2)
     plain = step(jamia, idle(jamia), under(jamia, 20.0), asked, 0.0)[1]
     trimmed = idle(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
     law, command = step(jamia, trimmed, under(jamia, 20.0), asked, 0.0)
@@ -76,7 +67,7 @@ def test_a_trim_is_added_and_fades(jamia: HandModel, goals: object) -> None:
 
 
 def test_limp_digits_have_no_trim(jamia: HandModel) -> None:
-    goals = (*holding(jamia, 20.0)[:3], DigitGoal(Kind.LIMP))
+    goals = (*holding(jamia, 20.0, AT_ONCE)[:3], DigitGoal(Kind.LIMP))
     trimmed = idle(jamia)._replace(trim=np.full(jamia.tendon_count, 2.0))
     _, command = step(jamia, trimmed, under(jamia, 20.0), goals, 0.0)
     assert command.torque[3] == 0.0

@@ -16,15 +16,20 @@ WATCHER: Watcher
 ARMED = Signals(armed=True, motor_age=(0, 0), sensor_age=(0, 0))
 
 
+def made(stiffness=1e5):
+    """A hand of two ropes of a stiffness [N/m]."""
+    return Watcher(
+        limits=LIMITS, joints=("ja", "jb"), rotor=Rotor(5.0 * PAIR, 40.0 * PAIR, 3.0 * PAIR, T),
+        stiffness=stiffness * PAIR, spool=0.005 * PAIR, arms=np.array([0.02, 0.01]),
+        spool_to_joints=np.array([[50.0, 0.0], [0.0, 100.0]]), step_most=(np.array([0.1, 0.2]), np.array([0.3, 0.4])),
+    )  # fmt: skip
+
+
 @pytest.fixture(autouse=True)
 def _watcher():
     """Made for each test: what is made while a module is imported, no mutation test reaches."""
     global WATCHER
-    WATCHER = Watcher(
-        limits=LIMITS, joints=("ja", "jb"), rotor=Rotor(5.0 * PAIR, 40.0 * PAIR, 3.0 * PAIR, T), stiffness=1e5 * PAIR,
-        spool=0.005 * PAIR, arms=np.array([0.02, 0.01]), spool_to_joints=np.array([[50.0, 0.0], [0.0, 100.0]]),
-        step_most=(np.array([0.1, 0.2]), np.array([0.3, 0.4])),
-    )  # fmt: skip
+    WATCHER = made()
 
 
 def seen(**given):

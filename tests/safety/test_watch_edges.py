@@ -4,31 +4,19 @@ import numpy as np
 import pytest
 
 from handctl.safety import residuals, ropes, watch
-from handctl.safety.residuals import Rotor
-from handctl.safety.signals import Limits
 from handctl.safety.stuck import Stuck
-from handctl.safety.watch import CELL_FORCE_N, CELL_TICKS, DEG, SLIP_SETTLE_S, STUCK_JOINT_DEG, STUCK_S, Seen, Watcher
+from handctl.safety.watch import CELL_FORCE_N, CELL_TICKS, DEG, SLIP_SETTLE_S, STUCK_JOINT_DEG, STUCK_S, Watcher
+from tests.safety.test_watch import T, made, seen
 
-T, N = 0.002, np.nan
-PAIR = np.ones(2)
 SOFT = 5e3
 """A rope that stretches by four millimetres under 20 N [N/m]."""
+READ = {"excursion": 0.0, "joints": 0.0, "read": True}
+"""Joint encoders at zero."""
 
 
 @pytest.fixture
 def watcher() -> Watcher:
-    return Watcher(
-        limits=Limits(("a", "b"), (140.0, 140.0), 240.0, ("ma", "mb"), noise_most=1e-4), joints=("ja", "jb"),
-        rotor=Rotor(5.0 * PAIR, 40.0 * PAIR, 3.0 * PAIR, T), stiffness=SOFT * PAIR, spool=0.005 * PAIR,
-        arms=0.02 * PAIR, spool_to_joints=np.diag([50.0, 100.0]), step_most=(0.2 * PAIR, 0.3 * PAIR),
-    )  # fmt: skip
-
-
-def seen(tension: float, **given: object) -> Seen:
-    facts: dict[str, object] = {"travel": 0.0, "position": 0.0, "speed": 0.0, "force": 20.0, "excursion": 0.0,
-                                "joints": 0.0, "read": True, "cut": False}  # fmt: skip
-    facts |= {"tension": tension} | given
-    return Seen(**{name: v if isinstance(v, bool) else np.array(v) * PAIR for name, v in facts.items()})  # type: ignore[arg-type]
+    return made(SOFT)
 
 
 def test_what_a_rope_stretches_turns_no_joint(watcher: Watcher) -> None:
@@ -36,9 +24,9 @@ def test_what_a_rope_stretches_turns_no_joint(watcher: Watcher) -> None:
     low = watcher.start.filtered.low.copy()
     low[residuals.TENSION] = 20.0
     filtered = watcher.start.filtered._replace(low=low)
-    turned = watch._witnesses(watcher, watcher.start, filtered, seen(20.0, travel=20.0 / SOFT))
+    turned = watch._witnesses(watcher, watcher.start, filtered, seen(travel=20.0 / SOFT, **READ))
     np.testing.assert_allclose(turned[0, 4:], 0.0, atol=1e-12)
-    turned = watch._witnesses(watcher, watcher.start, filtered, seen(20.0, travel=[20.0 / SOFT + 1e-3, 20.0 / SOFT]))
+    turned = watch._witnesses(watcher, watcher.start, filtered, seen(travel=[20.0 / SOFT + 1e-3, 20.0 / SOFT], **READ))
     np.testing.assert_allclose(turned[0, 4:], [0.05, 0.0], atol=1e-12)
     assert np.isnan(turned[1, 2:]).all(), "the second witness of cells and joints says nothing"
 
@@ -47,17 +35,18 @@ def test_what_a_rope_stretches_turns_no_joint(watcher: Watcher) -> None:
                                                (ropes.TAUT_N + 1e-9, 1.0 + T)])  # fmt: skip
 def test_between_slack_and_taut_time_stands(watcher: Watcher, tension: float, taut: float) -> None:
     state = watcher.start._replace(taut=(1.0, 1.0))
-    found, _, _ = watch._slip(watcher, state, seen(tension), [tension, tension])
+    found, _, _ = watch._slip(watcher, state, seen(tension=tension, **READ), [tension, tension])
     assert found == (taut, taut)
 
 
 def test_joint_and_spool_are_not_compared_before_the_rope_has_settled(watcher: Watcher) -> None:
     for since, settled in ((SLIP_SETTLE_S, False), (np.nextafter(SLIP_SETTLE_S, 1.0), True)):
         state = watcher.start._replace(taut=(float(since), 1.0), slip_from=np.zeros(2))
-        _, begin, slip = watch._slip(watcher, state, seen(2.2, excursion=[0.0, 1e-3]), [2.2, 2.2])
+        now = seen(**READ | {"tension": 2.2, "excursion": [0.0, 1e-3]})
+        _, begin, slip = watch._slip(watcher, state, now, [2.2, 2.2])
         assert np.isnan(begin[0]) != settled
         assert np.isnan(slip[0]) != settled
-        assert slip[1] == pytest.approx((-2.2 / SOFT - 1e-3) / 0.02 * DEG)
+        assert slip[1] == pytest.approx((-2.2 / SOFT - 1e-3) / watcher.arms[1] * DEG)
 
 
 def names(watcher: Watcher, ticks: list[int], value: float, away: list[list[float]]) -> dict[str, list[str]]:

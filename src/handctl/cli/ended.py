@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType, TracebackType
 
 from handctl.cli.exit_codes import Exit
+from handctl.runtime.handlers import handling
 
 
 class Terminated(KeyboardInterrupt):
@@ -26,13 +27,8 @@ def _end(number: int, frame: FrameType | None) -> None:
 @contextmanager
 def ended_by_signals() -> Iterator[None]:
     """Have SIGTERM and SIGHUP end what runs as Ctrl-C does; what ``nohup`` has told to be ignored stays so."""
-    numbers = [one for one in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(one) == signal.SIG_DFL]
-    before = {number: signal.signal(number, _end) for number in numbers}
-    try:
+    with handling(_end, *[one for one in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(one) == signal.SIG_DFL]):
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def give_bugs_a_code() -> None:

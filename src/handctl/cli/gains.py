@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import time
 from pathlib import Path
 from typing import Any
 
@@ -194,10 +193,8 @@ def _answers(watcher: Any, values: dict[str, float]) -> dict[str, str]:
         BusError: it says nothing.
     """
     said: dict[str, str] = {}
-    end = time.monotonic() + TAKEN_OVER_S
-    while time.monotonic() < end:
-        line = watcher.following(TAKEN_OVER_S)
-        for event in (line or {}).get("events", ()):
+    for events in watcher.heard(TAKEN_OVER_S):
+        for event in events:
             if event["name"] == "request" and event["text"].startswith("refused: gains"):
                 raise ConfigError(event["text"].removeprefix("refused: "), "the controller")
             if event["name"] == "gain" and event["where"] in values:

@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.gains_layers import gains_options
+from handctl.hand.quantities import FASTEST_BUS, SLOWEST_BUS
 
 LONGEST_LINE = 4000
-SLOWEST_BUS, FASTEST_BUS = 10_000, 8_000_000
-"""Bit rates that a hand file takes [bit/s]."""
 
 
 def hand_option(parser: argparse.ArgumentParser) -> None:

@@ -45,7 +45,7 @@ def _kind(
 
 
 def _plants(parser: argparse.ArgumentParser, default: int) -> None:
-    text = f"plants to keep the margins on, the hand file's first (default: {default})"
+    text = f"plants to keep the margins on, the hand's own first (default: {default})"
     parser.add_argument("--plants", type=int, default=default, metavar="N", help=text)
     parser.add_argument("--fit", type=Path, metavar="FILE", help="calibration: tune the hand as it was identified")
     parser.add_argument("--out", type=Path, metavar="FILE", help="gains file to write (default: HAND.KIND.toml)")

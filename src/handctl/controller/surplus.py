@@ -6,16 +6,19 @@ other bytes, a masquerade (B06). What counts as an answer is what drive and sens
 beside it, or a frame with an old counter, is none.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import NamedTuple, TypeVar
 
 from handctl.controller.state import State
 from handctl.drives.contract import Drive
 from handctl.drives.frame import Frame
-from handctl.drives.sensor_node import SensorNode
+from handctl.drives.sensor_node import SensorNode, SensorState
 from handctl.safety.answers import Owed, answered
 from handctl.safety.signals import LOAD_CELLS, Named
 
 Frames = tuple[Frame, ...]
+S = TypeVar("S")
+"""State of a node."""
 
 
 class Surplus(NamedTuple):
@@ -51,10 +54,14 @@ def surplus(
     due = before.watch.owed
     owed, often = answered(due, answers)
     strict = [i for i in often if drives[i].answers_once]
-    twice = [(drives[i].name, _differ(_of_motor(drives[i], before, i, frames), due[i])) for i in strict if due[i]]
+    twice = []
+    for i in [i for i in strict if due[i]]:
+        payloads = _accepted(drives[i].receive, lambda drive: drive.feedback_count, before.drives[i], frames)
+        twice.append((drives[i].name, _differ(payloads, due[i])))
     for group, (was, now) in enumerate(zip(before.sensors.groups, state.sensors.groups, strict=True)):
         if now.frames > was.frames + 1:
-            twice.append((LOAD_CELLS, _differ(_of_cells(sensors, before, group, frames), 1)))
+            payloads = _accepted(sensors.receive, _frames_of(group), before.sensors, frames)
+            twice.append((LOAD_CELLS, _differ(payloads, 1)))
     return Surplus(owed, tuple(twice), tuple([f"{drives[i].name} answering it" for i in strict if not due[i]]))
 
 
@@ -63,21 +70,16 @@ def _differ(payloads: list[bytes], due: int) -> float:
     return float(len(set(payloads[due - 1 :])) > 1)
 
 
-def _of_motor(drive: Drive, before: State, i: int, frames: Frames) -> list[bytes]:
-    """Payloads of the frames that a drive takes for feedback, in order."""
-    known, taken = before.drives[i], []
-    for frame in frames:
-        after = drive.receive(known, frame)
-        taken += [frame.data] if after.feedback_count > known.feedback_count else []
-        known = after
-    return taken
+def _frames_of(group: int) -> Callable[[SensorState], int]:
+    """What counts the answers of one group of the sensor node."""
+    return lambda sensors: sensors.groups[group].frames
 
 
-def _of_cells(sensors: SensorNode, before: State, group: int, frames: Frames) -> list[bytes]:
-    """Payloads that the sensor node's group takes for this tick's, in order."""
-    known, taken = before.sensors, []
+def _accepted(receive: Callable[[S, Frame], S], count: Callable[[S], int], known: S, frames: Frames) -> list[bytes]:
+    """Payloads of the frames that a node's state counts as an answer, in order."""
+    taken = []
     for frame in frames:
-        after = sensors.receive(known, frame)
-        taken += [frame.data] if after.groups[group].frames > known.groups[group].frames else []
+        after = receive(known, frame)
+        taken += [frame.data] if count(after) > count(known) else []
         known = after
     return taken

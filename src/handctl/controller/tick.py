@@ -217,18 +217,19 @@ class Controller:
             tension[index] = value
         taken_off = self.tare + state.progress.tare if state.progress.tare else self.tare
         read = self.sensors.new_joints(state.sensors, sensors)
-        unread = nothing(len(self.guard.watcher.joints)), nothing(len(tension))
-        joints, excursion = self._joints(read) if read else unread
+        joints, excursion = self._joints(read)
         travel, railed = angle * self.model.space.spool, saturated(cells)
         return Measured(travel, np.array(tension) - taken_off, excursion, joints, railed, bool(read), angle)
 
     def _joints(self, read: list[tuple[int, float]]) -> tuple[Vector, Vector]:
         """Joint encoders that are new [rad], and the excursions that follow from them [m]; NaN for the rest."""
-        joints = [math.nan] * len(self.guard.watcher.joints)
+        count = len(self.guard.watcher.joints)
+        if not read:
+            return nothing(count), nothing(self.model.tendon_count)
+        joints = nothing(count).copy()
         for index, value in read:
             joints[index] = value
-        known = np.array(joints)
-        return known, self.model.excursion_of(known)
+        return joints, self.model.excursion_of(joints)
 
     def _estimate(self, state: State, measured: Measured, missed: int) -> tuple[FilterState, Estimate]:
         law, felt = state.law, zip(state.progress.contact, state.touch.blocked, strict=True)

@@ -112,7 +112,9 @@ Torque = Annotated[float, band(0.0, 50.0, "N m", "in N m?")]
 PositiveTorque = Annotated[float, band(1e-3, 50.0, "N m", "in N m?")]
 TorqueConstant = Annotated[float, band(1e-4, 50.0, "N m/A", "at the spool?")]
 JointNoise = Annotated[float, band(1e-7, 0.5, "rad", "in radians?")]
-Bitrate = Annotated[int, whole(10_000, 8_000_000)]
+SLOWEST_BUS, FASTEST_BUS = 10_000, 8_000_000
+"""[bit/s]; of CAN and of the data phase of CAN FD."""
+Bitrate = Annotated[int, whole(SLOWEST_BUS, FASTEST_BUS)]
 NodeId = Annotated[int, whole(1, 0x7F)]
 CanId = Annotated[int, whole(1, 0x7FF)]
 Decimation = Annotated[int, whole(1, 256)]

@@ -17,6 +17,7 @@ from typing import Generic, Protocol, TypeVar
 from handctl.controller.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.runtime.clock import Clock
+from handctl.runtime.handlers import handling
 
 S = TypeVar("S")
 
@@ -76,13 +77,8 @@ class Signals:
     def installed(self) -> Iterator[None]:
         """Receive the signals while the loop runs."""
         hangs_up = signal.getsignal(signal.SIGHUP) != signal.SIG_IGN
-        numbers = (signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hangs_up else []))
-        before = {number: signal.signal(number, self) for number in numbers}
-        try:
+        with handling(self, signal.SIGINT, signal.SIGTERM, *([signal.SIGHUP] if hangs_up else [])):
             yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
 
 @dataclass

@@ -10,6 +10,7 @@ import json
 import os
 import socket
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -157,6 +158,14 @@ class Watcher:
         except (TimeoutError, BlockingIOError):  # the latter if it may take no time at all
             return None
         return line
+
+    def heard(self, timeout_s: float) -> Iterator[list[dict[str, Any]]]:
+        """The events of each line that comes from now on, as long as somebody listens and time is left [s]."""
+        end = time.monotonic() + timeout_s
+        while (left := end - time.monotonic()) > 0.0:
+            line = self.following(left)
+            if line is not None:
+                yield line["events"]
 
     def _forget(self) -> None:
         """Throw lines away that wait from before."""

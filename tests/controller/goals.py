@@ -1,0 +1,29 @@
+"""Goals of a whole hand, for what is driven by them."""
+
+import math
+
+import numpy as np
+
+from handctl.controller.goal import DigitGoal, Kind
+from handctl.controller.model import HandModel
+from handctl.controller.trajectory import MinimumJerk
+
+
+def moving(
+    model: HandModel, start: float, end: float, duration: float | tuple[float, ...], since: float = 0.0
+) -> tuple[DigitGoal, ...]:
+    """Every digit from an angle to another [rad]; all in the same time [s], or each in its own."""
+    durations = duration if isinstance(duration, tuple) else (duration,) * len(model.digits)
+    sizes = [digit.coupling.shape[1] for digit in model.digits]
+    return tuple(
+        DigitGoal(Kind.MOTION, MinimumJerk(np.full(n, start), np.full(n, end), own), since=since)
+        for n, own in zip(sizes, durations, strict=True)
+    )
+
+
+def holding(model: HandModel, tension: float, rate: float = 200.0, limit: float = math.inf) -> tuple[DigitGoal, ...]:
+    """Every tendon at a tension [N]."""
+    return tuple(
+        DigitGoal(Kind.TENSION, tension=np.full(s.stop - s.start, tension), rate=rate, force_limit=limit)
+        for s in model.digit_tendons
+    )
