@@ -17,7 +17,7 @@ from handctl.log.writer import LogWriter
 from handctl.view.arrow import TIMELINE
 from handctl.view.browse import browse
 from handctl.view.feed import run_chunks
-from handctl.view.picture import connected
+from handctl.view.picture import connected, wait_loaded
 from handctl.view.subject import Subject
 from handctl.view.windows import windows
 
@@ -51,7 +51,9 @@ def test_a_viewer_gets_all_of_a_log(vulkan: dict[str, str], monkeypatch: pytest.
     with RunLog(GOLDEN) as log:
         subject, end_ns = Subject.of(log.header, "x"), int(log.t_ns[-1])
     with browse(GOLDEN, subject, ["--headless", "--window-size", "800x600"], vulkan) as running:
-        state = connected(running).get_state()
+        client = connected(running)
+        wait_loaded(client, TIMELINE, end_ns)
+        state = client.get_state()
         (shown,) = state.recordings
         assert len(state.views) > 5
         assert end_ns in [line.end for line in shown.timelines if line.name == TIMELINE]

@@ -59,7 +59,7 @@ def bare(jamia_path: Path, vulkan: dict[str, str]) -> Iterator["tuple[Viewer, Vi
     """A viewer that was given the log itself, as in ``rerun LOG``, without any layout of ours."""
     with viewer(["--headless", "--window-size", "1200x800", str(jamia_path)], vulkan) as running:
         client = connected(running)
-        wait_loaded(client)
+        wait_loaded(client, "message_log_time")
         yield running, client
 
 
@@ -84,3 +84,27 @@ def test_the_viewer_listens_on_this_machine_only(bare: "tuple[Viewer, ViewerClie
     assert any(one.status == psutil.CONN_LISTEN for one in connections)
     assert {one.laddr.ip for one in connections} == {"127.0.0.1"}
     assert {one.raddr.ip for one in connections if one.raddr} <= {"127.0.0.1"}
+
+
+def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A viewer on a busy machine names a recording and its views before any of its data."""
+    from rerun.experimental import Recording, StoreId, Timeline, View, ViewerState
+
+    def state(*timelines: Timeline) -> ViewerState:
+        store = StoreId("run")
+        shown = Recording(store, "", list(timelines), None, None)
+        return ViewerState("", store, [shown], [View("1", "3D", "hand", "/", True, [])], [], None, None)
+
+    def line(end: int | None) -> Timeline:
+        return Timeline("run_time", "duration", 0, end)
+
+    elsewhere = Timeline("log_time", "timestamp", 0, 90)
+    left = iter([state(), state(line(None)), state(elsewhere), state(line(49)), state(line(50))])
+
+    class Busy:
+        def get_state(self) -> ViewerState:
+            return next(left)
+
+    monkeypatch.setattr(time, "sleep", lambda _: None)
+    wait_loaded(Busy(), "run_time", 50)  # type: ignore[arg-type]
+    assert next(left, None) is None

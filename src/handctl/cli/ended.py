@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType, TracebackType
 
 from handctl.cli.exit_codes import Exit
-from handctl.runtime.handlers import handling
+from handctl.handlers import handling
 
 
 class Terminated(KeyboardInterrupt):

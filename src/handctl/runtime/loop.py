@@ -16,8 +16,8 @@ from typing import Generic, Protocol, TypeVar
 
 from handctl.controller.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
+from handctl.handlers import handling
 from handctl.runtime.clock import Clock
-from handctl.runtime.handlers import handling
 
 S = TypeVar("S")
 

@@ -39,7 +39,7 @@ def draw(rrd: Path, at_s: float, out: Path) -> list[str]:
     with viewer(["--headless", "--window-size", SIZE, str(rrd)], software_vulkan()) as running:
         clear = time.monotonic() + TOAST_S
         client = connected(running)
-        wait_loaded(client)
+        wait_loaded(client, TIMELINE, int(at_s * 1e9))
         client.set_time(TIMELINE, duration=at_s, play_state="paused")
         time.sleep(max(SETTLE_S, clear - time.monotonic()))
         png = still(client)
@@ -78,12 +78,24 @@ def connected(running: Viewer) -> "ViewerClient":
             return client
 
 
-def wait_loaded(client: "ViewerClient") -> None:
-    """Wait until a recording is there, all of it."""
+def wait_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
+    """Wait until the views are there, and a recording up to some moment.
+
+    A viewer knows a recording and its layout before the first of its data, and says then that nothing is loading.
+
+    Args:
+        client: of the viewer.
+        timeline: a timeline of the recording.
+        until: what the timeline must reach, in its unit.
+
+    Raises:
+        HandctlError: it takes too long.
+    """
     end = time.monotonic() + LOAD_S
     while time.monotonic() < end:
         state = client.get_state()
-        if state.recordings and state.views and not state.loading:
+        ends = [line.end for one in state.recordings for line in one.timelines if line.name == timeline]
+        if any(reached is not None and reached >= until for reached in ends) and state.views and not state.loading:
             return
         time.sleep(0.1)
     raise HandctlError(f"the viewer has not loaded the recording after {LOAD_S:g} s", "rerun", "")
