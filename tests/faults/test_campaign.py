@@ -3,11 +3,12 @@
 import math
 import os
 
+import numpy as np
 import pytest
 
 from handctl.campaign import campaign
-from handctl.campaign.scenarios import ALL, GRASP, LEFT_OUT, MATRIX, Row, Scenario, pairs, scenarios
-from handctl.campaign.stage import branch, bring, hand_in, started
+from handctl.campaign.scenarios import ALL, ARMING, FREE, GRASP, LEFT_OUT, MATRIX, Row, Scenario, pairs, scenarios
+from handctl.campaign.stage import FREE_S, branch, bring, hand_in, started
 from handctl.campaign.trial import Result, try_out
 from handctl.cli.fault_campaign import rate_of
 from handctl.safety.action import Action
@@ -68,6 +69,37 @@ def test_a_reaction_that_does_not_come_is_late(tmp_path):
         branch(course, todo, 2, "mit", found.append, lambda course, result: kept.touch())
     assert sorted(result.why for result in found) == ["no reaction; torque is left", "the disturbance was not felt"]
     assert kept.exists(), "a failure leaves its log"
+
+
+def test_a_reaction_for_another_reason_is_none_of_the_row_s():
+    """A hand that ends since a drive dropped out says nothing of its load cells."""
+    row = Row("T05", "error node=index_motor", Action.RELAX, 3, rows=("T05",))
+    with started(hand_in("jamia", "mit"), RATE_HZ, 0) as course:
+        bring(course, ARMING)
+        bring(course, FREE)
+        result = try_out(course, Scenario(row, row.fault, FREE), "mit")
+    assert "T05" in result.why
+    assert not result.ok
+
+
+@pytest.mark.parametrize(("name", "rate_hz"), [("jamia", RATE_HZ), ("jamia11", 200.0)])
+def test_a_free_motion_is_disturbed_while_it_moves(name, rate_hz):
+    with started(hand_in(name, "mit"), rate_hz, 0) as course:
+        bring(course, ARMING)
+        bring(course, FREE)
+        free = [out for _, out in course.kept if out.phase == "free"]
+        assert len(free) * course.period_ns == pytest.approx(FREE_S * 1e9, abs=2 * course.period_ns)
+        speed = free[-1].telemetry.dq_goal
+        assert np.degrees(speed).max() > 10.0
+
+
+def test_a_load_cell_is_set_off_by_more_than_its_tendon_s_limit():
+    hand = hand_in("jamia", "mit")
+    thumb = hand.tendon[-1].model_copy(update={"tension_trip_N": 90.0, "drive_limit_N": 95.5})
+    other = hand.model_copy(update={"tendon": (*hand.tendon[:-1], thumb)})
+    texts = {one.fault for one in scenarios(other, "mit") if one.row.id == "T03"}
+    assert {"offset cell=thumb_tendon size=90", "offset cell=thumb_tendon size=95.5"} <= texts
+    assert {"offset cell=index_tendon size=140", "offset cell=index_tendon size=160"} <= texts
 
 
 def test_true_tension_stays_within_what_drive_and_momentum_explain():

@@ -97,7 +97,7 @@ def test_the_first_position_is_accepted_wherever_it_is():
     (1.5, 3, 0.0), (1.51, 3, 0.51),
 ])  # fmt: skip
 def test_a_step_that_cannot_be_is_dropped_and_the_next_may_be_longer(value, gap, wrong):
-    before = Accepted(np.array([1.0]), np.array([float(gap)]))
+    before = Accepted(np.array([1.0]), np.array([float(gap)]), np.zeros(1))
     state, told = jumps.screen(before, np.array([value]), np.array([0.125]))
     assert sizes(told, 1)[0] == pytest.approx(wrong)
     assert state.value[0] == (1.0 if wrong else value)
@@ -105,13 +105,24 @@ def test_a_step_that_cannot_be_is_dropped_and_the_next_may_be_longer(value, gap,
 
 
 def test_a_missing_position_is_no_jump():
-    state, told = jumps.screen(Accepted(np.array([1.0]), np.array([2.0])), np.array([NAN]), np.array([0.1]))
+    before = Accepted(np.array([1.0]), np.array([2.0]), np.zeros(1))
+    state, told = jumps.screen(before, np.array([NAN]), np.array([0.1]))
     assert (sizes(told, 1)[0], state.value[0], state.gap[0]) == (0.0, 1.0, 3.0)
 
 
 def test_a_tick_in_which_nothing_was_measured():
-    state = jumps.unread(Accepted(np.array([1.0, 2.0]), np.array([0.0, 3.0])))
+    state = jumps.unread(Accepted(np.array([1.0, 2.0]), np.array([0.0, 3.0]), np.array([0.0, 2.0])))
     assert (state.value.tolist(), state.gap.tolist()) == ([1.0, 2.0], [1.0, 4.0])
+    assert state.dropped.tolist() == [0.0, 2.0]
+
+
+def test_readings_that_are_dropped_in_a_row_are_counted_and_a_missing_one_is_none():
+    state, told = Accepted(np.zeros(2), np.zeros(2), np.zeros(2)), []
+    for first, second in [(1.0, 0.0), (NAN, 0.0), (1.0, NAN), (NAN, 0.0), (0.1, NAN), (1.5, 2.0), (0.1, 0.0)]:
+        state, _ = jumps.screen(state, np.array([first, second]), np.full(2, 0.125))
+        told.append(state.dropped.tolist())
+    assert [int(a) for a, _ in told] == [1, 1, 2, 2, 0, 1, 0]
+    assert [int(b) for _, b in told] == [0, 0, 0, 0, 0, 1, 0]
 
 
 @pytest.mark.parametrize(("missed", "steps", "told"), [
@@ -124,7 +135,7 @@ def test_a_tick_in_which_nothing_was_measured():
 def test_what_moves_goes_on_while_ticks_are_skipped(missed, steps, told):
     """Two positions alike, or one that was read and one that was not: the two ways through."""
     for other in (0.0, NAN):
-        state, at, seen = Accepted(np.array([0.0, other]), np.zeros(2)), 0.0, []
+        state, at, seen = Accepted(np.array([0.0, other]), np.zeros(2), np.zeros(2)), 0.0, []
         for k, step in enumerate(steps):
             at += step
             state, jumped = jumps.screen(state, np.array([at, other]), np.ones(2), 0 if k else missed)
@@ -133,7 +144,7 @@ def test_what_moves_goes_on_while_ticks_are_skipped(missed, steps, told):
 
 
 def test_a_reading_that_is_missing_after_skipped_ticks_may_be_further_off_by_them():
-    state = Accepted(np.array([1.0]), np.array([1.0]))
+    state = Accepted(np.array([1.0]), np.array([1.0]), np.zeros(1))
     assert jumps.screen(state, np.array([NAN]), np.array([0.1]), 3)[0].gap.tolist() == [5.0]
     assert jumps.unread(state, 3).gap.tolist() == [5.0]
 

@@ -19,7 +19,7 @@ RNG = np.random.default_rng(1)
 def _rotor():
     """Made for each test: what is made while a module is imported, no mutation test reaches."""
     global ROTOR
-    ROTOR = Rotor(np.array([5.2]), np.array([40.0]), np.array([3.0]), T)
+    ROTOR = Rotor(np.array([5.2]), np.array([40.0]), np.array([3.0]), T, np.array([T]), T)
 
 
 def filtered(seconds, tension, force, speed=lambda t: 0.0, asked=None, noise=0.5):

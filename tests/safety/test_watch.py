@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from handctl.safety import jumps, residuals, ropes, watch
+from handctl.safety import residuals, ropes, watch
 from handctl.safety.counts import Counts
 from handctl.safety.residuals import Rotor
 from handctl.safety.signals import Limits, Signals
@@ -16,10 +16,11 @@ WATCHER: Watcher
 ARMED = Signals(armed=True, motor_age=(0, 0), sensor_age=(0, 0))
 
 
-def made(stiffness=1e5):
-    """A hand of two ropes of a stiffness [N/m]."""
+def made(stiffness=1e5, motor_period=(T, T), joint_period=T):
+    """A hand of two ropes of a stiffness [N/m], whose motors and joints are read so often [s]."""
     return Watcher(
-        limits=LIMITS, joints=("ja", "jb"), rotor=Rotor(5.0 * PAIR, 40.0 * PAIR, 3.0 * PAIR, T),
+        limits=LIMITS, joints=("ja", "jb"),
+        rotor=Rotor(5.0 * PAIR, 40.0 * PAIR, 3.0 * PAIR, T, np.array(motor_period), joint_period),
         stiffness=stiffness * PAIR, spool=0.005 * PAIR, arms=np.array([0.02, 0.01]),
         spool_to_joints=np.array([[50.0, 0.0], [0.0, 100.0]]), step_most=(np.array([0.1, 0.2]), np.array([0.3, 0.4])),
     )  # fmt: skip
@@ -166,6 +167,65 @@ def test_joint_and_spool_say_nothing_of_a_slack_rope_or_just_after_it():
     assert told.derailed == ()
 
 
+EVERY = 4
+"""Joints are read in every fourth tick, where a bus has no room for more."""
+
+
+def sparse(number, state, **given):
+    """Ticks of a hand whose joints are read in every fourth, and all that they told."""
+    told = []
+    for k in range(number):
+        read = {"read": True} | given if k % EVERY == 0 else {n: v for n, v in given.items() if n == "travel"}
+        state, signals = watched(WATCHER, state, ARMED, seen(**read))
+        told.append(signals)
+    return state, told
+
+
+def test_a_rope_that_left_its_pulley_shows_in_three_readings_however_seldom_joints_are_read():
+    global WATCHER
+    WATCHER = made(joint_period=EVERY * T)
+    state, _ = sparse(100, wanting(), excursion=0.0, joints=0.0)
+    off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
+    _, told = sparse(9, state, **off)
+    assert [k for k, signals in enumerate(told) if signals.derailed] == [8]
+    assert told[8].derailed == pytest.approx((15.1, 0.0), abs=1e-6)
+    after, told = sparse(8, state, **off)
+    assert not any(signals.derailed for signals in told)
+    after, _ = sparse(4, after, excursion=0.0, joints=0.0)
+    _, told = sparse(8, after, **off)
+    assert not any(signals.derailed for signals in told), "three in a row, and one between them was well"
+
+
+def test_joint_against_spool_is_filtered_over_the_same_time_however_seldom_joints_are_read():
+    """3 deg of 3.5 are reached after 0.3 s ln 7 = 0.58 s."""
+    global WATCHER
+    for every in (1, EVERY):
+        WATCHER = made(joint_period=every * T)
+        state, _ = ticks(100, excursion=0.0, read=True)
+        begun = None
+        for k in range(400):
+            read = {"excursion": [-0.02 * np.radians(3.5), 0.0], "read": True} if k % every == 0 else {}
+            state, signals = watched(WATCHER, state, ARMED, seen(**read))
+            begun = k * T if begun is None and signals.slip else begun
+        assert begun == pytest.approx(0.584, abs=0.01)
+
+
+def test_a_joint_or_a_motor_that_stands_is_told_after_the_same_time_however_seldom_it_is_read():
+    global WATCHER
+    WATCHER = made(motor_period=(EVERY * T, T), joint_period=EVERY * T)
+    assert WATCHER.patience.tolist() == [12, 50, 40, 40, 12, 12]
+    state, _ = sparse(100, wanting(), travel=0.0, excursion=0.0, joints=0.2)
+    state, _ = sparse(4, state, travel=0.0, excursion=0.0, joints=0.3)
+    _, told = sparse(56, state, travel=[np.radians(10.1) / 50.0, 0.0], excursion=0.0, joints=0.3)
+    assert next(k for k, signals in enumerate(told) if signals.stuck_joint) == 48, "100 ms are 12.5 readings after one"
+    state = just_moved()._replace(goal=np.array([0.51e-3, 0.0]))
+    first = None
+    for k in range(60):
+        state, signals = watched(WATCHER, state, ARMED, seen(travel=1e-5 if k % EVERY == 0 else [N, 1e-5]))
+        first = k if first is None and signals.stuck_motor else first
+    assert first == 48
+
+
 def just_moved(**given):
     """A state in which all filters have settled, and motors have moved in the last tick."""
     return ticks(1, ticks(150, **given)[0], travel=1e-5, **given)[0]
@@ -242,7 +302,8 @@ def test_positions_are_screened_apart():
     assert (jumped, twisted) == (None, None)
     assert state.joints.gap.tolist() == [1.0, 2.0]
     assert state.motors.value.tolist() == [0.05, 0.19]
-    assert state.motors == jumps.Accepted(state.motors.value, state.motors.gap)
+    assert state.motors.dropped.tolist() == [0.0, 0.0]
+    assert state.joints.dropped.tolist() == [0.0, 1.0]
 
 
 def test_after_missed_ticks_motors_and_joints_may_have_gone_so_much_further():

@@ -24,7 +24,8 @@ class Row(NamedTuple):
 
     Attributes:
         id: row of the fault catalogue.
-        fault: text for the simulator, with {node}, {tendon}, {digit}, {bus} or {joint} for the instance; or HOST ...
+        fault: text for the simulator, with {node}, {tendon}, {digit}, {bus} or {joint} for the instance, {trip} and
+            {limit} for a tendon's tension_trip_N and drive_limit_N; or HOST ...
         action: what must happen at least.
         ticks, ms: by when, together.
         rows: rows of the table that may find it, by their beginnings; the first one is the fault's own.
@@ -94,7 +95,8 @@ MATRIX: tuple[Row, ...] = (
         extra_ms=RESTART),
     Row("N02", "drop node=sensors", RELAX, 1, 30.0, ("N02",), EVERYWHERE),
     Row("N02", "off node={node}", RELAX, 5, rows=("B17", "B02", "N01"), stages=EVERYWHERE),
-    Row("N04", "stuck encoder={node}", RELAX, 2, 500.0, ("N04", "T04", "N05"), (FREE,)),
+    Row("N04", "stuck encoder={node}", RELAX, 2, 500.0, ("N04", "T04", "N05", "N06"), (FREE,)),
+    Row("N04", "stuck joint={joint}", RELAX, 2, 500.0, ("N04", "N06", "T08"), (FREE,)),
     Row("N05", "offset encoder={node} size=1", RELAX, 3, rows=("N05",)),
     Row("N06", "drift joint={joint} size=0.8", RELAX, 4, 900.0, ("N06", "T08")),
     Row("N07", "noise encoder={node} size=0.04", HOLD, 4, 60.0, ("N07", "N05")),
@@ -118,15 +120,15 @@ MATRIX: tuple[Row, ...] = (
     Row("T01", "snap tendon={tendon}", RELAX, 10, rows=("T01",), stages=(GRASP,)),
     Row("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02",), (FREE,)),
     Row("T02", "slack tendon={tendon} size=30", WARN, 10, rows=("T02", "T01"), stages=(GRASP,)),
-    Row("T03", "offset cell={tendon} size=125", RELAX, 2, rows=("T03",), stages=(GRASP,)),
-    Row("T03", "offset cell={tendon} size=160", CUT, 2, rows=("T03b",), stages=(GRASP,)),
+    Row("T03", "offset cell={tendon} size={trip}", RELAX, 2, rows=("T03",), stages=(GRASP,)),
+    Row("T03", "offset cell={tendon} size={limit}", CUT, 2, rows=("T03b",), stages=(GRASP,)),
     Row("T03", "runaway node={node} size=1 seed=1", RELAX, 10, rows=("T03", "N14"), stages=(GRASP,)),
     Row("T04", "drift cell={tendon} size=60", RELAX, 2, 500.0, ("T04", "T03", "N14", "T02"), (GRASP,)),
     Row("T04", "drift cell={tendon} size=-60", RELAX, 2, 500.0, ("T04", "T02", "T01"), (GRASP,)),
     Row("T05", "stuck cell={tendon}", RELAX, 42, 300.0, ("T05", "T04"), (GRASP,)),
     Row("T06", "saturate cell={tendon} size=1", RELAX, 4, rows=("T06",), stages=EVERYWHERE),
     Row("T06", "saturate cell={tendon} size=-1", RELAX, 4, rows=("T06", "T01"), stages=EVERYWHERE),
-    Row("T08", "offset joint={joint} size=0.4", RELAX, 8, 900.0, ("T08", "N06", "N05")),
+    Row("T08", "offset joint={joint} size=0.4", RELAX, 8, 400.0, ("T08", "N06", "N05")),
     Row("H01", HOST + "late 0.4", Action.PASS, 1, rows=("H01",)),
     Row("H02", HOST + "skip 1", WARN, 1, rows=("H02",)),
     Row("H03", HOST + "skip 14", RELAX, 1, rows=("H03",)),
@@ -187,4 +189,6 @@ def _texts(hand: Hand, fault: str) -> list[str]:
     key = next((key for key in names if f"{{{key}}}" in fault), None)
     if key is None:
         return [fault]
-    return [fault.replace(f"{{{key}}}", name) for name in (names[key][:1] + names[key][-1:])]
+    limits = [{"trip": f"{rope.tension_trip_N:g}", "limit": f"{rope.drive_limit_N:g}"} for rope in hand.tendon]
+    named = list(zip(names[key], limits if key == "tendon" else [{}] * len(names[key]), strict=True))
+    return [fault.format(**{key: name}, **sizes) for name, sizes in named[:1] + named[-1:]]

@@ -90,12 +90,14 @@ def bring(course: Course, stage: str) -> None:
     Raises:
         ConfigError: it is not reached: this hand cannot be tried.
     """
-    since = course.k
+    free_ticks = 0
 
     def reached(out: Any) -> bool:
+        nonlocal free_ticks
         if stage == ARMING:
             return bool(out.mode == Mode.ARMING)
-        free = out.phase == "free" and (course.k - since) * course.period_ns > FREE_S * 1e9
+        free_ticks += out.phase == "free"
+        free = free_ticks * course.period_ns > FREE_S * 1e9
         holds = out.phase == "hold" and min(out.telemetry.contact.max(), out.telemetry.tension.max() / 16.0) >= 1.0
         return bool(free if stage == FREE else holds)
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from handctl.campaign.course import Course
-from handctl.campaign.scenarios import GRASP, HOST, Scenario
+from handctl.campaign.scenarios import GRASP, HOST, Row, Scenario
 from handctl.controller.types import IoEvent, Mode, TickOut
 from handctl.safety.action import Action
 
@@ -89,7 +89,7 @@ def try_out(course: Course, scenario: Scenario, protocol: str) -> Result:
             break
     result.felt = 1 if host else int(course.peer.told()[0]["felt"])
     result.most = explained(course, scenario, before, speed, max(result.safe_ticks, bound) * course.period_ns * 1e-9)
-    return _judged(result, row.action)
+    return _judged(result, row)
 
 
 def _speeds(course: Course) -> list[float]:
@@ -153,7 +153,7 @@ def _look(result: Result, course: Course, scenario: Scenario, out: TickOut, felt
         result.safe_ticks = max(0, since)
 
 
-def _judged(result: Result, action: Action) -> Result:
+def _judged(result: Result, row: Row) -> Result:
     """Whether all is well, and why not."""
     why = []
     if not result.felt:
@@ -162,7 +162,9 @@ def _judged(result: Result, action: Action) -> Result:
         why.append("no reaction")
     elif result.ticks > result.bound:
         why.append(f"late: {result.ticks} ticks, at most {result.bound}")
-    if action >= Action.RELAX and result.felt and result.safe_ticks < 0:
+    elif not result.found and any(row.rows):
+        why.append(f"none of {', '.join(filter(None, row.rows))} was told")
+    if row.action >= Action.RELAX and result.felt and result.safe_ticks < 0:
         why.append("torque is left")
     if result.tension > result.most:
         why.append(f"{result.tension:.0f} N in a rope, at most {result.most:.0f} are explained")

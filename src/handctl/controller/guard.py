@@ -158,8 +158,15 @@ class Guard:
             io=tuple([(event.kind, event.where, event.number) for event in entry.io_events]),
             stale=self._stale(before, state, entry),
             jumped=received.jumped,
+            jumping=self._jumping(state.watch, received.jumped) if received.jumped else (),
             railed=self._railed(received.measured) if received.measured.railed else (),
         )
+
+    def _jumping(self, watch: WatchState, jumped: Named) -> Named:
+        """Of what jumped, that which had jumped in the reading before."""
+        names = (*self.watcher.limits.motors, *self.watcher.joints)
+        dropped = dict(zip(names, (*watch.motors.dropped, *watch.joints.dropped), strict=True))
+        return tuple([(name, size) for name, size in jumped if dropped[name] > 1.0])
 
     def _railed(self, measured: Measured) -> Named:
         """Tendons whose load cell is at an end of its range, and what it reads [N]."""
@@ -258,10 +265,12 @@ def make_watcher(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNod
         stalled_ticks=ticks_for(STALLED_S, model.period, LEAST_STALLED),
         noise_most=_noise_most(model),
     )
+    motor_period = np.array([max(model.period, drive.feedback_period_s) for drive in drives])
+    joint_period = hand.sensor_node.joint_decimation * model.period
     return Watcher(
         limits=limits,
         joints=hand.joints,
-        rotor=Rotor(space.motor_mass, space.motor_damping, space.coulomb, model.period),
+        rotor=Rotor(space.motor_mass, space.motor_damping, space.coulomb, model.period, motor_period, joint_period),
         stiffness=space.stiffness,
         spool=space.spool,
         arms=arms.sum(axis=1),

@@ -48,7 +48,7 @@ _BEAT = f"{DETECTED}: by the heartbeat, every 100 ms"
 _COUNTER = f"{REPLACED}: load cells by their counter; a drive's answer has none, N14"
 _ORDER = f"{REPLACED}: load cells by their counter; drives have none"
 _JOINTS = f"{REPLACED}: only where there are joint encoders; else the motor's encoder has no second"
-_SLACK = f"{REPLACED}: only where there are joint encoders; else by slack (T02); decimated encoders by N06"
+_SLACK = f"{REPLACED}: only where there are joint encoders, by three readings; else by slack (T02)"
 _NO_CLOCK = f"{DETECTED}: nothing uses the wall clock"
 _APART = f"{DETECTED}: not connected to the loop"
 _SILENT = "30 ms of silence: a busy host is late now and then; while other motors answer, it is 4 ticks (B17)"
@@ -123,8 +123,8 @@ CATALOGUE: tuple[Entry, ...] = (
     Entry("T06", "load cell saturated", TABLE_, ticks=4, asked=4),
     Entry("T07", "load cells swapped or inverted", ARMING, tried="tests/controller/test_commission.py"),
     Entry("T08", "derailed or crossed", TABLE_,
-          _SLACK, _SLACK, _SLACK, ticks=8, ms=900, asked=4,
-          why="joint angles come by turns, and a filter of 300 ms finds what is smaller than 15 degrees (N06)"),
+          _SLACK, _SLACK, _SLACK, ticks=8, ms=400, asked=4,
+          why="three readings, of joints that come by turns; what is smaller than 15 degrees a filter of 300 ms finds (N06)"),
     Entry("T09", "friction grows", TABLE_, odrive=f"{DETECTED}: against the torque asked for", ticks=4, ms=15000,
           tried="tests/safety/test_residuals.py"),
     Entry("H01", "one late tick", TABLE_, ticks=1, asked=1),

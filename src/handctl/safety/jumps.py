@@ -17,15 +17,17 @@ class Accepted(NamedTuple):
         value: (n,) [rad]; NaN before the first.
         gap: (n,) ticks by which it may be older than the last one: those since then, and those that were missed before
             it came, since it may answer a question of before them.
+        dropped: (n,) readings that were dropped in a row; a missing one is none.
     """
 
     value: Vector
     gap: Vector
+    dropped: Vector
 
     @staticmethod
     def initial(n: int) -> "Accepted":
         """Nothing accepted yet."""
-        return Accepted(nothing(n), zeros(n))
+        return Accepted(nothing(n), zeros(n), zeros(n))
 
 
 def screen(state: Accepted, value: Vector, step_most: Vector, missed: int = 0) -> tuple[Accepted, Vector | None]:
@@ -42,14 +44,15 @@ def screen(state: Accepted, value: Vector, step_most: Vector, missed: int = 0) -
     """
     step, late = np.abs(value - state.value), zeros(len(value)) + missed
     if np.count_nonzero(step <= step_most) == len(step):  # nearly always: nothing is missing, nothing jumps
-        return Accepted(value, late), None
+        return Accepted(value, late, zeros(len(value))), None
     gap = state.gap + (1.0 + missed)
     wrong = step > step_most * gap
     fresh = (value == value) & ~wrong
     jumped = only(wrong, step) if np.count_nonzero(wrong) else None
-    return Accepted(chosen(fresh, value, state.value), chosen(fresh, late, gap)), jumped
+    dropped = (state.dropped + wrong) * ~fresh
+    return Accepted(chosen(fresh, value, state.value), chosen(fresh, late, gap), dropped), jumped
 
 
 def unread(state: Accepted, missed: int = 0) -> Accepted:
     """One tick in which nothing was measured; ``missed``: ticks that were skipped before it."""
-    return Accepted(state.value, state.gap + (1.0 + missed))
+    return state._replace(gap=state.gap + (1.0 + missed))

@@ -32,6 +32,10 @@ def _jumped(limits: Limits, s: Signals) -> Sequence[Reading]:
     return s.jumped
 
 
+def _jumping(limits: Limits, s: Signals) -> Sequence[Reading]:
+    return s.jumping
+
+
 def _slips(limits: Limits, s: Signals) -> Sequence[Reading]:
     return above(limits.tendons, s.slip, SLIP_WARN_DEG)
 
@@ -77,7 +81,7 @@ NODE_FAULTS: tuple[Fault, ...] = (
           PERSON, _stuck),
     Fault("N05a", "an encoder jumped", "a step that no rotor makes; the sample is dropped", 1, Action.WARN, ITSELF,
           _jumped),
-    Fault("N05b", "an encoder jumps", "the same in two ticks running", 2, Action.RELAX, PERSON, _jumped),
+    Fault("N05b", "an encoder jumps", "the same in two readings running", 1, Action.RELAX, PERSON, _jumping),
     Fault("N06a", "joint and spool disagree", "more than 3 deg, filtered", 1, Action.WARN, ITSELF, _slips),
     Fault("N06b", "an encoder slips", "more than 6 deg, filtered", 1, Action.RELAX, PERSON, _slipped),
     Fault("N07", "a noisy encoder", "nine times the jerk that drive and noise can make, over 100 ms", 1, Action.HOLD,

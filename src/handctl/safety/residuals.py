@@ -34,19 +34,25 @@ class Rotor:
     Attributes:
         mass: [kg]. damping: [N s/m]. coulomb: [N].
         period: control period [s].
+        motor_period: how often each motor tells its position and torque [s].
+        joint_period: how often joints are read [s].
         inertia: mass over period [N s/m].
-        shares: (8, N) of what is new, that each row of ``Filtered.low`` takes in a tick.
+        shares: (8, N) of what is new, that each row of ``Filtered.low`` takes when it comes.
     """
 
     mass: Vector
     damping: Vector
     coulomb: Vector
     period: float
+    motor_period: Vector
+    joint_period: float
     inertia: Vector = field(init=False)
     shares: Vector = field(init=False)
 
     def __post_init__(self) -> None:
-        shares = (1.0 - np.exp(-self.period / _TIMES))[:, None] + np.zeros(len(self.mass))
+        every = np.full((8, len(self.mass)), self.period)
+        every[ASKED], every[SLIP] = self.motor_period, self.joint_period
+        shares = 1.0 - np.exp(-every / _TIMES[:, None])
         object.__setattr__(self, "inertia", self.mass / self.period)
         object.__setattr__(self, "shares", shares)
 

@@ -94,7 +94,8 @@ class Signals(NamedTuple):
         stale: nodes with an answer to an older question; 1 if the fresh one had come before it.
         lost: (M + 1,) answers missing of the last 100 ticks, motors and then load cells.
         halved: nodes that answer every second tick only.
-        jumped: motors whose position made a step that no rotor makes [rad].
+        jumped: motors and joints whose position made a step that no rotor makes [rad].
+        jumping: those whose last reading but one was dropped, too.
         refused: live goals refused in the last second.
         limp: tendons whose tension did not fall after the torque was cut [N].
         snapped: tendons that lost their tension and whose spool runs [m/s].
@@ -103,7 +104,7 @@ class Signals(NamedTuple):
         disobeyed: (N,) tension between asked and made torque [N].
         friction: (N,) friction beyond what the hand file says [N].
         slip: (N,) joint encoders against spool, filtered, as a mean joint angle [deg].
-        derailed: (N,) the same, unfiltered [deg].
+        derailed: (N,) the same, unfiltered, where three readings in a row were beyond any stretch; else 0 [deg].
         noise: (M,) mean squared jerk of the motor's position [rad^2].
         stuck_motor: motors whose position stands although goal or tension moves; what moved [mm or N].
         stuck_joint: joints whose encoder stands although the spool moves [deg].
@@ -130,6 +131,7 @@ class Signals(NamedTuple):
     lost: tuple[int, ...] = ()
     halved: tuple[str, ...] = ()
     jumped: Named = ()
+    jumping: Named = ()
     refused: int = 0
     limp: Named = ()
     snapped: Named = ()

@@ -85,7 +85,7 @@ TENDON_FAULTS: tuple[Fault, ...] = (
     Fault("T05", "a load cell is stuck", "the same count 40 times while the motor's torque moves", 1, Action.RELAX,
           PERSON, _stuck),
     Fault("T06", "load cell saturated", "a rail, or a broken wire, three ticks", 3, Action.RELAX, PERSON, _saturated),
-    Fault("T08", "a rope left its pulley", "joint and spool differ by more than any stretch, three ticks", 3,
+    Fault("T08", "a rope left its pulley", "joint and spool differ by more than any stretch, three readings", 1,
           Action.RELAX, PERSON, _derailed),
     Fault("T09", "friction has grown", "3 N above the hand file's, averaged over 5 s of motion", 1, Action.WARN, ITSELF,
           _rubs),

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.choose import chosen, nothing
+from handctl.choose import chosen, nothing, only, zeros
 from handctl.safety import answers, counts, jumps, residuals, ropes, stuck
 from handctl.safety.node_faults import DISOBEYED_N, SLIP_WARN_DEG
 from handctl.safety.signals import Limits, Named, Signals
@@ -22,6 +22,8 @@ CELL_TICKS, CELL_FORCE_N = 40, 5.0
 """A load cell may repeat one count so often while the motor's force moves by so much; its noise is eight counts."""
 SLIP_SETTLE_S = 0.1
 """Time after a rope has become taut before joint and spool are compared with how they stood then."""
+DERAILED_READINGS = 3
+"""In so many readings in a row a rope that left its pulley shows."""
 DEG = 180.0 / np.pi
 
 
@@ -36,8 +38,9 @@ class Watcher:
         stiffness: (N,) of the ropes [N/m]. spool: (N,) radius [m]. arms: (N,) sum of a tendon's moment arms [m].
         spool_to_joints: (J, N) joint angles that excursions stand for [rad/m].
         step_most: (N,) largest step of a motor's position in a period, and (J,) of a joint's [rad].
+        every: (2 N + J,) how often motors, load cells and joints are read [s].
         suspicion: (8, N) see ``residuals.suspicion``.
-        patience: (2 N + J,) ticks for which motors, load cells and joints may stand before anybody asks why.
+        patience: (2 N + J,) readings of each that may be the same before anybody asks why.
         start: what is remembered at first.
     """
 
@@ -49,6 +52,7 @@ class Watcher:
     arms: Vector
     spool_to_joints: Vector
     step_most: tuple[Vector, Vector]
+    every: Vector = field(init=False)
     suspicion: Vector = field(init=False)
     patience: NDArray[np.int64] = field(init=False)
     start: "WatchState" = field(init=False)
@@ -56,9 +60,13 @@ class Watcher:
     def __post_init__(self) -> None:
         n, j, never, noise = len(self.spool), len(self.joints), np.inf, self.limits.noise_most
         fine = (RESIDUAL_WARN_N, never, DISOBEYED_N, never, never, SLIP_WARN_DEG, noise, FRICTION_WARN_N)
-        ticks = int(STUCK_S / self.period)
+        rows = (self.rotor.motor_period, np.full(n, self.period), np.full(j, self.rotor.joint_period))
+        every = np.concatenate(rows)
+        patience = (STUCK_S / every).astype(np.int64)
+        patience[n : 2 * n] = np.minimum(patience[n : 2 * n], CELL_TICKS)
+        object.__setattr__(self, "every", every)
         object.__setattr__(self, "suspicion", residuals.suspicion(self.rotor, np.array(fine)))
-        object.__setattr__(self, "patience", np.repeat([ticks, min(ticks, CELL_TICKS), ticks], [n, n, j]))
+        object.__setattr__(self, "patience", patience)
         object.__setattr__(self, "start", WatchState.initial(n, j))
 
     @property
@@ -80,6 +88,7 @@ class WatchState(NamedTuple):
         stuck: readings that stand, of motors, load cells and joints, (2 N + J,).
         taut: (N,) time for which the rope has been taut [s].
         slip_from: (N,) joint against spool when it became so [m].
+        derailed: (N,) readings in a row in which the two are further apart than any stretch.
         asked, wanted, goal: (N,) motor force [N], tension [N] and excursion [m] that the last tick commanded.
         ropes: taut, slack and cut.
         counts: losses and the like.
@@ -92,6 +101,7 @@ class WatchState(NamedTuple):
     stuck: stuck.Stuck
     taut: tuple[float, ...]
     slip_from: Vector
+    derailed: Vector
     asked: Vector
     wanted: Vector
     goal: Vector
@@ -109,6 +119,7 @@ class WatchState(NamedTuple):
             stuck=stuck.Stuck.initial(2 * n + j, 2),
             taut=(0.0,) * n,
             slip_from=nothing(n),
+            derailed=zeros(n),
             asked=nothing(n),
             wanted=nothing(n),
             goal=nothing(n),
@@ -203,12 +214,15 @@ def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tu
     witnesses = _witnesses(watcher, state, filtered, seen)
     value = np.concatenate((seen.travel, seen.tension, seen.joints))
     stands = stuck.step(state.stuck, value, witnesses)
-    state = state._replace(filtered=filtered, stuck=stands, taut=taut, slip_from=begin, ropes=tense)
+    derailed = (state.derailed + 1.0) * (np.abs(slip) > DERAILED_DEG) if seen.read else state.derailed
+    state = state._replace(
+        filtered=filtered, stuck=stands, taut=taut, slip_from=begin, derailed=derailed, ropes=tense
+    )
     told = _rope_signals(watcher, state, cell, seen)
     if np.count_nonzero(np.abs(filtered.low) > watcher.suspicion):
         told |= _residual_signals(watcher, filtered)
-    if seen.read and np.count_nonzero(np.abs(slip) > DERAILED_DEG):
-        told["derailed"] = tuple(np.abs(slip).tolist())
+    if seen.read and np.count_nonzero(derailed >= DERAILED_READINGS):
+        told["derailed"] = tuple(only(derailed >= DERAILED_READINGS, np.abs(slip)).tolist())
     if np.count_nonzero(stands.ticks >= watcher.patience):
         told |= _stuck_signals(watcher, stands, stuck.away(stands, witnesses))
     return state, raw._replace(**told) if told else raw
@@ -268,7 +282,7 @@ def _stuck_signals(watcher: Watcher, stands: stuck.Stuck, away: Vector) -> dict[
     """Readings that stand although they must move: motors, joints, load cells."""
     limits, n, ticks = watcher.limits, len(watcher.spool), stands.ticks
     motor, cell, joint = slice(n), slice(n, 2 * n), slice(2 * n, None)
-    long = ticks * watcher.period > STUCK_S
+    long = ticks * watcher.every > STUCK_S
     goal, tension, pushed, turned = away[0, motor] * 1e3, away[1, motor], away[0, cell], away[0, joint] * DEG
     still = long[motor] & ((goal > STUCK_GOAL_MM) | (tension > STUCK_TENSION_N))
     same = (ticks[cell] >= CELL_TICKS) & (pushed > CELL_FORCE_N) & (stands.value[cell] > ropes.TAUT_N)
