@@ -124,7 +124,7 @@ CATALOGUE: tuple[Entry, ...] = (
     Entry("T07", "load cells swapped or inverted", ARMING, tried="tests/controller/test_commission.py"),
     Entry("T08", "derailed or crossed", TABLE_,
           _SLACK, _SLACK, _SLACK, ticks=8, ms=400, asked=4,
-          why="three readings, of joints that come by turns; what is smaller than 15 degrees a filter of 300 ms finds (N06)"),
+          why="three readings of joints that come by turns; below 15 degrees a filter of 300 ms finds it (N06)"),
     Entry("T09", "friction grows", TABLE_, odrive=f"{DETECTED}: against the torque asked for", ticks=4, ms=15000,
           tried="tests/safety/test_residuals.py"),
     Entry("H01", "one late tick", TABLE_, ticks=1, asked=1),
