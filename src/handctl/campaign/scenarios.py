@@ -81,7 +81,7 @@ MATRIX: tuple[Row, ...] = (
     Row("B09", "extend node={node} for=3ms", WARN, 2, rows=("B09",)),
     Row("B10", "unknown bus={bus}", WARN, 2, 51.0, ("B10",), EVERYWHERE),
     Row("B11", "flood bus={bus} size=100", RELAX, 3, rows=("B11",)),
-    Row("B11", "flood bus={bus} size=101", CUT, 11, rows=("B11",)),
+    Row("B11", "flood bus={bus} size=101", CUT, 11, rows=("B11b", "B11a")),
     Row("B12", HOST + "io bus_off", CUT, 1, rows=("B12",), stages=EVERYWHERE),
     Row("B13", HOST + "io error_passive lasting", RELAX, 21, rows=("B13",)),
     Row("B14", HOST + "io enetdown", CUT, 1, rows=("B14",), stages=EVERYWHERE),

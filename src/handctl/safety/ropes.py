@@ -1,6 +1,7 @@
 """What a rope has been through: when it was taut, since when it is slack, and what it bore when the torque was cut."""
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from handctl.safety.signals import Named
@@ -9,8 +10,13 @@ TAUT_N, SLACK_N = 2.5, 2.0
 SNAP_SHARE, SNAP_LEAST_N, SNAP_SPEED, SNAP_MEMORY_S = 0.2, 8.0, 0.03, 0.1
 """A rope has snapped if it bears less than this share of at least so much, its spool winds at least so fast [m/s], and
 it was taut not longer ago than this [s]: a rope that is taken up was not taut, one that lost its load is still taut."""
-LIMP_AFTER_S, LIMP_SHARE, LIMP_LEAST_N = 0.1, 0.8, 15.0
-"""A rope that still bears this share, and so much, so long after the torque was cut is being pulled."""
+LIMP_AFTER_S, LIMP_SHARE, LIMP_LEAST_N = 0.1, 0.5, 10.0
+"""A rope that still bears this share, and so much, so long after the torque was cut is being pulled.
+
+Let go in a grasp, the packaged hands' ropes bear at most a third by then, and a motor that holds on at least 0.74.
+"""
+LIMP_SEEN_S = 0.08
+"""From so long after the cut on a load cell's last reading counts, if the latest one is missing."""
 
 
 class Ropes(NamedTuple):
@@ -21,12 +27,14 @@ class Ropes(NamedTuple):
         slack: ticks for which it has been slack.
         cut: ticks since the torque was cut; -1 if it is not.
         cut_from: tension back then [N]; NaN if no load cell has told it yet.
+        bears: what each bore last, of the readings that count [N]; NaN if there was none.
     """
 
     taut_ago: tuple[int, ...] = ()
     slack: tuple[int, ...] = ()
     cut: int = -1
     cut_from: tuple[float, ...] = ()
+    bears: tuple[float, ...] = ()
 
 
 def step(state: Ropes, tension: list[float], wanted: list[float]) -> Ropes:
@@ -55,7 +63,7 @@ def step(state: Ropes, tension: list[float], wanted: list[float]) -> Ropes:
     return Ropes(tuple(taut_ago), tuple(slack))
 
 
-def cut(state: Ropes, tension: list[float], last: list[float]) -> Ropes:
+def cut(state: Ropes, tension: list[float], last: list[float], period: float) -> Ropes:
     """One tick after the torque was cut.
 
     Args:
@@ -63,10 +71,16 @@ def cut(state: Ropes, tension: list[float], last: list[float]) -> Ropes:
         tension: load cells [N]; NaN if missing, as many a frame is where a cut was needed.
         last: reading of each before the cut, which counts if the first one after it is missing; NaN if there was none,
             and then the first that comes counts [N].
+        period: control period [s].
     """
     first, second = (tension, last) if state.cut < 0 else (state.cut_from, tension)
-    known = tuple([a if a == a else b for a, b in zip(first, second, strict=True)])
-    return Ropes(cut=state.cut + 1, cut_from=known)
+    bears = () if (state.cut + 1) * period < LIMP_SEEN_S else _known(tension, state.bears or (math.nan,) * len(tension))
+    return Ropes(cut=state.cut + 1, cut_from=_known(first, second), bears=bears)
+
+
+def _known(first: Iterable[float], second: Iterable[float]) -> tuple[float, ...]:
+    """The first of two where it is a number."""
+    return tuple([a if a == a else b for a, b in zip(first, second, strict=True)])
 
 
 def slack(state: Ropes, names: tuple[str, ...], period: float) -> Named:
@@ -92,9 +106,9 @@ def snapped(
     )
 
 
-def limp(state: Ropes, names: tuple[str, ...], tension: list[float], period: float) -> Named:
+def limp(state: Ropes, names: tuple[str, ...], period: float) -> Named:
     """Tendons that somebody still pulls after the cut [N]."""
     if state.cut * period < LIMP_AFTER_S:
         return ()
-    rows = zip(names, state.cut_from, tension, strict=True)
+    rows = zip(names, state.cut_from, state.bears, strict=True)
     return tuple([(name, f) for name, before, f in rows if f > LIMP_LEAST_N and f > LIMP_SHARE * before])

@@ -201,8 +201,8 @@ def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tu
     cell = seen.tension.tolist()
     if seen.cut:
         last = state.stuck.value[len(cell) : 2 * len(cell)].tolist()
-        state = state._replace(ropes=ropes.cut(state.ropes, cell, last))
-        return state, raw._replace(limp=ropes.limp(state.ropes, watcher.limits.tendons, cell, watcher.period))
+        state = state._replace(ropes=ropes.cut(state.ropes, cell, last, watcher.period))
+        return state, raw._replace(limp=ropes.limp(state.ropes, watcher.limits.tendons, watcher.period))
     if not raw.armed:
         return watcher.start._replace(counts=state.counts, owed=state.owed), raw
     taut, begin, slip = _slip(watcher, state, seen, cell)
