@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.filter_design import FilterDesign
+from handctl.controller.filter_stack import FilterDesign
 from handctl.controller.filter_state import FilterState
 from handctl.controller.gains import Gains
 from handctl.controller.program import Program

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from handctl.controller.filter_design import STATES, Block, D, E, O, Regime, V, W
+from handctl.controller.filter_stack import STATES, Block, D, E, O, Regime, V, W
 from handctl.controller.model import HandModel
 
 SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])

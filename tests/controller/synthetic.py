@@ -3,7 +3,7 @@
 import numpy as np
 
 from handctl.controller.estimator import Estimate, Measured
-from handctl.controller.filter_design import STATES, S, V, W, X
+from handctl.controller.filter_stack import STATES, S, V, W, X
 from handctl.controller.model import HandModel
 from handctl.controller.statics import load_statics
 

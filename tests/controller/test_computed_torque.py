@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from handctl.controller.computed_torque import INTEGRAL_LIMIT_N, LawState, step
 from handctl.controller.estimator import Estimate
-from handctl.controller.filter_design import STATES, S, V, W, X
+from handctl.controller.filter_stack import STATES, S, V, W, X
 from handctl.controller.gains import Gains, MotionGains
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.law_constants import UNWIND_SHARE

@@ -1,168 +1,18 @@
-"""The tension filter in motion: consistent with its own model, predicting what is missing, and honest about regimes."""
+"""The tension filter in motion: predicting what is missing, and honest about regimes."""
 
-import tomllib
-from typing import NamedTuple
 
 import numpy as np
-import pytest
 
 from handctl.controller import estimator
-from handctl.controller.estimator import Estimate, Measured
-from handctl.controller.filter_design import MEASUREMENTS, STATES, E, O, Regime, S, V, X
+from handctl.controller.estimator import Measured
+from handctl.controller.filter_stack import STATES, O, Regime, S, X
 from handctl.controller.filter_state import FilterState
-from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
 from handctl.controller.statics import load_statics
 from handctl.controller.take_up import SLACK_TICKS, TAUT_ABOVE_N
-from handctl.hand.description import hand_from, hand_path
-from tests.controller.oracle import SCALE, measurement_noise, over_one_period
+from tests.controller.filter_runs import all_in, nowhere, readings, resting, step
+from tests.controller.oracle import SCALE
 from tests.controller.synthetic import nothing_read
-
-
-def plain_hand(name: str, rate_hz: float) -> HandModel:
-    """A hand whose filter model is exact: no friction, no weight."""
-    content = tomllib.loads(hand_path(name).read_text())
-    content["mount"]["gravity_m_s2"] = [0.0, 0.0, 0.0]
-    for tendon in content["tendon"]:
-        tendon["friction_coefficient"] = 0.0
-    return HandModel.of(hand_from(content, "plain"), Gains(), rate_hz)
-
-
-@pytest.fixture(scope="module")
-def plain_jamia() -> HandModel:
-    return plain_hand("jamia", 500.0)
-
-
-@pytest.fixture(scope="module")
-def plain_jamia11() -> HandModel:
-    return plain_hand("jamia11", 200.0)
-
-
-@pytest.fixture(params=["jamia", "jamia11"])
-def plain(request: pytest.FixtureRequest) -> HandModel:
-    found: HandModel = request.getfixturevalue(f"plain_{request.param}")
-    return found
-
-
-def resting(model: HandModel, tension: float, closed: float) -> tuple[np.ndarray, np.ndarray]:
-    """State (N, 7) of a hand at rest with all joints at ``closed`` [rad], and the motor forces that hold it there."""
-    x = np.zeros((model.tendon_count, STATES))
-    x[:, S] = model.hand.moment_arms @ np.full(len(model.hand.joints), closed)
-    x[:, X] = x[:, S] + tension / model.space.stiffness
-    return x, np.full(model.tendon_count, tension)
-
-
-def step(
-    model: HandModel, state: FilterState, measured: Measured, force: np.ndarray, contact: tuple[bool, ...]
-) -> tuple[FilterState, Estimate]:
-    """A tick in which no change of tension is intended."""
-    return estimator.step(model, state, measured, force, np.zeros(model.tendon_count), contact)
-
-
-class Course(NamedTuple):
-    """What a run of the filter came to, after it settled: (ticks, N) each."""
-
-    error: np.ndarray
-    sigma: np.ndarray
-    innovation: np.ndarray
-    nis: np.ndarray
-    regimes: set[tuple[int, ...]]
-
-
-def monte_carlo(model: HandModel, regime: Regime, ticks: int, seed: int) -> Course:
-    """Draw a truth from the filter's own model in one regime and let the filter follow it."""
-    rng, n = np.random.default_rng(seed), model.tendon_count
-    parts = [over_one_period(model, i, regime) for i in range(n)]
-    root = np.array([np.linalg.cholesky(Q + 1e-18 * np.eye(STATES)) for _, _, Q in parts])
-    root[:, E] = 0.0
-    F = np.array([F * SCALE[:, None] / SCALE for F, _, _ in parts])
-    B = np.array([G * SCALE[:, None] for _, G, _ in parts])
-    sigma = np.array([[*measurement_noise(model, i), 0.0] for i in range(n)])
-    closed, free = 0.5, regime == Regime.FREE
-    truth, _ = resting(model, 40.0, closed)
-    state = all_in(model, regime, truth)
-    contact = (not free,) * len(model.digits)
-    rows: list[tuple[np.ndarray, ...]] = []
-    regimes = set()
-    tension_rows = np.array([blocks[regime].tension_row for blocks in model.filter.blocks])
-    for _ in range(ticks):
-        # the motor holds the rope as a controller would, and a plan keeps the tension from walking away
-        tension = (tension_rows * truth).sum(axis=1)
-        away = truth[:, X] - 40.0 / model.space.stiffness - model.hand.moment_arms.sum(axis=1) * closed
-        force = (tension if free else 40.0) - model.space.motor_mass * (40.0 * truth[:, V] + 400.0 * free * away)
-        rate = 5.0 * (40.0 - tension)
-        z = truth @ model.filter.blocks[0][regime].H.T
-        z[:, 1] = tension
-        z += sigma * rng.normal(size=(n, MEASUREMENTS))
-        measured = nothing_read(model)._replace(travel=z[:, 0], tension=z[:, 1])
-        state, estimate = estimator.step(model, state, measured, force, rate, contact)
-        noise = (root @ rng.normal(size=(n, STATES, 1)))[..., 0] * SCALE
-        inputs = np.column_stack((force, rate))
-        truth = (F @ truth[..., None])[..., 0] + (B @ inputs[..., None])[..., 0] + noise
-        error = estimate.tension - (tension_rows * truth).sum(axis=1)
-        rows.append((error, estimate.sigma, estimate.innovation, estimate.nis))
-        regimes.add(state.regimes)
-    kept = rows[ticks // 10 :]
-    return Course(*(np.array([row[i] for row in kept]) for i in range(4)), regimes=regimes)
-
-
-@pytest.mark.parametrize("regime", [Regime.FREE, Regime.HELD])
-def test_consistent_with_its_own_model(plain: HandModel, regime: Regime) -> None:
-    course = monte_carlo(plain, regime, 2500, seed=5)
-    assert course.regimes == {(int(regime),) * plain.tendon_count}, "the run stayed in its regime"
-    gains = plain.gains.filter
-    drift = gains.cell_drift_N**2 * gains.cell_tared_s / gains.cell_drift_time_s
-    ratio = np.sqrt((course.error**2).mean() / (course.sigma**2 - drift).mean())
-    assert 0.9 < ratio < 1.1
-    assert abs(course.nis.mean() - 2.0) < 0.1, "encoder and load cell: two degrees of freedom"
-    scaled = course.innovation / course.innovation.std(axis=0)
-    assert abs((scaled[1:] * scaled[:-1]).mean()) < 0.1, "innovations are white"
-    assert (course.sigma**2 - drift).mean() < 0.5**2, "better than the load cell alone"
-
-
-def readings(model: HandModel, x: np.ndarray, tension: np.ndarray, excursion: bool = False) -> Measured:
-    """What noiseless sensors read of a state (N, 7) with these tensions; joint encoders only if asked."""
-    return nothing_read(model)._replace(
-        travel=x[:, X].copy(),
-        tension=tension,
-        excursion=x[:, S] if excursion else np.full(len(x), np.nan),
-    )
-
-
-def all_in(model: HandModel, regime: Regime, x: np.ndarray) -> FilterState:
-    """Every tendon in one regime, digits off their stops."""
-    return FilterState.of(x.ravel(), regime, stopped=False)
-
-
-def nowhere(model: HandModel) -> tuple[bool, ...]:
-    """No digit is in contact."""
-    return (False,) * len(model.digits)
-
-
-def test_a_second_filter_agrees_over_gaps(model: HandModel) -> None:
-    """Tendon by tendon, in plain loops; a measurement that is missing leaves its innovation out."""
-    rng, n = np.random.default_rng(3), model.tendon_count
-    x, force = resting(model, 25.0, 0.6)
-    state, second = all_in(model, Regime.FREE, x), x.copy()
-    compared = 0
-    for _ in range(300):
-        z = np.column_stack((x[:, X], np.full(n, 25.0), x[:, S]))
-        z += rng.normal(size=(n, 3)) * [1e-7, 0.02, 1e-6]
-        z[rng.random((n, 3)) < 0.15] = np.nan
-        push = force + 0.1 * rng.normal(size=n)
-        state, _ = step(model, state, Measured(*z.T, nothing_read(model).joints), push, nowhere(model))
-        if set(state.regimes) != {Regime.FREE}:
-            break
-        for i in range(n):
-            block = model.filter.blocks[i][Regime.FREE]
-            innovation = np.where(np.isnan(z[i]), 0.0, z[i] - block.H @ second[i])
-            second[i] = second[i] + block.K @ innovation
-        for i in range(n):
-            block = model.filter.blocks[i][Regime.FREE]
-            second[i] = block.F @ second[i] + block.B @ [push[i], 0.0]
-        np.testing.assert_allclose(state.x.reshape(n, -1) / SCALE, second / SCALE, rtol=1e-7, atol=1e-7)
-        compared += 1
-    assert compared > 50
 
 
 def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> None:

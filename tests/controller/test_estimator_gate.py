@@ -5,7 +5,7 @@ import pytest
 
 from handctl.controller import estimator
 from handctl.controller.estimator import LOOSE_M, Estimate
-from handctl.controller.filter_design import STATES, E, Regime, S, V, X
+from handctl.controller.filter_stack import STATES, E, Regime, S, V, X
 from handctl.controller.filter_state import FilterState
 from handctl.controller.innovation import DOUBT_S, doubts
 from handctl.controller.model import HandModel

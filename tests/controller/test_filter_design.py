@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from handctl.controller.filter_design import MEASUREMENTS, STATES, E, FilterDesign, O, Regime, S, X, design_filter
+from handctl.controller.filter_design import design_filter
+from handctl.controller.filter_stack import MEASUREMENTS, STATES, E, FilterDesign, O, Regime, S, X
 from handctl.controller.gains import FilterGains, Gains
 from handctl.controller.model import HandModel, _joint_period
 from handctl.hand.description import load_hand

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from handctl.controller.filter_design import STATES, S, V
+from handctl.controller.filter_stack import STATES, S, V
 from handctl.controller.model import HandModel
 from handctl.controller.statics import load_statics, tendon_efficiency
 from handctl.controller.tip import tip_force, tip_lever

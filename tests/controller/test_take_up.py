@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from handctl.controller.filter_design import STATES, O, Regime, X
+from handctl.controller.filter_stack import STATES, O, Regime, X
 from handctl.controller.take_up import NEAR_M, has_turned, near, turning
 
 SLACK = int(Regime.SLACK)

@@ -240,6 +240,7 @@ def changes(state: State) -> Iterator[tuple[str, State]]:
             f"filter.{name}",
             state._replace(filter=state.filter._replace(**{name: (type(values[0])(not values[0]), *values[1:])})),
         )
+    yield "filter.covariance", state._replace(filter=state.filter._replace(covariance=np.eye(7)))
     yield "filter.started", state._replace(filter=state.filter._replace(started=not state.filter.started))
     for field in state.law._fields:
         present = getattr(state.law, field)
@@ -307,7 +308,7 @@ def test_every_part_of_the_state_changes_its_digest(active: Bench) -> None:
         seen[digest] = name
         covered |= {one for one in names if getattr(changed, one) is not getattr(state, one)}
     assert covered == names, "a new part of the state needs a line in changes()"
-    assert set(state.filter._fields) == {*FILTER_ARRAYS, *FILTER_TUPLES, "started"}
+    assert set(state.filter._fields) == {*FILTER_ARRAYS, *FILTER_TUPLES, "covariance", "started"}
     law = {"setpoint", "integral", "force", "planned", "rate", "trim", "held", "friction_state"}
     assert set(state.law._fields) == law
     assert state._replace().digest() == state.digest()

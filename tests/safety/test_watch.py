@@ -349,7 +349,7 @@ def test_a_node_that_answers_every_second_tick():
     state = WATCHER.start
     for k in range(20):
         state, told = counting(ARMED._replace(motor_age=(0, k % 2)), state, k=k)
-        assert told.halved == (("mb",) if k >= 19 else ()), k
+        assert told.halved == (("mb",) if k >= 13 else ()), k
 
 
 def test_strange_frames_and_refused_goals():

@@ -63,11 +63,11 @@ Told = Callable[[str, int, int], None]
 """Protocol, scenarios done, scenarios in all."""
 
 
-def plan(hand: Hand, protocol: str, quick: bool, only: Sequence[str] = ()) -> list[Scenario]:
+def plan(hand: Hand, protocol: str, rate_hz: float, quick: bool, only: Sequence[str] = ()) -> list[Scenario]:
     """What is tried: everything, a sample, or some rows."""
     if only:
-        return [one for one in scenarios(hand, protocol) if one.row.id in only]
-    found = scenarios(hand, protocol) + pairs(hand, protocol)
+        return [one for one in scenarios(hand, protocol, 1e3 / rate_hz) if one.row.id in only]
+    found = scenarios(hand, protocol, 1e3 / rate_hz) + pairs(hand, protocol, 1e3 / rate_hz)
     return found[::QUICK_EVERY] if quick else found
 
 
@@ -100,7 +100,7 @@ def run(
     for protocol in protocols:
         hand = hand_in(name, protocol)
         rate = report.rates[protocol] = rate_of(hand)
-        todo = [] if calm_only else plan(hand, protocol, quick, only)
+        todo = [] if calm_only else plan(hand, protocol, rate, quick, only)
         results = report.results[protocol] = []
 
         def done(

@@ -4,8 +4,10 @@
 milliseconds where a row or a drive needs a time. An ODrive tells its state every 100 ms and its temperature every 200.
 """
 
+import math
 from typing import NamedTuple
 
+from handctl.drives.sensor_node import TARE_MOST_N, TENSION_TOP_N
 from handctl.hand.description import Hand
 from handctl.safety.action import Action
 
@@ -13,8 +15,16 @@ ARMING, FREE, GRASP = "arming", "free motion", "grasp"
 MIT, ODRIVE, CIA402 = "mit", "odrive", "cia402"
 ALL = (MIT, ODRIVE, CIA402)
 EVERYWHERE, MOVING = (ARMING, FREE, GRASP), (FREE, GRASP)
-HEARTBEAT, RESTART = {ODRIVE: 100.0}, {ODRIVE: 100.0, CIA402: 4.0}
-"""What else a drive's own report may take, and one that is silent while it restarts [ms]."""
+HEARTBEAT, RESTART = {ODRIVE: 100.0}, {CIA402: 2}
+"""What else a drive's own report may take [ms], and one that is silent while it restarts [ticks]."""
+LATE_MS, LATE_TICKS = 7.0, 1.5
+"""A delay that is late at every rate [ms], [ticks]."""
+JUMP_RAD, JUMP_MS = 1.0, 5.0
+"""A step that no drive makes within two periods, as much more as one is longer than this."""
+ROUGH_RAD, ROUGH_MS = 0.04, 5.0
+"""Noise that no drive makes within a period, as much more as its square is longer than this."""
+READABLE_N = 0.9 * (TENSION_TOP_N - TARE_MOST_N)
+"""A trip above this cannot be told from a load cell at its rail (T06)."""
 HOST = "host "
 """Begins what is done to the host: io events, missed ticks, requests."""
 
@@ -25,12 +35,13 @@ class Row(NamedTuple):
     Attributes:
         id: row of the fault catalogue.
         fault: text for the simulator, with {node}, {tendon}, {digit}, {bus} or {joint} for the instance, {trip} and
-            {limit} for a tendon's tension_trip_N and drive_limit_N; or HOST ...
+            {limit} for a tendon's tension_trip_N and drive_limit_N, {late} for a delay that is late at this rate [ms],
+            {jump} and {rough} for a step and for noise that no drive makes at this rate [rad]; or HOST ...
         action: what must happen at least.
         ticks, ms: by when, together.
         rows: rows of the table that may find it, by their beginnings; the first one is the fault's own.
         stages: when it is tried. protocols: with which drives.
-        extra_ms: what a protocol needs besides [ms].
+        extra_ms, extra_ticks: what a protocol needs besides, together.
     """
 
     id: str
@@ -42,6 +53,12 @@ class Row(NamedTuple):
     stages: tuple[str, ...] = MOVING
     protocols: tuple[str, ...] = ALL
     extra_ms: dict[str, float] = {}  # noqa: RUF012 - read only
+    extra_ticks: dict[str, int] = {}  # noqa: RUF012 - read only
+
+    def bound(self, protocol: str, period_ms: float) -> int:
+        """By when it must be answered with these drives [ticks]."""
+        extra = self.extra_ticks.get(protocol, 0)
+        return self.ticks + extra + math.ceil((self.ms + self.extra_ms.get(protocol, 0.0)) / period_ms)
 
 
 class Scenario(NamedTuple):
@@ -69,8 +86,9 @@ ONCE = (MIT, CIA402)
 MATRIX: tuple[Row, ...] = (
     Row("B01", "drop node={node} for=2500us", WARN, 2, rows=("B01", "N02"), stages=EVERYWHERE),
     Row("B02", "drop bus={bus}", RELAX, 1, 30.0, ("B02", "N02", "B17"), EVERYWHERE),
-    Row("B03", "drop node={node} p=0.3 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02")),
-    Row("B04", "delay node=sensors size=7 for=20ms", WARN, 4, rows=("B04",)),
+    Row("B03", "drop node={node} p=0.3 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02"), protocols=ONCE),
+    Row("B03", "drop node={node} p=0.6 seed=3", HOLD, 102, 0.0, ("B03", "B17", "N02", "N11"), protocols=(ODRIVE,)),
+    Row("B04", "delay node=sensors size={late} for=20ms", WARN, 4, rows=("B04",)),
     Row("B05", "duplicate node={node}", WARN, 2, rows=("B05", "N13", "B06"), protocols=ONCE),
     Row("B05", "duplicate node=sensors", WARN, 2, rows=("B05",)),
     Row("B06", "twin node={node}", RELAX, 2, rows=("B06",), protocols=ONCE),
@@ -90,16 +108,16 @@ MATRIX: tuple[Row, ...] = (
     Row("B17", "deaf node={node}", RELAX, 4, rows=("B17", "N08", "B02", "B03"), protocols=(MIT, ODRIVE),
         extra_ms={ODRIVE: 160.0}),
     Row("B17", "drop node={node}", RELAX, 4, rows=("B17",)),
-    Row("N01", "reset node={node}", RELAX, 2, rows=("N01", "N11", "B17"), extra_ms=RESTART),
+    Row("N01", "reset node={node}", RELAX, 2, rows=("N01", "N11", "B17"), extra_ms=HEARTBEAT, extra_ticks=RESTART),
     Row("N01", "reset node={node}", RELAX, 2, rows=("N01", "N11", "B17"), stages=(ARMING,), protocols=ONCE,
-        extra_ms=RESTART),
+        extra_ticks=RESTART),
     Row("N02", "drop node=sensors", RELAX, 1, 30.0, ("N02",), EVERYWHERE),
     Row("N02", "off node={node}", RELAX, 5, rows=("B17", "B02", "N01"), stages=EVERYWHERE),
     Row("N04", "stuck encoder={node}", RELAX, 2, 500.0, ("N04", "T04", "N05", "N06"), (FREE,)),
     Row("N04", "stuck joint={joint}", RELAX, 2, 500.0, ("N04", "N06", "T08"), (FREE,)),
-    Row("N05", "offset encoder={node} size=1", RELAX, 3, rows=("N05",)),
+    Row("N05", "offset encoder={node} size={jump}", RELAX, 3, rows=("N05",)),
     Row("N06", "drift joint={joint} size=0.8", RELAX, 4, 900.0, ("N06", "T08")),
-    Row("N07", "noise encoder={node} size=0.04", HOLD, 4, 60.0, ("N07", "N05")),
+    Row("N07", "noise encoder={node} size={rough}", HOLD, 4, 60.0, ("N07", "N05")),
     Row("N08", "watchdog node={node}", RELAX, 2, rows=("N08",), stages=EVERYWHERE, extra_ms=HEARTBEAT),
     Row("N09", "hot node={node} size=95", RELAX, 22, rows=("N09b",), protocols=(MIT, ODRIVE),
         extra_ms={ODRIVE: 200.0}),
@@ -114,11 +132,11 @@ MATRIX: tuple[Row, ...] = (
     Row("N13", "duplicate node={node} seed=1", RELAX, 4, rows=("N13", "B06"), protocols=ONCE),
     Row("N14", "disobey node={node} size=0", RELAX, 22, rows=("N14", "T02", "T04"), stages=(GRASP,), protocols=ONCE),
     Row("N14", "runaway node={node}", RELAX, 10, rows=("N14", "T03", "N05", "T04")),
-    Row("N15", "slow node={node} size=2", WARN, 30, rows=("N15",), protocols=ONCE),
-    Row("N15", "slow node={node} size=2", WARN, 4, rows=("B01",), protocols=(ODRIVE,)),
+    Row("N15", "slow node={node} size=2", WARN, 22, rows=("N15",), protocols=ONCE),
+    Row("N15", "slow node={node} size=4", WARN, 4, rows=("B01",), protocols=(ODRIVE,)),
     Row("N16", "hold_on node={node}", CUT, 2, 100.0, ("N16",), (GRASP,)),
     Row("T01", "snap tendon={tendon}", RELAX, 10, rows=("T01",), stages=(GRASP,)),
-    Row("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02",), (FREE,)),
+    Row("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04"), (FREE,)),
     Row("T02", "slack tendon={tendon} size=30", WARN, 10, rows=("T02", "T01"), stages=(GRASP,)),
     Row("T03", "offset cell={tendon} size={trip}", RELAX, 2, rows=("T03",), stages=(GRASP,)),
     Row("T03", "offset cell={tendon} size={limit}", CUT, 2, rows=("T03b",), stages=(GRASP,)),
@@ -156,39 +174,55 @@ LEFT_OUT = {
 """Rows of sections 2.1 to 2.4 that are not in the matrix, and where they are tried instead."""
 
 
-def scenarios(hand: Hand, protocol: str) -> list[Scenario]:
-    """Every row on the first and the last instance, in every stage that it is for."""
+def scenarios(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
+    """Every row on the first and the last instance, in every stage that it is for, at a control period [ms]."""
     found = []
     for row in MATRIX:
         if protocol in row.protocols:
-            texts = list(dict.fromkeys(instance for instance in _texts(hand, row.fault) if instance))
+            texts = list(dict.fromkeys(_texts(hand, row.fault, period_ms)))
             found += [Scenario(row, text, stage) for stage in row.stages for text in texts]
     return found
 
 
-def pairs(hand: Hand, protocol: str) -> list[Scenario]:
+def pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
     """The likeliest faults two by two, in a grasp: the graver one first, the other one a little later elsewhere."""
     rows = [next(row for row in MATRIX if row.id == id_ and protocol in row.protocols) for id_ in LIKELIEST]
     found = []
     for i, first in enumerate(rows):
         for second in rows[i + 1 :]:
             main, other = (first, second) if first.action >= second.action else (second, first)
-            found.append(Scenario(main, _texts(hand, main.fault)[0], GRASP, _texts(hand, other.fault)[-1]))
+            texts = _texts(hand, main.fault, period_ms)[0], _texts(hand, other.fault, period_ms)[-1]
+            found.append(Scenario(main, texts[0], GRASP, texts[1]))
     return found
 
 
-def _texts(hand: Hand, fault: str) -> list[str]:
-    """A fault on the first and the last instance; empty where the hand has none."""
+def _texts(hand: Hand, fault: str, period_ms: float) -> list[str]:
+    """A fault on the first and the last instance; nothing where the hand has none that can show it."""
+    if fault.startswith(HOST):
+        return [fault]
+    sizes = {
+        "late": max(LATE_MS, LATE_TICKS * period_ms),
+        "jump": JUMP_RAD * max(1.0, period_ms / JUMP_MS),
+        "rough": ROUGH_RAD * max(1.0, (period_ms / ROUGH_MS) ** 2),
+    }
+    texts = {name: f"{size:g}" for name, size in sizes.items()}
+    found = [fault.format(**texts, **instance) for instance in _instances(hand, fault)]
+    return found[:1] + found[-1:]
+
+
+def _instances(hand: Hand, fault: str) -> list[dict[str, str]]:
+    """What stands for {node} and the like, for each instance; for one only, where the fault names none."""
+    if "{tendon}" in fault:
+        limited = "{trip}" in fault or "{limit}" in fault
+        return [
+            {"tendon": rope.name, "trip": f"{rope.tension_trip_N:g}", "limit": f"{rope.drive_limit_N:g}"}
+            for rope in hand.tendon
+            if not limited or rope.tension_trip_N < READABLE_N
+        ]
     names = {
         "node": [motor.name for motor in hand.motor],
-        "tendon": list(hand.tendon_names),
         "digit": list(hand.digit_names),
         "bus": list(hand.bus_names),
         "joint": list(hand.sensor_node.joints),
     }
-    key = next((key for key in names if f"{{{key}}}" in fault), None)
-    if key is None:
-        return [fault]
-    limits = [{"trip": f"{rope.tension_trip_N:g}", "limit": f"{rope.drive_limit_N:g}"} for rope in hand.tendon]
-    named = list(zip(names[key], limits if key == "tendon" else [{}] * len(names[key]), strict=True))
-    return [fault.format(**{key: name}, **sizes) for name, sizes in named[:1] + named[-1:]]
+    return next(([{key: name} for name in names[key]] for key in names if f"{{{key}}}" in fault), [{}])

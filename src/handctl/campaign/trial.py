@@ -64,9 +64,7 @@ def try_out(course: Course, scenario: Scenario, protocol: str) -> Result:
         protocol: of the drives.
     """
     row = scenario.row
-    ms = row.ms + row.extra_ms.get(protocol, 0.0)
-    bound = row.ticks + math.ceil(ms * 1e6 / course.period_ns)
-    bound += PAIR_TICKS if scenario.second else 0
+    bound = row.bound(protocol, course.period_ns / 1e6) + (PAIR_TICKS if scenario.second else 0)
     result = Result(scenario.name, row.id, scenario.stage, bound=bound)
     begin_ns, before = course.k * course.period_ns, course.peer.truth()["tension"]
     speed = _speeds(course)

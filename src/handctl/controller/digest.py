@@ -47,9 +47,10 @@ def words(texts: tuple[object, ...]) -> bytes:
 
 def filter_bytes(state: FilterState) -> bytes:
     """The filter's state."""
-    x, regimes, stopped, turning, measured, surprise, nis, doubtful, started = state
+    x, regimes, stopped, turning, measured, surprise, nis, doubtful, covariance, started = state
     plain = plain_bytes((regimes, stopped, turning, measured, doubtful, started))
-    return plain + x.tobytes() + surprise.tobytes() + nis.tobytes()
+    told = plain + x.tobytes() + surprise.tobytes() + nis.tobytes()
+    return told if covariance is None else told + covariance.tobytes()
 
 
 def motor_bytes(motors: Motors) -> bytes:

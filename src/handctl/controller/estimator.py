@@ -1,10 +1,11 @@
 """The tension filter in motion: load cell and encoder (and joint encoders) to tension, excursion and contact force.
 
 All tendons are one linear filter, run with filterpy's steady-state ``predict``; its ``update`` is written out, because
-the innovation is known already. A missing measurement has none, so the tick is a prediction; the same holds for a
-saturated one and for a single one that is too far off to be true. The result is the prediction to the present instant:
-the measurements of a tick were taken one period earlier, just before the previous command acted. Ticks that were
-skipped are predicted one by one, too: meanwhile the motors held what they had been told, and nothing was planned.
+the innovation is known already. A missing measurement has none, and neither has a saturated one: from then on the
+covariance is carried along until it is steady again. A single one that is too far off to be true is left out. The
+result is the prediction to the present instant: the measurements of a tick were taken one period earlier, just before
+the previous command acted. Ticks that were skipped are predicted one by one, too: meanwhile the motors held what
+they had been told, and nothing was planned.
 """
 
 from typing import NamedTuple
@@ -13,9 +14,9 @@ import numpy as np
 from filterpy.kalman import predict_steadystate
 from numpy.typing import NDArray
 
-from handctl.choose import known, nothing, zeros
-from handctl.controller import take_up
-from handctl.controller.filter_design import MEASUREMENTS, STATES, D, E, O, Regime, S, Stacked, V, W, X
+from handctl.choose import Array, known, nothing, zeros
+from handctl.controller import covariance, take_up
+from handctl.controller.filter_stack import MEASUREMENTS, STATES, D, E, O, Regime, S, Stacked, V, W, X
 from handctl.controller.filter_state import FilterState
 from handctl.controller.innovation import gate, watch
 from handctl.controller.model import HandModel
@@ -28,8 +29,6 @@ STOP_BAND_M = (2e-5, 1e-4)
 STOP_PULL = (0.8, 1.05)
 """Pull, as a share of what the springs ask, below which it is: to come to rest, so little that friction cannot hold
 it just above the stop, and to stay."""
-LOST_M = 5e-3
-"""No cable goes so far between two measurements, and no filter that knows where it is errs by so much."""
 HELD_TORQUE_S = 0.05
 """Longest time without a command that is predicted; then the drives' watchdogs have let go."""
 LOOSE_M = 2e-4
@@ -138,15 +137,19 @@ def step(
         return state, _estimate(model, state, state.x, unknown, unknown, zeros(model.tendon_count))
     filters = model.filter.stacked(state.regimes)
     z = _usable(state, filters, measured)
-    before, innovation = _found_again(state.x, filters, z, z - filters.H.dot(state.x))
-    innovation, surprise, believed = gate(filters, state.surprise, innovation)
-    x = before + filters.K.dot(known(innovation.copy()))
+    worth, innovation = None, z - filters.H.dot(state.x)
+    if missed or state.covariance is not None or covariance.missing(filters, z):
+        worth = covariance.update(model.filter.spread(state.regimes), state.covariance, z)
+    sure: Stacked | covariance.Update = worth or filters
+    innovation, surprise, believed = gate(filters, sure.cell_sigma, state.surprise, innovation)
+    used = known(innovation.copy())
+    x = state.x + filters.K.dot(used) if worth is None else worth.corrected(state.x, filters, used)
     for i, change in believed:
         x[STATES * i + S] -= change / model.space.stiffness[i]
     tension = filters.tension.dot(x)
     statics = load_statics(model, x.reshape(-1, STATES), tension, friction_state)
     judged = _regimes(model, state, x, tension, statics, measured, contact)
-    nis = _nis(filters, innovation)
+    nis = _nis(sure, innovation)
     if judged.x is not x:
         x, filters = judged.x, model.filter.stacked(judged.regimes)
         statics = load_statics(model, x.reshape(-1, STATES), filters.tension.dot(x), friction_state)
@@ -154,23 +157,19 @@ def step(
     x = predict_steadystate(x, filters.F, _interleaved(force, rate), filters.B)
     for _ in range(min(missed, round(HELD_TORQUE_S / model.period))):
         x = predict_steadystate(x, filters.F, _interleaved(force, zeros(len(force))), filters.B)
+    P = None if worth is None else _carried(model, state.regimes, judged.regimes, worth, missed)
     watched = watch(model.period, state.nis, state.doubtful, nis)
-    after = FilterState(x, judged.regimes, judged.stopped, judged.turning, judged.measured, surprise, *watched, True)
+    after = FilterState(x, judged.regimes, judged.stopped, judged.turning, judged.measured, surprise, *watched, P, True)
     return after, _estimate(model, after, x, innovation[1::MEASUREMENTS], nis, external)
 
 
-def _found_again(x: Vector, filters: Stacked, z: Vector, innovation: Vector) -> tuple[Vector, Vector]:
-    """State and innovations (3N,), with a cable that was lost begun anew where its encoder sees it, at rest.
-
-    The filter's gains are those of a measurement in every tick. Where one comes now and then only, as of a drive that
-    was reset, they correct a speed for much longer than they mean to, each time by more.
-    """
-    lost = np.abs(innovation[::MEASUREMENTS]) > LOST_M
-    if not np.count_nonzero(lost):
-        return x, innovation
-    again = x.copy().reshape(-1, STATES)
-    again[lost, X], again[lost, V] = z[::MEASUREMENTS][lost], 0.0
-    return again.ravel(), z - filters.H.dot(again.ravel())
+def _carried(
+    model: HandModel, before: tuple[int, ...], regimes: tuple[int, ...], worth: covariance.Update, missed: int
+) -> Array | None:
+    """The covariance of the next tick's prediction; None once it is the steady one."""
+    changed = [i for i, (was, now) in enumerate(zip(before, regimes, strict=True)) if was != now]
+    periods = 1 + min(missed, round(HELD_TORQUE_S / model.period))
+    return covariance.carried(model.filter.spread(regimes), worth.after, changed, periods)
 
 
 def _usable(state: FilterState, filters: Stacked, measured: Measured) -> Vector:
@@ -234,7 +233,7 @@ def _regimes(
     vector = x if table is None else table.reshape(-1)
     if vector is x and judged != state.regimes:
         vector = x.copy()
-    kept = (state.surprise, state.nis, state.doubtful, state.started)
+    kept = (state.surprise, state.nis, state.doubtful, state.covariance, state.started)
     return FilterState(vector, judged, tuple(stopped), tuple(turning), ropes, *kept)
 
 
@@ -262,7 +261,7 @@ def _unexplained(model: HandModel, state: FilterState, filters: Stacked, statics
     return np.where(filters.slack | state.stopped, 0.0, external)
 
 
-def _nis(filters: Stacked, innovation: Vector) -> Vector:
+def _nis(filters: Stacked | covariance.Update, innovation: Vector) -> Vector:
     """(N,) normalised innovation squared of encoder and load cell; NaN where one is missing."""
     encoder, cell = innovation[0::MEASUREMENTS], innovation[1::MEASUREMENTS]
     own, mixed, other = filters.information
@@ -273,12 +272,12 @@ def _estimate(
     model: HandModel, state: FilterState, x: Vector, innovation: Vector, nis: Vector, external: Vector
 ) -> Estimate:
     """Args: x: (7N,) prediction. innovation: (N,) of the load cells, NaN where missing. nis, external: (N,)."""
-    filters = model.filter.stacked(state.regimes)
+    filters, P = model.filter.stacked(state.regimes), state.covariance
     table = x.reshape(-1, STATES)
     q, dq = joint_angles(model, table[:, S], table[:, W])
     return Estimate(
         np.maximum(filters.tension.dot(x), 0.0),
-        filters.sigma,
+        filters.sigma if P is None else covariance.sigma(model.filter.spread(state.regimes), P),
         table[:, X],
         table[:, V],
         table[:, S],

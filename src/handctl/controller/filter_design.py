@@ -12,132 +12,34 @@ and enough is that a free digit follows its rope and that the tension then chang
 Source: linearised tendon plant; van Loan (1978) for the discretisation; the Riccati solution comes from ``control``.
 """
 
-import enum
 import math
-from dataclasses import dataclass, field, fields
+from dataclasses import fields
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from handctl.controller.filter_stack import (
+    INPUTS,
+    MEASUREMENTS,
+    STATES,
+    Block,
+    D,
+    E,
+    FilterDesign,
+    Matrix,
+    O,
+    Regime,
+    S,
+    V,
+    W,
+    X,
+)
 from handctl.controller.gains import FilterGains
 from handctl.controller.tendon_space import TendonSpace
-
-Matrix = NDArray[np.float64]
-
-STATES, INPUTS, MEASUREMENTS = 7, 2, 3
-X, V, S, W, D, E, O = range(STATES)  # noqa: E741 - the states' names in the module's docstring
-
 
 FORGET_S = 1e4
 """Stretch offset and a held digit's excursion are forgotten this slowly [s]: only so that the Riccati equation has a
 solution. What is forgotten within a run pulls the estimate: a millimetre of offset in a minute is 1.7 N a second."""
-
-
-class Regime(enum.IntEnum):
-    """How a tendon's model is coupled."""
-
-    FREE = 0
-    """Taut, the digit moves freely: it follows its rope, and the tension changes no faster than friction turns."""
-    HELD = 1
-    """Taut, the digit rests on an object or on its open stop, of unknown stiffness: it moves little, that is all."""
-    SLACK = 2
-    """No tension: the motor moves alone, springs hold the digit on its open stop, the load cell shows its own error."""
-
-
-@dataclass(frozen=True, slots=True)
-class Block:
-    """One tendon's filter in one regime.
-
-    Attributes:
-        F: transition over one period, (7, 7).
-        B: inputs held over one period, (7, 2).
-        H: measurements, (3, 7).
-        K: steady-state gain of the update, (7, 3).
-        tension_row: tension of a state, (7,).
-        tension_variance: of the predicted tension [N^2].
-        innovation_information: inverse covariance of encoder and load-cell innovations, (2, 2).
-        cell_sigma: standard deviation of the load-cell innovation [N].
-    """
-
-    F: Matrix
-    B: Matrix
-    H: Matrix
-    K: Matrix
-    tension_row: Matrix
-    tension_variance: float
-    innovation_information: Matrix
-    cell_sigma: float
-
-
-@dataclass(frozen=True, slots=True)
-class FilterDesign:
-    """Blocks of every tendon and regime; ``blocks[tendon][regime]``.
-
-    Attributes:
-        memo: stacks already built, by regimes; contact comes and goes far more rarely than ticks.
-    """
-
-    blocks: tuple[tuple[Block, ...], ...]
-    memo: dict[tuple[int, ...], "Stacked"] = field(default_factory=dict, compare=False, repr=False)
-
-    def stacked(self, regimes: tuple[int, ...]) -> "Stacked":
-        """The N tendons as one filter, each in its regime."""
-        found = self.memo.get(regimes)
-        if found is None:
-            found = self.memo[regimes] = self._stack(regimes)
-        return found
-
-    def _stack(self, regimes: tuple[int, ...]) -> "Stacked":
-        chosen = [tendon[regime] for tendon, regime in zip(self.blocks, regimes, strict=True)]
-        return Stacked(
-            F=_diagonal([block.F for block in chosen]),
-            B=_diagonal([block.B for block in chosen]),
-            H=_diagonal([block.H for block in chosen]),
-            K=_diagonal([block.K for block in chosen]),
-            tension=_diagonal([block.tension_row[None] for block in chosen]),
-            sigma=np.sqrt([block.tension_variance for block in chosen]),
-            information=tuple(
-                np.array([block.innovation_information.flat[at] * times for block in chosen])
-                for at, times in ((0, 1.0), (1, 2.0), (3, 1.0))
-            ),
-            free=np.array(regimes) == Regime.FREE,
-            slack=np.array(regimes) == Regime.SLACK,
-            cell_sigma=np.array([block.cell_sigma for block in chosen]),
-        )
-
-
-def _diagonal(blocks: list[Matrix]) -> Matrix:
-    """Blocks of one shape along the diagonal: scipy's takes ten times as long, and the tick of a touch pays for it."""
-    n, (rows, columns), each = len(blocks), blocks[0].shape, np.arange(len(blocks))
-    found = np.zeros((n, rows, n, columns))
-    found[each, :, each] = blocks
-    return found.reshape(n * rows, n * columns)
-
-
-@dataclass(frozen=True, slots=True)
-class Stacked:
-    """All tendons as one filter of 7 N states; matrices block diagonal.
-
-    Attributes:
-        F: (7N, 7N). B: (7N, 2N). H: (3N, 7N). K: (7N, 3N).
-        tension: (N, 7N), tension of a state.
-        sigma: (N,), standard deviation of the predicted tension [N].
-        information: (N,) each: the innovations' inverse covariance, of encoder squared, both, load cell squared.
-        free, slack: (N,) whether a tendon is in this regime.
-        cell_sigma: (N,), standard deviation of the load-cell innovation [N].
-    """
-
-    F: Matrix
-    B: Matrix
-    H: Matrix
-    K: Matrix
-    tension: Matrix
-    sigma: Matrix
-    information: tuple[Matrix, ...]
-    free: NDArray[np.bool_]
-    slack: NDArray[np.bool_]
-    cell_sigma: Matrix
 
 
 def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_period: Matrix) -> FilterDesign:
@@ -246,7 +148,9 @@ def _block(space: TendonSpace, i: int, regime: Regime, gains: FilterGains, perio
     drift = gains.cell_drift_N**2 / gains.cell_drift_time_s * gains.cell_tared_s
     variance = 0.0 if known else float(tension @ P @ tension) + drift
     information = np.asarray(np.linalg.inv(innovation), dtype=np.float64)
-    return Block(F, held, H, K, tension, variance, information, math.sqrt(np.linalg.inv(information)[1, 1]))
+    return Block(
+        F, held, H, K, Q, noise**2, P, known, tension, variance, information, math.sqrt(innovation[1, 1])
+    )
 
 
 def _riccati(F: Matrix, H: Matrix, Q: Matrix, R: Matrix) -> Matrix:

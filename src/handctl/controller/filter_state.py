@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.controller.filter_design import STATES, Regime
+from handctl.choose import Array
+from handctl.controller.filter_stack import STATES, Regime
 from handctl.controller.types import Vector
 
 
@@ -20,6 +21,7 @@ class FilterState(NamedTuple):
         surprise: (N,) last load-cell innovation by its standard deviation; 0 if there was none.
         nis: (N,) normalised innovation squared, averaged over ``DOUBT_S``.
         doubtful: per tendon, whether that is too much.
+        covariance: (N, 7, 7) of x; None as long as it is the steady one.
         started: False until encoder and load cell of every tendon were read once, be it in different ticks.
     """
 
@@ -31,6 +33,7 @@ class FilterState(NamedTuple):
     surprise: Vector
     nis: Vector
     doubtful: tuple[bool, ...]
+    covariance: Array | None
     started: bool = False
 
     @staticmethod
@@ -44,4 +47,4 @@ class FilterState(NamedTuple):
         n = len(x) // STATES
         no = (False,) * n
         usual = np.full(n, 2.0)
-        return FilterState(x, (int(regime),) * n, (stopped,) * n, (0,) * n, no, np.zeros(n), usual, no, started)
+        return FilterState(x, (int(regime),) * n, (stopped,) * n, (0,) * n, no, np.zeros(n), usual, no, None, started)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from handctl.choose import known
-from handctl.controller.filter_design import MEASUREMENTS, Stacked
+from handctl.controller.filter_stack import MEASUREMENTS, Stacked
 from handctl.controller.filter_state import FilterState
 from handctl.controller.types import Event, Vector
 
@@ -18,11 +18,14 @@ MOST_NIS = 100.0
 """More counts as this, so that one sample alone raises no doubt."""
 
 
-def gate(filters: Stacked, before: Vector, innovation: Vector) -> tuple[Vector, Vector, list[tuple[int, float]]]:
+def gate(
+    filters: Stacked, cell_sigma: Vector, before: Vector, innovation: Vector
+) -> tuple[Vector, Vector, list[tuple[int, float]]]:
     """Leave out a load-cell sample that is alone in being far off; believe two in a row on the same side.
 
     Args:
         filters: of this tick.
+        cell_sigma: (N,) standard deviations of the load cells' innovations [N].
         before: (N,) innovations of the last tick by their standard deviations; 0 if there was none.
         innovation: (3N,) measurements less what the filter expects; NaN where missing.
 
@@ -31,7 +34,7 @@ def gate(filters: Stacked, before: Vector, innovation: Vector) -> tuple[Vector, 
         by tendon, to be made beside the update.
     """
     cell = innovation[1::MEASUREMENTS]
-    surprise = known(cell / filters.cell_sigma)
+    surprise = known(cell / cell_sigma)
     strange = np.abs(surprise) > SURPRISE
     if not np.count_nonzero(strange):
         return innovation, surprise, []

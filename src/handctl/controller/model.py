@@ -8,7 +8,8 @@ from scipy.linalg import block_diag
 
 from handctl.choose import nothing
 from handctl.controller.all_digits import AllDigits
-from handctl.controller.filter_design import FilterDesign, design_filter
+from handctl.controller.filter_design import design_filter
+from handctl.controller.filter_stack import FilterDesign
 from handctl.controller.gains import Gains
 from handctl.controller.motion_design import MotionDesign, design_motion
 from handctl.controller.tendon_space import TendonSpace, tendon_space

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.choose import chosen
-from handctl.controller.filter_design import STATES, S, V
+from handctl.controller.filter_stack import STATES, S, V
 from handctl.controller.model import HandModel
 from handctl.controller.types import Vector
 from handctl.hand.tendons import ROPE_FRICTION_SPEED

@@ -1,6 +1,6 @@
 """When a rope goes slack and when it is taut again, by what its load cell says tick after tick."""
 
-from handctl.controller.filter_design import D, E, O, Regime, S, W, X
+from handctl.controller.filter_stack import D, E, O, Regime, S, W, X
 from handctl.controller.types import Vector
 
 SLACK = int(Regime.SLACK)

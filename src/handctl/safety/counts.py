@@ -5,8 +5,8 @@ from typing import NamedTuple
 WINDOW, SHORT = 100, 20
 """Ticks over which losses, and misshapen frames, are counted."""
 _MASK, _SHORT_MASK = (1 << WINDOW) - 1, (1 << SHORT) - 1
-_HALF = tuple(sum(1 << bit for bit in range(first, SHORT, 2)) for first in (0, 1))
-"""Bits of a node that answers every second tick."""
+HALF = 7
+"""So many of ``SHORT`` ticks a node loses that answers every second one: now and then it gives two in a row."""
 
 
 class Counts(NamedTuple):
@@ -44,8 +44,9 @@ def lately(bits: int) -> int:
 
 
 def halved(bits: int) -> bool:
-    """Whether exactly every second of the last ``SHORT`` ticks is set."""
-    return bits & _SHORT_MASK in _HALF
+    """Whether about every second of the last ``SHORT`` ticks is set, and never two in a row."""
+    recent = bits & _SHORT_MASK
+    return recent & recent >> 1 == 0 and recent.bit_count() >= HALF
 
 
 def step(

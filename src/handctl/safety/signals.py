@@ -93,7 +93,7 @@ class Signals(NamedTuple):
         twice: nodes that answered twice, and whether the second answer was another one (1) or the same (0).
         stale: nodes with an answer to an older question; 1 if the fresh one had come before it.
         lost: (M + 1,) answers missing of the last 100 ticks, motors and then load cells.
-        halved: nodes that answer every second tick only.
+        halved: nodes that answer about every second tick only.
         jumped: motors and joints whose position made a step that no rotor makes [rad].
         jumping: those whose last reading but one was dropped, too.
         refused: live goals refused in the last second.

@@ -18,7 +18,7 @@ from scipy.linalg import expm
 from handctl.controller import computed_torque, estimator
 from handctl.controller.computed_torque import LawState
 from handctl.controller.estimator import Measured
-from handctl.controller.filter_design import STATES, Regime, S, V, W, X
+from handctl.controller.filter_stack import STATES, Regime, S, V, W, X
 from handctl.controller.filter_state import FilterState
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.model import HandModel

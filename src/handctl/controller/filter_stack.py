@@ -1,0 +1,172 @@
+"""The tension filter as numbers: states, regimes, one tendon's blocks, and all tendons as one filter."""
+
+import enum
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Matrix = NDArray[np.float64]
+
+STATES, INPUTS, MEASUREMENTS = 7, 2, 3
+X, V, S, W, D, E, O = range(STATES)  # noqa: E741 - see below
+"""Cable travel [m] and speed [m/s] at the spool, excursion [m] and its rate [m/s], disturbance force on the motor [N],
+load-cell error [N], stretch offset [m]."""
+
+
+class Regime(enum.IntEnum):
+    """How a tendon's model is coupled."""
+
+    FREE = 0
+    """Taut, the digit moves freely: it follows its rope, and the tension changes no faster than friction turns."""
+    HELD = 1
+    """Taut, the digit rests on an object or on its open stop, of unknown stiffness: it moves little, that is all."""
+    SLACK = 2
+    """No tension: the motor moves alone, springs hold the digit on its open stop, the load cell shows its own error."""
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """One tendon's filter in one regime.
+
+    Attributes:
+        F: transition over one period, (7, 7).
+        B: inputs held over one period, (7, 2).
+        H: measurements, (3, 7).
+        K: steady-state gain of the update, (7, 3).
+        Q: covariance of what a period adds, (7, 7).
+        R: variances of encoder and load cell, (2,).
+        P: covariance of the prediction in steady state, (7, 7).
+        known: whether the load cell's error can be told from tension.
+        tension_row: tension of a state, (7,).
+        tension_variance: of the predicted tension [N^2].
+        innovation_information: inverse covariance of encoder and load-cell innovations, (2, 2).
+        cell_sigma: standard deviation of the load-cell innovation [N].
+    """
+
+    F: Matrix
+    B: Matrix
+    H: Matrix
+    K: Matrix
+    Q: Matrix
+    R: Matrix
+    P: Matrix
+    known: bool
+    tension_row: Matrix
+    tension_variance: float
+    innovation_information: Matrix
+    cell_sigma: float
+
+
+@dataclass(frozen=True, slots=True)
+class FilterDesign:
+    """Blocks of every tendon and regime; ``blocks[tendon][regime]``.
+
+    Attributes:
+        memo: stacks already built, by regimes; contact comes and goes far more rarely than ticks.
+        spreads: noises already stacked, by regimes.
+    """
+
+    blocks: tuple[tuple[Block, ...], ...]
+    memo: dict[tuple[int, ...], "Stacked"] = field(default_factory=dict, compare=False, repr=False)
+    spreads: dict[tuple[int, ...], "Spread"] = field(default_factory=dict, compare=False, repr=False)
+
+    def stacked(self, regimes: tuple[int, ...]) -> "Stacked":
+        """The N tendons as one filter, each in its regime."""
+        found = self.memo.get(regimes)
+        if found is None:
+            found = self.memo[regimes] = self._stack(regimes)
+        return found
+
+    def spread(self, regimes: tuple[int, ...]) -> "Spread":
+        """The N tendons' noise, each in its regime."""
+        found = self.spreads.get(regimes)
+        if found is None:
+            found = self.spreads[regimes] = Spread.of(self._chosen(regimes))
+        return found
+
+    def _chosen(self, regimes: tuple[int, ...]) -> list[Block]:
+        return [tendon[regime] for tendon, regime in zip(self.blocks, regimes, strict=True)]
+
+    def _stack(self, regimes: tuple[int, ...]) -> "Stacked":
+        chosen = self._chosen(regimes)
+        return Stacked(
+            F=_diagonal([block.F for block in chosen]),
+            B=_diagonal([block.B for block in chosen]),
+            H=_diagonal([block.H for block in chosen]),
+            K=_diagonal([block.K for block in chosen]),
+            tension=_diagonal([block.tension_row[None] for block in chosen]),
+            sigma=np.sqrt([block.tension_variance for block in chosen]),
+            information=tuple(
+                np.array([block.innovation_information.flat[at] * times for block in chosen])
+                for at, times in ((0, 1.0), (1, 2.0), (3, 1.0))
+            ),
+            free=np.array(regimes) == Regime.FREE,
+            slack=np.array(regimes) == Regime.SLACK,
+            cell_sigma=np.array([block.cell_sigma for block in chosen]),
+        )
+
+
+def _diagonal(blocks: list[Matrix]) -> Matrix:
+    """Blocks of one shape along the diagonal: scipy's takes ten times as long, and the tick of a touch pays for it."""
+    n, (rows, columns), each = len(blocks), blocks[0].shape, np.arange(len(blocks))
+    found = np.zeros((n, rows, n, columns))
+    found[each, :, each] = blocks
+    return found.reshape(n * rows, n * columns)
+
+
+@dataclass(frozen=True, slots=True)
+class Stacked:
+    """All tendons as one filter of 7 N states; matrices block diagonal.
+
+    Attributes:
+        F: (7N, 7N). B: (7N, 2N). H: (3N, 7N). K: (7N, 3N).
+        tension: (N, 7N), tension of a state.
+        sigma: (N,), standard deviation of the predicted tension [N].
+        information: (N,) each: the innovations' inverse covariance, of encoder squared, both, load cell squared.
+        free, slack: (N,) whether a tendon is in this regime.
+        cell_sigma: (N,), standard deviation of the load-cell innovation [N].
+    """
+
+    F: Matrix
+    B: Matrix
+    H: Matrix
+    K: Matrix
+    tension: Matrix
+    sigma: Matrix
+    information: tuple[Matrix, ...]
+    free: NDArray[np.bool_]
+    slack: NDArray[np.bool_]
+    cell_sigma: Matrix
+
+
+class Spread(NamedTuple):
+    """What the covariance of N tendons needs, each in its regime; see ``covariance``.
+
+    Attributes:
+        F, Q, P: (N, 7, 7), see ``Block``. H: (N, 2, 7) encoder and load cell. R: (N, 2).
+        told: (N, 7) 1, or 0 for a load cell's error that cannot be told from tension.
+        tension: (N, 7) of a state. drift: (N,) what that error adds to the variance of the tension [N^2].
+    """
+
+    F: Matrix
+    Q: Matrix
+    P: Matrix
+    H: Matrix
+    R: Matrix
+    told: Matrix
+    tension: Matrix
+    drift: Matrix
+
+    @staticmethod
+    def of(blocks: list[Block]) -> "Spread":
+        """Of a block for each tendon."""
+        H, told = np.array([block.H[:2] for block in blocks]), np.ones((len(blocks), STATES))
+        told[:, E] = [block.known for block in blocks]
+        H[:, 1, E] = told[:, E]
+        F, Q, P, R, tension = (
+            np.array([getattr(block, name) for block in blocks]) for name in ("F", "Q", "P", "R", "tension_row")
+        )
+        taut = [block.tension_variance - float(block.tension_row @ block.P @ block.tension_row) for block in blocks]
+        return Spread(F, Q, P, H, R, told, tension, np.maximum(taut, 0.0))
