@@ -47,7 +47,8 @@ def test_how_many_of_the_window_and_of_late():
 @pytest.mark.parametrize(("pattern", "half"), [
     ("01" * 10, True), ("10" * 10, True), ("01" * 9 + "11", False), ("01" * 9 + "00", True), ("0" * 20, False),
     ("1" * 20, False), ("1" + "01" * 10, True), ("0011" * 5, False), ("01" * 7 + "000000", True),
-    ("01" * 6 + "00000000", False), ("1" + "01" * 6 + "0000000", True), ("11" + "01" * 8 + "00", False),
+    ("01" * 6 + "00000000", False), ("1" + "01" * 6 + "0000000", True), ("11" + "01" * 8 + "00", True),
+    ("11" + "01" * 7 + "1100", False), ("1110" + "01" * 8, False),
     ("11" + "01" * 8 + "0000", True), ("01010010101010010101", True),
 ])  # fmt: skip
 def test_every_second_tick(pattern, half):

@@ -6,7 +6,7 @@ WINDOW, SHORT = 100, 20
 """Ticks over which losses, and misshapen frames, are counted."""
 _MASK, _SHORT_MASK = (1 << WINDOW) - 1, (1 << SHORT) - 1
 HALF = 7
-"""So many of ``SHORT`` ticks a node loses that answers every second one: now and then it gives two in a row."""
+"""So many of ``SHORT`` ticks a node misses that answers every second one; where its turn shifts, two in a row."""
 
 
 class Counts(NamedTuple):
@@ -44,9 +44,9 @@ def lately(bits: int) -> int:
 
 
 def halved(bits: int) -> bool:
-    """Whether about every second of the last ``SHORT`` ticks is set, and never two in a row."""
+    """Whether about every second of the last ``SHORT`` ticks is set, and at most once two in a row."""
     recent = bits & _SHORT_MASK
-    return recent & recent >> 1 == 0 and recent.bit_count() >= HALF
+    return recent.bit_count() >= HALF and (recent & recent >> 1).bit_count() <= 1
 
 
 def step(
