@@ -102,7 +102,7 @@ NODE_FAULTS: tuple[Fault, ...] = (
           _doubled),
     Fault("N14", "a command is not obeyed", "torque asked and made differ by 15 N at the rope, filtered", 1,
           Action.RELAX, PERSON, _disobeyed),
-    Fault("N15", "a slow node", "misses seven of 20 answers, once at most two running", 1, Action.WARN, ITSELF, _halved),
+    Fault("N15", "a slow node", "misses seven of 20 answers, seldom two running", 1, Action.WARN, ITSELF, _halved),
     Fault("N16", "a drive does not let go", "tension not falling 100 ms after the torque was cut", 1, Action.CUT,
           PERSON, _limp),
 )  # fmt: skip
