@@ -4,6 +4,7 @@ import itertools
 import json
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import psutil
@@ -19,6 +20,7 @@ from handctl.view.browse import browse
 from handctl.view.feed import run_chunks
 from handctl.view.picture import connected, wait_loaded
 from handctl.view.subject import Subject
+from handctl.view.viewer import viewer
 from handctl.view.windows import windows
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
@@ -93,6 +95,16 @@ def test_a_log_that_is_damaged_at_once_leaves_no_viewer_behind(tmp_path: Path, v
     with pytest.raises(LogError, match="damaged"), browse(broken, subject, ["--headless"], vulkan, found):
         raise AssertionError("it was shown")
     assert not any("--headless" in command(child) for child in psutil.Process().children())
+
+
+def test_a_viewer_that_is_closed_leaves_no_files_behind(
+    tmp_path: Path, vulkan: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with viewer(["--headless", str(GOLDEN)], vulkan):
+        assert any(tmp_path.rglob("rerun-data-*")), "it keeps some while it runs"
+    assert list(tmp_path.iterdir()) == []
 
 
 def command(child: psutil.Process) -> list[str]:

@@ -158,12 +158,13 @@ def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewe
 
 @contextmanager
 def launched(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Launch]:
-    """As ``launch_viewer``; it ends with the context."""
-    launch = launch_viewer(arguments, environment)
-    try:
-        yield launch
-    finally:
-        Viewer(launch.process, "").end()
+    """As ``launch_viewer``; it ends with the context, and so does what it keeps in files meanwhile."""
+    with tempfile.TemporaryDirectory(prefix="handctl-viewer-", ignore_cleanup_errors=True) as scratch:
+        launch = launch_viewer(arguments, {"TMPDIR": scratch} | environment)
+        try:
+            yield launch
+        finally:
+            Viewer(launch.process, "").end()
 
 
 @contextmanager
