@@ -37,6 +37,12 @@ def test_a_finding_says_how_large_it_was() -> None:
     assert readings(row, with_(foreign=("0x123",))) == [("0x123", 1.0)]
 
 
+def test_nobody_answers_in_ticks_that_the_host_missed() -> None:
+    assert readings("B01", with_(missed=3, motor_age=(3, 3))) == []
+    assert readings("B01", with_(missed=3, motor_age=(3, 4))) == [("m1", 4)]
+    assert readings("B01", with_(motor_age=(1, 0))) == [("m0", 1)]
+
+
 def test_a_node_that_does_not_hear_misses_as_many_ticks_as_the_row_says() -> None:
     most = LIMITS.one_silent_ticks
     assert readings("B17", with_(motor_age=(most - 1, 0))) == []

@@ -17,7 +17,8 @@ UNANSWERED = ("no acknowledge", "bus error", "protocol")
 
 
 def _motor_late(limits: Limits, s: Signals) -> Sequence[Reading]:
-    return above(limits.motors, s.motor_age, 0) if s.armed else NOTHING
+    """In ticks that this host missed it asked for nothing."""
+    return above(limits.motors, s.motor_age, s.missed) if s.armed else NOTHING
 
 
 def _motor_silent(limits: Limits, s: Signals) -> Sequence[Reading]:
