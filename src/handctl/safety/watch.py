@@ -41,6 +41,7 @@ class Watcher:
         every: (2 N + J,) how often motors, load cells and joints are read [s].
         suspicion: (8, N) see ``residuals.suspicion``.
         patience: (2 N + J,) readings of each that may be the same before anybody asks why.
+        stir: (2, 2 N + J) how far its witnesses may move meanwhile; what rests is asked in vain in every tick else.
         start: what is remembered at first.
     """
 
@@ -55,18 +56,20 @@ class Watcher:
     every: Vector = field(init=False)
     suspicion: Vector = field(init=False)
     patience: NDArray[np.int64] = field(init=False)
+    stir: Vector = field(init=False)
     start: "WatchState" = field(init=False)
 
     def __post_init__(self) -> None:
         n, j, never, noise = len(self.spool), len(self.joints), np.inf, self.limits.noise_most
         fine = (RESIDUAL_WARN_N, never, DISOBEYED_N, never, never, SLIP_WARN_DEG, noise, FRICTION_WARN_N)
-        rows = (self.rotor.motor_period, np.full(n, self.period), np.full(j, self.rotor.joint_period))
-        every = np.concatenate(rows)
+        every = np.concatenate((self.rotor.motor_period, np.full(n, self.period), np.full(j, self.rotor.joint_period)))
         patience = (STUCK_S / every).astype(np.int64)
         patience[n : 2 * n] = np.minimum(patience[n : 2 * n], CELL_TICKS)
         object.__setattr__(self, "every", every)
         object.__setattr__(self, "suspicion", residuals.suspicion(self.rotor, np.array(fine)))
         object.__setattr__(self, "patience", patience)
+        first = np.repeat([STUCK_GOAL_MM * 1e-3, CELL_FORCE_N, STUCK_JOINT_DEG / DEG], [n, n, j])
+        object.__setattr__(self, "stir", np.array([first, np.repeat([STUCK_TENSION_N, never, never], [n, n, j])]))
         object.__setattr__(self, "start", WatchState.initial(n, j))
 
     @property
@@ -215,16 +218,16 @@ def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tu
     value = np.concatenate((seen.travel, seen.tension, seen.joints))
     stands = stuck.step(state.stuck, value, witnesses)
     derailed = (state.derailed + 1.0) * (np.abs(slip) > DERAILED_DEG) if seen.read else state.derailed
-    state = state._replace(
-        filtered=filtered, stuck=stands, taut=taut, slip_from=begin, derailed=derailed, ropes=tense
-    )
+    state = state._replace(filtered=filtered, stuck=stands, taut=taut, slip_from=begin, derailed=derailed, ropes=tense)
     told = _rope_signals(watcher, state, cell, seen)
     if np.count_nonzero(np.abs(filtered.low) > watcher.suspicion):
         told |= _residual_signals(watcher, filtered)
     if seen.read and np.count_nonzero(derailed >= DERAILED_READINGS):
         told["derailed"] = tuple(only(derailed >= DERAILED_READINGS, np.abs(slip)).tolist())
     if np.count_nonzero(stands.ticks >= watcher.patience):
-        told |= _stuck_signals(watcher, stands, stuck.away(stands, witnesses))
+        away = stuck.away(stands, witnesses)
+        if np.count_nonzero(away >= watcher.stir):
+            told |= _stuck_signals(watcher, stands, away)
     return state, raw._replace(**told) if told else raw
 
 
