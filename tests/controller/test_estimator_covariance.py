@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from handctl.controller import estimator
+from handctl.controller import covariance, estimator
 from handctl.controller.estimator import Measured
 from handctl.controller.filter_stack import MEASUREMENTS, STATES, E, Regime, S, V, X
 from handctl.controller.gains import Gains
@@ -154,6 +154,35 @@ def test_the_covariance_is_carried_along_only_until_it_is_steady_again(model: Ha
     assert max(each[0] for each in sigma) == max(sigma[4][0], sigma[5][0]), "it grows as long as nothing is read"
     np.testing.assert_allclose([each[1:] for each in sigma], [steady[1:]] * len(sigma), rtol=1e-3)
     np.testing.assert_allclose(sigma[-1], steady, rtol=0.02)
+
+
+@pytest.mark.parametrize(("column", "regime", "counts"), [
+    (None, Regime.FREE, False), (0, Regime.FREE, True), (1, Regime.FREE, True), (2, Regime.FREE, False),
+    (0, Regime.SLACK, True), (1, Regime.SLACK, False), (1, Regime.HELD, True),
+])  # fmt: skip
+def test_what_is_missing(model: HandModel, column: int | None, regime: Regime, counts: bool) -> None:
+    """Joint encoders are read when they come; the load cell of a loose rope says nothing of its tendon."""
+    z = np.ones((model.tendon_count, 3))
+    if column is not None:
+        z[-1, column] = np.nan
+    filters = model.filter.stacked((int(Regime.FREE),) * (model.tendon_count - 1) + (int(regime),))
+    assert covariance.missing(filters, z.ravel()) is counts
+
+
+def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: HandModel) -> None:
+    regimes = (int(Regime.FREE),) * model.tendon_count
+    spread = model.filter.spread(regimes)
+    worth = covariance.update(spread, None, np.full(3 * model.tendon_count, np.nan))
+    P = covariance.carried(spread, worth.after, [1], 5)
+    assert P is not None
+    np.testing.assert_array_equal(P[1], spread.P[1])
+    once = covariance.carried(spread, worth.after, [], 1)
+    assert once is not None
+    assert P[0, X, X] > once[0, X, X] > spread.P[0, X, X], "what is not read is known less with every period"
+    again = covariance.update(spread, P, np.zeros(3 * model.tendon_count)).gain
+    first = covariance.update(spread, None, np.zeros(3 * model.tendon_count)).gain
+    np.testing.assert_allclose(again[1], first[1])
+    assert again[0, X, 0] > first[0, X, 0], "and a reading is believed more"
 
 
 def test_a_second_filter_agrees_over_gaps(model: HandModel) -> None:
