@@ -185,6 +185,22 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     assert again[0, X, 0] > first[0, X, 0], "and a reading is believed more"
 
 
+@pytest.mark.parametrize(("missed", "predicted_s"), [(1, None), (4, None), (10_000, 0.05)])
+def test_over_ticks_that_were_skipped_less_is_known(model: HandModel, missed: int, predicted_s: float | None) -> None:
+    """For as long as the motors are known to hold what they were told."""
+    x, force = resting(model, 25.0, 0.6)
+    measured, none = readings(model, x, force), np.zeros(model.tendon_count)
+    state = all_in(model, Regime.FREE, x)
+    after, _ = estimator.step(model, state, measured, force, none, nowhere(model), missed=missed)
+    assert set(after.regimes) == {Regime.FREE}
+    spread = model.filter.spread(after.regimes)
+    P = covariance.update(spread, None, np.zeros(3 * model.tendon_count)).after
+    for _ in range(1 + (missed if predicted_s is None else round(predicted_s / model.period))):
+        P = spread.F @ P @ spread.F.transpose(0, 2, 1) + spread.Q
+    assert after.covariance is not None
+    np.testing.assert_allclose(after.covariance, P, rtol=1e-9, atol=1e-30)
+
+
 def test_a_second_filter_agrees_over_gaps(model: HandModel) -> None:
     """Tendon by tendon, in plain loops; a measurement that is missing is no row of the update."""
     rng, n = np.random.default_rng(3), model.tendon_count
