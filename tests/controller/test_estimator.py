@@ -5,7 +5,7 @@ import numpy as np
 
 from handctl.controller import estimator
 from handctl.controller.estimator import Measured
-from handctl.controller.filter_stack import STATES, O, Regime, S, X
+from handctl.controller.filter_stack import STATES, O, Regime, S, W, X
 from handctl.controller.filter_state import FilterState
 from handctl.controller.model import HandModel
 from handctl.controller.statics import load_statics
@@ -42,8 +42,11 @@ def test_a_lost_frame_of_one_tendon_leaves_the_others_alone(model: HandModel) ->
 def test_it_starts_when_every_encoder_has_been_read(model: HandModel) -> None:
     n = model.tendon_count
     travel, cell = np.linspace(-3e-3, 2e-3, n), np.zeros(n)
-    state, _ = step(model, FilterState.initial(n), readings_of(model, travel, cell), cell, nowhere(model))
+    state, estimate = step(model, FilterState.initial(n), readings_of(model, travel, cell), cell, nowhere(model))
     assert not state.started, "not by itself"
+    for unknown in (estimate.innovation, estimate.nis):
+        assert unknown.shape == (n,)
+        assert np.isnan(unknown).all()
     partial = travel.copy()
     partial[n - 1] = np.nan
     assert estimator.start(model, state, partial) == state
@@ -217,3 +220,35 @@ def test_a_digit_held_just_above_its_stop_is_not_on_it(model: HandModel) -> None
     x[:, X] = x[:, S] + cell / model.space.stiffness
     state, _ = step(model, all_in(model, Regime.FREE, x), readings(model, x, cell), cell, nowhere(model))
     assert not any(state.stopped)
+
+
+def test_a_digit_that_comes_to_rest_on_its_stop_has_no_excursion(model: HandModel) -> None:
+    """What the filter took for one was the rope's offset."""
+    x = np.zeros((model.tendon_count, STATES))
+    x[:, S], x[:, O], x[:, W] = 1.5e-5, -4e-5, 1e-3
+    cell = np.full(len(x), 4.0)
+    x[:, X] = x[:, S] + x[:, O] + cell / model.space.stiffness
+    state, estimate = step(model, all_in(model, Regime.HELD, x), readings(model, x, cell), cell, nowhere(model))
+    assert all(state.stopped)
+    table = state.x.reshape(-1, STATES)
+    np.testing.assert_allclose(table[:, O], -2.5e-5, atol=2e-6)
+    np.testing.assert_allclose(table[:, S], 0.0, atol=1e-9)
+    np.testing.assert_allclose(table[:, W], 0.0, atol=1e-9)
+    np.testing.assert_allclose(estimate.tension, cell, atol=0.1)
+
+
+def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> None:
+    x, force = resting(model, 25.0, 0.6)
+    state, none = all_in(model, Regime.FREE, x), np.zeros(model.tendon_count)
+    found = []
+    for direction in (None, 1.0, -1.0):
+        known = None if direction is None else np.full(model.tendon_count, direction)
+        args = (model, state, readings(model, x, force), force, none, nowhere(model))
+        after, estimate = estimator.step(*args, friction_state=known)
+        assert set(after.regimes) == {Regime.FREE}
+        pull = load_statics(model, x, force, known).pull
+        resistance = load_statics(model, x, force, known).resistance
+        np.testing.assert_allclose(estimate.external, pull - resistance, atol=0.02)
+        found.append(estimate.external)
+    assert (found[1] < found[0] - 0.5).all(), "winding, friction takes from what the load cell shows"
+    assert (found[2] > found[0] + 0.5).all()
