@@ -162,7 +162,7 @@ def test_the_covariance_is_carried_along_only_until_it_is_steady_again(model: Ha
 ])  # fmt: skip
 def test_what_is_missing(model: HandModel, column: int | None, regime: Regime, counts: bool) -> None:
     """Joint encoders are read when they come; the load cell of a loose rope says nothing of its tendon."""
-    z = np.ones((model.tendon_count, 3))
+    z = np.arange(3.0 * model.tendon_count).reshape(-1, 3)
     if column is not None:
         z[-1, column] = np.nan
     filters = model.filter.stacked((int(Regime.FREE),) * (model.tendon_count - 1) + (int(regime),))
