@@ -243,12 +243,22 @@ def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> No
     found = []
     for direction in (None, 1.0, -1.0):
         known = None if direction is None else np.full(model.tendon_count, direction)
-        args = (model, state, readings(model, x, force), force, none, nowhere(model))
-        after, estimate = estimator.step(*args, friction_state=known)
+        args = (model, state, readings(model, x, force), force, none)
+        after, estimate = estimator.step(*args, nowhere(model), friction_state=known)
         assert set(after.regimes) == {Regime.FREE}
+        touching, other = estimator.step(*args, (True,) * len(model.digits), friction_state=known)
+        assert set(touching.regimes) == {Regime.HELD}
+        np.testing.assert_allclose(other.external, estimate.external, atol=0.02)
         pull = load_statics(model, x, force, known).pull
         resistance = load_statics(model, x, force, known).resistance
         np.testing.assert_allclose(estimate.external, pull - resistance, atol=0.02)
         found.append(estimate.external)
     assert (found[1] < found[0] - 0.5).all(), "winding, friction takes from what the load cell shows"
     assert (found[2] > found[0] + 0.5).all()
+
+
+def test_what_spoke_for_slack_is_forgotten_once_a_rope_is_taut(model: HandModel) -> None:
+    x, force = resting(model, 25.0, 0.6)
+    state = all_in(model, Regime.FREE, x)._replace(turning=(1,) * model.tendon_count)
+    after, _ = step(model, state, readings(model, x, force), force, nowhere(model))
+    assert after.turning == (0,) * model.tendon_count
