@@ -12,7 +12,9 @@ import pytest
 
 from handctl.log.record import pack
 from handctl.log.recorder import Recorder
+from handctl.view.arrow import TIMELINE
 from handctl.view.live import start_live
+from handctl.view.picture import reached
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient
@@ -37,8 +39,7 @@ def url_of(follower: "subprocess.Popen[bytes]") -> str:
 
 def shown_until(client: "ViewerClient") -> int:
     """Last run time that has arrived [ns]."""
-    ends = [line.end or 0 for one in client.get_state().recordings for line in one.timelines if line.name == "run_time"]
-    return max(ends, default=-1)
+    return reached(client.get_state(), TIMELINE)
 
 
 def wait_for(client: "ViewerClient", t_ns: int) -> int:

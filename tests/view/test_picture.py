@@ -106,5 +106,5 @@ def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.Mon
             return next(left)
 
     monkeypatch.setattr(time, "sleep", lambda _: None)
-    wait_loaded(Busy(), "run_time", 50)  # type: ignore[arg-type]
+    wait_loaded(Busy(), "run_time", 50)  # type: ignore[arg-type] # stands in for a client
     assert next(left, None) is None

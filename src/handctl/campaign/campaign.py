@@ -65,9 +65,11 @@ Told = Callable[[str, int, int], None]
 
 def plan(hand: Hand, protocol: str, rate_hz: float, quick: bool, only: Sequence[str] = ()) -> list[Scenario]:
     """What is tried: everything, a sample, or some rows."""
+    period_ms = 1e3 / rate_hz
+    found = scenarios(hand, protocol, period_ms)
     if only:
-        return [one for one in scenarios(hand, protocol, 1e3 / rate_hz) if one.row.id in only]
-    found = scenarios(hand, protocol, 1e3 / rate_hz) + pairs(hand, protocol, 1e3 / rate_hz)
+        return [one for one in found if one.row.id in only]
+    found += pairs(hand, protocol, period_ms)
     return found[::QUICK_EVERY] if quick else found
 
 

@@ -7,7 +7,7 @@ milliseconds where a row or a drive needs a time. An ODrive tells its state ever
 import math
 from typing import NamedTuple
 
-from handctl.drives.sensor_node import TARE_MOST_N, TENSION_TOP_N
+from handctl.drives.sensor_node import TENSION_RAIL_N
 from handctl.hand.description import Hand
 from handctl.safety.action import Action
 
@@ -23,7 +23,7 @@ JUMP_RAD, JUMP_MS = 1.0, 5.0
 """A step that no drive makes within two periods, as much more as one is longer than this."""
 ROUGH_RAD, ROUGH_MS = 0.04, 5.0
 """Noise that no drive makes within a period, as much more as its square is longer than this."""
-READABLE_N = 0.9 * (TENSION_TOP_N - TARE_MOST_N)
+READABLE_N = 0.9 * TENSION_RAIL_N
 """A trip above this cannot be told from a load cell at its rail (T06)."""
 HOST = "host "
 """Begins what is done to the host: io events, missed ticks, requests."""
@@ -191,8 +191,8 @@ def pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
     for i, first in enumerate(rows):
         for second in rows[i + 1 :]:
             main, other = (first, second) if first.action >= second.action else (second, first)
-            texts = _texts(hand, main.fault, period_ms)[0], _texts(hand, other.fault, period_ms)[-1]
-            found.append(Scenario(main, texts[0], GRASP, texts[1]))
+            text, second_text = _texts(hand, main.fault, period_ms)[0], _texts(hand, other.fault, period_ms)[-1]
+            found.append(Scenario(main, text, GRASP, second_text))
     return found
 
 

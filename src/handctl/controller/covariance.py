@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.choose import Array
-from handctl.controller.filter_stack import MEASUREMENTS, STATES, Spread, Stacked
+from handctl.controller.filter_stack import MEASUREMENTS, STATES, Spread, Stacked, variance_of_tension, variances
 
+UNIT = np.eye(STATES)
 MISSING = 1e12
 """Times its noise variance, a measurement that is not there says as much as none."""
 STEADY_SHARE = 0.02
@@ -49,11 +50,11 @@ def missing(steady: Stacked, z: Array) -> bool:
         steady: the filter of this tick.
         z: (3N,) measurements, NaN where missing.
     """
-    if not np.count_nonzero(z[0::MEASUREMENTS] != z[0::MEASUREMENTS]):
-        cell = z[1::MEASUREMENTS]
-        lost = cell != cell
-        return bool(np.count_nonzero(lost)) and bool(np.count_nonzero(lost & ~steady.slack))
-    return True
+    encoder, cell = z[0::MEASUREMENTS], z[1::MEASUREMENTS]
+    if np.count_nonzero(encoder != encoder):
+        return True
+    lost = cell != cell
+    return bool(np.count_nonzero(lost)) and bool(np.count_nonzero(lost & ~steady.slack))
 
 
 def update(spread: Spread, P: Array | None, z: Array) -> Update:
@@ -74,7 +75,7 @@ def update(spread: Spread, P: Array | None, z: Array) -> Update:
     own, mixed, other = d / size, -b / size, a / size
     inverse = np.array([[own, mixed], [mixed, other]]).transpose(2, 0, 1)
     gain = np.matmul(crossed, inverse) * spread.told[:, :, None]
-    rest = np.eye(STATES) - np.matmul(gain, spread.H)
+    rest = UNIT - np.matmul(gain, spread.H)
     after = np.matmul(np.matmul(rest, P), rest.transpose(0, 2, 1))
     after += np.matmul(gain * noise[:, None, :], gain.transpose(0, 2, 1))
     return Update(gain, after, (own, 2.0 * mixed, other), np.sqrt(d))
@@ -98,20 +99,10 @@ def carried(spread: Spread, after: Array, changed: list[int], periods: int) -> A
     for _ in range(periods):
         P = predicted(spread, P)
     P[changed] = spread.P[changed]
-    variances, steady = _variances(spread, P), _variances(spread, spread.P)
-    return P if np.count_nonzero(np.abs(variances - steady) > STEADY_SHARE * steady) else None
-
-
-def _variances(spread: Spread, P: Array) -> Array:
-    """(N, 8) of the states, 0 for what is not told, and of the tension."""
-    return np.column_stack((np.diagonal(P, axis1=1, axis2=2) * spread.told, _of_tension(spread, P)))
-
-
-def _of_tension(spread: Spread, P: Array) -> Array:
-    """(N,) [N^2]."""
-    return np.asarray(np.matmul(np.matmul(spread.tension[:, None, :], P), spread.tension[:, :, None])[:, 0, 0])
+    far = np.abs(variances(P, spread.told, spread.tension) - spread.steady) > STEADY_SHARE * spread.steady
+    return P if np.count_nonzero(far) else None
 
 
 def sigma(spread: Spread, P: Array) -> Array:
     """(N,) standard deviation of the predicted tension [N]."""
-    return np.asarray(np.sqrt(_of_tension(spread, P) + spread.drift))
+    return np.asarray(np.sqrt(variance_of_tension(P, spread.tension) + spread.drift))

@@ -155,20 +155,20 @@ def step(
         statics = load_statics(model, x.reshape(-1, STATES), filters.tension.dot(x), friction_state)
     external = _unexplained(model, judged, filters, statics)
     x = predict_steadystate(x, filters.F, _interleaved(force, rate), filters.B)
-    for _ in range(min(missed, round(HELD_TORQUE_S / model.period))):
+    skipped = min(missed, round(HELD_TORQUE_S / model.period))
+    for _ in range(skipped):
         x = predict_steadystate(x, filters.F, _interleaved(force, zeros(len(force))), filters.B)
-    P = None if worth is None else _carried(model, state.regimes, judged.regimes, worth, missed)
+    P = None if worth is None else _carried(model, state.regimes, judged.regimes, worth, 1 + skipped)
     watched = watch(model.period, state.nis, state.doubtful, nis)
     after = FilterState(x, judged.regimes, judged.stopped, judged.turning, judged.measured, surprise, *watched, P, True)
     return after, _estimate(model, after, x, innovation[1::MEASUREMENTS], nis, external)
 
 
 def _carried(
-    model: HandModel, before: tuple[int, ...], regimes: tuple[int, ...], worth: covariance.Update, missed: int
+    model: HandModel, before: tuple[int, ...], regimes: tuple[int, ...], worth: covariance.Update, periods: int
 ) -> Array | None:
     """The covariance of the next tick's prediction; None once it is the steady one."""
     changed = [i for i, (was, now) in enumerate(zip(before, regimes, strict=True)) if was != now]
-    periods = 1 + min(missed, round(HELD_TORQUE_S / model.period))
     return covariance.carried(model.filter.spread(regimes), worth.after, changed, periods)
 
 

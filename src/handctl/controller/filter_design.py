@@ -145,12 +145,11 @@ def _block(space: TendonSpace, i: int, regime: Regime, gains: FilterGains, perio
     H[1, E] = 1.0
     K[S, 2] = 1.0 - math.exp(-joint_period / gains.joint_time_s) if math.isfinite(joint_period) else 0.0
     K[O, 2] = -K[S, 2]
-    drift = gains.cell_drift_N**2 / gains.cell_drift_time_s * gains.cell_tared_s
-    variance = 0.0 if known else float(tension @ P @ tension) + drift
+    drift = 0.0 if known else gains.cell_drift_N**2 / gains.cell_drift_time_s * gains.cell_tared_s
+    variance = float(tension @ P @ tension) + drift  # without tension, in slack, nothing
     information = np.asarray(np.linalg.inv(innovation), dtype=np.float64)
-    return Block(
-        F, held, H, K, Q, noise**2, P, known, tension, variance, information, math.sqrt(innovation[1, 1])
-    )
+    sigma = math.sqrt(innovation[1, 1])
+    return Block(F, held, H, K, Q, noise**2, P, known, drift, tension, variance, information, sigma)
 
 
 def _riccati(F: Matrix, H: Matrix, Q: Matrix, R: Matrix) -> Matrix:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 Matrix = NDArray[np.float64]
 
 STATES, INPUTS, MEASUREMENTS = 7, 2, 3
-X, V, S, W, D, E, O = range(STATES)  # noqa: E741 - see below
+X, V, S, W, D, E, O = range(STATES)  # noqa: E741 - the names of the states, as below
 """Cable travel [m] and speed [m/s] at the spool, excursion [m] and its rate [m/s], disturbance force on the motor [N],
 load-cell error [N], stretch offset [m]."""
 
@@ -39,6 +39,7 @@ class Block:
         R: variances of encoder and load cell, (2,).
         P: covariance of the prediction in steady state, (7, 7).
         known: whether the load cell's error can be told from tension.
+        drift: what it adds to the tension's variance if not [N^2].
         tension_row: tension of a state, (7,).
         tension_variance: of the predicted tension [N^2].
         innovation_information: inverse covariance of encoder and load-cell innovations, (2, 2).
@@ -53,6 +54,7 @@ class Block:
     R: Matrix
     P: Matrix
     known: bool
+    drift: float
     tension_row: Matrix
     tension_variance: float
     innovation_information: Matrix
@@ -148,6 +150,7 @@ class Spread(NamedTuple):
         F, Q, P: (N, 7, 7), see ``Block``. H: (N, 2, 7) encoder and load cell. R: (N, 2).
         told: (N, 7) 1, or 0 for a load cell's error that cannot be told from tension.
         tension: (N, 7) of a state. drift: (N,) what that error adds to the variance of the tension [N^2].
+        steady: (N, 8) variances of the states, 0 for what is not told, and of the tension, in steady state.
     """
 
     F: Matrix
@@ -158,6 +161,7 @@ class Spread(NamedTuple):
     told: Matrix
     tension: Matrix
     drift: Matrix
+    steady: Matrix
 
     @staticmethod
     def of(blocks: list[Block]) -> "Spread":
@@ -165,8 +169,18 @@ class Spread(NamedTuple):
         H, told = np.array([block.H[:2] for block in blocks]), np.ones((len(blocks), STATES))
         told[:, E] = [block.known for block in blocks]
         H[:, 1, E] = told[:, E]
-        F, Q, P, R, tension = (
-            np.array([getattr(block, name) for block in blocks]) for name in ("F", "Q", "P", "R", "tension_row")
+        F, Q, P, R, tension, drift = (
+            np.array([getattr(block, name) for block in blocks])
+            for name in ("F", "Q", "P", "R", "tension_row", "drift")
         )
-        taut = [block.tension_variance - float(block.tension_row @ block.P @ block.tension_row) for block in blocks]
-        return Spread(F, Q, P, H, R, told, tension, np.maximum(taut, 0.0))
+        return Spread(F, Q, P, H, R, told, tension, drift, variances(P, told, tension))
+
+
+def variances(P: Matrix, told: Matrix, tension: Matrix) -> Matrix:
+    """(N, 8) of the states, 0 for what is not told, and of the tension [N^2]; see ``Spread``."""
+    return np.column_stack((np.diagonal(P, axis1=1, axis2=2) * told, variance_of_tension(P, tension)))
+
+
+def variance_of_tension(P: Matrix, tension: Matrix) -> Matrix:
+    """(N,) [N^2], of covariances (N, 7, 7) and tension rows (N, 7)."""
+    return np.asarray(np.matmul(np.matmul(tension[:, None, :], P), tension[:, :, None])[:, 0, 0])

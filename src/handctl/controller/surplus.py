@@ -55,7 +55,7 @@ def surplus(
     owed, often = answered(due, answers)
     strict = [i for i in often if drives[i].answers_once]
     twice = []
-    for i in [i for i in strict if due[i]]:
+    for i in filter(due.__getitem__, strict):
         payloads = _accepted(drives[i].receive, lambda drive: drive.feedback_count, before.drives[i], frames)
         twice.append((drives[i].name, _differ(payloads, due[i])))
     for group, (was, now) in enumerate(zip(before.sensors.groups, state.sensors.groups, strict=True)):

@@ -26,6 +26,8 @@ LOW_MARGIN_N = 2.0
 TARE_LEAST_N, TARE_MOST_N = TENSION_ZERO_N + LOW_MARGIN_N, 6.0
 """What a load cell may read without tension: lower, and noise takes it to the end of its range, so that a broken wire
 looks like a loose rope; higher, and its range ends below what ``tension_rail`` says."""
+TENSION_RAIL_N = TENSION_TOP_N - TARE_MOST_N
+"""Tension, after any tare, from which on a load cell may be saturated."""
 JOINT_STEP_RAD = 2 * math.pi / 4096
 JOINT_ZERO = 2048
 JOINT_FRAMES = 0x10
@@ -141,7 +143,7 @@ class SensorNode:
     @property
     def tension_rail(self) -> float:
         """Tension, after any tare, from which on a load cell may be saturated [N]."""
-        return TENSION_TOP_N - TARE_MOST_N
+        return TENSION_RAIL_N
 
     @property
     def tension_low(self) -> float:

@@ -10,7 +10,7 @@ from handctl.view.arrow import TIMELINE
 from handctl.view.viewer import Viewer, software_vulkan, viewer
 
 if TYPE_CHECKING:
-    from rerun.experimental import ViewerClient
+    from rerun.experimental import ViewerClient, ViewerState
 
 SIZE = "1600x900"
 LOAD_S, SETTLE_S = 60.0, 1.0
@@ -78,6 +78,12 @@ def connected(running: Viewer) -> "ViewerClient":
             return client
 
 
+def reached(state: "ViewerState", timeline: str) -> int:
+    """How far a timeline of a viewer's recordings goes, in its unit; -1 without data."""
+    lines = [line for one in state.recordings for line in one.timelines if line.name == timeline]
+    return max((line.end for line in lines if line.end is not None), default=-1)
+
+
 def wait_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
     """Wait until the views are there, and a recording up to some moment.
 
@@ -94,8 +100,7 @@ def wait_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
     end = time.monotonic() + LOAD_S
     while time.monotonic() < end:
         state = client.get_state()
-        ends = [line.end for one in state.recordings for line in one.timelines if line.name == timeline]
-        if any(reached is not None and reached >= until for reached in ends) and state.views and not state.loading:
+        if reached(state, timeline) >= until and state.views and not state.loading:
             return
         time.sleep(0.1)
     raise HandctlError(f"the viewer has not loaded the recording after {LOAD_S:g} s", "rerun", "")
