@@ -9,13 +9,14 @@ from pathlib import Path
 from handctl.drives.registry import PROTOCOLS
 
 PLACE = Path("build/fuzz")
-DONE = re.compile(r"Done (\d+) runs in (\d+) second")
+DONE = re.compile(r"Done (\d+) runs in (\d+) second(?:\(s\), (\d+) taken)?")
 COVERED = re.compile(r"cov: (\d+) ft: (\d+)")
 NAMES = (*PROTOCOLS, "sensor-node", "hand", "hand-text", "task", "trajectory", "gains", "calibration",
          "log", "log-bytes", "request", "fault")  # fmt: skip
 LONGEST = {**dict.fromkeys(PROTOCOLS, 64), "sensor-node": 64, "request": 256, "fault": 256, "hand": 128,
-           "task": 128, "trajectory": 128, "gains": 128, "calibration": 128}  # fmt: skip
-"""Bytes of an input; more would only be more of the same."""
+           "task": 128, "trajectory": 128, "gains": 128, "calibration": 128, "hand-text": 1 << 14, "log": 4096,
+           "log-bytes": 1 << 16}  # fmt: skip
+"""Bytes of an input, at least what a corpus begins with; more would only be more of the same."""
 
 
 def arguments() -> argparse.Namespace:
@@ -36,20 +37,23 @@ def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str
     corpus, found = PLACE / "corpus" / name, PLACE / "found" / name
     corpus.mkdir(parents=True, exist_ok=True)
     found.mkdir(parents=True, exist_ok=True)
-    limits = [f"-max_total_time={seconds}", f"-runs={runs}", f"-max_len={LONGEST.get(name, 4096)}"]
+    limits = [f"-max_total_time={seconds}", f"-runs={runs}", f"-max_len={LONGEST[name]}"]
     limits += ["-rss_limit_mb=4096", "-timeout=20", f"-artifact_prefix={found}/"]
     command = [sys.executable, "-m", "fuzz.one", name, str(corpus), *limits]
     if blind:
         command = [sys.executable, "-m", "fuzz.blind", name, str(corpus), str(found), str(seconds), str(runs)]
-        command.append(str(LONGEST.get(name, 4096)))
+        command.append(str(LONGEST[name]))
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     (PLACE / f"{name}.txt").write_text(done.stdout + done.stderr)
     count, covered = DONE.search(done.stderr), COVERED.findall(done.stderr)
     if done.returncode or not count:
         return f"{name:12} FAILED  see {PLACE / name}.txt and {found}/", False
     number, took = int(count[1]), max(1, int(count[2]))
-    edges = f"edges {covered[-1][0]:>6}" if covered else "blind"
-    return f"{name:12} {number:>10,} inputs {took:>6} s {number // took:>8,}/s   {edges}", True
+    if blind and not int(count[3]):
+        return f"{name:12} FAILED  of {number:,} inputs none was taken: nothing was tried but the first refusal", False
+    edges = f"edges {covered[-1][0]:>6}" if covered else "no edges"
+    seen = f"blind, {100 * int(count[3]) / number:.1f} % taken" if blind else edges
+    return f"{name:12} {number:>10,} inputs {took:>6} s {number // took:>8,}/s   {seen}", True
 
 
 def main() -> int:

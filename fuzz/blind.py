@@ -42,14 +42,20 @@ def changed(chance: random.Random, kept: list[bytes], longest: int) -> Iterator[
         yield bytes(data[:longest])
 
 
-def fuzz(target: Callable[[bytes], bool], inputs: Iterator[bytes], found: Path, seconds: float, runs: int) -> int:
-    """Feed a target; what gets out of it ends this process, with its input kept. Returns how many there were."""
+def fuzz(
+    target: Callable[[bytes], bool], inputs: Iterator[bytes], found: Path, seconds: float, runs: int
+) -> tuple[int, int]:
+    """Feed a target; what gets out of it ends this process, with its input kept.
+
+    Returns:
+        how many inputs there were, and how many of them were taken.
+    """
     begin = told = time.monotonic()
-    number, data = 0, b""
+    number, taken, data = 0, 0, b""
     try:
         while runs < 0 or number < runs:
             for data, _ in zip(inputs, range(AT_ONCE), strict=False):
-                target(data)
+                taken += target(data)
             number += AT_ONCE
             now = time.monotonic()
             if 0 < seconds <= now - begin:
@@ -60,7 +66,7 @@ def fuzz(target: Callable[[bytes], bool], inputs: Iterator[bytes], found: Path, 
     except BaseException:
         (found / "blind").write_bytes(data)
         raise
-    return number
+    return number, taken
 
 
 def main() -> None:
@@ -72,8 +78,9 @@ def main() -> None:
     kept += [seed[: int(longest)] for seed in seeds(name, folder)] or [bytes(8)]
     begin = time.monotonic()
     inputs = changed(random.Random(time.time_ns()), kept, int(longest))
-    number = fuzz(TARGETS[name](folder), inputs, Path(found), float(seconds), int(runs))
-    print(f"Done {number} runs in {round(time.monotonic() - begin)} second(s), from {len(kept)} kept", file=sys.stderr)
+    number, taken = fuzz(TARGETS[name](folder), inputs, Path(found), float(seconds), int(runs))
+    took = round(time.monotonic() - begin)
+    print(f"Done {number} runs in {took} second(s), {taken} taken, from {len(kept)} kept", file=sys.stderr)
 
 
 if __name__ == "__main__":

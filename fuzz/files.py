@@ -52,7 +52,7 @@ def hand_text(folder: Path) -> Target:
     return _text(folder / "hand.toml", lambda path: used(load_hand(str(path))))
 
 
-def one_line(error: HandctlError) -> None:
+def one_line(error: Exception) -> None:
     """An error is one line."""
     assert str(error), "an error without words"
     assert "\n" not in str(error), str(error)

@@ -1,38 +1,48 @@
-"""Logs: any bytes, and records that are whole outside and wrong inside, with checksums that agree."""
+"""Logs: any bytes, and records that are whole outside and wrong inside, with no checksum in the way."""
 
 import contextlib
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+
+from mcap.opcode import Opcode
 
 from fuzz import files
 from fuzz.mutate import Source
 from handctl.controller.types import TELEMETRY_FIELDS
 from handctl.errors import LogError
+from handctl.log.chain import TOPIC as CHAIN_TOPIC
+from handctl.log.clock_pairs import TOPIC as CLOCK_TOPIC
 from handctl.log.logfile import LogFile
+from handctl.log.messages_in import definitions
 from handctl.log.reader import RunLog
 from handctl.log.recover import recover
 from handctl.log.scan import Scan, scan
+from handctl.log.topics import TICK_TOPIC, VALUES_TOPIC
 from tests.log import synthetic
 
 Target = Callable[[bytes], bool]
 EDITS = 4
+TOPICS = (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
+"""That a reader looks into, and one that it passes by; the others would be more of the same."""
+MAGIC = b"\x89MCAP0\r\n"
+NEAR = 48
+"""Bytes at the front of a record, where its numbers are; half of the changes are there."""
 ODD = (b"\0", b"\xff", b"\xff\xff\xff\xff", b"\xff\xff\xff\x7f", b"\0" * 8, b"\x7f", b"\x80", b"[", b"\0\0\0\x01")
 
 
 def read_all(path: Path) -> None:
     """Everything that a verb may ask of a log."""
     with RunLog(path) as log:
-        for name in TELEMETRY_FIELDS:
-            log.field(name)
+        log.field(TELEMETRY_FIELDS[0]), log.field(TELEMETRY_FIELDS[-1])
         len(log), list(log.ticks()), log.events, log.phases, log.gaps, log.clock_pairs
         list(log.digests()), list(log.messages()), list(log.packed())
 
 
-def small(folder: Path) -> Path:
+def small(folder: Path, seconds: float = 0.3) -> Path:
     """A whole log of a few ticks."""
     path = folder / "small.mcap"
-    synthetic.write(path, synthetic.header(rate_hz=10), 1.0)
+    synthetic.write(path, synthetic.header(rate_hz=10, attachments={}), seconds)
     return path
 
 
@@ -46,40 +56,83 @@ def _read(path: Path) -> bool:
 
 
 def log(folder: Path) -> Target:
-    """Chunks and metadata changed inside; no checksum stands in the way."""
-    original = small(folder)
-    file, found = LogFile(original), Scan()
-    scan(file, found)
-    raw = original.read_bytes()
-    chunks = [(place, bytes(file.content(place))) for place in found.chunks]
-    file.close()
-    head = raw[: chunks[0][0].offset]
-    path = folder / "log.mcap"
+    """Records of a log, within its chunks and outside of them, changed inside: their lengths agree, mostly."""
+    parts = _parts(small(folder))
+    joined, path = [_joined(i, part) for i, part in enumerate(parts)], folder / "log.mcap"
 
     def target(data: bytes) -> bool:
-        source, parts = Source(data), [bytearray(head), *(bytearray(content) for _, content in chunks)]
+        source, changed = Source(data), dict[int, list[bytes]]()
         for _ in range(EDITS):
-            if not source.empty:
-                _edit(parts[source.number(len(parts))], source)
-        places = (place for place, _ in chunks)
-        packed = (_chunk(place.first, place.last, bytes(part)) for place, part in zip(places, parts[1:], strict=True))
-        path.write_bytes(parts[0] + b"".join(packed) + raw[chunks[-1][0].end :])
+            if source.empty:
+                break
+            i = source.number(len(parts))
+            records = changed.setdefault(i, parts[i].copy())
+            at = source.number(len(records))
+            records[at] = _edited(records[at], source)
+        path.write_bytes(b"".join([_joined(i, changed[i]) if i in changed else joined[i] for i in range(len(parts))]))
         return _read(path)
 
     return target
 
 
-def _edit(part: bytearray, source: Source) -> None:
-    at = source.number(1 << 16) % max(1, len(part))
+def _parts(path: Path) -> list[list[bytes]]:
+    """Records of a whole log without checksums: those before the chunks, each chunk's own, those behind them."""
+    file, found = LogFile(path), Scan()
+    scan(file, found)
+    raw, contents = path.read_bytes(), [bytes(file.content(place)) for place in found.chunks]
+    file.close()
+    kept = {number: schema for number, schema, topic, _, _ in definitions(contents[0]).channels if topic in TOPICS}
+    chunks = [[record for record in _records(content) if _matters(record, kept)] for content in contents]
+    head = list(_records(raw[8 : found.chunks[0].offset]))
+    tail = list(_records(raw[found.chunks[-1].end : -8]))
+    return [[_unchecked(record) for record in head], *chunks, [_unchecked(record) for record in tail]]
+
+
+def _records(data: bytes) -> Iterator[bytes]:
+    at = 0
+    while at < len(data):
+        end = at + 9 + struct.unpack_from("<Q", data, at + 1)[0]
+        yield data[at:end]
+        at = end
+
+
+def _matters(record: bytes, kept: dict[int, int]) -> bool:
+    """Whether a record belongs to one of these channels, each with its schema."""
+    (number,) = struct.unpack_from("<H", record, 9)
+    return number in (kept.values() if record[0] == Opcode.SCHEMA else kept)
+
+
+CHECKED = (Opcode.ATTACHMENT, Opcode.DATA_END, Opcode.FOOTER)
+"""Records that end with a checksum; zero there stands for none."""
+
+
+def _unchecked(record: bytes) -> bytes:
+    return record[:-4] + bytes(4) if record[0] in CHECKED else record
+
+
+def _joined(i: int, records: list[bytes]) -> bytes:
+    """A part as it stands in the file: the head after the magic, chunks without compression, the end before it."""
+    content = b"".join(records)
+    if i == 0:
+        return MAGIC + content
+    return content + MAGIC if records[-1][:1] == bytes([Opcode.FOOTER]) else _chunk(content)
+
+
+def _edited(record: bytes, source: Source) -> bytes:
+    """A record with something else in it; one of eight has a length that is not its own."""
+    body, kind = bytearray(record[9:]), source.number(8)
+    if kind == 0:
+        body = bytearray(record)
+    at = source.number(1 << 16) % max(1, len(body) if source.number(2) else min(len(body), NEAR))
     new = ODD[source.number(len(ODD))] if source.number(2) else source.take(1 + source.number(8))
-    kind = source.number(8)
-    end = at if kind == 0 else at + source.number(64) if kind == 1 else at + len(new)
-    part[at:end] = b"" if kind == 1 else new
+    end = at if kind == 1 else at + source.number(64) if kind == 2 else at + len(new)
+    body[at:end] = b"" if kind == 2 else new
+    return bytes(body) if kind == 0 else struct.pack("<BQ", record[0], len(body)) + body
 
 
-def _chunk(first: int, last: int, content: bytes) -> bytes:
-    body = struct.pack("<QQQII", first, last, len(content), 0, 0) + struct.pack("<Q", len(content)) + content
-    return struct.pack("<BQ", 6, len(body)) + body
+def _chunk(content: bytes) -> bytes:
+    body = struct.pack("<QQQII", 0, 1 << 40, len(content), 0, 0) + struct.pack("<Q", len(content)) + content
+    return struct.pack("<BQ", Opcode.CHUNK, len(body)) + body
 
 
 def log_bytes(folder: Path) -> Target:

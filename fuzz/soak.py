@@ -24,8 +24,7 @@ from firmware_sim.fault_text import KINDS, instances
 from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
 from handctl.runtime.mailbox import Watcher
-from tests.runtime.processes import BUS, end, handctl, start_handctl
-from tests.runtime.test_process import LONG, write_calibration
+from tests.runtime.processes import BUS, LONG, end, handctl, start_handctl, write_calibration
 
 SIZE_MIB_PER_H = 1.0
 WARM_S = 300.0

@@ -1,4 +1,4 @@
-"""What mutmut left alive: each module's score, and survivors without a reason in docs/evidence/mutation.md."""
+"""What mutmut left alive: each module's score, and those not killed without a reason in docs/evidence/mutation.md."""
 
 import json
 import sys
@@ -6,28 +6,32 @@ from collections import Counter
 from pathlib import Path
 
 REASONS = Path("docs/evidence/mutation.md")
-SURVIVED, UNTESTED = 0, 33
-"""Exit codes in mutmut's records; 33: no test that was chosen calls the function."""
+SURVIVED, UNTESTED, NOT_RUN = (0,), (5, 33), (None, 2, 34)
+"""Exit codes in mutmut's records: no test failed; none that was chosen calls the function; not, or not to the end."""
 
 
 def main() -> int:
-    """Print the table; exit code 1 if a survivor has no reason."""
+    """Print the table; exit code 1 if what was not killed has no reason, or if nothing was judged."""
     reasons = REASONS.read_text() if REASONS.exists() else ""
-    open_ones: list[str] = []
+    open_ones, all_judged = list[str](), 0
     for path in sorted(Path("mutants/src").rglob("*.meta")):
         codes: dict[str, int | None] = json.loads(path.read_text())["exit_code_by_key"]
         count = Counter(codes.values())
-        judged = sum(number for code, number in count.items() if code is not None)
+        survived, untested, not_run = (sum(count[code] for code in kind) for kind in (SURVIVED, UNTESTED, NOT_RUN))
+        judged = len(codes) - not_run
         if not judged:
             continue
-        killed = judged - count[SURVIVED] - count[UNTESTED]
+        all_judged += judged
+        killed = judged - survived - untested
         name = str(path.relative_to("mutants/src/handctl")).removesuffix(".py.meta")
-        left = f"{count[SURVIVED]:4} survived {count[UNTESTED]:4} untested {count[None]:4} not run"
+        left = f"{survived:4} survived {untested:4} untested {not_run:4} not run"
         print(f"{name:32} {killed:4} of {judged:4} killed {100 * killed / judged:5.1f} %  {left}")
-        open_ones += [key for key, code in codes.items() if code == SURVIVED and f"`{key}`" not in reasons]
+        open_ones += [key for key, code in codes.items() if code in SURVIVED + UNTESTED and f"`{key}`" not in reasons]
     for key in open_ones:
         print(f"no reason: {key}   (mutmut show {key})")
-    return 1 if open_ones else 0
+    if not all_judged:
+        print("no mutant was judged")
+    return 1 if open_ones or not all_judged else 0
 
 
 if __name__ == "__main__":

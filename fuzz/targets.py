@@ -26,6 +26,8 @@ TARGETS: dict[str, Callable[[Path], Target]] = {
 
 def seeds(name: str, folder: Path) -> list[bytes]:
     """Good inputs to begin with."""
+    if name in PROTOCOLS:
+        return wire.answers(name, folder)
     if name == "hand-text":
         return [path.read_bytes() for path in HANDS.glob("*.toml")]
     if name == "log-bytes":

@@ -6,6 +6,7 @@ from pathlib import Path
 from firmware_sim.description import SimulatorError
 from firmware_sim.description import load_hand as load_simulated
 from firmware_sim.fault_text import KINDS, parse_fault
+from fuzz.files import one_line
 from fuzz.mutate import Source
 from handctl.controller.requests import parse_request
 
@@ -44,7 +45,8 @@ def fault(folder: Path) -> Target:
         try:
             parse_fault(text, hand)
         except SimulatorError as error:
-            return not str(error)
+            one_line(error)
+            return False
         return True
 
     return target
