@@ -1,12 +1,11 @@
 """``python -m firmware_sim drive``: drives on a bench, with free shafts and no hand, for anybody's client to try."""
 
 import argparse
-import math
 import sys
 from dataclasses import replace
 
 from firmware_sim.broken import FAULTS, break_node
-from firmware_sim.command import Parser, until_signal
+from firmware_sim.command import Parser, check_time_scale, until_signal
 from firmware_sim.description import MotorSpec, SimulatorError
 from firmware_sim.drive_types import MIT_TYPES, drive_spec
 from firmware_sim.frame import Frame
@@ -104,9 +103,9 @@ def _specs(args: argparse.Namespace) -> list[MotorSpec]:
         raise SimulatorError("--fd: only drive mit with Damiao motors has it")
     if args.motor_type and args.protocol not in MIT_TYPES.values():
         raise SimulatorError("--motor-type: only drive mit has it")
-    for name, value in (("--inertia", args.inertia), ("--time-scale", args.time_scale)):
-        if value is not None and not (math.isfinite(value) and 0.0 < value <= 100.0):
-            raise SimulatorError(f"{name} {value}: expected more than 0, at most 100")
+    if args.inertia is not None and not 0.0 < args.inertia <= 100.0:
+        raise SimulatorError(f"--inertia {args.inertia}: expected more than 0, at most 100")
+    check_time_scale(args.time_scale)
     try:
         numbers = [int(word, 0) for word in args.ids.split(",")]
     except ValueError:

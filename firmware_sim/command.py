@@ -16,6 +16,12 @@ class Parser(argparse.ArgumentParser):
         raise SimulatorError(f"{message}; --help shows how")
 
 
+def check_time_scale(value: float) -> None:
+    """Refuse a pace at which a run would never tick, or no machine keeps up."""
+    if not 0.001 <= value <= 100.0:
+        raise SimulatorError(f"--time-scale {value:g}: expected 0.001 to 100")
+
+
 def until_signal(stop: Callable[[], None]) -> None:
     """Have SIGTERM and SIGINT call ``stop``."""
 

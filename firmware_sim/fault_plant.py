@@ -11,6 +11,7 @@ from firmware_sim.frame import Frame
 from firmware_sim.nodes.cia402 import Cia402Node
 from firmware_sim.nodes.mit import MitNode, State
 from firmware_sim.nodes.odrive import OdriveNode
+from firmware_sim.nodes.sensors import CHANNELS, JOINT_OFFSET
 
 Undo = Callable[[], None]
 RAIL_N = 1e4
@@ -70,6 +71,15 @@ def _reading(one: Active, now: Callable[[], int]) -> Callable[[float], float]:
         return other
 
     return wrong
+
+
+def _mute(world: Any, one: Active) -> Undo:
+    node, spec = world.sensor_node, world.hand.sensors
+    of_cells = one.fault.component == CELL
+    first, names = (spec.base_id, spec.tendons) if of_cells else (spec.base_id + JOINT_OFFSET, spec.joints)
+    can_id = first + names.index(one.fault.instance) // CHANNELS
+    node.mute[can_id] = lambda: one.feel(int(world.t_ns))
+    return lambda: node.mute.pop(can_id, None) and None
 
 
 def _snap(world: Any, one: Active) -> Undo:
@@ -165,5 +175,5 @@ def _servo(world: Any, one: Active) -> Undo:
 _BEGIN: dict[str, Callable[[Any, Active], Undo]] = {
     "snap": _snap, "slack": _slack, "friction": _friction, "block": _block, "error": _trip, "watchdog": _trip,
     "voltage": _trip, "reset": _reset, "hot": _hot, "disobey": _servo, "runaway": _servo, "hold_on": _servo,
-    "off": _servo,
+    "off": _servo, "mute": _mute,
 }  # fmt: skip

@@ -44,6 +44,7 @@ KINDS = {
     "flood": Kind((BUS,), 100, "size frames of identifier 0x000 every millisecond"),
     "unknown": Kind((BUS,), 1, "size frames of an unknown identifier every millisecond"),
     "foreign": Kind((NODE,), 0, "somebody else sends a node commands, every 10 ms"),
+    "mute": Kind((JOINT, CELL), 0, "the frame that carries a reading is not sent"),
     "stuck": Kind((ENCODER, JOINT, CELL), 0, "a reading stays where it is"),
     "offset": Kind((ENCODER, JOINT, CELL), 1, "a reading jumps by size [rad, N]"),
     "drift": Kind((ENCODER, JOINT, CELL), 1, "a reading drifts by size a second [rad/s, N/s]"),

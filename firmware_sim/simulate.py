@@ -2,12 +2,13 @@
 
 import argparse
 import gc
-import math
+import json
 import sys
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
-from firmware_sim.command import Parser, until_signal
+from firmware_sim.command import Parser, check_time_scale, until_signal
 from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.fault_socket import FaultSocket
 from firmware_sim.perturb import KEYS, perturbed
@@ -55,6 +56,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--homed", action="store_true", help="start with taut ropes and encoders at zero")
     add("--time-scale", type=float, default=1.0, metavar="X", help="plant time per wall time (1)")
     add("--truth", type=Path, metavar="FILE", help="where to record what really happens (in the run directory)")
+    add("--json", action="store_true", help="print where it is ready as JSON, in one line")
     add("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time on a local bus (they take none)")
     add("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help="a plant unlike its hand file")
     return parser
@@ -78,8 +80,7 @@ def run(words: list[str]) -> None:
         SimulatorError: arguments that cannot be served.
     """
     args = _parser().parse_args(words)
-    if not (math.isfinite(args.time_scale) and 0.0 < args.time_scale <= 100.0):
-        raise SimulatorError(f"--time-scale {args.time_scale}: expected a factor above 0, at most 100")
+    check_time_scale(args.time_scale)
     factors = _factors(args.perturb)
     hand, scene = perturbed(load_hand(args.hand), factors), load_scene(args.scene)
     specs = assign(args.bus, hand.buses)
@@ -92,14 +93,18 @@ def run(words: list[str]) -> None:
             ports.append(open_port(spec, bus, wired))
         path = args.truth or truth_path(specs[0])
         with closing(FaultSocket(faults_path(specs[0]), world.faults)) as faults:
-            _serve(Server(world, ports, clock, faults), world, path, factors, " ".join(args.bus), args.time_scale)
+            header = {**world.header("monotonic"), "perturb": factors, "time_scale": args.time_scale}
+            ready = {"hand": world.hand.name, "scene": world.plant.scene.name, "bus": " ".join(args.bus)}
+            ready["truth"] = str(path)
+            pairs = " ".join(f"{key}={value}" for key, value in ready.items())
+            told = json.dumps({"ready": ready}) if args.json else f"firmware_sim: ready {pairs}"
+            _serve(Server(world, ports, clock, faults), world, path, header, told)
     finally:
         for port in ports:
             port.close()
 
 
-def _serve(server: Server, world: World, path: Path, factors: dict[str, float], buses: str, time_scale: float) -> None:
-    header = {**world.header("monotonic"), "perturb": factors, "time_scale": time_scale}
+def _serve(server: Server, world: World, path: Path, header: dict[str, Any], ready: str) -> None:
     try:
         truth = TruthWriter(path, world.plant, header)
     except OSError as error:
@@ -113,10 +118,7 @@ def _serve(server: Server, world: World, path: Path, factors: dict[str, float], 
     take_priority()
     gc.collect()
     gc.freeze()  # what is loaded by now lives on; the collector need not look at it in the loop
-    print(
-        f"firmware_sim: ready hand={world.hand.name} scene={world.plant.scene.name} bus={buses} truth={path}",
-        flush=True,
-    )
+    print(ready, flush=True)
     try:
         server.run()
     finally:

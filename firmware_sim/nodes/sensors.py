@@ -107,6 +107,7 @@ class SensorNode:
 
     Attributes:
         bias: slow error of each load cell [N]. misread, misread_joints: faults by channel.
+        mute: what is called in place of sending a frame, by its identifier.
         ids: of SYNC. malformed: SYNC frames of a wrong length. wake_ns: never.
     """
 
@@ -119,6 +120,7 @@ class SensorNode:
         self._payloads = Payloads(len(spec.tendons)), Payloads(len(spec.joints))
         self.misread: dict[int, Callable[[float], float]] = {}
         self.misread_joints: dict[int, Callable[[float], float]] = {}
+        self.mute: dict[int, Callable[[], None]] = {}
         self._sampled_ns = -1
         self.ids = frozenset((spec.sync_id,))
         self.malformed = 0
@@ -136,7 +138,15 @@ class SensorNode:
         if spec.joints and counter % spec.joint_decimation == 0:
             read = _wrong(self._angles() + self._noise.take(len(spec.joints)) * spec.joint_noise, self.misread_joints)
             payloads += enumerate(encoders.of_values(counter, read, *_JOINT), spec.base_id + JOINT_OFFSET)
-        return [Frame(can_id, data, frame.flags, frame.bus, t_ns) for can_id, data in payloads]
+        sent = [Frame(can_id, data, frame.flags, frame.bus, t_ns) for can_id, data in payloads]
+        return self._spoken(sent) if self.mute else sent
+
+    def _spoken(self, frames: list[Frame]) -> list[Frame]:
+        """Return frames that are not mute."""
+        for frame in frames:
+            if frame.can_id in self.mute:
+                self.mute[frame.can_id]()
+        return [frame for frame in frames if frame.can_id not in self.mute]
 
     def _sample(self, t_ns: int) -> Any:
         """Return what the load cells read [N]; after 100 s the standard deviation of each bias is ``bias_drift``."""

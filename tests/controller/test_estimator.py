@@ -1,6 +1,5 @@
 """The tension filter in motion: predicting what is missing, and honest about regimes."""
 
-
 import numpy as np
 
 from handctl.controller import estimator

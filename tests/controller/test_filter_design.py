@@ -1,10 +1,13 @@
 """The filter's discrete model against the differential equations, its gains against a second Riccati solver."""
 
+import itertools
+import weakref
+
 import numpy as np
 import pytest
 
 from handctl.controller.filter_design import design_filter
-from handctl.controller.filter_stack import MEASUREMENTS, STATES, E, FilterDesign, O, Regime, S, X
+from handctl.controller.filter_stack import MEASUREMENTS, MOST_KEPT, STATES, E, FilterDesign, O, Regime, S, X
 from handctl.controller.gains import FilterGains, Gains
 from handctl.controller.model import HandModel, _joint_period
 from handctl.hand.description import load_hand
@@ -104,6 +107,16 @@ def test_stacked_filter_is_its_blocks(model: HandModel, rng: np.random.Generator
         np.testing.assert_allclose((stacked.tension @ x.ravel())[i], block.tension_row @ x[i], rtol=1e-9, atol=1e-9)
         assert stacked.sigma[i] == np.sqrt(block.tension_variance)
         np.testing.assert_allclose(stacked.cell_sigma[i] ** 2, np.linalg.inv(block.innovation_information)[1, 1])
+
+
+def test_a_hand_that_chatters_for_days_fills_no_memory(jamia: HandModel) -> None:
+    design = FilterDesign(jamia.filter.blocks * 2)
+    combinations = [*itertools.islice(itertools.product(range(len(Regime)), repeat=8), 2 * MOST_KEPT)]
+    kept = [weakref.ref(design.stacked(regimes).F) for regimes in combinations]
+    assert sum(F() is not None for F in kept) <= MOST_KEPT
+    kept = [weakref.ref(design.spread(regimes).F) for regimes in combinations]
+    assert sum(F() is not None for F in kept) <= MOST_KEPT
+    assert design.stacked(combinations[-1]) is design.stacked(combinations[-1])
 
 
 def test_asking_for_other_gains_gives_other_filters() -> None:

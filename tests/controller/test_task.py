@@ -119,3 +119,9 @@ def test_values_for_one_or_all_digits() -> None:
     assert for_digit(3, "index") == 3.0
     assert for_digit({"index": 4.0}, "index") == 4.0
     assert for_digit({"index": 4.0}, "thumb") is None
+
+
+def test_a_table_of_no_digits_asks_nothing_of_any(tmp_path: Path) -> None:
+    path = tmp_path / "t.toml"
+    path.write_text(GOOD.replace("{ index = 20.0 }", "{}"))
+    check_task(load_task(path), ("index", "thumb"), 110.0, "t")

@@ -93,6 +93,13 @@ def test_an_error_is_told_in_words_and_goes_by_order_only(bench: Bench, error: E
     bench.until(Want.ENABLE, Phase.ENABLED)
 
 
+def test_what_it_does_not_guard_is_said(tmp_path: Path) -> None:
+    """An AK80-9 follows 18 N m: nothing but this host keeps it to what the hand bears."""
+    told = " ".join(Bench(hand_file(tmp_path, ["cubemars"])).drives[0].caveats)
+    for guard in ("watchdog", "no torque limit", "2% of full-scale torque", "ranges cannot be read back"):
+        assert guard in told
+
+
 def test_the_manual_s_byte_of_temperature_counts_from_minus_forty() -> None:
     """CubeMars AK Series Actuator Driver Manual, 5.3: range -40 to 215; or as it is, where a motor is like that."""
     for more, told in (({}, 45.0), ({"temperature_offset_C": 0}, 85.0), ({"temperature_offset_C": -40.0}, 45.0)):

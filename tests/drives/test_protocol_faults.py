@@ -93,6 +93,16 @@ def test_an_odrive_that_is_left_enabled_is_made_idle_first(odrive: Bench) -> Non
     assert first_odrive(odrive).state == 1
 
 
+@pytest.mark.parametrize("want", [Want.ENABLE, Want.POLL])
+def test_an_odrive_that_does_something_else_is_a_fault_and_is_stopped(odrive: Bench, want: Want) -> None:
+    """Somebody lets it calibrate over USB: no error, no idle, and torque that nobody here has asked for."""
+    odrive.until(want, Phase.ENABLED if want == Want.ENABLE else Phase.READY)
+    first_odrive(odrive).state = 3
+    assert "in axis state 3" in first_in(odrive, Phase.FAULT, want, 60).replace("went to", "in")
+    odrive.tick(want)
+    assert first_odrive(odrive).state == 1
+
+
 def test_an_odrive_without_a_heartbeat_is_lost(odrive: Bench) -> None:
     odrive.until(Want.ENABLE, Phase.ENABLED)
     for _ in range(200):
@@ -158,6 +168,31 @@ def test_a_bus_without_sync_is_said(cia402: Bench) -> None:
         cia402.tick(Want.POLL)
         cia402.incoming = [frame for frame in cia402.incoming if frame.can_id & ~0x7F != 0x180]
     assert "SYNC" in cia402.states[0].error_text
+
+
+def strict(bench: Bench) -> Bench:
+    """The same with drives that pass over a SYNC with data, as CANopenNode's do while 0x1019 is 0."""
+    for node in bench.rig.world.nodes[0]:
+        if isinstance(node, Cia402Node):
+            hear = node.receive
+            node.receive = lambda frame, t_ns, hear=hear: (  # type: ignore[method-assign, misc]
+                None if frame.can_id == 0x080 and frame.data else hear(frame, t_ns)
+            )
+    return bench
+
+
+def test_drives_that_take_no_sync_with_a_counter_are_said_and_have_an_empty_one(tmp_path: Path) -> None:
+    path = hand_file(tmp_path, ["cia402"])
+    bench = strict(Bench(path))
+    for _ in range(200):
+        bench.tick(Want.POLL)
+    assert "does it take one with a counter" in bench.states[0].error_text
+    text = path.read_text().replace("sync_id = 0x080", "sync_id = 0x0FF")
+    path.write_text(text.replace("counts_per_turn = 65536", "counts_per_turn = 65536\nsync = true", 1))
+    bench = strict(Bench(path))
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    bench.tick(Want.ENABLE)
+    assert {frame.can_id for frame in bench.incoming} == {0x1A0, 0x190, 0x191, 0x192, 0x193}
 
 
 def test_a_simulated_drive_refuses_an_object_that_it_does_not_have(cia402: Bench) -> None:

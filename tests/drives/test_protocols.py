@@ -42,6 +42,19 @@ def test_from_silence_to_torque_and_a_confirmed_standstill(bench: Bench) -> None
     assert bench.rig.world.malformed == 0
 
 
+@pytest.mark.parametrize("period_ms", [1, 25])
+def test_any_control_rate_that_the_watchdogs_allow_comes_to_torque(
+    protocol: str, period_ms: int, tmp_path: Path
+) -> None:
+    """What was verified in the last tick is as good as it can be, however long a tick is."""
+    slow = Bench(hand_file(tmp_path, [protocol]), period_ns=period_ms * 1_000_000)
+    slow.until(Want.POLL, Phase.READY)
+    for _ in range(5):
+        slow.tick(Want.POLL)
+    slow.until(Want.ENABLE, Phase.ENABLED, ticks=200)
+    slow.rig.close()
+
+
 def test_a_dead_host_loses_its_torque_and_only_a_person_gets_it_back(bench: Bench) -> None:
     bench.until(Want.ENABLE, Phase.ENABLED)
     bench.tick(Want.ENABLE, 0.05)

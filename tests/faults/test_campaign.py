@@ -1,16 +1,20 @@
 """The fault matrix in lockstep: felt, reacted to in time, and nothing more than physics explains."""
 
+import contextlib
 import math
 import os
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from handctl.campaign import campaign
+from handctl.campaign.course import Course
 from handctl.campaign.scenarios import ALL, ARMING, FREE, GRASP, LEFT_OUT, MATRIX, Row, Scenario, pairs, scenarios
 from handctl.campaign.stage import FREE_S, branch, bring, hand_in, started
 from handctl.campaign.trial import Result, try_out
 from handctl.cli.fault_campaign import rate_of
+from handctl.controller.types import Event, Mode
 from handctl.safety.action import Action
 
 RATE_HZ = 500.0
@@ -57,6 +61,34 @@ def test_the_undisturbed_hand_alone():
     assert (seeds, report.all_results, report.simulated_s) == ([(500, 30.0, 76)], [], 30.0)
 
 
+def undisturbed(phase, *texts):
+    """Alarms of a hand that is in one phase for eight seconds, and tells some faults in each of them."""
+    events = tuple(Event("warn", "fault", "", text) for text in texts)
+    out = SimpleNamespace(mode=Mode.ACTIVE, phase=phase, events=events)
+
+    @contextlib.contextmanager
+    def started(hand, rate_hz, seed, perturb):
+        course = Course(None, SimpleNamespace(inject=lambda text: None), 10**9, SimpleNamespace(failure=""))
+
+        def tick():
+            course.k, course.out = course.k + 1, out
+            return out
+
+        course.tick = tick
+        yield course
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(campaign, "started", started)
+        return campaign.calm(hand_in("jamia", "mit"), 1.0, 9.0, seed=5)
+
+
+def test_an_undisturbed_hand_that_holds_or_does_not_grasp_is_a_false_alarm():
+    assert undisturbed("hold") == []
+    assert undisturbed("hold", "B01 lost: index_motor (1): WARN") == []
+    assert undisturbed("hold", "N07 noise: index_motor (1): HOLD") == ["N07 noise: index_motor (1): HOLD"] * 9
+    assert undisturbed("ready") == ["seed 5 came to no grasp: ready"]
+
+
 def test_a_reaction_that_does_not_come_is_late(tmp_path):
     """The judge is judged: a fault that nobody can notice in time, and one that does nothing, are told."""
     hand = hand_in("jamia", "mit")
@@ -100,6 +132,21 @@ def test_a_load_cell_is_set_off_by_more_than_its_tendon_s_limit():
     texts = {one.fault for one in scenarios(other, "mit", 2.0) if one.row.id == "T03"}
     assert {"offset cell=thumb_tendon size=90", "offset cell=thumb_tendon size=95.5"} <= texts
     assert {"offset cell=index_tendon size=140", "offset cell=index_tendon size=160"} <= texts
+
+
+@pytest.mark.parametrize("joint", ["index_j1", "thumb_j2"])
+def test_joint_encoders_that_fall_silent_are_missed(joint):
+    """Each of their frames by itself, after four of them; three in a row may be lost (N06 and T08 see nothing then)."""
+    every = hand_in("jamia11", "mit").sensor_node.joint_decimation
+    for frames, found in ((3, ""), (4, f"N02b {joint}")):
+        fault = f"mute joint={joint} for={5 * every * frames}ms"
+        row = Row("N02", fault, Action.RELAX, 4 * every, rows=("N02",))
+        with started(hand_in("jamia11", "mit"), 200.0, 0) as course:
+            bring(course, ARMING)
+            bring(course, FREE)
+            result = try_out(course, Scenario(row, fault, FREE), "mit")
+        assert (result.felt, result.found) == (frames, found)
+        assert result.ok == bool(found), result.why
 
 
 def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():

@@ -1,5 +1,6 @@
 """The simulator as others start it: a process with a ready line, a bus, a truth file and an orderly end."""
 
+import json
 import select
 import signal
 import socket
@@ -44,6 +45,16 @@ def start(run_folder: Path) -> Iterator[Start]:
     for process in processes:
         process.kill()
         process.communicate()
+
+
+def test_ready_is_json_for_a_program(run_folder: Path) -> None:
+    command = [sys.executable, "-m", "firmware_sim", "--hand", "jamia", "--bus", "local:json", "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
+        assert process.stdout
+        ready = json.loads(process.stdout.readline())["ready"]
+        process.terminate()
+        assert process.stdout.read() == ""
+    assert (ready["hand"], ready["bus"]) == ("jamia", "local:json")
 
 
 def record(can_id: int, data: bytes, flags: int = 0) -> bytes:
@@ -137,6 +148,7 @@ HAND = ["--hand", "jamia", "--bus", "local:x"]
         [*HAND, "--perturb", "colour=2"],
         [*HAND, "--perturb", "mass=heavy"],
         [*HAND, "--time-scale", "0"],
+        [*HAND, "--time-scale", "1e-300"],
         [*HAND, "--time-scale", "nan"],
         [*HAND, "--seed", "x"],
         [*HAND, "--truth", "/no/such/folder/truth"],

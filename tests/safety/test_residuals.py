@@ -59,6 +59,7 @@ def test_inertia_friction_and_damping_are_explained():
 
 def test_what_accelerates_a_rotor_is_no_residual():
     """Ten metres a second squared for a tenth of a second: 52 N that the rope does not get."""
+
     def force(t):
         speed = 10.0 * t
         return 20.0 + 5.2 * 10.0 + 40.0 * speed + 3.0 * np.tanh(speed * 1e3)
@@ -163,3 +164,24 @@ def test_a_rope_that_is_still_pulled_after_the_cut():
         assert ropes.limp(state, ("a", "b"), T) == ()
         state = ropes.cut(state, [29.0, 8.0], [30.0, 30.0], T)
     assert ropes.limp(state, ("a", "b"), T) == (("a", 29.0),)
+
+
+@pytest.mark.parametrize("speed", [-2e-3, 5e-4, 1e-3, 0.02])
+def test_a_tick_takes_its_share_of_the_balance_to_the_last_digits(speed):
+    begin = residuals.Filtered.initial(1)._replace(speed=np.array([speed]))
+    one, force = np.array([0.0]), np.array([30.0])
+    rope = Rope(one, np.array([speed]), np.array([20.0]), force, force, np.array([np.nan]))
+    balance = 30.0 - 20.0 - ROTOR.damping[0] * speed - ROTOR.coulomb[0] * np.tanh(speed / 1e-3)
+    share = -np.expm1(-T / residuals.SLOW_S)
+    found = residuals.step(ROTOR, begin, rope).low[residuals.BALANCE][0]
+    assert found == pytest.approx(share * balance, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("speed", "counts"), [(residuals.RUB_SPEED, False), (np.nextafter(residuals.RUB_SPEED, 1.0), True)]
+)
+def test_friction_is_told_from_beyond_the_speed_at_which_it_is_developed(speed, counts):
+    begin = residuals.Filtered.initial(1)._replace(speed=np.array([speed]))
+    force = np.array([30.0])
+    rope = Rope(np.array([0.0]), np.array([speed]), np.array([20.0]), force, force, np.array([np.nan]))
+    assert bool(residuals.step(ROTOR, begin, rope).low[residuals.RUB][0]) == counts

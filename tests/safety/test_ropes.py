@@ -51,6 +51,7 @@ def test_slack_is_told_by_name_and_in_seconds():
     (-1, 0.0, 24.0, 0.05, False),     # never taut
     (0, 4.7, 24.0, 0.05, True),
     (0, 4.81, 24.0, 0.05, False),     # a fifth is left
+    (0, 4.0, 20.0, 0.05, False),      # exactly
     (0, 0.0, 8.0, 0.05, False),       # too little was wanted to tell
     (0, 0.0, 8.1, 0.05, True),
     (0, 0.0, 24.0, 0.03, False),      # the spool hardly runs
@@ -62,7 +63,7 @@ def test_slack_is_told_by_name_and_in_seconds():
 ])  # fmt: skip
 def test_a_snapped_rope(ago, cell, goal, speed, found):
     state = Ropes((0, ago), (0, 0))
-    told = snapped(state, ("a", "b"), [20.0, cell], [24.0, goal], [0.0, speed], T)
+    told = snapped(state, ("a", "b"), [20.0, cell], [24.0, goal], [0.05, speed], T)  # the other one runs, and is taut
     assert told == ((("b", speed),) if found else ())
 
 

@@ -90,6 +90,7 @@ CASES = {
     ),
     "N01": Case(error(Cause.DROPPED_OUT), error(Cause.OTHER), "m1", 1, Action.RELAX, True, True),
     "N02": Case(with_(sensor_age=(0, 6)), with_(sensor_age=(5, 5)), "t1", 1, Action.RELAX, True, True),
+    "N02b": Case(with_(mute=(("j1", 0.1),)), CALM, "j1", 1, Action.RELAX, True, True),
     "N04": Case(with_(stuck_motor=(("m0", 0.6),)), CALM, "m0", 1, Action.RELAX, True),
     "N05a": Case(with_(jumped=(("m0", 0.4),)), CALM, "m0", 1, Action.WARN, False),
     "N05b": Case(with_(jumping=(("m0", 0.4),)), with_(jumped=(("m0", 0.4),)), "m0", 1, Action.RELAX, True),

@@ -1,5 +1,7 @@
 """What safety remembers between ticks, on two made-up ropes: every signal from both sides of its limit."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -371,3 +373,12 @@ def test_what_is_fixed_follows_from_the_hand():
     assert WatchState.initial(2, 2).stuck.value.shape == (6,)
     assert watch.JUMP_MARGIN == 1.5
     assert residuals.GAIN_SHARE == 0.1
+
+
+def test_what_is_filtered_quickly_begins_at_what_is_there_once_only():
+    state = ticks(5)[0]
+    after = ticks(1, state, tension=30.0, force=30.0)[0]
+    moved = 10.0 * -math.expm1(-T / residuals.QUICK_S)
+    for row in (residuals.TENSION, residuals.QUICK_FORCE):
+        assert state.filtered.low[row] == pytest.approx([20.0, 20.0])
+        assert after.filtered.low[row] == pytest.approx([20.0 + moved, 20.0 + moved])

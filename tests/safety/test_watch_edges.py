@@ -6,7 +6,7 @@ import pytest
 from handctl.safety import residuals, ropes, watch
 from handctl.safety.stuck import Stuck
 from handctl.safety.watch import CELL_FORCE_N, CELL_TICKS, DEG, SLIP_SETTLE_S, STUCK_JOINT_DEG, STUCK_S, Watcher
-from tests.safety.test_watch import T, made, seen
+from tests.safety.test_watch import ARMED, T, made, seen
 
 SOFT = 5e3
 """A rope that stretches by four millimetres under 20 N [N/m]."""
@@ -78,3 +78,22 @@ def test_a_cell_may_repeat_itself_one_tick_less_than_the_row_says(watcher: Watch
     assert names(watcher, [CELL_TICKS] * 6, 20.0, pushed)["stuck_cell"] == ["a", "b"]
     assert names(watcher, [CELL_TICKS - 1] * 6, 20.0, pushed)["stuck_cell"] == []
     assert names(watcher, [CELL_TICKS] * 6, ropes.TAUT_N, pushed)["stuck_cell"] == [], "a slack rope's cell may rest"
+
+
+def test_a_cell_that_repeats_itself_is_told_in_the_very_tick(watcher: Watcher) -> None:
+    state = watcher.start._replace(asked=np.full(2, 20.0), wanted=np.full(2, 20.0), goal=np.zeros(2))
+    for k in range(CELL_TICKS + 2):
+        state, told = watch.watched(watcher, state, ARMED, seen(force=20.0 if k == 0 else 60.0, tension=20.0))
+        assert bool(told.stuck_cell) == (state.stuck.ticks[2] >= CELL_TICKS), k
+    assert state.stuck.ticks[2] > CELL_TICKS
+
+
+def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
+    watcher: Watcher, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = watcher.start._replace(taut=(9.0, 9.0), slip_from=np.zeros(2))
+    now = seen(**READ | {"excursion": 5e-3})
+    slip = np.abs(watch._slip(watcher, state, now, [20.0, 20.0])[2])
+    for limit, counted in ((slip[0], 0.0), (np.nextafter(slip[0], 0.0), 1.0)):
+        monkeypatch.setattr(watch, "DERAILED_DEG", limit)
+        assert watch.watched(watcher, state, ARMED, now)[0].derailed[0] == counted

@@ -8,7 +8,7 @@ from handctl.campaign.course import Course
 from handctl.campaign.scenarios import Scenario, pairs, scenarios
 from handctl.campaign.stage import STAGES, branch, bring, hand_in, started
 from handctl.campaign.trial import Result
-from handctl.controller.types import Mode
+from handctl.controller.types import Event, Mode
 from handctl.hand.description import Hand
 from handctl.safety.action import Action
 
@@ -17,6 +17,8 @@ QUICK_EVERY = 7
 NOISE, LOSS = 3.0, 0.001
 """What the undisturbed hand must bear: times the specified noise, and the share of frames that are lost."""
 SEED = 0
+RUN_NS, GRASPED = 8_000_000_000, "hold"
+"""How long a run of the undisturbed hand takes; and the phase in which it must be then."""
 
 
 @dataclass
@@ -137,7 +139,10 @@ def _try_all(
 
 
 def calm(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) -> list[str]:
-    """Faults with HOLD or more that an undisturbed hand raises while it moves and grasps, with noise and frame loss."""
+    """Faults with HOLD or more that an undisturbed hand raises while it moves and grasps, with noise and frame loss.
+
+    A run in which it does not come to grasp has tried nothing, and is told as well.
+    """
     alarms: list[str] = []
     left = seconds
     while left > 0.0:
@@ -145,10 +150,18 @@ def calm(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) -> list[str]
             for bus in hand.bus_names:
                 course.peer.inject(f"drop bus={bus} p={LOSS} seed={seed}")
                 course.peer.inject(f"deaf bus={bus} p={LOSS} seed={seed}")
-            while left > 0.0 and course.k * course.period_ns < 8e9 and (not course.out or course.out.mode != Mode.DONE):
+            before, over = len(alarms), False
+            while left > 0.0 and not over:
                 out = course.tick()
                 left -= course.period_ns * 1e-9
-                if out.action >= Action.HOLD:
-                    alarms += [event.text for event in out.events if event.name == "fault" and event.level == "error"]
+                alarms += [event.text for event in out.events if event.name == "fault" and _holds(event)]
+                over = out.mode == Mode.DONE or course.k * course.period_ns >= RUN_NS
+            if over and len(alarms) == before and course.out and course.out.phase != GRASPED:
+                alarms.append(f"seed {seed} came to no grasp: {course.state.failure or course.out.phase}")
         seed += 1
     return alarms
+
+
+def _holds(event: Event) -> bool:
+    """Whether a fault that is told, its action at the end, makes the hand hold at least."""
+    return Action[event.text.rpartition(" ")[2]] >= Action.HOLD

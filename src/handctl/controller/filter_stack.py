@@ -1,6 +1,8 @@
 """The tension filter as numbers: states, regimes, one tendon's blocks, and all tendons as one filter."""
 
 import enum
+import functools
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -61,37 +63,35 @@ class Block:
     cell_sigma: float
 
 
+MOST_KEPT = 256
+"""Combinations of regimes that are kept at a time: one of eleven tendons takes 110 kB, and there are 3^11."""
+
+
 @dataclass(frozen=True, slots=True)
 class FilterDesign:
     """Blocks of every tendon and regime; ``blocks[tendon][regime]``.
 
     Attributes:
-        memo: stacks already built, by regimes; contact comes and goes far more rarely than ticks.
-        spreads: noises already stacked, by regimes.
+        stacked: the N tendons as one filter, each in its regime; kept, since regimes change far more rarely than ticks.
+        spread: the N tendons' noise, likewise.
     """
 
     blocks: tuple[tuple[Block, ...], ...]
-    memo: dict[tuple[int, ...], "Stacked"] = field(default_factory=dict, compare=False, repr=False)
-    spreads: dict[tuple[int, ...], "Spread"] = field(default_factory=dict, compare=False, repr=False)
+    stacked: "Callable[[tuple[int, ...]], Stacked]" = field(init=False, compare=False, repr=False)
+    spread: "Callable[[tuple[int, ...]], Spread]" = field(init=False, compare=False, repr=False)
 
-    def stacked(self, regimes: tuple[int, ...]) -> "Stacked":
-        """The N tendons as one filter, each in its regime."""
-        found = self.memo.get(regimes)
-        if found is None:
-            found = self.memo[regimes] = self._stack(regimes)
-        return found
-
-    def spread(self, regimes: tuple[int, ...]) -> "Spread":
-        """The N tendons' noise, each in its regime."""
-        found = self.spreads.get(regimes)
-        if found is None:
-            found = self.spreads[regimes] = Spread.of(self._chosen(regimes))
-        return found
+    def __post_init__(self) -> None:
+        kept = functools.lru_cache(MOST_KEPT)
+        object.__setattr__(self, "stacked", kept(self._stacked))
+        object.__setattr__(self, "spread", kept(self._spread))
 
     def _chosen(self, regimes: tuple[int, ...]) -> list[Block]:
         return [tendon[regime] for tendon, regime in zip(self.blocks, regimes, strict=True)]
 
-    def _stack(self, regimes: tuple[int, ...]) -> "Stacked":
+    def _spread(self, regimes: tuple[int, ...]) -> "Spread":
+        return Spread.of(self._chosen(regimes))
+
+    def _stacked(self, regimes: tuple[int, ...]) -> "Stacked":
         chosen = self._chosen(regimes)
         return Stacked(
             F=_diagonal([block.F for block in chosen]),

@@ -15,32 +15,27 @@ from handctl.controller.program import TARE_PHASE
 from handctl.controller.received import Received
 from handctl.controller.state import State
 from handctl.controller.surplus import surplus
+from handctl.controller.thresholds import make_watcher
 from handctl.controller.types import ACTING, Event, Mode, TickIn, Vector
 from handctl.drives.causes import Cause
 from handctl.drives.contract import Drive, DriveState, Phase
 from handctl.drives.frame import EXTENDED, REMOTE
 from handctl.drives.sensor_node import SensorNode, SensorState
 from handctl.safety.answers import asked
-from handctl.safety.residuals import Rotor
 from handctl.safety.signals import (
     LEAST_SILENT,
-    LEAST_STALLED,
     LOAD_CELLS,
     SILENT_S,
-    STALLED_S,
-    Limits,
     Named,
     Signals,
     ticks_for,
 )
-from handctl.safety.watch import JUMP_MARGIN, Seen, Watcher, WatchState, counted, screen, watched
+from handctl.safety.watch import Seen, Watcher, WatchState, counted, screen, watched
 
 CUT_OFF = (Mode.CUT, Mode.DISARM)
 """Modes in which no torque must act any more."""
 READY, FAULT = Phase.READY, Phase.FAULT
 """As names of this module: looking a member up in its enumeration costs more than comparing it."""
-JOINT_RATE_RAD_S = 60.0
-"""Faster than any joint of a hand. Source: spool speed of the packaged hands over their smallest moment arm."""
 MUTE = (Mode.SILENT, Mode.DONE)
 """Modes in which nothing is asked."""
 NEVER = 1_000_000
@@ -49,8 +44,6 @@ FOLLOW_S = 0.1
 """Time in which a motor follows a goal that jumps, several times over [s]."""
 ARRIVED_M = 0.2e-3
 """From the goal: a motor that stands there is where it was to go."""
-NOISE_TIMES, NOISE_STEPS = 9.0, 6.0
-"""A noise burst has so many times the variance of: drive torque on the bare rotor, and so many counts of rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +55,7 @@ class Guard:
         watcher: of safety.
         cyclic_ns: per motor, how often feedback comes by itself [ns]; 0 if every tick asks for it.
         period_ns: control period [ns].
+        mute_ns: after so long without a frame joint encoders are silent [ns].
     """
 
     model: HandModel
@@ -70,13 +64,16 @@ class Guard:
     watcher: Watcher
     cyclic_ns: tuple[int, ...]
     period_ns: int
+    mute_ns: int
 
     @staticmethod
     def of(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) -> "Guard":
         """The guard of a hand."""
         cyclic_ns = tuple(round(drive.feedback_period_s * 1e9) for drive in drives)
         watcher = make_watcher(model, drives, sensors)
-        return Guard(model, drives, sensors, watcher, cyclic_ns, round(model.period * 1e9))
+        every = watcher.rotor.joint_period
+        mute_ns = round(ticks_for(SILENT_S, every, LEAST_SILENT) * every * 1e9)
+        return Guard(model, drives, sensors, watcher, cyclic_ns, round(model.period * 1e9), mute_ns)
 
     def screen(self, state: State, measured: Measured, missed: int) -> tuple[WatchState, Measured, Named]:
         """Drop positions that cannot be, so long after the last tick, before anything else sees them; under torque."""
@@ -159,6 +156,7 @@ class Guard:
             stale=self._stale(before, state, entry),
             jumped=received.jumped,
             jumping=self._jumping(state.watch, received.jumped) if received.jumped else (),
+            mute=self._mute(state, entry.t_ns),
             railed=self._railed(received.measured) if received.measured.railed else (),
         )
 
@@ -172,6 +170,11 @@ class Guard:
         """Tendons whose load cell is at an end of its range, and what it reads [N]."""
         tendons = self.watcher.limits.tendons
         return tuple([(tendons[i], float(measured.tension[i])) for i in measured.railed])
+
+    def _mute(self, state: State, now_ns: int) -> Named:
+        """Joint frames that have not come for too long: the first joint of each, and since when [s]."""
+        rows, joints, since = self.sensors.joint_times(state.sensors), self.watcher.joints, now_ns - self.mute_ns
+        return tuple([(joints[i], (now_ns - t_ns) * 1e-9) for i, t_ns in rows if t_ns < since])
 
     def _ages(self, times_ns: tuple[int, ...], now_ns: int, cyclic_ns: tuple[int, ...] = ()) -> tuple[int, ...]:
         """Whole ticks by which readings are overdue; one that came within the last period is on time."""
@@ -247,47 +250,6 @@ class Guard:
         if excursion is not None:
             moved = chosen(np.abs(goal - excursion) < ARRIVED_M, before, moved)
         return chosen(before != before, goal, moved)
-
-
-def make_watcher(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) -> Watcher:
-    """The watcher of a hand."""
-    hand, space = model.hand, model.space
-    rates = [hand.motor_of(name).velocity_range_rad_s for name in hand.tendon_names]
-    arms = np.abs(hand.moment_arms)
-    limits = Limits(
-        tendons=hand.tendon_names,
-        tension_trip=tuple(tendon.tension_trip_N for tendon in hand.tendon),
-        tension_rail=sensors.tension_rail,
-        tension_low=sensors.tension_low,
-        drive_limit=tuple(tendon.drive_limit_N for tendon in hand.tendon),
-        motors=tuple(drive.name for drive in drives),
-        silent_ticks=ticks_for(SILENT_S, model.period, LEAST_SILENT),
-        stalled_ticks=ticks_for(STALLED_S, model.period, LEAST_STALLED),
-        noise_most=_noise_most(model),
-    )
-    motor_period = np.array([max(model.period, drive.feedback_period_s) for drive in drives])
-    joint_period = hand.sensor_node.joint_decimation * model.period
-    return Watcher(
-        limits=limits,
-        joints=hand.joints,
-        rotor=Rotor(space.motor_mass, space.motor_damping, space.coulomb, model.period, motor_period, joint_period),
-        stiffness=space.stiffness,
-        spool=space.spool,
-        arms=arms.sum(axis=1),
-        spool_to_joints=model.excursion_to_joints,
-        step_most=(
-            JUMP_MARGIN * model.period * np.array(rates),
-            np.full(len(hand.joints), JUMP_MARGIN * model.period * JOINT_RATE_RAD_S),
-        ),
-    )
-
-
-def _noise_most(model: HandModel) -> float:
-    """Mean squared jerk of a motor's position that only noise makes [rad^2]: the drive's torque both ways, rounding."""
-    space, period = model.space, model.period
-    torque = float((model.torque_limit / space.spool / space.motor_mass / space.spool).max())
-    rounding = NOISE_STEPS * float((space.encoder_step / space.spool).max()) ** 2
-    return NOISE_TIMES * ((0.1 * torque * period**2) ** 2 + rounding)
 
 
 def _heard(state: State) -> bool:

@@ -63,6 +63,28 @@ class Identified(Document):
         """A value by its name, if it was identified."""
         return self.values[self.names.index(name)] if name in self.names else otherwise
 
+    def beside(self, older: "Identified | None") -> "Identified":
+        """This, and what only an older one tells: a run that excites little takes nothing away that is known.
+
+        The two are of different runs, so that nothing is correlated between them.
+        """
+        others = [i for i, name in enumerate(older.names) if name not in self.names] if older else []
+        if older is None or not others:
+            return self
+        n, m = len(self.names), len(others)
+        joined = np.zeros((n + m, n + m))
+        joined[:n, :n] = self.covariance
+        joined[n:, n:] = np.array(older.covariance)[np.ix_(others, others)]
+        return self.model_copy(
+            update={
+                "names": self.names + tuple(older.names[i] for i in others),
+                "values": self.values + tuple(older.values[i] for i in others),
+                "half_widths": self.half_widths + tuple(older.half_widths[i] for i in others),
+                "covariance": tuple(map(tuple, joined.tolist())),
+                "log": tuple(dict.fromkeys((*self.log, *older.log))),
+            }
+        )
+
 
 def identified_hand(hand: Hand, found: dict[str, Identified]) -> Hand:
     """The hand with what was identified in the place of what its file says.

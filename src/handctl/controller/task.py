@@ -192,7 +192,8 @@ def check_task(
                 continue
             for digit, given in per_digit.items():
                 _count(digit, given, tendons, place)
-            numbers = [n for v in per_digit.values() or [value] for n in (v if isinstance(v, tuple) else (v,))]
+            values = per_digit.values() if isinstance(value, dict) else [value]
+            numbers = [n for v in values for n in (v if isinstance(v, tuple) else (v,))]
             largest = max((n for n in numbers if n is not None), default=0.0)
             if key in ("tension_N", "contact_tension_N", "slip_limit_N") and largest > ceiling:
                 raise ConfigError(f"{largest:g} N", place, f"at most tension_max_N = {ceiling:g} N")

@@ -251,7 +251,8 @@ class Cia402Drive:
             return state._replace(private=progress), (self._rpdo(word, 0.0),)
         if t_ns - progress.started_ns < REPEAT_NS:
             return state._replace(private=progress), ()
-        text = "no TPDO yet: is somebody sending SYNC (0x080) on its bus?" if progress.started_ns >= 0 else ""
+        asked = "is somebody sending SYNC (0x080) on its bus, and does it take one with a counter?"
+        text = f"no TPDO yet: {asked}" if progress.started_ns >= 0 else ""
         told = progress._replace(started_ns=t_ns)
         return state._replace(error_text=text, private=told), (self._nmt(codec.START),)
 

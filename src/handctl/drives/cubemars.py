@@ -51,7 +51,9 @@ GONE_NS = 250_000_000
 """After this silence a motor counts as not heard of [ns]."""
 CAVEATS = (
     "watchdog: CubeMars' MIT mode has none; a dead host leaves torque on",
-    "does not tell whether it is enabled; an answer to disable without torque counts as disabled",
+    "has no torque limit below its model's full scale; torque_max_N_m is this host's alone",
+    "does not tell whether it is enabled; "
+    f"an answer to disable with at most {QUIET:.0%} of full-scale torque counts as disabled",
     "ranges cannot be read back; motor_type must be right",
     "temperature counts from -40 degC by the manual; a cold motor that reads below zero needs temperature_offset_C = 0",
 )

@@ -22,7 +22,6 @@ from handctl.drives.odrive_progress import (
     MISMATCH,
     REPEAT_NS,
     TEMPERATURE_NS,
-    VERIFIED_NS,
     VERSION_TRIES,
     Progress,
     begin_disabling,
@@ -217,12 +216,12 @@ class OdriveDrive:
     def _ready(self, state: DriveState, t_ns: int, want: Want) -> tuple[DriveState, tuple[Frame, ...]]:
         """Poll; told to enable, one order (a second would enable one that has restarted), and 0 N m from then on."""
         state, asked = self._questions(state, t_ns)
-        if want != ENABLE:
-            return state, asked
         progress = progress_of(state)
+        if want != ENABLE:
+            return state._replace(private=progress._replace(fresh=False)), asked
         if progress.asked_ns >= 0:
             return state, (self._torque(0.0), *asked)
-        if t_ns - progress.verified_ns > VERIFIED_NS:
+        if not progress.fresh:
             again = progress._replace(walk=endpoints.Walk(), configured=False)
             return state._replace(phase=CONFIGURING, private=again), asked
         told = state._replace(private=progress._replace(asked_ns=t_ns, orders=progress.orders + 1))
@@ -246,7 +245,7 @@ class OdriveDrive:
         if progress.heard_ns < 0:
             return state, ()
         mode = self._frame(codec.SET_MODE, codec.integers(codec.TORQUE_MODE, codec.PASSTHROUGH))
-        done = progress._replace(configured=True, verified_ns=t_ns)
+        done = progress._replace(configured=True, fresh=True)
         limits = self._frame(codec.SET_LIMITS, self.limits)
         return state._replace(phase=READY, error_text="", private=done), (mode, limits)
 

@@ -24,8 +24,6 @@ REPEAT_NS, TEMPERATURE_NS = 20_000_000, 200_000_000
 VERSION_TRIES, CLEAR_TRIES = 10, 3
 ORDERS = 5
 """Orders to enable that may be lost."""
-VERIFIED_NS = 10_000_000
-"""Settings verified longer ago than this, too short for a restart, are verified again before the order [ns]."""
 HEARTBEATS_MISSED = 3.5
 """So many periods without a heartbeat and the drive counts as lost."""
 SETTLE_NS = 5_000_000
@@ -48,7 +46,7 @@ class Progress(NamedTuple):
         tries: how often.
         warmed_ns: when the temperature was asked for last [ns].
         clearing: how many heartbeats may still carry the error that is being cleared.
-        verified_ns: when all settings were found to be right [ns].
+        fresh: whether all settings were found to be right in the last tick, too short ago for a restart.
         orders: how often it was told to enable in vain.
     """
 
@@ -64,7 +62,7 @@ class Progress(NamedTuple):
     tries: int = 0
     warmed_ns: int = -TEMPERATURE_NS
     clearing: int = 0
-    verified_ns: int = 0
+    fresh: bool = False
     orders: int = 0
 
     @property
@@ -94,7 +92,7 @@ def take_heartbeat(state: DriveState, frame: Frame, old: bool) -> DriveState:
         return _is_wrong(known, progress, beat, old)
     if beat.state == codec.CLOSED_LOOP:
         return _is_enabled(known, progress)
-    return _is_disabled(known, progress, beat) if beat.state == codec.IDLE else known
+    return _is_disabled(known, progress, beat) if beat.state == codec.IDLE else _is_elsewhere(known, progress)
 
 
 def _is_wrong(state: DriveState, progress: Progress, beat: codec.Heartbeat, old: bool) -> DriveState:
@@ -112,6 +110,15 @@ def _is_enabled(state: DriveState, progress: Progress) -> DriveState:
         return state._replace(phase=ENABLED, private=progress._replace(orders=0, clearing=0))
     if state.phase == READY:
         return fault(state, ENABLED_BY_OTHERS, "in closed loop, but not by this host")
+    return state
+
+
+def _is_elsewhere(state: DriveState, progress: Progress) -> DriveState:
+    """It says that it does something else, a calibration for instance: then it makes torque that nobody here asks."""
+    if state.phase == ENABLED and progress.disabling_ns < 0:
+        return fault(state, DROPPED_OUT, f"went to axis state {progress.axis} by itself")
+    if state.phase == READY and progress.asked_ns < 0 and progress.axis > codec.IDLE:
+        return fault(state, ENABLED_BY_OTHERS, f"in axis state {progress.axis}, but not by this host")
     return state
 
 

@@ -203,6 +203,12 @@ class SensorNode:
         times.append(max(times, default=-1))
         return tuple([times[frame] for frame in self.frame_of])
 
+    def joint_times(self, state: SensorState) -> list[tuple[int, int]]:
+        """Of each joint frame its first joint, and the reception of its latest reading [ns], -1 before the first."""
+        frames = slice(self.tension_frames, None)
+        rows = zip(self.channels[frames], state.groups[frames], strict=True)
+        return [(channels[0], group.t_ns) for channels, group in rows]
+
     def _fresh(self, before: SensorState, now: SensorState, which: slice) -> list[tuple[int, int]]:
         """Tendon or joint, and raw value, of each channel of the frames that came since."""
         rows = zip(before.groups[which], now.groups[which], self.channels[which], strict=True)

@@ -24,6 +24,10 @@ def _sensor_silent(limits: Limits, s: Signals) -> Sequence[Reading]:
     return above(limits.tendons, s.sensor_age, limits.silent_ticks - 1) if s.armed else NOTHING
 
 
+def _joints_silent(limits: Limits, s: Signals) -> Sequence[Reading]:
+    return s.mute if s.armed else NOTHING
+
+
 def _stuck(limits: Limits, s: Signals) -> Sequence[Reading]:
     return (*s.stuck_motor, *s.stuck_joint) if s.stuck_motor or s.stuck_joint else NOTHING
 
@@ -77,6 +81,8 @@ NODE_FAULTS: tuple[Fault, ...] = (
           _caused_by(Cause.DROPPED_OUT)),
     Fault("N02", "load cells silent", "no tension frame for 30 ms, at least four in a row", 1, Action.RELAX, PERSON,
           _sensor_silent),
+    Fault("N02b", "joint encoders silent", "no joint frame for 30 ms, at least four in a row", 1, Action.RELAX, PERSON,
+          _joints_silent),
     Fault("N04", "an encoder is stuck", "it stands for 100 ms while goal, tension or spool move", 1, Action.RELAX,
           PERSON, _stuck),
     Fault("N05a", "an encoder jumped", "a step that no rotor makes; the sample is dropped", 1, Action.WARN, ITSELF,

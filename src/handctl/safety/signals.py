@@ -109,6 +109,7 @@ class Signals(NamedTuple):
         stuck_motor: motors whose position stands although goal or tension moves; what moved [mm or N].
         stuck_joint: joints whose encoder stands although the spool moves [deg].
         stuck_cell: tendons whose load cell repeats itself although the motor's torque moves [N].
+        mute: joints whose encoder's frame has not come for as long as several of them take, and since when [s].
         railed: tendons whose load cell is at an end of its range, whatever it is tared to, and what it reads [N].
     """
 
@@ -145,6 +146,7 @@ class Signals(NamedTuple):
     stuck_motor: Named = ()
     stuck_joint: Named = ()
     stuck_cell: Named = ()
+    mute: Named = ()
     railed: Named = ()
 
 

@@ -1,0 +1,59 @@
+"""Small parts of the filter at their limits and with every sign."""
+
+import numpy as np
+import pytest
+
+from handctl.controller.estimator import LOOSE_M, STOP_BAND_M, STOP_PULL, Measured, _at_stop, _unexplained, _usable
+from handctl.controller.filter_stack import STATES, O, Regime, S, W, X
+from handctl.controller.filter_state import FilterState
+from handctl.controller.model import HandModel
+from handctl.controller.statics import load_statics
+
+
+@pytest.mark.parametrize("was", [False, True])
+def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was: bool) -> None:
+    band, most = STOP_BAND_M[was], 10.0 * STOP_PULL[was]
+    assert _at_stop(was, np.nextafter(band, 0.0), np.nextafter(most, 0.0), 10.0)
+    assert not _at_stop(was, band, 0.0, 10.0)
+    assert not _at_stop(was, 0.0, most, 10.0)
+
+
+def filtered(model: HandModel, regime: Regime, **columns: float) -> FilterState:
+    """Every tendon in one regime, off its stop; columns of the state by name."""
+    x = np.zeros((model.tendon_count, STATES))
+    for name, value in columns.items():
+        x[:, {"X": X, "S": S, "W": W, "O": O}[name]] = value
+    return FilterState.of(x.ravel(), regime, stopped=False)
+
+
+def test_what_a_moving_digit_s_damping_takes_is_no_contact(model: HandModel) -> None:
+    still, moves = (filtered(model, Regime.FREE, S=2e-3, W=rate) for rate in (0.0, 0.05))
+    filters, tension = model.filter.stacked(still.regimes), np.full(model.tendon_count, 20.0)
+    statics = load_statics(model, still.x.reshape(-1, STATES), tension)
+    less = _unexplained(model, moves, filters, statics) - _unexplained(model, still, filters, statics)
+    np.testing.assert_allclose(less, -0.05 * model.space.load_damping, rtol=1e-12)
+    assert _unexplained(model, still, filters, statics).all(), "20 N are more than springs ask here"
+
+
+def test_a_slack_rope_bears_no_contact_wherever_its_digit_is(model: HandModel) -> None:
+    state = filtered(model, Regime.SLACK, S=2e-3)
+    statics = load_statics(model, state.x.reshape(-1, STATES), np.full(model.tendon_count, 20.0))
+    assert not _unexplained(model, state, model.filter.stacked(state.regimes), statics).any()
+
+
+@pytest.mark.parametrize(("x", "s", "o"), [(-3e-4, 0.0, 0.0), (-1e-4, 3e-4, 0.0), (-1e-4, 0.0, 3e-4)])
+def test_a_rope_hangs_loose_by_what_its_spool_is_short_of_its_digit(
+    model: HandModel, x: float, s: float, o: float
+) -> None:
+    """Its load cell then shows its error; of a rope that is nearly taut nobody knows."""
+    n, read = model.tendon_count, 0.3
+    nothing = np.full(n, np.nan)
+    measured = Measured(np.zeros(n), np.full(n, read), nothing, np.full(len(model.hand.joints), np.nan))
+    for more, usable in ((0.0, True), (LOOSE_M + 1e-5, False)):
+        state = filtered(model, Regime.SLACK, X=x + more, S=s, O=o)._replace(measured=(True,) * n)
+        z = _usable(state, model.filter.stacked(state.regimes), measured)
+        assert np.isfinite(z[1::3]).all() == usable
+    state = filtered(model, Regime.SLACK, X=x, S=s, O=o)
+    assert np.isnan(_usable(state, model.filter.stacked(state.regimes), measured)[1::3]).all(), (
+        "its length is not known"
+    )

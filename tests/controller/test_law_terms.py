@@ -1,0 +1,138 @@
+"""The law's terms one by one: what each state of the estimate and of the way adds to the motor's force."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from handctl.controller.computed_torque import Command, LawState, step
+from handctl.controller.estimator import Estimate
+from handctl.controller.goal import DigitGoal, Kind
+from handctl.controller.law_constants import MOTOR_FRICTION_SPEED
+from handctl.controller.model import HandModel
+from handctl.controller.trajectory import MinimumJerk
+from tests.controller.goals import holding, moving
+from tests.controller.synthetic import at_rest, known, slack, under
+
+AT_S = 0.25
+"""On a way of one second: it accelerates, and is on its way."""
+
+
+def force(model: HandModel, estimate: Estimate, goals: tuple[DigitGoal, ...]) -> np.ndarray:
+    """Motor force at the cable, (N,) [N]."""
+    state = LawState.idle(estimate.tension)
+    return step(model, state, estimate, goals, AT_S)[1].torque / model.space.spool
+
+
+@pytest.fixture
+def way(model: HandModel) -> tuple[DigitGoal, ...]:
+    return moving(model, 0.4, 0.6, 1.0)
+
+
+@pytest.fixture
+def there(model: HandModel) -> Estimate:
+    return known(model, at_rest(model, 0.42))
+
+
+def test_on_a_way_each_error_is_answered_with_its_gain(
+    model: HandModel, way: tuple[DigitGoal, ...], there: Estimate
+) -> None:
+    space, gains, design = model.space, model.gains.motion, model.motion
+    mass = space.motor_mass + space.load_mass
+    before = force(model, there, way)
+    for name, size, slope in (
+        ("motor_disturbance", 0.5, -gains.disturbance_rejection),
+        ("tension", 0.4, -gains.tension_feedback),
+        ("speed", 1e-3, gains.friction_share * space.motor_damping - mass * design.damping),
+        ("excursion", 2e-5, -mass * design.stiffness),
+    ):
+        after = force(model, there._replace(**{name: getattr(there, name) + size}), way)
+        np.testing.assert_allclose(after - before, slope * size, rtol=1e-6, atol=1e-9, err_msg=name)
+
+
+def test_a_way_s_acceleration_is_fed_forward(model: HandModel, way: tuple[DigitGoal, ...], there: Estimate) -> None:
+    """What the law asks for less with no share of the rotor's inertia is the rotor's inertia."""
+    without = model.gains.motion.model_copy(update={"inertia_share": 0.0})
+    other = replace(model, gains=model.gains.model_copy(update={"motion": without}))
+    acceleration = np.zeros(model.tendon_count)
+    for digit, tendons, goal in zip(model.digits, model.digit_tendons, way, strict=True):
+        acceleration[tendons] = digit.reduced_moment_arms @ goal.trajectory.at(AT_S)[2]
+    found = force(model, there, way) - force(other, there, way)
+    assert (acceleration > 0.0).all()
+    np.testing.assert_allclose(
+        found, model.gains.motion.inertia_share * model.space.motor_mass * acceleration, rtol=1e-9
+    )
+
+
+def test_held_tendons_take_a_disturbance_off(model: HandModel) -> None:
+    there = under(model, 20.0)
+    off = there._replace(motor_disturbance=np.full(model.tendon_count, 0.5))
+    change = force(model, off, holding(model, 20.0)) - force(model, there, holding(model, 20.0))
+    np.testing.assert_allclose(change, -0.5 * model.gains.motion.disturbance_rejection, rtol=1e-9)
+
+
+def test_held_tendons_that_are_expected_on_a_way_get_what_their_rotors_need_for_it(model: HandModel) -> None:
+    there, space = under(model, 20.0), model.space
+    still = holding(model, 20.0)
+    start, end, since = 0.4, 0.7, 0.1
+    ways = [
+        MinimumJerk(np.full(d.coupling.shape[1], start), np.full(d.coupling.shape[1], end), 1.0) for d in model.digits
+    ]
+    goals = tuple(replace(goal, trajectory=one, since=since) for goal, one in zip(still, ways, strict=True))
+    speed, acceleration = np.zeros((2, model.tendon_count))
+    for digit, tendons, one in zip(model.digits, model.digit_tendons, ways, strict=True):
+        speed[tendons], acceleration[tendons] = one.at(AT_S - since)[1:] @ digit.reduced_moment_arms.T
+    needed = space.coulomb * np.tanh(speed / MOTOR_FRICTION_SPEED) + space.motor_mass * acceleration
+    needed += (model.motion.tension_speed + space.motor_damping) * speed
+    np.testing.assert_allclose(force(model, there, goals) - force(model, there, still), needed, rtol=1e-9)
+    one_only = (goals[0], *still[1:])
+    change = force(model, there, one_only) - force(model, there, still)
+    first = model.digit_tendons[0]
+    np.testing.assert_allclose(change[first], needed[first], rtol=1e-9)
+    assert not np.delete(change, first).any(), "nobody else is on a way"
+
+
+def test_a_slack_rope_of_which_little_is_wanted_is_still_helped_over_friction(model: HandModel) -> None:
+    there = slack(model)
+    state = LawState.idle(np.full(model.tendon_count, 0.5))
+    goals = holding(model, 0.5)
+    loose = step(model, state, there, goals, AT_S)[1].torque
+    taut = step(model, state, there._replace(slack=np.zeros(model.tendon_count, dtype=bool)), goals, AT_S)[1].torque
+    np.testing.assert_allclose((loose - taut) / model.space.spool, model.space.coulomb, rtol=0.02)
+
+
+def test_on_a_way_no_more_tension_is_aimed_at_than_allowed(
+    model: HandModel, way: tuple[DigitGoal, ...], there: Estimate
+) -> None:
+    free = step(model, LawState.idle(there.tension), there, way, AT_S)[1].tension
+    most = 0.5 * free
+    held = step(model, LawState.idle(there.tension), there, way, AT_S, np.maximum(most, model.floor))[1].tension
+    np.testing.assert_allclose(held, np.maximum(most, model.floor))
+
+
+def test_a_limp_hand_asks_its_joints_for_nothing(model: HandModel) -> None:
+    there = under(model, 10.0)
+    command = step(model, LawState.idle(there.tension), there, (DigitGoal(),) * len(model.digits), AT_S)[1]
+    assert not command.joint_torque.any()
+    assert np.isnan(command.tension).all()
+    idle = Command.idle(model)
+    for name, size, value in (
+        ("torque", model.tendon_count, 0.0), ("tension", model.tendon_count, np.nan),
+        ("joint_torque", len(model.hand.joints), 0.0), ("q", len(model.hand.joints), np.nan),
+        ("dq", len(model.hand.joints), np.nan),
+    ):  # fmt: skip
+        np.testing.assert_array_equal(getattr(idle, name), np.full(size, value), err_msg=name)
+
+
+def test_a_half_moving_hand_has_goals_of_angles_for_that_half(model: HandModel, there: Estimate) -> None:
+    goals = (*moving(model, 0.4, 0.6, 1.0)[:2], *holding(model, 12.0)[2:])
+    law, command = step(model, LawState.idle(there.tension), there, goals, AT_S)
+    tendons, joints = model.digit_tendons[1].stop, model.digits[1].joints.stop
+    for angles in (command.q, command.dq):
+        assert np.isfinite(angles[:joints]).all()
+        assert np.isnan(angles[joints:]).all()
+    assert law.friction_state is not None
+    assert np.isnan(law.friction_state[tendons:]).all()
+    held = np.where(np.arange(model.tendon_count) < tendons, 0.0, law.setpoint) @ model.hand.moment_arms
+    np.testing.assert_allclose(command.joint_torque[joints:], held[joints:], rtol=1e-12)
+    assert goals[2].kind == Kind.TENSION
