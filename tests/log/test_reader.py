@@ -19,7 +19,7 @@ from mcap.writer import Writer
 
 from handctl.controller.types import TELEMETRY_FIELDS
 from handctl.errors import LogError
-from handctl.log.logfile import printable
+from handctl.log.logfile import printable, reading
 from handctl.log.reader import RunLog
 from handctl.log.record import TickRecord, pack
 from handctl.log.recorder import Recorder
@@ -192,3 +192,8 @@ def test_a_log_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr("handctl.log.reader.SCHEMA", 2)
     with pytest.raises(LogError, match="version 1"):
         RunLog(path)
+
+
+def test_what_is_missing_is_named() -> None:
+    with pytest.raises(LogError, match="damaged log: '/tick' is missing"), reading("a.mcap"):
+        raise KeyError("/tick")

@@ -121,6 +121,26 @@ def test_one_damaged_chunk_is_left_out_and_the_rest_kept(small_log: Path, tmp_pa
         RunLog(tmp_path / "cut.mcap")
 
 
+@pytest.mark.parametrize("what", ["attachment", "metadata", "chunk's header"])
+def test_a_damaged_record_costs_no_other(small_log: Path, tmp_path: Path, what: str) -> None:
+    raw, found = bytearray(small_log.read_bytes()), _scan(small_log)
+    (_, _, content), values = found.attachments["hand.urdf"], found.metadata["handctl.run"]
+    at = {
+        "attachment": raw.index(content) + 100,
+        "metadata": raw.index(min(values).encode()) - 1,
+        "chunk's header": found.chunks[3].offset + 9 + 23,
+    }[what]
+    raw[at] ^= 0x80
+    recovery, out = _recovered(bytes(raw), tmp_path)
+    assert recovery.status == Status.LOSSY
+    assert recovery.chunks == len(found.chunks) - (what == "chunk's header")
+    start, end = recovery.lost[0]
+    assert start < at < end
+    kept = _scan(out)
+    assert not kept.problem
+    assert found.attachments.keys() - kept.attachments.keys() == ({"hand.urdf"} if what == "attachment" else set())
+
+
 def test_a_damaged_summary_costs_nothing(small_log: Path, tmp_path: Path) -> None:
     raw = bytearray(small_log.read_bytes())
     raw[-60] ^= 1

@@ -9,6 +9,7 @@ import pytest
 from handctl.errors import IncomparableError
 from handctl.log.reader import RunLog
 from handctl.replay.check import check
+from handctl.replay.compare import compare
 from handctl.replay.diff import diff
 
 
@@ -67,3 +68,14 @@ def test_a_wrong_identity_is_found(golden: Path) -> None:
         told = check(log)
     assert told[0].startswith("hand.toml has identity")
     assert told[1].startswith("the hash chain breaks at tick 0:")
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_is_not_known_has_no_difference_and_no_delay() -> None:
+    before = np.sin(np.linspace(0.0, 9.0, 400))[:, None] * np.ones(3)
+    after = np.roll(before, 10, axis=0)
+    after[:, 1], after[7, 2] = np.nan, np.nan
+    found = compare(("known", "unknown", "nearly"), before, after, 0.01)
+    assert found["known"]["delay_s"] == pytest.approx(0.1, abs=0.02)
+    assert np.isnan(list(found["unknown"].values())).all()
+    assert np.isfinite(found["nearly"]["rms"])

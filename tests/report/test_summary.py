@@ -125,6 +125,14 @@ def test_a_hold_is_judged_from_half_a_second_after_its_ramp_to_its_end() -> None
     assert found == [list(range(50, 150)), list(range(250, 400))]
 
 
+def test_a_hold_with_a_stiffness_is_judged_although_its_goals_follow_every_angle() -> None:
+    log = holding(ramp=20)
+    log.fields["tension_goal"][100:300] += np.where(np.arange(200) % 2, 0.1, -0.1)[:, None]
+    (window,) = hold_windows(log)
+    assert np.flatnonzero(window).tolist()[-1] == 299
+    assert 119 + 45 <= np.argmax(window) <= 119 + 50
+
+
 def test_hold_error_is_the_worst_mean_of_a_tendon_that_holds() -> None:
     log, truth = holding(), truth_of(JAMIA, 400)
     index, middle, _, thumb = JAMIA.tendon_names

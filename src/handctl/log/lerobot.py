@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from handctl.controller.types import Mode
 from handctl.errors import LogError
 from handctl.log.logfile import printable
+from handctl.log.moments import check_order
 from handctl.log.reader import RunLog
 
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -55,6 +56,7 @@ def _rows(log: RunLog, fps: int) -> NDArray[np.intp]:
     active = np.flatnonzero(log.mode == int(Mode.ACTIVE))
     if len(active) < 2:
         raise LogError("the hand was never active in it", "the log", "a run that moved")
+    check_order(log.t_ns, log.header.period_ns)
     begin, end = int(log.t_ns[active[0]]), int(log.t_ns[active[-1]])
     frames = (end - begin) * fps // 10**9 + 1
     grid = begin + (np.arange(frames) * 10**9 + fps // 2) // fps

@@ -34,6 +34,8 @@ def reading(where: str) -> Iterator[None]:
         yield
     except LogError:
         raise
+    except KeyError as error:
+        raise LogError(f"damaged log: {printable(repr(error.args[0]))} is missing", where, "an intact file") from error
     except (ValueError, struct.error, LookupError, TypeError, ArithmeticError, RuntimeError, MemoryError) as error:
         raise LogError(f"damaged log: {printable(str(error))}", where, "an intact file") from error
     except zstandard.ZstdError as error:

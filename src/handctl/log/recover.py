@@ -76,13 +76,13 @@ def recover(path: Path, out: Path) -> Recovery:
 
 
 def scan_all(file: LogFile, found: Scan) -> str:
-    """As ``scan``, but damage is the answer and no error; what came before it is kept."""
+    """As ``scan``, but damage is the answer and no error; what is intact before it, and behind it, is kept."""
     try:
-        scan(file, found)
+        scan(file, found, skip=True)
     except LogError as error:
         if found.end == 0:
             raise
-        return str(error)
+        return found.problem or str(error)
     return found.problem
 
 
@@ -92,20 +92,20 @@ def _copy(file: LogFile, found: Scan, problem: str, new: Container) -> Recovery:
     for name, values in found.metadata.items():
         if name != "handctl.end":
             new.metadata(name, values)
-    lost = []
+    lost, kept = found.skipped.copy(), 0
     for place in found.chunks:
         try:
             _copy_chunk(file, place, new)
+            kept += 1
         except LogError as error:
             problem = problem or str(error)
             lost.append((place.offset, place.end))
-    kept = len(found.chunks) - len(lost)
     if not found.complete and found.end < file.size:
         lost.append((found.end, file.size))
     new.metadata("handctl.end", _end(found, problem))
     new.finish()
     status = Status.NOTHING if not kept else Status.LOSSY if lost or not found.complete else Status.WHOLE
-    return Recovery(status, kept, new.messages, tuple(lost), problem)
+    return Recovery(status, kept, new.messages, tuple(sorted(lost)), problem)
 
 
 def _end(found: Scan, problem: str) -> dict[str, str]:

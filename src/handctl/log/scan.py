@@ -38,6 +38,7 @@ class Scan:
         size: of the file.
         complete: whether the data section has its end and the right checksum.
         problem: why the file is not whole; empty if it is.
+        skipped: (start, end) of every damaged record that was left out.
     """
 
     chunks: list[ChunkPlace] = field(default_factory=list)
@@ -47,6 +48,7 @@ class Scan:
     size: int = 0
     complete: bool = False
     problem: str = ""
+    skipped: list[tuple[int, int]] = field(default_factory=list)
 
 
 class _Fields:
@@ -73,7 +75,7 @@ class _Fields:
         return len(self._data) - self._at
 
 
-def scan(file: LogFile, found: Scan, checked: bool = True) -> None:
+def scan(file: LogFile, found: Scan, checked: bool = True, skip: bool = False) -> None:
     """Walk over the outer records.
 
     A file that ends early is no error: ``problem`` says so and all complete records are there.
@@ -82,6 +84,7 @@ def scan(file: LogFile, found: Scan, checked: bool = True) -> None:
         file: the file.
         found: empty; holds what came before the damage if this raises.
         checked: compare the checksum of the whole data, which reads all of it.
+        skip: leave out a damaged record whose end is known, instead of raising.
 
     Raises:
         LogError: not an MCAP file, damaged inside, or beyond a limit.
@@ -105,12 +108,19 @@ def scan(file: LogFile, found: Scan, checked: bool = True) -> None:
         if code == Opcode.DATA_END:
             _check_end(file, found, at, end, checked)
             return
+        try:
+            with reading(file.at(at)):
+                unpacked += _take(file, found, code, at, end)
+        except LogError as error:
+            if not skip:
+                raise
+            found.problem = found.problem or str(error)
+            found.skipped.append((at, end))
+        unknown += code not in Opcode.__members__.values()
         with reading(file.at(at)):
-            unpacked += _take(file, found, code, at, end)
-            unknown += code not in Opcode.__members__.values()
             _check_limits(found, unpacked, unknown)
         found.end = end
-    found.problem = f"ends at byte {file.size} without an end mark; complete up to byte {found.end}"
+    found.problem = found.problem or f"ends at byte {file.size} without an end mark; complete up to byte {found.end}"
 
 
 def scanned(path: Path) -> Scan:
@@ -126,7 +136,7 @@ def scanned(path: Path) -> Scan:
 def _check_limits(found: Scan, unpacked: int, unknown: int) -> None:
     if unpacked > MAX_RATIO * found.size + MAX_CHUNK:
         raise ValueError(f"chunks of more than {unpacked} bytes")
-    if max(unknown, len(found.attachments), len(found.metadata)) > MAX_RECORDS:
+    if max(unknown, len(found.attachments), len(found.metadata), len(found.skipped)) > MAX_RECORDS:
         raise ValueError(f"more than {MAX_RECORDS} records of a kind")
     if sum(len(data) for _, _, data in found.attachments.values()) > MAX_ATTACHMENTS:
         raise ValueError(f"more than {MAX_ATTACHMENTS} bytes of attachments")
@@ -199,9 +209,9 @@ def _check_end(file: LogFile, found: Scan, at: int, end: int, checked: bool) -> 
     found.complete = True
     footer = file.size - len(MAGIC) - 29
     if footer < end or file.read(file.size - len(MAGIC), len(MAGIC)) != MAGIC:
-        found.problem = "ends within its summary"
+        found.problem = found.problem or "ends within its summary"
         return
     raw = file.read(footer, 29)
     (expected,) = struct.unpack_from("<I", raw, 25)
     if raw[0] != Opcode.FOOTER or (expected and expected != zlib.crc32(raw[:25], file.crc(end, footer))):
-        found.problem = "the summary is damaged; the data is intact"
+        found.problem = found.problem or "the summary is damaged; the data is intact"

@@ -50,28 +50,32 @@ def compare(names: tuple[str, ...], before: Array, after: Array, period: float) 
     rows = min(len(before), len(after))
     change = after[:rows] - before[:rows]
     return {
-        name: {
-            "rms": float(np.sqrt(np.nanmean(change[:, i] ** 2))) if rows else float("nan"),
-            "peak": float(np.nanmax(np.abs(change[:, i]))) if rows else float("nan"),
-            "delay_s": delay(before[:rows, i], after[:rows, i], period),
-        }
+        name: size(change[:, i]) | {"delay_s": delay(before[:rows, i], after[:rows, i], period)}
         for i, name in enumerate(names)
     }
+
+
+def size(change: Array) -> dict[str, float]:
+    """RMS and peak of what is known of a difference; NaN if nothing is."""
+    known = change[~np.isnan(change)]
+    if not known.size:
+        return {"rms": float("nan"), "peak": float("nan")}
+    return {"rms": float(np.sqrt(np.mean(known**2))), "peak": float(np.abs(known).max())}
 
 
 def delay(before: Array, after: Array, period: float) -> float:
     """Time by which ``after`` is behind [s]: the shift with the least mean square, refined by a parabola.
 
-    NaN if nothing moves, or if no delay within ``LONGEST_DELAY_S`` fits best.
+    NaN if nothing moves, if no delay within ``LONGEST_DELAY_S`` fits best, or if one is not known throughout.
     """
+    if np.isnan(before).any() or np.isnan(after).any():
+        return float("nan")
     reach = min(round(LONGEST_DELAY_S / period), len(before) // 4)
     span = float(np.ptp(before)) if len(before) else 0.0
     if reach < 1 or not span > LEAST_MOTION * float(np.abs(before).max()):
         return float("nan")
     kept = slice(reach, len(before) - reach)
-    cost = np.array(
-        [np.nanmean((np.roll(after, -shift)[kept] - before[kept]) ** 2) for shift in range(-reach, reach + 1)]
-    )
+    cost = np.array([np.mean((np.roll(after, -shift)[kept] - before[kept]) ** 2) for shift in range(-reach, reach + 1)])
     best = int(np.argmin(cost))
     if not 0 < best < 2 * reach:
         return float("nan")

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from handctl.controller.types import TickIn, TickOut
 from handctl.log.reader import RunLog
 from handctl.output import save_figure
+from handctl.replay.compare import size
 
 Array = NDArray[np.float64]
 LOGGED, OTHER = "#3b6fb6", "#d9822b"
@@ -45,16 +46,9 @@ def summary(log: RunLog, commands: Commands) -> dict[str, dict[str, dict[str, fl
     torque = commands.torque - log.field("motor_torque_goal")
     tension = commands.tension - log.field("tension_goal")
     return {
-        "motor_torque_N_m": {name: _size(torque[:, i]) for i, name in enumerate(log.header.motors)},
-        "tension_N": {name: _size(tension[:, i]) for i, name in enumerate(log.header.tendons)},
+        "motor_torque_N_m": {name: size(torque[:, i]) for i, name in enumerate(log.header.motors)},
+        "tension_N": {name: size(tension[:, i]) for i, name in enumerate(log.header.tendons)},
     }
-
-
-def _size(change: Array) -> dict[str, float]:
-    known = change[~np.isnan(change)]
-    if not known.size:
-        return {"rms": float("nan"), "peak": float("nan")}
-    return {"rms": float(np.sqrt(np.mean(known**2))), "peak": float(np.abs(known).max())}
 
 
 def draw(path: Path, log: RunLog, commands: Commands, title: str) -> None:

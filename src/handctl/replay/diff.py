@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 from handctl.controller.types import Mode
+from handctl.log.moments import check_order
 from handctl.log.reader import RunLog
 from handctl.replay.compare import both, check_same_hand
 
@@ -21,7 +22,7 @@ class Part(NamedTuple):
 def parts(log: RunLog) -> list[Part]:
     """All phases in order; of several with one name the later ones are numbered: ``hold``, ``hold (2)``."""
     changes, found, seen = log.phases, [], dict[str, int]()
-    ends = [change.t_ns * 1e-9 for change in changes[1:]] + [float(log.times[-1]) if len(log) else 0.0]
+    ends = [change.t_ns * 1e-9 for change in changes[1:]] + log.times[-1:].tolist()
     for change, end in zip(changes, ends, strict=True):
         seen[change.name] = number = seen.get(change.name, 0) + 1
         found.append(Part(change.name if number == 1 else f"{change.name} ({number})", change.t_ns * 1e-9, end))
@@ -41,9 +42,12 @@ def diff(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
 
     Raises:
         IncomparableError: they are of different hands.
+        LogError: the ticks of one are not in order.
     """
     theirs = b.header.metadata
     check_same_hand(a, theirs.get("hand", "?"), theirs.get("identity", "?"), where)
+    for log in (a, b):
+        check_order(log.t_ns, log.header.period_ns)
     first, second = ({part.name: part for part in parts(log)} for log in (a, b))
     phases = {}
     for name, part in first.items():

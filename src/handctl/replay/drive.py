@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from handctl.controller.playback import PlaybackProgram, Recording
 from handctl.controller.types import Mode
 from handctl.errors import LogError
+from handctl.log.moments import check_order
 from handctl.log.reader import RunLog
 from handctl.replay.compare import both
 
@@ -21,8 +22,9 @@ def stretch(log: RunLog) -> tuple[float, float]:
     """Begin and end of what a run did while active, the taking up of slack left out [s].
 
     Raises:
-        LogError: the hand was never active.
+        LogError: the hand was never active, or its ticks are not in order.
     """
+    check_order(log.t_ns, log.header.period_ns)
     preparing = np.zeros(len(log), bool)
     changes = log.phases
     for i, change in enumerate(changes):

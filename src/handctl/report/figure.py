@@ -70,11 +70,23 @@ def _dress(grid: Any, late: list[Any], log: RunLog, hand: Hand) -> None:
         axes.grid(alpha=0.3)
         axes.margins(x=0)
         axes.tick_params(labelsize=8)
-    _phases(grid, log)
     acting = np.flatnonzero(np.isin(log.mode, (int(Mode.ACTIVE), int(Mode.RELAX))))
     if len(acting):
+        begin, end = max(0.0, log.times[acting[0]] - 0.2), log.times[acting[-1]] + 0.1
         for axes in (grid[0, 0], *late):
-            axes.set_xlim(max(0.0, log.times[acting[0]] - 0.2), log.times[acting[-1]] + 0.1)
+            axes.set_xlim(begin, end)
+        for row in (grid[0], grid[2]):
+            _fit(row, begin, end)
+    _phases(grid, log)
+
+
+def _fit(row: Sequence[Any], begin: float, end: float) -> None:
+    """Let the height of a row follow from what is seen of it: a hand that was let go falls far, later."""
+    lines = [line.get_data() for axes in row for line in axes.lines]
+    seen = np.concatenate([y[(x >= begin) & (x <= end)] for x, y in lines])
+    low, high = np.fmin.reduce(seen, initial=np.inf), np.fmax.reduce(seen, initial=-np.inf)
+    if low < high:
+        row[0].set_ylim(low - 0.05 * (high - low), high + 0.05 * (high - low))
 
 
 def _key(truth: bool) -> tuple[list[Any], list[str]]:

@@ -95,7 +95,7 @@ def _numbers(
     late = found["late_us"]
     rows = [
         ("ticks", f"{found['ticks']} at {found['rate_hz']:g} Hz, {found['missed']} missed"),
-        ("lateness p50 / p99.9 / max", f"{late['p50']:.0f} / {late['p99_9']:.0f} / {late['max']:.0f} us"),
+        ("lateness p50 / p99.9 / max", " / ".join(f"{us:.0f}" for us in late.values()) + " us" if len(log) else ""),
         ("gaps in the log", f"{len(log.gaps)}"),
         ("faults", _faults(log)),
         ("contacts", _contacts(log)),

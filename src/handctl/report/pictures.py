@@ -28,7 +28,9 @@ LEAST_FORCE_N, ARROW_M_PER_N = 0.2, 0.004
 def poses(log: RunLog, hand: Hand) -> str:
     """The hand in the middle of each phase in which it acts, and what the object does to its fingertips."""
     moments = _moments(log)
-    figure, grid = _figure(min(max(1, len(moments)), PER_ROW), 2.6, 2.9, -(-len(moments) // PER_ROW) or 1)
+    if not moments:
+        return "<p>The hand acts in no phase of this run.</p>"
+    figure, grid = _figure(min(len(moments), PER_ROW), 2.6, 2.9, -(-len(moments) // PER_ROW))
     digits = [DigitModel.of(hand, name) for name in hand.digit_names]
     q, force = log.field("q"), log.field("tip_force")
     limits = _limits(digits)
@@ -100,9 +102,10 @@ def _bar(axes: Any, limits: tuple[tuple[float, float], tuple[float, float]]) -> 
 def _moments(log: RunLog) -> list[tuple[str, int]]:
     """Name and tick index of the middle of each phase in which the hand acts."""
     changes = log.phases
-    ends = [change.k for change in changes[1:]] + [int(log.k[-1])]
+    ends = [change.k for change in changes[1:]] + log.k[-1:].tolist()
     middles = [(c.name, int(np.searchsorted(log.k, (c.k + end) // 2))) for c, end in zip(changes, ends, strict=True)]
-    return [(name, i) for name, i in middles if name not in QUIET and log.mode[i] == int(Mode.ACTIVE)][: 2 * PER_ROW]
+    inside = [(name, i) for name, i in middles if name not in QUIET and i < len(log)]  # of ticks in no order, too
+    return [(name, i) for name, i in inside if log.mode[i] == int(Mode.ACTIVE)][: 2 * PER_ROW]
 
 
 def lateness(log: RunLog) -> str:
@@ -124,7 +127,7 @@ def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
     """Share of each bus taken by the frames of the run over time, by their worst-case times.
 
     Returns:
-        picture, (buses,) largest share in a window of ``LOAD_WINDOW_S``.
+        picture, (buses,) largest share in a window of ``LOAD_WINDOW_S``, or of the run if that is shorter.
     """
     busy = np.zeros((len(log), len(hand.bus)))
     for i, tick in enumerate(log.ticks()):
@@ -133,9 +136,9 @@ def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
                 bus = hand.bus[frame.bus]
                 fd = bool(frame.flags & FDF)
                 busy[i, frame.bus] += frame_time_s(len(frame.data), fd, bus.bitrate, bus.data_bitrate)
-    window = max(1, round(LOAD_WINDOW_S * 1e9 / log.header.period_ns))
+    window = max(1, min(round(LOAD_WINDOW_S * 1e9 / log.header.period_ns), len(log)))
     kernel = np.ones(window) / (window * log.header.period_ns * 1e-9)
-    share = np.column_stack([np.convolve(column, kernel, "same") for column in busy.T])
+    share = np.column_stack([np.convolve(column, kernel, "same") for column in busy.T]) if len(log) else busy
     figure, (axes,) = _figure(1, 6.0, 2.2)
     for index, name in enumerate(hand.bus_names):
         axes.plot(log.times, 100 * share[:, index], color=COLOURS[index % len(COLOURS)], linewidth=0.9, label=name)

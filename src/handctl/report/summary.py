@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 
 SETTLED_S = 0.5
 """Time after the goals of a hold have stopped moving before it is judged."""
+STEADY_N = 1.0
+"""A hold with a stiffness has goals that follow the encoders' noise in every tick: this near to its end they stand."""
 
 
 def summarise(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> dict[str, Any]:
@@ -65,19 +67,28 @@ def rms(values: Array) -> float:
 
 def hold_windows(log: RunLog) -> list[NDArray[np.bool_]]:
     """For each hold, (ticks,) where it is settled: a digit is in contact, and no goal has moved for a while."""
-    goal = log.field("tension_goal")
+    goal = np.nan_to_num(log.field("tension_goal"))
     held = log.field("contact").any(axis=1)
-    moving = np.abs(np.diff(np.nan_to_num(goal), axis=0, prepend=np.nan_to_num(goal[:1]))).max(axis=1) >= 1e-9
+    moving = np.abs(np.diff(goal, axis=0, prepend=goal[:1])).max(axis=1) >= 1e-9
     windows, changes = [], log.phases
     for i, change in enumerate(changes):
         if not change.name.startswith("hold"):
             continue
         end = changes[i + 1].k if i + 1 < len(changes) else log.k[-1] + 1
         inside = (log.k >= change.k) & (log.k < end)
-        last = np.flatnonzero(inside & moving)
-        start = log.times[last[-1] if len(last) else np.argmax(inside)] + SETTLED_S
-        windows.append(inside & held & (log.times >= start))
+        window = inside & held & _after(inside & moving, inside, log)
+        if not window.any() and inside.any():
+            far = np.abs(goal - goal[inside][-1]).max(axis=1) > STEADY_N
+            window = inside & held & _after(inside & far, inside, log)
+        windows.append(window)
     return windows
+
+
+def _after(moving: NDArray[np.bool_], inside: NDArray[np.bool_], log: RunLog) -> NDArray[np.bool_]:
+    """(ticks,) where a hold's goals have stood for a while."""
+    last = np.flatnonzero(moving)
+    settled: NDArray[np.bool_] = log.times >= log.times[last[-1] if len(last) else np.argmax(inside)] + SETTLED_S
+    return settled
 
 
 def mean_angles(hand: Hand, q: Array) -> Array:
