@@ -135,7 +135,7 @@ def _best(base: Gains, found: Found) -> Gains:
 def _judged(plan: Plan, gains: Gains) -> dict[str, Any]:
     """A job on the real plant, with noise that no search has seen, whatever the margins."""
     table = {"gains": gains.model_dump(by_alias=True), "seed": JUDGE_SEED, "must_keep_margins": False}
-    return plan.job({}, first=True) | table
+    return plan.job(0, {}) | table
 
 
 def _with_model(hand: Hand, model: HandModel) -> Score:

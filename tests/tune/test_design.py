@@ -57,9 +57,20 @@ def test_poles_are_where_they_were_asked_for(jamia: HandModel, hz: float) -> Non
     assert np.abs(poles) / (2.0 * math.pi) == pytest.approx([hz, hz], rel=0.03)
 
 
-def test_placed_poles_that_no_weights_have_are_refused(jamia: HandModel) -> None:
-    with pytest.raises(ValueError, match="no weights"):
-        placed(jamia, (PlantFactors(),), 5.0, 3.0, 1.0)
+@pytest.mark.parametrize(
+    ("hz", "damping", "right"),
+    [
+        ((5.0, 3.0), 1.0, "no weights .* above 22.1 Hz"),
+        ((6.0, 25.0), 0.7, "no weights .* more than 0.71"),
+        ((0.01, 60.0), 100.0, "position_error_m: 609.* 0.1$"),
+    ],
+)
+def test_placed_poles_that_no_weights_have_are_refused(
+    jamia: HandModel, hz: tuple[float, float], damping: float, right: str
+) -> None:
+    """In one line that says which would have some."""
+    with pytest.raises(ValueError, match=right):
+        placed(jamia, (PlantFactors(),), *hz, damping)
 
 
 def test_an_ensemble_is_never_narrower_than_service_makes_it() -> None:

@@ -74,6 +74,16 @@ def test_what_was_edited_by_hand_is_kept(store: GainsStore) -> None:
     assert store.rollback().gains == force(77.0)
 
 
+def test_a_history_with_a_gap_is_no_way_back(store: GainsStore) -> None:
+    for newtons in (21.0, 22.0, 23.0):
+        store.apply(force(newtons), Provenance())
+    store.rollback()
+    (store.history / "0002.toml").unlink()
+    with pytest.raises(ConfigError, match="number 2 is not in the history"):
+        store.rollback()
+    assert store.rollback(to=1).gains == force(21.0)
+
+
 def test_provenance_says_who_when_and_for_which_hand(store: GainsStore) -> None:
     told = store.apply(force(21.0), Provenance(study="s.db", log=("a.mcap",))).provenance
     assert (told.study, told.log, told.hand, told.identity, told.number) == ("s.db", ("a.mcap",), "jamia", "abc", 1)

@@ -1,9 +1,11 @@
 """Identification: parameters come back from hands that are not what their file says."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from benchmarks.identify import WITHIN, one, summary
 from handctl.cli.commission import write_calibration
@@ -14,8 +16,11 @@ from handctl.errors import ConfigError
 from handctl.hand.description import load_hand
 from handctl.hand.dynamics import DigitModel
 from handctl.tune.excitation import excitation, lift_off
+from handctl.tune.fit import NAMES
 from handctl.tune.fit_load import Bins, DigitLoad, LoadParameters
 from handctl.tune.fit_motor import HALF_S, _bend, _cumulative, _slope, _window
+from handctl.tune.identifiability import _why
+from handctl.tune.identify_figure import _parameters
 
 SEEDS = 100
 COVERED = 90
@@ -149,3 +154,38 @@ def test_what_is_tuned_is_the_hand_as_identified(tmp_path: Path) -> None:
     write_calibration(path, made)
     with pytest.raises(ConfigError, match="holds nothing identified"):
         subject("jamia", path)
+
+
+def test_a_delay_is_missed_by_its_own_measure() -> None:
+    """A delay of nothing is known as well as any: parts of its value say nothing."""
+    rows = np.ones((3, len(NAMES)))
+    assert _why(rows, "delay") == "the 95 % interval is wider than 0.5 ms to either side"
+    assert "50 % of the value" in _why(rows, "capstan")
+    assert "nothing in the data" in _why(0.0 * rows, "delay")
+
+
+def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
+    nominal = np.ones(len(NAMES))
+    known = dict.fromkeys(NAMES, 1.0) | {"capstan": 2.5, "torque_gain": 0.3}
+    fit = SimpleNamespace(values=known, half_widths=dict.fromkeys(NAMES, 0.1), problem=SimpleNamespace(nominal=nominal))
+    axis = Figure().subplots()
+    _parameters(axis, SimpleNamespace(fit=fit, judged=SimpleNamespace(names=("capstan", "torque_gain"))))
+    assert axis.get_xlim() == pytest.approx((0.2, 2.6))
+    rows = [*axis.get_yticks()]
+    assert min(rows) > min(axis.get_ylim())
+    assert max(rows) < max(axis.get_ylim())
+
+
+def test_a_run_that_tells_little_takes_nothing_away() -> None:
+    old = found(rope_stiffness=8e4, motor_inertia=1e-4, capstan=0.2).model_copy(
+        update={"covariance": ((4.0, 0.5, 0.25), (0.5, 1.0, 0.0), (0.25, 0.0, 9.0))}
+    )
+    new = found(motor_inertia=2e-4, torque_gain=0.9).model_copy(update={"log": ("b.mcap",)})
+    both = Identified.model_validate(new.beside(old).model_dump())
+    assert dict(zip(both.names, both.values, strict=True)) == {
+        "motor_inertia": 2e-4, "torque_gain": 0.9, "rope_stiffness": 8e4, "capstan": 0.2,
+    }  # fmt: skip
+    assert both.covariance == ((1e-6, 0, 0, 0), (0, 1e-6, 0, 0), (0, 0, 4.0, 0.25), (0, 0, 0.25, 9.0))
+    assert both.log == ("b.mcap", "a.mcap")
+    assert new.beside(None) is new
+    assert both.beside(old) is both

@@ -4,7 +4,7 @@ import os
 import signal
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +51,7 @@ def test_two_processes_find_what_one_finds(plan: Plan, found: Found, tmp_path: P
 def test_the_sampler_knows_which_trials_keep_their_margins(plan: Plan, found: Found, tmp_path: Path) -> None:
     """Those that were drawn at random, too; and Optuna has nothing to warn of."""
     search(plan, tmp_path / "study", Remembered(found), _nothing)
-    told = _study(plan, tmp_path / "study").trials
+    told = [one for one in _study(plan, tmp_path / "study").trials if one.state.is_finished()]
     assert [one.constraints for one in told] == [{"margins": one.score.shortfall} for one in found.trials]
     with warnings.catch_warnings():
         warnings.simplefilter("error", FutureWarning)
@@ -99,12 +99,74 @@ def test_an_interrupted_search_goes_on_to_the_same_end(plan: Plan, found: Found,
     assert seen == [1, 2, 3]
 
 
+class Quick:
+    """Scores that follow from the gains without a simulation."""
+
+    def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
+        for i, job in enumerate(jobs):
+            motion, tension = job["gains"]["motion"], job["gains"]["tension"]
+            parts = (motion["position_error_m"], tension["tension_error_N"], motion["speed_error_m_s"])
+            yield i, asdict(Score(*parts, 50.0, motion["disturbance_rejection"] - 0.8))
+
+    def close(self) -> None:
+        return
+
+
+@pytest.fixture(scope="module")
+def long(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Plan, Found, bytes]:
+    """A search beyond the random batches, with what it found and its journal."""
+    longer = replace(plan, trials=8 * RANDOM_BATCHES + 2, others=(Gains(motion=MotionGains(force_N=20.0)),))
+    path = tmp_path_factory.mktemp("study") / "whole"
+    return longer, search(longer, path, Quick(), _nothing), path.read_bytes()
+
+
+@pytest.mark.parametrize("share", [0.01, 0.03, 0.1, 0.25, 0.45, 0.6, 0.9, 0.99])
+def test_a_journal_that_ends_anywhere_goes_on_to_the_same_end(
+    long: tuple[Plan, Found, bytes], tmp_path: Path, share: float
+) -> None:
+    """Also while a batch is being asked, and in the middle of a line."""
+    longer, found, journal = long
+    path, lines = tmp_path / "study", journal.splitlines(keepends=True)
+    kept = int(share * len(lines))
+    path.write_bytes(b"".join(lines[:kept]) + lines[kept][:40])
+    assert search(longer, path, Quick(), _nothing) == found
+    assert search(longer, path, Quick(), _nothing) == found
+
+
+def test_a_search_that_is_made_longer_is_that_of_one_run(long: tuple[Plan, Found, bytes], tmp_path: Path) -> None:
+    longer, found, _ = long
+    assert len(search(replace(longer, trials=10), tmp_path / "study", Quick(), _nothing).trials) == 10
+    assert search(longer, tmp_path / "study", Quick(), _nothing) == found
+
+
+@pytest.mark.parametrize(
+    ("was", "now"),
+    [
+        (b'{"op_code":6', b'{"op_code":99'),
+        (b'{"op_code":4', b'[1]\n{"op_code":4'),
+        (b'"score"', b'"scare"'),
+        (b'"tracking_deg"', b'"tracking"'),
+        (b'{"op_code":0', b'{ "op_code":0'),
+    ],
+)
+def test_a_damaged_journal_is_refused_and_keeps_what_it_holds(
+    long: tuple[Plan, Found, bytes], tmp_path: Path, was: bytes, now: bytes
+) -> None:
+    longer, _, journal = long
+    damaged = journal.replace(was, now)
+    assert damaged != journal
+    (tmp_path / "study").write_bytes(damaged)
+    with pytest.raises(ConfigError, match="cannot be used"):
+        search(longer, tmp_path / "study", Quick(), _nothing)
+    assert (tmp_path / "study").read_bytes().startswith(damaged)
+
+
 @pytest.mark.nightly
 def test_the_death_of_a_worker_loses_nothing(plan: Plan, found: Found) -> None:
     crew = Processes(1)
     try:
         os.kill(crew.pids[0], signal.SIGKILL)
-        jobs = [plan.job(one.values, first=i == 0) for i, one in enumerate(found.trials)]
+        jobs = [plan.job(i, one.values) for i, one in enumerate(found.trials)]
         scores = {}
         for i, result in crew.scores(jobs):
             scores[i] = Score(**result)
@@ -150,6 +212,21 @@ def test_only_good_trials_are_chosen() -> None:
     assert found.best == best
     assert found.front == (1, 2)
     assert found.cost(first) == pytest.approx(1.0)
+
+
+def test_costs_are_those_of_the_first_good_trial_if_the_first_failed() -> None:
+    lost = Trial(0, {}, Score(1e3, 1e3, 1e3, 60.0, 0.0, "not taut"))
+    good = [Trial(1, {}, Score(1.0, 2.0, 3.0, 60.0, -0.1)), Trial(2, {}, Score(0.5, 1.0, 1.5, 60.0, -0.1))]
+    found = Found.of((lost, *good))
+    assert [found.cost(one) for one in good] == pytest.approx([1.0, 0.5])
+    assert found.best == good[1]
+
+
+def test_gains_outside_of_what_is_searched_are_what_the_first_trial_tried(plan: Plan) -> None:
+    bold = replace(plan, gains=Gains(motion=MotionGains(speed_error_m_s=0.01)))
+    assert bold.gains_of(0, within(bold.gains)) == bold.gains
+    assert bold.job(0, within(bold.gains))["gains"] == bold.gains.model_dump(by_alias=True)
+    assert bold.gains_of(1, within(bold.gains)).motion.speed_error_m_s == SPACE["motion.speed_error_m_s"].low
 
 
 def test_every_key_of_the_space_is_a_gain_and_the_packaged_ones_are_inside() -> None:

@@ -16,6 +16,8 @@ from functools import reduce
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
 from handctl.controller.motion_design import bearable, design_motion
+from handctl.document import validated
+from handctl.errors import ConfigError
 from handctl.tune.linear import LoopKind, PlantFactors, controller, joined, plant
 from handctl.tune.margins import Margins, all_margins, margins, worse
 
@@ -88,14 +90,21 @@ def with_poles(model: HandModel, kind: LoopKind, hz: float, damping: float) -> G
 
 
 def _checked(gains: Gains, **sections: dict[str, float]) -> Gains:
-    """The gains with other sections, bounds checked (pydantic's error is a ValueError)."""
-    return Gains.model_validate(gains.model_dump(by_alias=True) | sections)
+    """The gains with other sections.
+
+    Raises:
+        ValueError: one of them is out of its bounds.
+    """
+    try:
+        return validated(gains.model_dump(by_alias=True) | sections, Gains, "weights")
+    except ConfigError as error:
+        raise ValueError(str(error)) from None
 
 
 def _motion_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
     """force / error and force / speed error of one mass: d(s) = s^2 + 2 z w s + w^2."""
     mass = float((model.space.motor_mass + model.space.load_mass).mean())
-    return mass * w**2, mass * w * _root(4.0 * damping**2 - 2.0)
+    return mass * w**2, mass * w * _root(4.0 * damping**2 - 2.0, LEAST_DAMPING)
 
 
 def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
@@ -103,12 +112,17 @@ def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float,
     space = model.space
     m, k = float(space.motor_mass.mean()), float(space.stiffness.mean())
     a0, a1 = k / m, float((space.motor_damping + space.damping).mean()) / m
-    return _root(w**4 - a0**2) * m / k, m * _root(2.0 * a0 - a1**2 - 2.0 * w**2 * (1.0 - 2.0 * damping**2))
+    least = f"the tension loop's above {math.sqrt(a0) / (2.0 * math.pi):.1f} Hz, the rotor's own on its rope"
+    speed = 2.0 * a0 - a1**2 - 2.0 * w**2 * (1.0 - 2.0 * damping**2)
+    return _root(w**4 - a0**2, least) * m / k, m * _root(speed, LEAST_DAMPING)
 
 
-def _root(square: float) -> float:
+LEAST_DAMPING = "a damping of more than 0.71"
+
+
+def _root(square: float, right: str) -> float:
     if square <= 0.0:
-        raise ValueError("no weights have these poles")
+        raise ValueError(f"no weights have these poles; expected {right}")
     return math.sqrt(square)
 
 

@@ -128,10 +128,14 @@ def _before(entries: dict[int, Entry], present: GainsFile) -> int:
     """Number of the gains before the present ones; a rollback does not count as a step of its own.
 
     Raises:
-        ConfigError: the present ones are the packaged ones again.
+        ConfigError: the present ones are the packaged ones again, or the history has a gap there.
     """
     told = present.provenance
     while told.restores:
+        if told.restores not in entries:
+            raise ConfigError(
+                f"number {told.restores} is not in the history", "rollback", "handctl gains rollback --to N"
+            )
         told = entries[told.restores].file.provenance
     if told.restores == 0:
         raise ConfigError("the packaged gains are the first", "rollback", "handctl gains rollback --to N")

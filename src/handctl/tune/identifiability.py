@@ -80,7 +80,9 @@ def _excited(jacobian: Array, name: str) -> bool:
 def _why(jacobian: Array, name: str) -> str:
     if not _excited(jacobian, name):
         return "nothing in the data depends on it"
-    return f"the 95 % interval is wider than {100 * INFORMED:.0f} % of the value"
+    if name == "delay":
+        return f"the 95 % interval is wider than {1e3 * INFORMED * SCALE_DELAY_S:g} ms to either side"
+    return f"the 95 % interval is wider than {100 * INFORMED:.0f} % of the value to either side"
 
 
 def _never(fit: Fit, tendon: Tendon) -> list[str]:

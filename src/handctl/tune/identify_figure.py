@@ -104,15 +104,17 @@ def _parameters(axis: Any, found: Found) -> None:
     """Every identified parameter over what the hand file says, with its interval."""
     names = [name for name in UNITS if name != "delay"]
     values, widths, nominal = found.fit.values, found.fit.half_widths, found.fit.problem.nominal
+    least, most = 0.4, 1.6
     for row, name in enumerate(names):
         scale = nominal[NAMES.index(name)]
         known = name in found.judged.names
         color = MEASURED if known else WARN
         if known:
+            least = min(least, (values[name] - widths[name]) / scale)
+            most = max(most, (values[name] + widths[name]) / scale)
             axis.errorbar(values[name] / scale, row, xerr=widths[name] / scale, fmt="o", color=color, capsize=3)
         else:
             axis.text(1.0, row, "not identified", color=color, ha="center", va="center")
     axis.axvline(1.0, color=WARN, lw=0.8)
     axis.set_yticks(range(len(names)), names)
-    axis.set(title="over the hand file, 95 %", xlim=(0.4, 1.6))
-    axis.invert_yaxis()
+    axis.set(title="over the hand file, 95 %", xlim=(least, most), ylim=(len(names) - 0.5, -0.5))

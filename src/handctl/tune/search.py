@@ -1,8 +1,8 @@
 """The search for gains on the twin: Optuna asks in fixed batches and is told in order, so only the seed decides.
 
 Each batch has a sampler of its own, seeded by the study's seed and the batch's number. That makes the result the same
-for one process, several and a cluster, and lets a study that was interrupted go on where it stopped: trials that were
-asked and not told are asked again with the same values.
+for one process, several and a cluster, and lets a study that was interrupted go on where it stopped: a batch that was
+asked goes on with its open trials, one that was asked in part is asked anew.
 """
 
 import json
@@ -47,16 +47,19 @@ class Plan:
     trials: int
     others: tuple[Gains, ...] = ()
 
-    def job(self, values: Mapping[str, float], first: bool = False) -> dict[str, Any]:
+    def gains_of(self, number: int, values: Mapping[str, float]) -> Gains:
+        """Gains of a trial; those of the first may lie outside of what is searched."""
+        return with_values(self.gains, values, "study") if number else self.gains
+
+    def job(self, number: int, values: Mapping[str, float]) -> dict[str, Any]:
         """One trial for a worker; the first is simulated whatever its margins, to compare with."""
-        gains = self.gains if first else with_values(self.gains, values, "study")
         return {
             "hand": self.hand,
             "rate_hz": self.rate_hz,
-            "gains": gains.model_dump(by_alias=True),
+            "gains": self.gains_of(number, values).model_dump(by_alias=True),
             "plants": list(self.plants),
             "seed": self.seed,
-            "must_keep_margins": not first,
+            "must_keep_margins": number > 0,
         }
 
     @property
@@ -98,14 +101,19 @@ class Found:
     def of(trials: tuple[Trial, ...]) -> "Found":
         """Judge trials."""
         good = [one for one in trials if one.good]
-        scale = trials[0].score if trials and not trials[0].score.failure else (good[0].score if good else None)
-        best = min(good, key=lambda one: (one.score.cost(scale), one.number)) if good and scale else None
+        best = min(good, key=lambda one: (one.score.cost(_scale(trials)), one.number)) if good else None
         front = [one.number for one in good if not any(_beats(other.score, one.score) for other in good)]
         return Found(trials, best, tuple(front))
 
     def cost(self, trial: Trial) -> float:
-        """Cost of a trial in terms of the first."""
-        return trial.score.cost(self.trials[0].score)
+        """Cost of a trial in terms of the first; of the first good one if that failed."""
+        return trial.score.cost(_scale(self.trials))
+
+
+def _scale(trials: tuple[Trial, ...]) -> Score:
+    """What costs are multiples of."""
+    first, good = trials[0].score, (one.score for one in trials if one.good)
+    return next(good, first) if first.failure else first
 
 
 def _beats(one: Score, other: Score) -> bool:
@@ -138,39 +146,41 @@ def _study(plan: Plan, path: Path) -> Any:
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:
+        _mend(path)
         backend = JournalStorage(JournalFileBackend(str(path)))
         study = optuna.create_study(storage=backend, study_name=NAME, directions=["minimize"] * 3, load_if_exists=True)
-    except (OSError, ValueError, KeyError) as error:
+        _finished(study)
+    except (OSError, ValueError, LookupError, TypeError, AssertionError) as error:  # Optuna reads without looking
         raise ConfigError(f"cannot be used: {error}", str(path), "a new file, or a journal of `tune search`") from None
     if study.user_attrs.get("plan", plan.identity) != plan.identity:
         raise ConfigError(
             "holds another search", str(path), "the same hand, gains, rate, plants and seed, or a new file"
         )
     study.set_user_attr("plan", plan.identity)
-    if not study.trials:
-        for gains in (plan.gains, *plan.others):
-            study.enqueue_trial(within(gains))
-    _ask_again(study)
     return study
 
 
-def _ask_again(study: Any) -> None:
-    """Trials that an interruption left open: closed, and queued with the values they had."""
-    from optuna.trial import TrialState
+def _mend(path: Path) -> None:
+    """Take away a last line that was not written to its end, as by a power cut: Optuna would write on behind it.
 
-    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
-        if len(trial.params) == len(SPACE):
-            study.enqueue_trial(trial.params)
-        study.tell(trial.number, state=TrialState.FAIL)
+    Raises:
+        OSError: it cannot be read or written.
+        ValueError: it is no journal, and is left as it is.
+    """
+    if not path.is_file():
+        return
+    with path.open("r+b") as file:
+        content = file.read()
+        if content and not content.startswith(b'{"op_code":'):
+            raise ValueError("no journal")
+        file.truncate(content.rfind(b"\n") + 1)
 
 
 def _batch(study: Any, plan: Plan, crew: Workers, show: Callable[[Found], None]) -> None:
-    """Ask as many as the present batch lacks, compute, and tell in the order in which they were asked."""
+    """Compute what the present batch lacks, and tell in the order in which it was asked."""
     done = len(_finished(study))
-    study.sampler = _sampler(plan.seed, done // BATCH)
-    count = min(BATCH - done % BATCH, plan.trials - done)
-    asked = [study.ask(_distributions()) for _ in range(count)]
-    jobs = [plan.job(trial.params, first=done + i == 0) for i, trial in enumerate(asked)]
+    asked = _asked(study, plan, done)[: plan.trials - done]
+    jobs = [plan.job(done + i, trial.params) for i, trial in enumerate(asked)]
     scores: dict[int, dict[str, Any]] = {}
     told = 0
     for i, score in crew.scores(jobs):
@@ -181,9 +191,40 @@ def _batch(study: Any, plan: Plan, crew: Workers, show: Callable[[Found], None])
             show(Found.of(_finished(study)))
 
 
+def _asked(study: Any, plan: Plan, done: int) -> list[Any]:
+    """Open trials of the present batch: all of it is asked before any of it is told, whatever number is wanted now.
+
+    Who wants more later, or comes after an interruption, so finds those that one run would have asked.
+    """
+    from optuna.trial import Trial as Asked
+    from optuna.trial import TrialState
+
+    count = BATCH - done % BATCH
+    still_open = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
+    if len(still_open) == count and all(len(one.params) == len(SPACE) for one in still_open):
+        return [Asked(study, one._trial_id) for one in still_open]
+    _forget(study)
+    if done == 0:
+        for gains in (plan.gains, *plan.others):
+            study.enqueue_trial(within(gains))
+    study.sampler = _sampler(plan.seed, done // BATCH)
+    return [study.ask(_distributions()) for _ in range(count)]
+
+
+def _forget(study: Any) -> None:
+    """Close what is queued or open."""
+    from optuna.trial import TrialState
+
+    while study.get_trials(deepcopy=False, states=(TrialState.WAITING,)):
+        study.ask()
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+        study.tell(trial.number, state=TrialState.FAIL)
+
+
 def _tell(study: Any, trial: Any, score: Score) -> None:
     trial.set_user_attr("score", asdict(score))
-    trial.set_constraint("margins", score.shortfall)
+    if not trial.constraints:  # it has them if an interruption came between the next line and this one
+        trial.set_constraint("margins", score.shortfall)
     study.tell(trial, list(score.objectives))
 
 
