@@ -46,6 +46,16 @@ def bus() -> Iterator[PythonCanBus]:
     opened.close()
 
 
+def test_what_an_adapter_has_sent_itself_is_not_received(bus: PythonCanBus) -> None:
+    """A gs_usb tells every frame that went out as one that came in: it would be a second controller's."""
+    bus._bus.shutdown()
+    bus._bus = can.Bus("broken", interface="virtual", receive_own_messages=True)
+    with can.Bus("broken", interface="virtual") as other:
+        bus.send([Frame(1, b"mine")])
+        other.send(can.Message(arbitration_id=0x11, data=b"yours", is_extended_id=False))
+        assert [(frame.can_id, frame.data) for frame in bus.drain()] == [(0x11, b"yours")]
+
+
 @pytest.mark.parametrize(
     ("error", "sending", "reading"),
     [

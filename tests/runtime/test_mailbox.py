@@ -11,9 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from handctl.cli.main import main
 from handctl.errors import BusError
-from handctl.runtime.mailbox import LARGEST, PER_TICK, Mailbox, Watcher, answers, send_request
+from handctl.runtime.mailbox import LARGEST, PER_TICK, Mailbox, Watcher, answers, held, send_request
 from handctl.runtime.places import local_bus_path, mailbox_path, run_dir, truth_path
+from tests.drives.protocol_bench import hand_file, on_two_buses
 
 
 @pytest.fixture(autouse=True)
@@ -73,6 +75,30 @@ def test_a_second_controller_is_refused_and_disturbs_nothing() -> None:
     again = Mailbox("local:x")
     again.close()
     other.close()
+
+
+def test_a_further_bus_of_a_hand_is_held_as_its_first_one_is() -> None:
+    with held("local:x"):
+        for other in (held("local:x"), held("local:x")):
+            with pytest.raises(BusError, match="another controller runs here"), other:
+                pass
+        with pytest.raises(BusError, match="another controller runs here"):
+            Mailbox("local:x")
+    with held("local:x"):
+        pass
+
+
+def test_a_hand_whose_second_bus_has_a_controller_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    hand, box = on_two_buses(hand_file(tmp_path, ["mit"])), Mailbox("local:y")
+    words = ["--hand", str(hand), "--bus", "main=local:x", "--bus", "second=local:y"]
+    assert main(["commission", *words, "--json"]) == 1
+    assert "bus local:y: another controller runs here" in capsys.readouterr().err
+    box.close()
+    assert main(["commission", *words, "--json"]) == 1
+    assert "local:x: nobody serves this bus" in capsys.readouterr().err
 
 
 def test_a_killed_controller_leaves_no_lock(folder: Path) -> None:

@@ -58,7 +58,7 @@ def check_spec(spec: str) -> None:
         ConfigError: no kind, no channel, or a local bus whose name is no plain one.
     """
     kind, _, channel = spec.partition(":")
-    if not kind or not channel:
+    if not kind or not channel or "=" in kind:
         raise ConfigError("is no bus", repr(spec), "local:NAME, socketcan:can0 or another python-can INTERFACE:CHANNEL")
     if kind == "local" and ("/" in channel or channel.startswith(".")):
         raise ConfigError("is no name of a bus", repr(spec), "a plain name, as in local:demo")

@@ -7,6 +7,7 @@ before the error travels on.
 
 import gc
 import signal
+import time
 from array import array
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,6 +26,13 @@ Tick = Callable[[S, TickIn], tuple[S, TickOut]]
 """The pure function of one tick."""
 
 
+CUT_TRIES, CUT_PAUSE_S = 20, 1e-3
+"""How often the last cut is sent to an interface that refuses it, and the pause between: a frame takes 0.1 ms."""
+
+KEPT = 1 << 18
+"""Ticks whose lateness is kept in memory: 2 MiB, however long a run is; its memory may be locked."""
+
+
 class LoopBus(Protocol):
     """What the loop asks of a bus; see ``runtime.bus``."""
 
@@ -40,7 +48,7 @@ class LoopStats:
     Attributes:
         ticks: ticks run.
         missed: deadlines skipped.
-        late_ns: lateness of every tick [ns].
+        late_ns: lateness of the last ``KEPT`` ticks, in no order once there were more [ns]; the log has it of all.
         frames_tx, frames_rx: frames sent and received.
         refused: frames that the bus did not take.
     """
@@ -128,18 +136,28 @@ class Loop(Generic[S]):
         try:
             return self._run(state)
         except Exception:
-            self._let_go(list(enumerate(self.buses)))
+            self._let_go()
             raise
 
-    def _let_go(self, buses: list[tuple[int, LoopBus]]) -> None:
-        """Cut on every bus, also behind one that fails."""
-        if not buses:
+    def _let_go(self) -> None:
+        """Cut on every bus; what finds a queue full of the last tick's commands goes out as soon as there is room."""
+        alone = len(self.buses) == 1
+        left = [(bus, [f for f in self.cut if f.bus == index or alone]) for index, bus in enumerate(self.buses)]
+        for _ in range(CUT_TRIES):
+            self._cut(left)
+            if not any(frames for _, frames in left):
+                return
+            time.sleep(CUT_PAUSE_S)
+
+    def _cut(self, left: list[tuple[LoopBus, list[Frame]]]) -> None:
+        """Send on every bus, also behind one that fails, and keep what was not taken."""
+        if not left:
             return
-        (index, bus), *others = buses
+        (bus, frames), *others = left
         try:
-            bus.send([frame for frame in self.cut if frame.bus == index or len(self.buses) == 1])
+            del frames[: bus.send(frames)]
         finally:
-            self._let_go(others)
+            self._cut(others)
 
     def _warm_up(self, state: S) -> None:
         """Run a tick for nothing, so that what is built or imported at first use does not make the first one late."""
@@ -180,7 +198,10 @@ class Loop(Generic[S]):
 
     def _count(self, entry: TickIn, skipped: int, late: int) -> None:
         stats = self.stats
+        if stats.ticks < KEPT:
+            stats.late_ns.append(late)
+        else:
+            stats.late_ns[stats.ticks % KEPT] = late
         stats.ticks += 1
         stats.missed += skipped
-        stats.late_ns.append(late)
         stats.frames_rx += len(entry.frames)

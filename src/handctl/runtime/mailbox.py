@@ -11,7 +11,7 @@ import os
 import socket
 import time
 from collections.abc import Iterator
-from pathlib import Path
+from contextlib import contextmanager
 from typing import Any
 
 from handctl.errors import BusError
@@ -40,17 +40,12 @@ class Mailbox:
         """
         self.path = mailbox_path(name)
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-            self._lock = _locked(self.path.with_suffix(".lock"))
+            self._lock = _taken(name)
             self.path.unlink(missing_ok=True)
             self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
             self.socket.bind(str(self.path))
-        except BlockingIOError:
-            right = "one controller a bus: handctl stop"
-            raise BusError("another controller runs here", f"bus {name}", right) from None
         except OSError as error:
-            right = "a short path of a folder that can be written in HANDCTL_RUN_DIR"
-            raise BusError(f"cannot take requests there: {error}", str(self.path.parent), right) from None
+            raise _refused(name, error) from None
         self.socket.setblocking(False)
         self.watchers: list[str] = []
 
@@ -87,12 +82,39 @@ class Mailbox:
         os.close(self._lock)
 
 
-def _locked(path: Path) -> int:
-    """Descriptor of a lock that lives as long as this process, however it ends.
+@contextmanager
+def held(name: str) -> Iterator[None]:
+    """Keep other controllers off a further bus of a hand, on which none takes requests.
+
+    Raises:
+        BusError: another controller uses it.
+    """
+    try:
+        lock = _taken(name)
+    except OSError as error:
+        raise _refused(name, error) from None
+    try:
+        yield
+    finally:
+        os.close(lock)
+
+
+def _refused(name: str, error: OSError) -> BusError:
+    """Why a bus cannot be had."""
+    if isinstance(error, BlockingIOError):
+        return BusError("another controller runs here", f"bus {name}", "one controller a bus: handctl stop")
+    right = "a short path of a folder that can be written in HANDCTL_RUN_DIR"
+    return BusError(f"cannot take requests there: {error}", str(mailbox_path(name).parent), right)
+
+
+def _taken(name: str) -> int:
+    """Descriptor of a bus's lock, which lives as long as this process, however it ends.
 
     Raises:
         BlockingIOError: another process has it.
     """
+    path = mailbox_path(name).with_suffix(".lock")
+    path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

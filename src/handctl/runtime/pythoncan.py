@@ -117,7 +117,7 @@ class PythonCanBus:
     def _take(self, frames: list[Frame], message: can.Message) -> None:
         if message.is_error_frame:
             self._events.error_frame(message.arbitration_id, bytes(message.data))
-        else:
+        elif message.is_rx:  # gs_usb and cantact give back, too, what they have sent
             frames.append(frame_of(message, self._index, self._stamp(time.monotonic_ns())))
 
     def send(self, frames: Sequence[Frame]) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.errors import BusError, ConfigError
+from handctl.runtime.bus import check_spec
 from handctl.runtime.places import faults_path, run_dir
 
 PATIENCE_S = 5.0
@@ -18,8 +19,10 @@ def find_simulator(bus: str | None) -> Path:
 
     Raises:
         BusError: there is none, or several and no bus is named.
+        ConfigError: that is no bus.
     """
     if bus is not None:
+        check_spec(bus)
         return faults_path(bus)
     found = sorted(run_dir().glob("*.faults"))
     if len(found) != 1:
