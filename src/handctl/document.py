@@ -71,6 +71,9 @@ def _line(error: ValidationError, model: type[BaseModel], content: Mapping[str, 
     if detail["type"] == "missing":
         return ConfigError("missing", where, "this key")
     value = detail["input"]
+    if detail["type"] == "union_tag_invalid":
+        key = detail["ctx"]["discriminator"].strip("'")
+        return ConfigError(shown(value[key]), f"{where}.{key}", "one of " + detail["ctx"]["expected_tags"])
     what = "a table" if isinstance(value, Mapping) else shown(value)
     return ConfigError(what, where, detail["msg"].removeprefix("Input should be ").removeprefix("Value error, "))
 

@@ -30,6 +30,10 @@ class DriveError(HandctlError):
     """A motor drive or sensor node that is missing, refuses, or is not what the hand file says."""
 
 
+class PowerError(DriveError):
+    """A drive that did not confirm that it is disabled: somebody must remove its power."""
+
+
 class LogError(HandctlError):
     """A log that cannot be read, or that does not belong to this hand."""
 

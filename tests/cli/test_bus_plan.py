@@ -1,6 +1,7 @@
 """``handctl bus plan``: what it computes, and that a split it proposes really fits."""
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -9,7 +10,7 @@ from handctl.cli.main import main
 from handctl.controller.bus_load import bus_loads, split
 from handctl.controller.setup import make_drives
 from handctl.drives.load import MOST, bus_time_s
-from handctl.hand.description import load_hand
+from handctl.hand.description import hand_path, load_hand
 
 
 def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) -> None:
@@ -94,3 +95,18 @@ def test_the_runner_refuses_what_does_not_fit(capsys: pytest.CaptureFixture[str]
     words = ["run", "--hand", "jamia11", "--bus", "local:nobody", "--rate", "500", "--dry-run"]
     assert main(words) == 2
     assert "bus main would be" in capsys.readouterr().err
+
+
+def test_a_bus_too_slow_for_the_watchdogs_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The rate that nobody asked for, too: at 20 Hz one tick is as long as a watchdog of 50 ms."""
+    slow = tmp_path / "slow.toml"
+    slow.write_text(hand_path("jamia11").read_text().replace("1_000_000", "125_000"))
+    assert main(["run", "--hand", str(slow), "--bus", "local:nobody", "--dry-run"]) == 2
+    assert "the buses carry 20; expected at least 40, for the drives' watchdogs" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("bus", "code"), [("socketcan:can0", 2), ("pcan:PCAN_USBBUS1", 2), ("socketcan:vcan0", 0)])
+def test_real_motors_are_not_run_in_slow_motion(bus: str, code: int, capsys: pytest.CaptureFixture[str]) -> None:
+    """A loop designed for 2 ms that comes every 20 swings a real hand up."""
+    assert main(["run", "--hand", "jamia", "--bus", bus, "--time-scale", "0.1", "--dry-run"]) == code
+    assert ("may have real motors; expected 1, or" in capsys.readouterr().err) == bool(code)

@@ -1,10 +1,15 @@
 """``handctl conformance`` against drives in another process: what it says, what it leaves behind, how it ends."""
 
 import json
+import threading
 
 import pytest
 
 from handctl.cli.main import main
+from handctl.drives.frame import Frame
+from handctl.drives.mit_codec import encode_torque
+from handctl.runtime.local import LocalBus
+from handctl.runtime.mailbox import Mailbox
 from tests.drives.bench_process import drives
 
 WORDS = ["conformance", "--bus", "local:c", "--torque-limit-Nm", "0.1"]
@@ -66,3 +71,33 @@ def test_a_drive_that_is_not_there_is_said(capsys):
     with drives("local:c", "odrive", "--ids", "3"):
         assert main([*WORDS, "--drive", "odrive", "--node", "4", "--yes"]) == 1
     assert "no odrive 4; there is odrive 3" in capsys.readouterr().err
+
+
+def test_a_drive_that_another_host_has_is_left_alone(capsys):
+    """A CubeMars motor answers orders only, so nothing is asked before the first one: it must be listened to."""
+    with drives("local:c", "cubemars", "--ids", "33"):
+        other, over = LocalBus("c", 0, int), threading.Event()
+        heard = []
+
+        def command():
+            while not over.wait(0.01):
+                other.send([Frame(33, encode_torque(0.0, 18.0))])
+                heard.extend(other.drain())
+
+        host = threading.Thread(target=command)
+        host.start()
+        try:
+            code = main([*WORDS, "--drive", "cubemars", "--node", "33", "--yes", "--option", "motor_type='ak80-9'"])
+        finally:
+            over.set()
+            host.join()
+            other.close()
+    assert (code, heard != []) == (1, True)
+    assert "another host is at work on this bus" in capsys.readouterr().err
+
+
+def test_a_bus_on_which_a_controller_runs_is_left_alone(capsys):
+    box = Mailbox("local:c")
+    assert main([*WORDS, "--drive", "mit", "--node", "2", "--yes"]) == 1
+    box.close()
+    assert "another controller runs here" in capsys.readouterr().err

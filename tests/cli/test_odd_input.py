@@ -1,5 +1,6 @@
 """Files that are none and numbers that are none: one line, exit code 2, for every verb that takes them."""
 
+import json
 import os
 
 import pytest
@@ -57,6 +58,15 @@ def test_a_truth_that_is_a_pipe_is_not_waited_for(place, capsys):
     assert "not a file" in refused(capsys, "report", str(golden), "--truth", "truth")
 
 
+def test_a_truth_of_another_time_is_refused(place, capsys):
+    golden = HANDS.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
+    header = {"columns": ["q/index_j1"]}
+    row = (10**13).to_bytes(8, "little") + bytes(8)
+    (place / "run.truth").write_bytes(json.dumps(header).encode() + b"\n" + row)
+    assert "of another time" in refused(capsys, "report", str(golden), "--truth", "run.truth", "--output", "x.html")
+    assert not (place / "x.html").exists()
+
+
 @pytest.mark.parametrize("name", ["n" * 300, "odd/x", "loop"])
 @pytest.mark.parametrize("what", [what for what in READS if what != "scene"])
 def test_a_name_that_cannot_be(place, capsys, what, name):
@@ -96,6 +106,12 @@ def test_a_number_that_is_none(capsys, words):
     assert words[-1].partition("=")[0] in refused(capsys, *words)
 
 
+def test_a_campaign_of_rows_that_nothing_is_tried_of(capsys):
+    """CiA 402 tells no temperature, and none of these is a success."""
+    words = ("fault", "campaign", "--protocol", "cia402", "--calm", "0", "--row", "N08", "--row", "N09")
+    assert "'N09'" in refused(capsys, *words)
+
+
 def test_an_option_of_a_drive_without_end(capsys):
     words = ("--drive", "odrive", "--node", "1", "--bus", "local:nobody", "--torque-limit-Nm", "0.1", "--dry-run")
     assert "--option" in refused(capsys, "conformance", *words, "--option", "gear_ratio=" + "9" * 5000)
@@ -115,6 +131,13 @@ def test_what_the_simulator_cannot_perturb_is_told_before_anything_is_begun(caps
     refused(capsys, "identify", "--lockstep", "--digits", "thumb", "--perturb", "luck=2")
 
 
+@pytest.mark.parametrize("verb", [("identify",), ("tune", "verify", "new.toml")], ids=" ".join)
+@pytest.mark.parametrize("words", [("--lockstep", "--perturb", "stiffness=nan"), (*BUS, "--perturb", "stiffness=2")])
+def test_what_makes_a_simulated_hand_another_one_is_never_ignored(place, capsys, verb, words):
+    (place / "new.toml").write_text("schema = 1\n")
+    assert "--perturb" in refused(capsys, *verb, *words, "--dry-run")
+
+
 BUSES = ["x", ":x", "local:", "local:../x", "local:a/b", "local:.x", "socketcan:", ""]
 
 
@@ -128,6 +151,12 @@ def test_a_bus_that_is_none_is_refused_before_anything_is_begun(place, capsys, b
         assert err.splitlines()[-1].startswith("handctl: ")
         assert "commissioning" not in err
     assert main(["conformance", *drive, "--yes", "--bus", bus]) == 2
+    capsys.readouterr()
+    fault = ("fault", "inject", "drop node=3")
+    for words in (("stop",), ("clear",), ("gains", "set", "motion.force_N=20"), ("fault", "list"), fault):
+        refused(capsys, *words, "--bus", bus)
+    for words in (("scan",), ("sim",), ("conformance", *drive)):
+        refused(capsys, *words, "--dry-run", "--bus", bus)
     assert list(place.iterdir()) == []
 
 
@@ -144,6 +173,15 @@ def test_a_controller_is_called_by_its_bus_whatever_it_is_named(capsys, bus):
     for words in (("stop",), ("clear",), ("gains", "set", "motion.force_N=20")):
         assert main([*words, "--bus", bus]) == 1
         assert "bus virtual:x=y: " in capsys.readouterr().err
+
+
+def test_buses_are_named_alike_in_every_verb(capsys):
+    for words in (("stop",), ("scan",), ("bus", "doctor")):
+        assert main([*words, "--bus", "main=local:nobody"]) == 1
+        out, err = capsys.readouterr()
+        assert "local:nobody" in out + err
+        assert "main=local:nobody" not in out + err
+        refused(capsys, *words, "--bus", "no name=local:nobody")
 
 
 def test_a_working_folder_that_has_gone(place, monkeypatch, capsys):

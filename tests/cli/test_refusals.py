@@ -89,7 +89,9 @@ def test_a_rate_that_the_bus_or_the_drives_cannot_stand(capsys, verb, rate):
 
 
 @pytest.mark.parametrize("verb", RUNS)
-@pytest.mark.parametrize("words", [("--time-scale", "0"), ("--time-scale", "nan"), ("--time-scale", "101")])
+@pytest.mark.parametrize(
+    "words", [("--time-scale", "0"), ("--time-scale", "1e-300"), ("--time-scale", "nan"), ("--time-scale", "101")]
+)
 def test_a_time_scale_out_of_range(capsys, verb, words):
     assert "--time-scale" in refused(capsys, verb, *BUS, *RUNS[verb], *words)
 

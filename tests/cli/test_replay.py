@@ -8,6 +8,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.hand.description import load_hand
+from handctl.replay.difference import Difference
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
 GRASP, OTHER = str(GOLDEN / "jamia-grasp.mcap"), str(GOLDEN / "jamia11-grasp.mcap")
@@ -19,6 +20,18 @@ def test_execute_tells_programs_what_it_found(capsys: pytest.CaptureFixture[str]
     assert found["ticks"] > 300
     assert found["undecided"] == 0
     assert {"differing", "first", "times_real_time", "version_logged"} <= found.keys()
+
+
+def test_numbers_of_another_machine_are_told_apart(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("handctl.replay.execute.same", lambda logged, numbers, out: logged.tick_in.k != 100)
+    found = Difference(100, 0.5, "nis", "index_tendon", 0.5, 0.5 + 1e-15, 9)
+    monkeypatch.setattr("handctl.replay.execute.differences", lambda *what: iter([found]))
+    assert main(["replay", "execute", GRASP]) == 1
+    assert "--within 1e-9" in capsys.readouterr().out
+    assert main(["replay", "execute", GRASP, "--within", "1e-9"]) == 0
+    assert "--within 1e-9" not in capsys.readouterr().out
 
 
 def test_other_gains_are_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -35,6 +48,12 @@ def test_gains_that_are_wrong_are_bad_input(tmp_path: Path, capsys: pytest.Captu
     gains.write_text("[motion]\nposition_error_m = -1\n")
     assert main(["replay", "execute", GRASP, "--gains", str(gains)]) == 2
     assert "position_error_m" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("more", [["--picture", "x.png"], ["--gains", "gains.toml", "--within", "1e-9"]])
+def test_an_option_that_would_do_nothing_is_refused(more: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", "execute", GRASP, *more]) == 2
+    assert "--gains" in capsys.readouterr().err
 
 
 def test_safety_names_the_reading(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -81,6 +100,26 @@ def test_check_and_a_cut_log(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert main(["log", "check", str(cut)]) == 3
     assert "not whole" in capsys.readouterr().out
     assert main(["replay", "execute", str(cut), "--within", "1e-9"]) == 0, "the prefix is executed"
+
+
+def test_info_is_for_a_person_s_eyes(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["log", "info", GRASP]) == 0
+    told = capsys.readouterr().out
+    assert max(map(len, told.splitlines())) < 120
+    assert "motion.force_N: " in told
+
+
+@pytest.mark.parametrize("verb", [["report"], ["log", "export", "--csv"], ["log", "diff", GRASP], ["replay", "safety"]])
+def test_what_was_made_from_a_part_of_a_log_says_so(
+    verb: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cut, limits = tmp_path / "cut.mcap", tmp_path / "limits.toml"
+    whole = Path(GRASP).read_bytes()
+    cut.write_bytes(whole[: len(whole) // 2])
+    limits.write_text("tension_trip_N = 20\n")
+    more = ["--limits", str(limits)] if verb[-1] == "safety" else []
+    assert main([*verb, str(cut), *more]) == 3
+    assert "cut.mcap: ends at byte" in capsys.readouterr().err
 
 
 class Page(HTMLParser):

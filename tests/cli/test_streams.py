@@ -6,11 +6,15 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import closing
 
 import pytest
 
 from handctl.cli.ended import Terminated, ended_by_signals
 from handctl.cli.main import main
+from handctl.cli.screen import screen
+from handctl.paper.pool import pool
+from handctl.tune.workers import Processes
 
 VERSION = (sys.executable, "-m", "handctl.cli", "--version")
 BUFFERED = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
@@ -32,9 +36,35 @@ def test_no_room_for_the_output_is_one_line(unbuffered):
     assert err.count("\n") == 1
 
 
-def test_nobody_who_reads_is_no_error():
-    code, out, err = shell("| true")
-    assert (code, out, err) == (0, "", "")
+@pytest.mark.parametrize("verb", [("config", "list"), ("paper", "--quick")])  # with print, and a table of rich
+def test_nobody_who_reads_is_no_error(verb):
+    read, write = os.pipe()
+    os.close(read)
+    command = (sys.executable, "-m", "handctl.cli", *verb)
+    ran = subprocess.run(command, env=BUFFERED, stdout=write, stderr=subprocess.PIPE, check=False)
+    os.close(write)
+    assert (ran.returncode, ran.stderr) == (0, b"")
+
+
+def test_progress_that_nobody_reads_ends_nothing(monkeypatch):
+    def gone(text):
+        raise BrokenPipeError
+
+    monkeypatch.setattr("sys.stderr.write", gone)
+    told = screen(error=True)
+    told.print("half of it")
+    told.print("the rest")
+
+
+def test_a_narrow_terminal_loses_nothing_of_a_table(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "40")
+    assert main(["paper", "--quick"]) == 0
+    assert "3 + 3 + 3 + 2 joints." in capsys.readouterr().out
+
+
+def test_the_name_of_a_file_is_no_markup(capsys):
+    screen().print("log: [bold]/x[/y]:warning:.mcap")
+    assert capsys.readouterr().out == "log: [bold]/x[/y]:warning:.mcap\n"
 
 
 @pytest.mark.parametrize("closed", [">&-", "<&-", "2>&-", ">&- 2>&- <&-"])
@@ -104,6 +134,20 @@ def test_a_search_that_is_interrupted_says_how_it_goes_on(monkeypatch, capsys):
     monkeypatch.setattr("handctl.cli.tune_search._designed", lambda *words: ())
     assert main(["tune", "search", "--plants", "1", "--json"]) == 143
     assert capsys.readouterr() == ("", "handctl: interrupted; the same command goes on with jamia.study\n")
+
+
+@pytest.mark.parametrize("workers", [lambda: closing(Processes(1)), lambda: pool(1, print)], ids=["search", "paper"])
+def test_the_ctrl_c_of_a_terminal_is_not_for_workers(monkeypatch, workers):
+    children = []
+    begin = subprocess.Popen
+
+    def started(*words, **options):
+        children.append(begin(*words, **options))
+        return children[-1]
+
+    monkeypatch.setattr("subprocess.Popen", started)
+    with workers():
+        assert [os.getsid(child.pid) for child in children] == [child.pid for child in children] != []
 
 
 def test_a_worker_of_the_paper_leaves_no_folder(place):

@@ -14,6 +14,7 @@ from handctl.cli.main import VERBS, main
 from handctl.log.reader import RunLog
 
 BUS = ("--bus", "local:does-not-exist")
+GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 def example(capsys, verb):
@@ -102,15 +103,29 @@ DRY_RUNS = {
     "jog": ("thumb", "--angle", "10", *BUS),
     "sim": BUS,
     "demo": ("--lockstep",),
+    "identify": BUS,
+    "replay drive": (str(GOLDEN), *BUS),
+    "scan": BUS,
+    "conformance": ("--drive", "mit", "--node", "1", "--torque-limit-Nm", "0.1", *BUS),
 }
 
 
 @pytest.mark.parametrize("verb", DRY_RUNS)
 def test_a_dry_run_opens_and_writes_nothing(place, capsys, verb):
-    assert main([verb, *DRY_RUNS[verb], "--dry-run"]) == 0
+    words = (*verb.split(), *DRY_RUNS[verb], "--dry-run")
+    assert main(words) == 0
     assert capsys.readouterr().out
+    code, said = spoken(capsys, *words)
+    assert code == 0
+    assert said
     assert not any(place.iterdir())
     assert not any(os.scandir(os.environ["HANDCTL_RUN_DIR"]))
+
+
+def test_a_dry_run_of_gains_tells_them(place, capsys):
+    Path("new.toml").write_text("schema = 1\n[motion]\nforce_N = 14\n")
+    code, said = spoken(capsys, "tune", "verify", "new.toml", "--lockstep", "--dry-run")
+    assert (code, said["gains"]) == (0, "new.toml")
 
 
 @pytest.fixture(scope="module")

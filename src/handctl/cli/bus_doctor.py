@@ -5,6 +5,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+from handctl.cli.buses import named_buses
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import print_json
 from handctl.drives.discovery import Found
@@ -12,7 +13,7 @@ from handctl.drives.registry import DISCOVERIES
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand, load_hand
 from handctl.hand.sections import Bus as BusSection
-from handctl.runtime.bus import Bus, check_spec, open_bus
+from handctl.runtime.bus import Bus, open_bus
 from handctl.runtime.link import NoTool, read_link
 from handctl.runtime.link_findings import WIRING, Finding, absent, findings
 from handctl.runtime.round_trip import RoundTrip, round_trip
@@ -47,10 +48,8 @@ def _wanted(args: argparse.Namespace, hand: Hand | None) -> Sequence[tuple[str, 
         from handctl.cli.plan import bus_specs  # it brings the whole controller along
 
         return tuple(zip(bus_specs(hand, args.bus), hand.bus, strict=True))
-    for spec in args.bus:
-        check_spec(spec)
     rates = {"bitrate": args.bitrate, "data_bitrate": args.data_bitrate}
-    return tuple((spec, BusSection(name=f"bus{i}", **rates)) for i, spec in enumerate(args.bus))
+    return tuple((spec, BusSection(name=name, **rates)) for name, spec in named_buses(args.bus).items())
 
 
 def _examined(spec: str, wanted: BusSection, hand: Hand | None) -> dict[str, Any]:

@@ -19,11 +19,11 @@ def run(args: argparse.Namespace) -> int:
     if args.table:
         _print_table() if not args.json else print_json({"rows": [row.numbers() for row in TABLE]})
         return Exit.DONE
-    hand = load_hand(args.hand or "jamia")
+    hand = load_hand("jamia" if args.hand is None else args.hand)
     loads = bus_loads(hand)
     rate = fastest(loads) if args.rate is None else args.rate
-    if not 0 < rate <= 10_000:
-        raise ConfigError(f"{rate:g}", "--rate", "more than 0, at most 10000 Hz")
+    if not 1 <= rate <= 10_000:
+        raise ConfigError(f"{rate:g}", "--rate", "1 to 10000 Hz")
     wrong = wrong_rates(hand, bus_specs(hand, args.bus)) if args.bus else []
     result = plan(hand, loads, rate) | {"wrong_bit_rates": wrong}
     if args.json:

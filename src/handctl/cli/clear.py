@@ -5,7 +5,8 @@ What a drive has latched after a controller died is cleared by ``handctl run --c
 
 import argparse
 
-from handctl.cli.options import bus_option, controller_bus, json_option, print_json
+from handctl.cli.buses import controller_bus
+from handctl.cli.options import bus_option, json_option, print_json
 from handctl.runtime.mailbox import send_request
 
 EXAMPLE = "handctl clear --help   # with a hand running on local:demo: handctl clear --bus local:demo"

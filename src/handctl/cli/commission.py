@@ -5,13 +5,14 @@ import datetime
 import sys
 from pathlib import Path
 
+from handctl.cli.dry_run import told
 from handctl.cli.options import print_json, run_options
 from handctl.cli.plan import Plan, calibration_path, default_log, make_plan
 from handctl.cli.session import Outcome, Runner, make_controller, run_live
 from handctl.controller.calibration import Calibration, load_calibration
 from handctl.controller.commission import CommissionProgram, result
 from handctl.controller.identified import Identified
-from handctl.errors import ConfigError, DriveError
+from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.toml_text import toml_text
 from handctl.output import write_whole
@@ -29,8 +30,8 @@ def run(args: argparse.Namespace) -> int:
     plan = make_plan(args)
     path = calibration_path(args, plan.hand)
     if args.dry_run:
-        print(f"{plan.hand.name}: ready to commission at {plan.rate_hz:g} Hz, would write {path}")
-        return 0
+        line = f"{plan.hand.name}: ready to commission at {plan.rate_hz:g} Hz, would write {path}"
+        return told(plan, line, calibration=path)
     log = args.log or default_log(plan.hand, "commission")
     calibration, outcome = commission(plan, log, run_live)
     calibration = calibration.model_copy(update={"identified": kept(path, plan.hand)})
@@ -54,12 +55,11 @@ def commission(plan: Plan, log: Path, runner: Runner) -> tuple[Calibration, Outc
         runner: how to run it.
 
     Raises:
-        DriveError: a tendon, sensor or drive did not pass.
+        DriveError: a tendon, sensor or drive did not pass; as ``Outcome.refuse_unfinished``.
     """
     controller = make_controller(plan, CommissionProgram(), None, arm_at_once=True)
     outcome = runner(plan, controller, log)
-    if outcome.state.failure or not outcome.state.progress.finished:
-        raise DriveError(outcome.state.failure or "stopped before the end", f"commissioning {plan.hand.name}")
+    outcome.refuse_unfinished(f"commissioning {plan.hand.name}")
     virtual = outcome.priority is None  # in lockstep there is no date, or no two runs would be the same
     now = VIRTUAL_DATE if virtual else datetime.datetime.now(datetime.UTC)
     return result(controller.model, outcome.state.progress, now.isoformat(timespec="seconds")), outcome

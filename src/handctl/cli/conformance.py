@@ -11,16 +11,18 @@ from handctl.cli.exit_codes import Exit
 from handctl.cli.options import bitrate_options, json_option, print_json
 from handctl.cli.scan import identified
 from handctl.drives.contract import Drive, Phase, Want
-from handctl.drives.discovery import Found
+from handctl.drives.discovery import LISTEN_S, Found
+from handctl.drives.frame import Frame
 from handctl.drives.mit import MitDrive
 from handctl.drives.registry import PROTOCOLS, make_drive
-from handctl.errors import BusError, ConfigError, DriveError
+from handctl.errors import BusError, ConfigError, DriveError, PowerError
 from handctl.hand.sections import Motor
-from handctl.runtime.bus import open_bus
+from handctl.runtime.bus import Bus, check_spec, open_bus
 from handctl.runtime.clock import RealClock, give_back_priority, take_priority
 from handctl.runtime.conformance import PROMISES, Check, Subject, Verdict, checks
 from handctl.runtime.drive_rig import PERIOD_NS, DriveRig
-from handctl.runtime.scan import scan
+from handctl.runtime.mailbox import held
+from handctl.runtime.scan import Scan, hear, scan
 
 EXAMPLE = "handctl conformance --drive odrive --node 3 --bus socketcan:can0 --torque-limit-Nm 0.1 --dry-run"
 WATCHDOG_MS = 100
@@ -31,6 +33,7 @@ DEFAULTS: dict[str, dict[str, Any]] = {"odrive": {"torque_feedback": True}, "cia
 """Options of a drive alone on a bench: nobody else sends SYNC."""
 NEEDED = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
 """What a CiA 402 drive may not tell; a wrong rated torque is refused when it is read back."""
+LEFT_ON = "the drive does not say that it is off: REMOVE ITS POWER"
 MARKS = {Verdict.PASSED: "passed", Verdict.FAILED: "FAILED", Verdict.NOT_APPLICABLE: "n/a   "}
 
 
@@ -54,6 +57,7 @@ def run(args: argparse.Namespace) -> int:
     options = DEFAULTS.get(args.drive, {}) | _options(args.option)
     if not (math.isfinite(args.limit) and 1e-3 <= args.limit <= TORQUE_TOP):
         raise ConfigError(f"{args.limit:g}", "--torque-limit-Nm", f"0.001 to {TORQUE_TOP:g}")
+    check_spec(args.bus)
     _drive(args, options, None)
     if args.dry_run:
         return _dry_run(args)
@@ -61,9 +65,10 @@ def run(args: argparse.Namespace) -> int:
     if not args.yes:
         raise ConfigError(warning, "", "--yes, once nothing and nobody is near it")
     _tell(f"{warning}. Ctrl-C lets go.")
-    found = _found(args)
-    drive = _drive(args, options, found)
-    results, off = _checked(args, drive, _restoring(drive, found))
+    with held(args.bus):
+        found = _found(args)
+        drive = _drive(args, options, found)
+        results, off = _checked(args, drive, _restoring(drive, found))
     failed = sum(check.verdict is Verdict.FAILED for check in results)
     if args.json:
         print_json(_plain(args, found, results, off))
@@ -72,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
         print("its watchdog and limits stay as they were set here until it is switched off")
         print(f"{passed} passed, {failed} failed, {len(results) - passed - failed} not applicable")
     if not off:
-        _tell("the drive does not say that it is off: REMOVE ITS POWER")
+        _tell(LEFT_ON)
         return Exit.REMOVE_POWER
     return Exit.FAILED if failed else Exit.DONE
 
@@ -130,11 +135,9 @@ def _found(args: argparse.Namespace) -> Found:
         DriveError: there is no such drive.
     """
     _tell(f"{args.bus}: looking for it")
-    if PROTOCOLS[args.drive].discovery is None:
-        return Found(args.drive, args.node)  # it answers orders only: whether it is there, the first check tells
     bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate)
     try:
-        result = scan(bus)
+        result = scan(bus) if PROTOCOLS[args.drive].discovery else _listened(args, bus)
     finally:
         bus.close()
     if result.foreign:
@@ -145,6 +148,17 @@ def _found(args: argparse.Namespace) -> Found:
     there = ", ".join(f"{node.protocol} {node.node_id}" for node in result.found) or "nothing"
     right = "its power, bit rate and number to be right"
     raise DriveError(f"no {args.drive} {args.node}; there is {there}", args.bus, right)
+
+
+def _listened(args: argparse.Namespace, bus: Bus) -> Scan:
+    """As a scan of a drive that answers orders only: what is heard on its identifier, another host has asked for.
+
+    Whether it is there at all, the first check tells.
+    """
+    seen: list[Frame] = []
+    hear(bus, LISTEN_S, seen)
+    foreign = tuple(frame for frame in seen if frame.can_id == args.node)
+    return Scan((Found(args.drive, args.node),), foreign, (), (), len(seen))
 
 
 def _restoring(drive: Drive, found: Found) -> Drive:
@@ -174,6 +188,8 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
             if off and restoring is not drive:
                 rig.take(restoring)
                 rig.until(Want.POLL, lambda state: state.phase == Phase.READY, 3.0)
+            if not off and len(results) < len(PROMISES):  # a person or a bug has ended it, and nobody else will tell
+                raise PowerError(LEFT_ON)
     finally:
         give_back_priority()
         bus.close()

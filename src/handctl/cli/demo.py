@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.commission import commission, write_calibration
+from handctl.cli.dry_run import told
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import dry_run_option, hand_option, json_option, wire_option, wire_words
 from handctl.cli.plan import Plan, default_log, find_task, make_plan
@@ -59,8 +60,8 @@ def run(args: argparse.Namespace) -> int:
     task, text = find_task(args.task, plan.hand)
     if args.dry_run:
         _peer(args, plan, None).close()
-        print(f"{plan.hand.name}: {task.name} on {args.scene}, {plan.rate_hz:g} Hz")
-        return 0
+        line = f"{plan.hand.name}: {task.name} on {args.scene}, {plan.rate_hz:g} Hz"
+        return told(plan, line, task=task.name, scene=args.scene)
     log = args.log or default_log(plan.hand, "demo")
     plan.attachments["task.toml"] = text
     started = time.monotonic()

@@ -12,6 +12,7 @@ import sys
 import time
 from typing import Any
 
+from handctl.cli.screen import screen
 from handctl.controller.types import Event, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 
@@ -111,15 +112,14 @@ def _plain(head: dict[str, Any]) -> None:
 
 def _drawn(head: dict[str, Any]) -> None:
     """The state in place, by rich."""
-    from rich.console import Console
     from rich.live import Live
 
-    console = Console()
+    console = screen()
     with Live(console=console, refresh_per_second=10, transient=True) as live:
         for text in sys.stdin:
             line = json.loads(text)
             for level, event in line["events"]:
-                live.console.print(f"{line['t']:8.3f} s  {level:<5}  {event}", highlight=False, markup=False)
+                live.console.print(f"{line['t']:8.3f} s  {level:<5}  {event}")
             live.update(_panel(head, line))
 
 

@@ -12,16 +12,18 @@ from handctl.campaign.campaign import Report
 from handctl.campaign.campaign import run as run_campaign
 from handctl.campaign.course import Course
 from handctl.campaign.page import lines, write_page
-from handctl.campaign.scenarios import ALL, MATRIX
+from handctl.campaign.scenarios import ALL, MATRIX, scenarios
+from handctl.campaign.stage import hand_in
 from handctl.campaign.trial import Result
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import hand_option, json_option, print_json
 from handctl.cli.plan import Plan, fastest
 from handctl.cli.run_header import run_header
+from handctl.cli.screen import screen
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gains import Gains
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand, load_hand
+from handctl.hand.description import Hand
 from handctl.log.record import pack
 from handctl.log.recorder import Recorder
 from handctl.output import write_whole
@@ -58,14 +60,17 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(repr(id_), "--row", "one of " + ", ".join(dict.fromkeys(row.id for row in MATRIX)))
     if args.calm is not None and not 0 <= args.calm <= CALM_MOST_S:
         raise ConfigError(f"{args.calm:g}", "--calm", f"0 to {CALM_MOST_S:g} s")
-    load_hand(args.hand)
+    protocols = ALL if args.protocol == "all" else (args.protocol,)
+    tried = {one.row.id for name in protocols for one in scenarios(hand_in(args.hand, name), name, 1.0)}
+    for id_ in sorted(set(args.row) - tried):
+        raise ConfigError(repr(id_), "--row", f"a row that this hand can be tried with by {args.protocol}")
     folder: Path = args.report or Path("logs") / "campaign"
     folder.mkdir(parents=True, exist_ok=True)
     calm_s = args.calm if args.calm is not None else QUICK_CALM_S if args.quick else CALM_S
     with _progress(args.json) as told:
         report = run_campaign(
             args.hand,
-            ALL if args.protocol == "all" else (args.protocol,),
+            protocols,
             rate_of,
             jobs=args.jobs,
             quick=args.quick,
@@ -117,10 +122,9 @@ def _keeper(folder: Path) -> Callable[[Course, Result], None]:
 @contextmanager
 def _progress(quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
     """Progress on standard error."""
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=Console(stderr=True), disable=quiet or not sys.stderr.isatty()) as progress:
+    with Progress(*columns, console=screen(error=True), disable=quiet or not sys.stderr.isatty()) as progress:
         task = progress.add_task("bringing the hand to its stages", total=None)
         yield lambda protocol, done, most: progress.update(task, completed=done, total=most, description=protocol)

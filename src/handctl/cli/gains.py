@@ -5,9 +5,10 @@ import json
 from pathlib import Path
 from typing import Any
 
+from handctl.cli.buses import controller_bus
 from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import assignments, gains_options, layered_gains
-from handctl.cli.options import bus_option, controller_bus, hand_option, json_option, print_json
+from handctl.cli.options import bus_option, hand_option, json_option, print_json
 from handctl.controller.gain_bounds import bounds, flat, with_values
 from handctl.controller.gains import Gains, Provenance, load_gains_file
 from handctl.errors import BusError, ConfigError

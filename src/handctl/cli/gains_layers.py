@@ -79,3 +79,13 @@ def assignments(words: Sequence[str], where: str) -> dict[str, float]:
         if not equals or not key or found[key] != found[key]:
             raise ConfigError(repr(word), where, "KEY=NUMBER, e.g. motion.force_N=25")
     return found
+
+
+def check_perturb(args: argparse.Namespace) -> None:
+    """Refuse what would not be obeyed, or be read only after a dry run has found all well.
+
+    Raises:
+        ConfigError: no KEY=NUMBER, or of a hand that is not simulated here.
+    """
+    if assignments(args.perturb, "--perturb") and not args.lockstep:
+        raise ConfigError("only with --lockstep", "--perturb", "a simulator with it: python -m firmware_sim --perturb")

@@ -8,15 +8,16 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.commission import commission, ensure_calibration, kept, write_calibration
+from handctl.cli.dry_run import told
 from handctl.cli.exit_codes import Exit
-from handctl.cli.gains_layers import assignments
-from handctl.cli.options import print_json, run_options
+from handctl.cli.gains_layers import assignments, check_perturb
+from handctl.cli.options import print_json, run_options, say
 from handctl.cli.plan import Plan, default_log, find_calibration, make_plan
 from handctl.cli.session import Outcome, Runner, make_controller, run_live, run_lockstep
 from handctl.controller.calibration import Calibration, load_calibration
 from handctl.controller.excite import ExciteProgram
 from handctl.controller.tick import Controller
-from handctl.errors import ConfigError, DriveError
+from handctl.errors import ConfigError
 from handctl.hand.description import Hand, hand_path, load_hand
 from handctl.log.reader import RunLog
 from handctl.replay.rebuild import logged_hand
@@ -45,17 +46,22 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Excite or read, fit, report, keep."""
+    given = sum(map(bool, (args.bus, args.lockstep, args.logs)))
+    if given != 1:
+        raise ConfigError(f"{given or 'none'} of them", "--bus, --lockstep, --from", "one of them")
+    check_perturb(args)
     if args.logs:
         return _from_logs(args)
-    if args.lockstep == bool(args.bus):
-        raise ConfigError("both" if args.bus else "neither", "--bus, --lockstep, --from", "one of them")
     plan = make_plan(args, lockstep=args.lockstep)
     program = ExciteProgram(excitation(plan.hand, tuple(args.digits or plan.hand.digit_names)))
     path, calibration, why = find_calibration(args, plan.hand)
+    if args.lockstep and not args.calibration:  # nothing of a simulated hand into what the real one is armed with
+        path = Path(f"{plan.hand.name}.lockstep.calibration.toml")
     total = sum(step.duration_s for step in program.steps)
     if args.dry_run:
-        print(f"{plan.hand.name}: would move {len({s.digit for s in program.steps})} digits for {total:.0f} s")
-        return Exit.DONE
+        digits = list(dict.fromkeys(step.digit for step in program.steps))
+        line = f"{plan.hand.name}: would move {len(digits)} digits for {total:.0f} s"
+        return told(plan, line, digits=digits, seconds=total, commissioning=why)
     log = args.log or default_log(plan.hand, "identify")
     about = f"exciting {plan.hand.name} for about {total:.0f} s, one digit at a time"
     if args.lockstep:
@@ -64,8 +70,7 @@ def run(args: argparse.Namespace) -> int:
         _say(about)
         known = calibration or ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))
         calibration, outcome = known, run_live(plan, make_controller(plan, program, known, arm_at_once=True), log)
-    if outcome.state.failure or not outcome.state.progress.finished:
-        raise DriveError(outcome.state.failure or "stopped before the end", f"identifying {plan.hand.name}, log {log}")
+    outcome.refuse_unfinished(f"identifying {plan.hand.name}, log {log}")
     with RunLog(log) as record:
         found = identify(record, plan.hand, _say)
     return _report(args, plan.hand, {log: found}, path, calibration)
@@ -123,7 +128,13 @@ def _from_logs(args: argparse.Namespace) -> int:
         with RunLog(log) as record:
             if logged_hand(record).identity != hand.identity:
                 raise ConfigError("is of another hand", str(log), f"a log of {hand.name} {hand.identity[:12]}")
-            found[log] = identify(record, hand, _say)
+            found[log] = {} if args.dry_run else identify(record, hand, _say)
+    if args.dry_run:
+        if args.json:
+            print_json({"hand": hand.name, "logs": list(map(str, found)), "calibration": str(path)})
+        else:
+            say(f"{hand.name}: would identify from {', '.join(map(str, found))}, and write {path}")
+        return Exit.DONE
     return _report(args, hand, found, path, calibration)
 
 
@@ -134,16 +145,16 @@ def _report(
     path: Path,
     calibration: Calibration | None,
 ) -> int:
-    """Pictures, the calibration, numbers."""
+    """The calibration, pictures, numbers."""
     made = now()
-    pictures = _pictures(hand, found, _say)
     known = kept(path, hand)
     for log, tendons in found.items():
         new = {name: one.identified(log, made) for name, one in tendons.items()}
-        known |= {name: one for name, one in new.items() if one is not None}
+        known |= {name: one.beside(known.get(name)) for name, one in new.items() if one is not None}
     written = calibration is not None and not args.no_write
     if calibration is not None and written:
         write_calibration(path, calibration.model_copy(update={"identified": known}))
+    pictures = _pictures(hand, found, _say)  # they go beside the logs: where they cannot, nothing else is lost
     if args.json:
         print_json(_told(found, pictures, path if written else None))
         return Exit.DONE

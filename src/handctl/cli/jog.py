@@ -3,7 +3,7 @@
 import argparse
 
 from handctl.cli.commission import ensure_calibration
-from handctl.cli.exit_codes import Exit
+from handctl.cli.dry_run import told
 from handctl.cli.options import print_json, run_options
 from handctl.cli.plan import default_log, find_calibration, make_plan
 from handctl.cli.session import make_controller, run_live
@@ -31,8 +31,8 @@ def run(args: argparse.Namespace) -> int:
     program = _program(args, plan.hand.digit_names, min(tendon.tension_max_N for tendon in plan.hand.tendon))
     path, calibration, why = find_calibration(args, plan.hand)
     if args.dry_run:
-        print(f"{plan.hand.name}: would jog {args.digit}" + (f", after commissioning: {why}" if why else ""))
-        return Exit.DONE
+        line = f"{plan.hand.name}: would jog {args.digit}" + (f", after commissioning: {why}" if why else "")
+        return told(plan, line, digit=args.digit, commissioning=why)
     log = args.log or default_log(plan.hand, "jog")
     if calibration is None:
         calibration = ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.exit_codes import Exit
-from handctl.cli.options import json_option, print_json, say
+from handctl.cli.options import json_option, print_json, say, tell_lossy
 from handctl.errors import LogError
 from handctl.log.reader import RunLog
 from handctl.output import whole
@@ -87,7 +87,8 @@ def _info(args: argparse.Namespace) -> int:
         print_json(result)
         return Exit.DONE if result["whole"] else Exit.LOSSY_LOG
     for key, value in result.items():
-        lines = value if isinstance(value, list) else [value]
+        table = [f"{name}: {one}" for name, one in value.items()] if isinstance(value, dict) else [value]
+        lines = value if isinstance(value, list) else table
         say(f"{key:<12} {lines[0] if lines else '-'}")
         for line in lines[1:]:
             say(f"{'':<12} {line}")
@@ -126,9 +127,10 @@ def _diff(args: argparse.Namespace) -> int:
 
     with RunLog(args.log) as a, RunLog(args.other) as b:
         result = diff(a, b, str(args.other))
+        code = max(tell_lossy(args.log, a.warning), tell_lossy(args.other, b.warning))
     if args.json:
         print_json({"logs": [str(args.log), str(args.other)], **result})
-        return Exit.DONE
+        return code
     for name, (one, two) in result["gains"].items():
         say(f"gain {name}: {one} and {two}")
     for which in ("only_in_first", "only_in_second"):
@@ -139,7 +141,7 @@ def _diff(args: argparse.Namespace) -> int:
         say(f"{name}: {first:.3f} s and {second:.3f} s")
         for signal, rows in phase.items():
             _rows(signal.partition("_")[2], rows)
-    return Exit.DONE
+    return code
 
 
 def _rows(unit: str, rows: dict[str, Any]) -> None:
@@ -154,11 +156,12 @@ def _export(args: argparse.Namespace) -> int:
         out = args.output or args.log.with_suffix(f".{args.format}")
         with whole(out, new=True) as part:
             count = _write(args, log, part)
+        code = tell_lossy(args.log, log.warning)
     if args.json:
         print_json({"log": str(args.log), "output": str(out), "count": count})
     else:
         say(f"{out}: {count} {UNITS.get(args.format, 'rows')}")
-    return Exit.DONE
+    return code
 
 
 def _write(args: argparse.Namespace, log: RunLog, out: Path) -> int:

@@ -11,7 +11,7 @@ from typing import Protocol
 from handctl.cli.ended import Terminated, ended_by_signals, give_bugs_a_code
 from handctl.cli.exit_codes import Exit
 from handctl.cli.streams import flush, give_up_output, make_usable
-from handctl.errors import ConfigError, HandctlError, IncomparableError, LogError
+from handctl.errors import ConfigError, HandctlError, IncomparableError, LogError, PowerError
 
 VERBS = {
     "demo": "close a simulated hand on an object and look at the run",
@@ -79,6 +79,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _say(error, Exit.NOT_COMPARABLE)
     except (ConfigError, LogError) as error:
         return _say(error, Exit.BAD_INPUT)
+    except PowerError as error:
+        return _say(error, Exit.REMOVE_POWER)
     except HandctlError as error:
         return _say(error, Exit.FAILED)
     except BrokenPipeError:

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import gains_options
 from handctl.hand.quantities import FASTEST_BUS, SLOWEST_BUS
 
@@ -43,12 +44,6 @@ def _bit_rate(word: str) -> int:
     return rate
 
 
-def controller_bus(args: argparse.Namespace) -> str:
-    """The bus by which a running controller is called: the first, without the name that a hand file gives it."""
-    head, equals, spec = args.bus[0].partition("=")
-    return spec if equals and ":" not in head else str(args.bus[0])
-
-
 def json_option(parser: argparse.ArgumentParser) -> None:
     """--json: machine-readable output on stdout, nothing else there."""
     parser.add_argument("--json", action="store_true", help="print the result as JSON on standard output")
@@ -70,7 +65,7 @@ def run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> N
     parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: by the bus load)")
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="default: HAND.calibration.toml")
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
-    parser.add_argument("--time-scale", type=float, default=1.0, metavar="X", help="run time per wall time")
+    parser.add_argument("--time-scale", type=float, default=1.0, metavar="X", help="simulated time per wall time")
 
 
 def say(text: str, error: bool = False) -> None:
@@ -78,6 +73,13 @@ def say(text: str, error: bool = False) -> None:
     from handctl.log.logfile import printable
 
     print(printable(text, LONGEST_LINE), file=sys.stderr if error else sys.stdout)
+
+
+def tell_lossy(path: Path, warning: str) -> Exit:
+    """Say why a log is not whole, if it is not; the exit code of a verb that could do its work on what is there."""
+    if warning:
+        say(f"handctl: {path}: {warning}", error=True)
+    return Exit.LOSSY_LOG if warning else Exit.DONE
 
 
 def wire_option(parser: argparse.ArgumentParser) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.exit_codes import Exit
+from handctl.cli.screen import screen
 from handctl.errors import ConfigError
 from handctl.hand.description import load_hand
 from handctl.hand.mjcf import mjcf
@@ -99,11 +100,10 @@ def _measured(jobs: int) -> dict[str, Any]:
 
 @contextmanager
 def _progress() -> Iterator[Callable[[Job, bool], None]]:
-    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=Console(stderr=True)) as progress:
+    with Progress(*columns, console=screen(error=True)) as progress:
         task = progress.add_task("starting the simulator", total=count())
 
         def told(job: Job, done: bool) -> None:
@@ -116,11 +116,10 @@ def _progress() -> Iterator[Callable[[Job, bool], None]]:
 
 def _table(parts: tuple[Section, ...]) -> None:
     """The items for a terminal."""
-    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    console = Console()
+    console = screen(least=80)
     for part in parts:
         if part.table:
             numbers = Table(*part.table[0])

@@ -23,6 +23,8 @@ from handctl.runtime.bus import check_spec
 TASKS = Path(__file__).parent.parent / "tasks"
 TICKS_IN_WATCHDOG = 2
 """Ticks in a drive's watchdog time, at least: one lost frame is no reason to let go."""
+SIMULATED = ("local:", "virtual:", "udp_multicast:", "socketcan:vcan", "socketcan:vxcan")
+"""Buses on which time may run otherwise: no real motor waits for a slower controller."""
 FRESH_S = 24 * 3600.0
 """A calibration older than this is not armed with: load cells drift and ropes creep."""
 
@@ -75,8 +77,12 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> Plan:
     loads = bus_loads(hand)
     rate = control_rate(args.rate, hand, loads)
     load = tuple(one.at(rate) for one in loads)
-    if not 0 < args.time_scale <= 100:
-        raise ConfigError(f"{args.time_scale:g}", "--time-scale", "more than 0, at most 100")
+    if not 0.001 <= args.time_scale <= 100:
+        raise ConfigError(f"{args.time_scale:g}", "--time-scale", "0.001 to 100")
+    real = [spec for spec in buses if not spec.startswith(SIMULATED)]
+    if args.time_scale != 1 and real:
+        right = "1, or a bus of simulated ones: local:NAME, socketcan:vcan0"
+        raise ConfigError(f"{args.time_scale:g}, and {real[0]} may have real motors", "--time-scale", right)
     _check_log(args.log)
     attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
     return Plan(hand, layers.gains, rate, load, buses, attachments, args.time_scale, args.json, args.clear)
@@ -91,8 +97,9 @@ def control_rate(asked: float | None, hand: Hand, loads: Sequence[BusLoad]) -> f
     best = fastest(loads)
     rate = best if asked is None else asked
     lowest = TICKS_IN_WATCHDOG * 1e3 / min(motor.watchdog_ms for motor in hand.motor)
-    if not lowest <= rate < math.inf and asked is not None:
-        raise ConfigError(f"{rate:g}", "--rate", f"at least {lowest:g}, for the drives' watchdogs")
+    if not lowest <= rate < math.inf:
+        what = f"{rate:g}" if asked is not None else f"the buses carry {rate:g}"
+        raise ConfigError(what, "--rate", f"at least {lowest:g}, for the drives' watchdogs")
     for name, load in zip(hand.bus_names, loads, strict=True):
         if load.at(rate) > MOST:
             what = f"bus {name} would be {100 * load.at(rate):.0f} % full at {rate:g} Hz"

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.commission import ensure_calibration
-from handctl.cli.exit_codes import Exit
-from handctl.cli.options import print_json, say
+from handctl.cli.dry_run import told
+from handctl.cli.options import print_json, say, tell_lossy
 from handctl.cli.plan import default_log, find_calibration, make_plan
 from handctl.cli.session import make_controller, run_live
 from handctl.log.reader import RunLog
@@ -23,9 +23,10 @@ def run(args: argparse.Namespace) -> int:
         program = playback(before, plan.period_ns * 1e-9, args.raw)
         path, calibration, why = find_calibration(args, plan.hand)
         begin, end = stretch(before)
+        tell_lossy(args.recorded, before.warning)
         if args.dry_run:
-            say(f"{plan.hand.name}: would drive {end - begin:.2f} s of {args.recorded} at {plan.rate_hz:g} Hz")
-            return Exit.DONE
+            line = f"{plan.hand.name}: would drive {end - begin:.2f} s of {args.recorded} at {plan.rate_hz:g} Hz"
+            return told(plan, line, log=args.recorded, seconds=end - begin, commissioning=why)
         log = args.log or default_log(plan.hand, "replay")
         if calibration is None:
             calibration = ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))

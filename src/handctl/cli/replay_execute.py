@@ -8,7 +8,7 @@ from typing import Any
 
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import print_json, say
-from handctl.errors import ConfigError
+from handctl.errors import ConfigError, LogError
 from handctl.output import check_output
 
 
@@ -18,6 +18,10 @@ def run(args: argparse.Namespace) -> int:
 
     if args.within is not None and not args.within >= 0:
         raise ConfigError(f"{args.within:g}", "--within", "0 or more")
+    if args.picture and not args.gains:
+        raise ConfigError("without --gains", "--picture", "--gains FILE")
+    if args.within is not None and args.gains:
+        raise ConfigError("together with --gains", "--within", "one of them")
 
     with RunLog(args.recorded) as log:
         if log.warning:
@@ -60,6 +64,8 @@ def _same(args: argparse.Namespace, log: Any) -> int:
         say(f"{found.wall_s:.2f} s, {found.times_real_time:.1f} times real time")
         if found.differing and logged_by != here:
             say("the log was written by handctl {}, code {}; this is handctl {}, code {}".format(*logged_by, *here))
+        if not good and not found.undecided and args.within is None:
+            say("all decisions are equal; if another machine wrote the log, --within 1e-9 tells whether that is all")
     return Exit.DONE if good else Exit.FAILED
 
 
@@ -86,6 +92,8 @@ def _other_gains(args: argparse.Namespace, log: Any) -> int:
     picture = args.picture or args.recorded.with_suffix(".gains.png")
     check_output(picture, "--picture")
     found = execute(log, load_gains(args.gains), commands.add)
+    if not found.ticks:
+        raise LogError("not one tick in it", str(args.recorded), "a run that commanded something")
     draw(picture, log, commands, f"{log.header.metadata['hand']}: {args.recorded.name} with {args.gains.name}")
     change = summary(log, commands)
     if args.json:

@@ -2,8 +2,7 @@
 
 import argparse
 
-from handctl.cli.exit_codes import Exit
-from handctl.cli.options import print_json, say
+from handctl.cli.options import print_json, say, tell_lossy
 from handctl.log.reader import RunLog
 from handctl.replay.limits import judge_again
 
@@ -12,14 +11,15 @@ def run(args: argparse.Namespace) -> int:
     """Judge again."""
     with RunLog(args.recorded) as log:
         found = judge_again(log, args.limits)
+        code = tell_lossy(args.recorded, log.warning)
     if args.json:
         stops = [stop._asdict() for stop in found.stops]
         counts = {"ticks": found.ticks, "stopped": found.stopped, "stopped_logged": found.stopped_logged}
         print_json({"log": str(args.recorded), **counts, "by_fault": found.by_fault, "stops": stops})
-        return Exit.DONE
+        return code
     say(f"{found.ticks} ticks; these limits stop {found.stopped}, the run's own {found.stopped_logged}")
     for stop in found.stops:
         also = "as in the run" if stop.logged else "new"
         place = f"tick {stop.k} ({stop.t_s:.3f} s)"
         say(f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {also}")
-    return Exit.DONE
+    return code

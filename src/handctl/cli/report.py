@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
-from handctl.cli.exit_codes import Exit
-from handctl.cli.options import json_option, print_json, say
+from handctl.cli.options import json_option, print_json, say, tell_lossy
+from handctl.errors import LogError
 from handctl.output import check_output
 
 EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl report run.mcap"
@@ -33,11 +33,14 @@ def run(args: argparse.Namespace) -> int:
     truth = read_truth(args.truth) if args.truth else None
     with RunLog(args.log) as log:
         out = args.output or args.log.with_suffix(".html")
-        offset = log.header.metadata.get(TRUTH_OFFSET, "0")
-        size = write_page(out, log, logged_hand(log), truth, int(offset) if offset.isdecimal() else 0, args.log.name)
-        lossy = bool(log.warning)
+        told = log.header.metadata.get(TRUTH_OFFSET, "0")
+        offset = int(told) if told.isdecimal() else 0
+        if truth and not truth.covers(log.t_ns + offset):
+            raise LogError("is of another time than the log", str(args.truth), "the truth of this run, in lockstep")
+        size = write_page(out, log, logged_hand(log), truth, offset, args.log.name)
+        code = tell_lossy(args.log, log.warning)
     if args.json:
         print_json({"log": str(args.log), "page": str(out), "bytes": size})
     else:
         say(f"{out}: {size / 1e6:.1f} MB")
-    return Exit.LOSSY_LOG if lossy else Exit.DONE
+    return code

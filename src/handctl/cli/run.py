@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.commission import ensure_calibration
-from handctl.cli.exit_codes import Exit
+from handctl.cli.dry_run import told
 from handctl.cli.options import print_json, run_options
 from handctl.cli.plan import Plan, default_log, find_calibration, find_task, find_trajectory, make_plan
 from handctl.cli.session import Outcome, make_controller, refuse_blind_view, run_live
@@ -39,7 +39,9 @@ def run(args: argparse.Namespace) -> int:
     program, attached = _program(args, plan)
     path, calibration, why = find_calibration(args, plan.hand)
     if args.dry_run:
-        return _dry(args, plan, why)
+        good = f"{plan.hand.name}: all files are good; {plan.rate_hz:g} Hz, bus load {100 * max(plan.load):.0f} %"
+        next_step = f"the hand would be commissioned first: {why}" if why else "the hand is commissioned"
+        return told(plan, good, next_step, commissioning=why)
     log = args.log or default_log(plan.hand)
     if calibration is None:
         calibration = ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))
@@ -60,23 +62,6 @@ def _program(args: argparse.Namespace, plan: Plan) -> tuple[Program, dict[str, b
         return LiveProgram(), {}
     task, text = find_task(args.task, plan.hand)
     return TaskProgram(task), {"task.toml": text}
-
-
-def _dry(args: argparse.Namespace, plan: Plan, why: str) -> int:
-    """Say what would be done."""
-    result: dict[str, Any] = {
-        "hand": plan.hand.name,
-        "rate_hz": plan.rate_hz,
-        "bus_load": max(plan.load),
-        "buses": list(plan.buses),
-        "commissioning": why,
-    }
-    if args.json:
-        print_json(result)
-    else:
-        print(f"{plan.hand.name}: all files are good; {plan.rate_hz:g} Hz, bus load {100 * max(plan.load):.0f} %")
-        print(f"the hand would be commissioned first: {why}" if why else "the hand is commissioned")
-    return Exit.DONE
 
 
 def report(result: dict[str, Any], outcome: Outcome, plan: Plan, as_json: bool) -> int:

@@ -3,16 +3,15 @@
 import argparse
 import dataclasses
 import sys
-from collections.abc import Sequence
 from typing import Any
 
+from handctl.cli.buses import named_buses
 from handctl.cli.exit_codes import Exit
 from handctl.cli.fragment import fragment
 from handctl.cli.options import bitrate_options, bus_option, json_option, print_json
 from handctl.drives import cia402_codec
 from handctl.drives.discovery import Found
 from handctl.drives.frame import REMOTE, Frame
-from handctl.errors import ConfigError
 from handctl.runtime.bus import open_bus
 from handctl.runtime.scan import Scan, all_questions, scan
 
@@ -33,7 +32,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Scan each bus; 1 if nothing was found."""
-    buses = _named(args.bus)
+    buses = named_buses(args.bus)
     if args.dry_run:
         return _show_questions(args.json)
     scans: dict[str, Scan] = {}
@@ -54,23 +53,6 @@ def run(args: argparse.Namespace) -> int:
 
 def _tell(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
-
-
-def _named(given: Sequence[str]) -> dict[str, str]:
-    """Specification by name: NAME=SPEC, or names that a hand file can have.
-
-    Raises:
-        ConfigError: a name twice, or none of a bus.
-    """
-    found: dict[str, str] = {}
-    for number, text in enumerate(given):
-        head, equals, spec = text.partition("=")
-        named = bool(equals) and ":" not in head
-        name = head if named else "main" if number == 0 else f"bus{number}"
-        if name in found or not (spec if named else text):
-            raise ConfigError(repr(text), "--bus", "SPEC, or NAME=SPEC with every name once")
-        found[name] = spec if named else text
-    return found
 
 
 def identified(found: tuple[Found, ...], spec: str, bitrate: int) -> tuple[Found, ...]:

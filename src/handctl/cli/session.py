@@ -18,6 +18,7 @@ from handctl.controller.program import Program
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.controller.types import IoEvent, TickIn, TickOut
+from handctl.errors import DriveError, PowerError
 from handctl.log.header import TRUTH_OFFSET
 from handctl.log.record import pack
 from handctl.log.recorder import Recorder
@@ -25,7 +26,7 @@ from handctl.runtime.bus import open_bus
 from handctl.runtime.clock import Clock, Priority, RealClock, give_back_priority, take_priority
 from handctl.runtime.lockstep import LockstepBus, LockstepClock
 from handctl.runtime.loop import Loop, LoopBus, LoopStats, Signals
-from handctl.runtime.mailbox import Mailbox
+from handctl.runtime.mailbox import Mailbox, held
 from handctl.runtime.status import status
 from handctl.runtime.suspend import SuspendWatch
 
@@ -54,6 +55,21 @@ class Outcome:
         if self.state.unconfirmed:
             return Exit.REMOVE_POWER
         return Exit.FAILED if self.state.failure else Exit.DONE
+
+    def refuse_unfinished(self, where: str) -> None:
+        """Let nobody go on from a run that did not come to its end.
+
+        Args:
+            where: what the run was for.
+
+        Raises:
+            PowerError: a drive did not confirm that it is disabled.
+            DriveError: something else ended it.
+        """
+        if self.state.unconfirmed:
+            raise PowerError(self.state.failure, where)
+        if self.state.failure or not self.state.progress.finished:
+            raise DriveError(self.state.failure or "stopped before the end", where)
 
 
 Runner = Callable[["Plan", Controller, Path], Outcome]
@@ -99,6 +115,8 @@ def run_live(
     with ExitStack() as stack:
         mailbox = Mailbox(plan.buses[0])
         stack.callback(mailbox.close)
+        for spec in sorted({*plan.buses} - {plan.buses[0]}):
+            stack.enter_context(held(spec))
         buses: list[LoopBus] = []
         for index, (spec, bus) in enumerate(zip(plan.buses, plan.hand.bus, strict=True)):
             opened = open_bus(spec, index, bus.bitrate, bus.data_bitrate, clock.of)

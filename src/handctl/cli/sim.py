@@ -4,7 +4,7 @@ import argparse
 import os
 import sys
 
-from handctl.cli.options import bus_option, hand_option, json_option, wire_option, wire_words
+from handctl.cli.options import bus_option, hand_option, json_option, print_json, wire_option, wire_words
 from handctl.hand.description import load_hand
 
 EXAMPLE = "handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"
@@ -24,13 +24,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Become the simulator."""
-    load_hand(args.hand)
+    hand = load_hand(args.hand)
     command = [sys.executable, "-m", "firmware_sim", "--hand", args.hand, "--scene", args.scene]
     command += ["--seed", str(args.seed), "--time-scale", str(args.time_scale)]
     for bus in args.bus:
         command += ["--bus", bus]
-    command += wire_words(args)
+    command += wire_words(args) + ["--json"] * args.json
     if args.dry_run:
-        print(" ".join(["python", *command[1:]]))
+        from handctl.cli.plan import bus_specs  # it brings the whole controller along
+
+        bus_specs(hand, args.bus)
+        if args.json:
+            print_json({"command": ["python", *command[1:]]})
+        else:
+            print(" ".join(["python", *command[1:]]))
         return 0
     return os.execv(sys.executable, command)

@@ -2,7 +2,8 @@
 
 import argparse
 
-from handctl.cli.options import bus_option, controller_bus, json_option, print_json
+from handctl.cli.buses import controller_bus
+from handctl.cli.options import bus_option, json_option, print_json
 from handctl.runtime.mailbox import send_request
 
 EXAMPLE = "handctl stop --help   # with a hand running on local:demo: handctl stop --bus local:demo"

@@ -80,4 +80,4 @@ def _verify(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="default: HAND.calibration.toml")
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND-verify.mcap)")
     parser.add_argument("--clear", action="store_true", help="clear latched drive errors; find the cause first")
-    parser.add_argument("--time-scale", type=float, default=1.0, metavar="X", help="run time per wall time")
+    parser.add_argument("--time-scale", type=float, default=1.0, metavar="X", help="simulated time per wall time")

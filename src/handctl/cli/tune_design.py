@@ -9,6 +9,7 @@ from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import layered_gains
 from handctl.cli.options import print_json
 from handctl.cli.plan import control_rate
+from handctl.cli.screen import screen
 from handctl.cli.tune_files import checked_count, output_files, subject, write_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.model import HandModel
@@ -19,12 +20,12 @@ LOWEST_POLE_HZ, MOST_DAMPING = 0.01, 100.0
 
 def run(args: argparse.Namespace) -> int:
     """Design, draw, write."""
-    from rich.console import Console
-
     from handctl.tune.design import Design, design, linear_factors
     from handctl.tune.ensemble import ensemble
     from handctl.tune.plots import draw_loops
 
+    if args.poles is None and args.damping != 1.0:
+        raise ConfigError(f"{args.damping:g}", "--damping", "only with --poles-Hz, whose poles it damps")
     hand, twin, spread = subject(args.hand, args.fit)
     gains = layered_gains(args, hand.name).gains
     rate = control_rate(args.rate, hand, bus_loads(hand))
@@ -32,9 +33,9 @@ def run(args: argparse.Namespace) -> int:
     factors = ensemble(checked_count(args.plants, "--plants", 1024), args.seed, spread)
     plants = tuple(linear_factors(one) for one in factors)
     model = HandModel.of(twin, gains, rate)
-    with Console(stderr=True).status(f"keeping margins on {len(plants)} plants"):
+    with screen(error=True).status(f"keeping margins on {len(plants)} plants"):
         try:
-            found: Design = _placed(args, model, plants, rate) if args.poles else design(model, plants)
+            found: Design = _placed(args, model, plants, rate) if args.poles is not None else design(model, plants)
         except ValueError as error:
             raise ConfigError(str(error), "tune design") from None
     after = HandModel.of(twin, found.gains, rate)
@@ -81,7 +82,6 @@ def _plain(found: Any, out: Path, picture: Path, rate: float, plants: int) -> di
 
 def _print(found: Any, rate: float, plants: int) -> None:
     from rich import box
-    from rich.console import Console
     from rich.table import Table
 
     title = f"loops at {rate:g} Hz, before \u2192 after; in the last row the least of {plants} plants"
@@ -96,7 +96,7 @@ def _print(found: Any, rate: float, plants: int) -> None:
         table.add_row(names[0].removesuffix("_tendon") + more, kind, *cells)
     table.add_section()
     table.add_row("worst", "", *_cells(found.worst_before, found.worst_after))
-    Console().print(table)
+    screen(least=80).print(table)
 
 
 def _cells(before: Any, after: Any) -> list[str]:

@@ -17,12 +17,14 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
     """Gains file and picture to write.
 
     Raises:
-        ConfigError: their folder is not there.
+        ConfigError: their folder is not there, or they are one.
     """
     out: Path = args.out or Path(f"{hand}.{kind}.toml")
     check_output(out, "--out")
     picture: Path = args.picture or out.with_suffix(".png")
     check_output(picture, "--picture")
+    if picture.resolve() == out.resolve():
+        raise ConfigError("is the name of the picture, too", f"--out {out}", "another --out or --picture")
     return out, picture
 
 

@@ -10,9 +10,9 @@ from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import layered_gains
 from handctl.cli.options import print_json
 from handctl.cli.plan import control_rate
+from handctl.cli.screen import screen
 from handctl.cli.tune_files import checked_count, output_files, subject, write_gains
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.gain_bounds import with_values
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
 from handctl.hand.description import Hand
@@ -45,9 +45,8 @@ def run(args: argparse.Namespace) -> int:
             crew.close()
     draw_search(picture, found, f"{hand.name} at {rate:g} Hz: {len(found.trials)} trials on {len(plants)} plants")
     if found.best is None:
-        print(f"no trial keeps the margins on every plant; look at {picture}, and try --trials {2 * trials}")
-        return Exit.FAILED
-    best = with_values(gains, found.best.values, "study")
+        return _nothing_good(args, found, storage, picture, trials)
+    best = plan.gains_of(found.best.number, found.best.values)
     note = f"tune search, trial {found.best.number} of {len(found.trials)} on {len(plants)} plants, seed {args.seed}"
     write_gains(out, best, hand, note, fit=args.fit, study=str(storage))
     result = _result(found, storage, out, picture)
@@ -57,6 +56,15 @@ def run(args: argparse.Namespace) -> int:
         _print(found, result)
         print(f"next: handctl tune verify {out} --lockstep --hand {args.hand}")
     return Exit.DONE
+
+
+def _nothing_good(args: argparse.Namespace, found: Any, storage: Path, picture: Path, trials: int) -> int:
+    """No gains are written."""
+    if args.json:
+        print_json(_result(found, storage, None, picture))
+    else:
+        print(f"no trial keeps the margins on every plant; look at {picture}, and try --trials {2 * trials}")
+    return Exit.FAILED
 
 
 def _designed(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]) -> tuple[Gains, ...]:
@@ -74,7 +82,6 @@ class _Progress:
     """How far a search is, what the best is, and how long it will take."""
 
     def __init__(self, trials: int, quiet: bool) -> None:
-        from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
         columns = (
@@ -84,7 +91,7 @@ class _Progress:
             TimeRemainingColumn(),
             TextColumn("{task.description}"),
         )
-        self._console = Console(stderr=True)
+        self._console = screen(error=True)
         self._bar = Progress(*columns, console=self._console, disable=quiet or not self._console.is_terminal)
         self._task = self._bar.add_task("designing", total=trials)
         self._quiet, self._next = quiet, 0.0
@@ -102,25 +109,25 @@ class _Progress:
         self._bar.update(self._task, completed=len(found.trials), description=text)
         if not self._quiet and self._bar.disable and time.monotonic() >= self._next:
             self._next = time.monotonic() + 5.0
-            self._console.print(f"trial {len(found.trials)}: {text}", highlight=False)
+            self._console.print(f"trial {len(found.trials)}: {text}")
 
 
-def _result(found: Any, storage: Path, out: Path, picture: Path) -> dict[str, Any]:
+def _result(found: Any, storage: Path, out: Path | None, picture: Path) -> dict[str, Any]:
     best, first = found.best, found.trials[0]
+    chosen = best and {"trial": best.number, "values": best.values, "score": asdict(best.score)}
     return {
         "trials": len(found.trials),
         "good": sum(one.good for one in found.trials),
-        "best": {"trial": best.number, "values": best.values, "score": asdict(best.score), "cost": found.cost(best)},
+        "best": chosen and chosen | {"cost": found.cost(best)},
         "first": asdict(first.score),
         "front": list(found.front),
         "study": str(storage),
-        "gains": str(out),
+        "gains": out,
         "picture": str(picture),
     }
 
 
 def _print(found: Any, result: dict[str, Any]) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     table = Table(title=f"{result['trials']} trials, {result['good']} good, {len(result['front'])} on the Pareto front")
@@ -135,7 +142,5 @@ def _print(found: Any, result: dict[str, Any]) -> None:
     )
     for name, key, digits in rows:
         table.add_row(name, *(f"{getattr(one.score, key):.{digits}f}" for one in (found.trials[0], found.best)))
-    Console().print(table)
-    Console().print(
-        f"gains: {result['gains']}\npicture: {result['picture']}\nstudy: {result['study']}", highlight=False
-    )
+    screen().print(table)
+    screen().print(f"gains: {result['gains']}\npicture: {result['picture']}\nstudy: {result['study']}", soft_wrap=True)

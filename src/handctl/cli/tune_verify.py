@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.commission import ensure_calibration
+from handctl.cli.dry_run import told
 from handctl.cli.exit_codes import Exit
-from handctl.cli.gains_layers import assignments
+from handctl.cli.gains_layers import assignments, check_perturb
 from handctl.cli.options import print_json
 from handctl.cli.plan import Plan, default_log, find_calibration, make_plan
+from handctl.cli.screen import screen
 from handctl.cli.session import Outcome, make_controller, run_live, run_lockstep
 from handctl.controller.gains import load_gains_file
 from handctl.errors import ConfigError
@@ -25,6 +27,7 @@ def run(args: argparse.Namespace) -> int:
 
     if bool(args.bus) == args.lockstep:
         raise ConfigError("one of them is needed", "--bus or --lockstep", "--lockstep for a simulated hand")
+    check_perturb(args)
     plan = make_plan(args, lockstep=args.lockstep)
     new = load_gains_file(args.candidate)
     if new.provenance.identity not in ("", plan.hand.identity):
@@ -35,8 +38,8 @@ def run(args: argparse.Namespace) -> int:
     if old.filter != new.gains.filter:
         print("the filter's gains cannot change in a run: both halves use the new ones", file=sys.stderr)
     if args.dry_run:
-        print(f"{plan.hand.name}: would verify {args.candidate} in {len(AMPLITUDES)} rounds")
-        return Exit.DONE
+        line = f"{plan.hand.name}: would verify {args.candidate} in {len(AMPLITUDES)} rounds"
+        return told(plan, line, gains=args.candidate, amplitudes=AMPLITUDES)
     log = args.log or default_log(plan.hand, "verify")
     plan = _with_gains(plan, base, args.candidate)
     outcome, truth = _run(args, plan, Exercise(AMPLITUDES), watch, log)
@@ -107,7 +110,6 @@ def _report(
 
 
 def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespace) -> None:
-    from rich.console import Console
     from rich.table import Table
 
     from handctl.tune.verify import AMPLITUDES
@@ -118,7 +120,7 @@ def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespa
     for i, (one, amplitude) in enumerate(zip(rounds, AMPLITUDES, strict=False)):
         numbers = (one.tracking_deg, one.tension_N, one.effort_Nm_per_s, one.peak_tension_N)
         table.add_row(_who(i, result["returned"]), f"{amplitude:g}", *(f"{number:.2f}" for number in numbers))
-    console = Console()
+    console = screen()
     console.print(table)
     back = result["returned"]
     if back:
@@ -127,12 +129,10 @@ def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespa
             f"amplitude {back['amplitude']:g}: {back['why']}"
         )
     elif result["verified"]:
-        console.print(
-            f"verified; to use them: handctl gains apply {args.candidate} --hand {args.hand}", highlight=False
-        )
+        console.print(f"verified; to use them: handctl gains apply {args.candidate} --hand {args.hand}", soft_wrap=True)
     if result["failure"]:
         console.print(f"the run failed: {result['failure']}")
-    console.print(f"log: {result['log']}\npicture: {result['picture']}", highlight=False)
+    console.print(f"log: {result['log']}\npicture: {result['picture']}", soft_wrap=True)
 
 
 def _who(number: int, back: dict[str, Any] | None) -> str:

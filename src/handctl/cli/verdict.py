@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.plan import Plan
+from handctl.cli.screen import screen
 from handctl.cli.session import Outcome
 from handctl.log.reader import RunLog
 from handctl.report.figure import draw_run
@@ -87,7 +88,6 @@ def lost_frames(outcome: Outcome) -> int:
 
 def print_summary(result: dict[str, Any], plan: Plan) -> None:
     """The table that ends a run."""
-    from rich.console import Console
     from rich.table import Table
 
     late = result["late_us"]
@@ -109,11 +109,11 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
     table = Table(title=f"{plan.hand.name}: {result['failure'] or 'done'}", show_header=False)
     for name, value in rows:
         table.add_row(name, value)
-    console = Console()
+    console = screen()
     console.print(table)
     if result["picture"]:
-        console.print(f"picture: {result['picture']}", highlight=False, soft_wrap=True)
-    console.print(f"look at it: handctl view {result['log']}", highlight=False, soft_wrap=True)
+        console.print(f"picture: {result['picture']}", soft_wrap=True)
+    console.print(f"look at it: handctl view {result['log']}", soft_wrap=True)
 
 
 def _with(value: float, scale: float, unit: str, digits: int) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.exit_codes import Exit
-from handctl.cli.options import json_option, print_json, say
+from handctl.cli.options import json_option, print_json, say, tell_lossy
 from handctl.errors import ConfigError
 from handctl.output import check_output, whole
 
@@ -44,12 +44,11 @@ def run(args: argparse.Namespace) -> int:
         subject = Subject.of(log.header, args.log.stem)
         at_s = _moment(args, log) if args.png else 0.0
         warning, found = log.warning, log.found
-    if warning:
-        say(f"handctl: {args.log}: {warning}", error=True)
+    code = tell_lossy(args.log, warning)
     result = _write(args, subject, at_s, found)
     if args.json:
         print_json(result | {"log": args.log, "warning": warning})
-    return Exit.LOSSY_LOG if warning else Exit.DONE
+    return code
 
 
 def _moment(args: argparse.Namespace, log: Any) -> float:

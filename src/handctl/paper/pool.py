@@ -26,8 +26,9 @@ def pool(size: int, report: Report) -> Iterator[Workers]:
         report: told of each job.
     """
     command = [sys.executable, "-m", WORKER]
-    children = [
-        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) for _ in range(size)
+    children = [  # out of reach of the terminal's Ctrl-C, also while they import
+        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True)
+        for _ in range(size)
     ]
     try:
         yield lambda jobs: _share(children, jobs, report)

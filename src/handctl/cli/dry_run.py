@@ -1,0 +1,24 @@
+"""What a dry run says: alike in every verb that would run a controller."""
+
+from typing import Any
+
+from handctl.cli.exit_codes import Exit
+from handctl.cli.options import print_json, say
+from handctl.cli.plan import Plan
+
+
+def told(plan: Plan, *lines: str, **what: Any) -> int:
+    """Say that all files are good, and what would be done.
+
+    Args:
+        plan: that was checked.
+        lines: for a person.
+        what: would be done, for a program.
+    """
+    if plan.quiet:
+        run = {"rate_hz": plan.rate_hz, "bus_load": max(plan.load), "buses": list(plan.buses)}
+        print_json({"hand": plan.hand.name, **run, **what})
+    else:
+        for line in lines:
+            say(line)
+    return Exit.DONE

@@ -1,0 +1,50 @@
+"""A drive that does not say that it is off: every verb that ran it ends with 71, whatever else went wrong."""
+
+import pytest
+
+from handctl.cli import commission, conformance, identify
+from handctl.cli.main import main
+from handctl.cli.session import Outcome
+from handctl.drives.discovery import Found
+from handctl.runtime.drive_rig import DriveRig
+from handctl.runtime.loop import LoopStats
+
+FAILURE = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: index_motor"
+
+
+def left_enabled(plan, controller, log):
+    """A run at the end of which a motor may have torque."""
+    state = controller.initial()._replace(failure=FAILURE, unconfirmed=("index_motor",))
+    return Outcome(state, LoopStats(), {}, None, 0)
+
+
+@pytest.mark.parametrize(("module", "verb"), [(commission, "commission"), (identify, "identify")])
+def test_a_run_that_leaves_a_motor_enabled_is_told_by_the_exit_code(place, monkeypatch, capsys, module, verb):
+    monkeypatch.setattr(module, "run_live", left_enabled)
+    assert main([verb, "--bus", "local:nobody", "--log", "run.mcap"]) == 71
+    assert "REMOVE POWER" in capsys.readouterr().err
+
+
+class Bus:
+    """Takes everything, says nothing."""
+
+    def send(self, frames):
+        return len(frames)
+
+    def close(self):
+        pass
+
+
+@pytest.mark.parametrize(("off", "code"), [(False, 71), (True, 130)])
+def test_a_check_that_is_interrupted_says_whether_the_drive_is_off(monkeypatch, capsys, off, code):
+    def interrupted(subject):
+        raise KeyboardInterrupt
+        yield
+
+    monkeypatch.setattr(conformance, "checks", interrupted)
+    monkeypatch.setattr(conformance, "open_bus", lambda *what: Bus())
+    monkeypatch.setattr(conformance, "_found", lambda args: Found("mit", 1))
+    monkeypatch.setattr(DriveRig, "confirm_off", lambda rig, watchdog_s: off)
+    words = ("--drive", "mit", "--node", "1", "--bus", "local:nobody", "--torque-limit-Nm", "0.1", "--yes")
+    assert main(["conformance", *words]) == code
+    assert ("REMOVE ITS POWER" in capsys.readouterr().err) != off

@@ -1,0 +1,76 @@
+"""What a run leaves that died early, or whose clock lies: no tick, too few, in no order; every verb has an answer."""
+
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from handctl.cli.main import main
+from handctl.log.reader import RunLog
+from handctl.log.record import SIZES
+from handctl.log.writer import LogWriter
+
+GRASP = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
+
+
+def ticks_of(log: RunLog) -> list[bytes]:
+    """The ticks of a log as the recorder is given them."""
+    axes = [len(log.header.axis(name)) for name in ("joint", "tendon", "motor", "digit")]
+    pairs = zip(log.messages(), log.packed(), strict=True)
+    return [SIZES.pack(len(message), *axes) + message + numbers for message, numbers in pairs]
+
+
+def write(path: Path, log: RunLog, ticks: Sequence[bytes]) -> str:
+    """A whole log of other ticks."""
+    writer = LogWriter(path, log.header, lambda *what: None, 1)
+    for tick in ticks:
+        writer.add(tick)
+    writer.finish("done", 0)
+    return str(path)
+
+
+@pytest.mark.parametrize("ticks", [slice(0, 0), slice(0, 15), slice(0, 50), slice(300, 302)], ids=str)
+@pytest.mark.filterwarnings("error")
+def test_every_verb_has_an_answer(ticks: slice, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with RunLog(GRASP) as log:
+        short = write(place / "short.mcap", log, ticks_of(log)[ticks])
+    (place / "gains.toml").write_text("[motion]\nposition_error_m = 3e-4\n")
+    verbs = {
+        ("log", "info", short): (0,),
+        ("log", "check", short): (0,),
+        ("log", "diff", short, str(GRASP)): (0,),
+        ("log", "diff", str(GRASP), short): (0,),
+        ("log", "export", "--csv", short): (0,),
+        ("log", "export", "--lerobot", short): (0, 2),
+        ("report", short): (0,),
+        ("replay", "execute", short): (0, 1),
+        ("replay", "execute", short, "--gains", "gains.toml"): (0, 2),
+    }
+    for words, codes in verbs.items():
+        assert main(list(words)) in codes, words
+        told = capsys.readouterr().err.splitlines()
+        assert len(told) <= 1, words
+
+
+def _later(tick: bytes, ticks: int, period_ns: int) -> bytes:
+    """The same tick at another time."""
+    at = SIZES.size + 4
+    k, t_ns = struct.unpack_from("<qq", tick, at)
+    return tick[:at] + struct.pack("<qq", k + ticks, t_ns + ticks * period_ns) + tick[at + 16 :]
+
+
+@pytest.mark.parametrize("what", ["far apart", "in no order"])
+def test_a_clock_that_lies_is_refused_in_one_line(what: str, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with RunLog(GRASP) as log:
+        ticks, period_ns = ticks_of(log), log.header.period_ns
+        far = ticks[:300] + [_later(tick, 10**11, period_ns) for tick in ticks[300:]]
+        odd = write(place / "odd.mcap", log, far if what == "far apart" else ticks[311:] + ticks[:311])
+    assert main(["log", "check", odd]) == 1
+    assert main(["report", odd]) == 0
+    told = capsys.readouterr().out
+    assert "missing between 299" in told if what == "far apart" else "gap" not in told
+    drive = ["replay", "drive", "--bus", "local:nobody", "--dry-run", odd]
+    for words in (["log", "diff", odd, odd], ["log", "export", "--lerobot", odd], drive):
+        assert main(words) == 2, words
+        assert len(capsys.readouterr().err.splitlines()) == 1

@@ -1,0 +1,111 @@
+"""``handctl tune`` and ``handctl identify`` as a person or a program uses them; what they compute is stood in for."""
+
+import json
+from argparse import Namespace
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from handctl.cli.commission import write_calibration
+from handctl.cli.main import main
+from handctl.cli.tune_verify import _print
+from handctl.controller.calibration import Calibration, TendonCalibration
+from handctl.hand.description import load_hand
+from handctl.tune.search import Found, Trial
+from handctl.tune.trial import Score
+from tests.cli.refused import refused
+
+GOLDEN = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap")
+A = Namespace(candidate="new.toml", hand="jamia")
+
+
+@pytest.fixture
+def searched(monkeypatch):
+    """A search that is over at once, with the trials that are put into it."""
+    trials = []
+    monkeypatch.setattr("handctl.tune.search.search", lambda *words: Found.of(tuple(trials)))
+    monkeypatch.setattr("handctl.cli.tune_search._designed", lambda *words: ())
+    return trials
+
+
+def test_a_search_without_a_good_trial_is_json_too(searched, place, capsys):
+    searched.append(Trial(0, {}, Score(1.0, 2.0, 3.0, 60.0, 0.5)))
+    assert main(["tune", "search", "--plants", "1", "--trials", "1", "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert (told["trials"], told["good"], told["best"], told["gains"]) == (1, 0, None, None)
+    assert not (place / "jamia.search.toml").exists()
+
+
+def test_units_in_brackets_are_no_markup(searched, capsys):
+    searched.append(Trial(0, {}, Score(1.0, 2.0, 3.0, 60.0, -0.5)))
+    assert main(["tune", "search", "--plants", "1", "--trials", "1", "--study", "[bold].study"]) == 0
+    said = capsys.readouterr().out
+    assert "[deg rms]" in said
+    assert "[bold].study" in said
+    _print({"judged_by": "truth", "returned": None, "verified": True, "failure": "", "log": "l", "picture": "p"}, (), A)
+    assert "[deg]" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("identify", "--lockstep"),
+        ("identify", "--from", GOLDEN),
+        ("tune", "verify", "new.toml", "--lockstep"),
+        ("commission", "--bus", "local:nobody"),
+        ("jog", "index", "--tension", "8", "--bus", "local:nobody"),
+        ("demo", "--lockstep"),
+        ("replay", "drive", GOLDEN, "--bus", "local:nobody"),
+    ],
+)
+def test_a_dry_run_writes_nothing_and_answers_in_json(place, capsys, words):
+    (place / "new.toml").write_text("schema = 1\n")
+    assert main([*words, "--dry-run", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["hand"] == "jamia"
+    assert [path.name for path in place.iterdir()] == ["new.toml"]
+
+
+@pytest.mark.parametrize("words", [(), ("--from", GOLDEN, "--lockstep"), ("--lockstep", "--bus", "local:nobody")])
+def test_an_identification_has_one_source(capsys, words):
+    assert "expected one of them" in refused(capsys, "identify", *words)
+
+
+def test_what_a_simulated_hand_is_made_of_is_not_kept_for_the_real_one(place, capsys, monkeypatch):
+    hand, own = load_hand("jamia"), place / "jamia.calibration.toml"
+    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    rows = dict.fromkeys(hand.tendon_names, nothing)
+    made = Calibration(hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows)
+    write_calibration(own, made)
+    before, ended = own.read_bytes(), SimpleNamespace(failure="", progress=SimpleNamespace(finished=True))
+    outcome = SimpleNamespace(state=ended, refuse_unfinished=lambda where: None)
+    monkeypatch.setattr("handctl.cli.identify._in_lockstep", lambda *words: (made, outcome))
+    monkeypatch.setattr("handctl.cli.identify.RunLog", lambda log: nullcontext())
+    monkeypatch.setattr("handctl.cli.identify.identify", lambda *words: {})
+    assert main(["identify", "--lockstep", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["calibration"] == "jamia.lockstep.calibration.toml"
+    assert own.read_bytes() == before
+    assert main(["identify", "--lockstep", "--calibration", own.name, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["calibration"] == own.name
+
+
+@pytest.mark.parametrize("words", [("--out", "x.png"), ("--out", "x.toml", "--picture", "./x.toml")])
+@pytest.mark.parametrize("kind", ["design", "search"])
+def test_gains_and_picture_are_two_files(place, capsys, kind, words):
+    """The picture would be written over the gains."""
+    assert "the name of the picture" in refused(capsys, "tune", kind, "--plants", "1", *words)
+    assert not list(place.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("tune", "design", "--damping", "nan"), "--damping: nan; expected only with --poles-Hz"),
+        (("tune", "design", "--poles-Hz", ""), "--poles-Hz: ''; expected two numbers"),
+        (("bus", "plan", "--hand", ""), "no such hand or file"),
+        (("bus", "plan", "--rate", "1e-300"), "--rate: 1e-300; expected 1 to 10000 Hz"),
+    ],
+)
+def test_what_is_given_empty_or_alone_is_not_passed_over(place, capsys, words, line):
+    assert line in refused(capsys, *words)
