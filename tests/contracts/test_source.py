@@ -11,6 +11,7 @@ ROOT = Path(__file__).parents[2]
 LOOP = Path("src/handctl/runtime/loop.py")
 LINES_MAX = {"src": 300, "firmware_sim": 300, "tests": 400}
 BROAD = {"Exception", "BaseException"}
+OURS = {"handctl", "firmware_sim", "tests", "fuzz", "benchmarks"}
 
 
 def sources(*folders: str) -> list[Path]:
@@ -86,3 +87,27 @@ def test_the_locks_name_no_place_and_hash_every_package() -> None:
         blocks = re.findall(r"^[a-z0-9][^\n]*==(?:[^\n]*\\\n)*[^\n]*", text, re.MULTILINE)
         assert len(blocks) == len(pins), name
         assert all("--hash=sha256:" in block for block in blocks), f"{name}: a package without hashes"
+
+
+def named(module: str) -> set[str]:
+    """Everything that has a name in a module, or in the folder of a package."""
+    places = [top / module.replace(".", "/") for top in (ROOT / "src", ROOT)]
+    place = next(place for place in places if place.is_dir() or place.with_suffix(".py").exists())
+    if place.is_dir():
+        below, file = {path.stem for path in place.iterdir()}, place / "__init__.py"
+    else:
+        below, file = set(), place.with_suffix(".py")
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8") if file.exists() else "")):
+        match node:
+            case ast.FunctionDef(name=name) | ast.ClassDef(name=name) | ast.Name(id=name, ctx=ast.Store()):
+                below.add(name)
+            case ast.alias(name=name, asname=other):
+                below.add(other or name)
+    return below
+
+
+@pytest.mark.parametrize("path", sources("fuzz", "benchmarks"), ids=lambda path: f"{path.parent.name}/{path.name}")
+def test_what_no_test_runs_finds_what_it_takes_from_here(path: Path) -> None:
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] in OURS:
+            assert {alias.name for alias in node.names} <= named(node.module), node.module

@@ -5,9 +5,11 @@ import math
 import re
 import tomllib
 
+import numpy as np
 import pytest
 
-from handctl.hand.description import HANDS
+from handctl.errors import ConfigError
+from handctl.hand.description import HANDS, hand_from
 
 JAMIA = tomllib.loads((HANDS / "jamia.toml").read_text())
 
@@ -103,7 +105,26 @@ CASES = {
         put("motor", 3, options={"reply_id": 4}),
         "motor[thumb_motor].options.reply_id: 0x4",
     ),
-    "reply id is no number": (put("motor", 3, options={"reply_id": "4"}), "motor[thumb_motor].options.reply_id: "),
+    "reply id is no number": (
+        put("motor", 3, options={"reply_id": "4"}),
+        "motor[thumb_motor].options.reply_id: 4; expected a whole number from 1 to 2047",
+    ),
+    "reply id is too small": (
+        put("motor", 3, options={"reply_id": 0}),
+        "motor[thumb_motor].options.reply_id: 0; expected",
+    ),
+    "reply id is just large enough": (
+        put("motor", 3, options={"reply_id": 1}),
+        'motor[thumb_motor].options.reply_id: 0x1 on bus "main" is taken',
+    ),
+    "reply id is just small enough": (
+        put("motor", 3, options={"reply_id": 0x7FF}),
+        'motor[thumb_motor].options.reply_id: 0x7FF on bus "main" is taken',
+    ),
+    "reply id is too large": (
+        put("motor", 3, options={"reply_id": 0x800}),
+        "motor[thumb_motor].options.reply_id: 2048; expected a whole number",
+    ),
     "sensor frames on a drive's reply": (put("sensor_node", None, base_id=0x12), "motor[middle_motor].node_id: 0x12"),
     "sensor frames on the sync": (put("sensor_node", None, base_id=0x80), "sensor_node.base_id: 0x80"),
     "sync on the drives' register frames": (put("sensor_node", None, sync_id=0x7FF), "sensor_node.sync_id: 0x7FF"),
@@ -135,7 +156,8 @@ CASES = {
     "ragged coupling": (put("digit", 0, coupling=[[1.0], [1.0, 0.0], [1.0]]), "digit[index].coupling: rows of [1, 2]"),
     "coupling that the tendon cannot move": (
         put("digit", 0, coupling=[[1.0], [-1.0], [0.0]]),
-        "digit[index].coupling: its tendons (moment_arm_m) can move only 0 of 1 coordinates",
+        "digit[index].coupling: its tendons (moment_arm_m) can move only 0 of 1 coordinates; "
+        "expected a tendon for every coordinate, or a coupling that leaves 1",
     ),
     "more coordinates than tendons": (
         put("digit", 0, coupling=[[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]]),
@@ -149,30 +171,45 @@ CASES = {
     ),
     "unknown sensor bus": (put("sensor_node", None, bus="x"), 'sensor_node.bus: "x" is not in this file'),
     "unknown load cell": (put("sensor_node", None, tendons=["x"]), 'sensor_node.tendons[0]: "x" is not in this file'),
+    "unknown joint encoder": (
+        put("sensor_node", None, joints=["index_j1", "x"]),
+        'sensor_node.joints[1]: "x" is not in this file; expected one of index_j1, index_j2, index_j3, middle_j1, ',
+    ),
+    "joint encoder twice": (put("sensor_node", None, joints=["index_j1"] * 2), 'sensor_node.joints: "index_j1" twice'),
+    "two CANopen nodes with one number": (
+        lambda c: [c["motor"][i].update(protocol="cia402", node_id=9) for i in (0, 1)],
+        'motor[middle_motor].node_id: 0x89 on bus "main" is taken; expected another identifier; '
+        "motor[index_motor].node_id has it",
+    ),
+    "two nodes of a protocol of one's own": (
+        lambda c: [c["motor"][i].update(protocol="cubemars", node_id=9) for i in (0, 1)],
+        'motor[middle_motor].node_id: cubemars node 9 on bus "main" is taken',
+    ),
     "load cell twice": (
         put("sensor_node", None, tendons=["index_tendon"] * 2),
         'sensor_node.tendons: "index_tendon" twice',
     ),
     "motor shared": (
         put("tendon", 1, motor="index_motor"),
-        'tendon[middle_tendon].motor: "index_motor" drives index_tendon already',
+        'tendon[middle_tendon].motor: "index_motor" drives index_tendon already; expected a motor of its own',
     ),
     "motor without tendon": (
         lambda c: c["motor"].append({**c["motor"][0], "name": "spare", "node_id": 9}),
-        "motor[spare].name: drives no tendon",
+        "motor[spare].name: drives no tendon; expected to be the motor of one tendon",
     ),
     "tendon of two digits": (
         tension(moment_arm_m={"index_j1": 0.003, "ring_j1": 0.003}),
-        "tendon[index_tendon].moment_arm_m: moves 2 digits",
+        "tendon[index_tendon].moment_arm_m: moves 2 digits; expected joints of one digit",
     ),
     "tendon of no digit": (tension(moment_arm_m={}), "tendon[index_tendon].moment_arm_m: moves 0 digits"),
     "tendon without lever": (
         tension(moment_arm_m={"index_j1": 0.003, "index_j2": 0.0}),
-        "tendon[index_tendon].moment_arm_m.index_j2: 0; expected 0.0001",
+        "tendon[index_tendon].moment_arm_m.index_j2: 0; expected 0.0001 to 0.05 m either way, or no such key",
     ),
     "tendons out of order": (
         lambda c: c["tendon"].reverse(),
-        "tendon[ring_tendon].moment_arm_m: a tendon of ring after one of thumb",
+        "tendon[ring_tendon].moment_arm_m: a tendon of ring after one of thumb; "
+        "expected tendons digit by digit, in the order of the digits",
     ),
     "digit twice": (put("digit", 1, name="index"), 'digit[index].name: "index" twice; expected every name once'),
     "no digit": (lambda c: c.update(digit=[]), "digit: []; expected at least 1 values"),
@@ -191,3 +228,25 @@ CASES = {
 @pytest.mark.parametrize(("edit", "start"), CASES.values(), ids=CASES.keys())
 def test_what_does_not_fit_together(edited, edit, start):
     assert edited(edit).startswith(start)
+
+
+def test_a_coupling_has_as_many_coordinates_as_joints_at_most():
+    content = tomllib.loads((HANDS / "jamia11.toml").read_text())
+    content["digit"][0]["coupling"] = np.eye(3).tolist()
+    assert hand_from(content, "own.toml").digit[0].coupling == ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+    content["digit"][0]["coupling"] = np.eye(3, 4).tolist()
+    with pytest.raises(ConfigError, match=r"coupling: rows of \[4\] values; expected rows of equal length, 1 to 3"):
+        hand_from(content, "own.toml")
+
+
+def test_what_is_just_within_its_limit_is_taken():
+    content = copy.deepcopy(JAMIA)
+    digit, tendon = content["digit"][0], content["tendon"][0]
+    mass, length = digit["link_mass_kg"][0], digit["link_length_m"][0]
+    digit["link_com_m"][0], digit["link_inertia_kg_m2"][0] = length, mass * length**2
+    tendon["moment_arm_m"]["index_j1"] = 1e-4
+    hand = hand_from(content, "own.toml")
+    assert (hand.digit[0].link_com_m[0], hand.tendon[0].moment_arm_m["index_j1"]) == (length, 1e-4)
+    digit["link_inertia_kg_m2"][0] = float(np.nextafter(mass * length**2, 1.0))
+    with pytest.raises(ConfigError, match=r"expected at most mass x length\^2 = 5\.75e-06 kg m2"):
+        hand_from(content, "own.toml")

@@ -1,0 +1,100 @@
+"""Documents: each kind of mistake as the whole line that a person reads."""
+
+import datetime
+from typing import Annotated, Any, Literal
+
+import pytest
+from pydantic import Field, field_validator
+
+from handctl.document import Document, validated
+from handctl.errors import ConfigError
+
+
+class Move(Document):
+    kind: Literal["move"]
+    speed_deg_s: float = Field(gt=0)
+
+
+class Hold(Document):
+    kind: Literal["hold"]
+    tension_N: float
+    spare: Move | None = None
+
+
+class Part(Document):
+    name: str
+    size_m: float = 1.0
+
+
+class Plan(Document):
+    name: str
+    part: tuple[Part, ...] = ()
+    made: str = ""
+    step: tuple[Annotated[Move | Hold, Field(discriminator="kind")], ...] = ()
+    point: dict[str, float] = Field(default_factory=dict)
+    either: Move | float = 1.0
+
+    @field_validator("name")
+    @classmethod
+    def _named(cls, name: str) -> str:
+        if name == "none":
+            raise ValueError("a better name")
+        return name
+
+
+MOVE = {"kind": "move", "speed_deg_s": 1.0}
+LINES: dict[str, tuple[dict[str, Any], str]] = {
+    "missing": ({}, "name: missing; expected this key"),
+    "missing below": ({"name": "a", "step": [{"kind": "move"}]}, "step[0].speed_deg_s: missing; expected this key"),
+    "unknown": ({"name": "a", "nome": 1}, "nome: unknown key; expected name?"),
+    "unknown, like two": ({"name": "a", "nade": 1}, "nade: unknown key; expected name?"),
+    "unknown, like none": ({"name": "a", "xyzzy": 1}, "xyzzy: unknown key; expected one of the documented keys"),
+    "unknown and missing": ({"nme": "a"}, "nme: unknown key; expected name?"),
+    "unknown below": (
+        {"name": "a", "step": [MOVE, MOVE | {"speed": 3}]},
+        "step[1].speed: unknown key; expected speed_deg_s?",
+    ),
+    "wrong": ({"name": 3}, "name: 3; expected a valid string"),
+    "a table": ({"name": {"a": 1}}, "name: a table; expected a valid string"),
+    "a list": ({"name": [1, 2]}, "name: [1, 2]; expected a valid string"),
+    "too small": (
+        {"name": "a", "step": [MOVE | {"speed_deg_s": -1.5}]},
+        "step[0].speed_deg_s: -1.5; expected greater than 0",
+    ),
+    "refused by its model": ({"name": "none"}, 'name: "none"; expected a better name'),
+    "no such alternative": (
+        {"name": "a", "step": [{"kind": "jump"}]},
+        "step[0].kind: \"jump\"; expected one of 'move', 'hold'",
+    ),
+    "missing in an alternative by its tag": (
+        {"name": "a", "step": [{"kind": "hold", "tension_N": 1.0, "spare": {"kind": "move"}}]},
+        "step[0].spare.speed_deg_s: missing; expected this key",
+    ),
+    "the alternative that was meant": (
+        {"name": "a", "either": {"kind": "move", "speed_deg_s": 0}},
+        "either.speed_deg_s: 0; expected greater than 0",
+    ),
+    "in what has a name": (
+        {"name": "a", "part": [{"name": "b"}, {"name": "c", "size_m": "big"}]},
+        'part[c].size_m: "big"; expected a valid number',
+    ),
+    "a key of a table": ({"name": "a", "point": {"x y": "b"}}, 'point.x y: "b"; expected a valid number'),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("content", "line"), LINES.values(), ids=LINES.keys())
+def test_a_mistake_is_a_line(content: dict[str, Any], line: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        validated(content, Plan, "plan.toml")
+    assert str(caught.value) == f"plan.toml: {line}"
+
+
+def test_what_is_no_table_at_all_is_told_of_the_file() -> None:
+    with pytest.raises(ConfigError) as caught:
+        validated([], Plan, "plan.toml")  # type: ignore[arg-type]
+    assert str(caught.value).startswith("plan.toml: []; expected ")
+
+
+def test_a_date_of_toml_is_taken_as_it_is_written() -> None:
+    made = datetime.datetime(2026, 1, 2, 3, 4, 5, tzinfo=datetime.UTC)
+    assert validated({"name": "a", "made": made}, Plan, "plan.toml").made == "2026-01-02 03:04:05+00:00"
