@@ -1,12 +1,16 @@
-"""What holds for all tests: the size of property runs, and which tests wait for the night."""
+"""What holds for all tests: the size of property runs, which tests wait for the night, and which are tried again."""
 
 import os
 import signal
 import tempfile
+import time
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+from tests.stalls import StallMeter
+
+pytest_plugins = ("pytester",)
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 CALM = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 """No time limit for one example: the cores are shared, and time is not what these tests are about."""
@@ -23,6 +27,51 @@ if "HANDCTL_RUN_DIR" not in os.environ:
     RUN_DIR = tempfile.TemporaryDirectory(prefix="handctl-", ignore_cleanup_errors=True)
     """Buses and truths of these tests alone, whatever else runs on this machine; gone with this process."""
     os.environ["HANDCTL_RUN_DIR"] = RUN_DIR.name
+
+
+class Repeats:
+    """A test of the real clock gets another try if the machine stood still while it failed; three tries in all.
+
+    Attributes:
+        meter: from the first such test on.
+        told: which tests were tried again, and how long the machine had stood still [s].
+    """
+
+    def __init__(self) -> None:
+        self.told: list[tuple[str, float]] = []
+        self.meter: StallMeter | None = None
+        self._test, self._began = "", 0.0
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_setup(self, item: pytest.Item) -> None:
+        if item.get_closest_marker("realtime"):
+            self.meter = self.meter or StallMeter()
+            self._test, self._began = item.nodeid, time.monotonic()
+
+    def stood_still(self) -> bool:
+        """Whether the machine did so since the present try began."""
+        longest = self.meter.longest_since(self._began) if self.meter else 0.0
+        if longest:
+            self.told.append((self._test, longest))
+        return longest > 0.0
+
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        for item in items:
+            if item.get_closest_marker("realtime"):
+                item.add_marker(pytest.mark.flaky(reruns=2, condition=self.stood_still))
+
+    def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
+        for test, longest in self.told:
+            terminalreporter.write_line(f"failed while the machine stood still for {longest * 1e3:.0f} ms: {test}")
+
+    def pytest_unconfigure(self) -> None:
+        if self.meter:
+            self.meter.close()
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    if "HANDCTL_VCAN_REPORTS" not in os.environ:  # in a guest of one core every process waits for the others
+        config.pluginmanager.register(Repeats(), "repeats")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

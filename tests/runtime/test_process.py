@@ -65,9 +65,9 @@ def ended_well(log):
         return [event.event.text for event in run.events if event.event.name == "mode"]
 
 
-def run_short(place, number, processes):
+def run_short(place, processes):
     """Commission and carry out a short task with a hand of its own; what ``handctl run`` said, and its log."""
-    truth, log = place / f"{number}.truth", place / f"{number}.mcap"
+    truth, log = place / "hand.truth", place / "run.mcap"
     processes.append(start_hand(truth, "--hand", "jamia", "--time-scale", "0.6"))
     words = ("--task", "short.toml", "--json", "--log", str(log), "--time-scale", "0.6", "--truth", str(truth))
     processes.append(start_handctl("run", "--hand", "jamia", "--bus", BUS, *words))
@@ -77,10 +77,7 @@ def run_short(place, number, processes):
 
 
 def test_run_commissions_moves_and_judges_itself(place, processes):
-    for number in range(3):
-        (code, result, err), log = run_short(place, number, processes)
-        if "H03" not in err:  # a machine that takes both cores away for 25 ms ends a run, as it should
-            break
+    (code, result, err), log = run_short(place, processes)
     assert code == 0, err
     assert err.startswith("commissioning jamia first: there is no jamia.calibration.toml")
     assert result["failure"] == ""

@@ -1,0 +1,55 @@
+"""A machine that stands still is seen, and a test of the clock is tried again for that reason only."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from tests.stalls import StallMeter
+
+pytestmark = pytest.mark.realtime
+AGAIN = """
+import os, signal, time
+import pytest
+
+TRIES = []
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("stalled", [True, False])
+def test_of_the_clock(stalled, request):
+    TRIES.append(stalled)
+    repeats = request.config.pluginmanager.get_plugin("repeats")
+    if stalled:
+        os.kill(repeats.meter.pids[0], signal.SIGSTOP)
+        time.sleep(0.05)
+        os.kill(repeats.meter.pids[0], signal.SIGCONT)
+        time.sleep(0.05)
+    assert TRIES.count(stalled) == 3
+"""
+
+
+def test_a_stall_of_one_core_is_seen_once() -> None:
+    meter = StallMeter()
+    try:
+        begin = time.monotonic()
+        os.kill(meter.pids[-1], signal.SIGSTOP)
+        time.sleep(0.05)
+        os.kill(meter.pids[-1], signal.SIGCONT)
+        longest = 0.0
+        while not longest and time.monotonic() < begin + 10.0:
+            longest = meter.longest_since(begin)
+        assert 0.03 < longest < 10.0
+        assert meter.longest_since(time.monotonic()) == 0.0
+    finally:
+        meter.close()
+    assert not any(os.path.exists(f"/proc/{pid}") for pid in meter.pids)
+
+
+def test_only_a_test_in_a_stall_is_tried_again(pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytester.makepyfile(test_clock=AGAIN)
+    pytester.makeconftest("from tests.conftest import *")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(("", os.getcwd())))
+    result = pytester.runpytest_subprocess("-p", "no:cacheprovider", "-o", "markers=realtime")
+    result.assert_outcomes(passed=1, failed=1)
+    result.stdout.fnmatch_lines(["*test_clock.py::test_of_the_clock?True?", "*1 failed, 1 passed, 2 rerun*"])
