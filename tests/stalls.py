@@ -54,14 +54,14 @@ class StallMeter:
 def _sleep(core: int) -> None:
     """Nap on one core until nobody listens any more, and tell of each stall when it ended and how long it was [s]."""
     os.sched_setaffinity(0, {core})
-    parent = os.getppid()
+    parent, last = os.getppid(), time.monotonic()
     print("ready", flush=True)
     while os.getppid() == parent:
-        begin = time.monotonic()
         time.sleep(NAP_S)
         now = time.monotonic()
-        if now - begin - NAP_S > STALL_S:
-            print(now, now - begin - NAP_S, flush=True)
+        if now - last - NAP_S > STALL_S:
+            print(now, now - last - NAP_S, flush=True)
+        last = now
 
 
 if __name__ == "__main__":
