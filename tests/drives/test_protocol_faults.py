@@ -8,6 +8,7 @@ import pytest
 
 from firmware_sim.nodes.cia402 import Cia402Node
 from firmware_sim.nodes.odrive import OdriveNode
+from handctl.drives import odrive_codec as codec
 from handctl.drives.cia402 import Cia402Drive
 from handctl.drives.contract import Phase, Want
 from handctl.drives.frame import Frame
@@ -70,6 +71,25 @@ def test_an_odrive_that_restarts_while_it_is_armed_is_set_up_anew(odrive: Bench,
         if odrive.states[0].phase == Phase.ENABLED:
             return
     raise AssertionError(odrive.states[0])
+
+
+@pytest.mark.parametrize("command", [codec.SET_MODE, codec.SET_LIMITS])
+def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(odrive: Bench, command: int) -> None:
+    """Nothing tells that it arrived: in position control the first torque would have been a leap."""
+    node, taken, lost = first_odrive(odrive), first_odrive(odrive).receive, []
+
+    def receive(frame: Frame, t_ns: int) -> object:
+        if frame.can_id & 0x1F == command and not lost:
+            lost.append(frame)
+            return []
+        return taken(frame, t_ns)  # type: ignore[arg-type]
+
+    node.receive = receive  # type: ignore[assignment,method-assign]
+    before = node.velocity_limit
+    odrive.until(Want.ENABLE, Phase.ENABLED)
+    assert lost
+    assert node.mode == (1, 1)
+    assert node.velocity_limit != before
 
 
 def test_an_odrive_that_takes_no_orders_is_a_fault(odrive: Bench) -> None:

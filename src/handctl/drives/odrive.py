@@ -147,10 +147,8 @@ class OdriveDrive:
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
         """See ``contract.Drive``."""
-        if frame.bus != self.bus or frame.can_id >> 5 != self.node_id:
-            return state
         command = frame.can_id & 0x1F
-        if command not in codec.ANSWERS:
+        if frame.bus != self.bus or frame.can_id >> 5 != self.node_id or command not in codec.ANSWERS:
             return state
         if len(frame.data) != 8 and not (command == codec.TX_SDO and 4 < len(frame.data) < 8):
             return state._replace(misread=state.misread + 1)
@@ -225,7 +223,7 @@ class OdriveDrive:
             again = progress._replace(walk=endpoints.Walk(), configured=False)
             return state._replace(phase=CONFIGURING, private=again), asked
         told = state._replace(private=progress._replace(asked_ns=t_ns, orders=progress.orders + 1))
-        return told, (self._torque(0.0), self._state(codec.CLOSED_LOOP), *asked)
+        return told, (*self._setup(), self._torque(0.0), self._state(codec.CLOSED_LOOP), *asked)
 
     def _configure(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """One step: idle, version, endpoints, mode and limits."""
@@ -244,10 +242,13 @@ class OdriveDrive:
             return (fault(known, MISMATCH, problem), ()) if problem else (known, read)
         if progress.heard_ns < 0:
             return state, ()
-        mode = self._frame(codec.SET_MODE, codec.integers(codec.TORQUE_MODE, codec.PASSTHROUGH))
         done = progress._replace(configured=True, fresh=True)
-        limits = self._frame(codec.SET_LIMITS, self.limits)
-        return state._replace(phase=READY, error_text="", private=done), (mode, limits)
+        return state._replace(phase=READY, error_text="", private=done), self._setup()
+
+    def _setup(self) -> tuple[Frame, ...]:
+        """Mode and limits: once more before each order to enable, since no answer tells that they arrived."""
+        mode = self._frame(codec.SET_MODE, codec.integers(codec.TORQUE_MODE, codec.PASSTHROUGH))
+        return mode, self._frame(codec.SET_LIMITS, self.limits)
 
     def _ask_version(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         if t_ns - progress.sent_ns < REPEAT_NS:
