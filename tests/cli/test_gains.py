@@ -11,7 +11,7 @@ import pytest
 from handctl.cli.commission import write_calibration
 from handctl.cli.main import main
 from handctl.controller.calibration import Calibration, TendonCalibration
-from handctl.controller.gains import Gains
+from handctl.controller.gains import Gains, Provenance, gains_text
 from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
 
@@ -26,6 +26,10 @@ def applied(place):
     for newtons in (25, 30):
         (place / "new.toml").write_text(f"schema = 1\n[motion]\nforce_N = {newtons}.0\n")
         assert main(["gains", "apply", "new.toml", "--note", f"{newtons} N"]) == 0
+
+
+def write_gains(path, hand, identity):
+    path.write_text(gains_text(Gains(), Provenance(hand=hand, identity=identity)))
 
 
 def told(capsys, *words):
@@ -43,6 +47,24 @@ def test_layers_and_their_origins(applied, capsys):
     hand = told(capsys, "config", "show")
     assert hand["gains"]["motion"]["force_N"] == 30.0
     assert hand["gains_origins"]["motion.force_N"] == "jamia.gains.toml"
+
+
+@pytest.mark.parametrize(
+    "verb", [("run", "--bus", "local:nowhere", "--dry-run"), ("gains", "show"), ("tune", "design")]
+)
+def test_gains_of_another_hand_are_refused(place, capsys, verb):
+    write_gains(place / "new.toml", hand="jamia11", identity="1" * 64)
+    assert main([*verb, "--gains", "new.toml"]) == 2
+    assert capsys.readouterr().err == "handctl: new.toml: is for hand 'jamia11'; expected gains for 'jamia'\n"
+
+
+def test_gains_of_the_hand_as_it_was_before_are_used_and_that_is_said(place, capsys):
+    write_gains(place / "new.toml", hand="jamia", identity="1" * 64)
+    assert main(["gains", "show", "--gains", "new.toml", "--json"]) == 0
+    said = capsys.readouterr()
+    assert json.loads(said.out)["provenance"]["identity"] == "1" * 64
+    now = load_hand("jamia").identity[:12]
+    assert f"new.toml was made for jamia as 111111111111, and it is {now} now" in said.err
 
 
 def test_packaged_gains_say_so(capsys):

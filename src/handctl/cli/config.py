@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
-from handctl.cli.gains_layers import LayeredGains, gains_options, layered_gains
-from handctl.cli.options import hand_option, json_option, print_json
+from handctl.cli.gains_layers import LayeredGains, layered_gains
+from handctl.cli.options import gains_options, hand_option, json_option, print_json
 from handctl.cli.plan import TASKS, fastest, find_calibration, find_task
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gain_bounds import flat
@@ -33,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     if args.what == "list":
         return _list(args.json)
     hand = load_hand(args.hand)
-    layers = layered_gains(args, hand.name)
+    layers = layered_gains(args, hand)
     if args.task:
         find_task(args.task, hand)
     if args.calibration and not args.calibration.exists():

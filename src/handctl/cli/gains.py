@@ -7,8 +7,8 @@ from typing import Any
 
 from handctl.cli.buses import controller_bus
 from handctl.cli.exit_codes import Exit
-from handctl.cli.gains_layers import assignments, gains_options, layered_gains
-from handctl.cli.options import bus_option, hand_option, json_option, print_json
+from handctl.cli.gains_layers import assignments, layered_gains
+from handctl.cli.options import bus_option, gains_options, hand_option, json_option, print_json
 from handctl.controller.gain_bounds import bounds, flat, with_values
 from handctl.controller.gains import Gains, Provenance, load_gains_file
 from handctl.errors import BusError, ConfigError
@@ -52,8 +52,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _show(args: argparse.Namespace, hand: Hand) -> int:
     """Every gain with its origin."""
-    layers, known = layered_gains(args, hand.name), bounds()
-    told = load_gains_file(layers.file).provenance if layers.file else Provenance()
+    layers, known = layered_gains(args, hand), bounds()
+    told = layers.provenance
     if args.json:
         rows = {
             key: {"value": value, "origin": layers.origins[key], "bounds": str(known[key]), "live": known[key].live}

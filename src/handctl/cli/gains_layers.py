@@ -5,9 +5,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from handctl.cli.options import say
 from handctl.controller.gain_bounds import flat, with_values
-from handctl.controller.gains import Gains, load_gains
+from handctl.controller.gains import Gains, GainsFile, Provenance, load_gains_file
 from handctl.errors import ConfigError
+from handctl.hand.description import Hand
 
 PACKAGED, COMMAND_LINE = "packaged", "command line"
 
@@ -19,41 +21,51 @@ class LayeredGains:
     Attributes:
         gains: what a run uses.
         file: that they were read from; None: the packaged ones.
+        provenance: that the file tells.
         origins: of every key: "packaged", the file, or "command line".
     """
 
     gains: Gains
     file: Path | None
+    provenance: Provenance
     origins: dict[str, str]
 
 
-def gains_options(parser: argparse.ArgumentParser) -> None:
-    """--gains and --gain."""
-    parser.add_argument(
-        "--gains", type=Path, metavar="FILE", help="gains file (default: HAND.gains.toml, else the packaged gains)"
-    )
-    parser.add_argument(
-        "--gain", action="append", metavar="KEY=VALUE", help="one gain, over every gains file; may be repeated"
-    )
-
-
-def layered_gains(args: argparse.Namespace, hand: str) -> LayeredGains:
+def layered_gains(args: argparse.Namespace, hand: Hand) -> LayeredGains:
     """The gains that a run with these arguments uses.
 
     Args:
         args: with ``gains`` and ``gain``.
-        hand: its name.
+        hand: that they are for.
 
     Raises:
-        ConfigError: a file or a value that cannot be used.
+        ConfigError: a file or a value that cannot be used, or gains of another hand.
     """
-    default = Path(f"{hand}.gains.toml")
+    default = Path(f"{hand.name}.gains.toml")
     file: Path | None = args.gains or (default if default.exists() else None)
-    base = load_gains(file)
+    found = gains_for(hand, file) if file else GainsFile()
+    base = found.gains
     values = assignments(getattr(args, "gain", None) or (), "--gain")
     gains = with_values(base, values, "--gain") if values else base
     origins = {key: _origin(base, key, file) for key in flat(base)} | dict.fromkeys(values, COMMAND_LINE)
-    return LayeredGains(gains, file, origins)
+    return LayeredGains(gains, file, found.provenance, origins)
+
+
+def gains_for(hand: Hand, path: Path) -> GainsFile:
+    """Read gains that this hand may use; those of an earlier description of it may be, and that is said.
+
+    Raises:
+        ConfigError: the file cannot be used, or was made for another hand.
+    """
+    file = load_gains_file(path)
+    made = file.provenance
+    if made.hand not in ("", hand.name):
+        raise ConfigError(f"is for hand {made.hand!r}", str(path), f"gains for {hand.name!r}")
+    if made.identity not in ("", hand.identity):
+        then, now = made.identity[:12], hand.identity[:12]
+        which = f"{hand.name} as {then}, and it is {now} now"
+        say(f"handctl: {path} was made for {which}: handctl tune design shows its margins", error=True)
+    return file
 
 
 def _origin(gains: Gains, key: str, file: Path | None) -> str:

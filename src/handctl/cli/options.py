@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.exit_codes import Exit
-from handctl.cli.gains_layers import gains_options
 from handctl.hand.quantities import FASTEST_BUS, SLOWEST_BUS
 
 LONGEST_LINE = 4000
@@ -66,6 +65,16 @@ def run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> N
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="default: HAND.calibration.toml")
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
     parser.add_argument("--time-scale", type=float, default=1.0, metavar="X", help="simulated time per wall time")
+
+
+def gains_options(parser: argparse.ArgumentParser) -> None:
+    """--gains and --gain."""
+    parser.add_argument(
+        "--gains", type=Path, metavar="FILE", help="gains file (default: HAND.gains.toml, else the packaged gains)"
+    )
+    parser.add_argument(
+        "--gain", action="append", metavar="KEY=VALUE", help="one gain, over every gains file; may be repeated"
+    )
 
 
 def say(text: str, error: bool = False) -> None:

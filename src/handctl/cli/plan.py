@@ -72,7 +72,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> Plan:
         ConfigError: anything that is wrong, in one line.
     """
     hand = load_hand(args.hand)
-    layers = layered_gains(args, hand.name)
+    layers = layered_gains(args, hand)
     buses = () if lockstep else bus_specs(hand, args.bus)
     loads = bus_loads(hand)
     rate = control_rate(args.rate, hand, loads)

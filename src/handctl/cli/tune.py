@@ -7,8 +7,7 @@ import argparse
 import importlib
 from pathlib import Path
 
-from handctl.cli.gains_layers import gains_options
-from handctl.cli.options import bus_option, dry_run_option, hand_option, json_option
+from handctl.cli.options import bus_option, dry_run_option, gains_options, hand_option, json_option
 from handctl.errors import ConfigError
 
 EXAMPLE = "handctl tune design --hand jamia --plants 4 --out tuned.toml"

@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     if args.poles is None and args.damping != 1.0:
         raise ConfigError(f"{args.damping:g}", "--damping", "only with --poles-Hz, whose poles it damps")
     hand, twin, spread = subject(args.hand, args.fit)
-    gains = layered_gains(args, hand.name).gains
+    gains = layered_gains(args, hand).gains
     rate = control_rate(args.rate, hand, bus_loads(hand))
     out, picture = output_files(args, hand.name, "design")
     factors = ensemble(checked_count(args.plants, "--plants", 1024), args.seed, spread)

@@ -26,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     from handctl.tune.workers import workers
 
     hand, twin, spread = subject(args.hand, args.fit)
-    gains = layered_gains(args, hand.name).gains
+    gains = layered_gains(args, hand).gains
     rate = control_rate(args.rate, hand, bus_loads(hand))
     out, picture = output_files(args, hand.name, "search")
     plants = ensemble(checked_count(args.plants, "--plants", 256), args.seed, spread)
