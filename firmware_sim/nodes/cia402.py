@@ -230,8 +230,7 @@ class Cia402Node:
             self._beat_ns = t_ns
         if self.fed_ns >= 0 and t_ns >= self.fed_ns + self._patience_ns() and self._patience_ns():
             self.fed_ns = -1
-            if self.power.state == ENABLED:
-                self._connection_lost(HEARTBEAT_LOST)
+            self._connection_lost(HEARTBEAT_LOST)
         self._schedule(t_ns)
         return self._take_spoken()
 

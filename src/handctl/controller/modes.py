@@ -16,6 +16,7 @@ from handctl.controller.model import HandModel
 from handctl.controller.state import State
 from handctl.controller.types import ACTING, BEFORE_ARMING, Event, Mode
 from handctl.drives.contract import Drive, DriveState, Phase, Want
+from handctl.drives.frame import Frame
 from handctl.safety.action import Action
 
 LISTEN_S = 0.5
@@ -97,6 +98,13 @@ _WANTED = {
     Mode.CUT: Want.DISABLE,
     Mode.DONE: Want.LISTEN,
 }
+
+
+def farewell(drives: tuple[Drive, ...], state: State) -> tuple[Frame, ...]:
+    """What drives are sent at the end of a run; nothing after a failure, when they stay as they are for a person."""
+    if state.mode != Mode.DONE or state.failure:
+        return ()
+    return tuple(frame for drive, known in zip(drives, state.drives, strict=True) for frame in drive.leave(known))
 
 
 def next_mode(

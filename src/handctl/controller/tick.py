@@ -24,7 +24,7 @@ from handctl.controller.goal import DigitGoal
 from handctl.controller.guard import Guard
 from handctl.controller.innovation import doubts
 from handctl.controller.model import HandModel
-from handctl.controller.modes import next_mode, wanted_of_drives
+from handctl.controller.modes import farewell, next_mode, wanted_of_drives
 from handctl.controller.motors import Motors
 from handctl.controller.program import Program, Progress
 from handctl.controller.received import Received
@@ -276,7 +276,7 @@ class Controller:
     ) -> tuple[tuple[DriveState, ...], SensorState, tuple[Frame, ...]]:
         """SYNC for the sensors, then what each drive shall do; a cut goes before everything else, every tick anew."""
         if state.mode in (SILENT, DONE):
-            return state.drives, state.sensors, ()
+            return state.drives, state.sensors, farewell(self.drives, state)
         sensors, sync = self.sensors.sync(state.sensors, entry.k)
         frames = [sync]
         want, drives, t_ns = wanted_of_drives(state.mode), [], entry.t_ns

@@ -277,6 +277,13 @@ class Cia402Drive:
         """
         return (self._rpdo(codec.DISABLE_VOLTAGE, 0.0), self._nmt(codec.PRE_OPERATIONAL))
 
+    def leave(self, state: DriveState) -> tuple[Frame, ...]:
+        """Supervise this host no longer: the silence after a run would be a fault that a person has to clear."""
+        if state.phase != READY:
+            return ()
+        data = codec.download(*setup.UNSUPERVISED)
+        return (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),)
+
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
         """Begin with the inventory again, and reset the fault at its end."""
         power = progress_of(state).power

@@ -134,6 +134,10 @@ class Drive(Protocol):
         """Clear the drive's latched error on a person's order; the drive stays disabled."""
         ...
 
+    def leave(self, state: DriveState) -> tuple[Frame, ...]:
+        """Frames at the good end of a run, after which the drive may miss this host; none if it may still pull."""
+        ...
+
     def cause(self, error: int) -> Cause:
         """What is behind an error, ``DriveState.error``, that is not 0."""
         ...

@@ -252,6 +252,10 @@ class CubemarsDrive:
         fresh = state._replace(phase=SILENT, error=0, error_text="", private=Progress(asked=progress.asked))
         return fresh, self.cut()
 
+    def leave(self, state: DriveState) -> tuple[Frame, ...]:
+        """Disabled, its watchdog watches nothing."""
+        return ()
+
     def cause(self, error: int) -> Cause:
         """See ``contract.Drive``."""
         return CAUSES.get(error, Cause.UNKNOWN)

@@ -255,6 +255,10 @@ class MitDrive:
         fresh = state._replace(phase=SILENT, error=0, error_text="", private=Progress(clearing=CLEAR_TRIES))
         return fresh, (self._frame(codec.special(codec.CLEAR)),)
 
+    def leave(self, state: DriveState) -> tuple[Frame, ...]:
+        """Disabled, its watchdog watches nothing."""
+        return ()
+
     def cause(self, error: int) -> Cause:
         """See ``contract.Drive``."""
         return CAUSES.get(error, Cause.UNKNOWN)

@@ -1,9 +1,8 @@
 """An ODrive (firmware 0.6.x, or 0.5.x) on CANSimple: from its heartbeat to torque, and back to a confirmed standstill.
 
-Position is asked for in every tick by a remote frame, so that it is as old as the command and not as old as the drive's
-own cycle; with ``encoder_period_ms`` the drive's cyclic messages are trusted instead. Mode and limits cannot be read
-back on CANSimple, and the watchdog not even be set: with the endpoints of ``odrive_endpoints`` they are, by SDO.
-Only a heartbeat tells what the drive does: nothing else counts as enabled or disabled.
+Position is asked for in every tick by a remote frame, so that it is as old as the command; with ``encoder_period_ms``
+the drive's cyclic messages are trusted instead. Mode and limits cannot be read back on CANSimple, and the watchdog not
+even be set: with the endpoints of ``odrive_endpoints`` they are, by SDO. Only a heartbeat tells what the drive does.
 """
 
 import math
@@ -113,13 +112,13 @@ class OdriveDrive:
     @property
     def host_ids(self) -> frozenset[int]:
         """Commands of any host, and its questions."""
-        commands = frozenset(self._id(command) for command in codec.COMMANDS)
-        return commands | {self._id(command) | REMOTE for command in codec.ASKED}
+        commands = frozenset(codec.can_id(self.node_id, command) for command in codec.COMMANDS)
+        return commands | {codec.can_id(self.node_id, command) | REMOTE for command in codec.ASKED}
 
     @property
     def node_ids(self) -> frozenset[int]:
         """Answers, heartbeat and cyclic messages."""
-        return frozenset(self._id(command) for command in codec.ANSWERS)
+        return frozenset(codec.can_id(self.node_id, command) for command in codec.ANSWERS)
 
     @property
     def caveats(self) -> tuple[str, ...]:
@@ -273,6 +272,10 @@ class OdriveDrive:
             raise ValueError(f"{self.name}: torque {torque} N m, expected at most {self.torque_limit:g}")
         return self._frame(codec.SET_TORQUE, codec.floats(torque / self.ratio))
 
+    def leave(self, state: DriveState) -> tuple[Frame, ...]:
+        """Disabled, its watchdog watches nothing."""
+        return ()
+
     def cause(self, error: int) -> Cause:
         """See ``contract.Drive``."""
         return cause_of(error)
@@ -291,10 +294,7 @@ class OdriveDrive:
         return self._frame(codec.SET_AXIS_STATE, codec.integers(state))
 
     def _frame(self, command: int, data: bytes) -> Frame:
-        return Frame(self._id(command), data, 0, self.bus)
+        return Frame(codec.can_id(self.node_id, command), data, 0, self.bus)
 
     def _ask(self, command: int) -> Frame:
-        return Frame(self._id(command) | REMOTE, b"", 0, self.bus)
-
-    def _id(self, command: int) -> int:
-        return codec.can_id(self.node_id, command)
+        return Frame(codec.can_id(self.node_id, command) | REMOTE, b"", 0, self.bus)

@@ -1,0 +1,45 @@
+"""What a run leaves behind: drives that miss the host and do not mind, unless it failed."""
+
+from pathlib import Path
+
+import pytest
+
+from handctl.campaign.course import Course
+from handctl.campaign.stage import started
+from handctl.controller.types import Mode
+from handctl.hand.description import load_hand
+from tests.drives.protocol_bench import OPTIONS, hand_file
+
+SILENCE_TICKS = 500
+
+
+def until(course: Course, mode: Mode) -> None:
+    assert course.until(lambda out: out.mode == mode, 3.0), course.state.failure
+
+
+def after_silence(course: Course) -> Course:
+    """Another run on the same drives, a second after the first one ended."""
+    for k in range(SILENCE_TICKS):
+        course.peer.step((course.k + k) * course.period_ns, [])
+    return Course(course.controller, course.peer, course.period_ns, course.controller.initial(), course.k + k + 1)
+
+
+@pytest.mark.parametrize("protocol", sorted(OPTIONS))
+def test_after_a_good_end_the_next_run_finds_no_fault(protocol: str, tmp_path: Path) -> None:
+    hand = load_hand(str(hand_file(tmp_path, [protocol])))
+    with started(hand, 500.0, 1) as course:
+        until(course, Mode.ACTIVE)
+        course.tick(requests=('{"do": "stop"}',))
+        until(course, Mode.DONE)
+        assert course.state.failure == ""
+        until(after_silence(course), Mode.READY)
+
+
+def test_after_a_failure_cia402_drives_stay_supervised(tmp_path: Path) -> None:
+    hand = load_hand(str(hand_file(tmp_path, ["cia402"])))
+    with started(hand, 500.0, 1) as course:
+        until(course, Mode.ACTIVE)
+        course.peer.inject("off node=index_motor")
+        assert course.until(lambda out: out.mode == Mode.DONE, 5.0)
+        assert course.state.failure
+        assert course.out is not None and course.out.frames == ()
