@@ -6,6 +6,7 @@ from handctl.cli import commission, conformance, identify
 from handctl.cli.main import main
 from handctl.cli.session import Outcome
 from handctl.drives.discovery import Found
+from handctl.errors import PowerError
 from handctl.runtime.drive_rig import DriveRig
 from handctl.runtime.loop import LoopStats
 
@@ -23,6 +24,17 @@ def test_a_run_that_leaves_a_motor_enabled_is_told_by_the_exit_code(place, monke
     monkeypatch.setattr(module, "run_live", left_enabled)
     assert main([verb, "--bus", "local:nobody", "--log", "run.mcap"]) == 71
     assert "REMOVE POWER" in capsys.readouterr().err
+
+
+def test_a_bug_that_leaves_a_motor_on_is_told_after_its_traceback(place, monkeypatch, capsys):
+    def failing(plan, controller, log):
+        raise PowerError("REMOVE POWER: not confirmed disabled: index_motor") from ZeroDivisionError("in a tick")
+
+    monkeypatch.setattr(commission, "run_live", failing)
+    assert main(["commission", "--bus", "local:nobody", "--log", "run.mcap"]) == 71
+    *before, last = capsys.readouterr().err.splitlines()
+    assert "ZeroDivisionError: in a tick" in before
+    assert last == "handctl: REMOVE POWER: not confirmed disabled: index_motor"
 
 
 class Bus:

@@ -42,4 +42,5 @@ def test_after_a_failure_cia402_drives_stay_supervised(tmp_path: Path) -> None:
         course.peer.inject("off node=index_motor")
         assert course.until(lambda out: out.mode == Mode.DONE, 5.0)
         assert course.state.failure
-        assert course.out is not None and course.out.frames == ()
+        assert course.out is not None
+        assert course.out.frames == ()

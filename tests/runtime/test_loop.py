@@ -14,6 +14,7 @@ import pytest
 
 from handctl.controller.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
+from handctl.errors import PowerError
 from handctl.runtime import loop
 from handctl.runtime.loop import Loop, Signals
 
@@ -208,6 +209,44 @@ def test_whatever_fails_the_drives_are_cut_and_the_error_travels_on(stage: str) 
     if stage != "send":
         assert left.sent[-1] == (CUT[0],)
     assert gc.isenabled()
+
+
+def asked(run: Run, answers: list[tuple[str, ...]]) -> list[int]:
+    """Let a run fail at its third tick, and its drives answer so; at which times they were asked [ns]."""
+    times: list[int] = []
+
+    def let_go(state: int, t_ns: int, heard: list[Frame]) -> tuple[int, tuple[Frame, ...], tuple[str, ...]]:
+        times.append(t_ns)
+        return state, (Frame(3, b"off"),), answers.pop(0) if answers else ("index", "thumb")
+
+    run.loop.let_go = let_go
+    run.fail = lambda entry: raising() if entry.k == 2 else None
+    run.go()
+    return times
+
+
+def test_after_an_error_drives_are_asked_until_each_has_said_that_it_is_off() -> None:
+    bus, answers = FakeBus(), [("index", "thumb"), ("thumb",), ()]
+    with pytest.raises(TroubleError):
+        asked(Run(5, buses=[bus]), answers)
+    assert answers == []
+    assert [sent for sent in bus.sent if sent] == [CUT, (Frame(3, b"off"),), (Frame(3, b"off"),)]
+
+
+def test_a_drive_that_does_not_say_so_is_told_and_the_error_with_it() -> None:
+    run = Run(5)
+    with pytest.raises(PowerError, match="REMOVE POWER: not confirmed disabled: index, thumb") as told:
+        asked(run, [])
+    assert isinstance(told.value.__cause__, TroubleError)
+    assert len(run.clock.asked) == 3 + 501, "half a second of it"
+
+
+def test_drives_that_cannot_be_asked_are_not_taken_for_disabled() -> None:
+    run = Run(5)
+    run.fail = lambda entry: raising() if entry.k == 2 else None
+    run.loop.let_go = raising  # type: ignore[assignment]
+    with pytest.raises(PowerError, match="nobody knows which"):
+        run.go()
 
 
 def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:

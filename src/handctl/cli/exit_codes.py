@@ -16,7 +16,7 @@ class Exit(IntEnum):
     NOT_COMPARABLE = 4
     """Two logs, or a log and a hand, that do not belong together."""
     INTERNAL = 70
-    """A bug in handctl; the drives were told to let go."""
+    """A bug in handctl; the drives were told to let go, and said that they did."""
     REMOVE_POWER = 71
     """A drive did not confirm that it is disabled: remove power."""
     INTERRUPTED = 130

@@ -4,6 +4,7 @@ import argparse
 import errno
 import importlib
 import sys
+import traceback
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Protocol
@@ -80,6 +81,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (ConfigError, LogError) as error:
         return _say(error, Exit.BAD_INPUT)
     except PowerError as error:
+        if error.__cause__:  # a bug in handctl
+            traceback.print_exception(error.__cause__)
         return _say(error, Exit.REMOVE_POWER)
     except HandctlError as error:
         return _say(error, Exit.FAILED)

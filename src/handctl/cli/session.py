@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -14,6 +15,7 @@ from handctl.cli.plan import Plan
 from handctl.cli.run_header import run_header
 from handctl.controller import setup
 from handctl.controller.calibration import Calibration
+from handctl.controller.let_go import let_go
 from handctl.controller.program import Program
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
@@ -183,8 +185,18 @@ def _loop(
         recorder.record(pack(entry, out))
 
     slept = SuspendWatch().events if isinstance(clock, RealClock) else list[IoEvent]
-    tick, cut = controller.tick, controller.cut_frames()
-    return Loop(clock, plan.period_ns, buses, tick, cut, requests, lambda: [*recorder.events(), *slept()], record, show)
+    return Loop(
+        clock=clock,
+        period_ns=plan.period_ns,
+        buses=buses,
+        tick=controller.tick,
+        cut=controller.cut_frames(),
+        requests=requests,
+        host_events=lambda: [*recorder.events(), *slept()],
+        record=record,
+        show=show,
+        let_go=partial(let_go, controller),
+    )
 
 
 def _requests(plan: Plan, signals: Signals, mailbox: Mailbox) -> Callable[[], tuple[str, ...]]:

@@ -1,8 +1,8 @@
 """The fixed-rate loop: wait, drain, tick, send, record. The same loop in real time and in lockstep.
 
 No catching up: a deadline that was missed is skipped, the tick number jumps, and the tick itself judges that. This
-module holds the only broad ``except`` of the project: whatever goes wrong inside a tick, the drives are told to let go
-before the error travels on.
+module holds the only broad ``except`` of the project: whatever goes wrong inside a tick, the drives are told to let go,
+and asked whether they did, before the error travels on.
 """
 
 import gc
@@ -17,6 +17,7 @@ from typing import Generic, Protocol, TypeVar
 
 from handctl.controller.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
+from handctl.errors import PowerError
 from handctl.handlers import handling
 from handctl.runtime.clock import Clock
 
@@ -28,6 +29,9 @@ Tick = Callable[[S, TickIn], tuple[S, TickOut]]
 
 CUT_TRIES, CUT_PAUSE_S = 20, 1e-3
 """How often the last cut is sent to an interface that refuses it, and the pause between: a frame takes 0.1 ms."""
+
+CONFIRM_NS = 500_000_000
+"""How long drives are asked after an error whether they are off; a heartbeat may come every 100 ms."""
 
 KEPT = 1 << 18
 """Ticks whose lateness is kept in memory: 2 MiB, however long a run is; its memory may be locked."""
@@ -103,6 +107,8 @@ class Loop(Generic[S]):
         host_events: what recorder and host reported since the last call.
         record: hands one tick to the recorder.
         show: called after each tick; draws now and then.
+        let_go: tells the drives once more to disable, from the last state, the time [ns] and the frames since; what it
+            returns: the state after that, frames to send, and the drives that have not said yet that they are off.
     """
 
     clock: Clock
@@ -114,7 +120,9 @@ class Loop(Generic[S]):
     host_events: Callable[[], list[IoEvent]]
     record: Callable[[TickIn, TickOut], None]
     show: Callable[[TickIn, TickOut], None]
+    let_go: Callable[[S, int, list[Frame]], tuple[S, tuple[Frame, ...], tuple[str, ...]]] | None = None
     stats: LoopStats = field(default_factory=LoopStats)
+    _k: int = 0
 
     def run(self, state: S) -> S:
         """Run ticks until the hand is disarmed and done; the final state."""
@@ -132,14 +140,39 @@ class Loop(Generic[S]):
             gc.unfreeze()
 
     def _guarded(self, state: S) -> S:
-        """Run; on any error tell the drives to let go before it travels on."""
+        """Run; on any error tell the drives to let go before it travels on.
+
+        Raises:
+            PowerError: from that error, if a drive did not say that it is off.
+        """
+        last = [state]
         try:
-            return self._run(state)
-        except Exception:
-            self._let_go()
+            return self._run(last)
+        except Exception as error:
+            self._send_cut()
+            left: tuple[str, ...] = ("nobody knows which, asking failed as well",)
+            try:
+                left = self._still_on(last[0])
+            finally:
+                if left:
+                    raise PowerError(f"REMOVE POWER: not confirmed disabled: {', '.join(left)}") from error
             raise
 
-    def _let_go(self) -> None:
+    def _still_on(self, state: S) -> tuple[str, ...]:
+        """Drives that may be on and do not say that they are off, however often they are asked."""
+        if self.let_go is None:
+            return ()
+        left: tuple[str, ...] = ()
+        for k in range(self._k + 1, self._k + 2 + CONFIRM_NS // self.period_ns):
+            self.clock.wait(k)
+            heard = [frame for bus in self.buses for frame in bus.drain()]
+            state, frames, left = self.let_go(state, k * self.period_ns, heard)
+            if not left:
+                break
+            self._send(frames)
+        return left
+
+    def _send_cut(self) -> None:
         """Cut on every bus; what finds a queue full of the last tick's commands goes out as soon as there is room."""
         alone = len(self.buses) == 1
         left = [(bus, [f for f in self.cut if f.bus == index or alone]) for index, bus in enumerate(self.buses)]
@@ -163,21 +196,23 @@ class Loop(Generic[S]):
         """Run a tick for nothing, so that what is built or imported at first use does not make the first one late."""
         self.tick(state, TickIn(0, 0))
 
-    def _run(self, state: S) -> S:
+    def _run(self, last: list[S]) -> S:
+        """Run from the last state to the end; what is in ``last`` is always of a tick that was whole."""
         k, mode = 0, Mode.SILENT
         while mode != Mode.DONE:
+            self._k = k
             late = self.clock.wait(k)
             skipped = late // self.period_ns
             k += skipped
             entry = self._collect(k, late - skipped * self.period_ns)
-            state, out = self.tick(state, entry)
+            last[0], out = self.tick(last[0], entry)
             self._send(out.frames)
             self.record(entry, out)
             self._count(entry, skipped, late)
             self.show(entry, out)
             mode = out.mode
             k += 1
-        return state
+        return last[0]
 
     def _collect(self, k: int, late_ns: int) -> TickIn:
         frames: list[Frame] = []

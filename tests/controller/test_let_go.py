@@ -1,0 +1,35 @@
+"""After a bug in a tick: drives are told to disable, and believed only when they say that they are off."""
+
+from pathlib import Path
+
+import pytest
+
+from handctl.campaign.stage import started
+from handctl.controller.let_go import let_go
+from handctl.controller.types import Mode
+from handctl.drives.frame import Frame
+from handctl.hand.description import load_hand
+from tests.drives.protocol_bench import OPTIONS, hand_file
+
+PERIOD_NS = 2_000_000
+
+
+@pytest.mark.parametrize("broken", [False, True])
+@pytest.mark.parametrize("protocol", sorted(OPTIONS))
+def test_a_motor_is_off_when_it_says_so(protocol: str, broken: bool, tmp_path: Path) -> None:
+    hand = load_hand(str(hand_file(tmp_path, [protocol])))
+    with started(hand, 500.0, 1) as course:
+        assert course.until(lambda out: out.mode == Mode.ACTIVE, 3.0), course.state.failure
+        course.peer.step(course.k * PERIOD_NS, list(course.controller.cut_frames()))
+        state, frames, enabled = let_go(course.controller, course.state, course.k * PERIOD_NS, [])
+        assert enabled == tuple(motor.name for motor in hand.motor), "nothing was heard yet"
+        if broken:
+            course.peer.inject("off node=index_motor")
+        for k in range(course.k + 1, course.k + 251):
+            heard = [Frame(*answer) for answer in course.peer.step(k * PERIOD_NS, list(frames))]
+            state, frames, enabled = let_go(course.controller, state, (k + 1) * PERIOD_NS, heard)
+            if not enabled:
+                break
+        assert enabled == (("index_motor",) if broken else ())
+        torques = course.peer.truth()["torque"]
+        assert torques[1:] == [0.0] * 3
