@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -13,6 +14,7 @@ from rosbags.highlevel import AnyReader
 
 from handctl.cli.main import main
 from handctl.log.reader import RunLog
+from tests.runtime.processes import SHORT
 
 KEYS = {
     "ticks", "missed", "late_us", "tracking_rmse_rad", "tension_rmse_n", "tension_hold_error_n",
@@ -146,3 +148,11 @@ def test_the_log_is_whole_and_has_every_tick(twins):
         assert not run.warning
         assert not run.gaps
         assert len(run) == result["ticks"]
+
+
+def test_a_run_in_lockstep_shows_where_it_is(place, capfd):
+    (place / "short.toml").write_text(SHORT)
+    assert main(["demo", "--lockstep", "--task", "short.toml", "--log", "run.mcap"]) == 0
+    told = capfd.readouterr().err
+    assert re.search(r"1\.000 s  ACTIVE +(bend|open) +tension", told)
+    assert "pulling thumb_tendon with 3 N" in told, "of the commissioning before it, too"

@@ -9,7 +9,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from typing import Any
 
 from handctl.cli.screen import screen
@@ -17,6 +16,8 @@ from handctl.controller.types import Event, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 
 EVERY_S = 0.1
+STDERR = 2
+"""Descriptor: standard output is for results."""
 ONE_SECOND_NS = 1_000_000_000
 
 
@@ -37,7 +38,7 @@ class Display:
         self.child = subprocess.Popen(
             [sys.executable, "-m", "handctl.cli.display"],
             stdin=subprocess.PIPE,
-            stdout=sys.stderr,
+            stdout=STDERR,
             start_new_session=True,
         )
         assert self.child.stdin is not None
@@ -144,7 +145,6 @@ def main() -> None:
     """The display process: reads lines until the controller closes the pipe."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     head = json.loads(sys.stdin.readline())
-    time.sleep(0)
     (_drawn if sys.stdout.isatty() else _plain)(head)
 
 

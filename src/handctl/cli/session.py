@@ -147,9 +147,10 @@ def run_lockstep(
     header = run_header(plan, controller, None, lockstep=True)
     began = {TRUTH_OFFSET: str(clock.offset_ns)}
     recorder = Recorder.start(log, replace(header, metadata=header.metadata | began))
-    asks, show = _asking(attendant, lambda: ()), _attended(attendant, _show_nothing)
+    display = None if plan.quiet else Display.start(plan.hand, plan.rate_hz, max(plan.load))
+    asks, show = _asking(attendant, lambda: ()), _attended(attendant, display.show if display else _show_nothing)
     loop = _loop(plan, controller, clock, [LockstepBus(clock)], recorder, asks, show)
-    return _finish(loop, controller, recorder, None, None, lambda: clock.offset_ns)
+    return _finish(loop, controller, recorder, display, None, lambda: clock.offset_ns)
 
 
 def refuse_blind_view(wanted: bool) -> None:
