@@ -71,7 +71,7 @@ CATALOGUE: tuple[Entry, ...] = (
           why="counted from the first strange frame, one a millisecond; 51 of them within a second are too many"),
     Entry("B11", "babbling idiot", TABLE_, ticks=3, asked=3),
     Entry("B12", "bus off", TABLE_, ticks=1, asked=1),
-    Entry("B13", "error passive", TABLE_, ticks=21, asked=21),
+    Entry("B13", "error-warning, error-passive", TABLE_, ticks=21, asked=21),
     Entry("B14", "interface down", TABLE_, ticks=1, asked=1),
     Entry("B15", "send queue full", TABLE_, ticks=3, asked=3),
     Entry("B16", "adapter unplugged", TABLE_, ticks=1, asked=1),
