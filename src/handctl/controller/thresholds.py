@@ -1,5 +1,7 @@
 """Thresholds of safety for one hand: what its drives, its sensors and its model allow."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from handctl.controller.model import HandModel
@@ -30,6 +32,7 @@ def make_watcher(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNod
         silent_ticks=ticks_for(SILENT_S, model.period, LEAST_SILENT),
         stalled_ticks=ticks_for(STALLED_S, model.period, LEAST_STALLED),
         noise_most=_noise_most(model),
+        frames_most=frames_most(drives, sensors),
     )
     motor_period = np.array([max(model.period, drive.feedback_period_s) for drive in drives])
     joint_period = hand.sensor_node.joint_decimation * model.period
@@ -46,6 +49,11 @@ def make_watcher(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNod
             np.full(len(hand.joints), JUMP_MARGIN * model.period * JOINT_RATE_RAD_S),
         ),
     )
+
+
+def frames_most(drives: Sequence[Drive], sensors: SensorNode) -> int:
+    """Frames in one tick that are more than these nodes can have sent: twice what they answer, but never few."""
+    return max(Limits.frames_most, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids))
 
 
 def _noise_most(model: HandModel) -> float:

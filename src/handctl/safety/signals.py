@@ -36,7 +36,7 @@ class Limits:
         stalled_ticks: ticks in a row that may be missed before the host counts as standing still.
         temperature_hard: of a drive [degC].
         temperature_soft: of a drive [degC].
-        frames_most: frames in one tick that are more than all nodes together can have sent.
+        frames_most: frames in one tick that are more than all nodes together can have sent; of a big hand more.
         trip_least: tension below which no tendon's limit is met [N].
         warm_least: temperature below which no drive is warm [degC].
         noise_most: mean squared jerk of a motor's position that means a noise burst [rad^2].
