@@ -8,7 +8,7 @@ from handctl.controller.model import HandModel
 from handctl.drives.contract import Drive
 from handctl.drives.sensor_node import SensorNode
 from handctl.safety.residuals import Rotor
-from handctl.safety.signals import LEAST_SILENT, LEAST_STALLED, SILENT_S, STALLED_S, Limits, ticks_for
+from handctl.safety.signals import LEAST_FRAMES, LEAST_SILENT, LEAST_STALLED, SILENT_S, STALLED_S, Limits, ticks_for
 from handctl.safety.watch import JUMP_MARGIN, Watcher
 
 JOINT_RATE_RAD_S = 60.0
@@ -53,7 +53,7 @@ def make_watcher(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNod
 
 def frames_most(drives: Sequence[Drive], sensors: SensorNode) -> int:
     """Frames in one tick that are more than these nodes can have sent: twice what they answer, but never few."""
-    return max(Limits.frames_most, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids))
+    return max(LEAST_FRAMES, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids))
 
 
 def _noise_most(model: HandModel) -> float:

@@ -13,6 +13,8 @@ SILENT_S, STALLED_S = 0.030, 0.025
 """How long a node may be silent, and the host stand still: less than the drives' watchdog of 50 ms."""
 LEAST_SILENT, LEAST_STALLED = 4, 3
 """The same in ticks at least, for slow rates."""
+LEAST_FRAMES = 64
+"""Frames in one tick that no hand of few motors sends."""
 
 
 def ticks_for(seconds: float, period: float, least: int) -> int:
@@ -53,7 +55,7 @@ class Limits:
     stalled_ticks: int = 3
     temperature_soft: float = 70.0
     temperature_hard: float = 85.0
-    frames_most: int = 64
+    frames_most: int = LEAST_FRAMES
     noise_most: float = math.inf
     trip_least: float = field(init=False, default=math.inf)
     warm_least: float = field(init=False, default=math.inf)
