@@ -188,7 +188,8 @@ class Loop(Generic[S]):
             return
         (bus, frames), *others = left
         try:
-            del frames[: bus.send(frames)]
+            if frames:
+                del frames[: bus.send(frames)]
         finally:
             self._cut(others)
 
