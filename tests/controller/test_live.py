@@ -71,6 +71,9 @@ def test_a_move_frees_a_digit_that_was_in_contact(model: HandModel) -> None:
     [
         ('{"do": "move", "angle_deg": {"index": 10, "pinky": 10}}', "pinky"),
         ('{"do": "hold", "tension_N": {"pinky": 10}}', "pinky"),
+        ('{"do": "move", "angle_deg": {"middle": 10, "index": 100.1}}', "from 0 to 100 deg"),
+        ('{"do": "move", "angle_deg": {"middle": 10, "index": -0.1}}', "from 0 to 100 deg"),
+        ('{"do": "move", "angle_deg": {"index": 60}, "duration_s": 0.16}', "703 deg/s"),
         ('{"do": "hold", "tension_N": {"index": 10, "thumb": 110.1}}', "110"),
     ],
 )
@@ -126,3 +129,13 @@ def test_a_jog_keeps_its_goal_for_its_time(model: HandModel) -> None:
             np.testing.assert_array_equal(progress.goals[-1].tension, [8.0] * len(progress.goals[-1].tension))
     assert t - began == pytest.approx(0.5, abs=1.5 * model.period)
     assert not progress.failure
+
+
+def test_a_jog_that_cannot_be_fails(model: HandModel) -> None:
+    estimate, jog, t = under(model, 5.0), JogProgram(asked('{"do": "move", "angle_deg": {"index": 101}}'), 0.5), 0.0  # type: ignore[arg-type]
+    progress = jog.begin(model)
+    while not progress.finished:
+        t += model.period
+        assert t < 2.0
+        progress, _ = jog.advance(model, progress, estimate, nothing_read(model), t)
+    assert "from 0 to 100 deg" in progress.failure

@@ -60,6 +60,8 @@ BAD = [
     '{"do": "move", "angle_deg": {"index": "30"}}',
     '{"do": "move", "angle_deg": {"index": 151}}',
     '{"do": "move", "angle_deg": {"index": 30}, "duration_s": 0}',
+    '{"do": "move", "angle_deg": {"index": 30}, "duration_s": 0.049}',
+    '{"do": "move", "angle_deg": {"index": 30}, "duration_s": 1e-300}',
     '{"do": "move", "angle_deg": 30}',
     '{"do": "hold", "tension_N": {"index": -0.1}}',
     '{"do": "hold", "tension_N": {"index": 1001}}',

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from handctl.controller import computed_torque
+from handctl.controller import computed_torque, tick
 from handctl.controller.computed_torque import step
 from handctl.controller.gain_bounds import bounds, checked, flat, with_values
 from handctl.controller.gains import Gains
@@ -18,6 +18,8 @@ from handctl.controller.types import Mode
 from handctl.errors import ConfigError
 from handctl.hand.description import hand_path
 from handctl.runtime.lockstep import load_peer
+from handctl.safety.action import Action
+from handctl.safety.judge import Verdict
 from tests.controller.bench import Bench, bench, controller
 
 HOLD = '{"do": "hold", "tension_N": {"index": 14, "middle": 14, "ring": 14, "thumb": 14}, "rate_N_per_s": 500}'
@@ -96,6 +98,28 @@ def test_a_change_makes_no_step_in_torque(
     without = step(other, before, estimate, goals, t)[1]
     np.testing.assert_allclose(with_trim.torque, out.telemetry.motor_torque_goal, atol=1e-12)
     assert np.abs(without.torque - with_trim.torque).max() > 1e-4
+
+
+def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
+    jamia: HandModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else what the limit takes off becomes a trim that lets the rope go slack."""
+    desk = desk_of(jamia)
+    desk.tick(MOVE)
+    desk.run(0.05)
+    judge = tick.safety.judge
+    held = Verdict(Action.HOLD, ())
+    monkeypatch.setattr(tick.safety, "judge", lambda *words: (judge(*words)[0], held))
+    calls: list[tuple[object, ...]] = []
+    monkeypatch.setattr(computed_torque, "step", lambda *words: calls.append(words) or step(*words))  # type: ignore[func-returns-value,arg-type]
+    desk.tick(change({"motion.force_N": 60.0}))
+    while desk.state.coming is not None:
+        calls.clear()
+        desk.tick()
+    (*_, most, kept), (*_, most_then, kept_then) = calls
+    assert kept is not None
+    np.testing.assert_array_equal(kept_then, kept)
+    assert most_then is most is None
 
 
 def test_the_trim_fades_and_the_goal_is_reached(holding: Bench) -> None:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from handctl.controller.program import TARE_PHASE
 from handctl.controller.task import Close, Hold, Move, Release, check_task, for_digit, load_task
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand, load_hand, packaged_hands
@@ -125,3 +126,13 @@ def test_a_table_of_no_digits_asks_nothing_of_any(tmp_path: Path) -> None:
     path = tmp_path / "t.toml"
     path.write_text(GOOD.replace("{ index = 20.0 }", "{}"))
     check_task(load_task(path), ("index", "thumb"), 110.0, "t")
+
+
+@pytest.mark.parametrize("name", [TARE_PHASE, "start"])
+def test_a_phase_is_not_named_like_what_the_controller_knows_by_its_name(refusal, name: str) -> None:  # type: ignore[no-untyped-def]
+    """In one named tare no load cell would be judged, and start would begin all over again."""
+    assert "must not be named" in refusal(GOOD.replace('kind = "hold"', f'kind = "hold"\nname = "{name}"'))
+
+
+def test_a_move_takes_its_time(refusal) -> None:  # type: ignore[no-untyped-def]
+    assert "duration_s" in refusal(GOOD.replace("angle_deg = 10.0", "angle_deg = 10.0\nduration_s = 1e-300"))

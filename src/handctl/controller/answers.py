@@ -4,9 +4,10 @@ from dataclasses import replace
 
 from handctl.controller import retune
 from handctl.controller.estimator import Estimate
-from handctl.controller.live import apply_goal
+from handctl.controller.live import LiveProgram, apply_goal
 from handctl.controller.model import HandModel
 from handctl.controller.modes import Wishes
+from handctl.controller.program import Program
 from handctl.controller.requests import Arm, Clear, Cut, HoldTension, MoveDigits, SetGains, Stop, parse_request
 from handctl.controller.state import State
 from handctl.controller.types import Event, Mode
@@ -14,15 +15,18 @@ from handctl.safety import judge as safety
 
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
 """Modes in which an order to clear also clears the drives."""
+LETTING_GO = (Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
+"""Modes from which nothing leads back to action."""
 
 
 def answer(
-    model: HandModel, state: State, estimate: Estimate, requests: tuple[str, ...]
+    model: HandModel, program: Program, state: State, estimate: Estimate, requests: tuple[str, ...]
 ) -> tuple[State, Wishes, tuple[Event, ...]]:
     """Take in the requests of one tick, in order; what is no request becomes a line in the log.
 
     Args:
         model: the hand.
+        program: that decides the goals.
         state: of this tick.
         estimate: of this instant.
         requests: JSON text each.
@@ -47,7 +51,20 @@ def answer(
             state = state._replace(coming=coming or state.coming)
             events += refused
         elif isinstance(request, MoveDigits | HoldTension):
-            progress, told = apply_goal(model, state.progress, request, estimate, state.goal_time)
-            state = state._replace(progress=progress)
+            state, told = _set_goal(model, program, state, estimate, request)
             events += told
     return state, wishes, tuple(events)
+
+
+def _set_goal(
+    model: HandModel, program: Program, state: State, estimate: Estimate, request: MoveDigits | HoldTension
+) -> tuple[State, tuple[Event, ...]]:
+    """A live goal, if the run waits for one: a hand that lets go must not pull again, nor one that is commissioned."""
+    if state.mode in LETTING_GO:
+        return state, (Event("info", "request", "", "refused: the hand is letting go"),)
+    if not isinstance(program, LiveProgram):
+        return state, (Event("warn", "request", "", "refused: this run has goals of its own"),)
+    if state.mode != Mode.ACTIVE:
+        return state, (Event("warn", "request", "", "refused: the hand is not ready yet"),)
+    progress, told = apply_goal(model, state.progress, request, estimate, state.goal_time)
+    return state._replace(progress=progress), told

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from handctl.controller import touch
 from handctl.controller.model import HandModel
 from handctl.controller.state import State
 from handctl.controller.types import Mode, Vector
@@ -45,11 +46,12 @@ def restraints(
         tension: (N,) now [N].
 
     Returns:
-        (N,) largest tension that warm drives allow [N], and what there was when safety began to hold [N]; None each
-        as long as no drive is warm, and while safety does not hold.
+        (N,) largest tension that warm drives and blocked digits allow [N], and what there was when safety began to
+        hold [N]; None each as long as no drive is warm and no digit blocked, and while safety does not hold.
     """
-    warm = derated(model, limits, [drive.temperature for drive in state.drives])
+    most = derated(model, limits, [drive.temperature for drive in state.drives])
+    most = touch.gentle(model, state.touch, state.law.planned, most)
     if action != Action.HOLD or state.mode != Mode.ACTIVE:
-        return warm, None
+        return most, None
     before = state.law.held
-    return warm, before if before is not None else np.maximum(tension, model.floor) + HELD_MARGIN_N
+    return most, before if before is not None else np.maximum(tension, model.floor) + HELD_MARGIN_N

@@ -20,13 +20,12 @@ from handctl.controller.program import (
     motion_to,
     tighten,
 )
-from handctl.controller.task import Close, Follow, Hold, Move, Release, Task, for_digit
+from handctl.controller.task import SHORTEST_MOVE_S, Close, Follow, Hold, Move, Release, Task, for_digit
 from handctl.controller.tip import tip_lever
 from handctl.controller.trajectory import Curve, duration_for
 from handctl.controller.types import Event, Vector
 from handctl.hand.dynamics import static_torque
 
-SHORTEST_MOVE_S = 0.05
 FOLLOW_START_DEG = 4.0
 """How far a digit may be from where its curve begins."""
 SETTLE_AFTER_CLOSE_S = 0.3

@@ -8,9 +8,14 @@ import numpy as np
 from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.model import HandModel
-from handctl.controller.program import TIGHTEN_TIMEOUT_S, Progress, loose, motion_to, tighten
+from handctl.controller.program import TIGHTEN_TIMEOUT_S, Progress, coordinates, loose, motion_to, tighten
 from handctl.controller.requests import HoldTension, MoveDigits
+from handctl.controller.task import FOLLOW_SPEED_DEG_S
+from handctl.controller.trajectory import PEAK_SPEED
 from handctl.controller.types import Event
+
+ROUNDING_DEG = 1e-6
+"""What a sum of angles may be wrong by."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +63,10 @@ class JogProgram:
         """One tick; see ``Program``."""
         progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
         if progress.phase == "live":
+            goals = progress.goals
             progress, told = apply_goal(model, progress, self.request, estimate, t)
+            if progress.goals is goals:
+                return replace(progress, finished=True, failure=told[-1].text), events + told
             return replace(progress, phase="jog", since=t), events + told
         if progress.phase == "jog" and t - progress.since >= self.duration:
             return replace(progress, finished=True), events
@@ -80,6 +88,8 @@ def apply_goal(
         d = names.index(name)
         tendons = model.digit_tendons[d]
         if isinstance(request, MoveDigits):
+            if why := _out_of_reach(model, d, estimate, value, request.duration_s):
+                return progress, (Event("warn", "request", name, f"refused: {name} {why}"),)
             goals[d] = motion_to(model.digits[d], estimate, math.radians(value), request.duration_s, t)
             contact[d] = False
         elif value > float(model.ceiling[tendons].min()):
@@ -91,3 +101,16 @@ def apply_goal(
             goals[d] = DigitGoal(Kind.TENSION, tension=target, rate=request.rate_N_per_s)
     text = f"{request.do} " + ", ".join(f"{name} {value:g}" for name, value in asked.items())
     return replace(progress, goals=tuple(goals), contact=tuple(contact)), (Event("info", "request", "", text),)
+
+
+def _out_of_reach(model: HandModel, d: int, estimate: Estimate, angle: float, duration: float) -> str:
+    """Why a digit does not go to an angle [deg] in a time [s], in a few words; empty if it does."""
+    described, digit = model.hand.digit[d], model.digits[d]
+    low = float((digit.joints_to_coordinates @ np.array(described.joint_min_deg)).max())
+    high = float((digit.joints_to_coordinates @ np.array(described.joint_max_deg)).min())
+    if not low - ROUNDING_DEG <= angle <= high + ROUNDING_DEG:
+        return f"{angle:g} deg, expected from {low:g} to {high:g} deg"
+    way = np.abs(angle - np.degrees(coordinates(digit, estimate))).max()
+    peak = PEAK_SPEED * float(way) / duration
+    fast = f"at up to {peak:.0f} deg/s, expected at most {FOLLOW_SPEED_DEG_S:g} deg/s: give it more time"
+    return "" if peak <= FOLLOW_SPEED_DEG_S else fast

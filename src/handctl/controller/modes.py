@@ -6,13 +6,13 @@ Each mode is one small function that says which mode comes next, and why if that
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.model import HandModel
+from handctl.controller.relaxing import RELAX_FLOOR_N, relaxing, tension
 from handctl.controller.state import State
 from handctl.controller.types import ACTING, BEFORE_ARMING, Event, Mode
 from handctl.drives.contract import Drive, DriveState, Phase, Want
@@ -28,10 +28,6 @@ STILL_LATCHED = " (or an error that does not clear)"
 READY_S = 0.1
 """Time for the filter to see a few measurements before arming."""
 ARMING_TIMEOUT_S = 1.0
-RELAX_FLOOR_N = 5.0
-RELAX_RATE_N_PER_S = 500.0
-RELAX_FROM_MORE_N = 15.0
-"""More than the last command that relaxing may begin at: what a rope bears besides, in motion and by friction."""
 RELAX_TIMEOUT_S = 1.0
 RELAXED_WITHIN_N = 3.0
 DISARM_TIMEOUT_S = 1.0
@@ -132,26 +128,25 @@ def next_mode(
     mode, failure = demanded or _MODES[state.mode](state, seen)
     if mode == state.mode:
         return state, ()
+    failure = failure or ("" if state.failure else _latched(state))  # of a fault on the way home, too
     names = seen.names
     level = "error" if failure else "info"
     text = f"{state.mode.name} -> {mode.name}" + (f": {failure}" if failure else "")
     unconfirmed = _may_pull(model, state, names) if mode == Mode.DONE else ()
     told = f"{state.failure}; {failure}" if state.failure and unconfirmed else state.failure or failure
     entered = state._replace(mode=mode, mode_since=t, failure=told, unconfirmed=unconfirmed)
-    return _on_entry(model, entered), (Event(level, "mode", "", text),)
+    return relaxing(model, entered) if mode == Mode.RELAX else entered, (Event(level, "mode", "", text),)
 
 
 def _demanded(state: State, seen: Circumstances) -> Next | None:
     """What safety or a person demands, whatever the mode."""
     acting = state.mode in ACTING
     if acting and (seen.wishes.cut or seen.action == Action.CUT):
-        return Mode.CUT, "" if seen.wishes.cut else _latched(state)
-    if state.mode in (Mode.ARMING, Mode.ACTIVE) and seen.action == Action.RELAX:
-        return Mode.RELAX, _latched(state)
-    if state.mode == Mode.ACTIVE and seen.wishes.stop:
-        return Mode.RELAX, ""
-    if state.mode == Mode.ARMING and seen.wishes.stop:
-        return Mode.DISARM, ""
+        return Mode.CUT, _latched(state)
+    if state.mode in _AWAY and seen.action == Action.RELAX:
+        return _AWAY[state.mode], _latched(state)
+    if state.mode in _AWAY and seen.wishes.stop:
+        return _AWAY[state.mode], ""
     return _before_arming(state, seen) if state.mode in BEFORE_ARMING else None
 
 
@@ -164,7 +159,14 @@ def _before_arming(state: State, seen: Circumstances) -> Next | None:
     return (Mode.DONE, _latched(state)) if seen.action >= Action.RELAX else None
 
 
+_AWAY = {Mode.ARMING: Mode.DISARM, Mode.ACTIVE: Mode.RELAX}
+"""Where a fault or a stop leads; while arming no tension was asked for yet, and no drive more shall be enabled."""
+
+
 def _latched(state: State) -> str:
+    """The faults that only a person ends, as a reason; empty if there are none."""
+    if not state.safety.latched:
+        return ""
     return "fault " + ", ".join(f"{mark.id} {mark.instance}" for mark in state.safety.latched)
 
 
@@ -216,8 +218,7 @@ def _active(state: State, seen: Circumstances) -> Next:
 
 
 def _relax(state: State, seen: Circumstances) -> Next:
-    tension = seen.model.filter.stacked(state.filter.regimes).tension @ state.filter.x
-    settled = np.max(tension) < RELAX_FLOOR_N + RELAXED_WITHIN_N or seen.elapsed >= RELAX_TIMEOUT_S
+    settled = np.max(tension(seen.model, state)) < RELAX_FLOOR_N + RELAXED_WITHIN_N or seen.elapsed >= RELAX_TIMEOUT_S
     return (Mode.DISARM if settled else Mode.RELAX), ""
 
 
@@ -268,22 +269,6 @@ def _pulling(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[st
     """Motors whose tendon still bears tension after the torque was cut (N16)."""
     tendons = {mark.instance for mark in state.safety.latched if mark.id == "N16"}
     return tuple(name for name, tendon in zip(names, model.hand.tendon_names, strict=True) if tendon in tendons)
-
-
-def _on_entry(model: HandModel, state: State) -> State:
-    """Goals that belong to a mode.
-
-    Relaxing begins at the tension that there is, but not at one that no motor was asked for: a load cell may be wrong.
-    """
-    if state.mode != Mode.RELAX:
-        return state
-    law = state.law
-    begin = np.minimum(law.setpoint, np.maximum(law.force, 0.0) + RELAX_FROM_MORE_N)
-    goals = tuple(
-        DigitGoal(Kind.TENSION, tension=np.minimum(begin[s], RELAX_FLOOR_N), rate=RELAX_RATE_N_PER_S)
-        for s in model.digit_tendons
-    )
-    return state._replace(progress=replace(state.progress, goals=goals), law=law._replace(setpoint=begin))
 
 
 def _may_pull(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:

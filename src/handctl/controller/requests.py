@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter, ValidationError
 
-from handctl.controller.task import Angle, Tension
+from handctl.controller.task import SHORTEST_MOVE_S, Angle, Tension
 from handctl.document import Document
 
 
@@ -40,7 +40,7 @@ class MoveDigits(Document):
 
     do: Literal["move"]
     angle_deg: dict[str, Angle]
-    duration_s: float = Field(1.0, gt=0, le=600)
+    duration_s: float = Field(1.0, ge=SHORTEST_MOVE_S, le=600)
 
 
 class HoldTension(Document):

@@ -26,6 +26,10 @@ Duration = Annotated[float, Field(gt=0, le=3600)]
 
 FOLLOW_SPEED_DEG_S = 700.0
 """Fastest joint speed of a curve: a rotor that is stopped dead adds tension in proportion to its speed."""
+SHORTEST_MOVE_S = 0.05
+"""What is shorter is no move but a step, and the square of its duration need not be a number."""
+OURS = ("start", "tare")
+"""Names by which the controller knows the beginning of a program and load cells that are not tared yet."""
 
 
 class Move(Document):
@@ -36,7 +40,7 @@ class Move(Document):
     angle_deg: Angle | dict[str, Angles]
     """One angle for all joints, or one per digit; of a one-tendon digit the mean joint angle. Of a digit with a tendon
     for each joint also a list, from the palm outwards."""
-    duration_s: Duration = 1.0
+    duration_s: float = Field(1.0, ge=SHORTEST_MOVE_S, le=3600)
 
 
 class Close(Document):
@@ -125,6 +129,13 @@ class Task(Document):
     name: str
     description: str = ""
     phase: tuple[Phase, ...] = Field(min_length=1)
+
+    @model_validator(mode="after")
+    def _named(self) -> "Task":
+        for phase in self.phase:
+            if phase.name in OURS:
+                raise ValueError(f"a phase must not be named {' or '.join(OURS)}")
+        return self
 
 
 class TrajectoryFile(Document):

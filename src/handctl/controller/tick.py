@@ -140,7 +140,7 @@ class Controller:
         """One tick with the gains that are this controller's."""
         before = state
         state, received = self._take_in(state, entry)
-        state, wishes, asked = answer(self.model, state, received.estimate, entry.requests)
+        state, wishes, asked = answer(self.model, self.program, state, received.estimate, entry.requests)
         told = doubts(self.model.hand.tendon_names, before.filter, state.filter)
         told += touch.told(self.model.hand.digit_names, before.touch, state.touch, state.progress.contact)
         watch, signals = self.guard.look(before, state, entry, received, asked)
@@ -157,7 +157,7 @@ class Controller:
         state = state._replace(
             progress=progress, goal_time=goal_time, law=law, drives=drives, sensors=sensors, watch=watch
         )
-        state, retuned = (state, ()) if state.coming is None else self._retune(state, old_law, estimate, command)
+        state, retuned = self._retune(state, old_law, verdict.action, estimate, command)
         events = told + asked + tuple(_told(finding) for finding in verdict.findings) + moved + stepped + retuned
         motors = Motors.of(state.drives)
         contact = tuple(map(max, state.progress.contact, state.touch.blocked))
@@ -168,7 +168,7 @@ class Controller:
     def signals(self, state: State, entry: TickIn) -> Signals:
         """What safety judges in a tick, from the state before it; for judging a recorded run by other limits."""
         after, received = self._take_in(state, entry)
-        after, _, asked = answer(self.model, after, received.estimate, entry.requests)
+        after, _, asked = answer(self.model, self.program, after, received.estimate, entry.requests)
         return self.guard.look(state, after, entry, received, asked)[1]
 
     def _take_in(self, state: State, entry: TickIn) -> tuple[State, Received]:
@@ -253,21 +253,21 @@ class Controller:
         if state.mode not in (ACTIVE, RELAX):
             return LawState.idle(estimate.tension), Command.idle(self.model)
         most, kept = restraints(self.model, self.limits, state, action, estimate.tension)
-        most = touch.gentle(self.model, state.touch, state.law.planned, most)
         return computed_torque.step(self.model, state.law, estimate, goals, t, most, kept)
 
     def _retune(
-        self, state: State, before: LawState, estimate: Estimate, command: Command
+        self, state: State, before: LawState, action: Action, estimate: Estimate, command: Command
     ) -> tuple[State, tuple[Event, ...]]:
         """Design a piece of the gains that are coming; take them over from the next tick on when all is designed."""
-        assert state.coming is not None
-        coming = self.designs.advance(self.model, state.coming)
-        if coming is not None:
+        if state.coming is None:
+            return state, ()
+        if (coming := self.designs.advance(self.model, state.coming)) is not None:
             return state._replace(coming=coming), ()
         gains, law = state.coming.gains, state.law
         if state.mode in (Mode.ACTIVE, Mode.RELAX):
             other = self.designs.model(self.model, gains)
-            _, changed = computed_torque.step(other, before, estimate, state.progress.goals, state.goal_time)
+            limited = restraints(self.model, self.limits, state._replace(law=before), action, estimate.tension)
+            _, changed = computed_torque.step(other, before, estimate, state.progress.goals, state.goal_time, *limited)
             law = retune.trimmed(law, (command.torque - changed.torque) / self.model.space.spool)
         return state._replace(gains=gains, coming=None, law=law), retune.changes(self.model.gains, gains)
 

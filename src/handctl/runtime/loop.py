@@ -149,9 +149,9 @@ class Loop(Generic[S]):
         try:
             return self._run(last)
         except Exception as error:
-            self._send_cut()
             left: tuple[str, ...] = ("nobody knows which, asking failed as well",)
             try:
+                self._send_cut()
                 left = self._still_on(last[0])
             finally:
                 if left:

@@ -1,0 +1,118 @@
+"""What people and faults may still do once a hand lets go: nothing that pulls."""
+
+import numpy as np
+import pytest
+
+from handctl.controller.commission import CommissionProgram
+from handctl.controller.gains import Gains
+from handctl.controller.live import LiveProgram
+from handctl.controller.model import HandModel
+from handctl.controller.relaxing import AHEAD_N, RELAX_FLOOR_N
+from handctl.controller.types import Mode
+from handctl.drives.frame import Frame
+from handctl.hand.description import load_hand
+from tests.controller.bench import Bench, bench
+
+STOP, CUT = '{"do": "stop"}', '{"do": "cut"}'
+QUICK = '{"do": "hold", "tension_N": {"index": 100}, "rate_N_per_s": 5000}'
+MOVE = '{"do": "move", "angle_deg": {"index": 60}}'
+
+
+@pytest.fixture(scope="module")
+def quick() -> HandModel:
+    """A slow rate makes short tests."""
+    return HandModel.of(load_hand("jamia"), Gains(), 200.0)
+
+
+def acting(model: HandModel) -> Bench:
+    run = bench(model, LiveProgram())
+    run.until(Mode.ACTIVE)
+    run.run(1.0)
+    return run
+
+
+def foreign(run: Bench) -> Frame:
+    return Frame(run.peer.motors[0].node_id, bytes(8), t_ns=run.k * run.period_ns)
+
+
+@pytest.mark.parametrize("request_", [QUICK, MOVE])
+@pytest.mark.parametrize("fault", [False, True])
+def test_no_request_pulls_while_the_hand_relaxes(quick: HandModel, request_: str, fault: bool) -> None:
+    run = acting(quick)
+    run.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
+    run.run(0.5)
+    run.tick(*() if fault else (STOP,), extra=(foreign(run),) if fault else ())
+    since, before = len(run.history), run.peer.tension.max()
+    while run.state.mode == Mode.RELAX:
+        run.tick(request_)
+        assert run.peer.tension.max() < before + 0.5
+    goals = np.array([out.telemetry.tension_goal for _, _, out in run.history[since:] if out.mode == Mode.RELAX])
+    assert (np.diff(goals, axis=0) <= 1e-9).all()
+    assert len(goals) * quick.period < 0.2
+    texts = [event.text for event in run.events if event.text.startswith("refused")]
+    assert texts == ["refused: the hand is letting go"] * len(texts)
+    run.until(Mode.DONE)
+    assert run.state.failure == ("fault H13 0x001" if fault else ""), "a goal that comes too late is no fault"
+
+
+def test_a_tension_that_is_still_growing_is_not_waited_for(quick: HandModel) -> None:
+    run = acting(quick)
+    run.tick(QUICK)
+    known = run.tick().telemetry.tension
+    assert run.state.law.setpoint[0] > known[0] + 30.0, "the set-point is far ahead"
+    out = run.tick(STOP)
+    present = np.maximum(out.telemetry.tension, RELAX_FLOOR_N) + AHEAD_N
+    assert (run.state.law.setpoint <= present).all()
+    while run.tick().mode == Mode.RELAX:
+        assert run.state.law.setpoint.max() <= present.max()
+
+
+@pytest.mark.parametrize("asked", [STOP, CUT])
+def test_a_fault_on_the_way_home_is_a_failure(quick: HandModel, asked: str) -> None:
+    run = acting(quick)
+    run.tick('{"do": "hold", "tension_N": {"index": 40}, "rate_N_per_s": 1000}')
+    run.run(0.5)
+    if asked == STOP:
+        run.tick(asked)
+        run.tick(extra=(foreign(run),))
+        assert run.state.mode == Mode.RELAX
+    else:
+        run.tick(asked, extra=(foreign(run),))
+    run.until(Mode.DONE)
+    assert run.state.failure == "fault H13 0x001"
+    assert any(event.level == "error" and "fault H13" in event.text for event in run.events if event.name == "mode")
+
+
+def test_after_a_fault_while_arming_nothing_more_is_enabled(quick: HandModel) -> None:
+    run = bench(quick, LiveProgram())
+    run.peer.motors[1].deaf.add(0xFC)
+    run.until(Mode.ARMING)
+    run.tick(extra=(foreign(run),))
+    assert run.state.mode == Mode.DISARM
+    since = len(run.history)
+    run.until(Mode.DONE)
+    enable = b"\xff" * 7 + b"\xfc"
+    assert not [frame for _, _, out in run.history[since - 1 :] for frame in out.frames if frame.data == enable]
+    assert run.state.failure == "fault H13 0x001"
+
+
+@pytest.mark.parametrize("request_", [QUICK, MOVE])
+def test_a_run_with_goals_of_its_own_takes_no_others(quick: HandModel, request_: str) -> None:
+    """A tare under tension would hide it from every later run of the day."""
+    run = bench(quick, CommissionProgram())
+    run.until(Mode.ACTIVE)
+    run.run(0.05)
+    goals = run.state.progress.goals
+    out = run.tick(request_)
+    assert run.state.progress.goals is goals
+    assert "refused: this run has goals of its own" in [event.text for event in out.events]
+    assert not out.telemetry.motor_torque_goal.any()
+
+
+def test_before_it_acts_a_hand_takes_no_goals(quick: HandModel) -> None:
+    run = bench(quick, LiveProgram())
+    for _ in range(60):
+        out = run.tick()
+    run.tick(QUICK)
+    assert "refused: the hand is not ready yet" in [event.text for event in run.history[-1][2].events]
+    assert out.mode < Mode.ACTIVE
