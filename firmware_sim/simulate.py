@@ -24,6 +24,8 @@ from firmware_sim.world import World
 
 _KEYS = "\n".join(f"  {key:16}{text}" for key, text in KEYS.items())
 _WIRE_KEYS = "\n".join(f"  {key:16}{text}" for key, text in WIRE_KEYS.items())
+_LOG = ".mcap"
+"""Suffix of what nothing is written over."""
 _EPILOG = f"""
 factors for --perturb:
 {_KEYS}
@@ -81,6 +83,8 @@ def run(words: list[str]) -> None:
     """
     args = _parser().parse_args(words)
     check_time_scale(args.time_scale)
+    if args.truth and args.truth.suffix == _LOG and args.truth.exists():
+        raise SimulatorError(f"--truth {args.truth}: is a log; expected another name")
     factors = _factors(args.perturb)
     hand, scene = perturbed(load_hand(args.hand), factors), load_scene(args.scene)
     specs = assign(args.bus, hand.buses)

@@ -2,17 +2,23 @@
 
 from typing import TYPE_CHECKING, Any
 
+from handctl.errors import BusError, ConfigError, DriveError, HandctlError, LogError, PowerError
+
 if TYPE_CHECKING:
     from handctl.client import HandClient as HandClient
     from handctl.client import connect as connect
 
-__all__ = ["HandClient", "connect"]
+__all__ = ["BusError", "ConfigError", "DriveError", "HandClient", "HandctlError", "LogError", "PowerError", "connect"]
 
 
 def __getattr__(name: str) -> Any:
     """Import the client when it is asked for, so that ``import handctl`` costs nothing."""
     if name not in __all__:
-        raise AttributeError(name)
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from handctl import client
 
     return getattr(client, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -5,134 +5,284 @@ program does is checked, limited and logged in the same way.
 """
 
 import json
+import os
 import subprocess
 import sys
+import tempfile
 import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
+from numbers import Real
 from types import TracebackType
 from typing import Any, Self
 
-from handctl.errors import BusError, ConfigError, DriveError
+from handctl.cli.buses import named_buses
+from handctl.cli.exit_codes import Exit
+from handctl.controller.requests import HoldTension, MoveDigits
+from handctl.document import validated
+from handctl.errors import BusError, ConfigError, DriveError, PowerError
 from handctl.runtime.mailbox import Watcher, answers, send_request
 
-START_S = 60.0
-"""Longest start: commissioning included."""
-STOP_S = 10.0
+START_S = 300.0
+"""Longest start: commissioning included, on a slow machine; a controller that cannot start ends long before [s]."""
+ATTACH_S = 60.0
+"""Longest time until a controller that somebody else has started is ready for goals [s]."""
 ANSWER_S = 2.0
 """Longest time in which a controller takes a goal, or refuses it [s]."""
 TAKEN, REFUSED = "asked: ", "refused: "
 """How the events begin by which it does; what it cannot read has neither."""
 POLL_S = 0.2
 """How long a line is waited for before the started controller is looked at [s]."""
+LEAVING = {"RELAX", "CUT", "DISARM", "DONE"}
+"""Modes in which no goal counts any more."""
+A_RUN = "a running handctl run"
 
 
-def connect(hand: str = "jamia", bus: str = "local:demo", *arguments: str) -> "HandClient":
+def connect(
+    hand: str | os.PathLike[str] = "jamia", bus: str | Sequence[str] = "local:demo", *arguments: str
+) -> "HandClient":
     """Connect to the controller of a bus, starting one if none runs there.
+
+    A controller that is started here ends with this program, however that ends: the hand is relaxed and disarmed.
 
     Args:
         hand: packaged hand or file; for a controller that is started.
-        bus: as ``--bus``.
+        bus: as ``--bus``; of a hand on several buses all of them, its first bus first.
         arguments: more words for ``handctl run``, e.g. ``"--log", "run.mcap"``.
 
     Raises:
-        DriveError: the controller does not start; its own words say why.
+        ConfigError: that is no bus.
+        BusError: there is no place for a socket.
     """
-    child = None
-    if not answers(bus):
-        command = [sys.executable, "-m", "handctl.cli", "run", "--hand", hand, "--bus", bus, "--json", *arguments]
-        child = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
-    return HandClient(bus, child)
+    given = [bus] if isinstance(bus, str) else list(bus)
+    specs = list(named_buses(given).values())
+    if not specs:
+        raise ConfigError("no bus", "bus", "one, as in 'local:demo'")
+    if answers(specs[0]):
+        return HandClient(specs[0])
+    words = ["--hand", os.fspath(hand), *(word for text in given for word in ("--bus", text)), "--json", "--until-eof"]
+    return HandClient(specs[0], [sys.executable, "-m", "handctl.cli", "run", *words, *arguments])
 
 
 class HandClient:
-    """A hand that waits for goals; use as a context manager: it is relaxed and disarmed at the end."""
+    """A hand that waits for goals; use as a context manager, from one thread.
 
-    def __init__(self, bus: str, child: "subprocess.Popen[bytes] | None") -> None:
-        self.bus, self.child = bus, child
+    At the end the hand is relaxed and disarmed if its controller was started here or a goal was set; a client that has
+    only looked leaves it as it is.
+
+    Attributes:
+        bus: by which the controller is called.
+        child: the controller's process, if it was started here.
+        result: what a run that was started here came to, once it has ended: what ``handctl run --json`` prints, such
+            as ``log`` and ``failure``.
+    """
+
+    def __init__(self, bus: str, command: Sequence[str] = ()) -> None:
+        """See ``connect``; the command starts a controller."""
+        self.bus = bus
+        self.child: subprocess.Popen[bytes] | None = None
         self.result: dict[str, Any] = {}
+        self._live = self._asked = self._closed = self._told = False
         self._watcher = Watcher(bus)
+        self._words = tempfile.TemporaryFile()  # noqa: SIM115
+        self._shown, self._last_words = 0, ""
+        if command:
+            pipe = subprocess.PIPE
+            self.child = subprocess.Popen(
+                command, stdin=pipe, stdout=pipe, stderr=self._words, start_new_session=True
+            )  # Ctrl-C is for this program, which then ends the controller
 
     def __enter__(self) -> Self:
-        try:
-            self.wait(phase="live", timeout_s=START_S)
-        except DriveError:
-            self.close()
-            raise
+        """Wait until the hand takes goals; commissioning included.
+
+        Raises:
+            DriveError: the controller does not start, or takes no goals; in its own words.
+        """
+        with ExitStack() as undo:
+            undo.callback(self._end, False)
+            self.wait(phase="live", timeout_s=START_S if self.child else ATTACH_S)
+            undo.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.close()
+        self._end(tell=kind is None)
 
     def move(self, duration_s: float = 1.0, wait: bool = True, **angle_deg: float) -> None:
-        """Move digits to joint angles, e.g. ``hand.move(index=30, thumb=10)`` [deg]; returns when that time is over.
+        """Move digits to joint angles, e.g. ``hand.move(index=30, thumb=10)`` [deg].
+
+        Args:
+            duration_s: of the motion, in the hand's time [s].
+            wait: return when it is over, not when it begins.
+            angle_deg: mean joint angle by digit [deg].
 
         Raises:
-            ConfigError: the controller refuses, e.g. a digit that the hand does not have.
-            BusError: it does not answer.
+            ConfigError: the goal is refused, e.g. a digit that the hand does not have; the last one stays.
+            DriveError: the run has ended, or ends meanwhile, e.g. by a fault; it says why.
+            BusError: the controller does not answer.
         """
-        self._set_goal({"do": "move", "angle_deg": angle_deg, "duration_s": duration_s})
-        if wait:
-            time.sleep(duration_s)
+        goal = {"do": "move", "angle_deg": _numbers(angle_deg), **_numbers({"duration_s": duration_s})}
+        validated(goal, MoveDigits, "move")
+        began_s = self._set_goal(goal)
+        while wait and self._acting(ANSWER_S)["t_s"] < began_s + goal["duration_s"]:
+            pass
 
     def hold(self, rate_N_per_s: float = 100.0, **tension_N: float) -> None:
-        """Hold tensions, one for all tendons of a digit, e.g. ``hand.hold(index=12)`` [N].
+        """Hold tensions, one for all tendons of a digit, e.g. ``hand.hold(index=12)`` [N]; returns at once.
+
+        Args:
+            rate_N_per_s: how fast the tension changes [N/s].
+            tension_N: by digit [N].
 
         Raises:
-            ConfigError, BusError: see ``move``.
+            ConfigError, DriveError, BusError: see ``move``.
         """
-        self._set_goal({"do": "hold", "tension_N": tension_N, "rate_N_per_s": rate_N_per_s})
+        goal = {"do": "hold", "tension_N": _numbers(tension_N), **_numbers({"rate_N_per_s": rate_N_per_s})}
+        validated(goal, HoldTension, "hold")
+        self._set_goal(goal)
 
-    def state(self, timeout_s: float = 2.0) -> dict[str, Any]:
-        """The next status line: mode, phase, q_rad, tension_N, tip_force_N, contact.
+    def state(self, timeout_s: float = ANSWER_S) -> dict[str, Any]:
+        """The present state, at most 20 ms old.
+
+        Args:
+            timeout_s: how long it is waited for [s].
+
+        Returns:
+            Lists in the order of the hand file, None in them where nothing is known: ``q_rad`` by joint [rad],
+            ``tension_N`` and ``tension_goal_N`` by tendon [N], ``tip_force_N`` and ``contact`` (bool) by digit [N];
+            ``t_s`` time of the run [s], ``k`` tick, ``late_us`` [us], ``mode``, ``phase``, ``events`` of this tick.
 
         Raises:
+            DriveError: the run has ended; it says why.
             BusError: the controller does not say anything.
         """
-        line = self._watcher.next(timeout_s)
-        if line is None:
-            raise BusError("the controller is silent", f"bus {self.bus}", "a running handctl run")
-        return line
+        end = time.monotonic() + timeout_s
+        while True:
+            self._refuse_ended()
+            line = self._watcher.next(max(0.0, min(POLL_S, end - time.monotonic())))
+            if line is not None:
+                return line
+            if time.monotonic() >= end:
+                raise BusError("the controller is silent", f"bus {self.bus}", A_RUN)
 
     def wait(self, phase: str, timeout_s: float) -> dict[str, Any]:
         """Wait until the hand is in a phase; its state then.
 
+        Args:
+            phase: its name; ``"live"``: the hand takes goals.
+            timeout_s: how long [s].
+
         Raises:
-            DriveError: the controller ended, or it took too long.
+            DriveError: the run has ended, or it took too long.
         """
-        end = time.monotonic() + timeout_s
-        while time.monotonic() < end:
-            if self.child is not None and self.child.poll() is not None:
-                raise DriveError("the controller ended", f"bus {self.bus}", "see its message above")
-            line = self._watcher.next(POLL_S)
-            if line is not None and line["phase"] == phase:
-                return line
-        raise DriveError(f"not in phase {phase!r} after {timeout_s:g} s", f"bus {self.bus}")
+        end, seen = time.monotonic() + timeout_s, "nothing heard"
+        while (left := end - time.monotonic()) > 0.0:
+            self._refuse_ended()
+            with suppress(BusError):
+                line = self.state(min(POLL_S, left))
+                self._live |= line["phase"] == "live"
+                if line["phase"] == phase:
+                    return line
+                seen = f"phase {line['phase']!r}"
+        raise DriveError(f"not in phase {phase!r} after {timeout_s:g} s: {seen}", f"bus {self.bus}")
 
     def close(self) -> None:
-        """Relax, disarm; wait for a controller that was started here, whose result is then in ``result``."""
-        try:
-            self._ask({"do": "stop"})
-        except BusError:
-            pass
-        finally:
-            self._watcher.close()
-        if self.child is not None:
-            out, _ = self.child.communicate(timeout=STOP_S + START_S)
-            self.result = json.loads(out) if out else {}
+        """End as the ``with`` statement does; ``result`` is known after it.
 
-    def _set_goal(self, request: dict[str, Any]) -> None:
-        """Ask, and hear what the tick that takes it says."""
-        self._watcher.next(ANSWER_S)
-        self._ask(request)
-        for events in self._watcher.heard(ANSWER_S):
-            said = [event["text"] for event in events if event["name"] == "request"]
+        Raises:
+            DriveError: a fault ended the run.
+            PowerError: a drive did not confirm that it is disabled: remove its power.
+        """
+        self._end(tell=True)
+
+    def _set_goal(self, goal: dict[str, Any]) -> float:
+        """Ask, and hear what the tick that takes it says; the time of that tick [s]."""
+        self._acting(ANSWER_S)
+        self._asked = True
+        send_request(self.bus, json.dumps(goal))
+        end = time.monotonic() + ANSWER_S
+        while (left := end - time.monotonic()) > 0.0:
+            line = self._watcher.following(left)
+            said = [event["text"] for event in line["events"] if event["name"] == "request"] if line else []
             unread = [] if any(text.startswith(TAKEN) for text in said) else said
             if refused := [text for text in said if text.startswith(REFUSED)] or unread:
                 raise ConfigError(refused[0].removeprefix(REFUSED), f"the controller of {self.bus}")
-            if said:
-                return
-        raise BusError("the controller does not answer", f"bus {self.bus}", "a running handctl run")
+            if line and said:
+                return float(line["t_s"])
+        self._refuse_ended()
+        raise BusError("the controller does not answer", f"bus {self.bus}", A_RUN)
 
-    def _ask(self, request: dict[str, Any]) -> None:
-        send_request(self.bus, json.dumps(request))
+    def _acting(self, timeout_s: float) -> dict[str, Any]:
+        """The state of a hand that follows goals."""
+        line = self.state(timeout_s)
+        if line["mode"] in LEAVING:
+            self._collect()
+            self._refuse_ended()
+            raise DriveError(f"the hand takes no goals any more: {line['mode']}", f"bus {self.bus}")
+        return line
+
+    def _refuse_ended(self) -> None:
+        """Say so if there is nobody to ask any more; what a run says of itself at its end is waited for."""
+        self._pass_on()
+        if self.child is not None and (self.child.poll() is not None or (self._live and not answers(self.bus))):
+            self._collect()
+            self._told = True
+            raise self._error()
+        if self._closed:
+            raise BusError("this client is closed", f"bus {self.bus}", "another handctl.connect")
+
+    def _end(self, tell: bool) -> None:
+        """Stop what was started or moved from here, once.
+
+        Args:
+            tell: raise whatever ended the run; if not, because something else is being raised, only what needs hands.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        self._watcher.close()
+        if self.child is None and self._asked:
+            with suppress(BusError):
+                send_request(self.bus, '{"do": "stop"}')
+        self._collect()
+        self._words.close()
+        if self.child and (code := self.child.returncode) and not self._told and (tell or code == Exit.REMOVE_POWER):
+            raise self._error()
+
+    def _collect(self) -> None:
+        """Let a controller that was started here end; it does as soon as its standard input does."""
+        if self.child is not None and self.child.stdout and not self.child.stdout.closed:
+            out, _ = self.child.communicate()
+            self._pass_on()
+            with suppress(ValueError):  # one that was killed has said nothing, or half of it
+                self.result = json.loads(out)
+
+    def _error(self) -> DriveError:
+        """Why the run has ended."""
+        code = self.child.returncode if self.child else 0
+        killed = f"killed by signal {-code}" if code < 0 else ""
+        why = self.result.get("failure") or killed or self._last_words or "it was stopped"
+        if code == Exit.REMOVE_POWER:
+            return PowerError(why, f"bus {self.bus}", "its power removed")
+        return DriveError(f"the controller ended: {why}", f"bus {self.bus}")
+
+    def _pass_on(self) -> None:
+        """Say what the controller has said since, where this program says what it has to."""
+        if self._words.closed:
+            return
+        new = os.pread(self._words.fileno(), 1 << 16, self._shown)
+        self._shown += len(new)
+        if text := new.decode("utf-8", "replace"):
+            self._last_words = text.strip().splitlines()[-1].removeprefix("handctl: ") if text.strip() else ""
+            print(text, end="", file=sys.stderr, flush=True)
+
+
+def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Numbers of any kind, such as numpy's, as JSON has them; what is none stays, to be refused by its name."""
+    plain = dict(values)
+    for key, value in values.items():
+        if isinstance(value, Real) and not isinstance(value, bool):
+            with suppress(OverflowError):
+                plain[key] = float(value)
+    return plain

@@ -137,6 +137,14 @@ def test_a_second_simulator_on_the_same_bus_is_refused(
 HAND = ["--hand", "jamia", "--bus", "local:x"]
 
 
+def test_the_truth_is_written_over_no_log(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = run_folder / "run.mcap"
+    log.write_bytes(b"a run")
+    assert main([*HAND, "--truth", str(log), "--scene", "none"]) == 2
+    assert "is a log; expected another name" in capsys.readouterr().err
+    assert log.read_bytes() == b"a run"
+
+
 @pytest.mark.parametrize(
     "words",
     [

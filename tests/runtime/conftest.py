@@ -4,7 +4,8 @@ import tempfile
 
 import pytest
 
-from tests.runtime.processes import LONG, SHORT
+from handctl.hand.description import load_hand
+from tests.runtime.processes import BUS, LONG, SCALE, SHORT, end, start_hand, write_calibration
 
 
 @pytest.fixture
@@ -16,3 +17,26 @@ def place(tmp_path, monkeypatch):
         (tmp_path / "short.toml").write_text(SHORT)
         (tmp_path / "long.toml").write_text(LONG)
         yield tmp_path
+
+
+@pytest.fixture
+def processes():
+    """Processes to be ended, whatever happens."""
+    running = []
+    yield running
+    for process in reversed(running):
+        end(process)
+
+
+@pytest.fixture
+def hand(place, processes):
+    """A slowed simulated hand on the bus, and its truth."""
+    processes.append(start_hand(place / "hand.truth", "--hand", "jamia", *SCALE))
+    return place / "hand.truth"
+
+
+@pytest.fixture
+def calibrated(place):
+    """Words for a hand that starts homed: nothing to tare, nothing to zero."""
+    write_calibration(place / "c.toml", load_hand("jamia"))
+    return ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml")

@@ -12,10 +12,12 @@ from pathlib import Path
 
 from handctl.hand.description import Hand
 from handctl.hand.toml_text import toml_text
+from handctl.log.reader import RunLog
 from handctl.runtime.mailbox import Watcher
 
 READY_S = 60.0
 BUS = "local:t"
+SCALE = ("--time-scale", "0.4")
 GO = 'schema = 1\nname = "short"\n'
 MOVE = '[[phase]]\nkind = "move"\nname = "{name}"\nangle_deg = {angle}\nduration_s = {duration}\n'
 SHORT = GO + MOVE.format(name="bend", angle=25.0, duration=0.5) + MOVE.format(name="open", angle=0.0, duration=0.4)
@@ -84,3 +86,11 @@ def write_calibration(path: Path, description: Hand) -> None:
     head = {"schema": 1, "hand": description.name, "identity": description.identity, "made": made}
     tables = "".join(f"\n[tendon.{name}]\n{toml_text(nothing)}" for name in description.tendon_names)
     path.write_text(toml_text(head) + tables)
+
+
+def ended_well(log: Path) -> list[str]:
+    """The modes that a whole log tells."""
+    with RunLog(log) as run:
+        assert not run.warning
+        assert run.end["reason"] == "done"
+        return [event.event.text for event in run.events if event.event.name == "mode"]

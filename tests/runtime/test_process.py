@@ -8,11 +8,8 @@ import itertools
 import signal
 import tomllib
 
-import numpy as np
 import pytest
 
-import handctl as library
-from handctl.errors import ConfigError, DriveError
 from handctl.hand.description import HANDS, load_hand
 from handctl.hand.toml_text import toml_text
 from handctl.log.reader import RunLog
@@ -20,7 +17,9 @@ from handctl.report.truth import read_truth
 from handctl.runtime.mailbox import Watcher
 from tests.runtime.processes import (
     BUS,
+    SCALE,
     end,
+    ended_well,
     handctl,
     said,
     sockets,
@@ -31,38 +30,6 @@ from tests.runtime.processes import (
 )
 
 pytestmark = pytest.mark.realtime
-SCALE = ("--time-scale", "0.4")
-
-
-@pytest.fixture
-def processes():
-    """Processes to be ended, whatever happens."""
-    running = []
-    yield running
-    for process in reversed(running):
-        end(process)
-
-
-@pytest.fixture
-def hand(place, processes):
-    """A slowed simulated hand on the bus, and its truth."""
-    processes.append(start_hand(place / "hand.truth", "--hand", "jamia", *SCALE))
-    return place / "hand.truth"
-
-
-@pytest.fixture
-def calibrated(place):
-    """Words for a hand that starts homed: nothing to tare, nothing to zero."""
-    write_calibration(place / "c.toml", load_hand("jamia"))
-    return ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml")
-
-
-def ended_well(log):
-    """The modes that a whole log tells."""
-    with RunLog(log) as run:
-        assert not run.warning
-        assert run.end["reason"] == "done"
-        return [event.event.text for event in run.events if event.event.name == "mode"]
 
 
 def run_short(place, processes):
@@ -90,32 +57,6 @@ def test_run_commissions_moves_and_judges_itself(place, processes):
     order = ["SILENT", "INVENTORY", "READY", "ARMING", "ACTIVE", "RELAX", "DISARM", "DONE"]
     assert modes == [f"{a} -> {b}" for a, b in itertools.pairwise(order)]
     assert not [name for name in sockets() if name.endswith(".requests")]
-
-
-def test_a_program_moves_holds_and_looks(place, hand, calibrated):
-    with library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *SCALE) as client:
-        client.move(duration_s=0.4, wait=False, index=30.0)
-        client.wait("live", 5.0)
-        bent = 0.0
-        for _ in range(200):
-            bent = float(np.degrees(client.state()["q_rad"][0]))
-            if bent > 28.0:
-                break
-        assert bent == pytest.approx(30.0, abs=2.0)
-        with pytest.raises(ConfigError, match="no digit 'indx', expected one of index, middle, ring, thumb"):
-            client.move(indx=30.0)
-        with pytest.raises(ConfigError, match=r"request move\.duration_s"):
-            client.move(duration_s=-1.0, index=30.0)
-        client.hold(thumb=12.0)
-        for _ in range(200):
-            state = client.state()
-            if abs(state["tension_N"][3] - 12.0) < 1.0:
-                break
-        assert state["tension_N"][3] == pytest.approx(12.0, abs=1.5)
-        assert state["mode"] == "ACTIVE"
-    assert client.child.returncode == 0
-    assert client.result["log"] == "live.mcap"
-    ended_well(place / "live.mcap")
 
 
 def start_long(processes, calibrated, *more):
@@ -176,8 +117,3 @@ def test_a_motor_that_is_not_there_is_named(place, hand, processes):
     assert refused.stderr == "handctl: no answer from ring_motor\n"
     truth = read_truth(hand)
     assert max(truth.values[:, truth.columns.index(f"motor/{name}_motor")].max() for name in ("index", "ring")) < 0.05
-
-
-def test_connect_says_when_the_controller_ends(place):
-    with pytest.raises(DriveError, match="the controller ended"):
-        library.connect("jamia", "local:nobody").__enter__()

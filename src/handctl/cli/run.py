@@ -2,12 +2,14 @@
 
 import argparse
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from handctl.cli.commission import ensure_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.options import print_json, run_options
+from handctl.cli.owner import Owner
 from handctl.cli.plan import Plan, default_log, find_calibration, find_task, find_trajectory, make_plan
 from handctl.cli.session import Outcome, make_controller, refuse_blind_view, run_live
 from handctl.cli.verdict import judge, print_summary
@@ -30,6 +32,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--truth", type=Path, metavar="FILE", help="truth file of a simulator (default: found by the bus)"
     )
     parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
+    text = "stop when standard input ends: for a program that starts this one, and may die"
+    parser.add_argument("--until-eof", action="store_true", help=text)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -44,10 +48,12 @@ def run(args: argparse.Namespace) -> int:
         return told(plan, good, next_step, commissioning=why)
     log = args.log or default_log(plan.hand)
     if calibration is None:
-        calibration = ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))
+        runner = partial(run_live, attendant=Owner() if args.until_eof else None)
+        calibration = ensure_calibration(plan, path, why, runner, log.with_suffix(".commission.mcap"))
     plan.attachments.update(attached | {"calibration.toml": path.read_bytes()})
     controller = make_controller(plan, program, calibration, arm_at_once=True)
-    outcome = run_live(plan, controller, log, live_view=args.view)
+    owner = Owner() if args.until_eof else None
+    outcome = run_live(plan, controller, log, live_view=args.view, attendant=owner)
     truth = args.truth or truth_path(plan.buses[0])
     result = judge(plan, outcome, log, truth if truth.exists() else None)
     return report(result, outcome, plan, args.json)

@@ -27,6 +27,7 @@ NOT_THERE_S = 0.05
 """Pause before a controller that is not there yet is asked again [s]."""
 PER_TICK = 16
 """Requests read in one tick, so that a flood cannot make a tick long."""
+A_FOLDER = "a short path of a folder that can be written in HANDCTL_RUN_DIR"
 
 
 class Mailbox:
@@ -103,8 +104,7 @@ def _refused(name: str, error: OSError) -> BusError:
     """Why a bus cannot be had."""
     if isinstance(error, BlockingIOError):
         return BusError("another controller runs here", f"bus {name}", "one controller a bus: handctl stop")
-    right = "a short path of a folder that can be written in HANDCTL_RUN_DIR"
-    return BusError(f"cannot take requests there: {error}", str(mailbox_path(name).parent), right)
+    return BusError(f"cannot take requests there: {error}", str(mailbox_path(name).parent), A_FOLDER)
 
 
 def _taken(name: str) -> int:
@@ -155,12 +155,20 @@ class Watcher:
     _numbers = itertools.count()
 
     def __init__(self, name: str) -> None:
-        """Watch controller ``name``; it need not run yet."""
+        """Watch controller ``name``; it need not run yet.
+
+        Raises:
+            BusError: there is no place for a socket.
+        """
         self.name, self.path = name, watcher_path(next(self._numbers))
-        self.path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-        self.path.unlink(missing_ok=True)
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self.socket.bind(str(self.path))
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+            self.path.unlink(missing_ok=True)
+            self.socket.bind(str(self.path))
+        except OSError as error:
+            self.socket.close()
+            raise BusError(f"cannot listen there: {error}", str(self.path.parent), A_FOLDER) from None
 
     def next(self, timeout_s: float) -> dict[str, Any] | None:
         """A status line that is not older than this call; None if none came in time [s]."""

@@ -1,0 +1,27 @@
+"""Whoever started a run and holds the other end of its standard input: if that goes, nobody is left to stop it."""
+
+import os
+import select
+
+from handctl.controller.types import TickIn, TickOut
+
+STDIN = 0
+AT_ONCE = 4096
+"""Bytes of standard input that are thrown away at a time."""
+
+
+class Owner:
+    """An attendant of one run (see ``session.Attendant``) that asks to stop once standard input has ended."""
+
+    def __init__(self) -> None:
+        self.gone = False
+
+    def take(self) -> tuple[str, ...]:
+        """To stop, once; nothing as long as somebody is there."""
+        if self.gone or not select.select([STDIN], [], [], 0)[0] or os.read(STDIN, AT_ONCE):
+            return ()
+        self.gone = True
+        return ('{"do": "stop"}',)
+
+    def see(self, entry: TickIn, out: TickOut) -> None:
+        """Nothing."""

@@ -1,0 +1,189 @@
+"""A running hand from Python: what a program can ask, what it is told, and how it ends."""
+
+import signal
+import subprocess
+import sys
+import time
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+import handctl as library
+from handctl import BusError, ConfigError, DriveError
+from handctl.client import HandClient
+from handctl.runtime.mailbox import Watcher, answers
+from tests.runtime.processes import BUS, SCALE, ended_well, handctl, start_handctl, wait_for
+
+REALTIME = pytest.mark.realtime
+PROGRAM = """
+import handctl, time
+with handctl.connect("jamia", "local:t", *{words}):
+    print("live", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.fixture
+def alone(place):
+    """A client of a bus on which nobody is."""
+    client = HandClient("local:nobody")
+    yield client
+    client.close()
+
+
+@pytest.mark.parametrize("number", [3, np.float32(3), np.float64(3), np.int64(3), Fraction(3)])
+def test_any_kind_of_number_is_a_number(alone, number, monkeypatch):
+    asked = []
+    monkeypatch.setattr(alone, "_set_goal", asked.append)
+    alone.move(index=number, duration_s=number, wait=False)
+    alone.hold(index=number, rate_N_per_s=number)
+    assert asked[0] == {"do": "move", "angle_deg": {"index": 3.0}, "duration_s": 3.0}
+    assert asked[1] == {"do": "hold", "tension_N": {"index": 3.0}, "rate_N_per_s": 3.0}
+
+
+@pytest.mark.parametrize("number", [float("nan"), 10**400, "3", True, np.True_, None, np.array([3.0, 4.0]), 1e9])
+def test_what_is_no_angle_is_refused_before_it_is_sent(alone, number):
+    """Three that the controller itself refuses within a second would relax the hand."""
+    with pytest.raises(ConfigError, match=r"move: angle_deg.index: .*; expected"):
+        alone.move(index=number)
+
+
+def test_nobody_there_is_one_line(alone):
+    with pytest.raises(BusError, match="the controller is silent"):
+        alone.state(-1.0)
+    alone.close()
+    for ask in (alone.state, alone.move, lambda: alone.wait("live", 1.0)):
+        with pytest.raises(BusError, match="this client is closed"):
+            ask()
+
+
+@pytest.mark.parametrize("bus", ["bogus", [], ""])
+def test_what_is_no_bus_starts_nothing(place, bus):
+    with pytest.raises(ConfigError, match="bus"):
+        library.connect("jamia", bus)
+
+
+def test_no_place_for_a_socket_is_one_line(tmp_path, monkeypatch):
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / ("x" * 120)))
+    with pytest.raises(BusError, match="HANDCTL_RUN_DIR"):
+        library.connect("jamia", BUS)
+
+
+def test_an_editor_finds_what_there_is():
+    assert set(library.__all__) <= set(dir(library))
+    with pytest.raises(AttributeError, match="module 'handctl' has no attribute 'conect'"):
+        library.conect  # noqa: B018
+
+
+def wait_until(true, timeout_s=60.0):
+    end = time.monotonic() + timeout_s
+    while not true() and time.monotonic() < end:
+        time.sleep(0.02)
+    assert true()
+
+
+@REALTIME
+def test_connect_says_why_the_controller_ends(place, capfd):
+    with pytest.raises(DriveError, match="the controller ended: local:nobody: nobody serves this bus"):
+        library.connect("jamia", "local:nobody").__enter__()
+    assert "nobody serves this bus" in capfd.readouterr().err
+
+
+def test_a_program_moves_holds_and_looks(place, hand, calibrated):
+    with library.connect("jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *SCALE) as client:
+        client.move(duration_s=0.4, wait=False, index=30.0)
+        client.wait("live", 5.0)
+        bent = 0.0
+        for _ in range(200):
+            bent = float(np.degrees(client.state()["q_rad"][0]))
+            if bent > 28.0:
+                break
+        assert bent == pytest.approx(30.0, abs=2.0)
+        with pytest.raises(ConfigError, match="no digit 'indx', expected one of index, middle, ring, thumb"):
+            client.move(indx=30.0)
+        with pytest.raises(ConfigError, match="move: duration_s: -1"):
+            client.move(duration_s=-1.0, index=30.0)
+        before_s = client.state()["t_s"]
+        client.move(duration_s=0.5, index=30.0)
+        assert client.state()["t_s"] >= before_s + 0.5, "the hand's time, which is slowed here"
+        with library.connect("jamia", BUS) as other:
+            assert other.state()["phase"] == "live"
+        assert client.state()["mode"] == "ACTIVE", "who has only looked ends nothing"
+        client.hold(thumb=12.0)
+        for _ in range(200):
+            state = client.state()
+            if abs(state["tension_N"][3] - 12.0) < 1.0:
+                break
+        assert state["tension_N"][3] == pytest.approx(12.0, abs=1.5)
+        assert state["mode"] == "ACTIVE"
+    assert client.child.returncode == 0
+    assert client.result["log"] == "live.mcap"
+    ended_well(place / "live.mcap")
+
+
+@REALTIME
+def test_a_fault_is_told_by_its_name(place, hand, calibrated):
+    client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *SCALE)
+    with client:
+        assert handctl("fault", "inject", "--bus", BUS, "snap tendon=index_tendon").returncode == 0
+        with pytest.raises(DriveError, match="the controller ended: fault "):
+            client.move(index=60.0, duration_s=30.0)
+        with pytest.raises(DriveError, match="the controller ended: fault "):
+            client.state()
+    assert client.result["failure"].startswith("fault ")
+
+
+@REALTIME
+def test_a_fault_that_nobody_asked_about_is_told_at_the_end(place, hand, calibrated):
+    client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *SCALE)
+    client.wait("live", 60.0)
+    assert handctl("fault", "inject", "--bus", BUS, "off node=index_motor").returncode == 0
+    wait_until(lambda: not answers(BUS))
+    with pytest.raises(DriveError, match="the controller ended: fault "):
+        client.close()
+
+
+@REALTIME
+def test_a_task_of_somebody_else_goes_on(place, hand, calibrated, processes, monkeypatch):
+    monkeypatch.setattr("handctl.client.ATTACH_S", 1.0)
+    process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *SCALE)
+    processes.append(process)
+    watcher = Watcher(BUS)
+    wait_for("stay", watcher, process)
+    watcher.close()
+    with pytest.raises(DriveError, match=r"not in phase 'live' after 1 s: phase 'stay'"), library.connect("jamia", BUS):
+        pass
+    time.sleep(1.0)
+    assert process.poll() is None
+    assert answers(BUS)
+
+
+def start_program(processes, *words):
+    """A program of somebody that wants the hand for a minute."""
+    code = PROGRAM.format(words=words)
+    program = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    processes.append(program)
+    return program
+
+
+@REALTIME
+def test_ctrl_c_while_it_starts_leaves_no_controller(place, hand, processes):
+    program = start_program(processes, "--log", "live.mcap", *SCALE)
+    wait_until(lambda: answers(BUS))
+    program.send_signal(signal.SIGINT)
+    _, err = program.communicate(timeout=60.0)
+    assert "KeyboardInterrupt" in err
+    assert not answers(BUS)
+    time.sleep(2.0)
+    assert not answers(BUS), "nor does it go on after commissioning"
+
+
+@REALTIME
+def test_a_program_that_is_killed_leaves_no_armed_hand(place, hand, calibrated, processes):
+    program = start_program(processes, "--calibration", "c.toml", "--log", "live.mcap", *SCALE)
+    assert program.stdout.readline() == "live\n"
+    program.kill()
+    program.wait()
+    wait_until(lambda: not answers(BUS), 20.0)
+    assert ended_well(place / "live.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]
