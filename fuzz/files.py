@@ -11,6 +11,7 @@ from handctl.controller.bus_load import bus_loads
 from handctl.controller.calibration import calibration_from
 from handctl.controller.gains import Gains, GainsFile, Provenance
 from handctl.controller.identified import identified_hand
+from handctl.controller.reach import check_reach
 from handctl.controller.task import Task, check_task, trajectory_from
 from handctl.document import validated
 from handctl.drives.registry import make_drive
@@ -121,6 +122,7 @@ def suited(task: Task, hand: Hand) -> None:
     """Check a task against a hand."""
     tendons = {name: part.stop - part.start for name, part in hand.digit_tendons.items()}
     check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), "fuzzed", tendons)
+    check_reach(task, hand, "fuzzed")
 
 
 def gains(folder: Path) -> Target:

@@ -13,6 +13,7 @@ from handctl.cli.gains_layers import layered_gains
 from handctl.controller.bus_load import BusLoad, bus_loads
 from handctl.controller.calibration import Calibration, load_calibration
 from handctl.controller.gains import Gains
+from handctl.controller.reach import check_reach
 from handctl.controller.task import Task, check_task, load_task, load_trajectory
 from handctl.drives.load import MOST, highest_rate
 from handctl.errors import ConfigError
@@ -176,6 +177,7 @@ def _check(task: Task, hand: Hand, where: str) -> None:
     """Refuse a task that does not suit the hand."""
     tendons = {name: part.stop - part.start for name, part in hand.digit_tendons.items()}
     check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, tendons)
+    check_reach(task, hand, where)
 
 
 def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:

@@ -9,13 +9,11 @@ from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.model import HandModel
 from handctl.controller.program import TIGHTEN_TIMEOUT_S, Progress, coordinates, loose, motion_to, tighten
+from handctl.controller.reach import ROUNDING_DEG
 from handctl.controller.requests import HoldTension, MoveDigits
 from handctl.controller.task import FOLLOW_SPEED_DEG_S
 from handctl.controller.trajectory import PEAK_SPEED
 from handctl.controller.types import Event
-
-ROUNDING_DEG = 1e-6
-"""What a sum of angles may be wrong by."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,9 +103,9 @@ def apply_goal(
 
 def _out_of_reach(model: HandModel, d: int, estimate: Estimate, angle: float, duration: float) -> str:
     """Why a digit does not go to an angle [deg] in a time [s], in a few words; empty if it does."""
-    described, digit = model.hand.digit[d], model.digits[d]
-    low = float((digit.joints_to_coordinates @ np.array(described.joint_min_deg)).max())
-    high = float((digit.joints_to_coordinates @ np.array(described.joint_max_deg)).min())
+    digit = model.digits[d]
+    least, most = digit.reach
+    low, high = math.degrees(least.max()), math.degrees(most.min())
     if not low - ROUNDING_DEG <= angle <= high + ROUNDING_DEG:
         return f"{angle:g} deg, expected from {low:g} to {high:g} deg"
     way = np.abs(angle - np.degrees(coordinates(digit, estimate))).max()

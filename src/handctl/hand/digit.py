@@ -105,6 +105,12 @@ class DigitModel:
     wrap: Array
     motor_mass: Array
 
+    @property
+    def reach(self) -> tuple[Array, Array]:
+        """(n_c,) smallest and largest coordinates that the joints' ranges leave [rad]."""
+        low, high = self.joints_to_coordinates * self.joint_min, self.joints_to_coordinates * self.joint_max
+        return np.minimum(low, high).sum(axis=1), np.maximum(low, high).sum(axis=1)
+
     @staticmethod
     def of(hand: Hand, name: str) -> "DigitModel":
         """Build the model of one digit of a hand, by the digit's name."""
