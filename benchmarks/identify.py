@@ -77,7 +77,7 @@ def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float
 def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
     """Excite and fit one digit of one hand; error and coverage of every parameter, or why it failed."""
     hand, factors = load_hand(hand_name), plant(seed)
-    plan = Plan(hand, detuned(seed), fastest(bus_loads(hand)), ())
+    plan = Plan(hand, detuned(seed), fastest(bus_loads(hand)), (), quiet=True)
     options = {"hand_path": str(hand_path(hand_name)), "seed": seed, "homed": True, "perturb": factors}
     peer = load_peer(SIMULATED_HAND, **options, period_ns=plan.period_ns)
     log = folder / f"{seed}.mcap"

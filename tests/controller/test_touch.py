@@ -45,8 +45,8 @@ def test_only_digits_blocked_on_their_way_are_restrained(model: HandModel) -> No
 
 @pytest.fixture(scope="module", params=["jamia", "jamia11"])
 def pressed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[str, PlantRun]:
-    """The index is told to go to 115 degrees; its first joint meets the palm long before."""
-    move = JogProgram(MoveDigits(do="move", angle_deg={"index": 115.0}, duration_s=1.0), 1.6)
+    """The index is told to go to 100 degrees; its first joint meets the palm long before."""
+    move = JogProgram(MoveDigits(do="move", angle_deg={"index": 100.0}, duration_s=1.0), 1.6)
     return request.param, run_on_plant(request.param, move, None, tmp_path_factory.mktemp("pressed"), 4.0)
 
 

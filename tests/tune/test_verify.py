@@ -23,7 +23,7 @@ WILD = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(force_N=300
 def _verified(new: Gains, log: Path) -> Watch:
     hand = load_hand("jamia")
     rate = fastest(bus_loads(hand))
-    plan = Plan(hand, CALM, rate, (0.5,))
+    plan = Plan(hand, CALM, rate, (0.5,), quiet=True)
     amplitudes = (0.2, 0.2)
     watch = Watch(hand, CALM, new, amplitudes=amplitudes, old_rounds=1)
     peer = load_peer("firmware_sim.rig:Rig", hand_path=str(hand_path("jamia")), period_ns=plan.period_ns, homed=True)

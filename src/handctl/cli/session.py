@@ -128,7 +128,7 @@ def run_live(
         stack.callback(give_back_priority)
         clock.spin = priority.realtime
         recorder = Recorder.start(log, run_header(plan, controller, priority, lockstep=False))
-        display = None if plan.quiet else Display.start(plan.hand, plan.rate_hz, max(plan.load))
+        display = None if plan.quiet else Display.start(plan.hand, plan.rate_hz, max(plan.load, default=0.0))
         if live_view:
             stack.callback(_start_view(log))
         signals = Signals()
@@ -147,7 +147,7 @@ def run_lockstep(
     header = run_header(plan, controller, None, lockstep=True)
     began = {TRUTH_OFFSET: str(clock.offset_ns)}
     recorder = Recorder.start(log, replace(header, metadata=header.metadata | began))
-    display = None if plan.quiet else Display.start(plan.hand, plan.rate_hz, max(plan.load))
+    display = None if plan.quiet else Display.start(plan.hand, plan.rate_hz, max(plan.load, default=0.0))
     asks, show = _asking(attendant, lambda: ()), _attended(attendant, display.show if display else _show_nothing)
     loop = _loop(plan, controller, clock, [LockstepBus(clock)], recorder, asks, show)
     return _finish(loop, controller, recorder, display, None, lambda: clock.offset_ns)
