@@ -48,9 +48,9 @@ class Repeats:
             self.meter = self.meter or StallMeter()
             self._test, self._began = item.nodeid, time.monotonic()
 
-    def stood_still(self) -> bool:
-        """Whether the machine did so since the present try began."""
-        longest = self.meter.longest_since(self._began) if self.meter else 0.0
+    def stood_still(self, error: BaseException | None) -> bool:
+        """Whether the machine did so since the present try began; also asked of one that passed, without an error."""
+        longest = self.meter.longest_since(self._began) if self.meter and error else 0.0
         if longest:
             self.told.append((self._test, longest))
         return longest > 0.0

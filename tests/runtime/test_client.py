@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import handctl as library
-from handctl import BusError, ConfigError, DriveError
+from handctl import BusError, ConfigError, DriveError, PowerError
 from handctl.client import HandClient
 from handctl.runtime.mailbox import Watcher, answers
 from tests.runtime.processes import BUS, SCALE, ended_well, handctl, start_handctl, wait_for
@@ -140,7 +140,7 @@ def test_a_fault_that_nobody_asked_about_is_told_at_the_end(place, hand, calibra
     client.wait("live", 60.0)
     assert handctl("fault", "inject", "--bus", BUS, "off node=index_motor").returncode == 0
     wait_until(lambda: not answers(BUS))
-    with pytest.raises(DriveError, match="the controller ended: fault "):
+    with pytest.raises(PowerError, match=r"fault .*; REMOVE POWER: not confirmed disabled: index_motor"):
         client.close()
 
 
