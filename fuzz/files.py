@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from fuzz.mutate import Source, mutated, places
+from handctl.cli.plan import check_suits
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.calibration import calibration_from
 from handctl.controller.gains import Gains, GainsFile, Provenance
 from handctl.controller.identified import identified_hand
-from handctl.controller.reach import check_reach
-from handctl.controller.task import Task, check_task, trajectory_from
+from handctl.controller.task import Task, trajectory_from
 from handctl.document import validated
 from handctl.drives.registry import make_drive
 from handctl.errors import HandctlError
@@ -104,7 +104,9 @@ def task(folder: Path) -> Target:
     """A task, checked against the hand."""
     jamia, contents = load_hand("jamia"), [tomllib.loads(path.read_text()) for path in sorted(TASKS.glob("*.toml"))]
     return _document(
-        folder / "task.toml", list(contents), lambda content: suited(validated(content, Task, "fuzzed"), jamia)
+        folder / "task.toml",
+        list(contents),
+        lambda content: check_suits(validated(content, Task, "fuzzed"), jamia, "fuzzed"),
     )
 
 
@@ -114,15 +116,10 @@ def trajectory(folder: Path) -> Target:
     angles = [30.0 * math.sin(0.5 * i) ** 2 for i in range(8)]
     content = {"schema": 1, "name": "t", "time_s": [0.3 * i for i in range(8)], "angle_deg": {"index": angles}}
     return _document(
-        folder / "trajectory.toml", [content], lambda content: suited(trajectory_from(content, "fuzzed"), jamia)
+        folder / "trajectory.toml",
+        [content],
+        lambda content: check_suits(trajectory_from(content, "fuzzed"), jamia, "fuzzed"),
     )
-
-
-def suited(task: Task, hand: Hand) -> None:
-    """Check a task against a hand."""
-    tendons = {name: part.stop - part.start for name, part in hand.digit_tendons.items()}
-    check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), "fuzzed", tendons)
-    check_reach(task, hand, "fuzzed")
 
 
 def gains(folder: Path) -> Target:

@@ -19,6 +19,7 @@ from typing import Any, Self
 from handctl.cli.buses import named_buses
 from handctl.cli.exit_codes import Exit
 from handctl.controller.requests import HoldTension, MoveDigits
+from handctl.controller.types import LETTING_GO
 from handctl.document import validated
 from handctl.errors import BusError, ConfigError, DriveError, PowerError
 from handctl.runtime.mailbox import Watcher, answers, send_request
@@ -33,7 +34,7 @@ TAKEN, REFUSED = "asked: ", "refused: "
 """How the events begin by which it does; what it cannot read has neither."""
 POLL_S = 0.2
 """How long a line is waited for before the started controller is looked at [s]."""
-LEAVING = {"RELAX", "CUT", "DISARM", "DONE"}
+LEAVING = {mode.name for mode in LETTING_GO}
 """Modes in which no goal counts any more."""
 A_RUN = "a running handctl run"
 

@@ -158,7 +158,7 @@ def find_task(name: Path, hand: Hand) -> tuple[Task, bytes]:
         packaged = ", ".join(sorted(path.name for path in TASKS.glob("*.toml")))
         raise ConfigError("no such task", str(name), f"a task file, or one of {packaged}")
     task = load_task(path)
-    _check(task, hand, str(name))
+    check_suits(task, hand, str(name))
     return task, path.read_bytes()
 
 
@@ -169,12 +169,16 @@ def find_trajectory(path: Path, hand: Hand) -> Task:
         ConfigError: there is none, or something in it is wrong.
     """
     task = load_trajectory(path)
-    _check(task, hand, str(path))
+    check_suits(task, hand, str(path))
     return task
 
 
-def _check(task: Task, hand: Hand, where: str) -> None:
-    """Refuse a task that does not suit the hand."""
+def check_suits(task: Task, hand: Hand, where: str) -> None:
+    """Refuse a task that does not suit the hand.
+
+    Raises:
+        ConfigError: a digit, a number of angles, a tension or an angle that the hand does not have.
+    """
     tendons = {name: part.stop - part.start for name, part in hand.digit_tendons.items()}
     check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, tendons)
     check_reach(task, hand, where)

@@ -10,13 +10,11 @@ from handctl.controller.modes import Wishes
 from handctl.controller.program import Program
 from handctl.controller.requests import Arm, Clear, Cut, HoldTension, MoveDigits, SetGains, Stop, parse_request
 from handctl.controller.state import State
-from handctl.controller.types import Event, Mode
+from handctl.controller.types import LETTING_GO, Event, Mode
 from handctl.safety import judge as safety
 
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
 """Modes in which an order to clear also clears the drives."""
-LETTING_GO = (Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
-"""Modes from which nothing leads back to action."""
 
 
 def answer(

@@ -38,6 +38,8 @@ BEFORE_ARMING = (Mode.SILENT, Mode.INVENTORY, Mode.READY)
 """Modes in which no drive has been enabled."""
 ACTING = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX)
 """Modes in which torque may act."""
+LETTING_GO = (Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
+"""Modes from which nothing leads back to action."""
 
 
 class IoEvent(NamedTuple):

@@ -14,9 +14,9 @@ REQUEST_TRIES = 10
 TORQUE_MODE = 10
 PDO_OFF = 1 << 31
 MASTER = 0x7F
+"""Node number of this host, whose heartbeat the drives watch."""
 UNSUPERVISED = 0x1016, 1, (MASTER << 16).to_bytes(4, "little")
 """Number, subindex and bytes of an object: a heartbeat that may be 0 ms apart is not waited for."""
-"""Node number of this host, whose heartbeat the drives watch."""
 
 
 class Check(enum.IntEnum):

@@ -253,7 +253,7 @@ class CubemarsDrive:
         return fresh, self.cut()
 
     def leave(self, state: DriveState) -> tuple[Frame, ...]:
-        """Disabled, its watchdog watches nothing."""
+        """Nothing: it has no watchdog that would miss this host."""
         return ()
 
     def cause(self, error: int) -> Cause:
