@@ -202,14 +202,12 @@ class HandClient:
         self._acting(ANSWER_S)
         self._asked = True
         send_request(self.bus, json.dumps(goal))
-        end = time.monotonic() + ANSWER_S
-        while (left := end - time.monotonic()) > 0.0:
-            line = self._watcher.following(left)
-            said = [event["text"] for event in line["events"] if event["name"] == "request"] if line else []
+        for line in self._watcher.heard(ANSWER_S):
+            said = [event["text"] for event in line["events"] if event["name"] == "request"]
             unread = [] if any(text.startswith(TAKEN) for text in said) else said
             if refused := [text for text in said if text.startswith(REFUSED)] or unread:
                 raise ConfigError(refused[0].removeprefix(REFUSED), f"the controller of {self.bus}")
-            if line and said:
+            if said:
                 return float(line["t_s"])
         self._refuse_ended()
         raise BusError("the controller does not answer", f"bus {self.bus}", A_RUN)

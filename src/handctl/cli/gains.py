@@ -194,8 +194,8 @@ def _answers(watcher: Any, values: dict[str, float]) -> dict[str, str]:
         BusError: it says nothing.
     """
     said: dict[str, str] = {}
-    for events in watcher.heard(TAKEN_OVER_S):
-        for event in events:
+    for line in watcher.heard(TAKEN_OVER_S):
+        for event in line["events"]:
             if event["name"] == "request" and event["text"].startswith("refused: gains"):
                 raise ConfigError(event["text"].removeprefix("refused: "), "the controller")
             if event["name"] == "gain" and event["where"] in values:

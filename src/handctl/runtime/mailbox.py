@@ -189,13 +189,13 @@ class Watcher:
             return None
         return line
 
-    def heard(self, timeout_s: float) -> Iterator[list[dict[str, Any]]]:
-        """The events of each line that comes from now on, as long as somebody listens and time is left [s]."""
+    def heard(self, timeout_s: float) -> Iterator[dict[str, Any]]:
+        """Each line that comes from now on, as long as somebody listens and time is left [s]."""
         end = time.monotonic() + timeout_s
         while (left := end - time.monotonic()) > 0.0:
             line = self.following(left)
             if line is not None:
-                yield line["events"]
+                yield line
 
     def _forget(self) -> None:
         """Throw lines away that wait from before."""
