@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from handctl.controller.guard import RELAXED_S
 from handctl.controller.live import LiveProgram
 from handctl.controller.model import HandModel
 from handctl.controller.types import Mode
-from tests.controller.bench import bench
+from tests.controller.bench import Bench, bench
 
 
 @pytest.mark.parametrize("tare", [-3.0, 0.0, 5.0])
@@ -24,3 +25,29 @@ def test_a_wire_that_breaks_is_found_behind_every_tare(jamia: HandModel, tare: f
     told = [event.text[:3] for _ in range(4) for event in run.tick().events if event.name == "fault"]
     assert "T06" in told
     assert run.state.mode == Mode.RELAX
+
+
+def at_the_rail(model: HandModel) -> Bench:
+    """An active hand that relaxes in this tick, since a load cell is at its upper rail."""
+    run = bench(model, LiveProgram())
+    run.until(Mode.ACTIVE)
+    run.peer.bias[:] = 60.0  # so that it goes on relaxing
+    run.peer.bias[1] = 300.0
+    run.until(Mode.RELAX)
+    return run
+
+
+def test_a_cell_that_stays_at_its_rail_while_the_hand_relaxes_cuts(jamia: HandModel) -> None:
+    """It may be all that is seen of a drive that does not obey, and of how far it pulls."""
+    run = at_the_rail(jamia)
+    began = run.state.mode_since
+    run.until(Mode.CUT)
+    assert abs(run.state.mode_since - began - RELAXED_S) <= 2 * jamia.period
+
+
+def test_a_rope_that_relaxes_in_time_is_let_go_of_gently(jamia: HandModel) -> None:
+    run = at_the_rail(jamia)
+    for _ in range(round(0.9 * RELAXED_S / jamia.period)):
+        assert run.tick().mode == Mode.RELAX
+    run.peer.bias[:] = 0.0
+    run.until(Mode.DISARM)

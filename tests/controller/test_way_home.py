@@ -7,7 +7,12 @@ from handctl.controller.commission import CommissionProgram
 from handctl.controller.gains import Gains
 from handctl.controller.live import LiveProgram
 from handctl.controller.model import HandModel
-from handctl.controller.relaxing import AHEAD_N, RELAX_FLOOR_N
+from handctl.controller.relaxing import (
+    AHEAD_N,
+    OVER_TENSION_RATE_N_PER_S,
+    RELAX_FLOOR_N,
+    RELAX_RATE_N_PER_S,
+)
 from handctl.controller.types import Mode
 from handctl.drives.frame import Frame
 from handctl.hand.description import load_hand
@@ -65,6 +70,30 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(quick: HandModel) -> 
     assert (run.state.law.setpoint <= present).all()
     while run.tick().mode == Mode.RELAX:
         assert run.state.law.setpoint.max() <= present.max()
+
+
+def fastest_fall(run: Bench, index: int = 0) -> float:
+    """Of a tendon's set-point while the hand relaxes [N/s]."""
+    goals = [out.telemetry.tension_goal[index] for _, _, out in run.history if out.mode == Mode.RELAX]
+    return float(-np.diff(goals).min() / run.controller.model.period)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_over_tension_is_let_go_of_four_times_as_fast(quick: HandModel, late: bool) -> None:
+    """From the tick on in which a load cell tells of it, though the hand relaxes already."""
+    run = acting(quick)
+    run.tick('{"do": "hold", "tension_N": {"index": 60}, "rate_N_per_s": 1000}')
+    run.run(0.5)
+    if late:
+        run.tick(STOP)
+        run.run(0.02)
+        assert fastest_fall(run) == pytest.approx(RELAX_RATE_N_PER_S)
+    run.peer.bias[0] = 150.0 - run.peer.tension[0]
+    run.run(2 * quick.period)
+    run.peer.bias[0] = 0.0
+    run.until(Mode.DISARM)
+    assert next(event.text for event in run.events if event.name == "fault").startswith("T03 ")
+    assert fastest_fall(run) == pytest.approx(OVER_TENSION_RATE_N_PER_S)
 
 
 @pytest.mark.parametrize("asked", [STOP, CUT])

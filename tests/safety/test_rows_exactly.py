@@ -63,6 +63,13 @@ def test_a_tension_at_the_rail_is_the_load_cell_s_and_below_it_the_rope_s() -> N
         assert readings(row, tensions(rail, 0.0)) == [], row
 
 
+def test_over_tension_stays_at_the_rail_as_well_as_below_and_only_behind_relaxing() -> None:
+    high = tensions(math.nan, LIMITS.tension_rail + 1.0)
+    assert readings("T03c", high) == []
+    assert readings("T03c", high._replace(relaxed=True)) == [("t1", LIMITS.tension_rail + 1.0)]
+    assert readings("T03c", tensions()._replace(relaxed=True)) == []
+
+
 @pytest.mark.parametrize("row", ["T03", "T03b", "T06"])
 def test_nothing_is_said_of_tensions_that_were_not_read(row: str) -> None:
     assert readings(row, tensions()) == []

@@ -114,6 +114,10 @@ CASES = {
     "T02b": Case(with_(slack=(("t0", 0.51),)), with_(slack=(("t0", 0.5),)), "t0", 1, Action.RELAX, True),
     "T03": Case(tensions(20.0, 50.1), tensions(139.9, 50.0), "t1", 1, Action.RELAX, True),
     "T03b": Case(tensions(20.0, 60.1), tensions(159.9, 60.0), "t1", 1, Action.CUT, True),
+    "T03c": Case(
+        tensions(20.0, 50.1)._replace(relaxed=True), tensions(139.9, 50.0)._replace(relaxed=True),
+        "t1", 1, Action.CUT, True,
+    ),
     "T04a": Case(with_(residual=(5.1, 0.0)), with_(residual=(0.0, 5.0)), "t0", 1, Action.WARN, False),
     "T04b": Case(with_(residual=(0.0, 10.1)), with_(residual=(10.0, 0.0)), "t1", 1, Action.RELAX, True),
     "T05": Case(with_(stuck_cell=(("t1", 6.0),)), CALM, "t1", 1, Action.RELAX, True),

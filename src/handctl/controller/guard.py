@@ -42,6 +42,8 @@ NEVER = 1_000_000
 """Age of what never came [ticks]."""
 FOLLOW_S = 0.1
 """Time in which a motor follows a goal that jumps, several times over [s]."""
+RELAXED_S = 0.1
+"""After so long of relaxing no rope of a motor that obeys is above its trip [s]."""
 ARRIVED_M = 0.2e-3
 """From the goal: a motor that stands there is where it was to go."""
 
@@ -150,6 +152,7 @@ class Guard:
             temperature=motors.temperature,
             frames=len(entry.frames),
             heard=state.mode in ACTING or _heard(state),
+            relaxed=state.mode == Mode.RELAX and entry.t_ns * 1e-9 - state.mode_since > RELAXED_S,
             drive_errors=self._errors(motors) if FAULT in motors.phase else (),
             foreign=received.foreign,
             io=tuple([(event.kind, event.where, event.number) for event in entry.io_events]),

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.controller.model import HandModel
-from handctl.controller.relaxing import RELAX_FLOOR_N, relaxing, tension
+from handctl.controller.relaxing import RELAX_FLOOR_N, hurried, relaxing, tension
 from handctl.controller.state import State
 from handctl.controller.types import ACTING, BEFORE_ARMING, Event, Mode
 from handctl.drives.contract import Drive, DriveState, Phase, Want
@@ -24,6 +24,8 @@ LISTEN_S = 0.5
 INVENTORY_TIMEOUT_S = 3.0
 LOOK_FIRST = " (when you have looked why: --clear)"
 """What a person may do about a drive that has latched an error."""
+REMOVE_POWER = "REMOVE POWER"
+"""In a failure: torque may be left, and only a person can end it."""
 STILL_LATCHED = " (or an error that does not clear)"
 READY_S = 0.1
 """Time for the filter to see a few measurements before arming."""
@@ -127,7 +129,7 @@ def next_mode(
     demanded = None if seen.nothing_special else _demanded(state, seen)
     mode, failure = demanded or _MODES[state.mode](state, seen)
     if mode == state.mode:
-        return state, ()
+        return (hurried(state) if mode == Mode.RELAX else state), ()
     failure = failure or ("" if state.failure else _latched(state))  # of a fault on the way home, too
     names = seen.names
     level = "error" if failure else "info"
@@ -225,13 +227,13 @@ def _relax(state: State, seen: Circumstances) -> Next:
 def _disarm(state: State, seen: Circumstances) -> Next:
     pulling = _pulling(seen.model, state, seen.names)
     if pulling:
-        return Mode.DONE, f"REMOVE POWER: still pulling after the cut: {', '.join(pulling)}"
+        return Mode.DONE, f"{REMOVE_POWER}: still pulling after the cut: {', '.join(pulling)}"
     enabled = _enabled(state, seen.names)
     if not enabled:
         return Mode.DONE, ""
     if seen.elapsed < DISARM_TIMEOUT_S:
         return Mode.DISARM, ""
-    return Mode.DONE, f"REMOVE POWER: not confirmed disabled: {', '.join(enabled)}"
+    return Mode.DONE, f"{REMOVE_POWER}: not confirmed disabled: {', '.join(enabled)}"
 
 
 def _cut(state: State, seen: Circumstances) -> Next:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from types import FrameType
 from typing import Generic, Protocol, TypeVar
 
+from handctl.controller.modes import REMOVE_POWER
 from handctl.controller.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.errors import PowerError
@@ -155,7 +156,7 @@ class Loop(Generic[S]):
                 left = self._still_on(last[0])
             finally:
                 if left:
-                    raise PowerError(f"REMOVE POWER: not confirmed disabled: {', '.join(left)}") from error
+                    raise PowerError(f"{REMOVE_POWER}: not confirmed disabled: {', '.join(left)}") from error
             raise
 
     def _still_on(self, state: S) -> tuple[str, ...]:

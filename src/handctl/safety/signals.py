@@ -88,6 +88,7 @@ class Signals(NamedTuple):
         frames: frames received in this tick.
         heard: whether any node has ever answered.
         unknown: frames of unknown identifiers in the last second.
+        relaxed: whether the hand has been relaxing for so long that no tension can be above its trip any more.
         drive_errors: (motor, code, cause) of every drive in fault; from here on all is seldom told.
         foreign: identifiers of the host seen from somebody else, and motors that answer somebody else, as text.
         io: (kind, where, number) of buses and host.
@@ -125,6 +126,7 @@ class Signals(NamedTuple):
     frames: int = 0
     heard: bool = True
     unknown: float = 0.0
+    relaxed: bool = False
     drive_errors: tuple[tuple[str, int, Cause], ...] = ()
     foreign: tuple[str, ...] = ()
     io: tuple[tuple[str, str, int], ...] = ()

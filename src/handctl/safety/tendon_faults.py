@@ -38,6 +38,14 @@ def _beyond_drive(limits: Limits, s: Signals) -> Sequence[Reading]:
     return [(name, f) for name, f, most in rows if most < f < limits.tension_rail]
 
 
+def _stays(limits: Limits, s: Signals) -> Sequence[Reading]:
+    """Above the trip, or at the rail that hides how far above, of a motor that was to relax: it does not obey."""
+    if not s.relaxed:
+        return NOTHING
+    rows = zip(limits.tendons, s.tension, limits.tension_trip, strict=False)
+    return [(name, f) for name, f, trip in rows if f > trip]
+
+
 def _within(limits: Limits, tension: tuple[float, ...]) -> bool:
     return not tension or (max(tension) < limits.tension_rail and min(tension) > limits.tension_low)
 
@@ -78,6 +86,8 @@ TENDON_FAULTS: tuple[Fault, ...] = (
     Fault("T02b", "a rope stays slack", "the same for 500 ms", 1, Action.RELAX, PERSON, _slack_long),
     Fault("T03", "over-tension", "one load-cell sample above tension_trip_N", 1, Action.RELAX, PERSON, _over_tension),
     Fault("T03b", "beyond the drive", "one load-cell sample above drive_limit_N", 1, Action.CUT, PERSON, _beyond_drive),
+    Fault("T03c", "over-tension stays", "still above tension_trip_N, or at the rail, 100 ms after relaxing began", 1,
+          Action.CUT, PERSON, _stays),
     Fault("T04a", "a load cell drifts", "5 N that torque, inertia and friction do not explain", 1, Action.WARN, ITSELF,
           _drifts),
     Fault("T04b", "a load cell is wrong", "10 N that torque, inertia and friction do not explain", 1, Action.RELAX,
