@@ -14,6 +14,7 @@ from handctl.campaign.scenarios import ALL, ARMING, FREE, GRASP, LEFT_OUT, MATRI
 from handctl.campaign.stage import FREE_S, branch, bring, hand_in, started
 from handctl.campaign.trial import Result, try_out
 from handctl.cli.fault_campaign import rate_of
+from handctl.controller.guard import RELAXED_S
 from handctl.controller.types import Event, Mode
 from handctl.safety.action import Action
 
@@ -98,7 +99,14 @@ def test_a_reaction_that_does_not_come_is_late(tmp_path):
     with started(hand, RATE_HZ, 0) as course:
         course.tick()
         todo = [Scenario(row, row.fault, GRASP) for row in (never, slow)]
-        branch(course, todo, 2, "mit", found.append, lambda course, result: kept.touch())
+        branch(
+            course,
+            todo,
+            2,
+            lambda course, one: try_out(course, one, "mit"),
+            found.append,
+            lambda course, result: kept.touch(),
+        )
     assert sorted(result.why for result in found) == ["no reaction; torque is left", "the disturbance was not felt"]
     assert kept.exists(), "a failure leaves its log"
 
@@ -179,6 +187,17 @@ def test_true_tension_stays_within_what_drive_and_momentum_explain():
     bound = limit + math.sqrt((limit - at) ** 2 + k * m * v**2)
     assert result.ok, result.why
     assert at < result.tension <= bound, f"{result.tension:.0f} N, bound {bound:.0f} N"
+
+
+def test_a_drive_that_does_not_relax_is_cut_though_its_load_cell_is_at_its_rail():
+    """An ODrive that tells no torque, behind cells that saturate below what cuts at once; its torque took a second."""
+    hand = hand_in("jamia_bench", "odrive")
+    row = next(row for row in MATRIX if row.fault == "runaway node={node} size=1 seed=1")
+    with started(hand, 400.0, 0) as course:
+        bring(course, GRASP)
+        result = try_out(course, Scenario(row, row.fault.replace("{node}", "thumb_motor"), GRASP), "odrive")
+    assert result.ok, result.why
+    assert result.safe_ticks <= 400.0 * RELAXED_S + row.ticks + 5
 
 
 def test_instances_are_the_first_and_the_last():

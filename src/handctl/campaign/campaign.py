@@ -2,12 +2,13 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from handctl.campaign.course import Course
 from handctl.campaign.scenarios import Scenario, pairs, scenarios
-from handctl.campaign.stage import STAGES, branch, bring, hand_in, started
-from handctl.campaign.trial import Result
+from handctl.campaign.stage import hand_in, started, try_all
+from handctl.campaign.trial import Result, try_out
 from handctl.controller.types import Event, Mode
 from handctl.hand.description import Hand
 from handctl.safety.action import Action
@@ -16,7 +17,6 @@ QUICK_EVERY = 7
 """A sample takes every so-manieth scenario."""
 NOISE, LOSS = 3.0, 0.001
 """What the undisturbed hand must bear: times the specified noise, and the share of frames that are lost."""
-SEED = 0
 RUN_NS, GRASPED = 8_000_000_000, "hold"
 """How long a run of the undisturbed hand takes; and the phase in which it must be then."""
 
@@ -114,28 +114,11 @@ def run(
             told(protocol, len(results), most)
 
         if todo:
-            _try_all(hand, rate, todo, jobs, protocol, done, keep)
+            attempt = partial(try_out, protocol=protocol)
+            try_all(hand, rate, todo, jobs, attempt, done, keep)
         report.alarms[protocol] = calm(hand, rate, calm_s, seed)
         report.simulated_s += calm_s
     return report
-
-
-def _try_all(
-    hand: Hand,
-    rate: float,
-    todo: list[Scenario],
-    jobs: int,
-    protocol: str,
-    done: Callable[[Result], None],
-    keep: Callable[[Course, Result], None],
-) -> None:
-    """Bring one run to each stage, and let the scenarios of that stage branch off."""
-    with started(hand, rate, SEED) as course:
-        for stage in STAGES:
-            here = [one for one in todo if one.stage == stage]
-            if here:
-                bring(course, stage)
-                branch(course, here, jobs, protocol, done, keep)
 
 
 def calm(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) -> list[str]:

@@ -74,6 +74,11 @@ class Scenario(NamedTuple):
     second: str = ""
 
     @property
+    def id(self) -> str:
+        """Of its row."""
+        return self.row.id
+
+    @property
     def name(self) -> str:
         """For people."""
         return f"{self.row.id} {self.fault}" + (f" + {self.second}" if self.second else "") + f", {self.stage}"
@@ -141,7 +146,7 @@ MATRIX: tuple[Row, ...] = (
     Row("T02", "slack tendon={tendon} size=30", WARN, 10, rows=("T02", "T01"), stages=(GRASP,)),
     Row("T03", "offset cell={tendon} size={trip}", RELAX, 2, rows=("T03",), stages=(GRASP,)),
     Row("T03", "offset cell={tendon} size={limit}", CUT, 2, rows=("T03b",), stages=(GRASP,)),
-    Row("T03", "runaway node={node} size=1 seed=1", RELAX, 10, rows=("T03", "N14"), stages=(GRASP,)),
+    Row("T03", "runaway node={node} size=1 seed=1", RELAX, 10, rows=("T03", "N14", "T06"), stages=(GRASP,)),
     Row("T04", "drift cell={tendon} size=60", RELAX, 2, 500.0, ("T04", "T03", "N14", "T02"), (GRASP,)),
     Row("T04", "drift cell={tendon} size=-60", RELAX, 2, 500.0, ("T04", "T02", "T01"), (GRASP,)),
     Row("T05", "stuck cell={tendon}", RELAX, 42, 300.0, ("T05", "T04"), (GRASP,)),
@@ -180,8 +185,9 @@ def scenarios(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
     found = []
     for row in MATRIX:
         if protocol in row.protocols:
-            texts = list(dict.fromkeys(_texts(hand, row.fault, period_ms)))
-            found += [Scenario(row, text, stage) for stage in row.stages for text in texts]
+            every = texts(hand, row.fault, period_ms)
+            ends = dict.fromkeys(every[:1] + every[-1:])
+            found += [Scenario(row, text, stage) for stage in row.stages for text in ends]
     return found
 
 
@@ -192,13 +198,13 @@ def pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
     for i, first in enumerate(rows):
         for second in rows[i + 1 :]:
             main, other = (first, second) if first.action >= second.action else (second, first)
-            text, second_text = _texts(hand, main.fault, period_ms)[0], _texts(hand, other.fault, period_ms)[-1]
+            text, second_text = texts(hand, main.fault, period_ms)[0], texts(hand, other.fault, period_ms)[-1]
             found.append(Scenario(main, text, GRASP, second_text))
     return found
 
 
-def _texts(hand: Hand, fault: str, period_ms: float) -> list[str]:
-    """A fault on the first and the last instance; nothing where the hand has none that can show it."""
+def texts(hand: Hand, fault: str, period_ms: float) -> list[str]:
+    """A fault on each instance; nothing where the hand has none that can show it."""
     if fault.startswith(HOST):
         return [fault]
     sizes = {
@@ -206,9 +212,8 @@ def _texts(hand: Hand, fault: str, period_ms: float) -> list[str]:
         "jump": JUMP_RAD * max(1.0, period_ms / JUMP_MS),
         "rough": ROUGH_RAD * max(1.0, (period_ms / ROUGH_MS) ** 2),
     }
-    texts = {name: f"{size:g}" for name, size in sizes.items()}
-    found = [fault.format(**texts, **instance) for instance in _instances(hand, fault)]
-    return found[:1] + found[-1:]
+    words = {name: f"{size:g}" for name, size in sizes.items()}
+    return [fault.format(**words, **instance) for instance in _instances(hand, fault)]
 
 
 def _instances(hand: Hand, fault: str) -> list[dict[str, str]]:

@@ -8,12 +8,13 @@ import tempfile
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Protocol, TypeVar, cast
 
 from handctl.campaign.course import Course, FaultyPeer
-from handctl.campaign.scenarios import ARMING, CIA402, FREE, GRASP, MIT, ODRIVE, Scenario
-from handctl.campaign.trial import Result, try_out
+from handctl.campaign.scenarios import ARMING, CIA402, FREE, GRASP, MIT, ODRIVE
+from handctl.campaign.trial import Result
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.setup import make_controller
@@ -41,6 +42,10 @@ TASK = {
         {"kind": "hold", "tension_N": 24.0, "rate_N_per_s": 30.0, "duration_s": 60.0},
     ],
 }
+STAGES = (ARMING, FREE, GRASP)
+"""In the order in which a run comes to them."""
+SEED = 0
+"""Of the simulator from which all branches off."""
 FREE_S, STAGE_TIMEOUT_S = 0.2, 12.0
 """Time into the free motion at which it is disturbed; and the longest way to a stage [s]."""
 
@@ -106,53 +111,83 @@ def bring(course: Course, stage: str) -> None:
         raise ConfigError(f"the simulated hand does not come to {stage}: {failure}", "--hand", "a hand that grasps")
 
 
-def branch(
-    course: Course,
-    todo: Sequence[Scenario],
+class Trial(Protocol):
+    """What is tried from a stage on. Attributes: name: for people. id: of its row. stage: where it begins."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def id(self) -> str: ...
+    @property
+    def stage(self) -> str: ...
+
+
+T = TypeVar("T", bound=Trial)
+
+
+def try_all(
+    hand: Hand,
+    rate_hz: float,
+    todo: Sequence[T],
     jobs: int,
-    protocol: str,
+    attempt: Callable[[Course, T], Result],
     told: Callable[[Result], None],
     keep: Callable[[Course, Result], None],
 ) -> None:
-    """Try scenarios out from here, each in a copy of this process, so many at a time.
+    """Bring one run to each stage, and let what is tried there branch off; see ``branch``."""
+    with started(hand, rate_hz, SEED) as course:
+        for stage in STAGES:
+            here = [one for one in todo if one.stage == stage]
+            if here:
+                bring(course, stage)
+                branch(course, here, jobs, attempt, told, keep)
+
+
+def branch(
+    course: Course,
+    todo: Sequence[T],
+    jobs: int,
+    attempt: Callable[[Course, T], Result],
+    told: Callable[[Result], None],
+    keep: Callable[[Course, Result], None],
+) -> None:
+    """Try things out from here, each in a copy of this process, so many at a time.
 
     Args:
         course: at their stage; it stays as it is.
-        todo: scenarios.
+        todo: what is tried.
         jobs: processes at a time.
-        protocol: of the drives.
+        attempt: tries one out, in the copy.
         told: called with each result.
-        keep: called in the copy whose scenario failed, with its course.
+        keep: called in the copy in which one failed, with its course.
     """
-    running: dict[int, tuple[int, Scenario]] = {}
+    running: dict[int, tuple[int, T]] = {}
     waiting = list(todo)
     while waiting or running:
         while waiting and len(running) < jobs:
-            scenario = waiting.pop(0)
+            one = waiting.pop(0)
             reading, writing = os.pipe()
             child = os.fork()
             if child == 0:
                 os.close(reading)
-                _in_copy(course, scenario, protocol, writing, keep)
+                _in_copy(partial(attempt, course, one), writing, partial(keep, course))
             os.close(writing)
-            running[child] = (reading, scenario)
+            running[child] = (reading, one)
         child, status = os.wait()
         if child in running:
-            reading, scenario = running.pop(child)
-            told(_result(reading, scenario, status))
+            reading, one = running.pop(child)
+            told(_result(reading, one, status))
 
 
-def _in_copy(
-    course: Course, scenario: Scenario, protocol: str, writing: int, keep: Callable[[Course, Result], None]
-) -> None:
-    """Run a scenario, hand its result over, and end this process without anything of the original's."""
+def _in_copy(attempt: Callable[[], Result], writing: int, keep: Callable[[Result], None]) -> None:
+    """Try one out, hand its result over, and end this process without anything of the original's."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_DFL)
     code = 1
     try:
-        result = try_out(course, scenario, protocol)
+        result = attempt()
         if not result.ok:
-            keep(course, result)
+            keep(result)
         with os.fdopen(writing, "w") as pipe:
             json.dump(result.plain(), pipe)
         code = 0
@@ -162,13 +197,9 @@ def _in_copy(
         os._exit(code)
 
 
-def _result(reading: int, scenario: Scenario, status: int) -> Result:
+def _result(reading: int, one: Trial, status: int) -> Result:
     with os.fdopen(reading) as pipe:
         text = pipe.read()
     if status or not text:
-        return Result(scenario.name, scenario.row.id, scenario.stage, why=f"its process ended with status {status}")
+        return Result(one.name, one.id, one.stage, why=f"its process ended with status {status}")
     return Result(**json.loads(text))
-
-
-STAGES = (ARMING, FREE, GRASP)
-"""In the order in which a run comes to them."""

@@ -1,6 +1,7 @@
 """One scenario on a run that has come so far: disturb, see whether it was felt, and how soon what was done about it."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -8,6 +9,8 @@ import numpy as np
 
 from handctl.campaign.course import Course
 from handctl.campaign.scenarios import GRASP, HOST, Row, Scenario
+from handctl.controller.model import HandModel
+from handctl.controller.modes import REMOVE_POWER
 from handctl.controller.types import IoEvent, Mode, TickOut
 from handctl.safety.action import Action
 
@@ -68,10 +71,10 @@ def try_out(course: Course, scenario: Scenario, protocol: str) -> Result:
     result = Result(scenario.name, row.id, scenario.stage, bound=bound)
     begin_ns, before = course.k * course.period_ns, course.peer.truth()["tension"]
     speed = _speeds(course)
-    host = _Host(scenario.fault.removeprefix(HOST)) if scenario.fault.startswith(HOST) else None
+    host = Host(scenario.fault.removeprefix(HOST)) if scenario.fault.startswith(HOST) else None
     if host is None:
         course.peer.inject(scenario.fault)
-    other = _Host(scenario.second.removeprefix(HOST)) if scenario.second.startswith(HOST) else None
+    other = Host(scenario.second.removeprefix(HOST)) if scenario.second.startswith(HOST) else None
     for i in range(bound + SECOND_AT_TICKS + round(AFTER_S * 1e9 / course.period_ns)):
         now: dict[str, Any] = {"requests": CUT} if i == 1 and row.id == "N16" else {}
         now |= host.at(i, course) if host else {}
@@ -101,28 +104,39 @@ def _speeds(course: Course) -> list[float]:
 def explained(course: Course, scenario: Scenario, before: list[float], speed: list[float], seconds: float) -> float:
     """Largest tension that drive and momentum explain [N].
 
-    A drive that runs away pushes its rotor, of mass m at the cable, with its own limit F against the stiffness k of the
-    rope, from the tension T that was there: it overshoots to F + sqrt((F - T)^2 + k m v^2), where v is the speed that
-    the rotor had, and where the finger is free what F adds to it until the torque is gone. Of all other faults nobody's
-    drive needs to be feared: they must stay below the limit at which one sample means that the hand relaxes.
+    Of all faults but one nobody's drive needs to be feared: they must stay below the limit at which one sample means
+    that the hand relaxes.
 
     Args:
         course: of the run. scenario: what was done.
         before, speed: of each rope when it was done [N], [m/s].
         seconds: time until no torque is asked for.
     """
-    hand, space = course.controller.model.hand, course.controller.model.space
     if RUNS_AWAY not in (scenario.fault.split()[0], *scenario.second.split()[:1]):
-        return max(max(tendon.tension_trip_N for tendon in hand.tendon), *before)
-    bounds = []
-    for tendon, k, m, taut, v in zip(hand.tendon, space.stiffness, space.motor_mass, before, speed, strict=True):
+        return max(*course.controller.limits.tension_trip, *before)
+    return overshoot(course.controller.model, before, speed, 0.0 if scenario.stage == GRASP else seconds)
+
+
+def overshoot(model: HandModel, before: Sequence[float], speed: Sequence[float], seconds: float) -> float:
+    """Largest tension that a drive that runs away explains [N].
+
+    It pushes its rotor, of mass m at the cable, with its own limit F against the stiffness k of the rope, from the
+    tension T that was there: it overshoots to F + sqrt((F - T)^2 + k m v^2), where v is the speed that the rotor had,
+    and where the finger is free what F adds to it until the torque is gone.
+
+    Args:
+        model: the hand.
+        before, speed: of each rope when it began [N], [m/s].
+        seconds: for which the finger is free.
+    """
+    space, bounds = model.space, []
+    for tendon, k, m, taut, v in zip(model.hand.tendon, space.stiffness, space.motor_mass, before, speed, strict=True):
         limit = tendon.drive_limit_N
-        faster = v if scenario.stage == GRASP else v + limit / m * seconds
-        bounds.append(limit + math.sqrt((limit - taut) ** 2 + k * m * faster**2))
+        bounds.append(limit + math.sqrt((limit - taut) ** 2 + k * m * (v + limit / m * seconds) ** 2))
     return float(max(bounds))
 
 
-def _felt_ns(course: Course, host: "_Host | None", begin_ns: int) -> int:
+def _felt_ns(course: Course, host: "Host | None", begin_ns: int) -> int:
     """When the disturbance was felt first [ns]; -1 as long as it was not."""
     if host is not None:
         return begin_ns
@@ -137,7 +151,7 @@ def _look(result: Result, course: Course, scenario: Scenario, out: TickOut, felt
         return
     since = math.ceil((t_ns - felt_ns) / course.period_ns)
     for event in out.events:
-        told = event.name == "fault" or "REMOVE POWER" in event.text
+        told = event.name == "fault" or REMOVE_POWER in event.text
         own = event.text.startswith(tuple(filter(None, row.rows))) or not any(row.rows) or scenario.second
         if not result.found and told and own:
             result.found = " ".join(event.text.split(":")[0].split()[:1]) + f" {event.where}"
@@ -170,7 +184,7 @@ def _judged(result: Result, row: Row) -> Result:
     return result
 
 
-class _Host:
+class Host:
     """What is done to the host: ``io KIND [WHERE] [lasting]``, ``skip N``, ``late SHARE``, ``ask REQUEST [TIMES]``."""
 
     def __init__(self, text: str) -> None:

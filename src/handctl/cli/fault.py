@@ -1,4 +1,4 @@
-"""``handctl fault``: faults for a simulated hand, one by one or the whole matrix."""
+"""``handctl fault``: faults for a simulated hand, one by one, the whole matrix, or sequences by chance."""
 
 import argparse
 
@@ -7,6 +7,7 @@ from handctl.runtime.simulator import ask_simulator, find_simulator
 
 EXAMPLE = "handctl fault campaign --row N04 --calm 0"
 CAMPAIGN = "example: handctl fault campaign --quick --protocol odrive"
+SEQUENCES = "example: handctl fault sequences --count 12 --seed 7"
 TEXT = """a fault is KIND COMPONENT=INSTANCE [size=X] [p=X] [at=TIME] [for=TIME] [seed=N], as in
 'drop node=3 p=0.05 at=3s for=2s', 'snap tendon=index_tendon', 'stuck cell=thumb_tendon at=500ms';
 handctl fault kinds lists all that a running simulator knows"""
@@ -16,7 +17,7 @@ MOST_NAMES = 8
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    actions = parser.add_subparsers(dest="action", required=True, metavar="inject|list|kinds|campaign")
+    actions = parser.add_subparsers(dest="action", required=True, metavar="inject|list|kinds|campaign|sequences")
     inject = actions.add_parser("inject", help="let a fault begin in a running simulator", description=TEXT)
     inject.add_argument("text", metavar="FAULT", help='as in "drop node=3 p=0.05 at=3s for=2s"')
     listed = actions.add_parser("list", help="the faults of a running simulator, and what was felt of each")
@@ -24,17 +25,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
     for sub in (inject, listed, kinds):
         sub.add_argument("--bus", metavar="SPEC", help="of the simulator (default: the only one that runs)")
         json_option(sub)
-    from handctl.cli import fault_campaign
+    from handctl.cli import fault_campaign, fault_sequences
 
     fault_campaign.configure(actions.add_parser("campaign", help="the whole fault matrix in lockstep", epilog=CAMPAIGN))
+    text = "random sequences of faults in lockstep, and rules that must hold in each"
+    fault_sequences.configure(actions.add_parser("sequences", help=text, description=text, epilog=SEQUENCES))
 
 
 def run(args: argparse.Namespace) -> int:
     """Do it."""
-    if args.action == "campaign":
-        from handctl.cli import fault_campaign
+    if args.action in ("campaign", "sequences"):
+        from handctl.cli import fault_campaign, fault_sequences
 
-        return fault_campaign.run(args)
+        return fault_campaign.run(args) if args.action == "campaign" else fault_sequences.run(args)
     if args.action == "kinds":
         return _kinds(args)
     return _ask(args, {"inject": args.text} if args.action == "inject" else {"list": True})

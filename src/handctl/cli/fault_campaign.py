@@ -64,10 +64,9 @@ def run(args: argparse.Namespace) -> int:
     tried = {one.row.id for name in protocols for one in scenarios(hand_in(args.hand, name), name, 1.0)}
     for id_ in sorted(set(args.row) - tried):
         raise ConfigError(repr(id_), "--row", f"a row that this hand can be tried with by {args.protocol}")
-    folder: Path = args.report or Path("logs") / "campaign"
-    folder.mkdir(parents=True, exist_ok=True)
+    folder = report_folder(args)
     calm_s = args.calm if args.calm is not None else QUICK_CALM_S if args.quick else CALM_S
-    with _progress(args.json) as told:
+    with progress(args.json) as told:
         report = run_campaign(
             args.hand,
             protocols,
@@ -76,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
             quick=args.quick,
             calm_s=calm_s,
             told=told,
-            keep=_keeper(folder),
+            keep=keeper(folder),
             only=args.row,
             calm_only=args.calm_only,
             seed=args.seed,
@@ -86,6 +85,13 @@ def run(args: argparse.Namespace) -> int:
     _say(report, folder, args.json)
     figures = report.plain()
     return Exit.FAILED if figures["late"] or figures["false_alarms"] else Exit.DONE
+
+
+def report_folder(args: argparse.Namespace) -> Path:
+    """Where reports and the logs of failures go; it is there then."""
+    folder: Path = args.report or Path("logs") / "campaign"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
 
 
 def rate_of(hand: Hand) -> float:
@@ -102,7 +108,7 @@ def _say(report: Report, folder: Path, as_json: bool) -> None:
     print(f"written: {folder / 'report.html'}")
 
 
-def _keeper(folder: Path) -> Callable[[Course, Result], None]:
+def keeper(folder: Path) -> Callable[[Course, Result], None]:
     """Writes the log of a scenario that failed."""
 
     def keep(course: Course, result: Result) -> None:
@@ -120,7 +126,7 @@ def _keeper(folder: Path) -> Callable[[Course, Result], None]:
 
 
 @contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+def progress(quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
     """Progress on standard error."""
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 

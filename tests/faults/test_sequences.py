@@ -1,0 +1,116 @@
+"""Random sequences of faults: the same for the same seed, without a broken rule, and every rule can be broken."""
+
+import os
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from firmware_sim.description import load_hand
+from firmware_sim.fault_text import parse_fault
+from handctl.campaign import sequences
+from handctl.campaign.scenarios import ALL, ARMING, HOST
+from handctl.campaign.sequences import (
+    TICKS,
+    Sequence,
+    Step,
+    broken_again,
+    broken_at_end,
+    broken_in_step,
+    draw,
+    endure,
+    run,
+)
+from handctl.campaign.stage import STAGES, branch, bring, hand_in, started
+from handctl.cli.fault_campaign import rate_of
+from handctl.controller.types import Mode
+from handctl.safety.judge import Latched, SafetyState
+
+NOBODY = {"told": lambda done: None, "keep": lambda course, result: None}
+
+
+@pytest.fixture(scope="module")
+def course():
+    """A hand that arms, in slow ticks; each test takes a copy."""
+    with started(hand_in("jamia", "mit"), 200.0, 0) as course:
+        bring(course, ARMING)
+        yield course
+
+
+@pytest.fixture
+def arming(course):
+    return replace(course, kept=list(course.kept))
+
+
+@pytest.mark.parametrize("protocol", ALL)
+def test_a_seed_is_a_sequence_that_the_simulator_understands(protocol, tmp_path):
+    hand = hand_in("jamia11", protocol)
+    path = tmp_path / "jamia11.toml"
+    path.write_text(hand.to_toml())
+    simulated = load_hand(str(path))
+    drawn = [draw(hand, protocol, 5.0, seed) for seed in range(300)]
+    assert drawn == [draw(hand, protocol, 5.0, seed) for seed in range(300)]
+    assert {one.stage for one in drawn} == set(STAGES)
+    assert len({one.steps for one in drawn}) == len(drawn)
+    for step in [step for one in drawn for step in one.steps]:
+        assert 0 <= step.tick < TICKS
+        if not step.fault.startswith(HOST):
+            parse_fault(step.fault, simulated)
+
+
+def test_no_rule_is_broken():
+    found = run(hand_in("jamia", "mit"), "mit", 200.0, range(9), jobs=2, **NOBODY)
+    assert [(one.scenario, one.why) for one in found if not one.ok] == []
+    assert sum(one.felt for one in found) >= 5
+
+
+def test_a_sequence_that_breaks_a_rule_says_which(arming, monkeypatch):
+    """A drive that runs away explains what its rope bears, and nothing else does."""
+    found, sequence = [], Sequence(0, ARMING, (Step(20, "runaway node=index_motor"),))
+    for explains in (sequences.RUNS_AWAY, "nobody"):
+        monkeypatch.setattr(sequences, "RUNS_AWAY", explains)
+        branch(arming, [sequence], 1, endure, found.append, lambda course, result: None)
+    assert (found[0].ok, found[1].ok) == (True, False)
+    assert found[1].why.endswith("N in a rope, at most 140 are explained")
+    assert found[0].tension == found[1].tension
+
+
+def test_steps_that_break_a_rule(arming):
+    before = arming.state._replace(mode=Mode.RELAX, safety=SafetyState((), (Latched("T03", "index_tendon"),)))
+    after = before._replace(law=before.law._replace(setpoint=before.law.setpoint + 1.0))
+    assert broken_in_step(before, after, cleared=False) == ["a set-point rises while the hand relaxes"]
+    gone = before._replace(safety=SafetyState())
+    assert broken_in_step(before, gone, cleared=False) == ["no longer latched: T03"]
+    assert broken_in_step(before, gone, cleared=True) == []
+    back = before._replace(mode=Mode.ACTIVE)
+    assert broken_in_step(before, back, cleared=False) == ["the mode goes back: RELAX to ACTIVE"]
+
+
+def test_ends_that_break_a_rule(arming):
+    assert broken_at_end(arming) == ["the run does not end: ARMING"]
+    arming.peer = SimpleNamespace(truth=lambda: {"torque": [0.0, 0.1, 0.0, 0.0]})
+    arming.state = arming.state._replace(mode=Mode.DONE)
+    assert broken_at_end(arming) == ["torque is left: middle_tendon"]
+    arming.state = arming.state._replace(failure="REMOVE POWER: not confirmed disabled: middle_motor")
+    assert broken_at_end(arming) == []
+
+
+def test_a_tick_that_comes_to_something_else_is_found(arming):
+    begin, first = arming.state, len(arming.kept)
+    for _ in range(5):
+        arming.tick()
+    assert broken_again(arming, begin, first) == []
+    other = begin._replace(goal_time=begin.goal_time + 1e-9)
+    assert broken_again(arming, other, first) == [f"tick {arming.kept[first][0].k} does not come to the same again"]
+
+
+@pytest.mark.nightly
+@pytest.mark.skipif("HANDCTL_NIGHTLY" not in os.environ, reason="runs with HANDCTL_NIGHTLY=1 (make nightly)")
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+@pytest.mark.parametrize("protocol", ALL)
+def test_two_thousand(hand, protocol):
+    """A third of a thousand of each kind."""
+    described = hand_in(hand, protocol)
+    found = run(described, protocol, rate_of(described), range(334), jobs=2, **NOBODY)
+    assert [(one.scenario, one.why) for one in found if not one.ok] == []
