@@ -4,6 +4,7 @@ The controller stays a process of its own; this module only sends it what a pers
 program does is checked, limited and logged in the same way.
 """
 
+import itertools
 import json
 import os
 import subprocess
@@ -18,11 +19,11 @@ from typing import Any, Self
 
 from handctl.cli.buses import named_buses
 from handctl.cli.exit_codes import Exit
-from handctl.controller.requests import HoldTension, MoveDigits
+from handctl.controller.requests import REFUSED, HoldTension, MoveDigits, said_of
 from handctl.controller.types import LETTING_GO
 from handctl.document import validated
 from handctl.errors import BusError, ConfigError, DriveError, PowerError
-from handctl.runtime.mailbox import Watcher, answers, send_request
+from handctl.runtime.mailbox import LARGEST, Watcher, answers, send_request
 
 START_S = 300.0
 """Longest start: commissioning included, on a slow machine; a controller that cannot start ends long before [s]."""
@@ -30,12 +31,12 @@ ATTACH_S = 60.0
 """Longest time until a controller that somebody else has started is ready for goals [s]."""
 ANSWER_S = 2.0
 """Longest time in which a controller takes a goal, or refuses it [s]."""
-TAKEN, REFUSED = "asked: ", "refused: "
-"""How the events begin by which it does; what it cannot read has neither."""
 POLL_S = 0.2
 """How long a line is waited for before the started controller is looked at [s]."""
 LEAVING = {mode.name for mode in LETTING_GO}
 """Modes in which no goal counts any more."""
+_numbers_of_requests = itertools.count(1)
+"""Of this program: whatever it asks, and by however many clients, has a number of its own."""
 A_RUN = "a running handctl run"
 
 
@@ -124,6 +125,7 @@ class HandClient:
             BusError: the controller does not answer.
         """
         goal = {"do": "move", "angle_deg": _numbers(angle_deg), **_numbers({"duration_s": duration_s})}
+        _refuse_nobody(goal, angle_deg)
         validated(goal, MoveDigits, "move")
         began_s = self._set_goal(goal)
         while wait and self._acting(ANSWER_S)["t_s"] < began_s + goal["duration_s"]:
@@ -140,6 +142,7 @@ class HandClient:
             ConfigError, DriveError, BusError: see ``move``.
         """
         goal = {"do": "hold", "tension_N": _numbers(tension_N), **_numbers({"rate_N_per_s": rate_N_per_s})}
+        _refuse_nobody(goal, tension_N)
         validated(goal, HoldTension, "hold")
         self._set_goal(goal)
 
@@ -201,13 +204,16 @@ class HandClient:
         """Ask, and hear what the tick that takes it says; the time of that tick [s]."""
         self._acting(ANSWER_S)
         self._asked = True
-        send_request(self.bus, json.dumps(goal))
+        me = f"client-{os.getpid()}-{next(_numbers_of_requests)}"
+        text = json.dumps({**goal, "by": me})
+        if len(text.encode()) > LARGEST:
+            raise ConfigError(f"{len(text.encode())} bytes", goal["do"], f"a request of at most {LARGEST}")
+        send_request(self.bus, text)
         for line in self._watcher.heard(ANSWER_S):
-            said = [event["text"] for event in line["events"] if event["name"] == "request"]
-            unread = [] if any(text.startswith(TAKEN) for text in said) else said
-            if refused := [text for text in said if text.startswith(REFUSED)] or unread:
+            said = said_of(me, line["events"])
+            if refused := [text for text in said or () if text.startswith(REFUSED)]:
                 raise ConfigError(refused[0].removeprefix(REFUSED), f"the controller of {self.bus}")
-            if said:
+            if said is not None:
                 return float(line["t_s"])
         self._refuse_ended()
         raise BusError("the controller does not answer", f"bus {self.bus}", A_RUN)
@@ -275,6 +281,11 @@ class HandClient:
         if text := new.decode("utf-8", "replace"):
             self._last_words = text.strip().splitlines()[-1].removeprefix("handctl: ") if text.strip() else ""
             print(text, end="", file=sys.stderr, flush=True)
+
+
+def _refuse_nobody(goal: Mapping[str, Any], digits: Mapping[str, Any]) -> None:
+    if not digits:
+        raise ConfigError("no digit", goal["do"], "one at least, as in index=30")
 
 
 def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:

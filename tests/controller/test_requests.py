@@ -15,6 +15,7 @@ from handctl.controller.requests import (
     MoveDigits,
     Stop,
     parse_request,
+    said_of,
 )
 from handctl.runtime.mailbox import LARGEST
 
@@ -62,6 +63,8 @@ BAD = [
     '{"do": "move", "angle_deg": {"index": 30}, "duration_s": 0}',
     '{"do": "move", "angle_deg": {"index": 30}, "duration_s": 0.049}',
     '{"do": "move", "angle_deg": {"index": 30}, "duration_s": 1e-300}',
+    '{"do": "move", "angle_deg": {}}',
+    '{"do": "hold", "tension_N": {}}',
     '{"do": "move", "angle_deg": 30}',
     '{"do": "hold", "tension_N": {"index": -0.1}}',
     '{"do": "hold", "tension_N": {"index": 1001}}',
@@ -111,3 +114,18 @@ def test_nothing_raises_and_every_number_is_finite(text: str) -> None:
         assert all(math.isfinite(value) for value in (*request.angle_deg.values(), request.duration_s))
     elif isinstance(request, HoldTension):
         assert all(math.isfinite(value) for value in (*request.tension_N.values(), request.rate_N_per_s))
+
+
+def test_what_is_said_of_a_request_goes_up_to_the_next() -> None:
+    texts = ["asked: move", "refused: a", "asked: hold by b", "hold index 3", "more", "asked: move by c", "refused: c"]
+    events = [{"name": "fault", "text": "T01"}, *({"name": "request", "text": text} for text in texts)]
+    assert said_of("b", events) == ["hold index 3", "more"]
+    assert said_of("c", events) == ["refused: c"]
+    assert said_of("nobody", events) is None
+    assert said_of("b", []) is None
+
+
+@pytest.mark.parametrize("by", ["a b", "x" * 41, "\n", "é!"])
+def test_who_asks_is_one_short_word(by: str) -> None:
+    assert parse_request(json.dumps({"do": "stop", "by": "handctl-1.2_x"})) == Stop(do="stop", by="handctl-1.2_x")
+    assert isinstance(parse_request(json.dumps({"do": "stop", "by": by})), str)

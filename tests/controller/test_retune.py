@@ -9,11 +9,12 @@ import pytest
 from handctl.controller import computed_torque, tick
 from handctl.controller.computed_torque import step
 from handctl.controller.gain_bounds import bounds, checked, flat, with_values
-from handctl.controller.gains import Gains
+from handctl.controller.gains import Gains, TensionGains
 from handctl.controller.live import LiveProgram
 from handctl.controller.model import HandModel
 from handctl.controller.motion_design import design_motion, pieces
 from handctl.controller.requests import parse_request
+from handctl.controller.retune import KEPT, Coming, Designs
 from handctl.controller.types import Mode
 from handctl.errors import ConfigError
 from handctl.hand.description import hand_path
@@ -48,6 +49,18 @@ def holding(jamia: HandModel) -> Bench:
     desk.tick(HOLD)
     desk.run(0.1)
     return desk
+
+
+def test_designs_that_nobody_uses_are_forgotten_and_those_of_the_run_are_not(jamia: HandModel) -> None:
+    designs = Designs()
+    used = Gains().model_copy(update={"tension": TensionGains(force_N=11.0)})
+    whole = designs.model(jamia, used)
+    for force in range(20, 20 + 3 * KEPT):
+        designs.advance(jamia, Coming(Gains().model_copy(update={"tension": TensionGains(force_N=float(force))})))
+        assert designs.model(jamia, used) is whole
+    assert len(designs.found) == KEPT
+    assert used in designs.found
+    assert set(designs.models) <= set(designs.found)
 
 
 def test_a_change_is_taken_over_when_every_piece_is_designed(holding: Bench, jamia: HandModel) -> None:

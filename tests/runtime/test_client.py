@@ -1,5 +1,6 @@
 """A running hand from Python: what a program can ask, what it is told, and how it ends."""
 
+import json
 import signal
 import subprocess
 import sys
@@ -49,11 +50,42 @@ def test_what_is_no_angle_is_refused_before_it_is_sent(alone, number):
         alone.move(index=number)
 
 
+def said(*texts):
+    return {"t_s": 1.5, "mode": "ACTIVE", "events": [{"name": "request", "text": text} for text in texts]}
+
+
+@pytest.mark.parametrize("theirs", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"])
+def test_what_is_said_to_others_is_not_heard(alone, monkeypatch, theirs):
+    """Two programs that command one hand: the one took the other's refusals for its own."""
+    sent = []
+    monkeypatch.setattr("handctl.client.send_request", lambda bus, text: sent.append(json.loads(text)))
+    monkeypatch.setattr(alone, "_acting", lambda timeout: said())
+
+    def heard(timeout):
+        yield said("asked: move by somebody", theirs)
+        yield said(theirs, f"asked: move by {sent[-1]['by']}", own, "asked: move by somebody", theirs)
+
+    monkeypatch.setattr(alone._watcher, "heard", heard)
+    own = "move index 3"
+    alone.move(index=3, wait=False)
+    own = "refused: the hand is not ready yet"
+    with pytest.raises(ConfigError, match="the hand is not ready yet"):
+        alone.move(index=3, wait=False)
+    assert len({one["by"] for one in sent}) == 2
+
+
+def test_a_goal_of_no_digit_is_refused(alone):
+    with pytest.raises(ConfigError, match="move: no digit; expected"):
+        alone.move()
+    with pytest.raises(ConfigError, match="hold: no digit; expected"):
+        alone.hold()
+
+
 def test_nobody_there_is_one_line(alone):
     with pytest.raises(BusError, match="the controller is silent"):
         alone.state(-1.0)
     alone.close()
-    for ask in (alone.state, alone.move, lambda: alone.wait("live", 1.0)):
+    for ask in (alone.state, lambda: alone.move(index=3), lambda: alone.wait("live", 1.0)):
         with pytest.raises(BusError, match="this client is closed"):
             ask()
 

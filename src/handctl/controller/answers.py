@@ -8,7 +8,7 @@ from handctl.controller.live import LiveProgram, apply_goal
 from handctl.controller.model import HandModel
 from handctl.controller.modes import Wishes
 from handctl.controller.program import Program
-from handctl.controller.requests import Arm, Clear, Cut, HoldTension, MoveDigits, SetGains, Stop, parse_request
+from handctl.controller.requests import Arm, Clear, Cut, HoldTension, MoveDigits, SetGains, Stop, parse_request, taken
 from handctl.controller.state import State
 from handctl.controller.types import LETTING_GO, Event, Mode
 from handctl.safety import judge as safety
@@ -35,7 +35,7 @@ def answer(
         if isinstance(request, str):
             events.append(Event("warn", "request", "", request))
             continue
-        events.append(Event("info", "request", "", f"asked: {request.do}"))
+        events.append(Event("info", "request", "", taken(request)))
         if isinstance(request, Stop):
             wishes = replace(wishes, stop=True)
         elif isinstance(request, Cut):

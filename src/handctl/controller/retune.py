@@ -15,6 +15,9 @@ from handctl.controller.motion_design import assembled, design_piece, pieces
 from handctl.controller.types import GAIN_EVENT, Event, Vector
 from handctl.errors import ConfigError
 
+KEPT = 8
+"""Gains whose designs are remembered: those of a run, those that are coming, and some to go back to."""
+
 
 @dataclass(frozen=True, slots=True)
 class Coming:
@@ -34,12 +37,14 @@ class Designs:
     """Designs that were made already, by gains: only a memory, for what is missing in it is made again.
 
     Attributes:
-        found: pieces so far.
+        found: pieces so far, of the ``KEPT`` gains that were asked for last.
         models: whole ones.
+        used: gains whose model was asked for last.
     """
 
     found: dict[Gains, list[Vector]] = field(default_factory=dict)
     models: dict[Gains, HandModel] = field(default_factory=dict)
+    used: Gains | None = None
 
     def advance(self, model: HandModel, coming: Coming) -> Coming | None:
         """Design one piece more; None when the design is complete."""
@@ -47,7 +52,8 @@ class Designs:
         return None if len(done) >= pieces(model.space) else replace(coming, step=coming.step + 1)
 
     def model(self, model: HandModel, gains: Gains) -> HandModel:
-        """The model with other gains."""
+        """The model with other gains; those that a run uses are not forgotten."""
+        self.used = gains
         if gains not in self.models:
             found = self._up_to(model, gains, pieces(model.space))
             self.models[gains] = replace(model, gains=gains, motion=assembled(model.space, found))
@@ -55,6 +61,10 @@ class Designs:
 
     def _up_to(self, model: HandModel, gains: Gains, count: int) -> list[Vector]:
         found = self.found.setdefault(gains, [])
+        if len(self.found) > KEPT:
+            oldest = next(one for one in self.found if one != self.used)
+            self.models.pop(oldest, None)
+            del self.found[oldest]
         while len(found) < count:
             found.append(design_piece(model.space, gains, model.period, len(found)))
         return found
