@@ -25,6 +25,8 @@ Target = Callable[[bytes], bool]
 EDITS = 4
 TOPICS = (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
 """That a reader looks into, and one that it passes by; the others would be more of the same."""
+NAMED = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX)
+"""Records behind the chunks that are there for each topic."""
 MAGIC = b"\x89MCAP0\r\n"
 NEAR = 48
 """Bytes at the front of a record, where its numbers are; half of the changes are there."""
@@ -76,7 +78,7 @@ def log(folder: Path) -> Target:
 
 
 def _parts(path: Path) -> list[list[bytes]]:
-    """Records of a whole log without checksums: those before the chunks, each chunk's own, those behind them."""
+    """Records of a whole log, of those topics and without checksums: before the chunks, in each, and behind them."""
     file, found = LogFile(path), Scan()
     scan(file, found)
     raw, contents = path.read_bytes(), [bytes(file.content(place)) for place in found.chunks]
@@ -85,7 +87,8 @@ def _parts(path: Path) -> list[list[bytes]]:
     chunks = [[record for record in _records(content) if _matters(record, kept)] for content in contents]
     head = list(_records(raw[8 : found.chunks[0].offset]))
     tail = list(_records(raw[found.chunks[-1].end : -8]))
-    return [[_unchecked(record) for record in head], *chunks, [_unchecked(record) for record in tail]]
+    named = [record for record in tail if record[0] not in NAMED or _matters(record, kept)]
+    return [[_unchecked(record) for record in head], *chunks, [_unchecked(record) for record in named]]
 
 
 def _records(data: bytes) -> Iterator[bytes]:

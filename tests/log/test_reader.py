@@ -19,7 +19,7 @@ from mcap.writer import Writer
 
 from handctl.controller.types import TELEMETRY_FIELDS
 from handctl.errors import LogError
-from handctl.log.logfile import printable, reading
+from handctl.log.logfile import Reading, printable
 from handctl.log.reader import RunLog
 from handctl.log.record import TickRecord, pack
 from handctl.log.recorder import Recorder
@@ -195,5 +195,5 @@ def test_a_log_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytest
 
 
 def test_what_is_missing_is_named() -> None:
-    with pytest.raises(LogError, match="damaged log: '/tick' is missing"), reading("a.mcap"):
+    with pytest.raises(LogError, match="damaged log: '/tick' is missing"), Reading("a.mcap"):
         raise KeyError("/tick")

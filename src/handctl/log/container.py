@@ -8,7 +8,7 @@ import os
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -20,7 +20,6 @@ from mcap.records import (
     Attachment,
     AttachmentIndex,
     Channel,
-    ChunkIndex,
     DataEnd,
     Footer,
     Header,
@@ -32,6 +31,8 @@ from mcap.records import (
     SummaryOffset,
 )
 from numpy.typing import NDArray
+
+from handctl.log.chunk_places import ChunkAt, ChunkPlaces
 
 MAGIC = b"\x89MCAP0\r\n"
 MESSAGE = struct.Struct("<BQHIQQ")
@@ -58,7 +59,7 @@ class Run(NamedTuple):
     offsets: NDArray[np.uint64]
 
 
-def serialised(records: Sequence[McapRecord]) -> bytes:
+def serialised(records: Iterable[McapRecord]) -> bytes:
     """The records as bytes."""
     builder = RecordBuilder()
     for record in records:
@@ -70,7 +71,7 @@ def serialised(records: Sequence[McapRecord]) -> bytes:
 class _Summary:
     schemas: list[McapRecord] = field(default_factory=list)
     channels: list[McapRecord] = field(default_factory=list)
-    chunks: list[McapRecord] = field(default_factory=list)
+    chunks: ChunkPlaces = field(default_factory=ChunkPlaces)
     attachments: list[McapRecord] = field(default_factory=list)
     metadata: list[McapRecord] = field(default_factory=list)
     counts: Counter[int] = field(default_factory=Counter)
@@ -143,20 +144,10 @@ class Container:
         last = max((int(run.log_times.max()) for run in runs), default=0)
         fields = _CHUNK.pack(first, last, len(content), zlib.crc32(content), 3, b"lz4", len(packed))
         chunk = _RECORD.pack(Opcode.CHUNK, len(fields) + len(packed)) + fields + packed
-        indexes, places = _indexes(runs, len(head), self._at + len(chunk))
+        indexes, places = _indexes(runs, len(head))
         start = self._put(chunk + indexes)
-        index = ChunkIndex(
-            chunk_length=len(chunk),
-            chunk_start_offset=start,
-            compression="lz4",
-            compressed_size=len(packed),
-            message_end_time=last,
-            message_index_length=len(indexes),
-            message_index_offsets=places,
-            message_start_time=first,
-            uncompressed_size=len(content),
-        )
-        self._summary.chunks.append(index)
+        at = ChunkAt(start, len(chunk), len(packed), len(content), first, last, len(indexes))
+        self._summary.chunks.add(at, places)
         self._summary.schemas += schemas
         self._summary.channels += channels
         for run in runs:
@@ -188,11 +179,11 @@ class Container:
     def _summary_section(self, start: int) -> tuple[bytes, int]:
         one, body = self._summary, b""
         offsets: list[McapRecord] = []
-        groups: list[tuple[Opcode, list[McapRecord]]] = [
+        groups: list[tuple[Opcode, Iterable[McapRecord]]] = [
             (Opcode.SCHEMA, one.schemas),
             (Opcode.CHANNEL, one.channels),
             (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, one.chunks),
+            (Opcode.CHUNK_INDEX, one.chunks.indexes()),
             (Opcode.ATTACHMENT_INDEX, one.attachments),
             (Opcode.METADATA_INDEX, one.metadata),
         ]
@@ -204,14 +195,15 @@ class Container:
         return body + serialised(offsets), start + len(body)
 
 
-def _indexes(runs: Sequence[Run], base: int, at: int) -> tuple[bytes, dict[int, int]]:
+def _indexes(runs: Sequence[Run], base: int) -> tuple[bytes, dict[int, int]]:
+    """Message indexes of runs that begin at ``base`` in their chunk, and where in them that of each channel begins."""
     entries: dict[int, list[NDArray[np.void]]] = {}
     for run in runs:
         part = np.empty(len(run.offsets), _INDEX_ENTRY)
         part["log_time"], part["offset"] = run.log_times, run.offsets + np.uint64(base)
         entries.setdefault(run.channel, []).append(part)
         base += len(run.data)
-    out, places = [], {}
+    out, places, at = [], {}, 0
     for channel, parts in entries.items():
         raw = b"".join(part.tobytes() for part in parts)
         places[channel] = at

@@ -7,9 +7,8 @@ import os
 import stat
 import struct
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
+from types import TracebackType
 from typing import NamedTuple
 
 import lz4.frame  # type: ignore[import-untyped]
@@ -27,19 +26,34 @@ def printable(text: str, most: int = 200) -> str:
     return shown + ("..." if len(text) > most else "")
 
 
-@contextmanager
-def reading(where: str) -> Iterator[None]:
-    """Turn whatever a bad file causes into one LogError that says where."""
-    try:
-        yield
-    except LogError:
-        raise
-    except KeyError as error:
-        raise LogError(f"damaged log: {printable(repr(error.args[0]))} is missing", where, "an intact file") from error
-    except (ValueError, struct.error, LookupError, TypeError, ArithmeticError, RuntimeError, MemoryError) as error:
-        raise LogError(f"damaged log: {printable(str(error))}", where, "an intact file") from error
-    except zstandard.ZstdError as error:
-        raise LogError(f"damaged log: {printable(str(error))}", where, "an intact file") from error
+DAMAGE = (
+    ValueError, struct.error, LookupError, TypeError, ArithmeticError, RuntimeError, MemoryError, zstandard.ZstdError,
+)  # fmt: skip
+"""What a bad file causes where it is read."""
+
+
+class Reading:
+    """``with Reading(where)``: whatever a bad file causes becomes one LogError that says where.
+
+    A class, not a generator: a log is read in thousands of pieces.
+    """
+
+    __slots__ = ("where",)
+
+    def __init__(self, where: str) -> None:
+        self.where = where
+
+    def __enter__(self) -> None:
+        return None
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None or isinstance(error, LogError) or not isinstance(error, DAMAGE):
+            return
+        missing = isinstance(error, KeyError)
+        what = f"{printable(repr(error.args[0]))} is missing" if missing else printable(str(error))
+        raise LogError(f"damaged log: {what}", self.where, "an intact file") from error
 
 
 class ChunkPlace(NamedTuple):
@@ -123,7 +137,7 @@ class LogFile:
         """
         if self._latest and self._latest[0] == place:
             return self._latest[1]
-        with reading(self.at(place.offset)):
+        with Reading(self.at(place.offset)):
             packed = self.read(place.data, place.end - place.data)
             content = _unpacked(packed, place)
             if len(content) != place.size:

@@ -18,7 +18,7 @@ from handctl.log.chain import TOPIC as CHAIN_TOPIC
 from handctl.log.clock_pairs import TOPIC as CLOCK_TOPIC
 from handctl.log.clock_pairs import ClockPair, pair_of
 from handctl.log.header import RunHeader
-from handctl.log.logfile import ChunkPlace, LogFile, printable, reading
+from handctl.log.logfile import ChunkPlace, LogFile, Reading, printable
 from handctl.log.messages_in import Definitions, Rows, definitions, rows
 from handctl.log.moments import Gap, LoggedEvent, PhaseChange
 from handctl.log.record import TickRecord, layout, unpack_tick
@@ -90,7 +90,7 @@ class RunLog:
             self._chunks, self.metadata, self.warning = found.chunks, found.metadata, found.problem
             if "handctl.run" not in found.metadata or not found.chunks:
                 raise LogError("no run of handctl in it", self._file.name, "a log that handctl wrote")
-            with reading(self._file.name):
+            with Reading(self._file.name):
                 self.header = _header(found)
             self.end = found.metadata.get("handctl.end", {})
             self._tick, self._values, self._others = self._channels()
@@ -112,7 +112,7 @@ class RunLog:
 
     def _channels(self) -> tuple[int, int, dict[str, int]]:
         """Channels of the ticks and of the telemetry, and those of all topics."""
-        with reading(self._file.at(self._chunks[0].offset)):
+        with Reading(self._file.at(self._chunks[0].offset)):
             found: Definitions = definitions(self._file.content(self._chunks[0]))
             topics = {topic: number for number, _, topic, _, _ in found.channels}
             return topics[TICK_TOPIC], topics[VALUES_TOPIC], topics
@@ -120,7 +120,7 @@ class RunLog:
     def _rows(self, channel: int) -> Iterator[tuple[ChunkPlace, Rows]]:
         for place in self._chunks:
             content = self._file.content(place)
-            with reading(self._file.at(place.offset)):
+            with Reading(self._file.at(place.offset)):
                 found = list(rows(content, place.end - place.data, frozenset((channel,))))
             yield from ((place, one) for one in found)
 
@@ -130,7 +130,7 @@ class RunLog:
         parts = [np.empty(0, FIXED_DTYPE)]
         for place, one in self._rows(self._tick):
             data = one.data()
-            with reading(self._file.at(place.offset)):
+            with Reading(self._file.at(place.offset)):
                 if data.shape[1] < 4 + FIXED_DTYPE.itemsize:
                     raise ValueError("a tick that is too short")
                 parts.append(np.ascontiguousarray(data[:, 4 : 4 + FIXED_DTYPE.itemsize]).view(FIXED_DTYPE)[:, 0])
@@ -218,7 +218,7 @@ class RunLog:
         size = VALUES_START + 8 * self._width + 4
         for chunk, one in self._rows(self._values):
             data = one.data()
-            with reading(self._file.at(chunk.offset)):
+            with Reading(self._file.at(chunk.offset)):
                 if data.shape[1] != size:
                     raise ValueError("telemetry of another shape than the header says")
             yield data[:, VALUES_START:VALUES_END], one.sequence()
@@ -244,7 +244,7 @@ class RunLog:
         found = []
         if CLOCK_TOPIC in self._others:
             for place, one in self._rows(self._others[CLOCK_TOPIC]):
-                with reading(self._file.at(place.offset)):
+                with Reading(self._file.at(place.offset)):
                     found += [pair_of(row.tobytes(), self.header.offset_ns) for row in one.data()]
         return found
 
@@ -259,7 +259,7 @@ class RunLog:
     def ticks(self) -> Iterator[TickRecord]:
         """All ticks in order, for re-execution."""
         for place, one in self._rows(self._tick):
-            with reading(self._file.at(place.offset)):
+            with Reading(self._file.at(place.offset)):
                 ticks = [unpack_tick(message) for message in one.messages()]
             yield from ticks
 
@@ -270,7 +270,7 @@ class RunLog:
         phases: list[PhaseChange] = []
         quiet: dict[bytes, str] = {}
         for index, (place, message) in enumerate(self._messages()):
-            with reading(self._file.at(place.offset)):
+            with Reading(self._file.at(place.offset)):
                 tail = message[layout(message).tail :]
                 phase = quiet.get(tail)
                 if phase is None:

@@ -10,7 +10,7 @@ from mcap.records import Channel, Schema
 
 from handctl.errors import LogError
 from handctl.log.container import Container, Run
-from handctl.log.logfile import ChunkPlace, LogFile, reading
+from handctl.log.logfile import ChunkPlace, LogFile, Reading
 from handctl.log.messages_in import definitions, rows
 from handctl.log.scan import Scan, scan
 from handctl.output import whole
@@ -115,7 +115,7 @@ def _end(found: Scan, problem: str) -> dict[str, str]:
 
 def _copy_chunk(file: LogFile, place: ChunkPlace, new: Container) -> None:
     content = file.content(place)
-    with reading(file.at(place.offset)):
+    with Reading(file.at(place.offset)):
         known = definitions(content)
         schemas = [Schema(number, data, encoding, name) for number, name, encoding, data in known.schemas]
         channels = [

@@ -12,7 +12,7 @@ from mcap.opcode import Opcode
 
 from handctl.errors import LogError
 from handctl.log.container import MAGIC
-from handctl.log.logfile import MAX_CHUNK, ChunkPlace, LogFile, reading
+from handctl.log.logfile import MAX_CHUNK, ChunkPlace, LogFile, Reading
 
 MAX_ATTACHMENT, MAX_ATTACHMENTS = 16 << 20, 64 << 20
 MAX_METADATA, MAX_RECORDS = 1 << 20, 1000
@@ -109,7 +109,7 @@ def scan(file: LogFile, found: Scan, checked: bool = True, skip: bool = False) -
             _check_end(file, found, at, end, checked)
             return
         try:
-            with reading(file.at(at)):
+            with Reading(file.at(at)):
                 unpacked += _take(file, found, code, at, end)
         except LogError as error:
             if not skip:
@@ -117,7 +117,7 @@ def scan(file: LogFile, found: Scan, checked: bool = True, skip: bool = False) -
             found.problem = found.problem or str(error)
             found.skipped.append((at, end))
         unknown += code not in Opcode.__members__.values()
-        with reading(file.at(at)):
+        with Reading(file.at(at)):
             _check_limits(found, unpacked, unknown)
         found.end = end
     found.problem = found.problem or f"ends at byte {file.size} without an end mark; complete up to byte {found.end}"

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from handctl.errors import LogError
 from handctl.log.chain import SIZE, TOPIC, link
-from handctl.log.logfile import ChunkPlace, LogFile, reading
+from handctl.log.logfile import ChunkPlace, LogFile, Reading
 from handctl.log.messages_in import definitions, rows
 from handctl.log.reader import VALUES_END, VALUES_START
 from handctl.log.recover import scan_all
@@ -41,7 +41,7 @@ def first_damage(path: Path) -> str:
         for place in found.chunks:
             content, told = _content(file, place)
             try:
-                with reading(file.at(place.offset)):
+                with Reading(file.at(place.offset)):
                     channels = channels or _channels(content)
                     ticks = list(_ticks(content, place, channels))
             except LogError as error:
