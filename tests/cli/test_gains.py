@@ -50,11 +50,18 @@ def test_layers_and_their_origins(applied, capsys):
 
 
 @pytest.mark.parametrize(
-    "verb", [("run", "--bus", "local:nowhere", "--dry-run"), ("gains", "show"), ("tune", "design")]
+    "verb",
+    [
+        ("run", "--bus", "local:nowhere", "--dry-run", "--gains"),
+        ("gains", "show", "--gains"),
+        ("gains", "apply"),
+        ("tune", "design", "--gains"),
+        ("tune", "verify", "--lockstep"),
+    ],
 )
 def test_gains_of_another_hand_are_refused(place, capsys, verb):
     write_gains(place / "new.toml", hand="jamia11", identity="1" * 64)
-    assert main([*verb, "--gains", "new.toml"]) == 2
+    assert main([*verb, "new.toml"]) == 2
     assert capsys.readouterr().err == "handctl: new.toml: is for hand 'jamia11'; expected gains for 'jamia'\n"
 
 
@@ -65,6 +72,13 @@ def test_gains_of_the_hand_as_it_was_before_are_used_and_that_is_said(place, cap
     assert json.loads(said.out)["provenance"]["identity"] == "1" * 64
     now = load_hand("jamia").identity[:12]
     assert f"new.toml was made for jamia as 111111111111, and it is {now} now" in said.err
+
+
+@pytest.mark.parametrize("verb", [("gains", "apply"), ("tune", "verify", "--lockstep", "--dry-run")])
+def test_so_are_those_that_are_applied_or_verified(place, capsys, verb):
+    write_gains(place / "new.toml", hand="jamia", identity="1" * 64)
+    assert main([*verb, "new.toml"]) == 0
+    assert "new.toml was made for jamia as 111111111111" in capsys.readouterr().err
 
 
 def test_packaged_gains_say_so(capsys):

@@ -96,6 +96,10 @@ NUMBERS = [
     ("fault", "campaign", "--calm=inf"),
     ("fault", "campaign", "--calm=nan"),
     ("fault", "campaign", "--calm=-1"),
+    ("fault", "sequences", "--count=0"),
+    ("fault", "sequences", "--seed=-1"),
+    ("fault", "sequences", "--jobs=0"),
+    ("gains", "show", "--gain", "tension.force_N=3", "--gain=tension.force_N=4"),
     ("replay", "execute", "no.mcap", "--within=nan"),
     ("replay", "execute", "no.mcap", "--within=-1"),
 ]

@@ -1,6 +1,7 @@
 """The verbs on a recorded run, as a person calls them."""
 
 import json
+import re
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -107,6 +108,8 @@ def test_info_is_for_a_person_s_eyes(capsys: pytest.CaptureFixture[str]) -> None
     told = capsys.readouterr().out
     assert max(map(len, told.splitlines())) < 120
     assert "motion.force_N: " in told
+    assert "\nwhole        yes\nproblem      -\n" in told
+    assert not re.search(r"\d{12}", told.partition("identity")[0]), "3.0999999999999996 s"
 
 
 @pytest.mark.parametrize("verb", [["report"], ["log", "export", "--csv"], ["log", "diff", GRASP], ["replay", "safety"]])

@@ -2,15 +2,17 @@
 
 import argparse
 import json
+import os
 from pathlib import Path
 from typing import Any
 
 from handctl.cli.buses import controller_bus
 from handctl.cli.exit_codes import Exit
-from handctl.cli.gains_layers import assignments, layered_gains
+from handctl.cli.gains_layers import assignments, gains_for, layered_gains
 from handctl.cli.options import bus_option, gains_options, hand_option, json_option, print_json
 from handctl.controller.gain_bounds import bounds, flat, with_values
 from handctl.controller.gains import Gains, Provenance, load_gains_file
+from handctl.controller.requests import REFUSED, said_of
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand, load_hand
 from handctl.tune.gains_store import Entry, GainsStore
@@ -114,12 +116,9 @@ def _side(word: str, hand: Hand) -> Gains:
 
 def _apply(args: argparse.Namespace, hand: Hand) -> int:
     """Make gains the present ones."""
-    file = load_gains_file(args.file)
+    file = gains_for(hand, args.file)
     own = {"fit": args.fit, "study": args.study, "note": args.note, "log": tuple(map(str, args.log))}
     told = file.provenance.model_copy(update={key: value for key, value in own.items() if value})
-    if told.identity and told.identity != hand.identity:
-        right = f"gains for {hand.name!r} with {hand.identity[:12]}"
-        raise ConfigError(f"is for hand {told.hand!r} with description {told.identity[:12]}", str(args.file), right)
     store = GainsStore(hand.name, hand.identity)
     return _done(args, store, store.apply(file.gains, told).provenance)
 
@@ -172,11 +171,11 @@ def _set(args: argparse.Namespace, hand: Hand) -> int:
     values = assignments(args.values, "gains set")
     with_values(Gains(), values, "gains set", live=True)
     bus = controller_bus(args)
-    watcher = Watcher(bus)
+    watcher, me = Watcher(bus), f"gains-{os.getpid()}"
     try:
         watcher.next(TAKEN_OVER_S)
-        send_request(bus, json.dumps({"do": "gains", "set": values}))
-        said = _answers(watcher, values)
+        send_request(bus, json.dumps({"do": "gains", "set": values, "by": me}))
+        said = _answers(watcher, values, me)
     finally:
         watcher.close()
     if args.json:
@@ -186,8 +185,8 @@ def _set(args: argparse.Namespace, hand: Hand) -> int:
     return Exit.DONE
 
 
-def _answers(watcher: Any, values: dict[str, float]) -> dict[str, str]:
-    """What the controller says of the gains that were asked for: those that have changed.
+def _answers(watcher: Any, values: dict[str, float], me: str) -> dict[str, str]:
+    """What the controller says of the gains that were asked for by ``me``: those that have changed.
 
     Raises:
         ConfigError: it refuses.
@@ -195,9 +194,10 @@ def _answers(watcher: Any, values: dict[str, float]) -> dict[str, str]:
     """
     said: dict[str, str] = {}
     for line in watcher.heard(TAKEN_OVER_S):
+        for text in said_of(me, line["events"]) or ():
+            if text.startswith(REFUSED):
+                raise ConfigError(text.removeprefix(REFUSED), "the controller")
         for event in line["events"]:
-            if event["name"] == "request" and event["text"].startswith("refused: gains"):
-                raise ConfigError(event["text"].removeprefix("refused: "), "the controller")
             if event["name"] == "gain" and event["where"] in values:
                 said[event["where"]] = event["text"]
             if event["name"] == "gains":

@@ -79,11 +79,13 @@ def assignments(words: Sequence[str], where: str) -> dict[str, float]:
     """KEY=VALUE, as numbers by key.
 
     Raises:
-        ConfigError: a word that is no assignment of a number.
+        ConfigError: a word that is no assignment of a number, or a second one of a key.
     """
-    found = {}
+    found: dict[str, float] = {}
     for word in words:
         key, equals, text = word.partition("=")
+        if key in found:
+            raise ConfigError(f"{key} is there twice", where, "one value for each")
         try:
             found[key] = float(text)
         except ValueError:

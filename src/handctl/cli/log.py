@@ -87,12 +87,19 @@ def _info(args: argparse.Namespace) -> int:
         print_json(result)
         return Exit.DONE if result["whole"] else Exit.LOSSY_LOG
     for key, value in result.items():
-        table = [f"{name}: {one}" for name, one in value.items()] if isinstance(value, dict) else [value]
-        lines = value if isinstance(value, list) else table
-        say(f"{key:<12} {lines[0] if lines else '-'}")
-        for line in lines[1:]:
-            say(f"{'':<12} {line}")
+        table = [f"{name}: {_shown(one)}" for name, one in value.items()] if isinstance(value, dict) else [value]
+        first, *more = (value if isinstance(value, list) else table) or [""]
+        say(f"{key:<12} {_shown(first)}")
+        for line in more:
+            say(f"{'':<12} {_shown(line)}")
     return Exit.DONE if result["whole"] else Exit.LOSSY_LOG
+
+
+def _shown(value: object) -> str:
+    """A value as a person reads it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.9g}" if isinstance(value, float) else str(value) or "-"
 
 
 def _lateness(log: RunLog) -> dict[str, float]:

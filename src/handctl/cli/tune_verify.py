@@ -10,12 +10,11 @@ from typing import Any
 from handctl.cli.commission import ensure_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.exit_codes import Exit
-from handctl.cli.gains_layers import assignments, check_perturb
+from handctl.cli.gains_layers import assignments, check_perturb, gains_for
 from handctl.cli.options import print_json
 from handctl.cli.plan import Plan, default_log, find_calibration, make_plan
 from handctl.cli.screen import screen
 from handctl.cli.session import Outcome, make_controller, run_live, run_lockstep
-from handctl.controller.gains import load_gains_file
 from handctl.errors import ConfigError
 from handctl.hand.description import hand_path
 
@@ -29,9 +28,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("one of them is needed", "--bus or --lockstep", "--lockstep for a simulated hand")
     check_perturb(args)
     plan = make_plan(args, lockstep=args.lockstep)
-    new = load_gains_file(args.candidate)
-    if new.provenance.identity not in ("", plan.hand.identity):
-        raise ConfigError("is for another hand", str(args.candidate), f"gains made for {plan.hand.name}")
+    new = gains_for(plan.hand, args.candidate)
     old = plan.gains
     base = old.model_copy(update={"filter": new.gains.filter})
     watch = Watch(plan.hand, base, new.gains)
