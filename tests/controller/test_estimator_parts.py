@@ -3,11 +3,23 @@
 import numpy as np
 import pytest
 
-from handctl.controller.estimator import LOOSE_M, STOP_BAND_M, STOP_PULL, Measured, _at_stop, _unexplained, _usable
+from handctl.controller.estimator import (
+    LOOSE_M,
+    STOP_BAND_M,
+    STOP_PULL,
+    Estimate,
+    Measured,
+    _at_stop,
+    _regimes,
+    _unexplained,
+    _usable,
+    step,
+)
 from handctl.controller.filter_stack import STATES, O, Regime, S, W, X
 from handctl.controller.filter_state import FilterState
 from handctl.controller.model import HandModel
 from handctl.controller.statics import load_statics
+from handctl.controller.take_up import EVIDENCE, NEAR_FACTOR, NEAR_M, TAUT_POINTS
 
 
 @pytest.mark.parametrize("was", [False, True])
@@ -57,3 +69,54 @@ def test_a_rope_hangs_loose_by_what_its_spool_is_short_of_its_digit(
     assert np.isnan(_usable(state, model.filter.stacked(state.regimes), measured)[1::3]).all(), (
         "its length is not known"
     )
+
+
+def judged(model: HandModel, state: FilterState, cell: float) -> FilterState:
+    """What a sample of all load cells makes of the regimes, of digits that touch nothing."""
+    n = model.tendon_count
+    none = np.zeros(n)
+    read = Measured(none, np.full(n, cell), np.full(n, np.nan), np.full(len(model.hand.joints), np.nan))
+    statics = load_statics(model, state.x.reshape(-1, STATES), none)
+    return _regimes(model, state, state.x, none, statics, read, (False,) * len(model.digits))
+
+
+@pytest.mark.parametrize(
+    ("hangs_m", "known", "turns"), [(0.0, True, True), (2 * NEAR_M, True, False), (0.0, False, False)]
+)
+def test_a_rope_that_is_about_to_be_taut_by_its_encoder_is_so_at_a_sample(
+    model: HandModel, hangs_m: float, known: bool, turns: bool
+) -> None:
+    """If its length is known from a take-up; the count then begins anew."""
+    n = model.tendon_count
+    above = next(above for above, worth in EVIDENCE if worth * NEAR_FACTOR >= TAUT_POINTS > worth)
+    state = filtered(model, Regime.SLACK, X=2e-3 - hangs_m, S=2e-3)._replace(measured=(known,) * n)
+    after = judged(model, state, above + 1e-6)
+    assert after.regimes == ((Regime.FREE if turns else Regime.SLACK),) * n
+    assert (after.turning == (0,) * n) == turns
+    assert after.measured == (known,) * n
+
+
+def test_a_rope_that_became_taut_has_a_known_length(model: HandModel) -> None:
+    n = model.tendon_count
+    state = filtered(model, Regime.SLACK, S=2e-3)
+    for _ in range(TAUT_POINTS):
+        state = judged(model, state, EVIDENCE[0][0] + 1.0)
+    assert (state.regimes, state.measured) == ((Regime.FREE,) * n, (True,) * n)
+
+
+def test_a_digit_on_its_stop_is_at_zero_when_its_rope_becomes_taut(model: HandModel) -> None:
+    state = filtered(model, Regime.SLACK, S=1e-4)._replace(stopped=(True,) * model.tendon_count)
+    after = judged(model, state, EVIDENCE[0][0] + 1e-6)
+    assert after.stopped == state.stopped
+    assert (after.x[S::STATES] == 0.0).all()
+    assert (state.x[S::STATES] == 1e-4).all(), "of the state before nothing is changed"
+
+
+def test_an_estimate_tells_every_column_before_anything_was_read(model: HandModel) -> None:
+    n, j = model.tendon_count, len(model.hand.joints)
+    missing = Measured(*(np.full(size, np.nan) for size in (n, n, n, j)))
+    no = (False,) * len(model.digits)
+    _, estimate = step(model, FilterState.initial(n), missing, np.zeros(n), np.zeros(n), no)
+    shapes = {name: np.shape(value) for name, value in zip(Estimate._fields, estimate, strict=True)}
+    assert {name for name, shape in shapes.items() if shape == (j,)} >= {"q", "dq"}
+    assert all(shape in ((n,), (j,), (len(model.digits),)) for shape in shapes.values()), shapes

@@ -71,6 +71,35 @@ def test_held_tendons_take_a_disturbance_off(model: HandModel) -> None:
     np.testing.assert_allclose(change, -0.5 * model.gains.motion.disturbance_rejection, rtol=1e-9)
 
 
+def test_an_idle_law_has_commanded_nothing() -> None:
+    setpoint, *rest = LawState.idle(np.array([3.0, 4.0]))
+    assert setpoint.tolist() == [3.0, 4.0]
+    assert [part.tolist() for part in rest[:4]] == [[0.0, 0.0]] * 4
+    assert rest[4:] == [None] * 3
+
+
+def test_a_hand_that_holds_has_goals_of_no_angle(model: HandModel) -> None:
+    there = under(model, 20.0)
+    command = step(model, LawState.idle(there.tension), there, holding(model, 20.0), AT_S)[1]
+    joints = len(model.hand.joints)
+    assert [np.isnan(goal).tolist() for goal in (command.q, command.dq)] == [[True] * joints] * 2
+
+
+def test_held_tendons_answer_their_speed_and_their_tension(model: HandModel) -> None:
+    """Against both: what runs away from the goal is held back, what moves is damped."""
+    there, goals, design = under(model, 20.0), holding(model, 20.0), model.motion
+    state = LawState.idle(there.tension)
+    before = step(model, state, there, goals, AT_S)[1].torque / model.space.spool
+    integral = 1.0 + model.gains.tension.integral_per_s * model.period / design.tension
+    for name, size, slope in (
+        ("speed", 1e-3, -design.tension_speed),
+        ("tension", 0.4, -design.tension * integral),
+    ):
+        off = there._replace(**{name: getattr(there, name) + size})
+        after = step(model, state, off, goals, AT_S)[1].torque / model.space.spool
+        np.testing.assert_allclose(after - before, slope * size, rtol=1e-6, err_msg=name)
+
+
 def test_held_tendons_that_are_expected_on_a_way_get_what_their_rotors_need_for_it(model: HandModel) -> None:
     there, space = under(model, 20.0), model.space
     still = holding(model, 20.0)

@@ -222,3 +222,14 @@ def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) 
         state = node.receive(state, Frame(base, bytes([k] + [0] * (size - 1))))
         assert node.all_read(state) == done, hex(base)
     assert not replace(node, frame_of=(*node.frame_of[:-1], -1)).all_read(state), "one has no load cell"
+
+
+def test_each_joint_frame_is_told_by_its_first_joint_and_when_it_came_last(node: SensorNode) -> None:
+    state, _ = node.sync(node.initial(), 1)
+    assert node.joint_times(state) == [(0, -1), (5, -1), (10, -1)]
+    first, second, _ = encoded(0x1B0, "joint", 1, range(CHANNELS), t_ns=30)
+    state = received(node, state, [second._replace(t_ns=20)])
+    assert node.joint_times(state) == [(0, -1), (5, 20), (10, -1)]
+    state = received(node, state, encoded(0x1A0, "tension", 1, range(CHANNELS), t_ns=40))
+    assert node.joint_times(state) == [(0, -1), (5, 20), (10, -1)], "load cells are no joints"
+    assert node.joint_times(received(node, state, [first])) == [(0, 30), (5, 20), (10, -1)]
