@@ -63,28 +63,15 @@ def bare(jamia_path: Path, vulkan: dict[str, str]) -> Iterator["tuple[Viewer, Vi
         yield running, client
 
 
-def shot(client: "ViewerClient", view_class: str) -> NDArray[np.int16]:
-    """Of the only view of a class. While a log without a layout is loading, its views are made anew, with other ids."""
-    end = time.monotonic() + 20.0
-    while True:
-        found = [view.view_id for view in client.get_state().views if view.view_class == view_class]
-        try:
-            (view_id,) = found
-            return pixels(client.take_screenshot(view_id=view_id))
-        except (ValueError, ConnectionError):
-            if time.monotonic() > end:
-                raise
-            time.sleep(0.2)
-
-
 def test_a_bare_log_opens_with_a_hand_that_moves(bare: "tuple[Viewer, ViewerClient]") -> None:
     _, client = bare
+    state = client.get_state()
+    (hand,) = (view for view in state.views if view.view_class == "3D")
     shots = []
     for at_s in (0.1, 1.5):
         client.set_time("message_log_time", timestamp=at_s, play_state="paused")
         time.sleep(0.7)
-        shots.append(shot(client, "3D"))
-    state = client.get_state()
+        shots.append(pixels(client.take_screenshot(view_id=hand.view_id)))
     assert view_reports(client) == []
     moved = (np.abs(shots[0] - shots[1]).max(axis=2) > 30).mean()
     assert 0.005 < moved < 0.5
@@ -97,6 +84,14 @@ def test_the_viewer_listens_on_this_machine_only(bare: "tuple[Viewer, ViewerClie
     assert any(one.status == psutil.CONN_LISTEN for one in connections)
     assert {one.laddr.ip for one in connections} == {"127.0.0.1"}
     assert {one.raddr.ip for one in connections if one.raddr} <= {"127.0.0.1"}
+
+
+def test_what_others_stream_to_rerun_does_not_land_in_the_viewer(bare: "tuple[Viewer, ViewerClient]") -> None:
+    """Once a follower whose viewer had been closed found this one at the same port, and took its views away."""
+    running, client = bare
+    assert not running.url.endswith(":9876/proxy"), "Rerun's default port"
+    (shown,) = client.get_state().recordings
+    assert "handctl" not in str(shown.store_id), "a recording of a follower"
 
 
 def test_a_recording_without_its_times_is_not_loaded_yet(monkeypatch: pytest.MonkeyPatch) -> None:

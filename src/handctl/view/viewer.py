@@ -130,6 +130,9 @@ class Launch:
 def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Launch:
     """Start a viewer that listens on a free port of this machine and reports to nobody; do not wait for it.
 
+    The system chooses the port. Rerun's own choice is 9876 if that is free, and so each viewer would also get what other
+    programs stream there, and what was meant for a viewer that was closed before.
+
     Args:
         arguments: more arguments of the viewer.
         environment: in addition to that of this process.
@@ -140,7 +143,7 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Laun
     environ = os.environ | {"XDG_CONFIG_HOME": str(settings), "NO_COLOR": "1", "RUST_LOG": "info"} | environment
     subprocess.run([exe, "analytics", "disable"], env=environ, check=False, capture_output=True)
     notes = tempfile.TemporaryFile()  # noqa: SIM115 (`Launch.ready` closes it)
-    command = [exe, "--bind", LOOPBACK, "--port", "auto", *arguments]
+    command = [exe, "--bind", LOOPBACK, "--port", "0", *arguments]
     process = subprocess.Popen(
         command, env=environ, stdin=subprocess.DEVNULL, stdout=notes, stderr=notes, start_new_session=True
     )
