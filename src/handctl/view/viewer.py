@@ -130,8 +130,8 @@ class Launch:
 def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Launch:
     """Start a viewer that listens on a free port of this machine and reports to nobody; do not wait for it.
 
-    The system chooses the port. Rerun's own choice is 9876 if that is free, and so each viewer would also get what other
-    programs stream there, and what was meant for a viewer that was closed before.
+    The system chooses the port. Rerun's own choice is 9876 if that is free, where a viewer would also get what other
+    programs stream, and what was meant for a viewer that was closed before.
 
     Args:
         arguments: more arguments of the viewer.
