@@ -59,6 +59,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--time-scale", type=float, default=1.0, metavar="X", help="plant time per wall time (1)")
     add("--truth", type=Path, metavar="FILE", help="where to record what really happens (in the run directory)")
     add("--json", action="store_true", help="print where it is ready as JSON, in one line")
+    add("--dry-run", action="store_true", help="check all of it and end; no bus is opened")
     add("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time on a local bus (they take none)")
     add("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help="a plant unlike its hand file")
     return parser
@@ -91,6 +92,8 @@ def run(words: list[str]) -> None:
     clock = ScaledClock(args.time_scale)
     world = World(hand, scene, args.seed, args.homed, clock.now_ns(), compiled=False)
     wired = maker(args.wire, hand.bitrates, clock.now_ns)
+    if args.dry_run:
+        return
     ports: list[Port] = []
     try:
         for bus, spec in enumerate(specs):

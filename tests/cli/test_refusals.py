@@ -216,6 +216,22 @@ def test_a_scene_that_is_none(capsys, words, scene):
     assert "scene" in lines[0]
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--scene", "nothing.toml"), "no such file"),
+        (("--wire", "queue=-1"), "queue"),
+        (("--time-scale", "0"), "0.001"),
+    ],
+)
+def test_a_dry_run_of_the_simulator_checks_what_only_it_knows(capfd, words, said):
+    assert main(["sim", *BUS, *words, "--dry-run", "--json"]) == 2
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert said in err
+    assert err.count("\n") == 1
+
+
 ARGUMENTS = {
     "demo": ("--seed", "x"),
     "run": (),

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import subprocess
 import sys
 
 from handctl.cli.options import bus_option, hand_option, json_option, print_json, wire_option, wire_words
@@ -15,7 +16,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     hand_option(parser)
     bus_option(parser)
     json_option(parser)
-    parser.add_argument("--dry-run", action="store_true", help="print the command and end")
+    parser.add_argument("--dry-run", action="store_true", help="check what is given, print the command and end")
     parser.add_argument("--scene", default="cylinder", help="cylinder, sphere, box, none, or a scene file")
     parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
     wire_option(parser)
@@ -34,6 +35,9 @@ def run(args: argparse.Namespace) -> int:
         from handctl.cli.plan import bus_specs  # it brings the whole controller along
 
         bus_specs(hand, args.bus)
+        checked = subprocess.run([*command, "--dry-run"], stdin=subprocess.DEVNULL, check=False)
+        if checked.returncode:
+            return checked.returncode
         if args.json:
             print_json({"command": ["python", *command[1:]]})
         else:
