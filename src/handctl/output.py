@@ -12,8 +12,8 @@ from handctl.errors import ConfigError
 
 NO_LINKS = {errno.EPERM, errno.ENOTSUP, errno.ENOSYS}
 """What file systems without links answer, such as that of a memory stick."""
-LOG = ".mcap"
-"""Suffix of what nothing may be written over."""
+LOG, LOG_BEGINS = ".mcap", b"\x89MCAP0\r\n"
+"""Suffix, and first bytes, of what nothing may be written over."""
 DRAWN = {".png", ".svg", ".pdf"}
 """Suffixes that say how a figure is written; others are PNG."""
 
@@ -65,20 +65,23 @@ def save_figure(figure: Any, path: Path, dpi: int = 110) -> None:
         figure.savefig(part, dpi=dpi, format=path.suffix[1:] if path.suffix in DRAWN else "png")
 
 
-def check_output(path: Path, what: str) -> None:
+def check_output(path: Path, what: str, *read: Path | None) -> None:
     """Refuse a name that ``whole`` would refuse, before anything is done.
 
     Args:
         path: of the file.
         what: to call it, such as its option.
+        read: files that the same verb reads, if they are given.
 
     Raises:
         ConfigError: nothing can be written there.
     """
     try:
-        _target(path, False)
+        target = _target(path, False)
     except ConfigError as error:
         raise ConfigError(error.what, f"{what} {path}", error.right) from None
+    if any(one and target.exists() and one.exists() and target.samefile(one) for one in read):
+        raise ConfigError("is what is read", f"{what} {path}", "another name")
 
 
 def _target(path: Path, new: bool) -> Path:
@@ -90,9 +93,16 @@ def _target(path: Path, new: bool) -> Path:
         raise ConfigError("is there already", str(path), "a new name")
     if target.is_dir():
         raise ConfigError("is a folder", str(path), "a file")
-    if target.exists() and target.suffix == LOG:
+    if target.is_file() and (target.suffix == LOG or _is_log(target)):
         raise ConfigError("is a log", str(path), "another name: nothing is written over a log")
     return target
+
+
+def _is_log(path: Path) -> bool:
+    """Whether a file begins as a log does, whatever it is called."""
+    with suppress(PermissionError), path.open("rb") as file:
+        return file.read(len(LOG_BEGINS)) == LOG_BEGINS
+    return False
 
 
 @contextmanager

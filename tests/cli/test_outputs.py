@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from handctl.cli.main import main
 from handctl.errors import ConfigError
+from handctl.hand.description import hand_path
 from handctl.output import save_figure, whole, write_whole
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"
@@ -60,6 +61,38 @@ def test_a_place_where_nothing_can_be_written(capsys, what, name):
     assert err.startswith("handctl: ")
     assert err.count("\n") == 1, err
     assert name in err
+
+
+def inputs(place):
+    """A log that is not called one, gains, and a truth file."""
+    for name in ("log.html", "log.png"):
+        (place / name).write_bytes(GOLDEN.read_bytes())
+    (place / "hand.toml").write_text(hand_path("jamia").read_text())
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("report", "log.html"),
+        ("report", LOG, "--truth", "file", "--output", "file"),
+        ("view", "log.png", "--png", "log.png"),
+        ("replay", "execute", LOG, "--gains", "g.toml", "--picture", "g.toml"),
+        ("tune", "design", "--plants", "1", "--hand", "hand.toml", "--out", "hand.toml"),
+        ("tune", "design", "--plants", "1", "--gains", "g.toml", "--out", "new.toml", "--picture", "g.toml"),
+        ("run", "--bus", "local:nobody", "--hand", "hand.toml", "--calibration", "hand.toml"),
+    ],
+    ids=lambda words: " ".join(words[:2]),
+)
+def test_nothing_is_written_over_what_is_read(place, capsys, words):
+    inputs(place)
+    before = everything(place)
+    assert main(list(words)) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1), err
+    assert "another name" in err
+    assert everything(place) == before
+    for name in ("log.html", "log.png", "hand.toml"):
+        (place / name).unlink()
 
 
 @pytest.mark.parametrize("form", FORMATS)

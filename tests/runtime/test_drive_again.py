@@ -1,6 +1,8 @@
 """``handctl replay drive`` on the real clock: a golden grasp on a simulated hand in another process."""
 
 import json
+import signal
+import time
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +10,19 @@ import pytest
 
 from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
+from handctl.runtime.mailbox import Watcher
 from tests.replay.repeat import mean_angles_apart, tensions_held
 from tests.replay.runs import SCENE
-from tests.runtime.processes import BUS, end, handctl, start_hand, write_calibration
+from tests.runtime.processes import (
+    BUS,
+    end,
+    handctl,
+    said,
+    start_hand,
+    start_handctl,
+    wait_for,
+    write_calibration,
+)
 
 pytestmark = pytest.mark.realtime
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
@@ -42,3 +54,23 @@ def test_a_golden_grasp_repeats_on_the_local_bus(place):
         assert apart.max() < 2.0, "where a digit leaves the object it may be a tick late"
         old, new = tensions_held(before, after)
     np.testing.assert_allclose(new, old, rtol=0.05)
+
+
+def test_a_replay_that_is_interrupted_says_how_far_it_came(place):
+    simulated = start_hand(place / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *SCALE)
+    words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", *SCALE, "--log", "half.mcap", "--json")
+    try:
+        driving, watcher = start_handctl("replay", "drive", str(GOLDEN), *words), Watcher(BUS)
+        wait_for("playback", watcher, driving)
+        time.sleep(0.6)
+        driving.send_signal(signal.SIGINT)
+        code, found, err = said(driving)
+        watcher.close()
+    finally:
+        end(simulated)
+    assert code == 1
+    assert f"stopped: {found['driven_s']:.2f} of {found['seconds']:.2f} s were driven" in err
+    assert found["complete"] is False
+    assert 0 < found["driven_s"] < 0.8 * found["seconds"]
+    assert found["log"] == "half.mcap"
+    assert max(row["rms"] for row in found["tendon_N"].values()) < 2.0

@@ -3,9 +3,7 @@
 import argparse
 import json
 import re
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 from handctl.campaign.campaign import Report
@@ -18,8 +16,8 @@ from handctl.campaign.trial import Result
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import hand_option, json_option, print_json
 from handctl.cli.plan import Plan, fastest
+from handctl.cli.progress import Told, progress
 from handctl.cli.run_header import run_header
-from handctl.cli.screen import screen
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gains import Gains
 from handctl.errors import ConfigError
@@ -31,6 +29,7 @@ from handctl.output import write_whole
 QUICK_CALM_S, CALM_S = 4.0, 60.0
 """How long the undisturbed hand is watched for each protocol, in a sample and in full [s]."""
 JOBS_MOST = 64
+FIRST = "bringing the hand to its stages"
 CALM_MOST_S = 86_400.0
 
 
@@ -66,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError(repr(id_), "--row", f"a row that this hand can be tried with by {args.protocol}")
     folder = report_folder(args)
     calm_s = args.calm if args.calm is not None else QUICK_CALM_S if args.quick else CALM_S
-    with progress(args.json) as told:
+    with progress(FIRST, quiet=args.json) as told:
         report = run_campaign(
             args.hand,
             protocols,
@@ -74,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
             jobs=args.jobs,
             quick=args.quick,
             calm_s=calm_s,
-            told=told,
+            told=by_protocol(told),
             keep=keeper(folder),
             only=args.row,
             calm_only=args.calm_only,
@@ -125,12 +124,6 @@ def keeper(folder: Path) -> Callable[[Course, Result], None]:
     return keep
 
 
-@contextmanager
-def progress(quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
-    """Progress on standard error."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=screen(error=True), disable=quiet or not sys.stderr.isatty()) as progress:
-        task = progress.add_task("bringing the hand to its stages", total=None)
-        yield lambda protocol, done, most: progress.update(task, completed=done, total=most, description=protocol)
+def by_protocol(told: Told) -> Callable[[str, int, int], None]:
+    """Progress of scenarios that are tried protocol by protocol."""
+    return lambda protocol, done, most: told(done, most, protocol)

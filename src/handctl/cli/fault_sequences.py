@@ -8,8 +8,9 @@ from handctl.campaign import sequences
 from handctl.campaign.scenarios import ALL
 from handctl.campaign.stage import hand_in
 from handctl.cli.exit_codes import Exit
-from handctl.cli.fault_campaign import JOBS_MOST, keeper, progress, rate_of, report_folder
+from handctl.cli.fault_campaign import FIRST, JOBS_MOST, keeper, rate_of, report_folder
 from handctl.cli.options import hand_option, json_option, print_json
+from handctl.cli.progress import progress
 from handctl.errors import ConfigError
 
 COUNT_MOST = 1_000_000
@@ -36,14 +37,14 @@ def run(args: argparse.Namespace) -> int:
     hand = hand_in(args.hand, args.protocol)
     folder = report_folder(args)
     seeds = range(args.seed, args.seed + args.count)
-    with progress(args.json) as told:
+    with progress(FIRST, quiet=args.json) as told:
         found = sequences.run(
             hand,
             args.protocol,
             rate_of(hand),
             seeds,
             jobs=args.jobs,
-            told=lambda done: told(args.protocol, done, args.count),
+            told=lambda done: told(done, args.count, args.protocol),
             keep=keeper(folder),
         )
     broken = [result for result in found if not result.ok]

@@ -8,6 +8,7 @@ from typing import Any
 
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import json_option, print_json, say, tell_lossy
+from handctl.cli.progress import progress
 from handctl.errors import LogError
 from handctl.log.reader import RunLog
 from handctl.output import whole
@@ -74,6 +75,7 @@ def _info(args: argparse.Namespace) -> int:
             "seconds": float(log.times[-1]) if len(log) else 0.0,
             "late_us": _lateness(log),
             "clock_steps": [step._asdict() for step in steps(log.clock_pairs)],
+            "missing": sum(gap.after - gap.before - 1 for gap in log.gaps),
             "gaps": [[gap.before, gap.after] for gap in log.gaps],
             "phases": [change.name for change in log.phases],
             "events": [f"{event.t_ns / 1e9:.3f} s {event.event.level}: {event.event.text}" for event in log.events],
@@ -117,7 +119,7 @@ def _check(args: argparse.Namespace) -> int:
     from handctl.replay.damage import first_damage
 
     try:
-        with RunLog(args.log) as log:
+        with RunLog(args.log) as log, progress("checking", quiet=args.json):
             found, ticks, lossy = check(log), len(log), bool(log.warning)
     except LogError as error:
         found, ticks, lossy = [str(error), *filter(None, [first_damage(args.log)])], 0, False
@@ -132,7 +134,7 @@ def _check(args: argparse.Namespace) -> int:
 def _diff(args: argparse.Namespace) -> int:
     from handctl.replay.diff import diff
 
-    with RunLog(args.log) as a, RunLog(args.other) as b:
+    with RunLog(args.log) as a, RunLog(args.other) as b, progress("comparing", quiet=args.json):
         result = diff(a, b, str(args.other))
         code = max(tell_lossy(args.log, a.warning), tell_lossy(args.other, b.warning))
     if args.json:
@@ -161,7 +163,7 @@ def _export(args: argparse.Namespace) -> int:
     os.environ.setdefault("RUST_LOG", "error")  # Rerun's own notes; what matters is said by us
     with RunLog(args.log) as log:
         out = args.output or args.log.with_suffix(f".{args.format}")
-        with whole(out, new=True) as part:
+        with whole(out, new=True) as part, progress("writing", quiet=args.json):
             count = _write(args, log, part)
         code = tell_lossy(args.log, log.warning)
     if args.json:
@@ -195,7 +197,8 @@ def _recover(args: argparse.Namespace) -> int:
     from handctl.log.recover import recover
 
     output = args.output or Path(str(args.log).removesuffix(".mcap") + ".recovered.mcap")
-    found = recover(args.log, output)
+    with progress("copying", quiet=args.json):
+        found = recover(args.log, output)
     status = found.status.name.lower()
     if args.json:
         lost = [list(part) for part in found.lost]

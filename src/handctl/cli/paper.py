@@ -4,12 +4,11 @@ import argparse
 import json
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from handctl.cli.exit_codes import Exit
+from handctl.cli.progress import progress
 from handctl.cli.screen import screen
 from handctl.errors import ConfigError
 from handctl.hand.description import load_hand
@@ -94,24 +93,16 @@ def _print(args: argparse.Namespace, parts: tuple[Section, ...]) -> None:
 
 def _measured(jobs: int) -> dict[str, Any]:
     """All experiments, with progress on standard error."""
-    with _progress() as told, pool(jobs, told) as workers:
-        return measure(workers)
+    done = 0
+    with progress("starting the simulator", count()) as told:
 
+        def at(job: Job, finished: bool) -> None:
+            nonlocal done
+            done += finished
+            told(done, words=None if finished else name(job))
 
-@contextmanager
-def _progress() -> Iterator[Callable[[Job, bool], None]]:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=screen(error=True)) as progress:
-        task = progress.add_task("starting the simulator", total=count())
-
-        def told(job: Job, done: bool) -> None:
-            progress.update(task, advance=1 if done else 0)
-            if not done:
-                progress.update(task, description=name(job))
-
-        yield told
+        with pool(jobs, at) as workers:
+            return measure(workers)
 
 
 def _table(parts: tuple[Section, ...]) -> None:

@@ -191,7 +191,7 @@ def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
         ConfigError: none could be written there: that is known before a hand moves for it.
     """
     path: Path = args.calibration or Path(f"{hand.name}.calibration.toml")
-    check_output(path, "--calibration")
+    check_output(path, "--calibration", Path(args.hand), getattr(args, "gains", None), getattr(args, "task", None))
     return path
 
 

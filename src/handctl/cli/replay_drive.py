@@ -7,12 +7,13 @@ from typing import Any
 
 from handctl.cli.commission import ensure_calibration
 from handctl.cli.dry_run import told
+from handctl.cli.exit_codes import Exit
 from handctl.cli.options import print_json, say, tell_lossy
 from handctl.cli.plan import default_log, find_calibration, make_plan
 from handctl.cli.session import make_controller, run_live
 from handctl.log.reader import RunLog
 from handctl.replay.compare import check_same_hand
-from handctl.replay.drive import difference, playback, stretch
+from handctl.replay.drive import bridged, difference, driven, playback, stretch
 
 
 def run(args: argparse.Namespace) -> int:
@@ -23,29 +24,36 @@ def run(args: argparse.Namespace) -> int:
         program = playback(before, plan.period_ns * 1e-9, args.raw)
         path, calibration, why = find_calibration(args, plan.hand)
         begin, end = stretch(before)
-        tell_lossy(args.recorded, before.warning)
+        lossy = tell_lossy(args.recorded, before.warning)
+        if missing := bridged(before):
+            say(f"handctl: caution: {args.recorded}: {missing} ticks are missing; goals are joined there", error=True)
         if args.dry_run:
             line = f"{plan.hand.name}: would drive {end - begin:.2f} s of {args.recorded} at {plan.rate_hz:g} Hz"
-            return told(plan, line, log=args.recorded, seconds=end - begin, commissioning=why)
+            told(plan, line, log=args.recorded, seconds=end - begin, commissioning=why)
+            return lossy
         log = args.log or default_log(plan.hand, "replay")
         if calibration is None:
             calibration = ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))
         plan = replace(plan, attachments=plan.attachments | {"calibration.toml": path.read_bytes()})
         outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
-        if outcome.state.failure:
-            say(f"handctl: {outcome.state.failure}", error=True)
-            return outcome.exit
         with RunLog(log) as after:
-            result = difference(before, after)
-    _tell(args, result, log)
-    return outcome.exit
-
-
-def _tell(args: argparse.Namespace, result: dict[str, Any], log: Path) -> None:
-    """Print the difference."""
+            result, seconds = difference(before, after), driven(before, after)
+    complete = outcome.state.progress.finished
+    what = {"seconds": end - begin, "driven_s": seconds, "complete": complete, "failure": outcome.state.failure}
     if args.json:
-        print_json({"recorded": str(args.recorded), "log": str(log), "raw": args.raw, **result})
-        return
+        print_json({"recorded": str(args.recorded), "log": str(log), "raw": args.raw, **what, **result})
+    else:
+        _say(result, log)
+    if not complete:
+        why = outcome.state.failure or "stopped"
+        say(f"handctl: {why}: {seconds:.2f} of {end - begin:.2f} s were driven", error=True)
+    if outcome.exit != Exit.DONE:
+        return outcome.exit
+    return lossy if complete else Exit.FAILED
+
+
+def _say(result: dict[str, Any], log: Path) -> None:
+    """Print the difference."""
     for signal, rows in result.items():
         unit = signal.partition("_")[2]
         for name, row in rows.items():

@@ -7,7 +7,8 @@ import argparse
 from typing import Any
 
 from handctl.cli.exit_codes import Exit
-from handctl.cli.options import print_json, say
+from handctl.cli.options import print_json, say, tell_lossy
+from handctl.cli.progress import progress
 from handctl.errors import ConfigError, LogError
 from handctl.output import check_output
 
@@ -24,18 +25,20 @@ def run(args: argparse.Namespace) -> int:
         raise ConfigError("together with --gains", "--within", "one of them")
 
     with RunLog(args.recorded) as log:
-        if log.warning:
-            say(f"handctl: {log.warning}: the part before is executed", error=True)
-        return _other_gains(args, log) if args.gains else _same(args, log)
+        lossy = tell_lossy(args.recorded, log.warning)
+        good = _other_gains(args, log) if args.gains else _same(args, log)
+    return lossy if good else Exit.FAILED
 
 
-def _same(args: argparse.Namespace, log: Any) -> int:
+def _same(args: argparse.Namespace, log: Any) -> bool:
+    """Execute it with its own gains; whether all is equal."""
     from importlib.metadata import version
 
     from handctl.log.code import code_identity
     from handctl.replay.execute import acceptable, execute
 
-    found = execute(log)
+    with progress("executing", len(log), args.json) as told:
+        found = execute(log, told=told)
     good = not found.differing if args.within is None else acceptable(found, args.within)
     here, logged_by = (version("handctl"), code_identity()), _writer(log)
     result = {
@@ -43,6 +46,8 @@ def _same(args: argparse.Namespace, log: Any) -> int:
         "ticks": found.ticks,
         "differing": found.differing,
         "undecided": found.undecided,
+        "missing": [[gap.before + 1, gap.after - 1] for gap in log.gaps],
+        "warning": log.warning,
         "first": found.first._asdict() if found.first else None,
         "largest": found.largest._asdict() if found.largest else None,
         "same": good,
@@ -62,11 +67,14 @@ def _same(args: argparse.Namespace, log: Any) -> int:
             if one:
                 say(f"{word}: {_sentence(one)}")
         say(f"{found.wall_s:.2f} s, {found.times_real_time:.1f} times real time")
+        if found.differing and log.gaps:
+            gap = log.gaps[0]
+            say(f"ticks {gap.before + 1} to {gap.after - 1} are missing in it: what follows cannot be the same")
         if found.differing and logged_by != here:
             say("the log was written by handctl {}, code {}; this is handctl {}, code {}".format(*logged_by, *here))
         if not good and not found.undecided and args.within is None:
             say("all decisions are equal; if another machine wrote the log, --within 1e-9 tells whether that is all")
-    return Exit.DONE if good else Exit.FAILED
+    return good
 
 
 def _writer(log: Any) -> tuple[str, str]:
@@ -83,15 +91,18 @@ def _sentence(one: Any) -> str:
     return f"tick {one.k} ({one.t_s:.3f} s), {place}: logged {one.logged!r}, now {one.computed!r}{apart}"
 
 
-def _other_gains(args: argparse.Namespace, log: Any) -> int:
+def _other_gains(args: argparse.Namespace, log: Any) -> bool:
+    """Execute it with other gains, and draw what they would have commanded; always good."""
     from handctl.controller.gains import load_gains
     from handctl.replay.counterfactual import Commands, draw, summary
     from handctl.replay.execute import execute
 
     commands = Commands()
     picture = args.picture or args.recorded.with_suffix(".gains.png")
-    check_output(picture, "--picture")
-    found = execute(log, load_gains(args.gains), commands.add)
+    check_output(picture, "--picture", args.recorded, args.gains)
+    gains = load_gains(args.gains)
+    with progress("executing", len(log), args.json) as told:
+        found = execute(log, gains, commands.add, told)
     if not found.ticks:
         raise LogError("not one tick in it", str(args.recorded), "a run that commanded something")
     draw(picture, log, commands, f"{log.header.metadata['hand']}: {args.recorded.name} with {args.gains.name}")
@@ -100,7 +111,7 @@ def _other_gains(args: argparse.Namespace, log: Any) -> int:
         first = found.first._asdict() if found.first else None
         counts = {"ticks": found.ticks, "differing": found.differing, "first": first}
         print_json(counts | {"gains": str(args.gains), "picture": str(picture), "change": change})
-        return Exit.DONE
+        return True
     say(f"{found.ticks} ticks, {found.differing} commanded or estimated otherwise")
     if found.first:
         say(f"first: {_sentence(found.first)}")
@@ -108,4 +119,4 @@ def _other_gains(args: argparse.Namespace, log: Any) -> int:
         for name, size in rows.items():
             say(f"{name:<18} {unit:<18} rms {size['rms']:.4g}, peak {size['peak']:.4g}")
     say(f"picture: {picture}")
-    return Exit.DONE
+    return True

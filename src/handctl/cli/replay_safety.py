@@ -3,6 +3,7 @@
 import argparse
 
 from handctl.cli.options import print_json, say, tell_lossy
+from handctl.cli.progress import progress
 from handctl.log.reader import RunLog
 from handctl.replay.limits import judge_again
 
@@ -10,7 +11,8 @@ from handctl.replay.limits import judge_again
 def run(args: argparse.Namespace) -> int:
     """Judge again."""
     with RunLog(args.recorded) as log:
-        found = judge_again(log, args.limits)
+        with progress("judging", len(log), args.json) as told:
+            found = judge_again(log, args.limits, told)
         code = tell_lossy(args.recorded, log.warning)
     if args.json:
         stops = [stop._asdict() for stop in found.stops]

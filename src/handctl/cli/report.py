@@ -4,6 +4,7 @@ import argparse
 from pathlib import Path
 
 from handctl.cli.options import json_option, print_json, say, tell_lossy
+from handctl.cli.progress import progress
 from handctl.errors import LogError
 from handctl.output import check_output
 
@@ -28,16 +29,16 @@ def run(args: argparse.Namespace) -> int:
     from handctl.report.page import write_page
     from handctl.report.truth import read_truth
 
-    if args.output:
-        check_output(args.output, "--output")
+    out = args.output or args.log.with_suffix(".html")
+    check_output(out, "--output", args.log, args.truth)
     truth = read_truth(args.truth) if args.truth else None
     with RunLog(args.log) as log:
-        out = args.output or args.log.with_suffix(".html")
         told = log.header.metadata.get(TRUTH_OFFSET, "0")
         offset = int(told) if told.isdecimal() else 0
         if truth and not truth.covers(log.t_ns + offset):
             raise LogError("is of another time than the log", str(args.truth), "the truth of this run, in lockstep")
-        size = write_page(out, log, logged_hand(log), truth, offset, args.log.name)
+        with progress("drawing", quiet=args.json):
+            size = write_page(out, log, logged_hand(log), truth, offset, args.log.name)
         code = tell_lossy(args.log, log.warning)
     if args.json:
         print_json({"log": str(args.log), "page": str(out), "bytes": size})

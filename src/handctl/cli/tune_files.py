@@ -20,9 +20,10 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
         ConfigError: their folder is not there, or they are one.
     """
     out: Path = args.out or Path(f"{hand}.{kind}.toml")
-    check_output(out, "--out")
+    read = (getattr(args, "gains", None), getattr(args, "fit", None), Path(args.hand))
+    check_output(out, "--out", *read)
     picture: Path = args.picture or out.with_suffix(".png")
-    check_output(picture, "--picture")
+    check_output(picture, "--picture", *read)
     if picture.resolve() == out.resolve():
         raise ConfigError("is the name of the picture, too", f"--out {out}", "another --out or --picture")
     return out, picture

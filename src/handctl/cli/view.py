@@ -8,6 +8,7 @@ from typing import Any
 
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import json_option, print_json, say, tell_lossy
+from handctl.cli.progress import progress
 from handctl.errors import ConfigError
 from handctl.output import check_output, whole
 
@@ -45,7 +46,12 @@ def run(args: argparse.Namespace) -> int:
         at_s = _moment(args, log) if args.png else 0.0
         warning, found = log.warning, log.found
     code = tell_lossy(args.log, warning)
-    result = _write(args, subject, at_s, found)
+    if args.save or args.png:
+        with progress("drawing" if args.png else "writing", quiet=args.json):
+            result = _write(args, subject, at_s)
+    else:
+        result = {}
+        _window(args.log, subject, found)
     if args.json:
         print_json(result | {"log": args.log, "warning": warning})
     return code
@@ -75,18 +81,15 @@ def _check(args: argparse.Namespace) -> None:
         if path and (path.suffix != suffix or not path.parent.is_dir()):
             raise ConfigError(str(path), option, f"a file name ending in {suffix} in a folder that exists")
         if path:
-            check_output(path, option)
+            check_output(path, option, args.log)
     if args.png:
         software_vulkan()
     elif not args.save:
         check_screen()
 
 
-def _write(args: argparse.Namespace, subject: Any, at_s: float, found: Any) -> dict[str, Any]:
-    """The recording, and the picture or the window."""
-    if not (args.save or args.png):
-        _window(args.log, subject, found)
-        return {}
+def _write(args: argparse.Namespace, subject: Any, at_s: float) -> dict[str, Any]:
+    """The recording, and the picture."""
     from handctl.view.feed import write_rrd
 
     result: dict[str, Any] = {}

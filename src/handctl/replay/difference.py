@@ -104,11 +104,14 @@ def same_decisions(logged: TickRecord, computed: TickOut) -> bool:
 
 
 def _told(events: tuple[Event, ...]) -> str:
-    return "; ".join(event.text for event in events)
+    return "; ".join(" ".join(filter(None, event)) for event in events)
 
 
 def _shown(frame: Frame) -> str:
-    return f"bus {frame.bus} {frame.can_id & 0x1FFF_FFFF:03X}#{frame.data.hex().upper()}"
+    """A frame as candump writes it, with the flag bits of its identifier, and the time if it has one."""
+    flags = f"#{frame.flags:X}" if frame.flags else ""
+    at = f" at {frame.t_ns} ns" if frame.t_ns else ""
+    return f"bus {frame.bus} {frame.can_id:03X}#{flags}{frame.data.hex().upper()}{at}"
 
 
 def _changed(was: bytes, now: bytes) -> list[tuple[int, float, float]]:

@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
+import numpy as np
+
 from handctl.controller.gains import Gains
 from handctl.controller.tick import Controller
 from handctl.controller.types import TickIn, TickOut
@@ -17,6 +19,9 @@ from handctl.errors import LogError
 from handctl.log.reader import RunLog
 from handctl.replay.difference import Columns, Difference, differences, same, same_decisions
 from handctl.replay.rebuild import rebuild
+
+TOLD = 200
+"""Ticks between two looks of whoever waits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +73,10 @@ def acceptable(execution: Execution, within: float) -> bool:
 
 
 def execute(
-    log: RunLog, gains: Gains | None = None, watch: Callable[[TickIn, TickOut], None] | None = None
+    log: RunLog,
+    gains: Gains | None = None,
+    watch: Callable[[TickIn, TickOut], None] | None = None,
+    told: Callable[[int], None] | None = None,
 ) -> Execution:
     """Run the controller of a log on the log's inputs.
 
@@ -76,27 +84,38 @@ def execute(
         log: a run.
         gains: other gains than it ran with.
         watch: called with every tick.
+        told: called now and then with the number of ticks so far.
 
     Raises:
         LogError: it cannot be rebuilt, or the log is damaged.
     """
     controller, columns = rebuild(log, gains), Columns.of(log.header)
-    with _undisturbed():
-        return _execute(log, controller, columns, watch)
+    with undisturbed():
+        return _execute(log, controller, columns, watch, told)
 
 
 @contextmanager
-def _undisturbed() -> Iterator[None]:
-    """No garbage collection, as in the loop: a tick makes no cycles."""
+def undisturbed() -> Iterator[None]:
+    """No garbage collection, as in the loop, since a tick makes no cycles; numbers of a bad log overflow in silence."""
     gc.disable()
     try:
-        yield
+        with np.errstate(all="ignore"):
+            yield
     finally:
         gc.enable()
 
 
+def refusal(error: ValueError, k: int) -> LogError:
+    """What a controller says of a tick that it would never have had."""
+    return LogError(f"the controller refuses: {error}", f"tick {k}", "a value that fits")
+
+
 def _execute(
-    log: RunLog, controller: Controller, columns: Columns, watch: Callable[[TickIn, TickOut], None] | None
+    log: RunLog,
+    controller: Controller,
+    columns: Columns,
+    watch: Callable[[TickIn, TickOut], None] | None,
+    told: Callable[[int], None] | None,
 ) -> Execution:
     state = controller.initial()
     differing = undecided = ticks = 0
@@ -106,10 +125,10 @@ def _execute(
         try:
             state, out = controller.tick(state, logged.tick_in)
         except ValueError as error:
-            raise LogError(
-                f"the controller refuses: {error}", f"tick {logged.tick_in.k}", "a value that fits"
-            ) from None
+            raise refusal(error, logged.tick_in.k) from None
         ticks += 1
+        if told and ticks % TOLD == 0:
+            told(ticks)
         if watch:
             watch(logged.tick_in, out)
         if same(logged, numbers, out):

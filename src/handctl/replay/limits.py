@@ -1,6 +1,7 @@
 """Other limits on a recorded run: which ticks they would have stopped, and on which reading."""
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, NamedTuple
@@ -12,6 +13,7 @@ from handctl.controller.tick import Controller
 from handctl.document import Document, load_document
 from handctl.errors import ConfigError
 from handctl.log.reader import RunLog
+from handctl.replay.execute import TOLD, refusal, undisturbed
 from handctl.replay.rebuild import rebuild
 from handctl.safety import judge as safety
 from handctl.safety.action import Action
@@ -100,12 +102,13 @@ def load_limits(path: Path, controller: Controller) -> Limits:
     )
 
 
-def judge_again(log: RunLog, path: Path) -> Judgement:
+def judge_again(log: RunLog, path: Path, told: Callable[[int], None] | None = None) -> Judgement:
     """Judge every tick of a run by other limits; the run itself goes on as it went.
 
     Args:
         log: a run.
         path: limits file.
+        told: called now and then with the number of ticks so far.
 
     Raises:
         ConfigError: the limits file is wrong.
@@ -113,6 +116,11 @@ def judge_again(log: RunLog, path: Path) -> Judgement:
     """
     controller = rebuild(log)
     limits = load_limits(path, controller)
+    with undisturbed():
+        return _judge(log, controller, limits, told)
+
+
+def _judge(log: RunLog, controller: Controller, limits: Limits, told: Callable[[int], None] | None) -> Judgement:
     state, shadow = controller.initial(), safety.SafetyState()
     stops: list[Stop] = []
     ticks = stopped = stopped_logged = 0
@@ -120,10 +128,15 @@ def judge_again(log: RunLog, path: Path) -> Judgement:
         entry = logged.tick_in
         if any(isinstance(parse_request(text), Clear) for text in entry.requests):
             shadow = safety.clear(shadow)
-        shadow, verdict = safety.judge(shadow, limits, controller.signals(state, entry))
-        state, out = controller.tick(state, entry)
+        try:
+            shadow, verdict = safety.judge(shadow, limits, controller.signals(state, entry))
+            state, out = controller.tick(state, entry)
+        except ValueError as error:
+            raise refusal(error, entry.k) from None
         own = {event.text.partition(" ")[0] + event.where for event in out.events if event.name == "fault"}
         ticks += 1
+        if told and ticks % TOLD == 0:
+            told(ticks)
         stopped += verdict.action >= Action.HOLD
         stopped_logged += out.action >= Action.HOLD
         for fault, instance, value in verdict.findings:

@@ -1,0 +1,48 @@
+"""Who waits at a terminal sees how far it is; who reads the output of a program sees nothing of it."""
+
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from handctl.cli.progress import progress
+
+LOG = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-lost.mcap")
+
+
+def at_a_terminal(words: tuple[str, ...], folder: Path) -> tuple[str, str]:
+    """Standard output, and what a terminal showed of standard error."""
+    shown, terminal = pty.openpty()
+    command = [sys.executable, "-m", "handctl.cli", *words]
+    environment = os.environ | {"TERM": "xterm", "COLUMNS": "100"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=terminal, cwd=folder, env=environment) as process:
+        os.close(terminal)
+        told = b""
+        try:
+            while part := os.read(shown, 4096):
+                told += part
+        except OSError:  # Linux says so that nobody has the other end any more
+            pass
+        assert process.stdout
+        out = process.stdout.read()
+    os.close(shown)
+    assert process.returncode == 0, told
+    return out.decode(), told.decode()
+
+
+def test_a_terminal_shows_a_bar_until_the_work_is_done(tmp_path: Path) -> None:
+    out, told = at_a_terminal(("replay", "execute", LOG, "--within", "1e-9"), tmp_path)
+    assert "0 decide something else" in out
+    assert "executing" in told
+    assert "executing" not in out
+    assert any(f" {share}%" in told for share in range(10, 100)), told
+
+
+def test_programs_get_no_bar(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with progress("working", 10, quiet=True) as told:
+        told(5)
+    assert capfd.readouterr() == ("", "")

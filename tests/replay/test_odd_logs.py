@@ -1,0 +1,151 @@
+"""Logs with holes, with values that no controller takes, and of runs that were ended early."""
+
+import json
+import math
+import warnings
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import runs
+
+from handctl.cli.main import main
+from handctl.controller.types import Event, TickIn, TickOut
+from handctl.drives.frame import EXTENDED
+from handctl.errors import LogError
+from handctl.log.header import RunHeader
+from handctl.log.reader import RunLog
+from handctl.log.record import FRAMING, pack
+from handctl.log.writer import LogWriter
+from handctl.replay.difference import Columns, differences, same
+from handctl.replay.drive import bridged, difference, driven, playback, recording, stretch
+from handctl.replay.execute import execute
+from handctl.replay.limits import judge_again
+
+Ticks = list[tuple[TickIn, TickOut]]
+STOP = '{"do": "stop"}'
+
+
+@pytest.fixture(scope="module")
+def grasp(golden: Path) -> tuple[RunHeader, Ticks]:
+    """The golden grasp, tick by tick."""
+    ticks: Ticks = []
+    with RunLog(golden / "jamia-grasp.mcap") as log:
+        execute(log, watch=lambda entry, out: ticks.append((entry, out)))
+        return log.header, ticks
+
+
+def written(path: Path, header: RunHeader, ticks: Ticks) -> Path:
+    writer = LogWriter(path, header, lambda *what: None, 1)
+    for entry, out in ticks:
+        writer.add(pack(entry, out)[FRAMING.size :])
+    writer.finish("finished", 0)
+    return path
+
+
+def without(ticks: Ticks, first: int, last: int) -> Ticks:
+    return [tick for tick in ticks if not first <= tick[0].k <= last]
+
+
+def test_a_short_hole_is_bridged_without_a_leap(grasp: tuple[RunHeader, Ticks], tmp_path: Path, golden: Path) -> None:
+    header, ticks = grasp
+    holey = written(tmp_path / "holey.mcap", header, without(ticks, 260, 268))
+    with RunLog(golden / "jamia-grasp.mcap") as log, RunLog(holey) as other:
+        whole, found = recording(log, 0.005), recording(other, 0.005)
+        assert (bridged(log), bridged(other)) == (0, 9)
+    assert found.q.shape == whole.q.shape
+    known = ~np.isnan(whole.q)
+    assert np.abs(found.ddq - whole.ddq)[known].max() < np.abs(whole.ddq[known]).max()
+    assert np.abs(found.q - whole.q)[known].max() < math.radians(0.5)
+
+
+def test_a_long_hole_is_refused_with_its_times(
+    grasp: tuple[RunHeader, Ticks], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    header, ticks = grasp
+    path = written(tmp_path / "holey.mcap", header, without(ticks, 260, 300))
+    with RunLog(path) as log, pytest.raises(LogError, match=r"no ticks between 1\.295 and 1\.505 s"):
+        playback(log, 0.005, raw=False)
+    assert main(["replay", "drive", str(path), "--bus", "local:nobody", "--dry-run"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert main(["replay", "execute", str(path)]) == 1
+    assert "ticks 260 to 300 are missing in it" in capsys.readouterr().out
+    assert main(["log", "info", str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["missing"] == 41
+
+
+def test_a_cut_log_that_repeats_is_lossy(golden: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes((golden / "jamia-grasp.mcap").read_bytes()[:100_000])
+    assert main(["replay", "execute", str(cut), "--within", "1e-9", "--json"]) == 3
+    out, err = capsys.readouterr()
+    assert json.loads(out)["warning"]
+    assert err.count("\n") == 1
+
+
+def test_a_replay_that_was_stopped_is_compared_as_far_as_it_came(golden: Path, tmp_path: Path) -> None:
+    rate = 250.0
+    with RunLog(golden / "jamia-grasp.mcap") as before:
+        program, (begin, end) = playback(before, 1 / rate, raw=False), stretch(before)
+        runs.run(tmp_path / "late.mcap", program, rate_hz=rate, asked={1000: (STOP,)})
+        runs.run(tmp_path / "early.mcap", program, rate_hz=rate, asked={400: (STOP,)})
+        with RunLog(tmp_path / "late.mcap") as after:
+            started = next(change.t_ns * 1e-9 for change in after.phases if change.name == "playback")
+            assert driven(before, after) == pytest.approx(1000 / rate - started, abs=2 / rate)
+            assert 0.2 < driven(before, after) < end - begin - 0.5
+            found = difference(before, after)
+        assert max(row["rms"] for row in found["tendon_N"].values()) < 1.0
+        with RunLog(tmp_path / "early.mcap") as after:
+            assert (driven(before, after), difference(before, after)) == (0.0, {})
+
+
+def told(event: Event) -> Callable[[TickOut], TickOut]:
+    return lambda out: out._replace(events=(event,))
+
+
+def sent(**changes: int) -> Callable[[TickOut], TickOut]:
+    return lambda out: out._replace(frames=(out.frames[0]._replace(**changes), *out.frames[1:]))
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        told(Event("warn", "phase", "", "hold")),
+        told(Event("info", "mode", "", "hold")),
+        told(Event("info", "phase", "thumb", "hold")),
+        sent(flags=4),
+        sent(can_id=EXTENDED | 1),
+        sent(t_ns=5),
+    ],
+)
+def test_whatever_differs_is_named(
+    grasp: tuple[RunHeader, Ticks], tmp_path: Path, changed: Callable[[TickOut], TickOut]
+) -> None:
+    header, ticks = grasp
+    entry, out = next(tick for tick in ticks if tick[1].frames)
+    base = out._replace(events=(Event("info", "phase", "", "hold"),), frames=(out.frames[0]._replace(can_id=1),))
+    with RunLog(written(tmp_path / "one.mcap", header, [(entry, base)])) as log:
+        logged, numbers = next(log.ticks()), next(log.packed())
+    now = changed(base)
+    assert same(logged, numbers, base)
+    assert not same(logged, numbers, now)
+    (found,) = differences(Columns.of(header), logged, numbers, now)
+    assert found.logged != found.computed
+
+
+def test_values_that_no_controller_takes_are_refused_by_every_replay(
+    grasp: tuple[RunHeader, Ticks], tmp_path: Path
+) -> None:
+    header, ticks = grasp
+    setup = json.loads(header.attachments["setup.json"])
+    far = json.dumps(setup | {"zero_rad": [1e308] * 4}).encode()
+    bad = replace(header, attachments=header.attachments | {"setup.json": far})
+    path = written(tmp_path / "bad.mcap", bad, ticks)
+    (tmp_path / "limits.toml").write_text("schema = 1\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for replay in (execute, lambda log: judge_again(log, tmp_path / "limits.toml")):
+            with RunLog(path) as log, pytest.raises(LogError, match="the controller refuses"):
+                replay(log)
