@@ -1,0 +1,67 @@
+"""A controller and its recorder for hours of simulated time, in lockstep: does their memory grow?
+
+``python -m fuzz.growth --hours 1``. What ``fuzz.soak --calm`` asks in real time is asked here on a machine of any load: the
+loop, the controller and the recorder's processes are the same, clock and bus are not.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+from pathlib import Path
+
+from fuzz.soak import SIZE_MIB_PER_H, TASK, Sample, sample, slope
+from handctl.cli.plan import Plan
+from handctl.cli.session import run_lockstep
+from handctl.controller.gains import Gains
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.setup import make_controller
+from handctl.controller.task import load_task
+from handctl.controller.types import TickIn, TickOut
+from handctl.hand.description import hand_path, load_hand
+from handctl.runtime.lockstep import LockstepClock, load_peer
+
+EVERY_S = 30.0
+
+
+class Looks:
+    """Looks at this process and its children now and then."""
+
+    def __init__(self, until_s: float) -> None:
+        self.samples: list[Sample] = []
+        self.until_s, self.pid = until_s, Path("/proc/self").resolve().name
+
+    def take(self) -> tuple[str, ...]:
+        """A request to stop, when there has been enough."""
+        return ('{"do": "stop"}',) if self.samples and self.samples[-1].t >= self.until_s else ()
+
+    def see(self, entry: TickIn, out: TickOut) -> None:
+        """A tick is over."""
+        t = entry.t_ns / 1e9
+        if not self.samples or t - self.samples[-1].t >= EVERY_S:
+            self.samples.append(sample(int(self.pid), t))
+            print(f"{t:8.0f} s  {self.samples[-1].rss:.2f} MiB", file=sys.stderr, flush=True)
+
+
+def main() -> int:
+    """Run; exit code 1 if the memory grows."""
+    parser = argparse.ArgumentParser(prog="python -m fuzz.growth", description=__doc__)
+    parser.add_argument("--hours", type=float, default=1.0, help="of simulated time (default: %(default)s)")
+    args = parser.parse_args()
+    hand = load_hand("jamia")
+    plan = Plan(hand, Gains(), 500.0, (), quiet=True)
+    options = {"hand_path": str(hand_path("jamia")), "scene": "none", "seed": 1, "homed": True, "truth_path": None}
+    clock = LockstepClock(load_peer("firmware_sim.rig:Rig", **options, period_ns=plan.period_ns), plan.period_ns)
+    with tempfile.TemporaryDirectory() as folder:
+        task = Path(folder) / "long.toml"
+        task.write_text(TASK)
+        program, looks = TaskProgram(load_task(task)), Looks(args.hours * 3600)
+        controller = make_controller(hand, plan.gains, 500.0, program, None, arm_at_once=True)
+        outcome = run_lockstep(plan, controller, Path(folder) / "long.mcap", clock, looks)
+    grows = slope(looks.samples)
+    print(json.dumps({"ticks": outcome.stats.ticks, "failure": outcome.state.failure, "rss_slope_mib_per_h": grows}))
+    return int(bool(outcome.state.failure) or grows is None or grows > SIZE_MIB_PER_H)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
