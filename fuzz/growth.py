@@ -1,7 +1,7 @@
 """A controller and its recorder for hours of simulated time, in lockstep: does their memory grow?
 
-``python -m fuzz.growth --hours 1``. What ``fuzz.soak --calm`` asks in real time is asked here on a machine of any load: the
-loop, the controller and the recorder's processes are the same, clock and bus are not.
+``python -m fuzz.growth --hours 1``. What ``fuzz.soak --calm`` asks in real time is asked here on a machine of any load:
+loop, controller and the processes of the recorder are the same, clock and bus are not.
 """
 
 import argparse
