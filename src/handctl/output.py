@@ -80,8 +80,14 @@ def check_output(path: Path, what: str, *read: Path | None) -> None:
         target = _target(path, False)
     except ConfigError as error:
         raise ConfigError(error.what, f"{what} {path}", error.right) from None
-    if any(one and target.exists() and one.exists() and target.samefile(one) for one in read):
+    if any(one and _same(target, one) for one in read):
         raise ConfigError("is what is read", f"{what} {path}", "another name")
+
+
+def _same(target: Path, other: Path) -> bool:
+    """Whether two names lead to one file, there or not."""
+    there = target.exists() and other.exists()
+    return target.samefile(other) if there else str(target) == os.path.realpath(other)
 
 
 def _target(path: Path, new: bool) -> Path:

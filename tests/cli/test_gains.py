@@ -116,6 +116,31 @@ def test_mistakes_are_one_line_and_exit_2(words, said, capsys):
     assert error.count("\n") == 1
 
 
+def test_a_damaged_file_does_not_block_the_way_back(applied, place, capsys):
+    (place / "jamia.gains.toml").write_text("schema = [")
+    capsys.readouterr()
+    assert main(["gains", "log"]) == 0
+    assert "rollback brings back number 2" in capsys.readouterr().err
+    assert main(["gains", "rollback"]) == 0
+    assert "is jamia.gains.damaged.toml now" in capsys.readouterr().err
+    assert told(capsys, "gains", "diff", "2", "present")["changed"] == {}
+
+
+def test_gains_that_no_controller_follows_from_are_not_applied(place, capsys):
+    (place / "tiny.toml").write_text("schema = 1\n[motion]\nforce_N = 1e-6\n")
+    for words in (
+        ("gains", "apply", "tiny.toml"),
+        ("config", "check", "--gains", "tiny.toml"),
+        ("tune", "verify", "tiny.toml", "--lockstep", "--dry-run"),
+        ("run", "--gains", "tiny.toml", "--bus", "local:nobody", "--dry-run"),
+    ):
+        assert main(list(words)) == 2
+        out, error = capsys.readouterr()
+        assert (out, error.count("\n")) == ("", 1)
+        assert "no controller follows from these values" in error
+    assert not (place / "jamia.gains.toml").exists()
+
+
 @pytest.mark.realtime
 def test_set_on_a_running_hand_is_in_its_log(place):
     handctl = [sys.executable, "-m", "handctl.cli"]

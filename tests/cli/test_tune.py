@@ -1,18 +1,22 @@
 """``handctl tune`` and ``handctl identify`` as a person or a program uses them; what they compute is stood in for."""
 
 import json
-from argparse import Namespace
+from argparse import ArgumentParser, Namespace
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from handctl.cli.commission import write_calibration
+from handctl.cli.identify import configure
 from handctl.cli.main import main
 from handctl.cli.tune_verify import _print
 from handctl.controller.calibration import Calibration, TendonCalibration
 from handctl.hand.description import load_hand
+from handctl.log.reader import RunLog
+from handctl.log.writer import LogWriter
 from handctl.tune.search import Found, Trial
 from handctl.tune.trial import Score
 from tests.cli.refused import refused
@@ -98,9 +102,52 @@ def test_gains_and_picture_are_two_files(place, capsys, kind, words):
     assert not list(place.iterdir())
 
 
+@pytest.mark.parametrize("name", ["jamia.calibration.toml", "jamia.gains.toml", "mine.study", "jamia.study"])
+@pytest.mark.parametrize("option", ["--out", "--picture"])
+def test_no_other_file_of_the_hand_is_written_over(place, capsys, name, option):
+    (place / "mine.study").write_text("mine")
+    words = ("tune", "search", "--plants", "1", "--trials", "1", "--study", "mine.study", option, name)
+    assert "expected another name" in refused(capsys, *words)
+    assert (place / "mine.study").read_text() == "mine"
+
+
+def test_the_log_of_a_simulated_hand_tells_nothing_of_the_real_one(place, capsys):
+    assert main(["identify", "--from", GOLDEN, "--dry-run", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["calibration"] == "jamia.lockstep.calibration.toml"
+    real = place / "real.mcap"
+    with RunLog(Path(GOLDEN)) as log:
+        LogWriter(real, replace(log.header, deterministic=False), lambda *what: None, 1).finish("finished", 0)
+    assert "is of a simulated hand" in refused(capsys, "identify", "--from", str(real), "--from", GOLDEN)
+
+
+def test_what_is_given_twice_is_taken_twice():
+    parser = ArgumentParser()
+    configure(parser)
+    args = parser.parse_args(
+        [
+            "--lockstep",
+            "--perturb",
+            "stiffness=0.8",
+            "--perturb",
+            "friction=1.3",
+            "--digits",
+            "index",
+            "--digits",
+            "ring",
+        ]
+    )
+    assert args.perturb == ["stiffness=0.8", "friction=1.3"]
+    assert args.digits == ["index", "ring"]
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     [
+        (("identify", "--from", GOLDEN, "--digits", "thumb"), "--digits: together with --from"),
+        (("identify", "--lockstep", "--seed", "-1"), "--seed: -1; expected 0 or more"),
+        (("identify", "--lockstep", "--time-scale", "0.5"), "--time-scale: only with --bus"),
+        (("tune", "verify", "new.toml", "--lockstep", "--clear"), "--clear: only with --bus"),
+        (("tune", "verify", "new.toml", "--lockstep", "--calibration", "x"), "--calibration: only with --bus"),
         (("tune", "design", "--damping", "nan"), "--damping: nan; expected only with --poles-Hz"),
         (("tune", "design", "--poles-Hz", ""), "--poles-Hz: ''; expected two numbers"),
         (("bus", "plan", "--hand", ""), "no such hand or file"),

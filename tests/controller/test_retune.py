@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from handctl.controller import computed_torque, tick
+from handctl.controller.commission import CommissionProgram
 from handctl.controller.computed_torque import step
 from handctl.controller.gain_bounds import bounds, checked, flat, with_values
 from handctl.controller.gains import Gains, TensionGains
@@ -61,6 +62,32 @@ def test_designs_that_nobody_uses_are_forgotten_and_those_of_the_run_are_not(jam
     assert len(designs.found) == KEPT
     assert used in designs.found
     assert set(designs.models) <= set(designs.found)
+
+
+@pytest.mark.parametrize("key", ["motion.force_N", "tension.force_N"])
+def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(holding: Bench, key: str) -> None:
+    before = holding.state.gains
+    outs = [holding.tick(change({key: 1e-6}))]
+    outs += [holding.tick() for _ in range(10)]
+    (said,) = [event for out in outs for event in out.events if event.name == "gains"]
+    assert said.text.startswith("refused: gains: ")
+    assert "no controller follows" in said.text
+    assert (holding.state.gains, holding.state.coming, holding.state.mode) == (before, None, Mode.ACTIVE)
+    holding.tick(change({"tension.force_N": 6.0}))
+    holding.run(0.1)
+    assert holding.state.gains is not None
+    assert holding.state.gains.tension.force_N == 6.0, "the next ones are taken"
+
+
+def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
+    """The run that comes after it would not have them."""
+    desk = Bench(
+        controller(jamia, CommissionProgram()), load_peer("firmware_sim.rig:Rig", hand_path=str(hand_path("jamia")))
+    )
+    desk.until(Mode.ACTIVE)
+    out = desk.tick(change({"motion.force_N": 20.0}))
+    assert "refused: the hand is being commissioned" in [event.text for event in out.events]
+    assert desk.state.coming is None
 
 
 def test_a_change_is_taken_over_when_every_piece_is_designed(holding: Bench, jamia: HandModel) -> None:

@@ -74,6 +74,29 @@ def test_what_was_edited_by_hand_is_kept(store: GainsStore) -> None:
     assert store.rollback().gains == force(77.0)
 
 
+def test_what_was_copied_there_came_after_the_newest(store: GainsStore, tmp_path: Path) -> None:
+    store.apply(force(21.0), Provenance())
+    store.path.write_text(gains_text(force(55.0), Provenance()))
+    assert store.rollback().gains == force(21.0)
+    assert [entry.file.gains.motion.force_N for entry in store.entries()] == [21.0, 55.0, 21.0]
+    assert store.entries()[1].file.provenance.replaces == 1
+
+
+def test_a_damaged_file_is_set_aside_and_not_lost(store: GainsStore) -> None:
+    store.apply(force(21.0), Provenance())
+    assert store.set_aside() is None
+    kept = []
+    for text in ("schema = [", "nonsense = 1"):
+        store.path.write_text(text)
+        with pytest.raises(ConfigError):
+            store.rollback()
+        aside = store.set_aside()
+        assert aside is not None
+        kept.append((aside.name, aside.read_text()))
+        assert store.rollback(to=1).gains == force(21.0)
+    assert kept == [("jamia.gains.damaged.toml", "schema = ["), ("jamia.gains.damaged1.toml", "nonsense = 1")]
+
+
 def test_a_history_with_a_gap_is_no_way_back(store: GainsStore) -> None:
     for newtons in (21.0, 22.0, 23.0):
         store.apply(force(newtons), Provenance())

@@ -189,6 +189,18 @@ def test_a_dask_cluster_finds_what_one_process_finds(plan: Plan, found: Found, t
             crew.close()
 
 
+def test_two_searches_do_not_share_a_journal(plan: Plan, tmp_path: Path) -> None:
+    class Meanwhile(Here):
+        """Another search begins while this one computes."""
+
+        def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
+            with pytest.raises(ConfigError, match="another search uses it"):
+                search(plan, tmp_path / "one", Here(), _nothing)
+            yield from super().scores(jobs)
+
+    assert len(search(replace(plan, trials=1), tmp_path / "one", Meanwhile(), _nothing).trials) == 1
+
+
 def test_a_study_of_something_else_is_refused(plan: Plan, tmp_path: Path) -> None:
     other = Plan(plan.hand, plan.rate_hz, plan.gains, plan.plants, seed=6, trials=1)
     with pytest.raises(KeyboardInterrupt):

@@ -2,10 +2,11 @@
 
 import argparse
 from pathlib import Path
+from typing import Any
 
 from handctl.cli.gains_layers import LayeredGains, layered_gains
 from handctl.cli.options import gains_options, hand_option, json_option, print_json
-from handctl.cli.plan import TASKS, fastest, find_calibration, find_task
+from handctl.cli.plan import TASKS, check_design, fastest, find_calibration, find_task
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gain_bounds import flat
 from handctl.controller.identified import UNITS
@@ -38,10 +39,12 @@ def run(args: argparse.Namespace) -> int:
         find_task(args.task, hand)
     if args.calibration and not args.calibration.exists():
         raise ConfigError("no such file", str(args.calibration), "a calibration to check")
-    calibration = _calibration_lines(args, hand)
+    calibration = _calibration(args, hand)
     loads = bus_loads(hand)
     rate = fastest(loads)
     load = {one.name: one.at(rate) for one in loads}
+    if args.what == "check":
+        check_design(hand, layers.gains, rate)
     source = str(hand_path(args.hand).name)
     if args.json:
         print_json(
@@ -55,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
                 "gains": layers.gains.model_dump(by_alias=True),
                 "gains_file": str(layers.file) if layers.file else "packaged",
                 "gains_origins": layers.origins,
+                "calibration": calibration,
             }
         )
         return 0
@@ -62,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"# from {source}, identity {hand.identity[:16]}")
         print(hand.to_toml(), end="")
         print("\n".join(_gains_with_sources(layers)))
-        print("\n".join(f"# {line}" for line in calibration))
+        print("\n".join(f"# {line}" for line in _calibration_lines(calibration)))
     for text in caveats(make_drives(hand)):
         print(f"# caution: {text}")
     told = ", ".join(f"bus {name} {100 * share:.0f} %" for name, share in load.items())
@@ -76,17 +80,31 @@ def _gains_with_sources(layers: LayeredGains) -> list[str]:
     return ["", "# gains", *(f"# {key} = {value}  ({layers.origins[key]})" for key, value in values.items())]
 
 
-def _calibration_lines(args: argparse.Namespace, hand: Hand) -> list[str]:
+def _calibration(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
     """Which calibration a run would use, or why none, and what of it takes the place of the hand file."""
     path, calibration, why = find_calibration(args, hand)
     if calibration is None:
-        return [f"calibration: {why}"]
-    lines = [f"calibration: {path}, made {calibration.made}"]
-    for tendon, known in calibration.identified.items():
-        origin = f"({path}, identified {known.made})"
-        for name, value, width in zip(known.names, known.values, known.half_widths, strict=True):
-            lines.append(f"{tendon}.{name} = {value:.5g} +- {width:.2g} {UNITS[name]}  {origin}")
-    return lines
+        return {"file": str(path), "problem": why, "made": None, "identified": {}}
+    identified = {
+        tendon: {
+            name: {"value": value, "half_width": width, "unit": UNITS[name], "made": known.made}
+            for name, value, width in zip(known.names, known.values, known.half_widths, strict=True)
+        }
+        for tendon, known in calibration.identified.items()
+    }
+    return {"file": str(path), "problem": "", "made": calibration.made, "identified": identified}
+
+
+def _calibration_lines(found: dict[str, Any]) -> list[str]:
+    """The same for a person."""
+    if found["problem"]:
+        return [f"calibration: {found['problem']}"]
+    return [f"calibration: {found['file']}, made {found['made']}"] + [
+        f"{tendon}.{name} = {one['value']:.5g} +- {one['half_width']:.2g} {one['unit']}"
+        f"  ({found['file']}, identified {one['made']})"
+        for tendon, values in found["identified"].items()
+        for name, one in values.items()
+    ]
 
 
 def _list(as_json: bool) -> int:

@@ -4,7 +4,7 @@ from typing import Any
 
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import print_json, say
-from handctl.cli.plan import Plan
+from handctl.cli.plan import Plan, check_design
 
 
 def told(plan: Plan, *lines: str, **what: Any) -> int:
@@ -14,7 +14,11 @@ def told(plan: Plan, *lines: str, **what: Any) -> int:
         plan: that was checked.
         lines: for a person.
         what: would be done, for a program.
+
+    Raises:
+        ConfigError: no controller follows from the gains.
     """
+    check_design(plan.hand, plan.gains, plan.rate_hz)
     if plan.quiet:
         run = {"rate_hz": plan.rate_hz, "bus_load": max(plan.load), "buses": list(plan.buses)}
         print_json({"hand": plan.hand.name, **run, **what})

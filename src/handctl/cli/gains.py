@@ -9,7 +9,8 @@ from typing import Any
 from handctl.cli.buses import controller_bus
 from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import assignments, gains_for, layered_gains
-from handctl.cli.options import bus_option, gains_options, hand_option, json_option, print_json
+from handctl.cli.options import bus_option, gains_options, hand_option, json_option, print_json, say
+from handctl.cli.plan import check_design
 from handctl.controller.gain_bounds import bounds, flat, with_values
 from handctl.controller.gains import Gains, Provenance, load_gains_file
 from handctl.controller.requests import REFUSED, said_of
@@ -41,15 +42,17 @@ def configure(parser: argparse.ArgumentParser) -> None:
     live.add_argument("values", nargs="+", metavar="KEY=VALUE")
     bus_option(live)
     for one in (show, diff, apply, back, log, live):
-        hand_option(one)
         json_option(one)
+        if one is not live:  # a running controller knows its hand
+            hand_option(one)
 
 
 def run(args: argparse.Namespace) -> int:
     """Do what was asked."""
-    hand = load_hand(args.hand)
-    does = {"show": _show, "diff": _diff, "apply": _apply, "rollback": _rollback, "log": _log, "set": _set}
-    return does[args.what](args, hand)
+    if args.what == "set":
+        return _set(args)
+    does = {"show": _show, "diff": _diff, "apply": _apply, "rollback": _rollback, "log": _log}
+    return does[args.what](args, load_hand(args.hand))
 
 
 def _show(args: argparse.Namespace, hand: Hand) -> int:
@@ -117,16 +120,29 @@ def _side(word: str, hand: Hand) -> Gains:
 def _apply(args: argparse.Namespace, hand: Hand) -> int:
     """Make gains the present ones."""
     file = gains_for(hand, args.file)
+    check_design(hand, file.gains)
     own = {"fit": args.fit, "study": args.study, "note": args.note, "log": tuple(map(str, args.log))}
     told = file.provenance.model_copy(update={key: value for key, value in own.items() if value})
     store = GainsStore(hand.name, hand.identity)
+    _set_aside(store)
     return _done(args, store, store.apply(file.gains, told).provenance)
 
 
 def _rollback(args: argparse.Namespace, hand: Hand) -> int:
     """The way back."""
     store = GainsStore(hand.name, hand.identity)
-    return _done(args, store, store.rollback(args.to).provenance)
+    entries = store.entries()
+    newest = entries[-1].number if entries else 0
+    to = newest if _set_aside(store) and args.to is None else args.to
+    return _done(args, store, store.rollback(to).provenance)
+
+
+def _set_aside(store: GainsStore) -> bool:
+    """Move a present file that cannot be used out of the way, and say so; whether there was one."""
+    aside = store.set_aside()
+    if aside:
+        say(f"handctl: {store.path} cannot be used, and is {aside} now", error=True)
+    return bool(aside)
 
 
 def _done(args: argparse.Namespace, store: GainsStore, told: Provenance) -> int:
@@ -140,7 +156,12 @@ def _done(args: argparse.Namespace, store: GainsStore, told: Provenance) -> int:
 def _log(args: argparse.Namespace, hand: Hand) -> int:
     """The history."""
     store = GainsStore(hand.name)
-    present, entries = store.present(), store.entries()
+    entries = store.entries()
+    try:
+        present = store.present()
+    except ConfigError as error:
+        say(f"handctl: {error}; handctl gains rollback brings back number {entries[-1].number if entries else 0}", True)
+        present = None
     if args.json:
         print_json({"present": _number(present), "entries": [entry.file.provenance.model_dump() for entry in entries]})
         return Exit.DONE
@@ -164,7 +185,7 @@ def _line(entry: Entry, entries: list[Entry]) -> str:
     return _told(entry.file.provenance).partition(", made ")[2] + (f"; changes {few}" if few else "; changes nothing")
 
 
-def _set(args: argparse.Namespace, hand: Hand) -> int:
+def _set(args: argparse.Namespace) -> int:
     """Change gains of a running controller; what cannot be is refused before anything is sent."""
     from handctl.runtime.mailbox import Watcher, send_request
 
@@ -200,6 +221,8 @@ def _answers(watcher: Any, values: dict[str, float], me: str) -> dict[str, str]:
         for event in line["events"]:
             if event["name"] == "gain" and event["where"] in values:
                 said[event["where"]] = event["text"]
+            if event["name"] == "gains" and event["text"].startswith(REFUSED):
+                raise ConfigError(event["text"].removeprefix(REFUSED), "the controller")
             if event["name"] == "gains":
                 return said
     raise BusError("the controller has not taken the gains over", f"bus {watcher.name}", "a running handctl run")

@@ -103,3 +103,14 @@ def check_perturb(args: argparse.Namespace) -> None:
     """
     if assignments(args.perturb, "--perturb") and not args.lockstep:
         raise ConfigError("only with --lockstep", "--perturb", "a simulator with it: python -m firmware_sim --perturb")
+
+
+def check_bus_only(args: argparse.Namespace) -> None:
+    """Refuse what only a run on a bus obeys.
+
+    Raises:
+        ConfigError: it is asked for.
+    """
+    for option, given in (("--clear", args.clear), ("--time-scale", args.time_scale != 1.0)):
+        if given:
+            raise ConfigError("only with --bus", option, "a run in lockstep without it")

@@ -10,9 +10,9 @@ from typing import Any
 from handctl.cli.commission import commission, ensure_calibration, kept, write_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.exit_codes import Exit
-from handctl.cli.gains_layers import assignments, check_perturb
+from handctl.cli.gains_layers import assignments, check_bus_only, check_perturb
 from handctl.cli.options import print_json, run_options, say
-from handctl.cli.plan import Plan, default_log, find_calibration, make_plan
+from handctl.cli.plan import Plan, calibration_path, default_log, find_calibration, make_plan
 from handctl.cli.session import Outcome, Runner, make_controller, run_live, run_lockstep
 from handctl.controller.calibration import Calibration, load_calibration
 from handctl.controller.excite import ExciteProgram
@@ -32,14 +32,27 @@ EXAMPLE = "handctl identify --hand jamia --lockstep --digits thumb --calibration
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     run_options(parser, bus_required=False)
-    parser.add_argument("--digits", nargs="+", metavar="DIGIT", help="which (default: all, one after the other)")
     parser.add_argument(
-        "--from", dest="logs", nargs="+", type=Path, metavar="LOG", help="use recorded runs instead of any new motion"
+        "--digits", nargs="+", action="extend", metavar="DIGIT", help="which (default: all, one after the other)"
+    )
+    parser.add_argument(
+        "--from",
+        dest="logs",
+        nargs="+",
+        action="extend",
+        type=Path,
+        metavar="LOG",
+        help="use recorded runs instead of any new motion",
     )
     parser.add_argument("--lockstep", action="store_true", help="the simulated hand in virtual time, without a bus")
     parser.add_argument("--seed", type=int, default=0, help="of the simulated hand")
     parser.add_argument(
-        "--perturb", nargs="+", default=[], metavar="KEY=FACTOR", help="make the simulated hand unlike its file"
+        "--perturb",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="KEY=FACTOR",
+        help="make the simulated hand unlike its file",
     )
     parser.add_argument("--no-write", action="store_true", help="leave the calibration file as it is")
 
@@ -50,13 +63,19 @@ def run(args: argparse.Namespace) -> int:
     if given != 1:
         raise ConfigError(f"{given or 'none'} of them", "--bus, --lockstep, --from", "one of them")
     check_perturb(args)
+    if args.logs and args.digits:
+        raise ConfigError("together with --from", "--digits", "logs of these digits, or a new motion")
+    if args.seed < 0:
+        raise ConfigError(str(args.seed), "--seed", "0 or more")
+    if not args.bus:
+        check_bus_only(args)
     if args.logs:
         return _from_logs(args)
     plan = make_plan(args, lockstep=args.lockstep)
     program = ExciteProgram(excitation(plan.hand, tuple(args.digits or plan.hand.digit_names)))
     path, calibration, why = find_calibration(args, plan.hand)
     if args.lockstep and not args.calibration:  # nothing of a simulated hand into what the real one is armed with
-        path = Path(f"{plan.hand.name}.lockstep.calibration.toml")
+        path = _of_simulated(plan.hand)
     total = sum(step.duration_s for step in program.steps)
     if args.dry_run:
         digits = list(dict.fromkeys(step.digit for step in program.steps))
@@ -119,9 +138,10 @@ def _commission_and_excite(
 def _from_logs(args: argparse.Namespace) -> int:
     """Recorded runs, no motion; the last log that tells of a tendon counts."""
     hand = load_hand(args.hand)
-    path, calibration, _ = find_calibration(args, hand)
-    if calibration is None and path.exists():
-        calibration = load_calibration(path, hand)
+    path = calibration_path(args, hand)
+    if _simulated(args.logs) and not args.calibration:
+        path = _of_simulated(hand)
+    calibration = load_calibration(path, hand) if path.exists() else None
     found: dict[Path, dict[str, Found]] = {}
     for log in args.logs:
         _say(f"reading {log}")
@@ -136,6 +156,26 @@ def _from_logs(args: argparse.Namespace) -> int:
             say(f"{hand.name}: would identify from {', '.join(map(str, found))}, and write {path}")
         return Exit.DONE
     return _report(args, hand, found, path, calibration)
+
+
+def _of_simulated(hand: Hand) -> Path:
+    """Where a simulated hand's calibration goes: not where the real one is armed with it."""
+    return Path(f"{hand.name}.lockstep.calibration.toml")
+
+
+def _simulated(logs: list[Path]) -> bool:
+    """Whether runs are of a simulated hand in lockstep.
+
+    Raises:
+        ConfigError: some are, and some are not.
+    """
+    kinds = {}
+    for log in logs:
+        with RunLog(log) as record:
+            kinds[record.header.deterministic] = log
+    if len(kinds) > 1:
+        raise ConfigError("is of a simulated hand", str(kinds[True]), f"runs of one hand, as {kinds[False]}")
+    return kinds.get(True) is not None
 
 
 def _report(
@@ -161,7 +201,7 @@ def _report(
     for log, tendons in found.items():
         print("\n".join([f"from {log}:", *table(tendons)]))
     print("pictures: " + ", ".join(map(str, pictures)))
-    why = "as asked" if args.no_write else "there is no calibration: handctl commission first"
+    why = "as asked" if args.no_write else f"there is no {path}: handctl commission first"
     print(f"calibration written to {path}" if written else f"no calibration written: {why}")
     return Exit.DONE
 

@@ -147,6 +147,22 @@ def fastest(loads: Sequence[BusLoad]) -> float:
     return highest_rate((load.tick_s for load in loads), (load.share for load in loads))
 
 
+def check_design(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None:
+    """Refuse gains from which nothing can be designed, though each is within its bounds.
+
+    Args:
+        hand: that they are for.
+        gains: all of them.
+        rate_hz: at which they are used; that of the hand, if it is not given [Hz].
+
+    Raises:
+        ConfigError: no controller or no filter follows from them.
+    """
+    from handctl.controller.model import HandModel
+
+    HandModel.of(hand, gains, rate_hz or fastest(bus_loads(hand)))
+
+
 def find_task(name: Path, hand: Hand) -> tuple[Task, bytes]:
     """A task file, from the path or from those that come with handctl, checked against the hand.
 

@@ -17,10 +17,11 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
     """Gains file and picture to write.
 
     Raises:
-        ConfigError: their folder is not there, or they are one.
+        ConfigError: their folder is not there, they are one, or they are another file of this hand.
     """
     out: Path = args.out or Path(f"{hand}.{kind}.toml")
-    read = (getattr(args, "gains", None), getattr(args, "fit", None), Path(args.hand))
+    own = [Path(f"{hand}.{what}") for what in ("calibration.toml", "gains.toml", "study")]
+    read = (*own, Path(args.hand), args.gains, args.fit, getattr(args, "study", None))
     check_output(out, "--out", *read)
     picture: Path = args.picture or out.with_suffix(".png")
     check_output(picture, "--picture", *read)

@@ -15,6 +15,7 @@ from handctl.cli.tune_files import checked_count, output_files, subject, write_g
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
+from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 
 
@@ -33,9 +34,8 @@ def run(args: argparse.Namespace) -> int:
     trials = checked_count(args.trials, "--trials", 100_000)
     crew_size = checked_count(args.workers, "--workers", 64)
     storage = args.study or Path(f"{hand.name}.study")
-    designed = _designed(twin, gains, rate, plants)
-    plan = Plan(twin.to_toml(), rate, gains, plants, args.seed, trials, designed)
     with _Progress(trials, args.json) as progress:
+        plan = Plan(twin.to_toml(), rate, gains, plants, args.seed, trials, _designed(twin, gains, rate, plants))
         crew = workers(crew_size, args.scheduler)
         try:
             found = search(plan, storage, crew, progress.show)
@@ -73,7 +73,7 @@ def _designed(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, flo
 
     try:
         found = design(HandModel.of(hand, gains, rate), tuple(linear_factors(one) for one in plants))
-    except ValueError:
+    except (ValueError, ConfigError):
         return ()
     return (found.as_weights(),)
 
@@ -98,6 +98,8 @@ class _Progress:
 
     def __enter__(self) -> "_Progress":
         self._bar.start()
+        if not self._quiet and self._bar.disable:
+            self._console.print("designing the gains to begin with")
         return self
 
     def __exit__(self, *error: object) -> None:

@@ -10,9 +10,9 @@ from typing import Any
 from handctl.cli.commission import ensure_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.exit_codes import Exit
-from handctl.cli.gains_layers import assignments, check_perturb, gains_for
+from handctl.cli.gains_layers import assignments, check_bus_only, check_perturb, gains_for
 from handctl.cli.options import print_json
-from handctl.cli.plan import Plan, default_log, find_calibration, make_plan
+from handctl.cli.plan import Plan, check_design, default_log, find_calibration, make_plan
 from handctl.cli.screen import screen
 from handctl.cli.session import Outcome, make_controller, run_live, run_lockstep
 from handctl.errors import ConfigError
@@ -27,8 +27,13 @@ def run(args: argparse.Namespace) -> int:
     if bool(args.bus) == args.lockstep:
         raise ConfigError("one of them is needed", "--bus or --lockstep", "--lockstep for a simulated hand")
     check_perturb(args)
+    if args.lockstep:
+        check_bus_only(args)
+        if args.calibration:
+            raise ConfigError("only with --bus", "--calibration", "a simulated hand without one")
     plan = make_plan(args, lockstep=args.lockstep)
     new = gains_for(plan.hand, args.candidate)
+    check_design(plan.hand, new.gains, plan.rate_hz)
     old = plan.gains
     base = old.model_copy(update={"filter": new.gains.filter})
     watch = Watch(plan.hand, base, new.gains)

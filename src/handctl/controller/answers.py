@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from handctl.controller import retune
+from handctl.controller.commission import CommissionProgram
 from handctl.controller.estimator import Estimate
 from handctl.controller.live import LiveProgram, apply_goal
 from handctl.controller.model import HandModel
@@ -44,6 +45,8 @@ def answer(
             state = state._replace(armed=True)
         elif isinstance(request, Clear):
             state = state._replace(safety=safety.clear(state.safety), clearing=state.mode in BEFORE_READY)
+        elif isinstance(request, SetGains) and isinstance(program, CommissionProgram):
+            events.append(Event("warn", "request", "", "refused: the hand is being commissioned"))
         elif isinstance(request, SetGains):
             coming, refused = retune.asked(state.coming.gains if state.coming else model.gains, request.set)
             state = state._replace(coming=coming or state.coming)

@@ -35,6 +35,7 @@ from handctl.controller.filter_stack import (
     X,
 )
 from handctl.controller.gains import FilterGains
+from handctl.controller.solvable import check_finite, solvable
 from handctl.controller.tendon_space import TendonSpace
 
 FORGET_S = 1e4
@@ -50,13 +51,17 @@ def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_p
         gains: noise intensities assumed.
         period: control period [s].
         joint_period: (N,) from one excursion measured by joint encoders to the next [s]; inf where there are none.
+
+    Raises:
+        ConfigError: no filter follows from these gains.
     """
     made: dict[tuple[float, ...], tuple[Block, ...]] = {}
     found = []
     for i, joints in enumerate(joint_period.tolist()):
         kind = (joints, *(float(getattr(space, each.name)[i]) for each in fields(space)))
         if kind not in made:
-            made[kind] = tuple(_block(space, i, regime, gains, period, joints) for regime in Regime)
+            with solvable("filter"):
+                made[kind] = tuple(_block(space, i, regime, gains, period, joints) for regime in Regime)
         found.append(made[kind])
     return FilterDesign(tuple(found))
 
@@ -149,6 +154,7 @@ def _block(space: TendonSpace, i: int, regime: Regime, gains: FilterGains, perio
     variance = float(tension @ P @ tension) + drift  # without tension, in slack, nothing
     information = np.asarray(np.linalg.inv(innovation), dtype=np.float64)
     sigma = math.sqrt(innovation[1, 1])
+    check_finite(F, held, K, P, information)
     return Block(F, held, H, K, Q, noise**2, P, known, drift, tension, variance, information, sigma)
 
 

@@ -246,12 +246,13 @@ class Guard:
     def _followed(self, before: Vector, goal: Vector, excursion: Vector | None) -> Vector:
         """(N,) goals as a motor can follow them [m]: where one jumps, a motor that has not moved yet is not stuck.
 
-        Nor is one that rests where it was to go while this, which comes later, is still on its way.
+        Nor is one that rests where it was to go while this, which comes later, is still on its way: from there on it is
+        where the digit is, so that a touch an hour later does not bring the rest of the way.
         """
         share = 1.0 - math.exp(-self.model.period / FOLLOW_S)
         moved = before + share * (goal - before)
         if excursion is not None:
-            moved = chosen(np.abs(goal - excursion) < ARRIVED_M, before, moved)
+            moved = chosen(np.abs(goal - excursion) < ARRIVED_M, excursion, moved)
         return chosen(before != before, goal, moved)
 
 

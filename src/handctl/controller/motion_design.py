@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.signal import cont2discrete
 
 from handctl.controller.gains import Gains
+from handctl.controller.solvable import check_finite, solvable
 from handctl.controller.tendon_space import TendonSpace
 from handctl.controller.types import Vector
 
@@ -51,6 +52,9 @@ def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesi
         space: the hand along its tendons.
         gains: weights.
         period: control period [s].
+
+    Raises:
+        ConfigError: no gains follow from these weights.
     """
     return assembled(space, [design_piece(space, gains, period, piece) for piece in range(pieces(space))])
 
@@ -61,11 +65,17 @@ def pieces(space: TendonSpace) -> int:
 
 
 def design_piece(space: TendonSpace, gains: Gains, period: float, piece: int) -> Vector:
-    """Gain (2,) of one loop of one tendon: the motion loop of every tendon, then the tension loop of every tendon."""
+    """Gain (2,) of one loop of one tendon: the motion loop of every tendon, then the tension loop of every tendon.
+
+    Raises:
+        ConfigError: none follows from these weights.
+    """
     n = len(space.spool)
     if piece < n:
-        return _motion(float((space.motor_mass + space.load_mass)[piece]), gains, period)
-    return _tension(space, piece - n, gains, period)
+        with solvable("motion"):
+            return _motion(float((space.motor_mass + space.load_mass)[piece]), gains, period)
+    with solvable("tension"):
+        return _tension(space, piece - n, gains, period)
 
 
 def assembled(space: TendonSpace, found: list[Vector]) -> MotionDesign:
@@ -86,6 +96,9 @@ def _dlqr(A: NDArray[np.float64], B: NDArray[np.float64], state: list[float], fo
 
     F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), period)
     K, *_ = dlqr(F, G, np.diag([1.0 / x**2 for x in state]), np.array([[1.0 / force**2]]), method="scipy")
+    check_finite(K)
+    if not np.abs(np.linalg.eigvals(F - G @ K)).max() < 1.0:
+        raise ValueError("not stable")
     return np.asarray(np.asarray(K)[0], dtype=np.float64)
 
 

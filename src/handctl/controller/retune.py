@@ -6,12 +6,14 @@ a trim and fades. Integrals are kept in newtons, not as an integral of the error
 """
 
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 from handctl.controller.computed_torque import LawState
 from handctl.controller.gain_bounds import flat, with_values
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
 from handctl.controller.motion_design import assembled, design_piece, pieces
+from handctl.controller.requests import REFUSED
 from handctl.controller.types import GAIN_EVENT, Event, Vector
 from handctl.errors import ConfigError
 
@@ -32,6 +34,18 @@ class Coming:
     step: int = 0
 
 
+class Unfinished(NamedTuple):
+    """A design that is not complete.
+
+    Attributes:
+        coming: how far it is; None if no gains follow from these weights.
+        told: says so.
+    """
+
+    coming: Coming | None
+    told: tuple[Event, ...] = ()
+
+
 @dataclass(slots=True)
 class Designs:
     """Designs that were made already, by gains: only a memory, for what is missing in it is made again.
@@ -46,10 +60,13 @@ class Designs:
     models: dict[Gains, HandModel] = field(default_factory=dict)
     used: Gains | None = None
 
-    def advance(self, model: HandModel, coming: Coming) -> Coming | None:
+    def advance(self, model: HandModel, coming: Coming) -> Unfinished | None:
         """Design one piece more; None when the design is complete."""
-        done = self._up_to(model, coming.gains, coming.step + 1)
-        return None if len(done) >= pieces(model.space) else replace(coming, step=coming.step + 1)
+        try:
+            done = self._up_to(model, coming.gains, coming.step + 1)
+        except ConfigError as error:
+            return Unfinished(None, (Event("warn", "gains", "", f"{REFUSED}{error}"),))
+        return None if len(done) >= pieces(model.space) else Unfinished(replace(coming, step=coming.step + 1))
 
     def model(self, model: HandModel, gains: Gains) -> HandModel:
         """The model with other gains; those that a run uses are not forgotten."""
@@ -80,7 +97,7 @@ def asked(present: Gains, values: dict[str, float]) -> tuple[Coming | None, tupl
     try:
         return Coming(with_values(present, values, "gains", live=True)), ()
     except ConfigError as error:
-        return None, (Event("warn", "request", "", f"refused: {error}"),)
+        return None, (Event("warn", "request", "", f"{REFUSED}{error}"),)
 
 
 def trimmed(law: LawState, step: Vector) -> LawState:

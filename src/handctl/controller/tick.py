@@ -261,8 +261,8 @@ class Controller:
         """Design a piece of the gains that are coming; take them over from the next tick on when all is designed."""
         if state.coming is None:
             return state, ()
-        if (coming := self.designs.advance(self.model, state.coming)) is not None:
-            return state._replace(coming=coming), ()
+        if (unfinished := self.designs.advance(self.model, state.coming)) is not None:
+            return state._replace(coming=unfinished.coming), unfinished.told
         gains, law = state.coming.gains, state.law
         if state.mode in (Mode.ACTIVE, Mode.RELAX):
             other = self.designs.model(self.model, gains)

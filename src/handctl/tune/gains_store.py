@@ -5,6 +5,7 @@ beside and moved into place: whoever reads finds the old file or the new one, ne
 """
 
 import datetime
+import itertools
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
@@ -64,11 +65,28 @@ class GainsStore:
         paths = sorted(self.history.glob("[0-9][0-9][0-9][0-9].toml"))
         return [Entry(path, load_gains_file(path)) for path in paths]
 
+    def set_aside(self) -> Path | None:
+        """Move a present file that cannot be used out of the way, so that there is a way back; its new name.
+
+        Raises:
+            ConfigError: it cannot be moved.
+        """
+        try:
+            self.present()
+        except ConfigError:
+            numbers = (Path(f"{self.path.with_suffix('')}.damaged{n or ''}.toml") for n in itertools.count())
+            aside = next(path for path in numbers if not path.exists())
+            try:
+                return self.path.rename(aside)
+            except OSError as error:
+                raise ConfigError(f"cannot be moved: {error.strerror}", str(self.path), f"{aside}") from None
+        return None
+
     def apply(self, gains: Gains, provenance: Provenance) -> GainsFile:
         """Make gains the present ones; those that were edited by hand are kept in the history first.
 
         Raises:
-            ConfigError: the files cannot be written, or the present ones not be read.
+            ConfigError: the files cannot be written, or the present ones not be read; see ``set_aside``.
         """
         self._keep_edited()
         return self._put(gains, provenance)
@@ -101,8 +119,15 @@ class GainsStore:
             self._put(present.gains, present.provenance.model_copy(update={"note": BY_HAND}))
 
     def _put(self, gains: Gains, provenance: Provenance, restores: int | None = None) -> GainsFile:
-        """Write the next number of the history, then the present gains."""
+        """Write the next number of the history, then the present gains.
+
+        A present file that is none of the history, as one that was copied here, came after the newest of it.
+        """
         present, entries = self.present(), self.entries()
+        numbers = [0, *(entry.number for entry in entries)]
+        before = present.provenance.number if present else 0
+        if present and (before not in numbers[1:]):
+            before = numbers[-1]
         told = provenance.model_copy(
             update={
                 "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
@@ -110,7 +135,7 @@ class GainsStore:
                 "hand": self.hand,
                 "identity": provenance.identity or self.identity,
                 "number": entries[-1].number + 1 if entries else 1,
-                "replaces": present.provenance.number if present else 0,
+                "replaces": before,
                 "restores": restores,
             }
         )

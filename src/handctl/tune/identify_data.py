@@ -23,6 +23,8 @@ UNSURE = ("close", "open")
 SETTLE_S = 0.02
 LATE_S = 0.35
 """Time at the beginning of a step in which the digit still falls open, or the rope becomes slack."""
+STOP_DEG = 2.0
+"""Angle from a stop within which nobody knows what the stop bears."""
 LEAST_TENSION_N = 2.0
 """Mean tension of a stretch of a log that counts as taut."""
 
@@ -98,8 +100,9 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
         if excited:
             found += [_cut(data, phases, digit)] if digit in excited else []
         else:
-            free = active & (contact[:, d] < 0.5) & (log.field("tension_goal")[:-1, i] > LEAST_TENSION_N)
-            found.append(replace(data, free=free & (data.tension > LEAST_TENSION_N)))
+            taut = (log.field("tension_goal")[:-1, i] > LEAST_TENSION_N) & (data.tension > LEAST_TENSION_N)
+            free = active & taut & (contact[:, d] < 0.5) & _unheld(log, hand, digit)[:-1]
+            found.append(replace(data, free=free))
     return found
 
 
@@ -113,6 +116,22 @@ def _logged_gain(log: RunLog, tendons: int) -> list[float]:
 def _has(hand: Hand, digit: str, tendon: int) -> bool:
     place = hand.digit_tendons[digit]
     return bool(place.start <= tendon < place.stop)
+
+
+def _unheld(log: RunLog, hand: Hand, digit: str) -> Mask:
+    """Ticks in which a digit follows a trajectory, away from the stops, and has done so for a while."""
+    joints = hand.digit_joints[digit]
+    (part,) = (one for one in hand.digit if one.name == digit)
+    q, margin = np.degrees(log.field("q")[:, joints]), STOP_DEG
+    inside = (q > np.array(part.joint_min_deg) + margin) & (q < np.array(part.joint_max_deg) - margin)
+    moving = ~np.isnan(log.field("q_goal")[:, joints]).any(axis=1)
+    return _lasting(np.asarray(moving & inside.all(axis=1)), round(LATE_S * 1e9 / log.header.period_ns))
+
+
+def _lasting(mask: Mask, late: int) -> Mask:
+    """Where a mask has held for more than ``late`` ticks."""
+    last = np.maximum.accumulate(np.where(mask, -1, np.arange(len(mask))))
+    return np.asarray(np.arange(len(mask)) - last > late)
 
 
 def _during(phases: NDArray[np.str_], digit: str, steps: tuple[str, ...], settle: int) -> Mask:

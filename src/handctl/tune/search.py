@@ -5,8 +5,10 @@ for one process, several and a cluster, and lets a study that was interrupted go
 asked goes on with its open trials, one that was asked in part is asked anew.
 """
 
+import fcntl
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -131,12 +133,33 @@ def search(plan: Plan, storage: Path, crew: Workers, show: Callable[[Found], Non
         show: called after each trial.
 
     Raises:
-        ConfigError: the storage holds another search.
+        ConfigError: the storage holds another search, or another process uses it.
     """
-    study = _study(plan, storage)
-    while len(_finished(study)) < plan.trials:
-        _batch(study, plan, crew, show)
-    return Found.of(_finished(study))
+    with _alone(storage):
+        study = _study(plan, storage)
+        while len(_finished(study)) < plan.trials:
+            _batch(study, plan, crew, show)
+        return Found.of(_finished(study))
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """Keep other searches from a journal; the system lets go of it when this process ends, however that is.
+
+    Raises:
+        ConfigError: another search has it, or it cannot be opened.
+    """
+    right = "a new file, or a journal of `tune search`"
+    try:
+        with path.open("ab") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            yield
+    except BlockingIOError:
+        raise ConfigError("another search uses it", str(path), "another --study, or to wait") from None
+    except OSError as error:
+        if error.filename != str(path):
+            raise
+        raise ConfigError(f"cannot be used: {error.strerror}", str(path), right) from None
 
 
 def _study(plan: Plan, path: Path) -> Any:

@@ -1,0 +1,48 @@
+"""Gains within their bounds either give a controller, or one line that says that they do not."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from handctl.controller.gain_bounds import bounds, with_values
+from handctl.controller.gains import Gains
+from handctl.controller.model import HandModel
+from handctl.errors import ConfigError
+from handctl.hand.description import load_hand
+
+ODD = {
+    "motion.force_N": 1e-6,
+    "motion.position_error_m": 1e-200,
+    "motion.speed_error_m_s": 1e-12,
+    "tension.tension_error_N": 1e-150,
+    "filter.free_time_s": 1e-300,
+    "filter.held_time_s": 1e-12,
+    "filter.encoder_noise_counts": 1e-200,
+}
+WEIGHTS = [key for key, bound in bounds().items() if bound.open_low and not key.startswith("contact")]
+
+
+@pytest.mark.parametrize("key", ODD)
+def test_a_value_that_no_solver_takes(key: str) -> None:
+    gains = with_values(Gains(), {key: ODD[key]}, "test")
+    with pytest.raises(ConfigError, match=f"gains: {key.partition('.')[0]}: no controller follows"):
+        HandModel.of(load_hand("jamia"), gains, 500.0)
+
+
+@settings(max_examples=12)
+@given(st.dictionaries(st.sampled_from(WEIGHTS), st.floats(-30.0, 0.0), min_size=1))
+def test_any_values_within_the_bounds(powers: dict[str, float]) -> None:
+    known = bounds()
+    gains = with_values(Gains(), {key: known[key].high * math.exp(power) for key, power in powers.items()}, "test")
+    try:
+        model = HandModel.of(load_hand("jamia_bench"), gains, 500.0)
+    except ConfigError as error:
+        assert "no controller follows" in str(error)
+    else:
+        assert all(
+            np.isfinite(one).all() for one in (model.motion.stiffness, model.motion.damping, model.motion.tension)
+        )
+        assert all(np.isfinite(block.K).all() for blocks in model.filter.blocks for block in blocks)

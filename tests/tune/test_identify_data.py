@@ -1,0 +1,29 @@
+"""What of an ordinary log is taken for free motion."""
+
+from pathlib import Path
+
+import numpy as np
+
+from handctl.controller.types import Mode
+from handctl.hand.description import load_hand
+from handctl.log.reader import RunLog
+from handctl.tune.identify_data import LATE_S, STOP_DEG, tendon_data
+
+GRASP = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
+
+
+def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
+    """Springs and friction were found a third too large where tensions had pressed a digit against its stop."""
+    hand = load_hand("jamia")
+    with RunLog(GRASP) as log:
+        held = np.isnan(log.field("q_goal"))
+        angles, period = np.degrees(log.field("q")), log.header.period_ns * 1e-9
+        active = (log.mode == Mode.ACTIVE)[:-1]
+        for data, digit in zip(tendon_data(log, hand), hand.digit, strict=True):
+            joints = hand.digit_joints[digit.name]
+            assert (data.free & active).sum() > 20, "and what is free is found"
+            for k in np.flatnonzero(data.free):
+                while_before = slice(k - round(LATE_S / period) + 1, k + 1)
+                assert not held[while_before, joints].any()
+                assert (angles[while_before, joints] > np.array(digit.joint_min_deg) + STOP_DEG).all()
+                assert (angles[while_before, joints] < np.array(digit.joint_max_deg) - STOP_DEG).all()
