@@ -123,19 +123,8 @@ def test_the_log_of_a_simulated_hand_tells_nothing_of_the_real_one(place, capsys
 def test_what_is_given_twice_is_taken_twice():
     parser = ArgumentParser()
     configure(parser)
-    args = parser.parse_args(
-        [
-            "--lockstep",
-            "--perturb",
-            "stiffness=0.8",
-            "--perturb",
-            "friction=1.3",
-            "--digits",
-            "index",
-            "--digits",
-            "ring",
-        ]
-    )
+    words = "--lockstep --perturb stiffness=0.8 --perturb friction=1.3 --digits index --digits ring"
+    args = parser.parse_args(words.split())
     assert args.perturb == ["stiffness=0.8", "friction=1.3"]
     assert args.digits == ["index", "ring"]
 

@@ -64,10 +64,12 @@ def test_designs_that_nobody_uses_are_forgotten_and_those_of_the_run_are_not(jam
     assert set(designs.models) <= set(designs.found)
 
 
-@pytest.mark.parametrize("key", ["motion.force_N", "tension.force_N"])
-def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(holding: Bench, key: str) -> None:
+@pytest.mark.parametrize("odd", [("motion.force_N", 1e-6), ("tension.tension_error_N", 1e-150)])
+def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
+    holding: Bench, odd: tuple[str, float]
+) -> None:
     before = holding.state.gains
-    outs = [holding.tick(change({key: 1e-6}))]
+    outs = [holding.tick(change(dict([odd])))]
     outs += [holding.tick() for _ in range(10)]
     (said,) = [event for out in outs for event in out.events if event.name == "gains"]
     assert said.text.startswith("refused: gains: ")
