@@ -45,6 +45,8 @@ def test_a_motor_that_rests_where_it_was_to_go_is_not_stuck(jamia: HandModel) ->
     command, there = at(active, 0.4), arms * 0.4
     lagging = state.watch._replace(goal=arms * 0.2)
     resting = guard.commanded(lagging, Mode.ACTIVE, command, state.drives, state.k, there)
-    np.testing.assert_array_equal(resting.goal, lagging.goal)
+    np.testing.assert_array_equal(resting.goal, there, "while it still moves, as it arrives")
+    later = guard.commanded(resting, Mode.ACTIVE, command, state.drives, state.k, there)
+    np.testing.assert_array_equal(later.goal, resting.goal)
     stuck = guard.commanded(lagging, Mode.ACTIVE, command, state.drives, state.k, arms * 0.1)
     assert (stuck.goal > lagging.goal).all(), "one that is elsewhere is judged as before"
