@@ -6,6 +6,7 @@ loop, controller and the processes of the recorder are the same, clock and bus a
 
 import argparse
 import json
+import os
 import sys
 import tempfile
 from pathlib import Path
@@ -29,7 +30,7 @@ class Looks:
 
     def __init__(self, until_s: float) -> None:
         self.samples: list[Sample] = []
-        self.until_s, self.pid = until_s, Path("/proc/self").resolve().name
+        self.until_s = until_s
 
     def take(self) -> tuple[str, ...]:
         """A request to stop, when there has been enough."""
@@ -39,7 +40,7 @@ class Looks:
         """A tick is over."""
         t = entry.t_ns / 1e9
         if not self.samples or t - self.samples[-1].t >= EVERY_S:
-            self.samples.append(sample(int(self.pid), t))
+            self.samples.append(sample(os.getpid(), t))
             print(f"{t:8.0f} s  {self.samples[-1].rss:.2f} MiB", file=sys.stderr, flush=True)
 
 

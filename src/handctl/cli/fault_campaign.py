@@ -16,7 +16,7 @@ from handctl.campaign.trial import Result
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import hand_option, json_option, print_json
 from handctl.cli.plan import Plan, fastest
-from handctl.cli.progress import Told, progress
+from handctl.cli.progress import progress
 from handctl.cli.run_header import run_header
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gains import Gains
@@ -73,7 +73,7 @@ def run(args: argparse.Namespace) -> int:
             jobs=args.jobs,
             quick=args.quick,
             calm_s=calm_s,
-            told=by_protocol(told),
+            told=lambda protocol, done, most: told(done, most, protocol),
             keep=keeper(folder),
             only=args.row,
             calm_only=args.calm_only,
@@ -122,8 +122,3 @@ def keeper(folder: Path) -> Callable[[Course, Result], None]:
         recorder.close(result.why)
 
     return keep
-
-
-def by_protocol(told: Told) -> Callable[[str, int, int], None]:
-    """Progress of scenarios that are tried protocol by protocol."""
-    return lambda protocol, done, most: told(done, most, protocol)

@@ -216,13 +216,21 @@ def _answers(watcher: Any, values: dict[str, float], me: str) -> dict[str, str]:
     said: dict[str, str] = {}
     for line in watcher.heard(TAKEN_OVER_S):
         for text in said_of(me, line["events"]) or ():
-            if text.startswith(REFUSED):
-                raise ConfigError(text.removeprefix(REFUSED), "the controller")
+            _heed(text)
         for event in line["events"]:
             if event["name"] == "gain" and event["where"] in values:
                 said[event["where"]] = event["text"]
-            if event["name"] == "gains" and event["text"].startswith(REFUSED):
-                raise ConfigError(event["text"].removeprefix(REFUSED), "the controller")
             if event["name"] == "gains":
+                _heed(event["text"])
                 return said
     raise BusError("the controller has not taken the gains over", f"bus {watcher.name}", "a running handctl run")
+
+
+def _heed(text: str) -> None:
+    """Raise what the controller refuses.
+
+    Raises:
+        ConfigError: it does.
+    """
+    if text.startswith(REFUSED):
+        raise ConfigError(text.removeprefix(REFUSED), "the controller")
