@@ -19,6 +19,11 @@ settings.register_profile("every run", CALM, derandomize=True, database=None, ma
 settings.register_profile("nightly", CALM, max_examples=2000, print_blob=True)
 settings.load_profile("nightly" if NIGHTLY else "every run")
 
+SLOWER = 0.4
+CALM_S, PATIENCE_S = 1.0, 15.0
+LATEST_S = 900.0
+"""For all tries of a test together; one of its own is nearer."""
+
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 """A shell's background job begins with SIGINT ignored, one of nohup with SIGHUP, and so would every program that these
@@ -31,6 +36,8 @@ if "HANDCTL_RUN_DIR" not in os.environ:
 
 class Repeats:
     """A test of the real clock gets another try if the machine stood still while it failed; three tries in all.
+
+    Where a test slows time, each try slows it more (``slower``): a stall means less then, a defect just as much.
 
     Attributes:
         meter: from the first such test on.
@@ -53,12 +60,24 @@ class Repeats:
         longest = self.meter.longest_since(self._began) if self.meter and error else 0.0
         if longest:
             self.told.append((self._test, longest))
+            self.await_calm()
         return longest > 0.0
+
+    def await_calm(self) -> None:
+        """Wait until the machine has not stood still for a second, but not for long: stalls come in crowds."""
+        assert self.meter
+        until = time.monotonic() + PATIENCE_S
+        while time.monotonic() < until:
+            begin = time.monotonic()
+            time.sleep(CALM_S)
+            if not self.meter.longest_since(begin):
+                return
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         for item in items:
             if item.get_closest_marker("realtime"):
                 item.add_marker(pytest.mark.flaky(reruns=2, condition=self.stood_still))
+                item.add_marker(pytest.mark.timeout(LATEST_S))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
         for test, longest in self.told:
@@ -67,6 +86,12 @@ class Repeats:
     def pytest_unconfigure(self) -> None:
         if self.meter:
             self.meter.close()
+
+
+@pytest.fixture
+def slower(request: pytest.FixtureRequest) -> float:
+    """What a test of the clock multiplies its time scale by: one in its first try, less in each that follows."""
+    return float(SLOWER ** (getattr(request.node, "execution_count", 1) - 1))
 
 
 def pytest_configure(config: pytest.Config) -> None:

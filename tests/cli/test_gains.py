@@ -142,9 +142,10 @@ def test_gains_that_no_controller_follows_from_are_not_applied(place, capsys):
 
 
 @pytest.mark.realtime
-def test_set_on_a_running_hand_is_in_its_log(place):
+def test_set_on_a_running_hand_is_in_its_log(place, slower):
+    scale = ["--time-scale", f"{0.6 * slower:g}"]
     handctl = [sys.executable, "-m", "handctl.cli"]
-    sim = [sys.executable, "-m", "firmware_sim", "--hand", "jamia", "--bus", "local:set", "--homed"]
+    sim = [sys.executable, "-m", "firmware_sim", "--hand", "jamia", "--bus", "local:set", "--homed", *scale]
     log, hand_file = place / "run.mcap", load_hand("jamia")
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     made = datetime.datetime.now(datetime.UTC).isoformat()
@@ -154,7 +155,7 @@ def test_set_on_a_running_hand_is_in_its_log(place):
     with subprocess.Popen(sim, stdout=subprocess.PIPE, text=True) as hand:
         try:
             assert "ready" in hand.stdout.readline()
-            run = subprocess.Popen([*handctl, "run", "--bus", "local:set", "--log", str(log), "--json"])
+            run = subprocess.Popen([*handctl, "run", "--bus", "local:set", "--log", str(log), "--json", *scale])
             change = [*handctl, "gains", "set", "motion.force_N=26", SAME, "--bus", "local:set"]
             end = time.monotonic() + 60.0
             while (said := subprocess.run([*change, "--json"], capture_output=True, text=True)).returncode:

@@ -5,7 +5,7 @@ import tempfile
 import pytest
 
 from handctl.hand.description import load_hand
-from tests.runtime.processes import BUS, LONG, SCALE, SHORT, end, start_hand, write_calibration
+from tests.runtime.processes import BUS, LONG, SCALE, SHORT, end, scaled, start_hand, write_calibration
 
 
 @pytest.fixture
@@ -29,9 +29,15 @@ def processes():
 
 
 @pytest.fixture
-def hand(place, processes):
+def scale(request, slower):
+    """Words for time as it passes for the hand; a module may have a ``SCALE`` of its own."""
+    return scaled(getattr(request.module, "SCALE", SCALE) * slower)
+
+
+@pytest.fixture
+def hand(place, processes, scale):
     """A slowed simulated hand on the bus, and its truth."""
-    processes.append(start_hand(place / "hand.truth", "--hand", "jamia", *SCALE))
+    processes.append(start_hand(place / "hand.truth", "--hand", "jamia", *scale))
     return place / "hand.truth"
 
 

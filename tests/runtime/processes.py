@@ -15,13 +15,18 @@ from handctl.hand.toml_text import toml_text
 from handctl.log.reader import RunLog
 from handctl.runtime.mailbox import Watcher
 
-READY_S = 60.0
+READY_S, END_S = 60.0, 200.0
 BUS = "local:t"
-SCALE = ("--time-scale", "0.4")
+SCALE = 0.4
 GO = 'schema = 1\nname = "short"\n'
 MOVE = '[[phase]]\nkind = "move"\nname = "{name}"\nangle_deg = {angle}\nduration_s = {duration}\n'
 SHORT = GO + MOVE.format(name="bend", angle=25.0, duration=0.5) + MOVE.format(name="open", angle=0.0, duration=0.4)
 LONG = GO + MOVE.format(name="bend", angle=40.0, duration=0.5) + MOVE.format(name="stay", angle=40.0, duration=60.0)
+
+
+def scaled(scale: float) -> tuple[str, str]:
+    """Words for a simulator and a controller that share a slowed time."""
+    return "--time-scale", f"{scale:g}"
 
 
 def start_hand(truth: Path, *words: str) -> "subprocess.Popen[str]":
@@ -40,7 +45,7 @@ def start_handctl(*words: str) -> "subprocess.Popen[str]":
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
-def handctl(*words: str, timeout_s: float = 60.0) -> "subprocess.CompletedProcess[str]":
+def handctl(*words: str, timeout_s: float = END_S) -> "subprocess.CompletedProcess[str]":
     """A verb of handctl until it ends."""
     command = [sys.executable, "-m", "handctl.cli", *words]
     return subprocess.run(command, capture_output=True, text=True, timeout=timeout_s)
@@ -57,7 +62,7 @@ def end(process: "subprocess.Popen[str]") -> None:
     process.communicate()
 
 
-def said(process: "subprocess.Popen[str]", timeout_s: float = 60.0) -> tuple[int, dict[str, object], str]:
+def said(process: "subprocess.Popen[str]", timeout_s: float = END_S) -> tuple[int, dict[str, object], str]:
     """Exit code, JSON and standard error of a process that ends by itself."""
     out, err = process.communicate(timeout=timeout_s)
     return process.returncode, json.loads(out) if out else {}, err

@@ -14,7 +14,7 @@ import handctl as library
 from handctl import BusError, ConfigError, DriveError, PowerError
 from handctl.client import HandClient
 from handctl.runtime.mailbox import Watcher, answers
-from tests.runtime.processes import BUS, SCALE, ended_well, handctl, start_handctl, wait_for
+from tests.runtime.processes import BUS, ended_well, handctl, start_handctl, wait_for
 
 REALTIME = pytest.mark.realtime
 PROGRAM = """
@@ -122,8 +122,8 @@ def test_connect_says_why_the_controller_ends(place, capfd):
     assert "nobody serves this bus" in capfd.readouterr().err
 
 
-def test_a_program_moves_holds_and_looks(place, hand, calibrated):
-    with library.connect("jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *SCALE) as client:
+def test_a_program_moves_holds_and_looks(place, hand, calibrated, scale):
+    with library.connect("jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale) as client:
         client.move(duration_s=0.4, wait=False, index=30.0)
         client.wait("live", 5.0)
         bent = 0.0
@@ -155,8 +155,8 @@ def test_a_program_moves_holds_and_looks(place, hand, calibrated):
 
 
 @REALTIME
-def test_a_fault_is_told_by_its_name(place, hand, calibrated):
-    client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *SCALE)
+def test_a_fault_is_told_by_its_name(place, hand, calibrated, scale):
+    client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale)
     with client:
         assert handctl("fault", "inject", "--bus", BUS, "snap tendon=index_tendon").returncode == 0
         with pytest.raises(DriveError, match="the controller ended: fault "):
@@ -167,8 +167,8 @@ def test_a_fault_is_told_by_its_name(place, hand, calibrated):
 
 
 @REALTIME
-def test_a_fault_that_nobody_asked_about_is_told_at_the_end(place, hand, calibrated):
-    client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *SCALE)
+def test_a_fault_that_nobody_asked_about_is_told_at_the_end(place, hand, calibrated, scale):
+    client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale)
     client.wait("live", 60.0)
     assert handctl("fault", "inject", "--bus", BUS, "off node=index_motor").returncode == 0
     wait_until(lambda: not answers(BUS))
@@ -177,9 +177,9 @@ def test_a_fault_that_nobody_asked_about_is_told_at_the_end(place, hand, calibra
 
 
 @REALTIME
-def test_a_task_of_somebody_else_goes_on(place, hand, calibrated, processes, monkeypatch):
+def test_a_task_of_somebody_else_goes_on(place, hand, calibrated, processes, monkeypatch, scale):
     monkeypatch.setattr("handctl.client.ATTACH_S", 1.0)
-    process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *SCALE)
+    process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale)
     processes.append(process)
     watcher = Watcher(BUS)
     wait_for("stay", watcher, process)
@@ -200,8 +200,8 @@ def start_program(processes, *words):
 
 
 @REALTIME
-def test_ctrl_c_while_it_starts_leaves_no_controller(place, hand, processes):
-    program = start_program(processes, "--log", "live.mcap", *SCALE)
+def test_ctrl_c_while_it_starts_leaves_no_controller(place, hand, processes, scale):
+    program = start_program(processes, "--log", "live.mcap", *scale)
     wait_until(lambda: answers(BUS))
     program.send_signal(signal.SIGINT)
     _, err = program.communicate(timeout=60.0)
@@ -212,8 +212,8 @@ def test_ctrl_c_while_it_starts_leaves_no_controller(place, hand, processes):
 
 
 @REALTIME
-def test_a_program_that_is_killed_leaves_no_armed_hand(place, hand, calibrated, processes):
-    program = start_program(processes, "--calibration", "c.toml", "--log", "live.mcap", *SCALE)
+def test_a_program_that_is_killed_leaves_no_armed_hand(place, hand, calibrated, processes, scale):
+    program = start_program(processes, "--calibration", "c.toml", "--log", "live.mcap", *scale)
     assert program.stdout.readline() == "live\n"
     program.kill()
     program.wait()

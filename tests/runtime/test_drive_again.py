@@ -26,7 +26,7 @@ from tests.runtime.processes import (
 
 pytestmark = pytest.mark.realtime
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
-SCALE = ("--time-scale", "0.7")
+SCALE = 0.7
 
 
 @pytest.fixture
@@ -36,10 +36,10 @@ def place(place):
     return place
 
 
-def test_a_golden_grasp_repeats_on_the_local_bus(place):
-    simulated = start_hand(place / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *SCALE)
+def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
+    simulated = start_hand(place / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale)
     try:
-        words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", *SCALE)
+        words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", *scale)
         done = handctl("replay", "drive", str(GOLDEN), *words, "--log", "again.mcap", "--json")
     finally:
         end(simulated)
@@ -56,9 +56,9 @@ def test_a_golden_grasp_repeats_on_the_local_bus(place):
     np.testing.assert_allclose(new, old, rtol=0.05)
 
 
-def test_a_replay_that_is_interrupted_says_how_far_it_came(place):
-    simulated = start_hand(place / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *SCALE)
-    words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", *SCALE, "--log", "half.mcap", "--json")
+def test_a_replay_that_is_interrupted_says_how_far_it_came(place, scale):
+    simulated = start_hand(place / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale)
+    words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", *scale, "--log", "half.mcap", "--json")
     try:
         driving, watcher = start_handctl("replay", "drive", str(GOLDEN), *words), Watcher(BUS)
         wait_for("playback", watcher, driving)

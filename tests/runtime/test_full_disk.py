@@ -15,7 +15,7 @@ from handctl.runtime.mailbox import Watcher
 from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, wait_for, write_calibration
 
 pytestmark = pytest.mark.realtime
-SCALE = ("--time-scale", "0.6")
+SCALE = 0.6
 ROOM = "96m"
 """More than the recorder wants to stay free, so that the run begins as usual."""
 
@@ -59,9 +59,9 @@ def seconds_until(process, word, timeout_s=20.0):
     raise AssertionError(heard.decode())
 
 
-def test_a_full_disk_is_announced_and_the_hand_holds_on(place, disk):
-    simulated = start_hand(place / "hand.truth", "--hand", "jamia", *SCALE)
-    words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", *SCALE)
+def test_a_full_disk_is_announced_and_the_hand_holds_on(place, disk, scale):
+    simulated = start_hand(place / "hand.truth", "--hand", "jamia", *scale)
+    words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", *scale)
     process = start_handctl("run", *words, "--log", str(disk / "run.mcap"))
     watcher = Watcher(BUS)
     try:

@@ -17,11 +17,11 @@ from handctl.report.truth import read_truth
 from handctl.runtime.mailbox import Watcher
 from tests.runtime.processes import (
     BUS,
-    SCALE,
     end,
     ended_well,
     handctl,
     said,
+    scaled,
     sockets,
     start_hand,
     start_handctl,
@@ -32,19 +32,19 @@ from tests.runtime.processes import (
 pytestmark = pytest.mark.realtime
 
 
-def run_short(place, processes):
+def run_short(place, processes, scale):
     """Commission and carry out a short task with a hand of its own; what ``handctl run`` said, and its log."""
     truth, log = place / "hand.truth", place / "run.mcap"
-    processes.append(start_hand(truth, "--hand", "jamia", "--time-scale", "0.6"))
-    words = ("--task", "short.toml", "--json", "--log", str(log), "--time-scale", "0.6", "--truth", str(truth))
+    processes.append(start_hand(truth, "--hand", "jamia", *scale))
+    words = ("--task", "short.toml", "--json", "--log", str(log), *scale, "--truth", str(truth))
     processes.append(start_handctl("run", "--hand", "jamia", "--bus", BUS, *words))
     told = said(processes.pop())
     end(processes.pop())
     return told, log
 
 
-def test_run_commissions_moves_and_judges_itself(place, processes):
-    (code, result, err), log = run_short(place, processes)
+def test_run_commissions_moves_and_judges_itself(place, processes, slower):
+    (code, result, err), log = run_short(place, processes, scaled(0.6 * slower))
     assert code == 0, err
     assert err.startswith("commissioning jamia first: there is no jamia.calibration.toml")
     assert result["failure"] == ""
@@ -71,9 +71,9 @@ def start_long(processes, calibrated, *more):
     return process
 
 
-def test_stop_from_another_process(place, hand, calibrated, processes):
-    process = start_long(processes, calibrated, *SCALE)
-    second = handctl("run", *calibrated, "--task", "long.toml", *SCALE, "--log", "second.mcap")
+def test_stop_from_another_process(place, hand, calibrated, processes, scale):
+    process = start_long(processes, calibrated, *scale)
+    second = handctl("run", *calibrated, "--task", "long.toml", *scale, "--log", "second.mcap")
     assert second.returncode == 1
     assert second.stderr.startswith(f"handctl: bus {BUS}: another controller runs here")
     assert second.stderr.count("\n") == 1
@@ -84,8 +84,8 @@ def test_stop_from_another_process(place, hand, calibrated, processes):
     assert ended_well(place / "run.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]
 
 
-def test_the_first_ctrl_c_relaxes_disables_and_confirms(place, hand, calibrated, processes):
-    process = start_long(processes, calibrated, *SCALE)
+def test_the_first_ctrl_c_relaxes_disables_and_confirms(place, hand, calibrated, processes, scale):
+    process = start_long(processes, calibrated, *scale)
     process.send_signal(signal.SIGINT)
     code, result, err = said(process)
     assert (code, result["failure"]) == (0, ""), err
@@ -97,8 +97,8 @@ def test_the_first_ctrl_c_relaxes_disables_and_confirms(place, hand, calibrated,
         assert len(set(phases)) == 1, "every drive says the same: disabled"
 
 
-def test_the_second_ctrl_c_cuts(place, hand, calibrated, processes):
-    process = start_long(processes, calibrated, *SCALE)
+def test_the_second_ctrl_c_cuts(place, hand, calibrated, processes, scale):
+    process = start_long(processes, calibrated, *scale)
     process.send_signal(signal.SIGINT)
     process.send_signal(signal.SIGTERM)  # another one: the kernel would make one of two SIGINT in a row
     code, _, err = said(process)
@@ -106,12 +106,12 @@ def test_the_second_ctrl_c_cuts(place, hand, calibrated, processes):
     assert ended_well(place / "run.mcap")[-3:] == ["RELAX -> CUT", "CUT -> DISARM", "DISARM -> DONE"]
 
 
-def test_a_motor_that_is_not_there_is_named(place, hand, processes):
+def test_a_motor_that_is_not_there_is_named(place, hand, processes, scale):
     content = tomllib.loads((HANDS / "jamia.toml").read_text())
     content["motor"][2]["node_id"] = 9
     (place / "mine.toml").write_text(toml_text(content))
     write_calibration(place / "c.toml", load_hand("mine.toml"))
-    words = ("--hand", "mine.toml", "--bus", BUS, "--calibration", "c.toml", *SCALE)
+    words = ("--hand", "mine.toml", "--bus", BUS, "--calibration", "c.toml", *scale)
     refused = handctl("run", *words, "--task", "short.toml", "--log", "run.mcap", "--json")
     assert refused.returncode == 1
     assert refused.stderr == "handctl: no answer from ring_motor\n"

@@ -13,10 +13,10 @@ SCALE = 0.7
 WORDS = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", "--json")
 
 
-def test_a_second_controller_is_refused_and_the_first_goes_on(place):
+def test_a_second_controller_is_refused_and_the_first_goes_on(place, scale):
     write_calibration(place / "c.toml", load_hand("jamia"))
-    simulated = start_hand(place / "hand.truth", "--hand", "jamia", "--time-scale", str(SCALE))
-    first = start_handctl("run", *WORDS, "--log", "first.mcap", "--time-scale", str(SCALE))
+    simulated = start_hand(place / "hand.truth", "--hand", "jamia", *scale)
+    first = start_handctl("run", *WORDS, "--log", "first.mcap", *scale)
     try:
         with Listener() as listener:
             until = time.monotonic() + 60.0
@@ -24,7 +24,7 @@ def test_a_second_controller_is_refused_and_the_first_goes_on(place):
                 assert first.poll() is None, first.communicate()
                 assert time.monotonic() < until
                 listener.wait(0.01)
-            second = handctl("run", *WORDS, "--log", "second.mcap", "--time-scale", str(SCALE))
+            second = handctl("run", *WORDS, "--log", "second.mcap", *scale)
             assert second.returncode == 1
             assert "another controller runs here" in second.stderr
             assert second.stderr.count("\n") == 1

@@ -58,9 +58,13 @@ def test_a_crash_is_told_from_an_exit() -> None:
 @pytest.mark.usefixtures("_possible")
 def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
+    begun = time.monotonic()
+    assert uml.run(["true"]) == 0
+    started_s = time.monotonic() - begun
     with tempfile.TemporaryDirectory() as folder:
         monkeypatch.setattr(tempfile, "tempdir", folder)  # so that the processes of this run can be told from others
-        assert uml.run(["bash", "-c", "echo started; sleep 1000"], timeout_s=8, say=said.append) == uml.TIMED_OUT
+        status = uml.run(["bash", "-c", "echo started; sleep 1000"], timeout_s=2.0 * started_s, say=said.append)
+        assert status == uml.TIMED_OUT
         assert said == ["started"]
         end = time.monotonic() + 20.0
         while processes_of(folder) and time.monotonic() < end:  # the kernel takes a moment to bury the killed

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 TIME_SCALE = 0.15
-"""The guest has one core, and a look at a clock is a system call: plant, watchdogs and deadlines run at a tenth."""
+"""The guest has one core, and a look at a clock is a system call: plant, watchdogs and deadlines run slower."""
 READY_S, END_S = 60.0, 20.0
 STOOD_STILL = ("H03", "B02", "N02", "B17", "N08")
 """Rows by which a run ends if host or simulator are not run for a while, as they should."""
@@ -28,12 +28,14 @@ it: with any that is no system call the step is a hundred times faster. The resu
 
 
 @contextlib.contextmanager
-def serving(*options: str, told: Path | None = None) -> Iterator["subprocess.Popen[str]"]:
+def serving(
+    *options: str, told: Path | None = None, time_scale: float = TIME_SCALE
+) -> Iterator["subprocess.Popen[str]"]:
     """``firmware_sim`` serving hand jamia on vcan0, with more options; it must end when told to.
 
     What it says of itself while it runs and in the end goes into the file ``told``.
     """
-    words = ["--hand", "jamia", "--bus", "socketcan:vcan0", "--time-scale", str(TIME_SCALE), "--seed", "1", *options]
+    words = ["--hand", "jamia", "--bus", "socketcan:vcan0", "--time-scale", f"{time_scale:g}", "--seed", "1", *options]
     with told.open("w") if told else contextlib.nullcontext() as stderr:
         process = subprocess.Popen(
             [sys.executable, "-c", SIMULATOR, *words], stdout=subprocess.PIPE, stderr=stderr, text=True
