@@ -11,6 +11,7 @@ from handctl.drives.mit_codec import encode_torque
 from handctl.runtime.local import LocalBus
 from handctl.runtime.mailbox import Mailbox
 from tests.drives.bench_process import drives
+from tests.runtime.processes import handctl
 
 WORDS = ["conformance", "--bus", "local:c", "--torque-limit-Nm", "0.1"]
 ENDPOINTS = [f"--option=endpoint_{key}={number}" for number, key in enumerate(
@@ -26,24 +27,26 @@ ENDPOINTS = [f"--option=endpoint_{key}={number}" for number, key in enumerate(
         pytest.param("cia402", [], id="cia402", marks=pytest.mark.nightly),
     ],
 )
-def test_a_good_drive_in_another_process_passes(capsys, protocol, more):
+def test_a_good_drive_in_another_process_passes(protocol, more):
     with drives("local:c", protocol, "--ids", "33"):
-        code = main([*WORDS, "--drive", protocol, "--node", "33", "--yes", "--json", *more])
-        told = json.loads(capsys.readouterr().out)
+        done = handctl(*WORDS, "--drive", protocol, "--node", "33", "--yes", "--json", *more)
+        told = json.loads(done.stdout)
         assert [check for check in told["checks"] if check["verdict"] == "failed"] == []
-        assert (code, told["confirmed_off"]) == (0, True)
-        assert main(["scan", "--bus", "local:c", "--json"]) == 0
-    (node,) = json.loads(capsys.readouterr().out)["buses"][0]["nodes"]
+        assert (done.returncode, told["confirmed_off"]) == (0, True)
+        found = handctl("scan", "--bus", "local:c", "--json")
+        assert found.returncode == 0
+    (node,) = json.loads(found.stdout)["buses"][0]["nodes"]
     if protocol == "mit":
         assert node["settings"]["torque_max_N_m"] == 10.0, "the torque range is given back"
         assert node["state"] == "disabled"
 
 
 @pytest.mark.realtime
-def test_a_broken_drive_fails_and_its_line_says_why(capsys):
+def test_a_broken_drive_fails_and_its_line_says_why():
     with drives("local:c", "mit", "--ids", "2", "--broken", "sign"):
-        assert main([*WORDS, "--drive", "mit", "--node", "2", "--yes"]) == 1
-    lines = capsys.readouterr().out.splitlines()
+        done = handctl(*WORDS, "--drive", "mit", "--node", "2", "--yes")
+    assert done.returncode == 1
+    lines = done.stdout.splitlines()
     (line,) = (line for line in lines if line.startswith("FAILED"))
     assert "the wrong way" in line
     assert lines[-1].split(", ")[1] == "1 failed"

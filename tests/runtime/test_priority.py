@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from handctl.cli.main import main
+from handctl.runtime import clock
 from handctl.runtime.clock import give_back_priority, take_priority
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="real-time scheduling is Linux's")
@@ -22,3 +23,12 @@ def test_an_ordinary_process_again() -> None:
 def test_the_doctor_tries_and_gives_back() -> None:
     main(["doctor", "--json"])
     assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
+
+
+def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Filling hundreds of MB under SCHED_FIFO kept whatever else wanted the core waiting for a tenth of a second."""
+    asked: list[str] = []
+    monkeypatch.setattr(clock, "_lock_memory", lambda: asked.append("memory") is None)
+    monkeypatch.setattr(clock, "_fifo", lambda level: asked.append("priority") is None)
+    assert take_priority() == clock.Priority(realtime=True, locked=True)
+    assert asked == ["memory", "priority"]

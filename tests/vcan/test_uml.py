@@ -1,6 +1,7 @@
 """The runner itself: whatever happens to the command must come back as a status, and nothing may stay behind."""
 
 import contextlib
+import os
 import tempfile
 import time
 from pathlib import Path
@@ -17,13 +18,14 @@ def _possible() -> None:
         pytest.skip(why_not)
 
 
-def processes_of(folder: str) -> list[str]:
-    """Command lines that name a folder: a guest that is still alive."""
+def processes_of(folder: str) -> list[int]:
+    """Processes whose command lines name a folder: those of a guest that is still alive."""
     found = []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         with contextlib.suppress(FileNotFoundError, ProcessLookupError):
-            found.append(path.read_bytes().decode(errors="replace"))
-    return [line for line in found if folder in line]
+            if folder in path.read_bytes().decode(errors="replace"):
+                found.append(int(path.parent.name))
+    return found
 
 
 @pytest.mark.parametrize("end", ["exit 7", "kill -SEGV $$"])
@@ -58,14 +60,21 @@ def test_a_crash_is_told_from_an_exit() -> None:
 @pytest.mark.usefixtures("_possible")
 def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
+    cores: list[set[int]] = []
+
+    def heard(line: str) -> None:
+        said.append(line)
+        cores.extend(os.sched_getaffinity(process) for process in processes_of(folder))
+
     begun = time.monotonic()
     assert uml.run(["true"]) == 0
     started_s = time.monotonic() - begun
     with tempfile.TemporaryDirectory() as folder:
         monkeypatch.setattr(tempfile, "tempdir", folder)  # so that the processes of this run can be told from others
-        status = uml.run(["bash", "-c", "echo started; sleep 1000"], timeout_s=2.0 * started_s, say=said.append)
+        status = uml.run(["bash", "-c", "echo started; sleep 1000"], timeout_s=2.0 * started_s, say=heard)
         assert status == uml.TIMED_OUT
         assert said == ["started"]
+        assert {len(allowed) for allowed in cores} == {1}, "kernel and program of a guest on one core"
         end = time.monotonic() + 20.0
         while processes_of(folder) and time.monotonic() < end:  # the kernel takes a moment to bury the killed
             time.sleep(0.1)

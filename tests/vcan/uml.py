@@ -7,6 +7,7 @@ package user-mode-linux), which needs no rights. In the guest /dev/shm is the on
 import argparse
 import contextlib
 import functools
+import itertools
 import os
 import select
 import shlex
@@ -25,6 +26,7 @@ PACKAGES = {"linux.uml": "user-mode-linux", "ip": "iproute2", "insmod": "kmod"}
 SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 MODULES = Path("/usr/lib/uml/modules")
 MEMORY_BYTES = 2 << 30
+_guests = itertools.count()
 INTERFACES = """\
 set -e
 for name in vcan0 vcan1; do
@@ -119,7 +121,8 @@ def _native(job: Path, timeout_s: float, say: Callable[[str], None]) -> int:
 
 
 def _guest(job: Path, timeout_s: float, say: Callable[[str], None]) -> int:
-    process = _start(_guest_command(job), {**_env(), "TMPDIR": _room_for_memory()})
+    with _on_one_core():
+        process = _start(_guest_command(job), {**_env(), "TMPDIR": _room_for_memory()})
     try:
         unsaid = _say_job(_lines(process, time.monotonic() + timeout_s), job, say)
     except TimeoutError:
@@ -132,6 +135,21 @@ def _guest(job: Path, timeout_s: float, say: Callable[[str], None]) -> int:
         for line in unsaid:
             say(f"guest: {line}")
         return NO_STATUS
+
+
+@contextlib.contextmanager
+def _on_one_core() -> Iterator[None]:
+    """What this thread starts stays on one core; another guest begins on the next.
+
+    In a guest its kernel and a program of it run in turn, as processes of the host. To wake one on another core costs
+    five times what it takes on the same: with both on one, a system call took 20 us instead of 100.
+    """
+    cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {cores[next(_guests) % len(cores)]})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, cores)
 
 
 def _guest_command(job: Path) -> list[str]:

@@ -83,7 +83,8 @@ class Priority:
 
 def take_priority(level: int = 60) -> Priority:
     """Ask for SCHED_FIFO and locked memory; what is refused is said in the result, never an error."""
-    return Priority(_fifo(level), _lock_memory())
+    locked = _lock_memory()  # first: it fills hundreds of MB, and what else wants this core must not wait for that
+    return Priority(_fifo(level), locked)
 
 
 def give_back_priority() -> None:
