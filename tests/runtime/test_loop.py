@@ -5,7 +5,8 @@ import os
 import signal
 import time
 from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from itertools import pairwise
 
@@ -119,6 +120,23 @@ def test_the_warm_up_tick_is_for_nothing() -> None:
     assert run.entries[0] == TickIn(0, 0)
     assert len(run.recorded) == 5
     assert len(run.buses[0].sent) == 5
+
+
+def test_only_ticks_are_urgent_not_what_comes_before() -> None:
+    run, urgent = Run(), [False]
+
+    @contextmanager
+    def urgency() -> Iterator[None]:
+        urgent[0] = True
+        yield
+        urgent[0] = False
+
+    seen: list[bool] = []
+    run.loop.urgent = urgency
+    run.fail = lambda entry: seen.append(urgent[0])
+    run.go()
+    assert seen == [False, True, True, True, True, True], "the first is the warm-up"
+    assert urgent == [False]
 
 
 @pytest.mark.parametrize(

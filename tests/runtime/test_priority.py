@@ -12,17 +12,20 @@ from handctl.runtime.clock import give_back_priority, take_priority
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="real-time scheduling is Linux's")
 
 
+def policy() -> int:
+    return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
+
+
 def test_an_ordinary_process_again() -> None:
     granted = take_priority()
-    policy = os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
-    assert (policy == os.SCHED_FIFO) == granted.realtime
+    assert (policy() == os.SCHED_FIFO) == granted.realtime
     give_back_priority()
-    assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
+    assert policy() == os.SCHED_OTHER
 
 
 def test_the_doctor_tries_and_gives_back() -> None:
     main(["doctor", "--json"])
-    assert os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_OTHER
+    assert policy() == os.SCHED_OTHER
 
 
 def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -32,3 +35,16 @@ def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(clock, "_fifo", lambda level: asked.append("priority") is None)
     assert take_priority() == clock.Priority(realtime=True, locked=True)
     assert asked == ["memory", "priority"]
+
+
+def test_only_the_ticks_are_urgent() -> None:
+    """Starting a loop, garbage and all, and closing its log kept others from the core as well."""
+    granted = clock.prepare_priority()
+    seen = []
+    assert policy() == os.SCHED_OTHER
+    with clock.urgent() as urgent:
+        seen.append(policy())
+    give_back_priority()
+    assert urgent == granted.realtime
+    assert seen == [os.SCHED_FIFO if urgent else os.SCHED_OTHER]
+    assert policy() == os.SCHED_OTHER

@@ -9,7 +9,6 @@ from tests.runtime.kills import Listener, whole
 from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, write_calibration
 
 pytestmark = pytest.mark.realtime
-SCALE = 0.7
 WORDS = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", "--json")
 
 

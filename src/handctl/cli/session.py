@@ -3,7 +3,7 @@
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -25,7 +25,7 @@ from handctl.log.header import TRUTH_OFFSET
 from handctl.log.record import pack
 from handctl.log.recorder import Recorder
 from handctl.runtime.bus import open_bus
-from handctl.runtime.clock import Clock, Priority, RealClock, give_back_priority, take_priority
+from handctl.runtime.clock import Clock, Priority, RealClock, give_back_priority, prepare_priority, urgent
 from handctl.runtime.lockstep import LockstepBus, LockstepClock
 from handctl.runtime.loop import Loop, LoopBus, LoopStats, Signals
 from handctl.runtime.mailbox import Mailbox, held
@@ -124,7 +124,7 @@ def run_live(
             opened = open_bus(spec, index, bus.bitrate, bus.data_bitrate, clock.of)
             stack.callback(opened.close)
             buses.append(opened)
-        priority = take_priority()
+        priority = prepare_priority()
         stack.callback(give_back_priority)
         clock.spin = priority.realtime
         recorder = Recorder.start(log, run_header(plan, controller, priority, lockstep=False))
@@ -197,6 +197,7 @@ def _loop(
         record=record,
         show=show,
         let_go=partial(let_go, controller),
+        urgent=urgent if isinstance(clock, RealClock) else nullcontext,
     )
 
 

@@ -2,6 +2,8 @@
 
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -87,16 +89,39 @@ def take_priority(level: int = 60) -> Priority:
     return Priority(_fifo(level), locked)
 
 
+def prepare_priority() -> Priority:
+    """Lock the memory, and try what :func:`urgent` will get: to start a loop takes a quarter of a second, in which
+    nobody need wait for it."""
+    locked = _lock_memory()
+    with urgent() as granted:
+        return Priority(granted, locked)
+
+
+@contextmanager
+def urgent(level: int = 60) -> Iterator[bool]:
+    """SCHED_FIFO for a block; whether it was granted."""
+    try:
+        yield _fifo(level)
+    finally:
+        _ordinary()
+
+
 def give_back_priority() -> None:
     """An ordinary process again: what comes after the loop may be preempted and paged."""
+    _ordinary()
+    if sys.platform.startswith("linux"):
+        import ctypes
+
+        ctypes.CDLL(None).munlockall()
+
+
+def _ordinary() -> None:
     if not sys.platform.startswith("linux"):
         return
-    import ctypes
     import os
 
     if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    ctypes.CDLL(None).munlockall()
 
 
 def _fifo(level: int) -> bool:

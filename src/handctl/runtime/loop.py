@@ -10,7 +10,7 @@ import signal
 import time
 from array import array
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from types import FrameType
 from typing import Generic, Protocol, TypeVar
@@ -110,6 +110,7 @@ class Loop(Generic[S]):
         show: called after each tick; draws now and then.
         let_go: tells the drives once more to disable, from the last state, the time [ns] and the frames since; what it
             returns: the state after that, frames to send, and the drives that have not said yet that they are off.
+        urgent: what the ticks run in, and nothing before or after them.
     """
 
     clock: Clock
@@ -122,6 +123,7 @@ class Loop(Generic[S]):
     record: Callable[[TickIn, TickOut], None]
     show: Callable[[TickIn, TickOut], None]
     let_go: Callable[[S, int, list[Frame]], tuple[S, tuple[Frame, ...], tuple[str, ...]]] | None = None
+    urgent: Callable[[], AbstractContextManager[object]] = nullcontext
     stats: LoopStats = field(default_factory=LoopStats)
     _k: int = 0
 
@@ -132,10 +134,11 @@ class Loop(Generic[S]):
         gc.freeze()
         gc.disable()
         try:
-            self.clock.begin()
-            for bus in self.buses:
-                bus.drain()
-            return self._guarded(state)
+            with self.urgent():
+                self.clock.begin()
+                for bus in self.buses:
+                    bus.drain()
+                return self._guarded(state)
         finally:
             gc.enable()
             gc.unfreeze()
