@@ -6,7 +6,8 @@ import pytest
 from handctl.controller.computed_torque import Command
 from handctl.controller.live import LiveProgram
 from handctl.controller.model import HandModel
-from handctl.controller.types import Mode
+from handctl.controller.types import Mode, Vector
+from handctl.safety.watch import WatchState
 from tests.controller.bench import Bench, bench
 
 
@@ -14,6 +15,11 @@ def at(bench: Bench, angle: float) -> Command:
     """A command of that angle for every joint [rad]."""
     idle = Command.idle(bench.controller.model)
     return idle._replace(q=np.full(len(idle.q), angle))
+
+
+def goal_away(watch: WatchState) -> Vector:
+    """How far the goals have gone [m] since the motors' readings stand."""
+    return np.abs(watch.goal - watch.stuck.anchor[0, : len(watch.goal)])
 
 
 def test_what_safety_takes_for_the_goal_goes_where_a_motor_can_follow(jamia: HandModel) -> None:
@@ -43,9 +49,11 @@ def test_a_motor_that_rests_where_it_was_to_go_is_not_stuck(jamia: HandModel) ->
     guard, state = active.controller.guard, active.state
     arms = np.asarray(active.controller.model.hand.moment_arms.sum(axis=1))
     command, there = at(active, 0.4), arms * 0.4
-    lagging = state.watch._replace(goal=arms * 0.2)
+    since = state.watch.stuck._replace(anchor=np.full_like(state.watch.stuck.anchor, 1e-3))
+    lagging = state.watch._replace(goal=arms * 0.2, stuck=since)
     resting = guard.commanded(lagging, Mode.ACTIVE, command, state.drives, state.k, there)
     np.testing.assert_array_equal(resting.goal, there, "while it still moves, as it arrives")
+    np.testing.assert_allclose(goal_away(resting), goal_away(lagging), atol=1e-12, err_msg="a leap moved no motor")
     later = guard.commanded(resting, Mode.ACTIVE, command, state.drives, state.k, there)
     np.testing.assert_array_equal(later.goal, resting.goal)
     stuck = guard.commanded(lagging, Mode.ACTIVE, command, state.drives, state.k, arms * 0.1)

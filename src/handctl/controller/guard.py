@@ -21,6 +21,7 @@ from handctl.drives.causes import Cause
 from handctl.drives.contract import Drive, DriveState, Phase
 from handctl.drives.frame import EXTENDED, REMOTE
 from handctl.drives.sensor_node import SensorNode, SensorState
+from handctl.safety import stuck
 from handctl.safety.answers import asked
 from handctl.safety.signals import (
     LEAST_SILENT,
@@ -236,24 +237,31 @@ class Guard:
         """
         acts, goes = mode in (Mode.ACTIVE, Mode.RELAX), mode == Mode.ACTIVE
         unknown = nothing(len(command.torque))
+        watch = self._followed(watch, self.model.excursion_of(command.q), excursion) if goes else watch
         return watch._replace(
             asked=command.torque / self.model.space.spool if acts else unknown,
             wanted=command.tension if goes else unknown,
-            goal=self._followed(watch.goal, self.model.excursion_of(command.q), excursion) if goes else unknown,
+            goal=watch.goal if goes else unknown,
             owed=watch.owed if mode in MUTE else asked(watch.owed, [drive.phase >= READY for drive in drives], k),
         )
 
-    def _followed(self, before: Vector, goal: Vector, excursion: Vector | None) -> Vector:
-        """(N,) goals as a motor can follow them [m]: where one jumps, a motor that has not moved yet is not stuck.
+    def _followed(self, watch: WatchState, goal: Vector, excursion: Vector | None) -> WatchState:
+        """With (N,) goals as a motor can follow them [m]: where one jumps, a motor that has not moved yet is not stuck.
 
         Nor is one that rests where it was to go while this, which comes later, is still on its way: from there on it is
-        where the digit is, so that a touch an hour later does not bring the rest of the way.
+        where the digit is, so that a touch an hour later does not bring the rest of the way. If it leaps there, no
+        motor had to follow.
         """
+        before = watch.goal
         share = 1.0 - math.exp(-self.model.period / FOLLOW_S)
         moved = before + share * (goal - before)
         if excursion is not None:
-            moved = chosen(np.abs(goal - excursion) < ARRIVED_M, excursion, moved)
-        return chosen(before != before, goal, moved)
+            arrived, way = np.abs(goal - excursion) < ARRIVED_M, excursion - before
+            leaps = arrived & (np.abs(way) > 2.0 * ARRIVED_M)
+            if np.count_nonzero(leaps):
+                watch = watch._replace(stuck=stuck.leapt(watch.stuck, way * leaps))
+            moved = chosen(arrived, excursion, moved)
+        return watch._replace(goal=chosen(before != before, goal, moved))
 
 
 def _heard(state: State) -> bool:

@@ -38,6 +38,18 @@ def step(state: Stuck, value: Vector, witnesses: Vector) -> Stuck:
     return Stuck(chosen(fresh, value, state.value), ticks, anchor)
 
 
+def leapt(state: Stuck, way: Vector) -> Stuck:
+    """As if the first witness of the first readings had been there all the time, to which it leaps now.
+
+    Args:
+        state: so far.
+        way: (m,) how far it leaps, m of n; NaN for what it says nothing of.
+    """
+    anchor = state.anchor.copy()
+    anchor[0, : len(way)] += chosen(way != way, np.zeros(len(way)), way)
+    return state._replace(anchor=anchor)
+
+
 def away(state: Stuck, witnesses: Vector) -> Vector:
     """How far each witness has moved since the reading stands, (c, n); 0 where it says nothing."""
     return np.asarray(np.fmax(np.abs(witnesses - state.anchor), 0.0))
