@@ -14,6 +14,7 @@ from handctl.controller.calibration import Calibration, TendonCalibration
 from handctl.controller.gains import Gains, Provenance, gains_text
 from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
+from tests.runtime.processes import scaled
 
 PACKAGED_N = Gains().motion.force_N
 SAME = f"tension.force_N={Gains().tension.force_N}"
@@ -143,7 +144,7 @@ def test_gains_that_no_controller_follows_from_are_not_applied(place, capsys):
 
 @pytest.mark.realtime
 def test_set_on_a_running_hand_is_in_its_log(place, slower):
-    scale = ["--time-scale", f"{0.6 * slower:g}"]
+    scale = scaled(0.6 * slower)
     handctl = [sys.executable, "-m", "handctl.cli"]
     sim = [sys.executable, "-m", "firmware_sim", "--hand", "jamia", "--bus", "local:set", "--homed", *scale]
     log, hand_file = place / "run.mcap", load_hand("jamia")

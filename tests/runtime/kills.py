@@ -29,7 +29,7 @@ from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
 from handctl.report.truth import Truth, read_truth
 from handctl.runtime.places import faults_path, local_bus_path, run_dir
-from tests.runtime.processes import BUS, LONG, end, start_hand, write_calibration
+from tests.runtime.processes import BUS, LONG, end, scaled, start_hand, write_calibration
 
 SYNC, RECORD = 0x080, 72
 RATE_HZ = 500.0
@@ -104,7 +104,7 @@ class Range:
             self.plan, TaskProgram(load_task(task)), load_calibration(calibration, hand), arm_at_once=True
         )
         self.truth = folder / "hand.truth"
-        self.simulator = start_hand(self.truth, "--hand", "jamia", "--time-scale", str(scale))
+        self.simulator = start_hand(self.truth, "--hand", "jamia", *scaled(scale))
 
     def now_ns(self) -> tuple[int, int]:
         """The simulator's time, and how much of it nothing happened in."""

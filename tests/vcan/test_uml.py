@@ -71,10 +71,11 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
     started_s = time.monotonic() - begun
     with tempfile.TemporaryDirectory() as folder:
         monkeypatch.setattr(tempfile, "tempdir", folder)  # so that the processes of this run can be told from others
-        status = uml.run(["bash", "-c", "echo started; sleep 1000"], timeout_s=2.0 * started_s, say=heard)
+        status = uml.run(["bash", "-c", "echo started; sleep 1000"], timeout_s=max(2.0, 2.0 * started_s), say=heard)
         assert status == uml.TIMED_OUT
         assert said == ["started"]
-        assert {len(allowed) for allowed in cores} == {1}, "kernel and program of a guest on one core"
+        if uml.means()[0] == "uml":
+            assert {len(allowed) for allowed in cores} == {1}, "kernel and program of a guest on one core"
         end = time.monotonic() + 20.0
         while processes_of(folder) and time.monotonic() < end:  # the kernel takes a moment to bury the killed
             time.sleep(0.1)

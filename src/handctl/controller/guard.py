@@ -47,6 +47,8 @@ RELAXED_S = 0.1
 """After so long of relaxing no rope of a motor that obeys is above its trip [s]."""
 ARRIVED_M = 0.2e-3
 """From the goal: a motor that stands there is where it was to go."""
+LEAP_M = 2.0 * ARRIVED_M
+"""In one tick: further than what is already there goes along with a digit that arrives."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,31 +239,35 @@ class Guard:
         """
         acts, goes = mode in (Mode.ACTIVE, Mode.RELAX), mode == Mode.ACTIVE
         unknown = nothing(len(command.torque))
-        watch = self._followed(watch, self.model.excursion_of(command.q), excursion) if goes else watch
+        goal, stands = unknown, watch.stuck
+        if goes:
+            goal, stands = self._followed(watch, self.model.excursion_of(command.q), excursion)
         return watch._replace(
             asked=command.torque / self.model.space.spool if acts else unknown,
             wanted=command.tension if goes else unknown,
-            goal=watch.goal if goes else unknown,
+            goal=goal,
+            stuck=stands,
             owed=watch.owed if mode in MUTE else asked(watch.owed, [drive.phase >= READY for drive in drives], k),
         )
 
-    def _followed(self, watch: WatchState, goal: Vector, excursion: Vector | None) -> WatchState:
-        """With (N,) goals as a motor can follow them [m]: where one jumps, a motor that has not moved yet is not stuck.
+    def _followed(self, watch: WatchState, goal: Vector, excursion: Vector | None) -> tuple[Vector, stuck.Stuck]:
+        """(N,) goals as a motor can follow them [m], and readings that stand: where a goal jumps, a motor that has not
+        moved yet is not stuck.
 
         Nor is one that rests where it was to go while this, which comes later, is still on its way: from there on it is
         where the digit is, so that a touch an hour later does not bring the rest of the way. If it leaps there, no
         motor had to follow.
         """
-        before = watch.goal
+        before, stands = watch.goal, watch.stuck
         share = 1.0 - math.exp(-self.model.period / FOLLOW_S)
         moved = before + share * (goal - before)
         if excursion is not None:
             arrived, way = np.abs(goal - excursion) < ARRIVED_M, excursion - before
-            leaps = arrived & (np.abs(way) > 2.0 * ARRIVED_M)
+            leaps = arrived & (np.abs(way) > LEAP_M)
             if np.count_nonzero(leaps):
-                watch = watch._replace(stuck=stuck.leapt(watch.stuck, way * leaps))
+                stands = stuck.leapt(stands, leaps, way)
             moved = chosen(arrived, excursion, moved)
-        return watch._replace(goal=chosen(before != before, goal, moved))
+        return chosen(before != before, goal, moved), stands
 
 
 def _heard(state: State) -> bool:

@@ -38,15 +38,15 @@ def step(state: Stuck, value: Vector, witnesses: Vector) -> Stuck:
     return Stuck(chosen(fresh, value, state.value), ticks, anchor)
 
 
-def leapt(state: Stuck, way: Vector) -> Stuck:
+def leapt(state: Stuck, which: NDArray[np.bool_], way: Vector) -> Stuck:
     """As if the first witness of the first readings had been there all the time, to which it leaps now.
 
     Args:
         state: so far.
-        way: (m,) how far it leaps, m of n; NaN for what it says nothing of.
+        which: (m,) of m of the n readings, where it leaps. way: (m,) how far.
     """
     anchor = state.anchor.copy()
-    anchor[0, : len(way)] += chosen(way != way, np.zeros(len(way)), way)
+    anchor[0, np.flatnonzero(which)] += way[which]
     return state._replace(anchor=anchor)
 
 

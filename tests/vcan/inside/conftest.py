@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.runtime.processes import scaled
+
 TIME_SCALE = 0.15
 """The guest has one core, and a look at a clock is a system call: plant, watchdogs and deadlines run slower."""
 READY_S, END_S = 60.0, 20.0
@@ -35,7 +37,7 @@ def serving(
 
     What it says of itself while it runs and in the end goes into the file ``told``.
     """
-    words = ["--hand", "jamia", "--bus", "socketcan:vcan0", "--time-scale", f"{time_scale:g}", "--seed", "1", *options]
+    words = ["--hand", "jamia", "--bus", "socketcan:vcan0", *scaled(time_scale), "--seed", "1", *options]
     with told.open("w") if told else contextlib.nullcontext() as stderr:
         process = subprocess.Popen(
             [sys.executable, "-c", SIMULATOR, *words], stdout=subprocess.PIPE, stderr=stderr, text=True
