@@ -1,8 +1,6 @@
 """The loop on a scripted clock: no catching up, nothing lost, and the drives are told to let go whatever happens."""
 
 import gc
-import os
-import signal
 import time
 from array import array
 from collections.abc import Callable, Iterator, Sequence
@@ -17,7 +15,7 @@ from handctl.controller.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.errors import PowerError
 from handctl.runtime import loop
-from handctl.runtime.loop import Loop, Signals
+from handctl.runtime.loop import Loop
 
 PERIOD = 1_000_000
 CUT = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
@@ -346,55 +344,3 @@ def test_lateness_is_kept_for_every_tick() -> None:
     run.go()
     assert isinstance(run.loop.stats.late_ns, array)
     np.testing.assert_array_equal(run.loop.stats.late_ns, range(200))
-
-
-def test_the_first_signal_stops_and_every_further_one_cuts() -> None:
-    signals = Signals()
-    with signals.installed():
-        assert signals.take() == ()
-        os.kill(os.getpid(), signal.SIGINT)
-        assert signals.take() == ('{"do": "stop"}',)
-        assert signals.take() == ()
-        os.kill(os.getpid(), signal.SIGTERM)
-        assert signals.take() == ('{"do": "cut"}',)
-        os.kill(os.getpid(), signal.SIGINT)
-        assert signals.take() == ('{"do": "cut"}',)
-        assert signals.take() == ()
-
-
-def test_two_signals_within_a_tick_are_both_heard() -> None:
-    signals = Signals()
-    with signals.installed():
-        os.kill(os.getpid(), signal.SIGINT)
-        os.kill(os.getpid(), signal.SIGINT)
-        assert signals.take() == ('{"do": "stop"}',)
-        assert signals.take() == ('{"do": "cut"}',)
-
-
-def test_a_terminal_that_goes_stops_the_hand_unless_nohup_was_asked_for() -> None:
-    signals, before = Signals(), signal.getsignal(signal.SIGHUP)
-    with signals.installed():
-        os.kill(os.getpid(), signal.SIGHUP)
-        assert signals.take() == ('{"do": "stop"}',)
-    assert signal.getsignal(signal.SIGHUP) == before
-    signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with signals.installed():
-            os.kill(os.getpid(), signal.SIGHUP)
-            assert signals.take() == ()
-    finally:
-        signal.signal(signal.SIGHUP, before)
-
-
-def test_signal_handlers_are_given_back() -> None:
-    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
-    signals = Signals()
-
-    def interrupted() -> None:
-        with signals.installed():
-            assert signal.getsignal(signal.SIGINT) is signals
-            raise TroubleError
-
-    with pytest.raises(TroubleError):
-        interrupted()
-    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before

@@ -1,0 +1,64 @@
+"""Signals of a person or a terminal become requests, none is lost, and the handlers are given back."""
+
+import os
+import signal
+
+import pytest
+
+from handctl.runtime.loop import Signals
+
+
+class TroubleError(Exception):
+    """What a test fails with."""
+
+
+def test_the_first_signal_stops_and_every_further_one_cuts() -> None:
+    signals = Signals()
+    with signals.installed():
+        assert signals.take() == ()
+        os.kill(os.getpid(), signal.SIGINT)
+        assert signals.take() == ('{"do": "stop"}',)
+        assert signals.take() == ()
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert signals.take() == ('{"do": "cut"}',)
+        os.kill(os.getpid(), signal.SIGINT)
+        assert signals.take() == ('{"do": "cut"}',)
+        assert signals.take() == ()
+
+
+def test_two_signals_within_a_tick_are_both_heard() -> None:
+    signals = Signals()
+    with signals.installed():
+        os.kill(os.getpid(), signal.SIGINT)
+        os.kill(os.getpid(), signal.SIGINT)
+        assert signals.take() == ('{"do": "stop"}',)
+        assert signals.take() == ('{"do": "cut"}',)
+
+
+def test_a_terminal_that_goes_stops_the_hand_unless_nohup_was_asked_for() -> None:
+    signals, before = Signals(), signal.getsignal(signal.SIGHUP)
+    with signals.installed():
+        os.kill(os.getpid(), signal.SIGHUP)
+        assert signals.take() == ('{"do": "stop"}',)
+    assert signal.getsignal(signal.SIGHUP) == before
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with signals.installed():
+            os.kill(os.getpid(), signal.SIGHUP)
+            assert signals.take() == ()
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_signal_handlers_are_given_back() -> None:
+    before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+    signals = Signals()
+
+    def interrupted() -> None:
+        with signals.installed():
+            assert signal.getsignal(signal.SIGINT) is signals
+            raise TroubleError
+
+    with pytest.raises(TroubleError):
+        interrupted()
+    assert (signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)) == before
