@@ -69,15 +69,18 @@ def main() -> int:
     return 0
 
 
+def detuned_gains() -> Gains:
+    """Gains to begin from."""
+    own = flat(Gains())
+    return with_values(Gains(), {key: factor * own[key] for key, factor in DETUNED.items()}, "benchmark")
+
+
 def compare(
     hand_name: str, trials: int, plants: int, count: int, into: Path | None, fit: Path | None
 ) -> dict[str, Any]:
     """The searches, and their gains on the real plant; studies are kept in a folder if one is given."""
     hand, twin, spread = subject(hand_name, fit)
-    packaged = Gains()
-    own = flat(packaged)
-    values = {key: factor * own[key] for key, factor in DETUNED.items()}
-    detuned = with_values(packaged, values, "benchmark")
+    packaged, detuned = Gains(), detuned_gains()
     rate = fastest(bus_loads(hand))
     crew = workers(count, None)
     try:

@@ -27,7 +27,10 @@ def test_what_safety_takes_for_the_goal_goes_where_a_motor_can_follow(jamia: Han
     guard, state = active.controller.guard, active.state
     arms = np.asarray(active.controller.model.hand.moment_arms.sum(axis=1))
 
-    def goals(angle: float, ticks: int, watch: object = state.watch._replace(goal=np.full(4, np.nan))) -> object:
+    standing = state.watch.stuck._replace(ticks=np.ones_like(state.watch.stuck.ticks))
+    armed = state.watch._replace(goal=np.full(4, np.nan), stuck=standing)
+
+    def goals(angle: float, ticks: int, watch: object = armed) -> object:
         for _ in range(ticks):
             watch = guard.commanded(watch, Mode.ACTIVE, at(active, angle), state.drives, state.k)
         return watch
@@ -38,9 +41,25 @@ def test_what_safety_takes_for_the_goal_goes_where_a_motor_can_follow(jamia: Han
     after = goals(0.4, round(seconds / active.controller.model.period), begun)
     assert after.goal == pytest.approx(arms * (0.4 - 0.2 * np.exp(-1.0)), rel=0.02)
     assert goals(0.4, 1000, after).goal == pytest.approx(arms * 0.4, rel=1e-6)
+    slow = goals(0.4 + 1e-5, 1, goals(0.4, 1000, after))
+    assert slow.goal == pytest.approx(arms * (0.4 + 1e-5), rel=1e-9), "what goes slowly is followed at once"
     limp = guard.commanded(after, Mode.ACTIVE, Command.idle(active.controller.model), state.drives, state.k)
     assert np.isnan(limp.goal).all()
     assert goals(0.1, 1, limp).goal == pytest.approx(arms * 0.1), "after a hold it begins anew"
+
+
+def test_a_goal_that_went_ahead_while_the_motor_moved_is_no_reason_to_move_on(jamia: HandModel) -> None:
+    """Friction stops it short of the goal: what counts is how far that has gone since."""
+    active = bench(jamia, LiveProgram())
+    guard, state = active.controller.guard, active.state
+    arms = np.asarray(active.controller.model.hand.moment_arms.sum(axis=1))
+    moving = state.watch._replace(goal=arms * 0.1)
+    assert not moving.stuck.ticks.any()
+    then = guard.commanded(moving, Mode.ACTIVE, at(active, 0.4), state.drives, state.k, arms * 0.3)
+    np.testing.assert_allclose(then.goal, arms * 0.4)
+    standing = then._replace(stuck=then.stuck._replace(ticks=np.ones_like(then.stuck.ticks)))
+    later = guard.commanded(standing, Mode.ACTIVE, at(active, 0.4), state.drives, state.k, arms * 0.3)
+    np.testing.assert_array_equal(later.goal, then.goal)
 
 
 def test_a_motor_that_rests_where_it_was_to_go_is_not_stuck(jamia: HandModel) -> None:

@@ -45,6 +45,8 @@ FOLLOW_S = 0.1
 """Time in which a motor follows a goal that jumps, several times over [s]."""
 RELAXED_S = 0.1
 """After so long of relaxing no rope of a motor that obeys is above its trip [s]."""
+SLOW_M_S = 2e-3
+"""What moves no faster is followed at once [m/s]."""
 ARRIVED_M = 0.2e-3
 """From the goal: a motor that stands there is where it was to go."""
 LEAP_M = 2.0 * ARRIVED_M
@@ -254,18 +256,21 @@ class Guard:
         """(N,) goals as a motor can follow them [m], and readings that stand: where a goal jumps, a motor that has not
         moved yet is not stuck.
 
-        Nor is one that rests where it was to go while this, which comes later, is still on its way: from there on it is
-        where the digit is, so that a touch an hour later does not bring the rest of the way. If it leaps there, no
-        motor had to follow.
+        While a reading moves this is the goal itself, so that what counts is how far the goal has gone since it stands:
+        friction may have stopped the motor short of it. Nor is one stuck that rests where it was to go while this is
+        still on its way: from there on it is where the digit is. If it leaps there, no motor had to follow.
         """
         before, stands = watch.goal, watch.stuck
-        share = 1.0 - math.exp(-self.model.period / FOLLOW_S)
-        moved = before + share * (goal - before)
+        share, least = 1.0 - math.exp(-self.model.period / FOLLOW_S), SLOW_M_S * self.model.period
+        way = goal - before
+        left = np.abs(way)
+        near = (left <= least) | (stands.ticks[: len(goal)] == 0)
+        moved = chosen(near, goal, before + np.copysign(np.maximum(share * left, least), way))
         if excursion is not None:
-            arrived, way = np.abs(goal - excursion) < ARRIVED_M, excursion - before
-            leaps = arrived & (np.abs(way) > LEAP_M)
+            arrived, leap = np.abs(goal - excursion) < ARRIVED_M, excursion - before
+            leaps = arrived & (np.abs(leap) > LEAP_M)
             if np.count_nonzero(leaps):
-                stands = stuck.leapt(stands, leaps, way)
+                stands = stuck.leapt(stands, leaps, leap)
             moved = chosen(arrived, excursion, moved)
         return chosen(before != before, goal, moved), stands
 

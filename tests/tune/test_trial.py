@@ -1,0 +1,17 @@
+"""Gains on trial, on a plant that is not the hand file's: whatever they are worth, the exercise comes to its end."""
+
+import pytest
+
+from benchmarks.tuning import PLANT, detuned_gains
+from handctl.controller.model import HandModel
+from handctl.hand.description import load_hand
+from handctl.tune.trial import exercise
+
+
+@pytest.mark.parametrize("seed", [1000, 1002])
+def test_gains_that_leave_a_motor_short_of_its_goal_are_no_stuck_encoder(seed: int) -> None:
+    """What N04 took the goal for lagged, and went on after the motor had stopped 0.4 mm short: an alarm at 2.5 s."""
+    hand = load_hand("jamia")
+    score = exercise(hand, HandModel.of(hand, detuned_gains(), 500.0), PLANT, seed)
+    assert score.failure == ""
+    assert 1.0 < score.tracking_deg < 3.0, "they are bad, and that is what tuning is for"
