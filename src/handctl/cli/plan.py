@@ -13,6 +13,7 @@ from handctl.cli.gains_layers import layered_gains
 from handctl.controller.bus_load import BusLoad, bus_loads
 from handctl.controller.calibration import Calibration, load_calibration
 from handctl.controller.gains import Gains
+from handctl.controller.pace import check_pace
 from handctl.controller.reach import check_reach
 from handctl.controller.task import Task, check_task, load_task, load_trajectory
 from handctl.drives.load import MOST, highest_rate
@@ -61,9 +62,19 @@ class Plan:
         """Control period [ns]."""
         return round(1e9 / self.rate_hz)
 
+    @property
+    def simulated(self) -> bool:
+        """Whether it is for buses, and none of them can have real motors."""
+        return bool(self.buses) and not _real(self.buses)
+
     def on(self, buses: tuple[str, ...]) -> "Plan":
         """The same plan on other buses."""
         return replace(self, buses=buses)
+
+
+def _real(buses: Sequence[str]) -> list[str]:
+    """The buses that may have real motors."""
+    return [spec for spec in buses if not spec.startswith(SIMULATED)]
 
 
 def make_plan(args: argparse.Namespace, lockstep: bool = False) -> Plan:
@@ -80,8 +91,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> Plan:
     load = tuple(one.at(rate) for one in loads)
     if not 0.001 <= args.time_scale <= 100:
         raise ConfigError(f"{args.time_scale:g}", "--time-scale", "0.001 to 100")
-    real = [spec for spec in buses if not spec.startswith(SIMULATED)]
-    if args.time_scale != 1 and real:
+    if args.time_scale != 1 and (real := _real(buses)):
         right = "1, or a bus of simulated ones: local:NAME, socketcan:vcan0"
         raise ConfigError(f"{args.time_scale:g}, and {real[0]} may have real motors", "--time-scale", right)
     _check_log(args.log)
@@ -193,11 +203,12 @@ def check_suits(task: Task, hand: Hand, where: str) -> None:
     """Refuse a task that does not suit the hand.
 
     Raises:
-        ConfigError: a digit, a number of angles, a tension or an angle that the hand does not have.
+        ConfigError: a digit, a number of angles, a tension or an angle that the hand does not have; a move too fast.
     """
     tendons = {name: part.stop - part.start for name, part in hand.digit_tendons.items()}
     check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, tendons)
     check_reach(task, hand, where)
+    check_pace(task, hand.digit_names, where)
 
 
 def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:

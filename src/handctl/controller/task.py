@@ -25,7 +25,7 @@ Duration = Annotated[float, Field(gt=0, le=3600)]
 
 
 FOLLOW_SPEED_DEG_S = 700.0
-"""Fastest joint speed of a curve: a rotor that is stopped dead adds tension in proportion to its speed."""
+"""Fastest joint speed of a motion: a rotor that is stopped dead adds tension in proportion to its speed."""
 SHORTEST_MOVE_S = 0.05
 """What is shorter is no move but a step, and the square of its duration need not be a number."""
 OURS = ("start", "tare")
@@ -50,7 +50,7 @@ class Close(Document):
     name: str = "close"
     angle_deg: Angle | dict[str, Angles] = 90.0
     """How far to close where there is nothing to touch."""
-    speed_deg_s: float = Field(60.0, gt=0, le=2000)
+    speed_deg_s: float = Field(60.0, gt=0, le=FOLLOW_SPEED_DEG_S)
     contact_tension_N: Tension = 8.0
     """Tension that a digit holds from its contact on, if it is not more already."""
     timeout_s: Duration = 10.0

@@ -1,0 +1,49 @@
+"""Moves of a task that no rotor should make: what is stopped dead at that speed tears a rope."""
+
+from typing import Any
+
+import pytest
+
+from handctl.controller.pace import check_pace
+from handctl.controller.task import Task
+from handctl.errors import ConfigError
+
+DIGITS = ("index", "thumb")
+
+
+def move(angle: object, seconds: float) -> dict[str, Any]:
+    return {"kind": "move", "angle_deg": angle, "duration_s": seconds}
+
+
+def task(*phases: dict[str, Any]) -> Task:
+    return Task.model_validate({"schema": 1, "name": "t", "phase": phases})
+
+
+CLOSE = {"kind": "close", "angle_deg": 80.0}
+FOLLOW = {"kind": "follow", "time_s": (0.0, 1.0), "angle_deg": {"index": (0.0, 60.0)}}
+
+
+@pytest.mark.parametrize(
+    ("phases", "line"),
+    [
+        ((move(70.0, 0.1),), r"t: phase\[0\]\.duration_s: 0\.1; expected at least 0\.19 s: index may have 70 deg"),
+        ((move({"thumb": -30.0}, 0.08),), "thumb may have 30 deg"),
+        ((move({"index": (0.0, 10.0, 60.0)}, 1.0), move({"index": (0.0, 10.0, 0.0)}, 0.16)), "index may have 60 deg"),
+        ((CLOSE, move(0.0, 0.2)), r"phase\[1\].*at least 0\.22 s: index may have 80 deg"),
+        ((FOLLOW, move(0.0, 0.1)), "index may have 60 deg"),
+    ],
+    ids=["from rest", "backwards", "by joint", "from somewhere in a close", "after a curve"],
+)  # fmt: skip
+def test_a_move_without_time_is_refused(phases: tuple[dict[str, Any], ...], line: str) -> None:
+    with pytest.raises(ConfigError, match=line):
+        check_pace(task(*phases), DIGITS, "t")
+
+
+def test_the_time_that_is_named_is_enough() -> None:
+    short_ways = ({"kind": "release"}, move(60.0, 0.05), CLOSE | {"angle_deg": 70.0}, move(65.0, 0.05))
+    check_pace(task(move(70.0, 0.19), move(70.0, 0.05), *short_ways), DIGITS, "t")
+
+
+def test_a_close_is_no_faster_either() -> None:
+    with pytest.raises(ValueError, match="less than or equal to 700"):
+        task(CLOSE | {"speed_deg_s": 701.0})
