@@ -9,7 +9,7 @@ import pytest
 from handctl.errors import IncomparableError
 from handctl.log.reader import RunLog
 from handctl.replay.check import check
-from handctl.replay.compare import compare
+from handctl.replay.compare import compare, difference_lines
 from handctl.replay.diff import diff
 
 
@@ -79,3 +79,11 @@ def test_what_is_not_known_has_no_difference_and_no_delay() -> None:
     assert found["known"]["delay_s"] == pytest.approx(0.1, abs=0.02)
     assert np.isnan(list(found["unknown"].values())).all()
     assert np.isfinite(found["nearly"]["rms"])
+
+
+def test_a_person_is_told_nothing_of_what_is_not_known() -> None:
+    """Phases that are over after a tick or two have no difference; a run that is ahead is not "-10 ms behind"."""
+    nothing = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
+    ahead = {"rms": 0.5, "peak": 1.0, "delay_s": -0.01}
+    lines = list(difference_lines({"joint_deg": {"j1": nothing, "j2": ahead}, "tendon_N": {"rope": nothing}}))
+    assert lines == ["j2               rms 0.500 deg, peak 1.000 deg, 10.0 ms ahead"]

@@ -4,7 +4,6 @@ import argparse
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import json_option, print_json, say, tell_lossy
@@ -132,6 +131,7 @@ def _check(args: argparse.Namespace) -> int:
 
 
 def _diff(args: argparse.Namespace) -> int:
+    from handctl.replay.compare import difference_lines
     from handctl.replay.diff import diff
 
     with RunLog(args.log) as a, RunLog(args.other) as b, progress("comparing", quiet=args.json):
@@ -147,16 +147,12 @@ def _diff(args: argparse.Namespace) -> int:
             say(f"phases {which.replace('_', ' ')}: {', '.join(result[which])}")
     for name, phase in result["phases"].items():
         first, second = phase.pop("duration_s")
-        say(f"{name}: {first:.3f} s and {second:.3f} s")
-        for signal, rows in phase.items():
-            _rows(signal.partition("_")[2], rows)
+        lines = list(difference_lines(phase))
+        short = ", too short to compare" if phase and not lines else ""
+        say(f"{name}: {first:.3f} s and {second:.3f} s{short}")
+        for line in lines:
+            say(f"  {line}")
     return code
-
-
-def _rows(unit: str, rows: dict[str, Any]) -> None:
-    for name, row in rows.items():
-        late = "" if row["delay_s"] != row["delay_s"] else f", {1e3 * row['delay_s']:+.1f} ms behind"
-        say(f"  {name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}")
 
 
 def _export(args: argparse.Namespace) -> int:

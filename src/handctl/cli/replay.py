@@ -54,4 +54,6 @@ def _drive(parser: argparse.ArgumentParser) -> None:
 
 def _safety(parser: argparse.ArgumentParser) -> None:
     json_option(parser)
-    parser.add_argument("--limits", type=Path, required=True, metavar="FILE", help="TOML file of the new limits")
+    parser.add_argument(
+        "--limits", type=Path, required=True, metavar="FILE", help="TOML file, e.g. tension_trip_N = 60"
+    )

@@ -2,8 +2,6 @@
 
 import argparse
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 from handctl.cli.commission import ensure_calibration
 from handctl.cli.dry_run import told
@@ -12,7 +10,7 @@ from handctl.cli.options import print_json, say, tell_lossy
 from handctl.cli.plan import default_log, find_calibration, make_plan
 from handctl.cli.session import make_controller, run_live
 from handctl.log.reader import RunLog
-from handctl.replay.compare import check_same_hand
+from handctl.replay.compare import check_same_hand, difference_lines
 from handctl.replay.drive import bridged, difference, driven, playback, stretch
 
 
@@ -43,20 +41,11 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json({"recorded": str(args.recorded), "log": str(log), "raw": args.raw, **what, **result})
     else:
-        _say(result, log)
+        for line in (*difference_lines(result), f"new log: {log}"):
+            say(line)
     if not complete:
         why = outcome.state.failure or "stopped"
         say(f"handctl: {why}: {seconds:.2f} of {end - begin:.2f} s were driven", error=True)
     if outcome.exit != Exit.DONE:
         return outcome.exit
     return lossy if complete else Exit.FAILED
-
-
-def _say(result: dict[str, Any], log: Path) -> None:
-    """Print the difference."""
-    for signal, rows in result.items():
-        unit = signal.partition("_")[2]
-        for name, row in rows.items():
-            late = "" if row["delay_s"] != row["delay_s"] else f", {1e3 * row['delay_s']:+.1f} ms behind"
-            say(f"{name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}")
-    say(f"new log: {log}")

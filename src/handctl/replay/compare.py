@@ -1,5 +1,7 @@
 """Two runs side by side: per joint and tendon the RMS and peak of the difference, and the delay."""
 
+import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -105,3 +107,18 @@ def both(a: RunLog, start_a: float, b: RunLog, start_b: float, duration: float) 
         before, after = (factor * resampled(*run, times) for run in ((a, field, start_a), (b, field, start_b)))
         result[f"{axis}_{unit}"] = compare(a.header.axis(axis), before, after, period)
     return result
+
+
+def difference_lines(compared: dict[str, Any]) -> Iterator[str]:
+    """A line for a person of each joint and tendon of which something is known in both runs.
+
+    Args:
+        compared: from ``both``.
+    """
+    for signal, rows in compared.items():
+        unit = signal.partition("_")[2]
+        for name, row in rows.items():
+            ms = 1e3 * row["delay_s"]
+            late = "" if math.isnan(ms) else f", {abs(ms):.1f} ms {'behind' if ms >= 0 else 'ahead'}"
+            if not math.isnan(row["rms"]):
+                yield f"{name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}"
