@@ -8,7 +8,7 @@ from pathlib import Path
 from handctl.cli.dry_run import told
 from handctl.cli.options import print_json, run_options
 from handctl.cli.plan import Plan, calibration_path, default_log, make_plan
-from handctl.cli.session import Outcome, Runner, make_controller, run_live
+from handctl.cli.session import Outcome, Runner, make_controller, remedy, run_live
 from handctl.controller.calibration import Calibration, load_calibration
 from handctl.controller.commission import CommissionProgram, result
 from handctl.controller.identified import Identified
@@ -59,7 +59,7 @@ def commission(plan: Plan, log: Path, runner: Runner) -> tuple[Calibration, Outc
     """
     controller = make_controller(plan, CommissionProgram(), None, arm_at_once=True)
     outcome = runner(plan, controller, log)
-    outcome.refuse_unfinished(f"commissioning {plan.hand.name}")
+    outcome.refuse_unfinished(f"commissioning {plan.hand.name}", remedy(plan, outcome))
     virtual = outcome.priority is None  # in lockstep there is no date, or no two runs would be the same
     now = VIRTUAL_DATE if virtual else datetime.datetime.now(datetime.UTC)
     return result(controller.model, outcome.state.progress, now.isoformat(timespec="seconds")), outcome

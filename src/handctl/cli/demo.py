@@ -7,20 +7,28 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from handctl.cli.commission import commission, write_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.exit_codes import Exit
-from handctl.cli.options import dry_run_option, hand_option, json_option, wire_option, wire_words
+from handctl.cli.options import (
+    dry_run_option,
+    hand_option,
+    json_option,
+    time_scale_option,
+    wire_option,
+    wire_words,
+)
 from handctl.cli.plan import Plan, default_log, find_task, make_plan
 from handctl.cli.run import report
 from handctl.cli.session import Outcome, Runner, make_controller, refuse_blind_view, run_live, run_lockstep
 from handctl.cli.verdict import judge
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.tick import Controller
-from handctl.errors import BusError
+from handctl.errors import BusError, ConfigError
 from handctl.hand.description import hand_path
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, Peer, load_peer
 from handctl.runtime.places import truth_path
@@ -28,6 +36,8 @@ from handctl.runtime.places import truth_path
 EXAMPLE = "handctl demo --lockstep"
 SIMULATOR = "firmware_sim"
 START_S = 20.0
+SLOWER, SLOWEST = 0.5, 0.1
+"""By how much time is slowed where a machine cannot keep up with a hand that it simulates as well, and how far."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -48,12 +58,15 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
     parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
-    parser.set_defaults(gains=None, rate=None, calibration=None, time_scale=1.0, clear=False)
+    time_scale_option(parser, " (default: 1, and less if this machine cannot keep up)")
+    parser.set_defaults(gains=None, rate=None, calibration=None, clear=False)
 
 
 def run(args: argparse.Namespace) -> int:
     """Simulate, commission, grasp, judge."""
     refuse_blind_view(args.view and not args.lockstep)
+    if args.lockstep and args.time_scale != 1:
+        raise ConfigError(f"{args.time_scale:g}", "--time-scale", "no --lockstep with it: that has a time of its own")
     args.bus = [f"local:demo-{os.getpid()}"]
     plan = make_plan(args, lockstep=args.lockstep)
     plan = plan if args.lockstep else _on_bus(plan, args.bus[0])
@@ -68,8 +81,7 @@ def run(args: argparse.Namespace) -> int:
     if args.lockstep:
         outcome, truth = _in_lockstep(args, plan, TaskProgram(task), log)
     else:
-        with simulator(args, plan):
-            outcome = _commission_and_run(plan, TaskProgram(task), log, run_live, _live(args.view))
+        outcome, plan = _in_real_time(args, plan, TaskProgram(task), log)
         truth = truth_path(plan.buses[0])
     wall = time.monotonic() - started
     result = judge(plan, outcome, log, truth)
@@ -83,9 +95,40 @@ def _on_bus(plan: Plan, spec: str) -> Plan:
     return plan.on((spec,) if count == 1 else tuple(f"{spec}-{name}" for name in plan.hand.bus_names))
 
 
-def _live(view: bool) -> Runner:
+class _LateError(Exception):
+    """The simulated hand and its controller did not keep up with each other on this machine."""
+
+
+def _in_real_time(args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path) -> tuple[Outcome, Plan]:
+    """On real clocks, in slower time if it must be; what it came to, and with which plan."""
+    again = plan.time_scale * SLOWER >= SLOWEST and not wire_words(args)  # a wire may be too slow by itself
+    first, then = _live(view=False, refuse_late=again), _live(args.view, refuse_late=again)
+    try:
+        with simulator(args, plan):
+            return _commission_and_run(plan, program, log, first, then), plan
+    except _LateError as late:
+        slower = replace(plan, time_scale=plan.time_scale * SLOWER)
+        _set_aside(log, plan.time_scale)
+        why = f"this machine does not keep up with a simulated hand ({late})"
+        print(f"handctl: {why}; once more at {slower.time_scale:g} of real time", file=sys.stderr)
+    return _in_real_time(args, slower, program, log)
+
+
+def _set_aside(log: Path, scale: float) -> None:
+    """Keep what a run that was too late has logged, under a name that says so."""
+    kept = log.with_stem(f"{log.stem}-at-{scale:g}")
+    for suffix in (".mcap", ".commission.mcap"):
+        if log.with_suffix(suffix).exists():
+            log.with_suffix(suffix).rename(kept.with_suffix(suffix))
+
+
+def _live(view: bool, refuse_late: bool) -> Runner:
     def runner(plan: Plan, controller: Controller, log: Path) -> Outcome:
-        return run_live(plan, controller, log, live_view=view)
+        outcome = run_live(plan, controller, log, live_view=view)
+        state = outcome.state
+        if refuse_late and state.failure and not state.progress.failure:  # nothing is wrong with this hand but its time
+            raise _LateError(state.failure)
+        return outcome
 
     return runner
 
@@ -143,6 +186,7 @@ def simulator(args: argparse.Namespace, plan: Plan) -> Iterator[None]:
     """
     command = [sys.executable, "-m", SIMULATOR, "--hand", str(args.hand)]
     command += ["--scene", str(args.scene), "--seed", str(args.seed), *wire_words(args)]
+    command += ["--time-scale", str(plan.time_scale)]
     for name, spec in zip(plan.hand.bus_names, plan.buses, strict=True):
         command += ["--bus", f"{name}={spec}"]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)

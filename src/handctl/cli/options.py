@@ -64,7 +64,13 @@ def run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> N
     parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: by the bus load)")
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="default: HAND.calibration.toml")
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
-    parser.add_argument("--time-scale", type=float, default=1.0, metavar="X", help="simulated time per wall time")
+    time_scale_option(parser)
+
+
+def time_scale_option(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """--time-scale: how fast a simulated hand lives, the same on both sides of its bus."""
+    text = "simulated time per wall time" + more
+    parser.add_argument("--time-scale", type=float, default=1.0, metavar="X", help=text)
 
 
 def gains_options(parser: argparse.ArgumentParser) -> None:

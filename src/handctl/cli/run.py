@@ -11,11 +11,12 @@ from handctl.cli.dry_run import told
 from handctl.cli.options import print_json, run_options
 from handctl.cli.owner import Owner
 from handctl.cli.plan import Plan, default_log, find_calibration, find_task, find_trajectory, make_plan
-from handctl.cli.session import Outcome, make_controller, refuse_blind_view, run_live
+from handctl.cli.session import Outcome, make_controller, refuse_blind_view, remedy, run_live
 from handctl.cli.verdict import judge, print_summary
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.live import LiveProgram
 from handctl.controller.program import Program
+from handctl.errors import DriveError
 from handctl.hand.toml_text import toml_text
 from handctl.runtime.places import truth_path
 
@@ -77,5 +78,5 @@ def report(result: dict[str, Any], outcome: Outcome, plan: Plan, as_json: bool) 
     else:
         print_summary(result, plan)
     if outcome.state.failure:
-        print(f"handctl: {outcome.state.failure}", file=sys.stderr)
+        print(f"handctl: {DriveError(outcome.state.failure, right=remedy(plan, outcome))}", file=sys.stderr)
     return outcome.exit

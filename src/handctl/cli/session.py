@@ -32,6 +32,9 @@ from handctl.runtime.mailbox import Mailbox, held
 from handctl.runtime.status import status
 from handctl.runtime.suspend import SuspendWatch
 
+LATE = ("B02", "B03b", "B17", "N02", "N02b", "N08", "H03")
+"""Rows of the fault table that latch if answers or ticks come too late."""
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -52,17 +55,23 @@ class Outcome:
     offset_ns: int
 
     @property
+    def late(self) -> bool:
+        """Whether it failed as it does where host or simulator do not keep up with real time."""
+        return any(mark.id in LATE for mark in self.state.safety.latched)
+
+    @property
     def exit(self) -> Exit:
         """Exit code of a verb that did nothing but this run."""
         if self.state.unconfirmed:
             return Exit.REMOVE_POWER
         return Exit.FAILED if self.state.failure else Exit.DONE
 
-    def refuse_unfinished(self, where: str) -> None:
+    def refuse_unfinished(self, where: str, right: str = "") -> None:
         """Let nobody go on from a run that did not come to its end.
 
         Args:
             where: what the run was for.
+            right: what would help, if anything is known.
 
         Raises:
             PowerError: a drive did not confirm that it is disabled.
@@ -71,7 +80,14 @@ class Outcome:
         if self.state.unconfirmed:
             raise PowerError(self.state.failure, where)
         if self.state.failure or not self.state.progress.finished:
-            raise DriveError(self.state.failure or "stopped before the end", where)
+            raise DriveError(self.state.failure or "stopped before the end", where, right)
+
+
+def remedy(plan: Plan, outcome: Outcome) -> str:
+    """What would be right where a simulated hand and its controller did not keep up with each other."""
+    if not (plan.simulated and outcome.late):
+        return ""
+    return "a machine that keeps up with a simulated hand, or --time-scale 0.5 on both sides"
 
 
 Runner = Callable[["Plan", Controller, Path], Outcome]

@@ -5,7 +5,15 @@ import os
 import subprocess
 import sys
 
-from handctl.cli.options import bus_option, hand_option, json_option, print_json, wire_option, wire_words
+from handctl.cli.options import (
+    bus_option,
+    hand_option,
+    json_option,
+    print_json,
+    time_scale_option,
+    wire_option,
+    wire_words,
+)
 from handctl.hand.description import load_hand
 
 EXAMPLE = "handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"
@@ -20,7 +28,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", default="cylinder", help="cylinder, sphere, box, none, or a scene file")
     parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
     wire_option(parser)
-    parser.add_argument("--time-scale", type=float, default=1.0, help="simulated time per wall time")
+    time_scale_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:

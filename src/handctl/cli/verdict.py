@@ -35,6 +35,7 @@ def judge(plan: Plan, outcome: Outcome, log: Path, truth_file: Path | None, pict
     stats = outcome.stats
     result |= {
         "missed": stats.missed,
+        "time_scale": plan.time_scale,
         "frames_tx": stats.frames_tx,
         "frames_rx": stats.frames_rx,
         "frames_lost": lost_frames(outcome),
@@ -92,7 +93,7 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
 
     late = result["late_us"]
     rows = [
-        ("ticks", f"{result['ticks']} at {result['rate_hz']:g} Hz"),
+        ("ticks", f"{result['ticks']} at {result['rate_hz']:g} Hz{_slowed(result['time_scale'])}"),
         ("missed ticks", f"{result['missed']}"),
         ("lateness p50 / p99.9 / max", f"{late['p50']:.0f} / {late['p99_9']:.0f} / {late['max']:.0f} us"),
         ("tracking error, free motion", _with(result["tracking_rmse_rad"], 57.29578, "deg rms", 2)),
@@ -114,6 +115,10 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
     if result["picture"]:
         console.print(f"picture: {result['picture']}", soft_wrap=True)
     console.print(f"look at it: handctl view {result['log']}", soft_wrap=True)
+
+
+def _slowed(scale: float) -> str:
+    return "" if scale == 1 else f", at {scale:g} of real time"
 
 
 def _with(value: float, scale: float, unit: str, digits: int) -> str:

@@ -1,0 +1,27 @@
+"""The demo on real clocks, in time that this machine can keep up with."""
+
+import pytest
+
+from handctl.cli.demo import SLOWEST
+from handctl.log.reader import RunLog
+from tests.runtime.processes import ended_well, said, start_handctl
+
+pytestmark = pytest.mark.realtime
+
+
+def test_the_demo_slows_time_until_this_machine_keeps_up(place, processes):
+    """At 16 times real time it fails on any machine; what was logged until then stays, under another name."""
+    words = ("--task", "short.toml", "--scene", "none", "--log", "run.mcap", "--time-scale", "16", "--json")
+    processes.append(start_handctl("demo", *words))
+    code, result, err = said(processes.pop())
+    assert code == 0, err
+    assert result["failure"] == ""
+    assert SLOWEST <= result["time_scale"] < 16.0
+    assert max(result["tracking_rmse_deg"].values()) < 1.0
+    ended_well(place / "run.mcap")
+    assert "does not keep up with a simulated hand" in err
+    assert "once more at 8 of real time" in err
+    kept = list(place.glob("run-at-16*.mcap"))
+    assert kept
+    with RunLog(kept[0]) as log:
+        assert log.header.metadata["time_scale"] == "16"
