@@ -185,6 +185,14 @@ def test_a_witness_that_says_nothing_does_not_count_and_is_taken_when_it_speaks(
     assert [second for _, _, second in seen] == [0.0, 0.0, 3.0, 1.0]
 
 
+def test_a_first_witness_that_leaps_was_there_all_the_time():
+    state, _ = moved_on(Stuck.initial(3, 2), np.zeros(3), np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]))
+    after = stuck.leapt(state, np.array([False, True]), np.array([10.0, 20.0]))
+    assert after.anchor.tolist() == [[1.0, 22.0, 3.0], [4.0, 5.0, 6.0]]
+    assert state.anchor.tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "what was is another state"
+    assert (after.value.tolist(), after.ticks.tolist()) == (state.value.tolist(), state.ticks.tolist())
+
+
 def test_nothing_is_known_at_first():
     state = Stuck.initial(2, 3)
     assert state.anchor.shape == (3, 2)
