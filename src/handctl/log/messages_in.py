@@ -9,8 +9,9 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 MAX_CHANNELS = 1000
+"""Schemas, and channels, that a chunk may define."""
 MIN_RUNS, BYTES_PER_RUN = 128, 16
-"""Runs and definitions that a chunk may have at least, and one more for so many compressed bytes."""
+"""Runs that a chunk may have at least, and one more for so many compressed bytes."""
 _RECORD, _CHANNEL = struct.Struct("<BQ"), struct.Struct("<H")
 MESSAGE = int(Opcode.MESSAGE)
 _HEADER = 11
@@ -74,7 +75,8 @@ def rows(content: bytes, packed: int, wanted: frozenset[int] | None = None) -> I
         ValueError: the chunk is not what it should be.
         struct.error: it ends within a record.
     """
-    raw, at, left = np.frombuffer(content, np.uint8), 0, MIN_RUNS + packed // BYTES_PER_RUN
+    raw, at, defined = np.frombuffer(content, np.uint8), 0, 0
+    left = MIN_RUNS + packed // BYTES_PER_RUN
     while at < len(content):
         left -= 1
         if left < 0:
@@ -92,7 +94,11 @@ def rows(content: bytes, packed: int, wanted: frozenset[int] | None = None) -> I
             (channel,) = _CHANNEL.unpack_from(content, at + 9)
             if wanted is None or channel in wanted:
                 yield Rows(channel, at, raw[at : at + count * size].reshape(count, size))
-        elif code not in (Opcode.SCHEMA, Opcode.CHANNEL):
+        elif code in (Opcode.SCHEMA, Opcode.CHANNEL):
+            defined += 1
+            if defined > 2 * MAX_CHANNELS:
+                raise ValueError(f"more than {MAX_CHANNELS} channels")
+        else:
             raise ValueError(f"a record of kind {code} in a chunk")
         at += count * size
 

@@ -1,0 +1,33 @@
+"""How much work a chunk can ask for: no more than one that we wrote would."""
+
+import struct
+
+import pytest
+
+from handctl.log.messages_in import BYTES_PER_RUN, MAX_CHANNELS, MIN_RUNS, rows
+
+
+def channel(number: int) -> bytes:
+    return struct.pack("<BQHHIIIB", 4, 17, number, 0, 0, 0, 1, 0)
+
+
+def message(number: int) -> bytes:
+    return struct.pack("<BQHIQQ", 5, 22, number, 0, 0, 0)
+
+
+def test_a_chunk_may_define_so_many_channels_however_large_it_is() -> None:
+    """A million of them in thirty megabytes kept `log check` for more than a second."""
+    plenty = 1 << 30
+    allowed = channel(7) * 2 * MAX_CHANNELS + message(7)
+    assert [one.channel for one in rows(allowed, plenty)] == [7]
+    with pytest.raises(ValueError, match=f"more than {MAX_CHANNELS} channels"):
+        list(rows(channel(7) + allowed, plenty))
+
+
+@pytest.mark.parametrize("packed", [0, 10 * BYTES_PER_RUN])
+def test_a_chunk_may_have_runs_in_proportion_to_its_size_in_the_file(packed: int) -> None:
+    most = MIN_RUNS + packed // BYTES_PER_RUN
+    alternating = b"".join(message(number % 2) for number in range(most))
+    assert len(list(rows(alternating, packed))) == most
+    with pytest.raises(ValueError, match="more messages than"):
+        list(rows(alternating + message(most % 2), packed))
