@@ -81,9 +81,25 @@ def test_what_is_not_known_has_no_difference_and_no_delay() -> None:
     assert np.isfinite(found["nearly"]["rms"])
 
 
+def test_a_delay_is_told_of_what_moves_and_not_of_noise() -> None:
+    """Two runs of a joint that stands have noise in common, of which some shift always fits best."""
+    noise = np.random.default_rng(3).normal(scale=0.02, size=(2, 400))
+    wave = np.sin(np.linspace(0.0, 9.0, 420))
+    before = np.column_stack([noise[0], 0.1 + noise[0], wave[20:] + noise[0]])
+    after = np.column_stack([noise[1], 0.1 + noise[1], 0.5 + 0.9 * wave[10:-10] + noise[1]])
+    found = compare(("stands", "stands elsewhere", "moves, weaker and beside"), before, after, 0.01)
+    delays = [row["delay_s"] for row in found.values()]
+    assert np.isnan(delays[:2]).all()
+    assert delays[2] == pytest.approx(0.1, abs=0.01)
+
+
 def test_a_person_is_told_nothing_of_what_is_not_known() -> None:
     """Phases that are over after a tick or two have no difference; a run that is ahead is not "-10 ms behind"."""
     nothing = {"rms": float("nan"), "peak": float("nan"), "delay_s": float("nan")}
     ahead = {"rms": 0.5, "peak": 1.0, "delay_s": -0.01}
-    lines = list(difference_lines({"joint_deg": {"j1": nothing, "j2": ahead}, "tendon_N": {"rope": nothing}}))
-    assert lines == ["j2               rms 0.500 deg, peak 1.000 deg, 10.0 ms ahead"]
+    with_it = ahead | {"delay_s": -1e-6}
+    found = {"joint_deg": {"j1": nothing, "j2": ahead}, "tendon_N": {"slack": nothing, "rope": with_it}}
+    assert list(difference_lines(found)) == [
+        "j2               rms 0.500 deg, peak 1.000 deg, 10.0 ms ahead",
+        "rope             rms 0.500 N, peak 1.000 N, in time",
+    ]

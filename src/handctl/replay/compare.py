@@ -15,6 +15,10 @@ Array = NDArray[np.float64]
 LONGEST_DELAY_S = 0.2
 LEAST_MOTION = 0.05
 """A signal that moves by less than this share of its largest value has no delay to speak of."""
+UNEXPLAINED = 0.1
+"""Of the variance of a signal: a delay that leaves more of it is none, but chance or noise."""
+IN_TIME_MS = 0.05
+"""Less is not told to a person [ms]."""
 
 SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendon", 1.0, "N")}
 """Field of the telemetry: what it runs over, and the factor to the unit in which a person reads it."""
@@ -66,24 +70,23 @@ def size(change: Array) -> dict[str, float]:
 
 
 def delay(before: Array, after: Array, period: float) -> float:
-    """Time by which ``after`` is behind [s]: the shift with the least mean square, refined by a parabola.
+    """Time by which ``after`` is behind [s]: the shift that leaves the least variance, refined by a parabola.
 
-    NaN if nothing moves, if no delay within ``LONGEST_DELAY_S`` fits best, or if one is not known throughout.
+    NaN if nothing moves but noise, if no delay within ``LONGEST_DELAY_S`` fits best, or if one is not known throughout.
     """
     if np.isnan(before).any() or np.isnan(after).any():
         return float("nan")
     reach = min(round(LONGEST_DELAY_S / period), len(before) // 4)
-    span = float(np.ptp(before)) if len(before) else 0.0
-    if reach < 1 or not span > LEAST_MOTION * float(np.abs(before).max()):
+    if reach < 1 or not np.ptp(before) > LEAST_MOTION * np.abs(before).max():
         return float("nan")
     kept = slice(reach, len(before) - reach)
-    cost = np.array([np.mean((np.roll(after, -shift)[kept] - before[kept]) ** 2) for shift in range(-reach, reach + 1)])
-    best = int(np.argmin(cost))
-    if not 0 < best < 2 * reach:
+    left = np.array([np.var(np.roll(after, -shift)[kept] - before[kept]) for shift in range(-reach, reach + 1)])
+    best = int(np.argmin(left))
+    if not 0 < best < 2 * reach or not left[best] < UNEXPLAINED * np.var(before[kept]):
         return float("nan")
-    left, middle, right = cost[best - 1 : best + 2]
-    bend = left - 2.0 * middle + right
-    return float((best - reach + (0.5 * (left - right) / bend if bend > 0 else 0.0)) * period)
+    earlier, least, later = left[best - 1 : best + 2]
+    bend = earlier - 2.0 * least + later
+    return float((best - reach + (0.5 * (earlier - later) / bend if bend > 0 else 0.0)) * period)
 
 
 def resampled(log: RunLog, field: str, start: float, times: Array) -> Array:
@@ -119,6 +122,10 @@ def difference_lines(compared: dict[str, Any]) -> Iterator[str]:
         unit = signal.partition("_")[2]
         for name, row in rows.items():
             ms = 1e3 * row["delay_s"]
-            late = "" if math.isnan(ms) else f", {abs(ms):.1f} ms {'behind' if ms >= 0 else 'ahead'}"
+            late = "" if math.isnan(ms) else ", in time" if abs(ms) < IN_TIME_MS else f", {_late(ms)}"
             if not math.isnan(row["rms"]):
                 yield f"{name:<16} rms {row['rms']:.3f} {unit}, peak {row['peak']:.3f} {unit}{late}"
+
+
+def _late(ms: float) -> str:
+    return f"{abs(ms):.1f} ms {'behind' if ms > 0 else 'ahead'}"
