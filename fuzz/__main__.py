@@ -6,14 +6,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-from handctl.drives.registry import PROTOCOLS
+from fuzz.drives import DRIVES
 
 PLACE = Path("build/fuzz")
 DONE = re.compile(r"Done (\d+) runs in (\d+) second(?:\(s\), (\d+) taken)?")
 COVERED = re.compile(r"cov: (\d+) ft: (\d+)")
-NAMES = (*PROTOCOLS, "sensor-node", "hand", "hand-text", "task", "trajectory", "gains", "calibration",
+NAMES = (*DRIVES, "sensor-node", "hand", "hand-text", "task", "trajectory", "gains", "calibration",
          "log", "log-bytes", "request", "fault")  # fmt: skip
-LONGEST = {**dict.fromkeys(PROTOCOLS, 64), "sensor-node": 64, "request": 256, "fault": 256, "hand": 128,
+LONGEST = {**dict.fromkeys(DRIVES, 64), "sensor-node": 64, "request": 256, "fault": 256, "hand": 128,
            "task": 128, "trajectory": 128, "gains": 128, "calibration": 128, "hand-text": 1 << 14, "log": 4096,
            "log-bytes": 1 << 16}  # fmt: skip
 """Bytes of an input, at least what a corpus begins with; more would only be more of the same."""
@@ -47,13 +47,13 @@ def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str
     (PLACE / f"{name}.txt").write_text(done.stdout + done.stderr)
     count, covered = DONE.search(done.stderr), COVERED.findall(done.stderr)
     if done.returncode or not count:
-        return f"{name:12} FAILED  see {PLACE / name}.txt and {found}/", False
+        return f"{name:13} FAILED  see {PLACE / name}.txt and {found}/", False
     number, took = int(count[1]), max(1, int(count[2]))
     if blind and not int(count[3]):
-        return f"{name:12} FAILED  of {number:,} inputs none was taken: nothing was tried but the first refusal", False
+        return f"{name:13} FAILED  of {number:,} inputs none was taken: nothing was tried but the first refusal", False
     edges = f"edges {covered[-1][0]:>6}" if covered else "no edges"
     seen = f"blind, {100 * int(count[3]) / number:.1f} % taken" if blind else edges
-    return f"{name:12} {number:>10,} inputs {took:>6} s {number // took:>8,}/s   {seen}", True
+    return f"{name:13} {number:>10,} inputs {took:>6} s {number // took:>8,}/s   {seen}", True
 
 
 def main() -> int:

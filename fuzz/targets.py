@@ -4,12 +4,12 @@ from collections.abc import Callable
 from pathlib import Path
 
 from fuzz import files, logs, texts, wire
-from handctl.drives.registry import PROTOCOLS
+from fuzz.drives import DRIVES
 from handctl.hand.description import HANDS
 
 Target = Callable[[bytes], bool]
 TARGETS: dict[str, Callable[[Path], Target]] = {
-    **{name: wire.drive(name) for name in PROTOCOLS},
+    **{name: wire.drive(name) for name in DRIVES},
     "sensor-node": wire.sensors,
     "hand": files.hand,
     "hand-text": files.hand_text,
@@ -26,7 +26,7 @@ TARGETS: dict[str, Callable[[Path], Target]] = {
 
 def seeds(name: str, folder: Path) -> list[bytes]:
     """Good inputs to begin with."""
-    if name in PROTOCOLS:
+    if name in DRIVES:
         return wire.answers(name, folder)
     if name == "hand-text":
         return [path.read_bytes() for path in HANDS.glob("*.toml")]

@@ -1,6 +1,6 @@
 """Frames from the wire, to each protocol's decoder and to the sensor node's; whatever the state it is in.
 
-An input is a state to begin with and up to four frames: three bytes that say which, then its payload. The corpus begins
+An input is a state to begin with and up to five frames: three bytes that say which, then its payload. The corpus begins
 with what a drive was really told in each state on its way to torque: an answer that is only noise is nobody's.
 """
 
@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from fuzz.drives import DRIVES
 from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
 from handctl.drives.sensor_node import SensorNode, SensorState, saturated
@@ -19,7 +20,7 @@ STEP_NS, LONG_NS = 2_000_000, 1_000_000_000
 SILENCE = 240
 """Bytes from here on put one before their frame."""
 MARKS = (0, 0, 0, 0, 0, EXTENDED, REMOTE, ERROR)
-MOST_FRAMES = 4
+MOST_FRAMES = 5
 WANTS = tuple(Want)
 CLEAR = 0x40
 """The bit that has an error cleared."""
@@ -49,9 +50,13 @@ class Seen(NamedTuple):
     heard: tuple[Frame, ...]
 
 
-def way(protocol: str, folder: Path) -> tuple[Drive, list[Seen]]:
-    """A drive of a protocol, and its way from silence to torque."""
-    bench = Bench(hand_file(folder, [protocol]))
+def way(name: str, folder: Path) -> tuple[Drive, list[Seen]]:
+    """A drive of ``DRIVES``, and its way from silence to torque."""
+    fuzzed = DRIVES[name]
+    path = hand_file(folder, [fuzzed.protocol], fuzzed.options)
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(line for line in lines if not line.startswith(fuzzed.without)))
+    bench = Bench(path)
     motor, seen = bench.drives[0], list[Seen]()
     while bench.states[0].phase != Phase.ENABLED:
         heard = tuple(frame for frame in bench.incoming if frame.can_id in motor.node_ids)
@@ -64,9 +69,9 @@ def way(protocol: str, folder: Path) -> tuple[Drive, list[Seen]]:
     return motor, seen
 
 
-def answers(protocol: str, folder: Path) -> list[bytes]:
+def answers(name: str, folder: Path) -> list[bytes]:
     """What a drive really heard on its way, as inputs."""
-    motor, seen = way(protocol, folder)
+    motor, seen = way(name, folder)
     ours, found = sorted(motor.node_ids), []
     for i, (_, _, heard) in enumerate(seen):
         parts = [bytes((ours.index(one.can_id), *_shape(one.data))) + one.data for one in heard[:MOST_FRAMES]]
@@ -79,11 +84,11 @@ def _shape(payload: bytes) -> tuple[int, int]:
     return (1, int(Want.POLL)) if len(payload) == 8 else (0, len(payload))
 
 
-def drive(protocol: str) -> Callable[[Path], Target]:
-    """A drive of a protocol."""
+def drive(name: str) -> Callable[[Path], Target]:
+    """A drive of ``DRIVES``."""
 
     def make(folder: Path) -> Target:
-        motor, seen = way(protocol, folder)
+        motor, seen = way(name, folder)
         ours = sorted(motor.node_ids)
         return lambda data: _walked(motor, seen[data[0] % len(seen)] if data else seen[0], ours, data)
 

@@ -10,9 +10,9 @@ from mcap.opcode import Opcode
 from firmware_sim.description import SimulatorError
 from fuzz import blind, files, logs, texts, wire
 from fuzz.__main__ import LONGEST, fuzzed
+from fuzz.drives import DRIVES
 from fuzz.targets import TARGETS, seeds
 from handctl.drives.contract import Phase
-from handctl.drives.registry import PROTOCOLS
 
 UNCHANGED = ("hand", "task", "trajectory", "gains", "calibration", "log")
 """Targets of a document that an empty input leaves as it is."""
@@ -23,7 +23,7 @@ def test_a_document_that_nothing_changes_is_taken(name: str, tmp_path: Path) -> 
     assert TARGETS[name](tmp_path)(b"")
 
 
-@pytest.mark.parametrize("name", [*PROTOCOLS, "hand-text", "log-bytes", "request", "fault"])
+@pytest.mark.parametrize("name", [*DRIVES, "hand-text", "log-bytes", "request", "fault"])
 def test_what_a_corpus_begins_with_is_taken(name: str, tmp_path: Path) -> None:
     target = TARGETS[name](tmp_path)
     begin = seeds(name, tmp_path)
@@ -31,7 +31,7 @@ def test_what_a_corpus_begins_with_is_taken(name: str, tmp_path: Path) -> None:
     assert all(target(seed[: LONGEST[name]]) for seed in begin), "as long as inputs are at most"
 
 
-@pytest.mark.parametrize("name", PROTOCOLS)
+@pytest.mark.parametrize("name", DRIVES)
 def test_what_a_drive_s_corpus_begins_with_goes_all_the_way_to_torque(name: str, tmp_path: Path) -> None:
     motor, seen = wire.way(name, tmp_path)
     assert {one.state.phase for one in seen} >= {Phase.SILENT, Phase.READY, Phase.ENABLED}
