@@ -23,7 +23,7 @@ from handctl.controller.requests import REFUSED, HoldTension, MoveDigits, said_o
 from handctl.controller.types import LETTING_GO
 from handctl.document import validated
 from handctl.errors import BusError, ConfigError, DriveError, PowerError
-from handctl.runtime.mailbox import LARGEST, Watcher, answers, send_request
+from handctl.runtime.mailbox import LARGEST, STOP, Watcher, answers, send_request
 
 START_S = 300.0
 """Longest start: commissioning included, on a slow machine; a controller that cannot start ends long before [s]."""
@@ -249,7 +249,7 @@ class HandClient:
         self._watcher.close()
         if self.child is None and self._asked:
             with suppress(BusError):
-                send_request(self.bus, '{"do": "stop"}')
+                send_request(self.bus, STOP)
         self._collect()
         self._words.close()
         if self.child and (code := self.child.returncode) and not self._told and (tell or code == Exit.REMOVE_POWER):

@@ -23,6 +23,7 @@ from handctl.controller.modes import REMOVE_POWER
 from handctl.controller.state import State
 from handctl.controller.types import Mode
 from handctl.hand.description import Hand
+from handctl.runtime.mailbox import CLEAR, STOP
 
 TICKS, FEWEST, MOST = 200, 2, 6
 """Length of a sequence, and how many faults it has."""
@@ -35,7 +36,6 @@ BETWEEN = (f"{HOST}ask stop", f"{HOST}ask clear", f"{HOST}ask nonsense 1", f"{HO
 """What a person asks, and what the host does, in between."""
 END_S = 2.5
 """From the stop on: relaxing and disarming, each with its timeout, and what an ODrive's heartbeat takes [s]."""
-STOP, CLEAR = ('{"do": "stop"}',), '{"do": "clear"}'
 WATCHDOG_S, REACTION_TICKS = 0.05, 10
 """After so long a drive that hears nothing is off by itself [s]; ticks in which the hand lets one go that runs away."""
 FORWARD = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
@@ -151,7 +151,7 @@ def _ticks(course: Course, sequence: Sequence) -> Iterator[dict[str, Any]]:
                 hosts.append((i, Host(fault.removeprefix(HOST))))
             else:
                 course.peer.inject(fault)
-        now: dict[str, Any] = {"io": (), "requests": STOP if i == TICKS else ()}
+        now: dict[str, Any] = {"io": (), "requests": (STOP,) if i == TICKS else ()}
         for began, host in hosts:
             for key, value in host.at(i - began, course).items():
                 now[key] = now[key] + value if key in ("io", "requests") else value

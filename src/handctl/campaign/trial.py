@@ -12,12 +12,11 @@ from handctl.campaign.scenarios import GRASP, HOST, Row, Scenario
 from handctl.controller.model import HandModel
 from handctl.controller.modes import REMOVE_POWER
 from handctl.controller.types import IoEvent, Mode, TickOut
+from handctl.runtime.mailbox import CUT
 from handctl.safety.action import Action
 
 AFTER_S = 1.3
 """How much longer than its bound a scenario is watched: until no torque is left [s]."""
-CUT = ('{"do": "cut"}',)
-"""What a person asks a drive that does not let go."""
 RUNS_AWAY = "runaway"
 BEYOND = (Mode.DISARM, Mode.DONE)
 SECOND_AT_TICKS, PAIR_TICKS = 5, 2
@@ -76,7 +75,7 @@ def try_out(course: Course, scenario: Scenario, protocol: str) -> Result:
         course.peer.inject(scenario.fault)
     other = Host(scenario.second.removeprefix(HOST)) if scenario.second.startswith(HOST) else None
     for i in range(bound + SECOND_AT_TICKS + round(AFTER_S * 1e9 / course.period_ns)):
-        now: dict[str, Any] = {"requests": CUT} if i == 1 and row.id == "N16" else {}
+        now: dict[str, Any] = {"requests": (CUT,)} if i == 1 and row.id == "N16" else {}
         now |= host.at(i, course) if host else {}
         if i == SECOND_AT_TICKS and other:
             now |= other.at(0, course)

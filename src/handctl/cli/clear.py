@@ -7,7 +7,7 @@ import argparse
 
 from handctl.cli.buses import controller_bus
 from handctl.cli.options import bus_option, json_option, print_json
-from handctl.runtime.mailbox import send_request
+from handctl.runtime.mailbox import CLEAR, send_request
 
 EXAMPLE = "handctl clear --help   # with a hand running on local:demo: handctl clear --bus local:demo"
 
@@ -21,7 +21,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Ask the controller of the bus to clear."""
     bus = controller_bus(args)
-    send_request(bus, '{"do": "clear"}')
+    send_request(bus, CLEAR)
     if args.json:
         print_json({"asked": "clear", "bus": bus})
     else:

@@ -4,6 +4,7 @@ import os
 import select
 
 from handctl.controller.types import TickIn, TickOut
+from handctl.runtime.mailbox import STOP
 
 STDIN = 0
 AT_ONCE = 4096
@@ -21,7 +22,7 @@ class Owner:
         if self.gone or not select.select([STDIN], [], [], 0)[0] or os.read(STDIN, AT_ONCE):
             return ()
         self.gone = True
-        return ('{"do": "stop"}',)
+        return (STOP,)
 
     def see(self, entry: TickIn, out: TickOut) -> None:
         """Nothing."""

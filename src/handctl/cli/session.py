@@ -28,7 +28,7 @@ from handctl.runtime.bus import open_bus
 from handctl.runtime.clock import Clock, Priority, RealClock, give_back_priority, prepare_priority, urgent
 from handctl.runtime.lockstep import LockstepBus, LockstepClock
 from handctl.runtime.loop import Loop, LoopBus, LoopStats, Signals
-from handctl.runtime.mailbox import Mailbox, held
+from handctl.runtime.mailbox import CLEAR, Mailbox, held
 from handctl.runtime.status import status
 from handctl.runtime.suspend import SuspendWatch
 
@@ -219,7 +219,7 @@ def _loop(
 
 def _requests(plan: Plan, signals: Signals, mailbox: Mailbox) -> Callable[[], tuple[str, ...]]:
     """What people and programs ask, tick after tick; an order from the command line is the first."""
-    orders = ['{"do": "clear"}'] if plan.clear else []
+    orders = [CLEAR] if plan.clear else []
 
     def take() -> tuple[str, ...]:
         first = (orders.pop(),) if orders else ()

@@ -4,7 +4,7 @@ import argparse
 
 from handctl.cli.buses import controller_bus
 from handctl.cli.options import bus_option, json_option, print_json
-from handctl.runtime.mailbox import send_request
+from handctl.runtime.mailbox import CUT, STOP, send_request
 
 EXAMPLE = "handctl stop --help   # with a hand running on local:demo: handctl stop --bus local:demo"
 
@@ -20,7 +20,7 @@ def run(args: argparse.Namespace) -> int:
     """Ask the controller of the bus to stop."""
     word = "cut" if args.cut else "stop"
     bus = controller_bus(args)
-    send_request(bus, f'{{"do": "{word}"}}')
+    send_request(bus, CUT if args.cut else STOP)
     if args.json:
         print_json({"asked": word, "bus": bus})
     else:

@@ -21,6 +21,7 @@ from handctl.drives.frame import Frame
 from handctl.errors import PowerError
 from handctl.handlers import handling
 from handctl.runtime.clock import Clock
+from handctl.runtime.mailbox import CUT, STOP
 
 S = TypeVar("S")
 
@@ -84,7 +85,7 @@ class Signals:
         if self.seen == self.count:
             return ()
         self.seen += 1
-        return ('{"do": "stop"}',) if self.seen == 1 else ('{"do": "cut"}',)
+        return (STOP,) if self.seen == 1 else (CUT,)
 
     @contextmanager
     def installed(self) -> Iterator[None]:

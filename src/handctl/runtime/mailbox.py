@@ -19,6 +19,8 @@ from handctl.runtime.places import mailbox_path, watcher_path
 
 LARGEST = 4096
 """Bytes of a request; the rest of a longer one is lost, and it is refused as not being JSON."""
+STOP, CUT, CLEAR = (f'{{"do": "{word}"}}' for word in ("stop", "cut", "clear"))
+"""Requests that are sent from several places."""
 WATCH = b'{"do": "watch"}'
 WATCHERS = 4
 """Programs that may watch at once."""
