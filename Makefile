@@ -40,6 +40,8 @@ lint: env ## ruff, mypy --strict and the import contracts
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
 
+# A process has one core: threads of BLAS would wait for each other by spinning.
+unit: export OPENBLAS_NUM_THREADS = 1
 unit: env
 	$(PYTEST) -n $(WORKERS) -m "not realtime" $(PYTEST_FLAGS)
 
@@ -50,6 +52,7 @@ vcan: env ## the SocketCAN tests alone, on the kernel's vcan or in user-mode Lin
 	HANDCTL_REQUIRE_VCAN=1 $(PYTEST) tests/vcan $(PYTEST_FLAGS)
 
 nightly: export HANDCTL_NIGHTLY = 1
+nightly: export OPENBLAS_NUM_THREADS = 1
 nightly: lint ## the tests with full counts: long property runs, fault campaigns, soak
 	$(PYTEST) -n $(WORKERS) -m "not realtime" $(PYTEST_FLAGS)
 	$(PYTEST) -m realtime $(PYTEST_FLAGS)
