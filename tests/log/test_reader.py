@@ -105,12 +105,12 @@ def test_a_changed_bit_is_found_or_harmless(small_log: Path, tmp_path: Path, see
         data = bytearray(raw)
         data[random.integers(len(data))] ^= 1 << random.integers(8)
         bad.write_bytes(data)
-        begin = time.perf_counter()
+        begin = time.process_time()
         try:
             assert _everything(bad) == expected
         except LogError as error:
             told.append(str(error))
-        assert time.perf_counter() - begin < 1.0
+        assert time.process_time() - begin < 1.0
     assert len(told) > 40
     assert all("bad.mcap, byte " in one for one in told)
 
@@ -137,14 +137,14 @@ from pathlib import Path
 from handctl.errors import LogError
 from handctl.log.reader import RunLog
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-begin = time.perf_counter()
+begin = time.process_time()
 try:
     with RunLog(Path(sys.argv[1])) as log:
         list(log.ticks()), log.field("q"), log.events
     print("accepted")
 except LogError as error:
     print("refused", error)
-print(time.perf_counter() - begin)
+print(time.process_time() - begin)
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
 
