@@ -55,9 +55,9 @@ def sample(pid: int, t: float) -> Sample:
     return Sample(t, rss / 1024, descriptors)
 
 
-def slope(samples: list[Sample]) -> float | None:
+def slope(samples: list[Sample], warm_s: float = WARM_S) -> float | None:
     """Growth of the memory after the warm-up [MiB/h]; None if it was not watched for long enough."""
-    warm = [one for one in samples if one.t - samples[0].t >= WARM_S]
+    warm = [one for one in samples if one.t - samples[0].t >= warm_s]
     if not warm or warm[-1].t - warm[0].t < LONG_ENOUGH_S:
         return None
     return float(np.polyfit([one.t / 3600 for one in warm], [one.rss for one in warm], 1)[0])
