@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,6 +30,7 @@ from tests.runtime.processes import BUS, LONG, end, handctl, start_handctl, writ
 SIZE_MIB_PER_H = 1.0
 WARM_S = 300.0
 """Time in which a process still takes what it will keep."""
+WINDOW_S = 300.0
 LONG_ENOUGH_S = 1800.0
 """A slope over less than this says nothing about an hour."""
 ENDS = (0, 1, 71)
@@ -56,11 +58,17 @@ def sample(pid: int, t: float) -> Sample:
 
 
 def slope(samples: list[Sample], warm_s: float = WARM_S) -> float | None:
-    """Growth of the memory after the warm-up [MiB/h]; None if it was not watched for long enough."""
+    """Growth of the memory after the warm-up [MiB/h]; None if it was not watched for long enough.
+
+    Of the largest value in each whole ``WINDOW_S``: what is given back and taken again does not grow.
+    """
     warm = [one for one in samples if one.t - samples[0].t >= warm_s]
     if not warm or warm[-1].t - warm[0].t < LONG_ENOUGH_S:
         return None
-    return float(np.polyfit([one.t / 3600 for one in warm], [one.rss for one in warm], 1)[0])
+    whole = (warm[-1].t - warm[0].t) // WINDOW_S
+    windows = groupby(warm, lambda one: (one.t - warm[0].t) // WINDOW_S)
+    peaks = [max(part, key=lambda one: one.rss) for number, part in windows if number < whole]
+    return float(np.polyfit([one.t / 3600 for one in peaks], [one.rss for one in peaks], 1)[0])
 
 
 class Soak:
