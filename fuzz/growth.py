@@ -21,6 +21,7 @@ from handctl.controller.task import load_task
 from handctl.controller.types import TickIn, TickOut
 from handctl.hand.description import hand_path, load_hand
 from handctl.runtime.lockstep import LockstepClock, load_peer
+from handctl.runtime.mailbox import STOP
 
 EVERY_S = 30.0
 WARM_S = 600.0
@@ -36,7 +37,7 @@ class Looks:
 
     def take(self) -> tuple[str, ...]:
         """A request to stop, when there has been enough."""
-        return ('{"do": "stop"}',) if self.samples and self.samples[-1].t >= self.until_s else ()
+        return (STOP,) if self.samples and self.samples[-1].t >= self.until_s else ()
 
     def see(self, entry: TickIn, out: TickOut) -> None:
         """A tick is over."""

@@ -17,6 +17,7 @@ from handctl.log.recorder import Recorder
 from handctl.runtime.bus import open_bus
 from handctl.runtime.clock import RealClock, take_priority
 from handctl.runtime.loop import Loop
+from handctl.runtime.mailbox import STOP
 
 DESIGN_HZ = 1000.0
 
@@ -116,7 +117,7 @@ class Counter:
     def requests(self) -> tuple[str, ...]:
         if self.first_ns and not self.stopped and _now() - self.first_ns > self.seconds * 1e9:
             self.stopped = True
-            return ('{"do": "stop"}',)
+            return (STOP,)
         return ()
 
 
