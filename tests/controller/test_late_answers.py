@@ -1,5 +1,7 @@
 """A host or a simulator that paused gets, or gives, several answers at once: that is no masquerade."""
 
+import pytest
+
 from handctl.controller.gains import Gains
 from handctl.controller.live import LiveProgram
 from handctl.controller.model import HandModel
@@ -57,6 +59,20 @@ def test_late_answers_of_a_bus_without_stamps_are_no_masquerade() -> None:
     run.to_host = lambda frames: taken_off([*frames, *[f for f in frames if f.can_id == 0x11]])
     out = run.tick()
     assert any("B05" in event.text for event in out.events), "positive control: one answer too many"
+
+
+@pytest.mark.parametrize("before", range(4))
+def test_a_pause_in_which_a_question_too_old_would_be_given_up_is_no_masquerade(before: int) -> None:
+    """Three ticks' answers at once, the pause around the tick from which on older questions were forgotten."""
+    run = active_on_a_bus_without_stamps()
+    waiting: list[Frame] = []
+    while (run.k + before) % WINDOW:
+        run.tick()
+    run.to_host = lambda frames: waiting.extend(frames) or []
+    run.run(2 * run.period_ns * 1e-9)
+    run.to_host = lambda frames: stamped(run, [*waiting, *frames])
+    assert not second_answers(run.tick())
+    assert run.state.mode == Mode.ACTIVE
 
 
 def active_on_a_bus_without_stamps() -> Bench:

@@ -57,7 +57,7 @@ def surplus(
     twice = []
     for i in filter(due.__getitem__, strict):
         payloads = _accepted(drives[i].receive, lambda drive: drive.feedback_count, before.drives[i], frames)
-        twice.append((drives[i].name, _differ(payloads, due[i])))
+        twice.append((drives[i].name, _differ(payloads, len(due[i]))))
     for group, (was, now) in enumerate(zip(before.sensors.groups, state.sensors.groups, strict=True)):
         if now.frames > was.frames + 1:
             payloads = _accepted(sensors.receive, _frames_of(group), before.sensors, frames)

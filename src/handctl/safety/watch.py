@@ -128,7 +128,7 @@ class WatchState(NamedTuple):
             goal=nothing(n),
             ropes=ropes.Ropes(),
             counts=counts.Counts(),
-            owed=(0,) * n,
+            owed=((),) * n,
         )
 
 
