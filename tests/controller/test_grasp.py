@@ -123,13 +123,35 @@ def test_a_tendon_that_stays_loose_ends_the_run_with_its_name(model: HandModel) 
 
 
 def test_tightening_must_last(model: HandModel, taut: Estimate) -> None:
-    """Slack again in between begins anew."""
+    """What is slack again counts as long against it as it is so; not for ever."""
     run = Run(model)
     run.until("tighten", taut)
-    for _ in range(round(0.2 / model.period)):
-        run.tick(taut)
-    run.tick(slack(model))
-    assert run.until("home", taut) == pytest.approx(0.3, abs=2.1 * model.period)
+    for seconds, estimate in ((0.2, taut), (0.1, slack(model)), (0.1, taut), (0.5, slack(model))):
+        for _ in range(round(seconds / model.period)):
+            run.tick(estimate)
+    assert run.until("home", taut) == pytest.approx(0.3, abs=3.1 * model.period)
+
+
+def test_noise_that_makes_every_fifth_look_slack_delays_tightening_only(model: HandModel, taut: Estimate) -> None:
+    run = Run(model)
+    run.until("tighten", taut)
+    while run.progress.phase == "tighten":
+        for estimate in (slack(model), taut, taut, taut, taut):
+            run.tick(estimate)
+    assert run.progress.phase == "home"
+    assert run.t == pytest.approx(0.5, abs=8 * model.period)
+
+
+def test_what_is_slack_in_every_second_tick_is_never_tightened(model: HandModel, taut: Estimate) -> None:
+    run = Run(model)
+    run.until("tighten", taut)
+    while not run.progress.finished:
+        run.tick(slack(model) if run.progress.touching[0] else taut)
+    assert run.t == pytest.approx(TIGHTEN_TIMEOUT_S, abs=4 * model.period)
+    assert run.progress.failure in (
+        "not taut after 4 s: now one tendon, now another",
+        f"not taut after 4 s: {', '.join(model.hand.tendon_names)}",
+    )
 
 
 def test_motions_begin_where_the_digit_is(model: HandModel, taut: Estimate) -> None:

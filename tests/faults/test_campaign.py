@@ -90,6 +90,13 @@ def test_an_undisturbed_hand_that_holds_or_does_not_grasp_is_a_false_alarm():
     assert undisturbed("ready") == ["seed 5 came to no grasp: ready"]
 
 
+@pytest.mark.timeout(120)
+def test_at_a_hundred_hertz_noise_keeps_no_hand_from_its_grasp():
+    """With three times the noise one of eleven tendons looks loose in each fifth tick, and none is."""
+    hand = hand_in("jamia11", "odrive")
+    assert campaign.calm(hand, rate_of(hand), 8.0, seed=80111) == []
+
+
 def test_a_reaction_that_does_not_come_is_late(tmp_path):
     """The judge is judged: a fault that nobody can notice in time, and one that does nothing, are told."""
     hand = hand_in("jamia", "mit")

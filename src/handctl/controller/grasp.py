@@ -67,13 +67,14 @@ class TaskProgram:
     def _tighten(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float
     ) -> tuple[Progress, tuple[Event, ...]]:
-        """Wait until every tendon is taut for a while."""
-        ticks = 0 if loose(model, estimate) else progress.touching[0] + 1
+        """Wait until all tendons were taut for a while; noise in which now and then one looks loose delays it."""
+        slack = loose(model, estimate)
+        ticks = max(0, progress.touching[0] + (-1 if slack else 1))
         progress = replace(progress, touching=(ticks, *progress.touching[1:]))
         if ticks * model.period >= TIGHTEN_S:
             return self._enter(model, replace(progress, touching=(0,) * len(model.digits)), estimate, t)
         if t - progress.since > TIGHTEN_TIMEOUT_S:
-            text = f"not taut after {TIGHTEN_TIMEOUT_S:g} s: {', '.join(loose(model, estimate))}"
+            text = f"not taut after {TIGHTEN_TIMEOUT_S:g} s: {', '.join(slack) or 'now one tendon, now another'}"
             return replace(progress, finished=True, failure=text), (Event("error", "tighten", "", text),)
         return progress, ()
 

@@ -25,7 +25,7 @@ class Progress:
         since: when it began [s].
         goals: per digit.
         contact: per digit, whether it touches.
-        touching: per digit, consecutive ticks that spoke for contact.
+        touching: per digit, consecutive ticks that spoke for contact; before that, what a program counts.
         phase: name of the present step, for people and logs.
         finished: True when nothing more is to come.
         failure: why the program gave up; empty if it did not.
@@ -86,7 +86,7 @@ TARE_PHASE = "tare"
 TIGHTEN_MARGIN_N = 1.5
 """Tension above the floor to which slack is taken up; still below what moves a finger against its springs."""
 TIGHTEN_S = 0.3
-"""The hand is ready when no tendon was loose for this long."""
+"""The hand is ready when no tendon was loose for so much longer than one was."""
 TIGHTEN_TIMEOUT_S = 4.0
 
 
