@@ -128,7 +128,7 @@ def test_a_damaged_file_does_not_block_the_way_back(applied, place, capsys):
 
 
 def test_gains_that_no_controller_follows_from_are_not_applied(place, capsys):
-    (place / "tiny.toml").write_text("schema = 1\n[motion]\nforce_N = 1e-6\n")
+    (place / "tiny.toml").write_text("schema = 1\n[motion]\nforce_N = 1e-9\n")
     for words in (
         ("gains", "apply", "tiny.toml"),
         ("config", "check", "--gains", "tiny.toml"),

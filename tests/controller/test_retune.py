@@ -64,7 +64,7 @@ def test_designs_that_nobody_uses_are_forgotten_and_those_of_the_run_are_not(jam
     assert set(designs.models) <= set(designs.found)
 
 
-@pytest.mark.parametrize("odd", [("motion.force_N", 1e-6), ("tension.tension_error_N", 1e-150)])
+@pytest.mark.parametrize("odd", [("motion.force_N", 1e-9), ("tension.tension_error_N", 1e-150)])
 def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
     holding: Bench, odd: tuple[str, float]
 ) -> None:

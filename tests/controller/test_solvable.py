@@ -15,7 +15,7 @@ from handctl.errors import ConfigError
 from handctl.hand.description import load_hand
 
 ODD = {
-    "motion.force_N": 1e-6,
+    "motion.force_N": 1e-9,
     "motion.position_error_m": 1e-200,
     "motion.speed_error_m_s": 1e-12,
     "tension.tension_error_N": 1e-150,
