@@ -92,6 +92,27 @@ def test_a_mode_or_limit_that_is_lost_on_the_wire_is_not_lost_for_good(odrive: B
     assert node.velocity_limit != before
 
 
+@pytest.mark.parametrize("losses", [1, 2, 3])
+def test_a_setting_that_is_lost_on_the_wire_is_written_again(odrive: Bench, losses: int) -> None:
+    """No answer tells that it arrived, and one lost frame in a thousand is one start in ten of eleven motors."""
+    node, taken, lost = first_odrive(odrive), first_odrive(odrive).receive, []
+
+    def receive(frame: Frame, t_ns: int) -> object:
+        written = frame.can_id == 0x10 << 5 | codec.RX_SDO and frame.data[0] == codec.SDO_WRITE
+        if written and len(lost) < losses:
+            lost.append(frame)
+            return []
+        return taken(frame, t_ns)  # type: ignore[arg-type]
+
+    node.receive = receive  # type: ignore[assignment,method-assign]
+    if losses < 3:
+        odrive.until(Want.POLL, Phase.READY)
+        assert node.endpoints[201] == b"\1"
+    else:
+        assert "enable_watchdog reads 0 after writing, expected 1" in first_in(odrive, Phase.FAULT, Want.POLL, 200)
+    assert len(lost) == losses
+
+
 def test_an_odrive_that_takes_no_orders_is_a_fault(odrive: Bench) -> None:
     odrive.until(Want.POLL, Phase.READY)
     first_odrive(odrive)._set_state = lambda state, t_ns: None  # type: ignore[method-assign]

@@ -13,6 +13,8 @@ from handctl.errors import ConfigError
 
 REQUEST_TIMEOUT_NS = 20_000_000
 REQUEST_TRIES = 10
+WRITES = 3
+"""No drive tells that a write has arrived: one that may have been lost is sent again, so often in all."""
 KEYS = ("endpoint_enable_watchdog", "endpoint_watchdog_timeout", "endpoint_torque_max", "endpoint_torque_min")
 
 
@@ -25,10 +27,10 @@ class Setting(NamedTuple):
 
 
 class Walk(NamedTuple):
-    """How far the settings are known: index, whether this one was written, when and how often it was asked."""
+    """How far the settings are known: index, how often this one was written, when and how often it was asked."""
 
     step: int = 0
-    written: bool = False
+    written: int = 0
     sent_ns: int = -1
     tries: int = 0
 
@@ -85,11 +87,11 @@ def take(walk: Walk, settings: tuple[Setting, ...], data: bytes) -> tuple[Walk, 
         return walk, b"", ""
     if raw[: len(setting.raw)] == setting.raw:
         return Walk(walk.step + 1), b"", ""
-    if walk.written:
+    if walk.written == WRITES:
         wrong = f"{setting.name} reads {shown(raw, setting)} after writing, expected {shown(setting.raw, setting)}"
         return walk, b"", wrong
     write = codec.sdo_request(codec.SDO_WRITE, setting.endpoint, setting.raw)
-    return Walk(walk.step, written=True), write, ""
+    return Walk(walk.step, walk.written + 1), write, ""
 
 
 def ask(walk: Walk, settings: tuple[Setting, ...], t_ns: int) -> tuple[Walk, bytes, str]:
