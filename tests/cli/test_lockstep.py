@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import subprocess
 import sys
 import time
@@ -154,5 +153,5 @@ def test_a_run_in_lockstep_shows_where_it_is(place, capfd):
     (place / "short.toml").write_text(SHORT)
     assert main(["demo", "--lockstep", "--task", "short.toml", "--log", "run.mcap"]) == 0
     told = capfd.readouterr().err
-    assert re.search(r"^ +1\.000 s  ACTIVE +(tighten|bend) +tension", told, re.MULTILINE), "a line of every second"
+    assert "1.000 s  ACTIVE    bend       tension" in told
     assert "pulling thumb_tendon with 3 N" in told, "of the commissioning before it, too"
