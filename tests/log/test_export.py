@@ -1,6 +1,9 @@
 """What is exported is read back with foreign readers: equal values."""
 
+import ast
 import csv
+import inspect
+import re
 from pathlib import Path
 
 import can
@@ -8,8 +11,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from handctl.controller import types
+from handctl.controller.types import TELEMETRY_FIELDS
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
-from handctl.log.export import _candump, columns, export_candump, export_csv
+from handctl.log.export import HEADS, WORDS, _candump, columns, export_candump, export_csv, titled, unit
 from handctl.log.parquet import export_parquet
 from handctl.log.reader import RunLog
 from handctl.safety.action import Action
@@ -43,10 +48,45 @@ def test_csv_reads_back_bit_for_bit(log: RunLog, tmp_path: Path) -> None:
     assert export_csv(log, tmp_path / "x.csv") == len(log)
     with (tmp_path / "x.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
-    numbers = np.array([[float(row[name] or "nan") for name in columns(log)] for row in rows])
+    numbers = np.array([[float(row[titled(name)] or "nan") for name in columns(log)] for row in rows])
     np.testing.assert_array_equal(numbers, table_of(log))
     assert [int(row["k"]) for row in rows] == log.k.tolist()
     assert rows[-1]["mode"] == "DONE"
+
+
+def test_units_are_those_that_the_telemetry_declares() -> None:
+    """The docstring of each field of ``Telemetry`` ends in its unit in brackets, or describes a plain number."""
+    source = ast.parse(inspect.getsource(types))
+    (telemetry,) = (node for node in source.body if isinstance(node, ast.ClassDef) and node.name == "Telemetry")
+    names = [node.target.id for node in telemetry.body if isinstance(node, ast.AnnAssign)]
+    texts = [node.value.value for node in telemetry.body if isinstance(node, ast.Expr)][1:]
+    assert tuple(names) == TELEMETRY_FIELDS
+    for name, text in zip(names, texts, strict=True):
+        declared = re.search(r"\[([^\]]*)\]\.$", text)
+        assert unit(f"{name}/x") == (declared[1].removesuffix(" at the spool") if declared else "1"), name
+
+
+def test_every_column_says_its_unit(log: RunLog, tmp_path: Path) -> None:
+    export_parquet(log, tmp_path / "x.parquet")
+    for field in pq.read_schema(tmp_path / "x.parquet"):
+        assert field.name in WORDS or field.metadata == {b"unit": unit(field.name).encode()}, field.name
+    export_csv(log, tmp_path / "x.csv")
+    with (tmp_path / "x.csv").open(newline="") as file:
+        titles = next(csv.reader(file))
+    assert titles == [*HEADS, *WORDS, *map(titled, columns(log))]
+    assert {"q/index_j1 [rad]", "tension_raw/thumb_tendon [N]", "motor_temperature/index_motor [degC]"} <= {*titles}
+
+
+def test_the_page_has_the_units() -> None:
+    """The table in docs/logs.md names the unit of every quantity."""
+    page = (GOLDEN.parents[1] / "docs" / "logs.md").read_text(encoding="utf-8")
+    listed = {
+        name: row[2]
+        for row in re.findall(r"^\| (`[^|]*) \| ([^|]+) \| ([^|]+) \|", page, re.MULTILINE)
+        for name in re.findall(r"`(\w+)`", row[0])
+    }
+    for name in (*HEADS, *TELEMETRY_FIELDS):
+        assert listed[name] == (unit(name) if name in HEADS else unit(f"{name}/x")), name
 
 
 def test_python_can_reads_the_candump(log: RunLog, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from rerun.chunk import RrdReader
 from rerun.experimental import LeRobotReader
 
 from handctl.controller.types import TELEMETRY_FIELDS, Mode
-from handctl.log.export import columns, export_csv
+from handctl.log.export import columns, export_csv, titled
 from handctl.log.lerobot import export_lerobot
 from handctl.log.parquet import export_parquet
 from handctl.log.reader import RunLog
@@ -50,7 +50,7 @@ def test_polars_reads_the_text(log: RunLog, tmp_path: Path) -> None:
     export_csv(log, tmp_path / "x.csv")
     table = polars.read_csv(tmp_path / "x.csv", infer_schema_length=None)
     assert table["t_ns"].to_list() == log.t_ns.tolist()
-    numbers = table.select([polars.col(name).cast(polars.Float64) for name in columns(log)]).to_numpy()
+    numbers = table.select([polars.col(titled(name)).cast(polars.Float64) for name in columns(log)]).to_numpy()
     np.testing.assert_array_equal(numbers, table_of(log))
 
 
@@ -88,6 +88,31 @@ def test_every_feature_is_declared_as_it_is(dataset: Path) -> None:
     (episode,) = polars.read_parquet(dataset / "meta/episodes/chunk-000/file-000.parquet").to_dicts()
     assert (episode["dataset_from_index"], episode["dataset_to_index"]) == (0, len(table))
     assert polars.read_parquet(dataset / "meta/tasks.parquet")["task"].to_list() == episode["tasks"]
+
+
+def test_the_episode_has_its_statistics(dataset: Path) -> None:
+    """LeRobot makes the statistics of a part, after a split, from those of the part's episodes."""
+    whole = json.loads((dataset / "meta" / "stats.json").read_text())
+    table = polars.read_parquet(dataset / "meta/episodes/chunk-000/file-000.parquet")
+    names = {"min", "max", "mean", "std", "count", "q01", "q10", "q50", "q90", "q99"}
+    features = json.loads((dataset / "meta" / "info.json").read_text())["features"]
+    expected = {f"stats/{feature}/{name}" for feature in features for name in names}
+    assert {column for column in table.columns if column.startswith("stats/")} == expected
+    for column in expected:
+        _, feature, name = column.split("/")
+        (values,) = table[column].to_list()
+        assert values == whole[feature][name], column
+        assert len(values) == (1 if name == "count" else features[feature]["shape"][0])
+        assert table[column].dtype == polars.List(polars.Int64 if name == "count" else polars.Float64)
+
+
+def test_names_of_elements_have_their_unit(dataset: Path) -> None:
+    features = json.loads((dataset / "meta" / "info.json").read_text())["features"]
+    units = {"observation.state": {"pos_rad", "tension_N"}, "observation.tip_force": {"force_N"}}
+    for name, feature in features.items():
+        if feature["names"]:
+            expected = units.get(name, units["observation.state"])
+            assert {inner.partition(".")[2] for inner in feature["names"]} == expected, name
 
 
 def test_rerun_reads_the_dataset(log: RunLog, dataset: Path) -> None:

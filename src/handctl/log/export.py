@@ -1,6 +1,7 @@
 """A log in formats that other tools read: tables for data people, can-utils text for bus people."""
 
 import csv
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -18,6 +19,22 @@ BLOCK = 4096
 
 WORDS = ("mode", "phase", "action")
 """Columns of text."""
+
+HEADS = {"k": "1", "t_ns": "ns", "late_ns": "ns"}
+"""Unit of each column of integers."""
+
+UNITS = {
+    "q": "rad", "dq": "rad/s", "joint_torque": "N m", "joint_encoder": "rad",
+    "excursion": "m", "excursion_rate": "m/s", "tension": "N", "stretch_offset": "m", "innovation": "N", "nis": "1",
+    "external_tension": "N",
+    "motor_position": "rad", "motor_velocity": "rad/s", "motor_torque": "N m", "motor_temperature": "degC",
+    "motor_age": "s", "drive_phase": "1",
+    "tip_force": "N", "contact": "1",
+}  # fmt: skip
+"""Unit of each quantity of the telemetry; 1 is a plain number."""
+
+VARIANT = re.compile("_(goal|raw|sigma)$")
+"""What a field's name adds to a quantity without changing its unit."""
 
 
 class Block(NamedTuple):
@@ -39,8 +56,18 @@ class Block(NamedTuple):
 
 
 def columns(log: RunLog) -> tuple[str, ...]:
-    """Names of the telemetry's columns: ``tension/index_tendon``, ``q/index_j1``, in SI units, see the README."""
+    """Return the names of the telemetry's columns: ``q/index_j1``, ``tension/index_tendon``; units as in ``unit``."""
     return tuple(f"{field}/{name}" for field in TELEMETRY_FIELDS for name in log.header.axis(TELEMETRY_AXES[field]))
+
+
+def unit(column: str) -> str:
+    """Return the unit of a column of numbers: ``rad`` of ``q/index_j1``, ``ns`` of ``t_ns``; 1 is a plain number."""
+    return HEADS.get(column) or UNITS[VARIANT.sub("", column.partition("/")[0])]
+
+
+def titled(column: str) -> str:
+    """Return the title of a column in a text table: ``tension/index_tendon [N]``, or its name if that has the unit."""
+    return column if column in HEADS else f"{column} [{unit(column)}]"
 
 
 def blocks(log: RunLog) -> Iterator[Block]:
@@ -60,7 +87,9 @@ def blocks(log: RunLog) -> Iterator[Block]:
 
 
 def export_csv(log: RunLog, path: Path) -> int:
-    """Write one row a tick; numbers read back bit for bit, NaN is an empty field; the number of rows.
+    """Write one row per tick and return their number. Numbers read back bit for bit; NaN is an empty field.
+
+    The first row has the titles, with units: ``tension/index_tendon [N]``.
 
     Raises:
         OSError: the file is there already or cannot be written.
@@ -68,7 +97,7 @@ def export_csv(log: RunLog, path: Path) -> int:
     count = 0
     with path.open("x", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(("k", "t_ns", "late_ns", *WORDS, *columns(log)))
+        writer.writerow((*HEADS, *WORDS, *map(titled, columns(log))))
         for block in blocks(log):
             fixed = zip(*(part.tolist() for part in block[:3]), *block[3:6], strict=True)
             for head, row in zip(fixed, block.numbers.tolist(), strict=True):

@@ -2,7 +2,10 @@
 
 Layout: codebase version 3.0, no video. ``observation.state`` is joint angles [rad] and estimated tensions [N],
 ``action`` what was commanded of both; where a digit was held by tension alone, its commanded angle is the one it had.
-Source: LeRobot 0.6, ``datasets/utils.py`` and ``dataset_metadata.py``: paths and fields.
+Names of vector elements end in their unit: ``index_j1.pos_rad``, ``index_tendon.tension_N``. Statistics are in two
+places: of the whole dataset in ``meta/stats.json``, of each episode in columns of ``meta/episodes``. LeRobot makes
+those of a part from the latter when it splits or deletes.
+Source: LeRobot 0.4 and 0.6, ``datasets/utils.py`` and ``dataset_metadata.py``: paths and fields.
 """
 
 import json
@@ -26,6 +29,8 @@ EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 QUANTILES = (1, 10, 50, 90, 99)
 
 Array = NDArray[np.float64]
+Statistics = dict[str, dict[str, list[float]]]
+"""Values by the name of the statistic, by feature."""
 
 
 def export_lerobot(log: RunLog, path: Path) -> int:
@@ -42,12 +47,13 @@ def export_lerobot(log: RunLog, path: Path) -> int:
     task = _task(log)
     path.mkdir()
     _write(path / DATA.format(chunk_index=0, file_index=0), _frames(vectors, scalars))
-    _write(path / EPISODES.format(chunk_index=0, file_index=0), _episodes(len(rows), task))
+    values = {name: table for name, (_, table) in vectors.items()} | scalars
+    statistics = {name: _statistics(table) for name, table in values.items()}
+    _write(path / EPISODES.format(chunk_index=0, file_index=0), _episodes(len(rows), task, statistics))
     _write(path / "meta" / "tasks.parquet", _tasks(task))
     named = {name: names for name, (names, _) in vectors.items()}
     _json(path / "meta" / "info.json", _info(log, fps, len(rows), named, scalars))
-    values = {name: table for name, (_, table) in vectors.items()} | scalars
-    _json(path / "meta" / "stats.json", {name: _statistics(table) for name, table in values.items()})
+    _json(path / "meta" / "stats.json", statistics)
     return len(rows)
 
 
@@ -69,11 +75,12 @@ def _vectors(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], 
     q, tension = _known(log, "q", rows), _known(log, "tension", rows)
     goals = log.field("q_goal")[rows]
     pulls = log.field("tension_goal")[rows]
-    names = [f"{joint}.pos" for joint in header.joints] + [f"{tendon}.tension" for tendon in header.tendons]
+    names = [f"{joint}.pos_rad" for joint in header.joints]
+    names += [f"{tendon}.tension_N" for tendon in header.tendons]
     asked = np.hstack([np.where(np.isnan(goals), q, goals), np.where(np.isnan(pulls), tension, pulls)])
     return {
         "observation.state": (names, np.hstack([q, tension])),
-        "observation.tip_force": ([f"{digit}.force" for digit in header.digits], _known(log, "tip_force", rows)),
+        "observation.tip_force": ([f"{digit}.force_N" for digit in header.digits], _known(log, "tip_force", rows)),
         "action": (names, asked),
     }
 
@@ -120,11 +127,14 @@ def _frames(vectors: dict[str, tuple[list[str], Array]], scalars: dict[str, NDAr
     return pa.table(columns | {name: pa.array(values) for name, values in scalars.items()})
 
 
-def _episodes(frames: int, task: str) -> pa.Table:
-    """One row an episode: where its frames are."""
+def _episodes(frames: int, task: str, statistics: Statistics) -> pa.Table:
+    """Describe the episode in one row: where its frames are, and a column ``stats/FEATURE/NAME`` per statistic."""
     places = {f"{kind}/{number}": [0] for kind in ("data", "meta/episodes") for number in ("chunk_index", "file_index")}
     fields = {"episode_index": [0], "tasks": [[task]], "length": [frames]}
-    return pa.table(fields | {"dataset_from_index": [0], "dataset_to_index": [frames]} | places)
+    columns = {
+        f"stats/{feature}/{name}": [values] for feature, found in statistics.items() for name, values in found.items()
+    }
+    return pa.table(fields | {"dataset_from_index": [0], "dataset_to_index": [frames]} | columns | places)
 
 
 def _tasks(task: str) -> pa.Table:

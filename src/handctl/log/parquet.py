@@ -1,11 +1,14 @@
-"""A log as a Parquet table: one row a tick, one column a number, text as dictionaries."""
+"""A log as a Parquet table: one row per tick, one column per number, text as dictionaries.
+
+Each column of numbers has its unit in the metadata of its field, under ``unit``.
+"""
 
 from pathlib import Path
 
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 
-from handctl.log.export import WORDS, blocks, columns
+from handctl.log.export import HEADS, WORDS, blocks, columns, unit
 from handctl.log.reader import RunLog
 
 
@@ -17,8 +20,9 @@ def export_parquet(log: RunLog, path: Path) -> int:
     """
     count, names = 0, columns(log)
     text = pa.dictionary(pa.int32(), pa.string())
-    fields = [pa.field(name, pa.int64()) for name in ("k", "t_ns", "late_ns")]
-    fields += [pa.field(name, text) for name in WORDS] + [pa.field(name, pa.float64()) for name in names]
+    fields = [pa.field(name, pa.int64(), metadata={"unit": unit(name)}) for name in HEADS]
+    fields += [pa.field(name, text) for name in WORDS]
+    fields += [pa.field(name, pa.float64(), metadata={"unit": unit(name)}) for name in names]
     schema = pa.schema(fields, metadata={f"handctl.{key}": value for key, value in log.header.metadata.items()})
     with path.open("xb") as file, pq.ParquetWriter(file, schema, compression="zstd") as writer:
         for block in blocks(log):
