@@ -260,6 +260,35 @@ def test_a_joint_that_stands_while_the_spool_turns():
         assert [name for name, _ in signals.stuck_joint] == told
 
 
+def test_a_spool_that_turns_while_its_tendon_is_slack_says_nothing_of_a_joint():
+    """Slack is wound up; from where the tendon bears on, joint and spool move together."""
+    turn, joints = np.radians(10.1) / 50.0, {"joints": 0.3, "excursion": 0.0, "read": True}
+    state, told = ticks(200, wanting(), tension=0.5, force=0.5, travel=lambda k: [3.0 * turn * (k > 20), 0.0], **joints)
+    assert told.stuck_joint == ()
+    state, told = ticks(200, state, travel=[3.0 * turn, 0.0], **joints)
+    assert told.stuck_joint == (), "that it has become taut moves nothing"
+    _, told = ticks(200, state, travel=[4.1 * turn, 0.0], **joints)
+    assert [name for name, _ in told.stuck_joint] == ["ja"]
+
+
+@pytest.mark.parametrize(("tension", "told"), [(2.1, ["ja"]), (1.9, [])])
+def test_a_tendon_bears_until_it_is_slack(tension, told):
+    joints = {"joints": 0.3, "excursion": 0.0, "read": True}
+    state, _ = ticks(200, wanting(), tension=2.6, force=2.6, **joints)
+    state, _ = ticks(200, state, tension=tension, force=tension, **joints)
+    _, signals = ticks(60, state, tension=tension, force=tension, travel=[np.radians(12.0) / 50.0, 0.0], **joints)
+    assert [name for name, _ in signals.stuck_joint] == told
+
+
+def test_each_joint_has_its_own_tendons_as_witnesses():
+    """Joint b does not care that tendon a is slack."""
+    joints = {"joints": 0.3, "excursion": 0.0, "read": True}
+    state, _ = ticks(200, wanting(), tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
+    travel = [np.radians(12.0) / 50.0, np.radians(12.0) / 100.0]
+    _, signals = ticks(60, state, tension=[0.5, 20.0], force=[0.5, 20.0], travel=travel, **joints)
+    assert [name for name, _ in signals.stuck_joint] == ["jb"]
+
+
 @pytest.mark.parametrize(("number", "force", "tension", "told"), [
     (400, 25.2, 20.0, True), (400, 14.8, 20.0, True), (400, 24.8, 20.0, False), (38, 60.0, 20.0, False),
     (39, 60.0, 20.0, False), (40, 60.0, 20.0, True), (400, 26.0, 2.5, False), (400, 26.0, 2.6, True),

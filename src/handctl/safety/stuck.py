@@ -50,6 +50,18 @@ def leapt(state: Stuck, which: NDArray[np.bool_], way: Vector) -> Stuck:
     return state._replace(anchor=anchor)
 
 
+def unwitnessed(state: Stuck, which: NDArray[np.bool_]) -> Stuck:
+    """Forget where the first witness of some readings was: it begins anew when it has something to say again.
+
+    Args:
+        state: so far.
+        which: (n,) readings.
+    """
+    anchor = state.anchor.copy()
+    np.putmask(anchor[0], which, np.nan)
+    return state._replace(anchor=anchor)
+
+
 def away(state: Stuck, witnesses: Vector) -> Vector:
     """How far each witness has moved since the reading stands, (c, n); 0 where it says nothing."""
     return np.asarray(np.fmax(np.abs(witnesses - state.anchor), 0.0))

@@ -22,6 +22,8 @@ CELL_TICKS, CELL_FORCE_N = 40, 5.0
 """A load cell may repeat one count so often while the motor's force moves by so much; its noise is eight counts."""
 SLIP_SETTLE_S = 0.1
 """Time after a rope has become taut before joint and spool are compared with how they stood then."""
+NO_SHARE = 1e-9
+"""A tendon that moves a joint by a smaller share than this of the largest does not move it: rounding of the inverse."""
 DERAILED_READINGS = 3
 """In so many readings in a row a rope that left its pulley shows."""
 DEG = 180.0 / np.pi
@@ -42,6 +44,7 @@ class Watcher:
         suspicion: (8, N) see ``residuals.suspicion``.
         patience: (2 N + J,) readings of each that may be the same before anybody asks why.
         stir: (2, 2 N + J) how far its witnesses may move meanwhile; what rests is asked in vain in every tick else.
+        moves: (J, N) tendons from whose excursions each joint angle follows.
         start: what is remembered at first.
     """
 
@@ -57,6 +60,7 @@ class Watcher:
     suspicion: Vector = field(init=False)
     patience: NDArray[np.int64] = field(init=False)
     stir: Vector = field(init=False)
+    moves: NDArray[np.bool_] = field(init=False)
     start: "WatchState" = field(init=False)
 
     def __post_init__(self) -> None:
@@ -70,6 +74,8 @@ class Watcher:
         object.__setattr__(self, "patience", patience)
         first = np.repeat([STUCK_GOAL_MM * 1e-3, CELL_FORCE_N, STUCK_JOINT_DEG / DEG], [n, n, j])
         object.__setattr__(self, "stir", np.array([first, np.repeat([STUCK_TENSION_N, never, never], [n, n, j])]))
+        size = np.abs(self.spool_to_joints)
+        object.__setattr__(self, "moves", size > NO_SHARE * size.max(initial=0.0))
         object.__setattr__(self, "start", WatchState.initial(n, j))
 
     @property
@@ -90,6 +96,7 @@ class WatchState(NamedTuple):
         filtered: residuals.
         stuck: readings that stand, of motors, load cells and joints, (2 N + J,).
         taut: (N,) time for which the rope has been taut [s].
+        bears: (N,) tendons that are taut by their filtered tension, so that spool and joints move together.
         slip_from: (N,) joint against spool when it became so [m].
         derailed: (N,) readings in a row in which the two are further apart than any stretch.
         asked, wanted, goal: (N,) motor force [N], tension [N] and excursion [m] that the last tick commanded.
@@ -103,6 +110,7 @@ class WatchState(NamedTuple):
     filtered: residuals.Filtered
     stuck: stuck.Stuck
     taut: tuple[float, ...]
+    bears: NDArray[np.bool_]
     slip_from: Vector
     derailed: Vector
     asked: Vector
@@ -121,6 +129,7 @@ class WatchState(NamedTuple):
             filtered=residuals.Filtered.initial(n),
             stuck=stuck.Stuck.initial(2 * n + j, 2),
             taut=(0.0,) * n,
+            bears=np.zeros(n, dtype=np.bool_),
             slip_from=nothing(n),
             derailed=zeros(n),
             asked=nothing(n),
@@ -214,11 +223,17 @@ def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tu
     first = state.filtered is watcher.start.filtered
     filtered = residuals.step(watcher.rotor, residuals.begun(state.filtered, rope) if first else state.filtered, rope)
     tense = ropes.step(state.ropes, filtered.low[residuals.TENSION].tolist(), state.wanted.tolist())
+    bears, idle = _bearing(watcher, state, filtered)
     witnesses = _witnesses(watcher, state, filtered, seen)
     value = np.concatenate((seen.travel, seen.tension, seen.joints))
-    stands = stuck.step(state.stuck, value, witnesses)
+    before = state.stuck
+    if idle is not None:
+        np.putmask(witnesses[0], idle, np.nan)
+        before = stuck.unwitnessed(before, idle)
+    stands = stuck.step(before, value, witnesses)
     derailed = (state.derailed + 1.0) * (np.abs(slip) > DERAILED_DEG) if seen.read else state.derailed
-    state = state._replace(filtered=filtered, stuck=stands, taut=taut, slip_from=begin, derailed=derailed, ropes=tense)
+    state = state._replace(filtered=filtered, stuck=stands, taut=taut, bears=bears)
+    state = state._replace(slip_from=begin, derailed=derailed, ropes=tense)
     told = _rope_signals(watcher, state, cell, seen)
     if np.count_nonzero(np.abs(filtered.low) > watcher.suspicion):
         told |= _residual_signals(watcher, filtered)
@@ -268,6 +283,25 @@ def _slip(
     if min(taut) <= SLIP_SETTLE_S:
         begin = chosen(np.array(taut) <= SLIP_SETTLE_S, slip, begin)
     return taut, begin, (apart - begin) / watcher.arms * DEG if seen.read else slip
+
+
+def _bearing(
+    watcher: Watcher, state: WatchState, filtered: residuals.Filtered
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_] | None]:
+    """Find tendons that bear, and readings for which the spools are no witness.
+
+    While a tendon is slack its spool turns without the joints. A joint encoder at rest is then healthy.
+
+    Returns:
+        (N,) tendons that bear tension, with hysteresis; (2 N + J,) joints of a slack tendon, None where none is slack.
+    """
+    quick = filtered.low[residuals.TENSION]
+    bears = (quick > ropes.TAUT_N) | (state.bears & (quick > ropes.SLACK_N))
+    if np.count_nonzero(bears) == len(bears):
+        return bears, None
+    idle = np.zeros(2 * len(bears) + len(watcher.joints), dtype=np.bool_)
+    idle[2 * len(bears) :] = np.asarray(watcher.moves[:, ~bears]).any(axis=1)
+    return bears, idle
 
 
 def _witnesses(watcher: Watcher, state: WatchState, filtered: residuals.Filtered, seen: Seen) -> Vector:
