@@ -130,14 +130,18 @@ def test_a_second_run_goes_on_in_the_peers_time_with_its_own_zero() -> None:
         clock.wait(k)
         bus.send([Frame(k, b"")])
     clock.restart()
-    assert clock.offset_ns == 2 * PERIOD
+    assert clock.offset_ns == 3 * PERIOD
+    assert [f.can_id for f in peer.steps[-1][1]] == [2], "what the last tick sent arrives: drives are disarmed by it"
     for k in range(3):
         clock.wait(k)
         frames = bus.drain()
         assert [(f.can_id, f.t_ns) for f in frames] == ([(0x17, (k - 1) * PERIOD + 300)] if k else [])
         bus.send([Frame(7, b"")])
-    assert [t for t, _ in peer.steps] == [0, PERIOD, 2 * PERIOD, 3 * PERIOD], "no time lost, none twice"
-    assert [[f.can_id for f in frames] for _, frames in peer.steps[2:]] == [[7], [7]], "nothing is left from before"
+    assert [t for t, _ in peer.steps] == [k * PERIOD for k in range(5)], "no time lost, none twice"
+    assert [[f.can_id for f in frames] for _, frames in peer.steps[3:]] == [[7], [7]], "nothing is left from before"
+    clock = LockstepClock(peer, PERIOD)
+    clock.restart()
+    assert (clock.offset_ns, len(peer.steps)) == (0, 5), "before the first run there is nothing to finish"
 
 
 def test_peers_are_loaded_by_name() -> None:

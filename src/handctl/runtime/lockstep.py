@@ -60,9 +60,16 @@ class LockstepClock:
         self.offset_ns = 0
 
     def restart(self) -> None:
-        """Begin another run where the peer's time stands now."""
+        """Begin another run, one tick after the last frames of the run before were sent.
+
+        The peer receives these frames, because drives are disarmed by them. Its answers are discarded: they arrive
+        between two runs, when no bus is open.
+        """
+        if self.outgoing:
+            self.wait(self.k + 1)
         self.offset_ns += self.k * self.period_ns
-        self.k, self.incoming, self.outgoing = 0, [], []
+        self.k = 0
+        self.incoming = []
 
     def begin(self) -> None:
         """Nothing to begin: the peer's time stands still."""

@@ -1,0 +1,47 @@
+"""Two runs on one lockstep clock, with drives of each protocol: the second finds them as the first has left them."""
+
+from pathlib import Path
+
+import pytest
+
+from handctl.cli.plan import Plan, fastest
+from handctl.cli.session import make_controller, run_lockstep
+from handctl.controller.bus_load import bus_loads
+from handctl.controller.gains import Gains
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.task import load_task
+from handctl.drives.registry import PROTOCOLS
+from handctl.hand.description import load_hand
+from handctl.runtime.lockstep import LockstepClock, load_peer
+from tests.drives.protocol_bench import GUARDED, hand_file
+from tests.runtime.processes import GO, MOVE
+
+RUNS = 2
+
+
+CASES = [
+    ("cia402", None),  # the only one that tells its drives something after they are off
+    *(pytest.param(name, None, marks=pytest.mark.nightly) for name in sorted(PROTOCOLS) if name != "cia402"),
+    *(pytest.param(name, [], marks=pytest.mark.nightly) for name in GUARDED),
+]
+
+
+@pytest.mark.parametrize(("protocol", "wire"), CASES)
+def test_a_run_after_another_one_finds_drives_that_were_disarmed(
+    protocol: str, wire: list[str] | None, tmp_path: Path
+) -> None:
+    path, task = hand_file(tmp_path, [protocol]), tmp_path / "short.toml"
+    task.write_text(GO + MOVE.format(name="bend", angle=10.0, duration=0.1))
+    hand = load_hand(path)
+    rate = fastest(bus_loads(hand))
+    plan = Plan(hand, Gains(), rate, (0.5,), quiet=True)
+    peer = load_peer("firmware_sim.rig:Rig", hand_path=str(path), period_ns=plan.period_ns, homed=True, wire=wire)
+    clock = LockstepClock(peer, plan.period_ns)
+    failures = []
+    try:
+        for number in range(RUNS):
+            controller = make_controller(plan, TaskProgram(load_task(task)), None, True)
+            failures.append(run_lockstep(plan, controller, tmp_path / f"{number}.mcap", clock).state.failure)
+    finally:
+        peer.close()
+    assert failures == [""] * RUNS
