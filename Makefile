@@ -72,7 +72,7 @@ mutation: $(EXTRA) ## mutants of safety, decoders, checks and filter; survivors 
 	$(BIN)/mutmut run --max-children $(WORKERS) > build/mutation.txt 2>&1 || { tail -n 20 build/mutation.txt; exit 1; }
 	$(BIN)/python -m fuzz.survivors
 
-# The whole of it is `make soak HOURS=24`.
+# The whole of it would be `make soak HOURS=24`, which nobody has run yet (docs/evidence/soak.md).
 HOURS ?= 0.05
 soak: env ## simulator and controller in real time for HOURS=, a random fault a minute; memory and descriptors judged
 	$(BIN)/python -m fuzz.soak --hours $(HOURS)

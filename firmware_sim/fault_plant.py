@@ -29,7 +29,7 @@ ERRORS = {
 def begin(world: Any, one: Active) -> Undo:
     """Let a fault begin; what ends it."""
     kind = one.fault.kind
-    if kind in ("stuck", "offset", "drift", "noise", "saturate"):
+    if kind in ("stuck", "offset", "drift", "noise", "saturate", "scale", "old"):
         return _misread(world, one)
     return _BEGIN[kind](world, one) if kind in _BEGIN else lambda: None
 
@@ -56,12 +56,16 @@ def _reading(one: Active, now: Callable[[], int]) -> Callable[[float], float]:
     def wrong(value: float) -> float:
         if not held:
             held.append(value)
+        if fault.kind == "old":
+            return _older(one, held, value, now())
         if fault.kind == "stuck":
             other = held[0]
         elif fault.kind == "offset":
             other = value + fault.size
         elif fault.kind == "drift":
             other = value + fault.size * (now() - begun) * 1e-9
+        elif fault.kind == "scale":
+            other = held[0] + fault.size * (value - held[0])
         elif fault.kind == "noise":
             other = value + chance.gauss(0.0, fault.size)
         else:
@@ -71,6 +75,16 @@ def _reading(one: Active, now: Callable[[], int]) -> Callable[[float], float]:
         return other
 
     return wrong
+
+
+def _older(one: Active, past: list[float], value: float, now_ns: int) -> float:
+    """Return the reading of ``size`` samples ago; until there are so many, the reading itself."""
+    past.append(value)
+    if len(past) <= int(one.fault.size) + 1:  # the first is there twice
+        return value
+    one.feel(now_ns)
+    del past[0]
+    return past[0]
 
 
 def _mute(world: Any, one: Active) -> Undo:
@@ -146,6 +160,29 @@ def _reset(world: Any, one: Active) -> Undo:
     return lambda: None
 
 
+def _forget(world: Any, one: Active) -> Undo:
+    """Lose all settings that were not saved, with the power stage on: a brown-out of the drive's processor only."""
+    one.feel(world.t_ns)
+    match node := world.node_of(one.fault.instance):
+        case MitNode():
+            node.forget(one.fault.size)
+        case OdriveNode() | Cia402Node():
+            node.forget()
+    return lambda: None
+
+
+def _ripple(world: Any, one: Active) -> Undo:
+    """Cogging: what the motor makes besides the torque of its current."""
+    motor, fault = world.plant.motors[one.fault.instance], one.fault
+
+    def law(command: float) -> float:
+        one.feel(int(world.t_ns))
+        return command + fault.size * math.sin(2.0 * math.pi * fault.hz * world.plant.t_ns * 1e-9)
+
+    motor.disobeys = law
+    return lambda: setattr(motor, "disobeys", None)
+
+
 def _hot(world: Any, one: Active) -> Undo:
     thermal = world.node_of(one.fault.instance).thermal
     one.feel(world.t_ns)
@@ -175,5 +212,5 @@ def _servo(world: Any, one: Active) -> Undo:
 _BEGIN: dict[str, Callable[[Any, Active], Undo]] = {
     "snap": _snap, "slack": _slack, "friction": _friction, "block": _block, "error": _trip, "watchdog": _trip,
     "voltage": _trip, "reset": _reset, "hot": _hot, "disobey": _servo, "runaway": _servo, "hold_on": _servo,
-    "off": _servo, "mute": _mute,
+    "off": _servo, "mute": _mute, "forget": _forget, "ripple": _ripple,
 }  # fmt: skip

@@ -41,6 +41,8 @@ KINDS = {
     "disobey": Kind((NODE,), 0, "a node makes size times the torque that it is asked for"),
     "runaway": Kind((NODE,), 1, "a node makes size times its largest torque, whatever it is asked for"),
     "hold_on": Kind((NODE,), 0, "a node says that it is disabled, and keeps its torque"),
+    "forget": Kind((NODE,), 0, "a node loses its registers, once, and stays enabled (size > 0: TMAX is size [N m])"),
+    "ripple": Kind((NODE,), 0.1, "a motor's torque has a ripple of amplitude size [N m] at hz"),
     "flood": Kind((BUS,), 100, "size frames of identifier 0x000 every millisecond"),
     "unknown": Kind((BUS,), 1, "size frames of an unknown identifier every millisecond"),
     "foreign": Kind((NODE,), 0, "somebody else sends a node commands, every 10 ms"),
@@ -48,6 +50,9 @@ KINDS = {
     "stuck": Kind((ENCODER, JOINT, CELL), 0, "a reading stays where it is"),
     "offset": Kind((ENCODER, JOINT, CELL), 1, "a reading jumps by size [rad, N]"),
     "drift": Kind((ENCODER, JOINT, CELL), 1, "a reading drifts by size a second [rad/s, N/s]"),
+    "scale": Kind((ENCODER,), 1.5, "a reading moves size times as far as what it measures"),
+    "old": Kind((CELL,), 16, "a reading is as it was size samples ago, under a fresh counter"),
+    "replay": Kind((NODE,), 16, "a node sends the frames of size answers ago"),
     "noise": Kind((ENCODER, JOINT, CELL), 1, "a reading has noise of standard deviation size [rad, N]"),
     "saturate": Kind((CELL,), 1, "a load cell is at its upper rail (size > 0) or its lower one"),
     "snap": Kind((TENDON,), 0, "a rope tears"),
@@ -58,13 +63,15 @@ KINDS = {
 """Everything that can be injected."""
 SIZES = {
     "delay": (0.0, 1e5), "corrupt": (1.0, 512.0), "shorten": (1.0, 64.0), "slow": (2.0, 1e6),
-    "error": (0.0, 2.0**32 - 1), "hot": (-40.0, 1000.0), "disobey": (-10.0, 10.0), "runaway": (-1.0, 1.0),
+    "error": (0.0, 2.0**32 - 1), "hot": (-40.0, 1000.0), "disobey": (-10.0, 10.0), "runaway": (-4.0, 4.0),
+    "forget": (0.0, 50.0), "ripple": (0.0, 50.0), "scale": (-10.0, 10.0), "old": (1.0, 1000.0), "replay": (1.0, 1000.0),
     "flood": (1.0, 1000.0), "unknown": (1.0, 1000.0), "noise": (0.0, 1e6), "slack": (0.0, 1000.0),
     "friction": (0.0, 1e4),
 }  # fmt: skip
 """Sizes that mean something; of the others a million either way."""
 ANY_SIZE = (-1e6, 1e6)
-OF_DRIVES = ("reset", "error", "watchdog", "voltage", "hot", "disobey", "runaway", "hold_on", "foreign")
+OF_DRIVES = ("reset", "error", "watchdog", "voltage", "hot", "disobey", "runaway", "hold_on", "foreign", "forget",
+             "ripple")  # fmt: skip
 """Kinds that the sensor node cannot have: it has no power stage, and the host sends it nothing but SYNC."""
 
 
@@ -75,7 +82,7 @@ class Fault:
     Attributes:
         kind: of ``KINDS``. component: what it is put on. instance: its name.
         start_ns, duration_ns: when it begins and how long it lasts [ns].
-        size: see its kind. p: probability for each frame. seed: of its chance.
+        size: see its kind. p: probability for each frame. seed: of its chance. hz: frequency of a ripple [Hz].
         text: as it was written.
     """
 
@@ -87,6 +94,7 @@ class Fault:
     size: float
     p: float
     seed: int
+    hz: float
     text: str
 
 
@@ -94,7 +102,7 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
     """Read a fault.
 
     Args:
-        text: ``KIND COMPONENT=INSTANCE [size=X] [p=X] [at=TIME] [for=TIME] [seed=N]``.
+        text: ``KIND COMPONENT=INSTANCE [size=X] [p=X] [hz=X] [at=TIME] [for=TIME] [seed=N]``.
         hand: whose it is.
         now_ns: what ``at`` counts from [ns].
 
@@ -121,10 +129,11 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
         start_ns=now_ns + _time(text, "at", given.pop("at", "0s")),
         duration_ns=_time(text, "for", given.pop("for")) if "for" in given else FOREVER_NS,
         seed=int(_number(text, "seed", given.pop("seed", "0"), 0, 1e9)),
+        hz=_number(text, "hz", given.pop("hz", "25"), 0.0, 1e4),
         text=text,
     )
     if given:
-        raise SimulatorError(f"fault {text!r}: unknown key {next(iter(given))!r}; expected size, p, at, for or seed")
+        raise SimulatorError(f"fault {text!r}: unknown {next(iter(given))!r}; expected size, p, hz, at, for or seed")
     return fault
 
 

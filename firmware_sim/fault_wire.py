@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from firmware_sim.fault_text import Fault
 from firmware_sim.frame import EXTENDED, Frame
 
+NEVER_NS = 1 << 62
+"""Time at which what is held for another reason comes [ns]."""
+
 
 @dataclass
 class Active:
@@ -110,7 +113,7 @@ def _reorder(one: Active, frames: list[Frame], t_ns: int) -> list[Frame]:
     late = [frame for _, frame in one.held]
     one.held = []
     if not late and one.strikes():
-        one.held = [(1 << 62, frame) for frame in frames[:1]]
+        one.held = [(NEVER_NS, frame) for frame in frames[:1]]
         one.feel(t_ns)
         return frames[1:]
     return frames + late
@@ -163,8 +166,21 @@ def _off(one: Active, frames: list[Frame], t_ns: int) -> list[Frame]:
     return []
 
 
+def _replay(one: Active, frames: list[Frame], t_ns: int) -> list[Frame]:
+    """Send what was sent ``size`` answers ago; until there are so many, the frames themselves."""
+    one.calls += 1
+    one.held += [(NEVER_NS + one.calls, frame) for frame in frames]
+    then = one.calls - int(one.fault.size)
+    if then <= 0:
+        return frames
+    one.feel(t_ns)
+    old = [frame for number, frame in one.held if number == NEVER_NS + then]
+    one.held = [(number, frame) for number, frame in one.held if number > NEVER_NS + then]
+    return [frame._replace(t_ns=t_ns) for frame in old]
+
+
 CHANGES = {
     "drop": _drop, "delay": _delay, "duplicate": _duplicate, "twin": _twin, "reorder": _reorder, "corrupt": _corrupt,
-    "shorten": _shorten, "extend": _extend, "slow": _slow, "off": _off,
+    "shorten": _shorten, "extend": _extend, "slow": _slow, "off": _off, "replay": _replay,
 }  # fmt: skip
 """What each kind does to what a node sends."""

@@ -1,7 +1,8 @@
 """Is the force at the fingertip what the controller says it is, and what it was asked for?
 
 A wall that only the last links can meet, and a hold by ``tip_force_N``, which the controller makes through the Jacobian
-(`jamia11`, whose joint angles are known) or through its one-tendon likeness (`jamia`).
+(`jamia11`, whose joint angles are known) or through its one-tendon likeness (`jamia`). Task files must not ask the
+latter for a tip force: this shows why.
 """
 
 import random

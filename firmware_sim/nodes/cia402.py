@@ -110,6 +110,14 @@ class Cia402Node:
         self._emergency(code)
         self._apply()
 
+    def forget(self) -> None:
+        """Lose the torque limit and the supervision of the master, and go on as before."""
+        fresh = Dictionary(self._id)
+        for key in ((0x6072, 0), (0x6007, 0), (0x1016, 1)):
+            self.objects[key] = fresh[key]
+        self.fed_ns = -1
+        self._apply()
+
     def _emergency(self, code: int) -> None:
         if self.nmt != STOPPED:
             data = code.to_bytes(2, "little") + bytes((self.objects[0x1001, 0],)) + bytes(5)

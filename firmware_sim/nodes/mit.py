@@ -185,6 +185,13 @@ class MitNode:
         self.state = State.DISABLED
         self._renew()
 
+    def forget(self, torque_max: float) -> None:
+        """Fall back to what was saved, and go on as before; ``torque_max``: TMAX from now on [N m], 0: as saved."""
+        self.registers.power_cycle()
+        if torque_max:
+            self.registers.show(reg.TMAX, torque_max)
+        self._renew()
+
     def wake(self, t_ns: int) -> None:
         """Judge the watchdog and the temperatures."""
         if t_ns - self._warmed_ns >= WARM_PERIOD_NS or self._warmed_ns < 0:

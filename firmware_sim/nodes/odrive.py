@@ -225,6 +225,11 @@ class OdriveNode:
         self.velocity_limit, self.current_limit = 50.0, 20.0
         self.endpoints = dict(self._saved)
 
+    def forget(self) -> None:
+        """Fall back to what was saved, and go on as before."""
+        self.velocity_limit, self.current_limit = 50.0, 20.0
+        self.endpoints = dict(self._saved)
+
     def _release(self, result: int) -> None:
         self.motor.servo.release()
         self.state, self.result, self._setpoint = IDLE, result, 0.0

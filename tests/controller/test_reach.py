@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from handctl.cli.main import main
-from handctl.controller.reach import check_reach
+from handctl.controller.reach import check_reach, check_tip_force
 from handctl.controller.task import Task
 from handctl.errors import ConfigError
-from handctl.hand.description import load_hand
+from handctl.hand.description import load_hand, packaged_hands
 from handctl.hand.digit import DigitModel
 
 JAMIA, ELEVEN = load_hand("jamia"), load_hand("jamia11")
@@ -60,3 +60,38 @@ def test_a_run_is_refused_before_its_bus_is_opened(tmp_path: Path, capsys: pytes
     path.write_text('schema = 1\nname = "far"\n[[phase]]\nkind = "move"\nangle_deg = 120.0\n')
     assert main(["run", "--bus", "local:nobody", "--task", str(path)]) == 2
     assert capsys.readouterr().err.endswith("phase[0].angle_deg: 120 deg for index; expected 0 to 100 deg\n")
+
+
+def hold(force: object) -> Task:
+    phase = {"kind": "hold", "tip_force_N": force}
+    return Task.model_validate_json(json.dumps({"schema": 1, "name": "t", "phase": [phase]}))
+
+
+@pytest.mark.parametrize("name", packaged_hands())
+def test_only_a_digit_with_a_tendon_for_each_joint_takes_a_tip_force(name):
+    hand = load_hand(name)
+    for digit in hand.digit_names:
+        tendons, joints = hand.digit_tendons[digit], hand.digit_joints[digit]
+        if tendons.stop - tendons.start < joints.stop - joints.start:
+            said = rf"t\.toml: phase\[0\]\.tip_force_N: {digit} has 1 tendon for .*expected tension_N for {digit}"
+            with pytest.raises(ConfigError, match=said):
+                check_tip_force(hold({digit: 4.0}), hand, "t.toml")
+        else:
+            check_tip_force(hold({digit: 4.0}), hand, "t.toml")
+
+
+def test_a_tip_force_for_all_digits_names_the_first_that_cannot_make_it():
+    check_tip_force(hold(4.0), ELEVEN, "t.toml")
+    with pytest.raises(ConfigError, match="index has 1 tendon for 3 joints"):
+        check_tip_force(hold(4.0), JAMIA, "t.toml")
+
+
+def test_a_tip_force_is_refused_before_the_bus_is_opened(tmp_path, capsys):
+    """The bus does not exist: a run that opened it would fail for another reason."""
+    path = tmp_path / "tip.toml"
+    path.write_text('schema = 1\nname = "t"\n[[phase]]\nkind = "close"\n[[phase]]\nkind = "hold"\ntip_force_N = 4.0\n')
+    for words in (["config", "check", "--task", str(path)], ["run", "--bus", "local:nobody", "--task", str(path)]):
+        assert main([*words, "--hand", "jamia"]) == 2
+        told = capsys.readouterr().err.splitlines()
+        assert len(told) == 1
+        assert "phase[1].tip_force_N: index has 1 tendon for 3 joints" in told[0]

@@ -33,7 +33,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     },
     CIA402: {"rated_torque_N_m": 0.4, "counts_per_turn": 65536},
 }  # fmt: skip
-TASK = {
+TASK: dict[str, Any] = {
     "schema": 1,
     "name": "campaign",
     "phase": [
@@ -63,13 +63,19 @@ def hand_in(name: str, protocol: str) -> Hand:
 
 
 @contextmanager
-def started(hand: Hand, rate_hz: float, seed: int, perturb: dict[str, float] | None = None) -> Iterator[Course]:
-    """A run that begins, in a scene with a cylinder, with a hand that is homed."""
+def started(
+    hand: Hand,
+    rate_hz: float,
+    seed: int,
+    perturb: dict[str, float] | None = None,
+    task: dict[str, Any] = TASK,
+) -> Iterator[Course]:
+    """A run that begins, in a scene with a cylinder, with a hand that is homed; ``task``: its first phase is a move."""
     angles = dict.fromkeys(hand.digit_names, 25.0)
-    phases = [dict(phase) for phase in cast(list[dict[str, Any]], TASK["phase"])]
+    phases = [dict(phase) for phase in cast(list[dict[str, Any]], task["phase"])]
     phases[0]["angle_deg"] = angles
-    task = Task.model_validate_json(json.dumps({**TASK, "phase": phases}))
-    controller = make_controller(hand, Gains(), rate_hz, TaskProgram(task), None, arm_at_once=True)
+    program = TaskProgram(Task.model_validate_json(json.dumps({**task, "phase": phases})))
+    controller = make_controller(hand, Gains(), rate_hz, program, None, arm_at_once=True)
     period_ns = round(1e9 / rate_hz)
     with tempfile.TemporaryDirectory(prefix="handctl-campaign-") as folder:
         path = Path(folder) / f"{re.sub('[^a-z0-9_]', '_', hand.name)}.toml"

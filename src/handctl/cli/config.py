@@ -13,6 +13,7 @@ from handctl.controller.identified import UNITS
 from handctl.controller.setup import caveats, make_drives
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand, hand_path, load_hand, packaged_hands
+from handctl.hand.strength import strength_warnings
 
 EXAMPLE = "handctl config show --hand jamia"
 
@@ -54,6 +55,7 @@ def run(args: argparse.Namespace) -> int:
                 "rate_hz": rate,
                 "bus_load": load,
                 "caveats": list(caveats(make_drives(hand))),
+                "warnings": list(strength_warnings(hand)),
                 "hand": hand.content,
                 "gains": layers.gains.model_dump(by_alias=True),
                 "gains_file": str(layers.file) if layers.file else "packaged",
@@ -69,6 +71,8 @@ def run(args: argparse.Namespace) -> int:
         print("\n".join(f"# {line}" for line in _calibration_lines(calibration)))
     for text in caveats(make_drives(hand)):
         print(f"# caution: {text}")
+    for text in strength_warnings(hand):
+        print(f"# warning: {text}")
     told = ", ".join(f"bus {name} {100 * share:.0f} %" for name, share in load.items())
     print(f"# default rate {rate:g} Hz: {told}; gains: {layers.file or 'packaged'}; all files are good")
     return 0

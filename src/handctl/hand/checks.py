@@ -102,6 +102,10 @@ def _check_digit(digit: Digit) -> None:
         if digit.joint_min_deg[i] >= digit.joint_max_deg[i]:
             right = f"more than joint_min_deg[{i}] = {digit.joint_min_deg[i]:g}"
             raise Refused(f"{digit.joint_max_deg[i]:g}", f"{where}.joint_max_deg[{i}]", right)
+    rated = digit.joint_rated_torque_N_m
+    if rated is not None and len(rated) != links:
+        right = f"{links}, one per link_length_m"
+        raise Refused(f"{len(rated)} values", f"{where}.joint_rated_torque_N_m", right)
     if digit.coupling is not None:
         _check_coupling(digit.coupling, f"{where}.coupling", links)
 

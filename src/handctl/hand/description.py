@@ -27,6 +27,10 @@ HANDS = Path(__file__).parent / "hands"
 """Where the packaged hand files are."""
 
 
+RATING = "joint_rated_torque_N_m"
+"""Key of a digit that its content has only where the file gives it."""
+
+
 class Hand(Section):
     """A hand as its file says it; lists are in file order, tendons digit by digit."""
 
@@ -102,7 +106,11 @@ class Hand(Section):
     @cached_property
     def content(self) -> dict[str, Any]:
         """Resolved content as plain values, defaults included, keys as in the file."""
-        return self.model_dump(by_alias=True, mode="python")
+        content = self.model_dump(by_alias=True, mode="python")
+        for digit in content["digit"]:
+            if digit[RATING] is None:  # a key that came later: hands without it keep their identity
+                del digit[RATING]
+        return content
 
     def to_toml(self) -> str:
         """Resolved content as TOML text, for the log; ``load_hand`` reads the same hand back from it."""

@@ -86,6 +86,8 @@ class Digit(Section):
     """Spring torque is k (q + preload), against flexion."""
     coupling: tuple[tuple[qty.Coupling, ...], ...] | None = None
     """B of q = B theta, a row per joint, for a digit with fewer tendons than joints; absent: every joint for itself."""
+    joint_rated_torque_N_m: tuple[qty.PositiveTorque, ...] | None = None
+    """Torque that each joint, its pin and its links bear; absent: not known."""
 
     @property
     def joints(self) -> tuple[str, ...]:

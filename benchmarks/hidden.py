@@ -1,0 +1,154 @@
+"""Faults that safety may not find: who finds them, how soon, and how high the true tension goes.
+
+Each fault strikes the first finger of a hand in lockstep, in free motion, in a hold at 24 N, while tension rises, or in
+a hold at 90 N. After 2 s without a reaction the run is stopped as an operator would. Truth is the plant's.
+
+    python benchmarks/hidden.py --hand jamia --protocol mit --seeds 20
+"""
+
+import argparse
+import copy
+import json
+import os
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+from handctl.campaign.course import Course
+from handctl.campaign.stage import TASK, hand_in, started
+from handctl.cli.plan import fastest
+from handctl.controller.bus_load import bus_loads
+from handctl.controller.types import Mode
+from handctl.safety.action import Action
+
+WATCHED_S, STOPPED_S = 2.0, 1.5
+"""Time from the fault until the operator stops the run, and from there to the end [s]."""
+STOP = '{"do": "stop"}'
+HOLD_N, FAST_N_S = 90.0, 60.0
+FREE, LOW, RISING, HIGH = "free", "hold 24", "rising", "hold 90"
+STAGES = (FREE, LOW, RISING, HIGH)
+GRASPED = (LOW, HIGH)
+FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    ("registers lost, as saved", "forget node={motor}", STAGES),
+    ("registers lost, TMAX 10 N m", "forget node={motor} size=10", STAGES),
+    ("encoder slips by 0.5 rad/s", "drift encoder={motor} size=0.5", STAGES),
+    ("encoder slips by -0.5 rad/s", "drift encoder={motor} size=-0.5", STAGES),
+    ("encoder slips by 2 rad/s", "drift encoder={motor} size=2", STAGES),
+    ("encoder slips by -2 rad/s", "drift encoder={motor} size=-2", STAGES),
+    ("encoder scale 0.5", "scale encoder={motor} size=0.5", STAGES),
+    ("encoder scale 1.5", "scale encoder={motor} size=1.5", STAGES),
+    ("sensor frames 16 ticks old", "replay node=sensors size=16", STAGES),
+    ("sensor frames 32 ticks old", "replay node=sensors size=32", STAGES),
+    ("load cell 16 ticks old", "old cell={tendon} size=16", STAGES),
+    ("load cell 30 ticks old", "old cell={tendon} size=30", STAGES),
+    ("load cell 50 ticks old", "old cell={tendon} size=50", STAGES),
+    ("ripple 0.1 N m at 20 Hz", "ripple node={motor} size=0.1 hz=20", STAGES),
+    ("ripple 0.2 N m at 20 Hz", "ripple node={motor} size=0.2 hz=20", STAGES),
+    ("ripple 0.2 N m at 30 Hz", "ripple node={motor} size=0.2 hz=30", STAGES),
+    ("ripple 0.2 N m at 40 Hz", "ripple node={motor} size=0.2 hz=40", STAGES),
+    ("runaway at torque_max_N_m", "runaway node={motor}", STAGES),
+    ("runaway at torque_peak_N_m", "runaway node={motor} size={peak}", STAGES),
+)
+
+
+def task() -> dict[str, Any]:
+    """The campaign's task, with a slow rise to a hold at 90 N at its end."""
+    other = copy.deepcopy(TASK)
+    hold = other["phase"][-1]
+    hold["duration_s"] = 1.5
+    rise = {"kind": "hold", "name": "rise", "tension_N": HOLD_N, "rate_N_per_s": FAST_N_S, "duration_s": 60.0}
+    other["phase"].append(rise)
+    return other
+
+
+def reached(stage: str, out: Any, first: int) -> bool:
+    """Return whether a run has come to a stage; ``first``: tick in which it moved or held first."""
+    tension = float(out.telemetry.tension.max())
+    if stage == FREE:
+        return bool(out.phase == "free" and first > 100)
+    if stage == LOW:
+        return bool(out.phase == "hold" and tension > 20.0)
+    return bool(out.phase == "rise" and tension > (40.0 if stage == RISING else 0.95 * HOLD_N))
+
+
+def strike(course: Course, text: str) -> dict[str, Any]:
+    """Inject a fault and go on to the end of the run; what was found, when [ms], and the largest true tension [N]."""
+    course.peer.inject(text)
+    begun, found, reacted, tension, stopped = course.k, [], -1.0, 0.0, 0.0
+    watched, end = (round(s * 1e9 / course.period_ns) for s in (WATCHED_S, WATCHED_S + STOPPED_S))
+    for i in range(end):
+        stops = i == watched and reacted < 0
+        out = course.tick(requests=(STOP,) if stops else ())
+        told = course.peer.told()[-1]
+        felt_ns = told["first_ns"] if told["first_ns"] >= 0 else begun * course.period_ns
+        found += [e.text.split()[0] for e in out.events if e.name == "fault" and e.level != "info"]
+        if reacted < 0 and i < watched and (out.action >= Action.RELAX or out.mode in (Mode.RELAX, Mode.CUT)):
+            reacted = (course.k * course.period_ns - felt_ns) * 1e-6
+        largest = max(course.peer.truth()["tension"])
+        tension, stopped = max(tension, largest), max(stopped, largest) if i >= watched else stopped
+        if out.mode == Mode.DONE:
+            break
+    return {"found": list(dict.fromkeys(found)), "ms": reacted, "tension": tension, "stopped": stopped,
+            "felt": bool(course.peer.told()[-1]["felt"])}  # fmt: skip
+
+
+def rows(hand_name: str, protocol: str, seed: int, only: str) -> Iterator[dict[str, Any]]:
+    """Every fault in every stage of one run, each in a copy of this process."""
+    hand = hand_in(hand_name, protocol)
+    rate = fastest(bus_loads(hand))
+    motor, tendon = hand.motor[0], hand.tendon[0]
+    words = {"motor": motor.name, "tendon": tendon.name, "peak": f"{motor.torque_peak_N_m / motor.torque_max_N_m:.6g}"}
+    with started(hand, rate, seed, task=task()) as course:
+        for stage in STAGES:
+            first = 0
+            for _ in range(round(15.0 * rate)):
+                out = course.tick()
+                first += out.phase == "free"
+                if reached(stage, out, first):
+                    break
+            else:
+                raise SystemExit(f"seed {seed}: no {stage}: {course.state.failure or out.phase}")
+            for name, text, stages in FAULTS:
+                if stage in stages and only in name:
+                    reading, writing = os.pipe()
+                    if os.fork() == 0:
+                        os.write(writing, json.dumps(strike(course, text.format(**words))).encode())
+                        os._exit(0)
+                    os.close(writing)
+                    with os.fdopen(reading) as pipe:
+                        yield {"fault": name, "stage": stage, "seed": seed, **json.loads(pipe.read())}
+                    os.wait()
+
+
+def table(found: list[dict[str, Any]]) -> str:
+    """A row per fault and stage: how often safety relaxed, by which rows, how late, and the largest true tension."""
+    lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
+             "|---|---|---|---|---|---|---|"]  # fmt: skip
+    for name, stage in dict.fromkeys((one["fault"], one["stage"]) for one in found):
+        own = [one for one in found if (one["fault"], one["stage"]) == (name, stage)]
+        by = Counter(id_ for one in own for id_ in one["found"])
+        rel = [one["ms"] for one in own if one["ms"] >= 0]
+        told = ", ".join(f"{id_} ({n})" for id_, n in by.most_common(5)) or "-"
+        silent = [one["stopped"] for one in own if one["ms"] < 0]
+        lines.append(f"| {name} | {stage} | {len(rel)} of {len(own)} | {told} | {max(rel, default=-1):.0f} | "
+                     f"{max(one['tension'] for one in own):.0f} | {max(silent, default=0.0):.0f} |")  # fmt: skip
+        if not all(one["felt"] for one in own):
+            lines[-1] += " not felt"
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--hand", default="jamia")
+    parser.add_argument("--protocol", default="mit", choices=["mit", "odrive", "cia402"])
+    parser.add_argument("--seeds", type=int, default=1, help="runs (1)")
+    parser.add_argument("--only", default="", help="faults whose name has this")
+    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    args = parser.parse_args()
+    found = [row for seed in range(args.seeds) for row in rows(args.hand, args.protocol, seed, args.only)]
+    print(json.dumps(found, indent=1) if args.json else table(found))
+
+
+if __name__ == "__main__":
+    main()

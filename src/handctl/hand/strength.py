@@ -1,0 +1,74 @@
+"""Compare the force of a drive that runs away with the strength of its tendon.
+
+No host can stop a runaway in time: the tension peaks 5 to 15 ms after the current does. The drive's own current limit
+is the only guard. A rotor at rest that is pushed by a constant force F against an elastic tendon overshoots to 2 F.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from handctl.hand.description import Hand
+
+MARGIN = 1.5
+"""Required ratio of ``rated_breaking_force_N`` to the peak tension of a runaway."""
+OVERSHOOT = 2.0
+"""Ratio of peak tension to constant force, for a rotor at rest against a slack, elastic tendon without damping."""
+
+
+def runaway_tension(force: float) -> float:
+    """Return the peak tension [N] of a runaway from rest with a constant ``force`` at the tendon [N]."""
+    return OVERSHOOT * force
+
+
+def largest_force(strength: float) -> float:
+    """Return the largest force [N] of a drive that leaves ``MARGIN`` to the strength of its tendon [N]."""
+    return strength / (OVERSHOOT * MARGIN)
+
+
+def strength_warnings(hand: Hand) -> tuple[str, ...]:
+    """Return a line for each way in which a runaway leaves too little, tendons with equal figures together."""
+    rows: dict[str, list[str]] = {}
+    for tendon in hand.tendon:
+        motor, strength = hand.motor_of(tendon.name), tendon.rated_breaking_force_N
+        peak = motor.torque_peak_N_m / motor.spool_radius_m
+        for key, force in (("drive_limit_N", tendon.drive_limit_N), ("torque_peak_N_m", peak)):
+            if strength < MARGIN * runaway_tension(force):
+                rows.setdefault(_too_strong(key, force, strength, motor.spool_radius_m), []).append(tendon.name)
+    unrated = [digit.name for digit in hand.digit if digit.joint_rated_torque_N_m is None]
+    if unrated:
+        key = "joint_rated_torque_N_m"
+        rows[f"{key} is not given: nothing is known of what the joints bear in a runaway"] = unrated
+    for digit in hand.digit:
+        for joint, torque, rated in _joint_loads(hand, digit.name):
+            if rated < MARGIN * torque:
+                text = f"a runaway at torque_peak_N_m loads it with {torque:.3g} N m, and {rated:g} N m is its rating"
+                rows.setdefault(text, []).append(joint)
+    return tuple(f"{_names(names)}: {text}" for text, names in rows.items())
+
+
+def _too_strong(key: str, force: float, strength: float, spool: float) -> str:
+    """Say what a runaway with this force does, and which torque limit of the drive would be right."""
+    peak, right = runaway_tension(force), largest_force(strength)
+    factor = strength / peak
+    return (
+        f"{key} ({force:g} N at the tendon) makes {peak:g} N in a runaway, a factor of {factor:.2f} to the "
+        f"{strength:g} N that break it; limit the drive to {right:.0f} N = {right * spool:.3g} N m for {MARGIN:g}"
+    )
+
+
+def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
+    """Yield the name, the torque in a runaway and the rated torque [N m] of each joint of a digit that has ratings."""
+    described = hand.digit_named(digit)
+    if described.joint_rated_torque_N_m is None:
+        return
+    tendons, joints = hand.digit_tendons[digit], hand.digit_joints[digit]
+    motors = [hand.motor_of(tendon.name) for tendon in hand.tendon[tendons]]
+    peaks = np.array([runaway_tension(motor.torque_peak_N_m / motor.spool_radius_m) for motor in motors])
+    torques = np.abs(hand.moment_arms[tendons, joints]).T @ peaks
+    yield from zip(described.joints, torques.tolist(), described.joint_rated_torque_N_m, strict=True)
+
+
+def _names(names: list[str]) -> str:
+    """Join names, at most three of them in full."""
+    return ", ".join(names) if len(names) <= 3 else f"{', '.join(names[:2])} and {len(names) - 2} more"
