@@ -13,9 +13,12 @@ from handctl.log.code import code_identity
 from handctl.log.header import RunHeader
 from handctl.runtime.clock import Priority
 
+VIRTUAL_START_S = 0.0
+"""UNIX time at which every lockstep run starts: with the wall clock's no two logs would be equal [s]."""
+
 
 def run_header(plan: Plan, controller: Controller, priority: Priority | None, lockstep: bool) -> RunHeader:
-    """Everything known before the first tick."""
+    """Describe everything known before the first tick."""
     hand = plan.hand
     installed = sorted({f"{dist.name}=={dist.version}" for dist in distributions()})
     attachments = {
@@ -31,7 +34,7 @@ def run_header(plan: Plan, controller: Controller, priority: Priority | None, lo
         "kernel": platform.release(),
         "python": sys.version.split()[0],
         "priority": str(priority),
-        "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(VIRTUAL_START_S if lockstep else None)),
     }
     metadata = {
         "version": version("handctl"),
