@@ -36,6 +36,7 @@ class Bench:
         """Args: the drives; the clock at the start [ns]; what is wrong with all of them, of ``broken.FAULTS``."""
         self.t_ns, self.slip_ns, self.foreign = origin_ns, 0, 0
         specs = [replace(spec, torque_gain=-1.0) if fault == "sign" else spec for spec in specs]
+        self._part_ns = 0
         self.motors = [Motor(spec, STEP_NS * 1e-9) for spec in specs]
         pairs = zip(specs, self.motors, strict=True)
         self.nodes: list[Node] = [
@@ -56,12 +57,28 @@ class Bench:
 
     def advance(self, t_ns: int) -> None:
         """Let time pass until t_ns, in whole steps."""
-        while self.t_ns + STEP_NS <= t_ns:
-            self.t_ns += STEP_NS
-            for motor, node in zip(self.motors, self.nodes, strict=True):
-                motor.advance(0.0)
+        while self.t_ns - self._part_ns + STEP_NS <= t_ns:
+            self._turn(STEP_NS - self._part_ns)
+            self._part_ns = 0
+            for node in self.nodes:
                 if self.t_ns >= node.wake_ns:
                     self._spoken += [frame._replace(t_ns=self.t_ns) for frame in node.wake(self.t_ns) or ()]
+
+    def reach(self, t_ns: int) -> None:
+        """Let time pass until exactly t_ns; the next call completes the step that this divides."""
+        self.advance(t_ns)
+        rest_ns = t_ns - self.t_ns
+        if rest_ns > 0:
+            self._turn(rest_ns)
+            self._part_ns += rest_ns
+
+    def _turn(self, duration_ns: int) -> None:
+        """Turn every shaft for a whole step or a part of one [ns]."""
+        self.t_ns += duration_ns
+        for motor in self.motors:
+            if motor.step != duration_ns * 1e-9:
+                motor.pace(duration_ns * 1e-9)
+            motor.advance(0.0)
 
     def take_spoken(self) -> list[Frame]:
         """Return what nodes have sent of their own accord since the last call."""

@@ -74,6 +74,10 @@ class Engine:
     def _sensor(self, name: str) -> int:
         return int(self._model.sensor_adr[self._model.sensor(name).id])
 
+    def set_timestep(self, step_s: float) -> None:
+        """Change the length of the next steps [s]."""
+        self._model.opt.timestep = step_s
+
     def brake(self, joints: list[int], damping: float) -> Callable[[], None]:
         """Damp joints so much [N m s/rad] that they stand; returns what lets them go."""
         before = self._model.dof_damping[joints].copy()

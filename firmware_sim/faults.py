@@ -98,7 +98,8 @@ class Faults:
             self._index()
         frames = [frame for bus, one in self._all_wire for frame in fault_wire.due([one], t_ns)]
         if not self._turn_ns or (t_ns >= self._turn_ns and (t_ns - self._turn_ns) % TURN_NS == 0):
-            self._turn_ns = t_ns + TURN_NS
+            # turns are at ends of whole steps, also if the first fault comes within one
+            self._turn_ns = t_ns - self._world.plant.part_ns + TURN_NS
             frames += self._invented(t_ns)
         return frames
 

@@ -20,6 +20,11 @@ VELOCITY_LAG_S = 1e-3
 """Time constant of the drive's velocity estimate."""
 
 
+def paced(step_s: float) -> tuple[float, float, float]:
+    """Return step, lag and velocity lag of a motor for steps of a length [s]."""
+    return step_s, 1.0 - math.exp(-step_s / CURRENT_LAG_S), 1.0 - math.exp(-step_s / VELOCITY_LAG_S)
+
+
 class Motor:
     """The rotor; its laws are in ``drivetrain``.
 
@@ -47,13 +52,16 @@ class Motor:
     def _describe(self, spec: MotorSpec, step_s: float) -> None:
         self.theta = self.omega = self.torque = self.velocity = self.heat = 0.0
         self.inertia, self.viscous, self.coulomb = spec.inertia, spec.viscous, spec.coulomb
-        self.gain, self.step = spec.torque_gain, step_s
-        self.lag = 1.0 - math.exp(-step_s / CURRENT_LAG_S)
-        self.velocity_lag = 1.0 - math.exp(-step_s / VELOCITY_LAG_S)
+        self.gain = spec.torque_gain
+        self.pace(step_s)
         self.load = self.angle = self.command = self.drag = self.stiff = 0.0
         self.waits, self.servo = False, self.law
         self.misread: Callable[[float], float] | None = None
         self.disobeys: Callable[[float], float] | None = None
+
+    def pace(self, step_s: float) -> None:
+        """Change the length of the next steps [s]."""
+        self.step, self.lag, self.velocity_lag = paced(step_s)
 
     def encoder(self) -> float:
         """Return the spool angle as the drive measures it [rad]."""

@@ -1,4 +1,7 @@
-"""The plant: links, object and contacts by the engine, ropes and rotors of our own, in steps of 0.5 ms."""
+"""The plant: links, object and contacts by the engine, ropes and rotors of our own, in steps of 0.5 ms.
+
+A step is divided where something is sampled within it, so that a sample is of its own instant.
+"""
 
 import random
 from typing import Any
@@ -10,7 +13,7 @@ from firmware_sim.compiled import machine_code
 from firmware_sim.description import Hand, SimulatorError
 from firmware_sim.engine import Engine
 from firmware_sim.mjcf import STEP_S, model_text, opposed_digits
-from firmware_sim.motor import Motor, row_by_row
+from firmware_sim.motor import Motor, paced, row_by_row
 from firmware_sim.scene import Scene
 from firmware_sim.stages import Stages
 from firmware_sim.table import Table
@@ -36,7 +39,8 @@ class Plant:
         load: what pulls at the object; None in most scenes.
         stages: what is done to the object once it is held; None in most scenes.
         stage: which stage of the scene it is; -1 before the first.
-        steps: how many steps were made.
+        steps: how many whole steps were made.
+        part_ns: time since the last of them, less than a step [ns].
     """
 
     def __init__(self, hand: Hand, scene: Scene, seed: int = 0, homed: bool = False, compiled: bool = True) -> None:
@@ -50,6 +54,7 @@ class Plant:
             SimulatorError: the engine does not accept the hand, or a tendon names no motor or joint.
         """
         self.hand, self.scene, self.steps = hand, scene, 0
+        self.part_ns = 0
         try:
             self.engine = Engine(model_text(hand, scene), len(hand.joints))
         except ValueError as error:
@@ -96,14 +101,14 @@ class Plant:
     @property
     def t_ns(self) -> int:
         """Time since power-up [ns]."""
-        return self.steps * STEP_NS
+        return self.steps * STEP_NS + self.part_ns
 
     def step(self) -> None:
         """Let ropes pull, rotors turn and links move, once; see ``advance``."""
         self.advance(1)
 
     def advance(self, count: int) -> None:
-        """Let ropes pull, rotors turn and links move.
+        """Let ropes pull, rotors turn and links move; a step that was divided is completed first, and counts.
 
         Args:
             count: how many steps.
@@ -112,7 +117,7 @@ class Plant:
             SimulatorError: the plant's parameters are too extreme for the step.
         """
         while count > 0:
-            block = min(count, self._undisturbed())
+            block = 1 if self.part_ns else min(count, self._undisturbed())
             self._move(block)
             count -= block
             if self.table and self.steps % TABLE_STEPS == 0 and self._watches(self.table):
@@ -120,6 +125,37 @@ class Plant:
             if self.load:
                 pull = self.load.at(self.steps * STEP_S)
                 self.engine.push_object([pull * share for share in self.load.direction])
+
+    def advance_part(self, duration_ns: int) -> None:
+        """Divide the step that comes next: make a part of it.
+
+        Args:
+            duration_ns: of the part [ns]; with the parts before it less than a step.
+
+        Raises:
+            SimulatorError: the plant's parameters are too extreme for the step.
+        """
+        self._move_for(duration_ns)
+        self.part_ns += duration_ns
+
+    def _move_for(self, duration_ns: int) -> None:
+        """Make one step of another length [ns]."""
+        self._pace(duration_ns * 1e-9)
+        try:
+            self._move_once(self.struck)
+        finally:
+            self._pace(STEP_S)
+
+    def _pace(self, step_s: float) -> None:
+        """Change the length of the next steps [s]."""
+        self.engine.set_timestep(step_s)
+        rotors = self._drivetrain[-1]
+        if self._bodies is None:
+            for motor in rotors:
+                motor.pace(step_s)
+            return
+        for name, value in zip(("step", "lag", "velocity_lag"), paced(step_s), strict=True):
+            rotors[name] = value
 
     def _undisturbed(self) -> int:
         """Return how many steps there are until something other than the drivetrain acts."""
@@ -134,10 +170,16 @@ class Plant:
 
     def _move(self, count: int) -> None:
         """Make steps, in one go unless a fault in a motor wants to be asked in each."""
+        if self.part_ns:
+            self._move_for(STEP_NS - self.part_ns)
+            self.part_ns = 0
+            self.steps += 1
+            return
         struck = self.struck
         if not self._native or not self._bodies or struck:
             for _ in range(count):
                 self._move_once(struck)
+                self.steps += 1
             return
         done = self._laws.steps(count, *self._drivetrain, *self._bodies, *self._native)
         self.steps += done
@@ -164,7 +206,6 @@ class Plant:
         if not self._bodies:
             engine.applied[:], engine.rope_damping[:] = torque, damping
         engine.step()
-        self.steps += 1
 
     def _lists(self) -> tuple[list[float], list[float], list[float], list[float]]:
         """For plain laws: angles and velocities of the joints, room for torques on them and damping of the ropes."""

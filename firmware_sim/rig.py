@@ -80,7 +80,7 @@ class Rig:
         if self.wired is not None:
             return self.wired.step(t_ns, [Frame(*frame) for frame in frames], t_ns + self._period_ns)
         world, make, last_ns = self.world, Frame._make, self._period_ns - 1
-        world.advance(t_ns)
+        world.reach(t_ns)
         busy_ns = [0] * len(world.nodes)
         answers: list[Frame] = []
         for frame in frames:

@@ -76,7 +76,11 @@ class Served(Protocol):
         ...
 
     def advance(self, t_ns: int) -> None:
-        """Let time pass until t_ns."""
+        """Let time pass until t_ns, in whole steps."""
+        ...
+
+    def reach(self, t_ns: int) -> None:
+        """Let time pass until exactly t_ns."""
         ...
 
     def take_spoken(self) -> list[Frame]:
@@ -108,7 +112,7 @@ class Server:
         """Wait for frames or for the next millisecond, let the plant catch up, answer."""
         ready = self._wait()
         frames = self._receive(ready)
-        self._catch_up()
+        self._catch_up(sampled=bool(frames))
         self._answer(frames)
         if self._faults and self._faults.readers()[0] in ready:
             self._faults.serve()
@@ -131,7 +135,8 @@ class Server:
         readable, _, _ = select.select(readers, writers, [], timeout)
         return readable
 
-    def _catch_up(self) -> None:
+    def _catch_up(self, sampled: bool) -> None:
+        """Let the plant follow the clock: to this very instant if there are frames, which sample it."""
         world = self._world
         goal_ns = self._clock.now_ns() - world.slip_ns
         behind_ns = goal_ns - world.t_ns
@@ -139,7 +144,8 @@ class Server:
             self._slip(behind_ns)
             return
         self.overruns += behind_ns > LATE_NS
-        world.advance(min(goal_ns, world.t_ns + STRIDE_NS))
+        follow = world.reach if sampled else world.advance
+        follow(min(goal_ns, world.t_ns + STRIDE_NS))
 
     def _slip(self, behind_ns: int) -> None:
         """Give up lost time: plant and watchdogs stood still while this process did not run."""

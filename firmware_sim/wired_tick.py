@@ -56,6 +56,8 @@ class WiredTick:
                 break
             for wire in self.wires:
                 wire.advance(at_ns)
+            if any(map(self._world.heeds, self._heard)):
+                self._world.reach(at_ns)
             self._answer()
         arrived, self._arrived = self._arrived, []
         return sorted(arrived, key=_arrival_ns)

@@ -32,7 +32,7 @@ class World:
     Attributes:
         plant: the mechanics.
         nodes: for each bus of the hand, what sits on it.
-        t_ns: the clock of plant and nodes [ns]; a multiple of the step from the origin.
+        t_ns: the clock of plant and nodes [ns].
         foreign: frames that no node knew.
         sensor_node: the load cells and joint encoders.
         faults: what is injected.
@@ -135,6 +135,10 @@ class World:
                 answers[i] = Frame(can_id, data, flags, bus, t_ns)
         return answers
 
+    def heeds(self, frame: Frame) -> bool:
+        """Return whether any node may answer a frame, which would sample the plant."""
+        return bool(self._by_id[frame[3]].get(frame[0]) or self._takers(frame[3], frame[0]))
+
     def _takers(self, bus: int, can_id: int) -> list[tuple[Node, frozenset[int] | None]]:
         """Return the nodes that may answer an identifier, each with all of its own as they were when it was asked."""
         takers = [(node, ids) for node, ids in self._all_of[bus] if ids is None or can_id in ids]
@@ -149,15 +153,14 @@ class World:
     def advance(self, t_ns: int) -> None:
         """Let time pass until t_ns, in whole steps; what is left over waits for the next call."""
         plant, truth, faults = self.plant, self._truth, self.faults
-        now_ns = self.t_ns
+        now_ns = self.t_ns - plant.part_ns
         if now_ns + STEP_NS > t_ns:
             return
         wake_ns = self._next_wake(t_ns)
         while now_ns + STEP_NS <= t_ns:
             until_ns = t_ns
             if truth is not None:
-                if plant.t_ns >= truth.due_ns:
-                    truth.write(now_ns + self.slip_ns, plant)
+                self._take_down(now_ns)
                 until_ns = min(until_ns, now_ns + truth.due_ns - plant.t_ns)
             if faults.on:
                 until_ns = min(until_ns, now_ns if plant.struck else faults.due_ns())
@@ -172,6 +175,25 @@ class World:
                 self._spoken += faults.advance(now_ns)
                 wake_ns = self._next_wake(t_ns)
         self.t_ns = now_ns
+
+    def reach(self, t_ns: int) -> None:
+        """Let time pass until exactly t_ns: what is sampled now is sampled at its instant, not up to a step before.
+
+        Steps keep their places in time; the one around t_ns is divided, and the next call completes it.
+        """
+        self.advance(t_ns)
+        rest_ns = t_ns - self.t_ns
+        if rest_ns > 0:
+            if not self.plant.part_ns:
+                self._take_down(self.t_ns)
+            self.plant.advance_part(rest_ns)
+            self.t_ns = t_ns
+
+    def _take_down(self, now_ns: int) -> None:
+        """Write a row of the truth if one is due."""
+        truth, plant = self._truth, self.plant
+        if truth is not None and plant.t_ns >= truth.due_ns:
+            truth.write(now_ns + self.slip_ns, plant)
 
     def _next_wake(self, end_ns: int) -> int:
         """Return when time must pass for a node next [ns]; ``end_ns`` if there is none."""

@@ -2,14 +2,17 @@
 
 import subprocess
 import sys
+from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
 from firmware_sim.description import load_hand
 from firmware_sim.frame import Frame
-from firmware_sim.plant import Plant
+from firmware_sim.plant import STEP_NS, Plant
 from firmware_sim.rig import Rig
 from firmware_sim.scene import load_scene
+from firmware_sim.truth import read_truth
 from firmware_sim.world import World
 
 
@@ -92,6 +95,59 @@ def test_the_world_takes_blocks_between_what_is_due() -> None:
     assert far.t_ns == near.t_ns == 250_000_000
     assert state(far.plant) == state(near.plant)
     assert [node.wake_ns for bus in far.nodes for node in bus] == [node.wake_ns for bus in near.nodes for node in bus]
+
+
+def test_a_divided_step_is_nearly_the_whole_one_and_ends_where_it_does() -> None:
+    """So that samples at any rate are of their own instant: no jitter of up to a step, and no other motion."""
+    whole, divided = (Plant(load_hand("jamia"), load_scene(None), homed=True) for _ in range(2))
+    for plant in (whole, divided):
+        for motor in plant.motors.values():
+            motor.servo.limit, motor.servo.torque = 0.8, 0.06
+    for k in range(400):
+        whole.step()
+        for part_ns in (100_000, 250_000):
+            divided.advance_part(part_ns)
+        assert divided.t_ns == k * STEP_NS + 350_000
+        divided.step()
+    assert divided.t_ns == whole.t_ns == 400 * STEP_NS
+    assert divided.steps == whole.steps
+    assert min(whole.tensions()) > 5.0, "ropes pulled"
+    assert divided.tensions() == pytest.approx(whole.tensions(), abs=0.2)
+    assert divided.engine.q == pytest.approx(whole.engine.q, abs=0.01)
+    pace = [(motor.step, motor.lag, motor.velocity_lag) for motor in whole.motors.values()]
+    assert [(motor.step, motor.lag, motor.velocity_lag) for motor in divided.motors.values()] == pace
+
+
+@pytest.mark.parametrize("hand", ["jamia", "jamia11"])
+def test_a_spool_at_constant_speed_is_sampled_without_jitter_at_any_rate(hand: str) -> None:
+    """At 300 Hz the sixth or seventh step ends up to 0.5 ms before the tick: 5 counts of the encoder at 3 rad/s."""
+    for rate_hz in (300.0, 333.0, 450.0, 640.0):
+        world = World(load_hand(hand), load_scene(None), seed=2)
+        motor = next(iter(world.plant.motors.values()))
+        motor.omega, motor.viscous, motor.coulomb = -3.0, 0.0, 0.0  # it unwinds a slack rope
+        period_ns, angles = round(1e9 / rate_hz), []
+        for k in range(40):
+            world.reach(k * period_ns)
+            assert world.t_ns == k * period_ns
+            angles.append(motor.theta)
+        steps = [after - before for before, after in pairwise(angles)]
+        assert steps == pytest.approx([-3.0 / rate_hz] * 39, rel=1e-6)
+
+
+def test_what_is_sampled_between_steps_leaves_the_truths_rows_where_they_are(tmp_path: Path) -> None:
+    """Every millisecond, whatever the rate; and a fault that is injected within a step does its turns."""
+    path = tmp_path / "truth"
+    rig = Rig("jamia", truth_path=str(path), period_ns=3_333_333)
+    for k in range(30):
+        if k == 4:
+            rig.inject("flood bus=main size=1")
+        rig.step(k * 3_333_333, [])
+    rig.close()
+    t_ns = read_truth(path).t_ns
+    assert t_ns.tolist() == [k * 1_000_000 for k in range(len(t_ns))]
+    assert len(t_ns) >= 99
+    (told,) = rig.told()
+    assert told["felt"] == pytest.approx(87, abs=2)
 
 
 def test_a_fault_of_a_motor_is_asked_in_every_step() -> None:

@@ -87,6 +87,18 @@ def test_the_plant_follows_the_clock_in_whole_steps(bench: Bench) -> None:
     assert bench.world.t_ns == START + 4 * MS
 
 
+def test_a_frame_samples_the_plant_at_its_own_instant(bench: Bench) -> None:
+    """Not at the end of the last whole step, up to 0.5 ms before; the steps keep their places."""
+    bench.turn(3.7, Frame(1, ENABLE))
+    assert bench.world.t_ns == START + round(3.7 * MS)
+    assert bench.world.plant.part_ns == round(0.2 * MS)
+    bench.turn(3.9, Frame(1, COMMAND))
+    assert bench.world.t_ns == START + round(3.9 * MS)
+    bench.turn(4.6)
+    assert bench.world.t_ns == START + round(4.5 * MS)
+    assert (bench.world.plant.steps, bench.world.plant.part_ns) == (9, 0)
+
+
 def test_answers_go_out_in_the_same_turn_in_the_order_of_the_questions(bench: Bench) -> None:
     sent = bench.turn(1, Frame(0x80, b"\x05"), Frame(2, ENABLE), Frame(1, ENABLE), Frame(0x333, b"foreign"))
     assert [frame.can_id for frame in sent] == [0x1A0, 0x12, 0x11]
