@@ -9,6 +9,8 @@ import errno
 import fcntl
 import os
 import socket
+import struct
+import sys
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 
@@ -18,6 +20,8 @@ from firmware_sim.places import bus_path
 
 BUFFER = 1 << 20
 """Asked of the kernel for each direction [bytes]; Linux grants 416 KiB unless told otherwise."""
+_PEER = struct.Struct("3i")
+"""Linux's ``struct ucred``: process, user, group."""
 _PIECE = 1 << 16
 """Bytes read from a client at a time: a flood cannot keep the hub from the others."""
 
@@ -155,7 +159,11 @@ class Hub:
     def _accept(self) -> None:
         with contextlib.suppress(BlockingIOError, ConnectionAbortedError):
             while True:
-                self._links.append(Link(self._listener.accept()[0]))
+                link, _ = self._listener.accept()
+                if _is_foreign(link):
+                    link.close()
+                    continue
+                self._links.append(Link(link))
 
     def _forward(self, records: bytes, sender: Link | None) -> None:
         for link in self._links:
@@ -181,6 +189,14 @@ class Hub:
         with contextlib.suppress(FileNotFoundError):
             if self._path.stat().st_ino == self._inode:
                 self._path.unlink()
+
+
+def _is_foreign(link: socket.socket) -> bool:
+    """Whether another user than this one or root is at the other end; only Linux tells."""
+    if not sys.platform.startswith("linux"):
+        return False
+    raw = link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
+    return _PEER.unpack(raw)[1] not in (0, os.geteuid())
 
 
 def _listen(path: Path, name: str) -> socket.socket:

@@ -2,13 +2,23 @@
 
 from typing import TYPE_CHECKING, Any
 
-from handctl.errors import BusError, ConfigError, DriveError, HandctlError, LogError, PowerError
+from handctl.errors import BusError, ConfigError, DriveError, HandctlError, LogError, PowerError, UnconfirmedError
 
 if TYPE_CHECKING:
     from handctl.client import HandClient as HandClient
     from handctl.client import connect as connect
 
-__all__ = ["BusError", "ConfigError", "DriveError", "HandClient", "HandctlError", "LogError", "PowerError", "connect"]
+__all__ = [
+    "BusError",
+    "ConfigError",
+    "DriveError",
+    "HandClient",
+    "HandctlError",
+    "LogError",
+    "PowerError",
+    "UnconfirmedError",
+    "connect",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -4,7 +4,6 @@ The controller stays a process of its own; this module only sends it what a pers
 program does is checked, limited and logged in the same way.
 """
 
-import itertools
 import json
 import os
 import subprocess
@@ -19,24 +18,23 @@ from typing import Any, Self
 
 from handctl.cli.buses import named_buses
 from handctl.cli.exit_codes import Exit
-from handctl.controller.requests import REFUSED, HoldTension, MoveDigits, said_of
+from handctl.controller.requests import REFUSED, HoldTension, MoveDigits
 from handctl.controller.types import LETTING_GO
 from handctl.document import validated
-from handctl.errors import BusError, ConfigError, DriveError, PowerError
-from handctl.runtime.mailbox import LARGEST, STOP, Watcher, answers, send_request
+from handctl.errors import BusError, ConfigError, DriveError, PowerError, UnconfirmedError
+from handctl.runtime.asking import ANSWER_S, confirmed, follow_to_the_end, is_off
+from handctl.runtime.mailbox import LARGEST, Watcher, answers
 
 START_S = 300.0
 """Longest start: commissioning included, on a slow machine; a controller that cannot start ends long before [s]."""
 ATTACH_S = 60.0
 """Longest time until a controller that somebody else has started is ready for goals [s]."""
-ANSWER_S = 2.0
-"""Longest time in which a controller takes a goal, or refuses it [s]."""
 POLL_S = 0.2
 """How long a line is waited for before the started controller is looked at [s]."""
+NAME_OF_ASKER = 64
+"""Bytes that the name of who asks may add to a request."""
 LEAVING = {mode.name for mode in LETTING_GO}
 """Modes in which no goal counts any more."""
-_numbers_of_requests = itertools.count(1)
-"""Of this program: whatever it asks, and by however many clients, has a number of its own."""
 A_RUN = "a running handctl run"
 
 
@@ -84,7 +82,7 @@ class HandClient:
         self.bus = bus
         self.child: subprocess.Popen[bytes] | None = None
         self.result: dict[str, Any] = {}
-        self._live = self._asked = self._closed = self._told = False
+        self._live = self._asked = self._closed = self._told = self._off = False
         self._watcher = Watcher(bus)
         self._words = tempfile.TemporaryFile()  # noqa: SIM115
         self._shown, self._last_words = 0, ""
@@ -166,6 +164,7 @@ class HandClient:
             self._refuse_ended()
             line = self._watcher.next(max(0.0, min(POLL_S, end - time.monotonic())))
             if line is not None:
+                self._off |= is_off(line)
                 return line
             if time.monotonic() >= end:
                 raise BusError("the controller is silent", f"bus {self.bus}", A_RUN)
@@ -203,20 +202,17 @@ class HandClient:
     def _set_goal(self, goal: dict[str, Any]) -> float:
         """Ask, and hear what the tick that takes it says; the time of that tick [s]."""
         self._acting(ANSWER_S)
+        if (size := len(json.dumps(goal).encode()) + NAME_OF_ASKER) > LARGEST:
+            raise ConfigError(f"{size} bytes", goal["do"], f"a request of at most {LARGEST}")
         self._asked = True
-        me = f"client-{os.getpid()}-{next(_numbers_of_requests)}"
-        text = json.dumps({**goal, "by": me})
-        if len(text.encode()) > LARGEST:
-            raise ConfigError(f"{len(text.encode())} bytes", goal["do"], f"a request of at most {LARGEST}")
-        send_request(self.bus, text)
-        for line in self._watcher.heard(ANSWER_S):
-            said = said_of(me, line["events"])
-            if refused := [text for text in said or () if text.startswith(REFUSED)]:
-                raise ConfigError(refused[0].removeprefix(REFUSED), f"the controller of {self.bus}")
-            if said is not None:
-                return float(line["t_s"])
-        self._refuse_ended()
-        raise BusError("the controller does not answer", f"bus {self.bus}", A_RUN)
+        try:
+            line, said = confirmed(self._watcher, goal)
+        except UnconfirmedError:
+            self._refuse_ended()
+            raise
+        if refused := [text for text in said if text.startswith(REFUSED)]:
+            raise ConfigError(refused[0].removeprefix(REFUSED), f"the controller of {self.bus}")
+        return float(line["t_s"])
 
     def _acting(self, timeout_s: float) -> dict[str, Any]:
         """The state of a hand that follows goals."""
@@ -246,12 +242,14 @@ class HandClient:
         if self._closed:
             return
         self._closed = True
-        self._watcher.close()
-        if self.child is None and self._asked:
-            with suppress(BusError):
-                send_request(self.bus, STOP)
-        self._collect()
-        self._words.close()
+        try:
+            if self.child is None and self._asked and not self._off:
+                line, _ = confirmed(self._watcher, {"do": "stop"}, repeat=True)
+                follow_to_the_end(self._watcher, "stop", line)
+        finally:
+            self._watcher.close()
+            self._collect()
+            self._words.close()
         if self.child and (code := self.child.returncode) and not self._told and (tell or code == Exit.REMOVE_POWER):
             raise self._error()
 

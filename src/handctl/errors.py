@@ -34,6 +34,19 @@ class PowerError(DriveError):
     """A drive that did not confirm that it is disabled: somebody must remove its power."""
 
 
+class UnconfirmedError(PowerError, BusError):
+    """A request that no controller has confirmed: nobody knows what the hand does.
+
+    Args:
+        bus: of the controller.
+        word: what was asked, e.g. ``stop``.
+        why: what came instead of a confirmation.
+    """
+
+    def __init__(self, bus: str, word: str, why: str) -> None:
+        super().__init__(f"nobody has confirmed: switch the power off ({word}: {why})", f"bus {bus}")
+
+
 class LogError(HandctlError):
     """A log that cannot be read, or that does not belong to this hand."""
 

@@ -58,7 +58,7 @@ def said(*texts):
 def test_what_is_said_to_others_is_not_heard(alone, monkeypatch, theirs):
     """Two programs that command one hand: the one took the other's refusals for its own."""
     sent = []
-    monkeypatch.setattr("handctl.client.send_request", lambda bus, text: sent.append(json.loads(text)))
+    monkeypatch.setattr(alone._watcher, "send", lambda data, timeout: sent.append(json.loads(data)))
     monkeypatch.setattr(alone, "_acting", lambda timeout: said())
 
     def heard(timeout):
@@ -72,6 +72,7 @@ def test_what_is_said_to_others_is_not_heard(alone, monkeypatch, theirs):
     with pytest.raises(ConfigError, match="the hand is not ready yet"):
         alone.move(index=3, wait=False)
     assert len({one["by"] for one in sent}) == 2
+    alone._asked = False
 
 
 def test_a_goal_of_no_digit_is_refused(alone):

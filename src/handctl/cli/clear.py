@@ -7,7 +7,7 @@ import argparse
 
 from handctl.cli.buses import controller_bus
 from handctl.cli.options import bus_option, json_option, print_json
-from handctl.runtime.mailbox import CLEAR, send_request
+from handctl.runtime.asking import ordered
 
 EXAMPLE = "handctl clear --help   # with a hand running on local:demo: handctl clear --bus local:demo"
 
@@ -19,11 +19,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask the controller of the bus to clear."""
+    """Ask the controller of the bus to clear; 71 if it does not say that it has."""
     bus = controller_bus(args)
-    send_request(bus, CLEAR)
+    line = ordered(bus, "clear")
     if args.json:
-        print_json({"asked": "clear", "bus": bus})
+        print_json({"asked": "clear", "bus": bus, "confirmed": True, "mode": line["mode"]})
     else:
-        print(f"asked the controller on {bus} to clear its faults")
+        print(f"the controller on {bus} has cleared its faults; mode {line['mode']}")
     return 0

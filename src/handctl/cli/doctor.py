@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from handctl.cli.options import json_option, print_json
+from handctl.errors import BusError
 from handctl.runtime.clock import Priority, give_back_priority, take_priority
 from handctl.runtime.places import run_dir
 
@@ -83,7 +84,10 @@ def _vulkan() -> Finding:
 
 
 def _space() -> Finding:
-    folder = run_dir()
+    try:
+        folder = run_dir()
+    except BusError as error:
+        return "sockets out of other users' reach", False, str(error)
     free = shutil.disk_usage(Path.cwd()).free
     return (
         f"{free / 1e9:.1f} GB free for logs, sockets in {folder}",

@@ -1,8 +1,7 @@
 """``handctl gains``: which gains a hand uses, where they come from, other ones, the way back; and live changes."""
 
 import argparse
-import json
-import os
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,8 @@ from handctl.cli.options import bus_option, gains_options, hand_option, json_opt
 from handctl.cli.plan import check_design
 from handctl.controller.gain_bounds import bounds, flat, with_values
 from handctl.controller.gains import Gains, Provenance, load_gains_file
-from handctl.controller.requests import REFUSED, said_of
-from handctl.errors import BusError, ConfigError
+from handctl.controller.requests import REFUSED
+from handctl.errors import ConfigError, UnconfirmedError
 from handctl.hand.description import Hand, load_hand
 from handctl.tune.gains_store import Entry, GainsStore
 
@@ -187,16 +186,18 @@ def _line(entry: Entry, entries: list[Entry]) -> str:
 
 def _set(args: argparse.Namespace) -> int:
     """Change gains of a running controller; what cannot be is refused before anything is sent."""
-    from handctl.runtime.mailbox import Watcher, send_request
+    from handctl.runtime.asking import confirmed, watching
 
     values = assignments(args.values, "gains set")
     with_values(Gains(), values, "gains set", live=True)
     bus = controller_bus(args)
-    watcher, me = Watcher(bus), f"gains-{os.getpid()}"
+    watcher = watching(bus, "gains")
     try:
         watcher.next(TAKEN_OVER_S)
-        send_request(bus, json.dumps({"do": "gains", "set": values, "by": me}))
-        said = _answers(watcher, values, me)
+        line, texts = confirmed(watcher, {"do": "gains", "set": values})
+        for text in texts:
+            _heed(text)
+        said = _answers(watcher, values, line)
     finally:
         watcher.close()
     if args.json:
@@ -206,24 +207,22 @@ def _set(args: argparse.Namespace) -> int:
     return Exit.DONE
 
 
-def _answers(watcher: Any, values: dict[str, float], me: str) -> dict[str, str]:
-    """What the controller says of the gains that were asked for by ``me``: those that have changed.
+def _answers(watcher: Any, values: dict[str, float], taken: dict[str, Any]) -> dict[str, str]:
+    """What the controller says of the gains that were asked for in the tick ``taken``: those that have changed.
 
     Raises:
         ConfigError: it refuses.
-        BusError: it says nothing.
+        UnconfirmedError: it says nothing.
     """
     said: dict[str, str] = {}
-    for line in watcher.heard(TAKEN_OVER_S):
-        for text in said_of(me, line["events"]) or ():
-            _heed(text)
+    for line in itertools.chain((taken,), watcher.heard(TAKEN_OVER_S)):
         for event in line["events"]:
             if event["name"] == "gain" and event["where"] in values:
                 said[event["where"]] = event["text"]
             if event["name"] == "gains":
                 _heed(event["text"])
                 return said
-    raise BusError("the controller has not taken the gains over", f"bus {watcher.name}", "a running handctl run")
+    raise UnconfirmedError(watcher.name, "gains", "taken, but not taken over")
 
 
 def _heed(text: str) -> None:

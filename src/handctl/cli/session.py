@@ -260,7 +260,7 @@ def _shows(display: Display | None, mailbox: Mailbox, rate_hz: float) -> Callabl
     def show(entry: TickIn, out: TickOut) -> None:
         if display:
             display.show(entry, out)
-        if mailbox.watchers and (entry.k % every == 0 or out.events):
+        if (mailbox.watchers and (entry.k % every == 0 or out.events)) or mailbox.askers:
             mailbox.publish(status(entry, out))
 
     return show

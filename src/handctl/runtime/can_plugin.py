@@ -4,6 +4,7 @@ import math
 import select
 import time
 from collections import deque
+from contextlib import suppress
 from typing import Any
 
 import can
@@ -106,5 +107,7 @@ class LocalCanBus(can.BusABC):
 
     @staticmethod
     def _detect_available_configs() -> list[Any]:
-        """Every local bus that has a socket on this machine."""
-        return [{"interface": "local", "channel": path.stem} for path in sorted(run_dir().glob("*.bus"))]
+        """Every local bus of this user that has a socket on this machine."""
+        with suppress(BusError):  # a folder that cannot be trusted has none
+            return [{"interface": "local", "channel": path.stem} for path in sorted(run_dir().glob("*.bus"))]
+        return []

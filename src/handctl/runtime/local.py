@@ -14,6 +14,7 @@ from handctl.drives.frame import ERROR, Frame, make
 from handctl.errors import BusError
 from handctl.runtime.bus import Stamp, check_size
 from handctl.runtime.bus_events import BusEvents, Event
+from handctl.runtime.peers import served_by_us
 from handctl.runtime.places import local_bus_path
 
 RECORD = struct.Struct("<IBBH64s")
@@ -58,6 +59,9 @@ def connect(name: str) -> socket.socket:
         link.close()
         right = f"a simulator there; type: python -m firmware_sim --hand jamia --bus local:{name}"
         raise BusError(f"nobody serves this bus: {error.strerror or error}", f"local:{name}", right) from None
+    if not served_by_us(link):
+        link.close()
+        raise BusError("another user serves this bus", f"local:{name}", "a simulator of your own")
     link.setblocking(False)
     return link
 

@@ -1,7 +1,9 @@
 """The request socket of a running controller: a Unix datagram socket per bus name, read without blocking.
 
 A program that sends ``{"do": "watch"}`` from a socket of its own gets a status line now and then; that one request
-changes nothing, so it ends here and is not given to the tick.
+changes nothing, so it ends here and is not given to the tick. Whoever asks anything else from a socket of its own gets
+the status line of the tick that took the request: this is the controller's confirmation. On Linux the kernel names the
+user of every sender, and only this user and root are heard on either side.
 """
 
 import fcntl
@@ -15,6 +17,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from handctl.errors import BusError
+from handctl.runtime.peers import name_senders, receive
 from handctl.runtime.places import mailbox_path, watcher_path
 
 LARGEST = 4096
@@ -46,37 +49,46 @@ class Mailbox:
             self._lock = _taken(name)
             self.path.unlink(missing_ok=True)
             self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+            name_senders(self.socket)
             self.socket.bind(str(self.path))
         except OSError as error:
             raise _refused(name, error) from None
         self.socket.setblocking(False)
         self.watchers: list[str] = []
+        self.askers: list[str] = []
+        """Programs whose requests the last ``read`` has returned."""
 
     def read(self) -> tuple[str, ...]:
         """All requests that wait, oldest first."""
         texts: list[str] = []
+        if self.askers:
+            self.askers = []
         for _ in range(PER_TICK):
             try:
-                data, sender = self.socket.recvfrom(LARGEST)
+                data, sender, ours = receive(self.socket, LARGEST)
             except BlockingIOError:
                 break
-            if data == WATCH and isinstance(sender, str):
+            if not ours:
+                continue
+            if data == WATCH and sender:
                 others = [watcher for watcher in self.watchers if watcher != sender]
                 self.watchers = [*others[-WATCHERS + 1 :], sender]
-            else:
-                texts.append(data.decode("utf-8", "replace"))
+                continue
+            texts.append(data.decode("utf-8", "replace"))
+            if sender:
+                self.askers.append(sender)
         return tuple(texts)
 
     def publish(self, status: dict[str, Any]) -> None:
-        """Send a status line to everybody who watches; whoever is gone is forgotten."""
+        """Send a status line to everybody who watches or has just asked; whoever is gone is forgotten."""
         line = json.dumps(status).encode()
-        for watcher in list(self.watchers):
+        for listener in {*self.watchers, *self.askers}:
             try:
-                self.socket.sendto(line, socket.MSG_DONTWAIT, watcher)
+                self.socket.sendto(line, socket.MSG_DONTWAIT, listener)
             except BlockingIOError:
                 continue
             except OSError:
-                self.watchers.remove(watcher)
+                self.watchers = [watcher for watcher in self.watchers if watcher != listener]
 
     def close(self) -> None:
         """Give the name back."""
@@ -116,8 +128,7 @@ def _taken(name: str) -> int:
         BlockingIOError: another process has it.
     """
     path = mailbox_path(name).with_suffix(".lock")
-    path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o600)
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -136,21 +147,6 @@ def answers(name: str) -> bool:
     return True
 
 
-def send_request(name: str, text: str) -> None:
-    """Send one request to the controller of a bus.
-
-    Raises:
-        BusError: no controller runs there.
-    """
-    path = mailbox_path(name)
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
-        try:
-            out.sendto(text.encode(), str(path))
-        except OSError as error:
-            reason = os.strerror(error.errno or 0)
-            raise BusError(f"no controller answers ({reason})", f"bus {name}", "a running handctl run") from None
-
-
 class Watcher:
     """Receiving end of a program that watches a running controller."""
 
@@ -165,8 +161,8 @@ class Watcher:
         self.name, self.path = name, watcher_path(next(self._numbers))
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
             self.path.unlink(missing_ok=True)
+            name_senders(self.socket)
             self.socket.bind(str(self.path))
         except OSError as error:
             self.socket.close()
@@ -174,21 +170,37 @@ class Watcher:
 
     def next(self, timeout_s: float) -> dict[str, Any] | None:
         """A status line that is not older than this call; None if none came in time [s]."""
-        self._forget()
+        self.forget()
         try:
-            self.socket.sendto(WATCH, str(mailbox_path(self.name)))
+            self.send(WATCH, timeout_s)
         except OSError:
             time.sleep(min(timeout_s, NOT_THERE_S))
             return None
         return self.following(timeout_s)
 
+    def send(self, data: bytes, timeout_s: float) -> None:
+        """Send a datagram to the controller from this socket, so that the controller can answer.
+
+        Args:
+            data: to send.
+            timeout_s: longest wait for room in the mailbox [s].
+
+        Raises:
+            OSError: nobody is there, or there was no room in time.
+        """
+        self.socket.settimeout(timeout_s)
+        self.socket.sendto(data, str(mailbox_path(self.name)))
+
     def following(self, timeout_s: float) -> dict[str, Any] | None:
         """The line after the last one, whenever it came; None if none comes in time [s]."""
         self.socket.settimeout(timeout_s)
         try:
-            line: dict[str, Any] = json.loads(self.socket.recv(LARGEST_STATUS))
+            data, _, ours = receive(self.socket, LARGEST_STATUS)
         except (TimeoutError, BlockingIOError):  # the latter if it may take no time at all
             return None
+        if not ours:
+            return None
+        line: dict[str, Any] = json.loads(data)
         return line
 
     def heard(self, timeout_s: float) -> Iterator[dict[str, Any]]:
@@ -199,7 +211,7 @@ class Watcher:
             if line is not None:
                 yield line
 
-    def _forget(self) -> None:
+    def forget(self) -> None:
         """Throw lines away that wait from before."""
         self.socket.setblocking(False)
         try:

@@ -1,0 +1,410 @@
+"""Another user on the machine: the folder of the sockets is not shared, and an order counts only once it is confirmed.
+
+What needs a second user forks and becomes one; that takes root, and is skipped without.
+"""
+
+import json
+import os
+import shutil
+import signal
+import socket
+import stat
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+from firmware_sim import places as simulated
+from firmware_sim.description import SimulatorError
+from firmware_sim.hub import Hub
+from handctl.cli.main import main
+from handctl.controller.requests import parse_request, taken
+from handctl.errors import BusError, PowerError, UnconfirmedError
+from handctl.runtime.asking import confirmed, ordered
+from handctl.runtime.local import connect
+from handctl.runtime.mailbox import Mailbox, Watcher
+from handctl.runtime.places import mailbox_path, run_dir
+from tests.runtime.processes import BUS, end, ended_well, handctl, said, start_handctl, wait_for
+
+NOBODY = 65534
+SECOND_USER = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
+UNCONFIRMED = "nobody has confirmed: switch the power off"
+
+
+def as_nobody(do) -> str:
+    """Do something as another user; what came of it, or the name of the error."""
+    out, into = os.pipe()
+    child = os.fork()
+    if child == 0:
+        answer = "failed"
+        try:
+            os.setgroups([])
+            os.setresgid(NOBODY, NOBODY, NOBODY)
+            os.setresuid(NOBODY, NOBODY, NOBODY)
+            answer = str(do())
+        except OSError as error:
+            answer = type(error).__name__
+        finally:
+            os.write(into, answer.encode())
+            os._exit(0)
+    os.close(into)
+    with os.fdopen(out) as pipe:
+        answer = pipe.read()
+    os.waitpid(child, 0)
+    return answer
+
+
+@pytest.fixture
+def shared(monkeypatch):
+    """A folder for temporary files that every user of the machine writes in, as /tmp; no other place is named."""
+    folder = Path(tempfile.mkdtemp(prefix="h-"))
+    folder.chmod(0o1777)
+    monkeypatch.setattr("tempfile.tempdir", str(folder))
+    monkeypatch.delenv("HANDCTL_RUN_DIR", raising=False)
+    monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
+    yield folder
+    shutil.rmtree(folder)
+
+
+def theirs(shared: Path) -> Path:
+    return shared / f"handctl-{os.geteuid()}"
+
+
+def refuses(word: str) -> None:
+    """Controller, simulator and every order refuse the folder, in one line that names it and what is wrong."""
+    for refused in (lambda: Mailbox("local:x"), lambda: Watcher("local:x"), lambda: connect("x"), run_dir):
+        with pytest.raises(BusError, match=word) as caught:
+            refused()
+        assert "\n" not in str(caught.value)
+        assert "HANDCTL_RUN_DIR" in str(caught.value)
+    with pytest.raises(UnconfirmedError, match=UNCONFIRMED):
+        ordered("local:x", "stop")
+    for refused in (lambda: Hub("x"), simulated.run_dir):
+        with pytest.raises(SimulatorError, match=word) as caught:
+            refused()
+        assert "\n" not in str(caught.value)
+
+
+@SECOND_USER
+@pytest.mark.parametrize("mode", [0o777, 0o700])
+@pytest.mark.parametrize("deep", [False, True])
+def test_a_folder_that_another_user_made_is_refused(shared, mode, deep, capsys):
+    folder = theirs(shared)
+
+    def make():
+        folder.mkdir()
+        if deep:
+            (folder / "handctl").mkdir()
+            (folder / "handctl").chmod(mode)
+        folder.chmod(mode)
+        return "made"
+
+    assert as_nobody(make) == "made"
+    assert folder.stat().st_uid == NOBODY
+    refuses("belongs to user nobody|belongs to another user")
+    assert main(["stop", "--bus", "local:x"]) == 71
+    assert main(["run", "--bus", "local:x"]) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert UNCONFIRMED in lines[0]
+    assert "belongs to user nobody" in lines[-1]
+
+
+@SECOND_USER
+def test_a_folder_above_that_another_user_owns_or_can_write_in_is_refused(shared, monkeypatch):
+    """The folder itself is ours and closed; whoever owns the one above renames it and puts another there."""
+    above = shared / "above"
+    above.mkdir()
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(above / "run"))
+    run_dir()
+    above.chmod(0o777)
+    refuses(r"above: is open to others \(mode 0777\)")
+    above.chmod(0o755)
+    os.chown(above, NOBODY, NOBODY)
+    refuses("above: belongs to")
+
+
+@pytest.mark.parametrize("deep", [False, True])
+def test_a_folder_that_others_can_write_in_is_refused(shared, deep):
+    folder = run_dir() if deep else run_dir().parent
+    folder.chmod(0o777)
+    refuses(r"is open to others \(mode 0777\)")
+    folder.chmod(0o770)
+    refuses(r"is open to others \(mode 0770\)")
+
+
+@pytest.mark.parametrize("make", [run_dir, simulated.run_dir])
+def test_what_is_made_or_could_only_be_read_is_closed(shared, make):
+    """Earlier versions made the upper one with mode 0755."""
+    folder = make()
+    assert folder == theirs(shared) / "handctl"
+    for path in (folder, folder.parent):
+        assert stat.S_IMODE(path.stat().st_mode) == 0o700
+        path.chmod(0o755)
+    assert make() == folder
+    assert [stat.S_IMODE(path.stat().st_mode) for path in (folder, folder.parent)] == [0o700, 0o700]
+
+
+@pytest.mark.parametrize("deep", [False, True])
+def test_a_link_is_refused(shared, deep):
+    """Wherever it leads, whoever made it."""
+    own = shared / "elsewhere"
+    own.mkdir(mode=0o700)
+    if deep:
+        theirs(shared).mkdir(mode=0o700)
+    link = theirs(shared) / "handctl" if deep else theirs(shared)
+    link.symlink_to(own)
+    refuses("is a link")
+
+
+@SECOND_USER
+def test_a_link_of_another_user_above_is_refused(shared, monkeypatch):
+    (shared / "own").mkdir(mode=0o700)
+    assert as_nobody(lambda: (shared / "link").symlink_to(shared / "own")) == "None"
+    monkeypatch.setenv("HANDCTL_RUN_DIR", str(shared / "link" / "run"))
+    refuses("link: is a link")
+
+
+@SECOND_USER
+def test_the_order_to_stop_does_not_reach_who_took_the_mailbox_s_place(shared):
+    """The attack: rename the mailbox, put another there, receive what is meant for the hand."""
+    box, folder = Mailbox("local:x"), run_dir()
+    aside, mailbox, heard = folder / "aside", Path(box.path), []
+
+    def take():
+        mailbox.rename(aside)
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as own:
+            own.bind(str(mailbox))
+            os.chmod(mailbox, 0o777)
+            os.write(ready, b"x")
+            own.settimeout(6.0)
+            return own.recv(4096).decode()
+
+    assert as_nobody(lambda: mailbox.rename(aside)) == "PermissionError"
+    assert as_nobody(lambda: socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM).connect(str(mailbox))) == (
+        "PermissionError"
+    )
+    for path in (folder, folder.parent):  # somebody opens it while the controller runs
+        path.chmod(0o777)
+    begun, ready = os.pipe()
+    attack = threading.Thread(target=lambda: heard.append(as_nobody(take)))
+    attack.start()
+    os.read(begun, 1)
+    assert mailbox.stat().st_uid == NOBODY, "the other one's, in the mailbox's place"
+    with pytest.raises(UnconfirmedError, match=UNCONFIRMED):
+        ordered("local:x", "stop")
+    attack.join()
+    assert heard == ["TimeoutError"], "nothing was sent there"
+    box.close()
+
+
+@SECOND_USER
+def test_nobody_else_s_request_is_taken_and_nobody_else_s_word_believed(shared):
+    """Even in an open folder: the kernel says whose process has sent a datagram."""
+    box, watcher = Mailbox("local:x"), Watcher("local:x")
+    for path in (watcher.path, Path(box.path)):
+        path.chmod(0o777)
+    for path in (run_dir(), run_dir().parent):
+        path.chmod(0o777)
+
+    def send(path, text):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
+            return out.sendto(text, str(path)) and "sent"
+
+    assert as_nobody(lambda: send(box.path, b'{"do": "stop"}')) == "sent"
+    assert as_nobody(lambda: send(watcher.path, b'{"mode": "DONE"}')) == "sent"
+    assert watcher.following(0.1) is None
+    assert box.read() == ()
+    send(box.path, b'{"do": "arm"}')
+    assert box.read() == ('{"do": "arm"}',), "positive control: this user's is"
+    box.socket.sendto(b'{"mode": "READY"}', str(watcher.path))
+    assert watcher.following(0.1) == {"mode": "READY"}
+    watcher.close()
+    box.close()
+
+
+@SECOND_USER
+def test_a_hub_hears_only_its_own_user(shared):
+    hub = Hub("x")
+    folder = run_dir()
+    for path in (folder / "x.bus", folder, folder.parent):
+        path.chmod(0o777)
+
+    def join():
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as link:
+            link.connect(str(folder / "x.bus"))
+            return "joined"
+
+    assert as_nobody(join) == "joined"
+    hub.serve(hub.readers())
+    assert hub.clients == 0
+    for path in (folder.parent, folder):
+        path.chmod(0o700)
+    link = connect("x")
+    hub.serve(hub.readers())
+    assert hub.clients == 1
+    link.close()
+    hub.close()
+
+
+class Answering:
+    """A controller's end of the mailbox, with the tick's own words for what it takes, in a thread."""
+
+    def __init__(self, end_with: str = "DISARM -> DONE", deaf_after: str = "") -> None:
+        self.box, self.taken, self._on = Mailbox(BUS), [], True
+        self._end, self._deaf = end_with, deaf_after
+        self.thread = threading.Thread(target=self._run)
+
+    def __enter__(self):
+        self.thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self._on = False
+        self.thread.join()
+        self.box.close()
+
+    def _run(self):
+        mode, k = "ACTIVE", 0
+        while self._on:
+            k += 1
+            events = [{"name": "request", "where": "", "text": taken(parse_request(text))} for text in self.box.read()]
+            self.taken += [event["text"].split()[1] for event in events]
+            line = {"k": k, "t_s": k * 0.002, "mode": mode, "phase": "", "events": events}
+            if mode == "RELAX":
+                mode = "" if self._deaf == "RELAX" else "DONE"
+                line |= {"mode": mode, "events": [{"name": "mode", "where": "", "text": self._end}]}
+            if mode == "ACTIVE" and "stop" in self.taken:
+                mode = "RELAX"
+            if mode:
+                self.box.publish(line)
+            if mode == "DONE":
+                return
+            time.sleep(0.002)
+
+
+def test_a_stop_is_done_once_the_controller_says_that_the_hand_has_let_go(place, capsys):
+    with Answering() as controller:
+        assert main(["stop", "--bus", BUS, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"asked": "stop", "bus": BUS, "confirmed": True, "mode": "DONE"}
+    assert controller.taken == ["stop"]
+
+
+def test_a_stop_after_which_a_drive_stays_on_says_so(place, capsys):
+    with Answering("DISARM -> DONE: REMOVE POWER: not confirmed disabled: index_motor"):
+        assert main(["stop", "--bus", BUS]) == 71
+    assert "REMOVE POWER: not confirmed disabled: index_motor" in capsys.readouterr().err
+
+
+def test_a_controller_that_falls_silent_after_it_took_the_order_has_confirmed_nothing(place, capsys):
+    with Answering(deaf_after="RELAX"):
+        assert main(["stop", "--bus", BUS]) == 71
+    assert UNCONFIRMED in capsys.readouterr().err
+
+
+def test_clear_is_done_once_it_is_taken(place, capsys):
+    with Answering() as controller:
+        assert main(["clear", "--bus", BUS]) == 0
+    assert controller.taken == ["clear"]
+    assert "has cleared its faults" in capsys.readouterr().out
+
+
+def test_who_asks_is_answered_although_others_have_taken_all_places_of_watchers(place):
+    others = [Watcher(BUS) for _ in range(6)]
+    with Answering() as controller:
+        until = time.monotonic() + 1.0
+
+        def crowd():
+            while time.monotonic() < until:
+                for other in others:
+                    other.next(0.0)
+
+        crowding = threading.Thread(target=crowd)
+        crowding.start()
+        asking = Watcher(BUS)
+        for _ in range(20):
+            assert confirmed(asking, {"do": "arm"})[1] == []
+        asking.close()
+        crowding.join()
+    assert controller.taken.count("arm") == 20
+    for other in others:
+        other.close()
+
+
+def filled(path: Path) -> int:
+    """Fill a mailbox to the brim; how many datagrams it took."""
+    count = 0
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
+        out.setblocking(False)
+        try:
+            while True:
+                out.sendto(b'{"do": "arm"}', str(path))
+                count += 1
+        except BlockingIOError:
+            return count
+
+
+@pytest.mark.parametrize("word", ["stop", "cut", "clear"])
+@pytest.mark.parametrize("full", [False, True])
+def test_a_mailbox_that_nobody_reads_confirms_nothing_and_nobody_waits_for_it(place, word, full):
+    box = Mailbox(BUS)
+    if full:
+        assert filled(box.path)
+    began = time.monotonic()
+    with pytest.raises(UnconfirmedError, match=UNCONFIRMED) as caught:
+        ordered(BUS, word)
+    assert time.monotonic() - began < 4.0
+    assert isinstance(caught.value, PowerError)
+    assert ("its mailbox is full" if full else "the controller is silent") in str(caught.value)
+    box.close()
+
+
+@pytest.mark.realtime
+def test_a_paused_controller_has_not_stopped_a_hand_and_a_flooded_one_has(place, hand, calibrated, scale):
+    process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale)
+    try:
+        watcher = Watcher(BUS)
+        wait_for("stay", watcher, process)
+        watcher.close()
+        process.send_signal(signal.SIGSTOP)
+        for word in (("clear",), ("stop",)):
+            asked = handctl(*word, "--bus", BUS)
+            assert (asked.returncode, asked.stdout) == (71, "")
+            assert UNCONFIRMED in asked.stderr
+        filled(mailbox_path(BUS))
+        assert handctl("stop", "--cut", "--bus", BUS).returncode == 71
+        process.send_signal(signal.SIGCONT)
+        assert said(process)[0] in (0, 1), "it stood still (H03), and finds the orders as soon as it goes on"
+    finally:
+        process.send_signal(signal.SIGCONT)
+        end(process)
+
+
+@pytest.mark.realtime
+def test_a_flooded_mailbox_does_not_keep_an_order_out(place, hand, calibrated, scale):
+    process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale)
+    ended = threading.Event()
+
+    def flood():
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
+            while not ended.is_set():
+                try:
+                    out.sendto(b'{"do": "arm"}', str(mailbox_path(BUS)))
+                except OSError:
+                    return
+
+    flooding = threading.Thread(target=flood)
+    try:
+        watcher = Watcher(BUS)
+        wait_for("stay", watcher, process)
+        watcher.close()
+        flooding.start()
+        asked = handctl("stop", "--bus", BUS)
+        assert asked.returncode == 0, asked.stderr
+        assert said(process)[0] == 0
+    finally:
+        ended.set()
+        end(process)
+        flooding.join()
+    assert ended_well(place / "run.mcap")[-1] == "DISARM -> DONE"
