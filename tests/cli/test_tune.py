@@ -42,6 +42,26 @@ def test_a_search_without_a_good_trial_is_json_too(searched, place, capsys):
     assert not (place / "jamia.search.toml").exists()
 
 
+@pytest.mark.parametrize("words", [(), ("--json",)])
+def test_a_design_without_stable_gains_writes_nothing(place, capsys, monkeypatch, words):
+    def refuses(*words):
+        raise ValueError("no authority keeps the margins")
+
+    monkeypatch.setattr("handctl.tune.design.design", refuses)
+    assert main(["tune", "design", "--plants", "1", *words]) == 1
+    said = capsys.readouterr()
+    assert said.err == "handctl: tune design: no authority keeps the margins; nothing is written\n"
+    assert not words or json.loads(said.out)["gains"] is None
+    assert not list(place.iterdir())
+
+
+def test_poles_that_are_not_stable_in_simulation_are_not_written(place, capsys, monkeypatch):
+    monkeypatch.setattr("handctl.tune.steps.Proof._ask", lambda self, model: ": plant 1 of 1 swings by 9 N")
+    assert main(["tune", "design", "--plants", "1", "--poles-Hz", "5,25"]) == 1
+    assert "not stable on every plant: plant 1 of 1 swings by 9 N; nothing is written" in capsys.readouterr().err
+    assert not list(place.iterdir())
+
+
 def test_units_in_brackets_are_no_markup(searched, capsys):
     searched.append(Trial(0, {}, Score(1.0, 2.0, 3.0, 60.0, -0.5)))
     assert main(["tune", "search", "--plants", "1", "--trials", "1", "--study", "[bold].study"]) == 0

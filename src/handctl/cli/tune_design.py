@@ -1,16 +1,17 @@
 """``handctl tune design``: margins before and after, and the gains that have them."""
 
 import argparse
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import layered_gains
-from handctl.cli.options import print_json
+from handctl.cli.options import print_json, say
 from handctl.cli.plan import control_rate
 from handctl.cli.screen import screen
-from handctl.cli.tune_files import checked_count, output_files, subject, write_gains
+from handctl.cli.tune_files import checked_count, output_files, subject, verify_command, write_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.model import HandModel
 from handctl.errors import ConfigError
@@ -20,9 +21,10 @@ LOWEST_POLE_HZ, MOST_DAMPING = 0.01, 100.0
 
 def run(args: argparse.Namespace) -> int:
     """Design, draw, write."""
-    from handctl.tune.design import Design, design, linear_factors
+    from handctl.tune.design import Design, design, linear_factors, redesigned
     from handctl.tune.ensemble import ensemble
     from handctl.tune.plots import draw_loops
+    from handctl.tune.steps import Proof
 
     if args.poles is None and args.damping != 1.0:
         raise ConfigError(f"{args.damping:g}", "--damping", "only with --poles-Hz, whose poles it damps")
@@ -33,11 +35,17 @@ def run(args: argparse.Namespace) -> int:
     factors = ensemble(checked_count(args.plants, "--plants", 1024), args.seed, spread)
     plants = tuple(linear_factors(one) for one in factors)
     model = HandModel.of(twin, gains, rate)
+    proof = Proof(twin, factors, plants, args.seed)
     with screen(error=True).status(f"keeping margins on {len(plants)} plants"):
         try:
-            found: Design = _placed(args, model, plants, rate) if args.poles is not None else design(model, plants)
+            found: Design = (
+                _placed(args, model, plants, rate) if args.poles is not None else design(model, plants, proof)
+            )
         except ValueError as error:
-            raise ConfigError(str(error), "tune design") from None
+            return _nothing(args, str(error))
+        if not found.worst_after.stable or not proof(redesigned(model, found.gains)):
+            return _nothing(args, f"these poles are not stable on every plant{proof.told}")
+        found = found if proof(model) else found.with_unproven_before()
     after = HandModel.of(twin, found.gains, rate)
     note = f"tune design at {rate:g} Hz on {len(plants)} plants, seed {args.seed}"
     write_gains(out, found.gains, hand, note, fit=args.fit)
@@ -47,8 +55,16 @@ def run(args: argparse.Namespace) -> int:
         print_json(_plain(found, out, picture, rate, len(plants)))
     else:
         _print(found, rate, len(plants))
-        print(f"gains: {out}\npicture: {picture}\nnext: handctl tune verify {out} --lockstep --hand {args.hand}")
+        print(f"gains: {out}\npicture: {picture}\nnext: {verify_command(args, out)}")
     return Exit.DONE if good else Exit.FAILED
+
+
+def _nothing(args: argparse.Namespace, why: str) -> int:
+    """No gains are written."""
+    if args.json:
+        print_json({"gains": None, "picture": None, "enough": False, "why": why})
+    say(f"handctl: tune design: {why}; nothing is written", error=True)
+    return Exit.FAILED
 
 
 def _placed(args: argparse.Namespace, model: HandModel, plants: Any, rate: float) -> Any:
@@ -100,8 +116,17 @@ def _print(found: Any, rate: float, plants: int) -> None:
 
 
 def _cells(before: Any, after: Any) -> list[str]:
+    from handctl.tune.margins import MOST_DB, MOST_DELAY_S
+
+    def one(margins: Any, name: str, scale: float, digits: int) -> str:
+        most = {"gain_db": MOST_DB, "delay_s": MOST_DELAY_S}.get(name, math.inf)
+        value = getattr(margins, name)
+        if not margins.stable:
+            return "none"
+        return "-" if math.isnan(value) else f"{'>' if value >= most else ''}{value * scale:.{digits}f}"
+
     def pair(name: str, scale: float = 1.0, digits: int = 1) -> str:
-        return f"{getattr(before, name) * scale:.{digits}f}\u2192{getattr(after, name) * scale:.{digits}f}"
+        return f"{one(before, name, scale, digits)}\u2192{one(after, name, scale, digits)}"
 
     return [
         pair("gain_db"),

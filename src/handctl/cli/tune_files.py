@@ -1,6 +1,7 @@
 """Files that the kinds of ``handctl tune`` read and write alike."""
 
 import argparse
+import shlex
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,6 +40,16 @@ def checked_count(number: int, option: str, most: int) -> int:
     if not 1 <= number <= most:
         raise ConfigError(str(number), option, f"1 to {most}")
     return number
+
+
+def verify_command(args: argparse.Namespace, out: Path) -> str:
+    """Return the command that verifies new gains in simulation, with the options that the same hand needs."""
+    words = ["handctl", "tune", "verify", str(out), "--lockstep", "--hand", str(args.hand)]
+    words += ["--gains", str(args.gains)] if args.gains else []
+    words += [word for gain in args.gain or () for word in ("--gain", gain)]
+    words += ["--rate", f"{args.rate:g}"] if args.rate else []
+    words += ["--calibration", str(args.fit)] if args.fit else []
+    return shlex.join(words)
 
 
 def write_gains(path: Path, gains: Gains, hand: Hand, note: str, fit: Path | None = None, study: str = "") -> None:

@@ -11,7 +11,7 @@ from handctl.cli.gains_layers import layered_gains
 from handctl.cli.options import print_json
 from handctl.cli.plan import control_rate
 from handctl.cli.screen import screen
-from handctl.cli.tune_files import checked_count, output_files, subject, write_gains
+from handctl.cli.tune_files import checked_count, output_files, subject, verify_command, write_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         print_json(result)
     else:
         _print(found, result)
-        print(f"next: handctl tune verify {out} --lockstep --hand {args.hand}")
+        print(f"next: {verify_command(args, out)}")
     return Exit.DONE
 
 

@@ -27,12 +27,14 @@ class Stage:
         duration: [s], rest included.
         angle: goal of a move [rad]; NaN for a tension.
         tension: goal of a tension [N].
+        rest: at the end of a move [s].
     """
 
     name: str
     duration: float
     angle: float = math.nan
     tension: float = 0.0
+    rest: float = REST_S
 
 
 def stages(amplitude: float = 1.0, fastest_s: float = 0.25) -> tuple[Stage, ...]:
@@ -93,7 +95,7 @@ class Exercise:
 
 def _goal(model: HandModel, d: int, stage: Stage, estimate: Estimate, t: float) -> DigitGoal:
     if not math.isnan(stage.angle):
-        return motion_to(model.digits[d], estimate, stage.angle, stage.duration - REST_S, t)
+        return motion_to(model.digits[d], estimate, stage.angle, stage.duration - stage.rest, t)
     tendons = model.digit_tendons[d]
     tension = np.full(tendons.stop - tendons.start, stage.tension)
     return DigitGoal(Kind.TENSION, tension=tension, rate=model.gains.tension.rate_N_per_s)

@@ -1,7 +1,8 @@
 """Gains by design: as much authority as the margins allow on every plant, or poles where a person wants them.
 
 Authority is LQR's one knob: the force that counts like the errors of Bryson's rule. More of it makes a loop faster and
-its margins smaller, so it is turned up as far as they last.
+its margins smaller, so it is turned up from below as far as they last. Margins that are reported are confirmed by the
+closed loop's eigenvalues, and gains that are found by whoever can prove them, e.g. by simulation.
 
 Poles: for a plant with one input and weights on position and speed, the closed loop's characteristic polynomial d
 satisfies d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r. Two poles and two ratios of weights: each pole
@@ -9,7 +10,7 @@ pair with a damping above 1/sqrt(2) has its weights, in closed form. Source: Kal
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
 
@@ -18,12 +19,14 @@ from handctl.controller.model import HandModel
 from handctl.controller.motion_design import bearable, design_motion
 from handctl.document import validated
 from handctl.errors import ConfigError
-from handctl.tune.linear import LoopKind, PlantFactors, controller, joined, plant
-from handctl.tune.margins import Margins, all_margins, margins, worse
+from handctl.tune.linear import LoopKind, PlantFactors, System, controller, joined, plant
+from handctl.tune.margins import Margins, all_margins, confirmed, margins, unproven, worse
 
 LEAST_FORCE_N, MOST_FORCE_N = 0.2, 400.0
 STRIDE, STEPS = math.log(1.7), 5
 """Of the logarithm of the force, and bisections of the last one: within two per cent."""
+RETREATS = 3
+"""Strides of both forces back down, where the margins are kept and the proof fails."""
 REJECTION = (1.0, 0.7, 0.5, 0.35, 0.25, 0.1, 0.0)
 """Shares of disturbance rejection to try, from the largest: what a filter of this hand may leave no margin for."""
 
@@ -43,6 +46,11 @@ class Design:
     after: dict[tuple[str, LoopKind], Margins]
     worst_before: Margins
     worst_after: Margins
+
+    def with_unproven_before(self) -> "Design":
+        """The same where the present gains did not come to rest in simulation, whatever their linear loops say."""
+        before = {loop: unproven(one) for loop, one in self.before.items()}
+        return replace(self, before=before, worst_before=unproven(self.worst_before))
 
     def as_weights(self) -> Gains:
         """The same gains with the force of each loop put into its weights, for only ratios count (LQR)."""
@@ -132,8 +140,14 @@ def redesigned(model: HandModel, gains: Gains) -> HandModel:
 
 
 def worst_of(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind) -> Margins:
-    """The least of every margin over plants, loops and unlike tendons."""
-    return reduce(worse, _each(model, plants, kinds))
+    """The least of every margin over plants, loops and unlike tendons, confirmed by eigenvalues."""
+    return reduce(worse, _each(model, plants, kinds, confirmed))
+
+
+def weakest(model: HandModel, plants: tuple[PlantFactors, ...]) -> int:
+    """Return the index of the plant with the smallest disk margin of any loop."""
+    disks = [min(one.disk for one in _each(model, (factors,), LoopKind)) for factors in plants]
+    return disks.index(min(disks))
 
 
 def keeps(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind) -> bool:
@@ -141,11 +155,16 @@ def keeps(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[Lo
     return all(one.enough for one in _each(model, plants, kinds))
 
 
-def _each(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind]) -> Iterator[Margins]:
+def _each(
+    model: HandModel,
+    plants: tuple[PlantFactors, ...],
+    kinds: Iterable[LoopKind],
+    judge: Callable[[System], Margins] = margins,
+) -> Iterator[Margins]:
     for kind in kinds:
         for i in unlike_tendons(model):
             own = controller(model, i, kind)
-            yield from (margins(joined(plant(model, i, kind, factors), own)) for factors in plants)
+            yield from (judge(joined(plant(model, i, kind, factors), own)) for factors in plants)
 
 
 def unlike_tendons(model: HandModel) -> tuple[int, ...]:
@@ -157,25 +176,48 @@ def unlike_tendons(model: HandModel) -> tuple[int, ...]:
     return tuple(seen.values())
 
 
-def design(model: HandModel, plants: tuple[PlantFactors, ...]) -> Design:
+def design(
+    model: HandModel, plants: tuple[PlantFactors, ...], proves: Callable[[HandModel], bool] = lambda _: True
+) -> Design:
     """The most authority of each loop, and the most disturbance rejection, that keep the margins on every plant.
 
     Args:
         model: the hand with its present gains; its filter is kept.
         plants: ensemble to keep the margins on.
+        proves: whether gains that keep the margins hold elsewhere, too, e.g. in simulation.
 
     Raises:
-        ValueError: not even without authority are the margins kept.
+        ValueError: not even without authority are the margins kept, or none of those gains is proven.
     """
+    unproven = False
     for share in REJECTION:
         if share > model.gains.motion.disturbance_rejection:
             continue
         found = _boldest(_with_motion(model, disturbance_rejection=share), LoopKind.MOTION, plants)
         found = found and _boldest(found, LoopKind.TENSION, plants)
-        if found:
-            before, after = worst_of(model, plants), worst_of(found, plants)
-            return Design(found.gains, all_margins(model), all_margins(found), before, after)
+        if not found:
+            continue
+        for tried in _retreating(found, plants):
+            after = worst_of(tried, plants)
+            if after.enough and proves(tried):
+                return Design(tried.gains, all_margins(model), all_margins(tried), worst_of(model, plants), after)
+            unproven = unproven or after.enough
+        if unproven:  # less rejection is less of one term; what does not settle in simulation has another cause
+            raise ValueError(
+                "the gains that keep the margins do not come to rest in simulation; expected other weights"
+            )
     raise ValueError("no authority keeps the margins with this filter; expected a filter that trusts its sensors less")
+
+
+def _retreating(found: HandModel, plants: tuple[PlantFactors, ...]) -> Iterator[HandModel]:
+    """The gains, then such with less and less authority that keep the margins as well."""
+    yield found
+    for step in range(1, RETREATS + 1):
+        force = math.exp(-step * STRIDE)
+        less = _with_force(found, LoopKind.MOTION, found.gains.motion.force_N * force)
+        less = _with_force(less, LoopKind.TENSION, found.gains.tension.force_N * force)
+        if keeps(less, plants):
+            yield less
 
 
 def _with_motion(model: HandModel, **values: float) -> HandModel:
@@ -186,17 +228,18 @@ def _with_motion(model: HandModel, **values: float) -> HandModel:
 def _boldest(model: HandModel, kind: LoopKind, plants: tuple[PlantFactors, ...]) -> HandModel | None:
     """The most authority of one loop that keeps the margins; None if none does.
 
-    Too little loses them as well (an integral alone makes a rope ring), so it comes down from above in steps, and
-    bisects the last.
+    It comes up from below. The least may not keep them (an integral alone makes a rope ring); from the first that
+    does it goes on as long as they last, and bisects the last step. What keeps them far above is not looked for.
     """
-    high = math.log(MOST_FORCE_N)
-    while high > math.log(LEAST_FORCE_N):
-        low = high - STRIDE
-        best = _with_force(model, kind, math.exp(low))
-        if keeps(best, plants, (kind,)):
-            return _bisected(model, kind, plants, low, high, best)
-        high = low
-    return None
+    best, low, most = None, math.log(LEAST_FORCE_N), math.log(MOST_FORCE_N)
+    while low < most:
+        tried = _with_force(model, kind, math.exp(low))
+        if keeps(tried, plants, (kind,)):
+            best = tried
+        elif best is not None:
+            return _bisected(model, kind, plants, low - STRIDE, low, best)
+        low += STRIDE
+    return best
 
 
 def _bisected(

@@ -3,17 +3,22 @@
 The controller's matrices are finite differences of the very functions that a tick calls, so whatever changes in the
 filter or the law changes here too. Each tendon is taken by itself, as the gains are designed. Friction is left out: in
 motion it is saturated and has no slope. The delay is the bus's: a tick acts on samples of the tick before.
+
+The linear law is differentiated, not the limits around it. A force at its limit has no slope, and the loop of a
+saturated law looks as if it had no gain and every margin. So the motor's limits are taken away, and the goals are put
+where the estimate of the operating point is, which makes every feedback error there zero.
 """
 
 import enum
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
+from scipy.optimize import linprog
 
 from handctl.controller import computed_torque, estimator
 from handctl.controller.computed_torque import LawState
@@ -23,6 +28,7 @@ from handctl.controller.filter_state import FilterState
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.model import HandModel
 from handctl.controller.trajectory import Sample
+from handctl.hand.digit import DigitModel
 
 Matrix = NDArray[np.float64]
 
@@ -34,8 +40,16 @@ SPEED_M_S = 0.015
 """Operating point: cable speed at which friction is saturated."""
 ANGLE_RAD = 0.6
 """Operating point: joint angle, between the stops."""
-STEP = {"travel": 1e-7, "tension": 1e-2, "state": 1e-6}
+STEP = {"travel": 1e-7, "tension": 1e-2, "state": 2.0**-14}
 """Steps of the differences [m], [N], and as a share of what a state usually is."""
+UNLIMITED = 1e12
+"""Motor torque [N m] and force [N] that no gains ask for: the linear law has no limits."""
+DEVELOPED_N = 1e4
+"""Expected tension of a moving digit, far beyond its friction band: the expectation is at the band's edge."""
+INSIDE = 0.1
+"""Distance of the operating point from a joint's limits, as a share of its range, at least."""
+CONSTANT = 1e-9
+"""Largest coefficient by which anything else changes a state that is a constant."""
 
 
 class LoopKind(enum.StrEnum):
@@ -152,6 +166,7 @@ def joined(P: System, K: System) -> System:
 
     Negative feedback is taken out of it, so that margins are read from 1 + L.
     """
+    K = _without_constants(K)
     p, n, y = len(P.A), len(K.A), len(P.C)
     A = np.zeros((p + y + n, p + y + n))
     A[:p, :p] = P.A
@@ -161,6 +176,16 @@ def joined(P: System, K: System) -> System:
     B = np.vstack([P.B, np.zeros((y + n, 1))])
     C = np.hstack([np.zeros((1, p)), K.D, K.C])
     return System(A, B, -C, np.zeros((1, 1)), P.period)
+
+
+def _without_constants(K: System) -> System:
+    """Return a system without the states that nothing changes, such as a set-point.
+
+    Their deviation is zero for ever, and their poles at one say nothing about stability.
+    """
+    A, B = K.A - np.eye(len(K.A)), K.B
+    kept = np.flatnonzero((np.abs(A).max(axis=1) > CONSTANT) | (np.abs(B).max(axis=1) > CONSTANT))
+    return System(K.A[np.ix_(kept, kept)], K.B[kept], K.C[:, kept], K.D, K.period)
 
 
 _Tick = Callable[[Matrix, Matrix], Matrix]
@@ -184,13 +209,18 @@ def _with(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> M
     return tick(state, moved)
 
 
-_USUAL = {"x": np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])}
-"""Size of the filter's states, by which the differences are scaled; other states are forces [N]."""
+_USUAL = {"x": 2.0 ** np.array([-17, -7, -17, -7, 0, 0, -17])}
+"""Size of the filter's states, by which the differences are scaled; other states are forces [N].
+
+Powers of two: the difference of a state that is only copied is then exactly one.
+"""
 
 
 def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Tick, Matrix, Matrix, Matrix]:
     """The tick of one tendon about a point, that point's state and reading, and the step of each state."""
-    filters, law, measured, goals, contact = _point(model, kind)
+    filters, law, measured, goals, contact = _point(model, tendon, kind)
+    unlimited = np.full(model.tendon_count, UNLIMITED)
+    linear = replace(model, torque_limit=unlimited, space=replace(model.space, coulomb=np.zeros_like(unlimited)))
     parts = [("filter", name) for name in _floats(filters)] + [("law", name) for name in _floats(law)]
     owners = {"filter": filters, "law": law}
     n = model.tendon_count
@@ -215,7 +245,7 @@ def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Ti
         travel, tension, excursion = (_put(getattr(measured, name), tendon, reading[j]) for j, name in _READ)
         now = measured._replace(travel=travel, tension=tension, excursion=excursion)
         next_filters, estimate = estimator.step(model, own_filters, now, own_law.force, own_law.rate, contact)
-        next_law, command = computed_torque.step(model, own_law, estimate, goals, 0.0)
+        next_law, command = computed_torque.step(linear, own_law, estimate, goals, 0.0)
         after = {"filter": next_filters, "law": next_law}
         force = command.torque[tendon] / model.space.spool[tendon]
         return np.concatenate([*(share(after[owner], name) for owner, name in parts), [force]])
@@ -246,27 +276,67 @@ def _floats(record: FilterState | LawState) -> list[str]:
 
 
 def _point(
-    model: HandModel, kind: LoopKind
+    model: HandModel, tendon: int, kind: LoopKind
 ) -> tuple[FilterState, LawState, Measured, tuple[DigitGoal, ...], tuple[bool, ...]]:
-    """Every digit half closed, every tendon taut and winding, along the goal or (blocked) into the rope."""
+    """Every digit half closed, every tendon taut, one of them winding (motion) or at rest (tension), without error."""
     n = model.tendon_count
     moving = kind == LoopKind.MOTION
-    q = np.full(len(model.hand.joints), ANGLE_RAD)
+    coordinates = [_half_closed(digit) for digit in model.digits]
+    rates = [_winding(model, d, tendon, SPEED_M_S if moving else 0.0) for d in range(len(model.digits))]
+    q = np.concatenate([digit.coupling @ own for digit, own in zip(model.digits, coordinates, strict=True)])
+    dq = np.concatenate([digit.coupling @ own for digit, own in zip(model.digits, rates, strict=True)])
     excursion = model.hand.moment_arms @ q
     x = np.zeros((n, STATES))
     x[:, S] = excursion
     x[:, X] = excursion + TENSION_N / model.space.stiffness
-    x[:, V], x[:, W] = SPEED_M_S, SPEED_M_S if moving else 0.0
+    x[:, V] = x[:, W] = model.hand.moment_arms @ dq
     regime = Regime.FREE if moving else Regime.HELD
     filters = FilterState.of(x.ravel(), regime, stopped=False)
-    winding = model.motion.tension_speed * SPEED_M_S / (1.0 + model.motion.tension)  # set-point error that asks for it
-    planned = np.full(n, TENSION_N)  # what one plans for is no feedback, but must be there
-    law = LawState.initial(n)._replace(setpoint=TENSION_N + winding, force=planned.copy(), planned=planned)
+    force, none = np.full(n, TENSION_N), np.zeros(n)
     joints = model.excursion_of(q)
     seen = np.isfinite(_joint_gain(model))
-    measured = Measured(x[:, X].copy(), np.full(n, TENSION_N), np.where(seen, joints, math.nan), q)
-    goals = tuple(_goal(model, d, moving, q) for d in range(len(model.digits)))
-    return filters, law, measured, goals, (not moving,) * len(model.digits)
+    measured = Measured(x[:, X].copy(), force.copy(), np.where(seen, joints, math.nan), q)
+    contact = (not moving,) * len(model.digits)
+    _, estimate = estimator.step(model, filters, measured, force, none, contact)
+    law = LawState.initial(n)._replace(
+        setpoint=estimate.tension.copy(), force=force, planned=np.full(n, DEVELOPED_N if moving else TENSION_N)
+    )
+    if not moving:
+        return filters, law, measured, tuple(_hold(tendons) for tendons in model.digit_tendons), contact
+    goals = []
+    for digit, own, rate in zip(model.digits, coordinates, rates, strict=True):
+        reached, wound = estimate.excursion[digit.tendons], estimate.speed[digit.tendons]
+        goals.append(_move(digit, own, rate, reached, wound, tendon - digit.tendons.start))
+    return filters, law, measured, tuple(goals), contact
+
+
+def _half_closed(digit: DigitModel) -> Matrix:
+    """(n_c,) coordinates of a digit at which all its joints are inside their ranges [rad].
+
+    All joints at ``ANGLE_RAD`` where the coupling has such a point, else the point farthest from all limits.
+    """
+    low, high = digit.joint_min, digit.joint_max
+    own: Matrix = digit.joints_to_coordinates @ np.full(digit.joint_count, ANGLE_RAD)
+    joints, margin = digit.coupling @ own, INSIDE * (high - low)
+    if np.all(joints >= low + margin) and np.all(joints <= high - margin):
+        return own
+    count, span = digit.coupling.shape[1], (high - low)[:, None]
+    found = linprog(
+        np.append(np.zeros(count), -1.0),
+        A_ub=np.block([[digit.coupling, span], [-digit.coupling, span]]),
+        b_ub=np.concatenate([high, -low]),
+        bounds=[(None, None)] * count + [(None, 0.5)],
+    )
+    return own if found.x is None else np.asarray(found.x[:count])
+
+
+def _winding(model: HandModel, d: int, tendon: int, speed: float) -> Matrix:
+    """(n_c,) rates of a digit's coordinates at which its tendons wind, the one asked for at a speed [m/s]."""
+    digit = model.digits[d]
+    arms, i = digit.reduced_moment_arms, tendon - digit.tendons.start
+    if 0 <= i < len(arms):
+        return np.asarray(arms[i] * speed / (arms[i] @ arms[i]))
+    return np.asarray(np.linalg.pinv(arms) @ np.full(len(arms), speed))
 
 
 def _joint_gain(model: HandModel) -> Matrix:
@@ -275,12 +345,15 @@ def _joint_gain(model: HandModel) -> Matrix:
     return np.where(seen, 1.0, math.nan)
 
 
-def _goal(model: HandModel, d: int, moving: bool, q: Matrix) -> DigitGoal:
-    digit, tendons = model.digits[d], model.digit_tendons[d]
-    if not moving:
-        return DigitGoal(Kind.TENSION, tension=np.full(tendons.stop - tendons.start, TENSION_N), rate=0.0)
-    rate = (
-        digit.joints_to_coordinates @ (model.excursion_to_joints @ np.full(model.tendon_count, SPEED_M_S))[digit.joints]
-    )
-    own = digit.joints_to_coordinates @ q[digit.joints]
-    return DigitGoal(Kind.MOTION, Sample(np.asarray(own), np.asarray(rate), np.zeros_like(own)))
+def _hold(tendons: slice) -> DigitGoal:
+    n = tendons.stop - tendons.start
+    return DigitGoal(Kind.TENSION, tension=np.full(n, TENSION_N), rate=0.0, force_limit=UNLIMITED)
+
+
+def _move(digit: DigitModel, own: Matrix, rate: Matrix, reached: Matrix, wound: Matrix, i: int) -> DigitGoal:
+    """A way that is, for the digit's tendon i, where its estimate is: excursion [m] and cable speed [m/s]."""
+    arms = digit.reduced_moment_arms
+    if 0 <= i < len(arms):
+        towards = arms[i] / (arms[i] @ arms[i])
+        own, rate = own + towards * (reached[i] - arms[i] @ own), rate + towards * (wound[i] - arms[i] @ rate)
+    return DigitGoal(Kind.MOTION, Sample(own, rate, np.zeros_like(own)))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from handctl.controller.exercise import Exercise
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
+from handctl.controller.program import Program
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.controller.tick import Controller
 from handctl.controller.types import Mode, TickIn, TickOut
@@ -102,8 +103,29 @@ def exercise(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: i
         factors: of the plant, on what the hand's description says.
         seed: of its noise.
     """
+    return judge(hand, *simulated(hand, model, Exercise(), factors, seed))
+
+
+Ticks = list[tuple[TickIn, TickOut]]
+
+
+def simulated(
+    hand: Hand, model: HandModel, program: Program, factors: Mapping[str, float], seed: int
+) -> tuple[Ticks, Truth, str]:
+    """Run a program on one simulated plant in lockstep.
+
+    Args:
+        hand: description.
+        model: the hand with the gains.
+        program: to run.
+        factors: of the plant, on what the hand's description says.
+        seed: of its noise.
+
+    Returns:
+        ticks, the simulator's truth, and why it ended early (empty if it did not).
+    """
     period_ns = round(model.period * 1e9)
-    ticks: list[tuple[TickIn, TickOut]] = []
+    ticks: Ticks = []
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
         truth_file, hand_file = Path(folder) / "truth", Path(folder) / "hand.toml"
         hand_file.write_text(hand.to_toml(), "utf-8")
@@ -117,7 +139,7 @@ def exercise(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: i
             truth_path=str(truth_file),
         )
         clock = LockstepClock(peer, period_ns)
-        controller = _controller(hand, model)
+        controller = _controller(hand, model, program)
         try:
             loop = Loop(
                 clock,
@@ -134,12 +156,12 @@ def exercise(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: i
         finally:
             peer.close()
         truth = read_truth(truth_file)
-    return judge(hand, ticks, truth, state.failure)
+    return ticks, truth, state.failure
 
 
-def _controller(hand: Hand, model: HandModel) -> Controller:
+def _controller(hand: Hand, model: HandModel, program: Program) -> Controller:
     nothing = np.zeros(model.tendon_count)
-    return Controller.of(model, make_drives(hand), make_sensors(hand), Exercise(), nothing, nothing, True)
+    return Controller.of(model, make_drives(hand), make_sensors(hand), program, nothing, nothing, True)
 
 
 def judge(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: Truth, failure: str) -> Score:

@@ -1,0 +1,141 @@
+"""A step of each loop in lockstep: does the whole controller come to rest where the linear loops say it does?
+
+The linear loops leave out friction, limits, quantisation, the drives and the other digits. So gains are believed only
+after the running controller has answered a step of the angle and a step of the tension on the simulated plant and has
+come to rest after each of them.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from handctl.controller.exercise import HOME_RAD, Exercise, Stage
+from handctl.controller.model import HandModel
+from handctl.controller.types import Mode
+from handctl.hand.description import Hand
+from handctl.report.truth import Truth
+from handctl.tune.design import weakest
+from handctl.tune.linear import Matrix, PlantFactors
+from handctl.tune.trial import Reality, simulated
+
+STEP_RAD = 0.15
+REST_S = 0.5
+"""After a step, until it is over."""
+JUDGED_S = 0.25
+"""The end of that, in which nothing may swing any more."""
+MOST_ANGLE_RAD, MOST_FREE_N, MOST_HELD_N = 0.01, 1.0, 2.0
+"""Largest swings of a loop that has come to rest.
+
+Gains with 6 dB and 45 degrees swing by up to 0.0004 rad, 0.1 N and 1.2 N (quantisation, noise and stick-slip). Those
+with 2 dB or less, and unstable ones, swing by 2.9 N and more, or end with a fault.
+"""
+
+
+class Steps(Exercise):
+    """Tightens, then steps the angle in free motion and the tension against the closed stops."""
+
+    @property
+    def stages(self) -> tuple[Stage, ...]:
+        """All parts, in order."""
+        return (
+            Stage("settle", 0.5, HOME_RAD),
+            Stage("move", 0.1 + REST_S, HOME_RAD + STEP_RAD, rest=REST_S),
+            Stage("close", 0.8, tension=30.0),
+            Stage("hold", REST_S, tension=40.0),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Swing:
+    """What still moves after the steps, the most of any digit or tendon.
+
+    Attributes:
+        angle_rad: peak to peak of the mean joint angle after the step of motion.
+        free_N, held_N: peak to peak of the true tension after the step of motion and after that of tension.
+        failure: why the run ended early; empty if it did not.
+    """
+
+    angle_rad: float
+    free_N: float
+    held_N: float
+    failure: str = ""
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether nothing swings any more."""
+        small = self.angle_rad <= MOST_ANGLE_RAD and self.free_N <= MOST_FREE_N and self.held_N <= MOST_HELD_N
+        return small and not self.failure
+
+    def __str__(self) -> str:
+        """Say what still swings."""
+        if self.failure:
+            return self.failure
+        return f"swings by {np.degrees(self.angle_rad):.2f} deg, {self.free_N:.1f} N free and {self.held_N:.1f} N held"
+
+
+def swing(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> Swing:
+    """Step both loops on one simulated plant.
+
+    Args:
+        hand: description of the plant.
+        model: the hand with the gains.
+        factors: of the plant, on what the description says.
+        seed: of its noise.
+    """
+    ticks, truth, failure = simulated(hand, model, Steps(), factors, seed)
+    active = [(entry.t_ns, out.phase) for entry, out in ticks if out.mode == Mode.ACTIVE]
+    ends = {name: max((t for t, phase in active if phase == name), default=None) for name in ("move", "hold")}
+    if failure or ends["hold"] is None or ends["move"] is None:
+        return Swing(np.inf, np.inf, np.inf, failure or "never active")
+    angle, free = _swing(hand, truth, model, ends["move"])
+    _, held = _swing(hand, truth, model, ends["hold"])
+    return Swing(angle, free, held)
+
+
+def _swing(hand: Hand, truth: Truth, model: HandModel, end_ns: int) -> tuple[float, float]:
+    times = np.arange(end_ns - round(JUDGED_S * 1e9), end_ns, round(model.period * 1e9), dtype=np.int64)
+    real = Reality.of(truth, hand, times)
+    return _ripple(real.angle), _ripple(real.tension)
+
+
+def _ripple(values: Matrix) -> float:
+    """Return the largest peak to peak of any column about its own parabola: what creeps to its goal does not swing."""
+    t = np.linspace(-1.0, 1.0, len(values))
+    powers = np.vander(t, 3)
+    return float(np.ptp(values - powers @ np.linalg.lstsq(powers, values, rcond=None)[0], axis=0).max())
+
+
+@dataclass
+class Proof:
+    """Asks whether gains come to rest in lockstep on the hand's own plant and on the one with the smallest margins.
+
+    Attributes:
+        hand: that the plants are made of.
+        factors: of the ensemble's plants, the hand's own first.
+        plants: the same as far as they are linear.
+        seed: of the noise.
+        told: what did not come to rest in the last question.
+    """
+
+    hand: Hand
+    factors: tuple[dict[str, float], ...]
+    plants: tuple[PlantFactors, ...]
+    seed: int
+    told: str = ""
+    _known: dict[str, str] = field(default_factory=dict)
+
+    def __call__(self, model: HandModel) -> bool:
+        """Return whether the gains of a model come to rest."""
+        gains = model.gains.model_dump_json()
+        if gains not in self._known:
+            self._known[gains] = self._ask(model)
+        self.told = self._known[gains]
+        return not self.told
+
+    def _ask(self, model: HandModel) -> str:
+        for i in sorted({0, weakest(model, self.plants)}):
+            found = swing(self.hand, model, self.factors[i], self.seed + i)
+            if not found.at_rest:
+                return f": plant {i + 1} of {len(self.plants)} {found}"
+        return ""

@@ -1,0 +1,177 @@
+"""What a design writes is stable: by eigenvalues, by a brute-force oracle of the margins, and in lockstep."""
+
+import math
+from functools import cache
+
+import numpy as np
+import pytest
+
+from handctl.controller.gains import Gains
+from handctl.controller.model import HandModel
+from handctl.hand.description import hand_from, load_hand, packaged_hands
+from handctl.tune.design import Design, design, linear_factors, unlike_tendons
+from handctl.tune.ensemble import ensemble
+from handctl.tune.linear import LoopKind, System, _half_closed, controller, loop
+from handctl.tune.margins import MOST_DB, Margins, confirmed, is_stable, margins
+from handctl.tune.steps import Proof, swing
+from tests.conftest import NIGHTLY
+
+HANDS = packaged_hands()
+SEEDS = range(20) if NIGHTLY else range(2)
+RATES = {"jamia": 500.0}
+SATURATED = {"tension": {"tension_error_N": 0.5, "speed_error_m_s": 0.1}}
+"""With 390 N of authority the law asks for more torque than the motor has at the operating point."""
+
+
+def random_gains(seed: int, wide: float = 10.0) -> Gains:
+    """Weights, integral and filter off by up to a factor either way."""
+    random = np.random.default_rng(seed)
+
+    def off(value: float) -> float:
+        return value * float(np.exp(random.uniform(-math.log(wide), math.log(wide))))
+
+    table = {
+        "motion": {
+            "position_error_m": off(6e-4),
+            "speed_error_m_s": off(0.028),
+            "disturbance_rejection": float(random.uniform()),
+            "tension_feedback": off(0.3) / wide,
+        },
+        "tension": {"tension_error_N": off(4.0), "speed_error_m_s": off(0.03), "integral_per_s": off(3.0)},
+        "filter": {"motor_disturbance_N": off(0.12), "motor_acceleration_noise_N": off(0.03)},
+    }
+    return Gains.model_validate(table)
+
+
+@cache
+def model_of(hand: str, seed: int, wide: float = 10.0) -> HandModel:
+    """A packaged hand with random gains."""
+    return HandModel.of(load_hand(hand), random_gains(seed, wide), RATES.get(hand, 200.0))
+
+
+def with_force(force: float) -> HandModel:
+    """Jamia with the weights that saturate and a force."""
+    table = SATURATED | {"tension": SATURATED["tension"] | {"force_N": force}}
+    return HandModel.of(load_hand("jamia"), Gains.model_validate(table), 500.0)
+
+
+@pytest.mark.parametrize("force", [5.0, 50.0, 150.0, 393.0])
+def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
+    """The slope of a saturated law is none; the matrices are those of the gains, however large they are."""
+    model = with_force(force)
+    K = controller(model, 0, LoopKind.TENSION)
+    per_newton = model.motion.tension[0] + model.gains.tension.integral_per_s * model.period
+    assert per_newton > 0.5
+    states = K.C[0]
+    integral = states[np.isclose(states, 1.0)]
+    assert len(integral) >= 1  # a newton of integral is a newton of force, which a force at its limit is not
+    assert not margins(loop(model, 0, LoopKind.TENSION)).enough
+
+
+def test_a_loop_without_gain_has_no_margin() -> None:
+    still = System(np.array([[0.5]]), np.zeros((1, 1)), np.ones((1, 1)), np.zeros((1, 1)), 0.002)
+    for found in (margins(still), confirmed(still)):
+        assert (found.gain_db, found.phase_deg, found.disk, found.delay_s, found.enough) == (0.0, 0.0, 0.0, 0.0, False)
+
+
+def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
+    system = loop(jamia, 0, LoopKind.TENSION)
+    lost = System(system.A, 10.0 * system.B, system.C, system.D, system.period)
+    assert not is_stable(lost)
+    for found in (margins(lost), confirmed(lost)):
+        assert (found.gain_db, found.phase_deg, found.disk, found.delay_s, found.stable) == (0.0, 0.0, 0.0, 0.0, False)
+
+
+def brute_force(system: System) -> tuple[float, float]:
+    """Gain [dB] and phase [deg] at which an eigenvalue first leaves the unit circle, by trying them one by one."""
+
+    def radius(factor: complex) -> float:
+        return float(np.abs(np.linalg.eigvals(system.A - factor * (system.B @ system.C))).max())
+
+    decibels = np.arange(0.0, MOST_DB, 0.1)
+    gain = next((x for x in decibels if max(radius(10 ** (x / 20)), radius(10 ** (-x / 20))) >= 1.0), MOST_DB)
+    phase = next((x for x in np.arange(0.0, 180.0, 0.5) if radius(np.exp(1j * math.radians(x))) >= 1.0), 180.0)
+    return float(gain), float(phase)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("hand", HANDS)
+def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
+    """Never more than there is; and no less, but where frequencies and eigenvalues disagree and it is cut in parts."""
+    model = model_of(hand, seed)
+    for kind in LoopKind:
+        system = loop(model, 0, kind)
+        found, (gain, phase) = confirmed(system), brute_force(system)
+        if not found.stable:
+            assert gain == phase == 0.0
+            continue
+        assert 0.85 * gain - 0.2 <= found.gain_db <= 1.01 * gain + 0.02
+        assert 0.85 * phase - 1.0 <= found.phase_deg <= 1.01 * phase + 0.1
+        ticks = int(found.delay_s / system.period)
+        assert all(is_stable(system, delay=k) for k in range(ticks))
+
+
+def judged_stable(model: HandModel, found: Design, seed: int) -> HandModel:
+    """The designed model, all of whose loops have their eigenvalues inside the unit circle on both plants."""
+    after = HandModel.of(model.hand, found.gains, 1.0 / model.period)
+    for factors in ensemble(2, seed):
+        for i in unlike_tendons(after):
+            assert all(is_stable(loop(after, i, kind, linear_factors(factors))) for kind in LoopKind)
+    return after
+
+
+@pytest.mark.parametrize("seed", SEEDS if NIGHTLY else SEEDS[:1])
+def test_what_a_design_comes_to_is_stable_by_its_eigenvalues(seed: int) -> None:
+    """The design alone, without its proof in simulation."""
+    model = model_of("jamia", seed, 3.0)
+    found = design(model, tuple(linear_factors(one) for one in ensemble(2, seed)))
+    judged_stable(model, found, seed)
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("hand", HANDS)
+def test_what_a_design_writes_is_stable(hand: str, seed: int) -> None:
+    """On its own plant and on another: by the eigenvalues of every loop, and by a step of each in lockstep."""
+    model, factors = model_of(hand, seed, 3.0), ensemble(2, seed)
+    plants = tuple(linear_factors(one) for one in factors)
+    try:
+        found = design(model, plants, Proof(model.hand, factors, plants, seed))
+    except ValueError:
+        return  # nothing is written
+    after = judged_stable(model, found, seed)
+    for one in factors:
+        assert swing(model.hand, after, one, seed + 100).at_rest
+
+
+def test_a_proof_that_fails_leaves_no_design(jamia: HandModel) -> None:
+    with pytest.raises(ValueError, match="simulation"):
+        design(jamia, (linear_factors({}),), lambda tried: False)
+
+
+def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
+    """The positive control of the proof: the gains that were once written with margins of infinity."""
+    model = with_force(393.0)
+    assert not margins(loop(model, 0, LoopKind.TENSION)).stable
+    assert not swing(model.hand, model, {}, 0).at_rest
+
+
+COUPLED = [((1.0,), (0.5,), (0.25,)), ((0.2,), (1.0,), (1.0,)), ((1.0,), (-0.4,), (0.6,))]
+
+
+@pytest.mark.parametrize("column", COUPLED)
+def test_a_digit_of_any_coupling_is_linearised_at_a_point_that_is_one(column: tuple[tuple[float], ...]) -> None:
+    """Its joints are where the coupling puts them, inside their ranges."""
+    hand = load_hand("jamia")
+    content = {**hand.content, "digit": [dict(one) for one in hand.content["digit"]]}
+    content["digit"][0]["coupling"] = [list(row) for row in column]
+    if column[1][0] < 0:
+        content["digit"][0]["joint_min_deg"] = [0.0, -90.0, 0.0]
+    model = HandModel.of(hand_from(content, "a hand with another coupling"), Gains(), 500.0)
+    digit = model.digits[0]
+    own = _half_closed(digit)
+    joints = digit.coupling @ own
+    assert np.all(joints > digit.joint_min)
+    assert np.all(joints < digit.joint_max)
+    judged: list[Margins] = [confirmed(loop(model, 0, kind)) for kind in LoopKind]
+    assert all(one.stable and 2.0 < one.gain_db < 40.0 for one in judged)
