@@ -18,11 +18,13 @@ from typing import Any, Self
 
 from handctl.cli.buses import named_buses
 from handctl.cli.exit_codes import Exit
+from handctl.cli.options import DEFAULT_HAND
 from handctl.controller.requests import REFUSED, HoldTension, MoveDigits
 from handctl.controller.types import LETTING_GO
 from handctl.document import validated
 from handctl.errors import BusError, ConfigError, DriveError, PowerError, UnconfirmedError
 from handctl.runtime.asking import ANSWER_S, confirmed, follow_to_the_end, is_off
+from handctl.runtime.bus import real_buses
 from handctl.runtime.mailbox import LARGEST, Watcher, answers
 
 START_S = 300.0
@@ -39,19 +41,20 @@ A_RUN = "a running handctl run"
 
 
 def connect(
-    hand: str | os.PathLike[str] = "jamia", bus: str | Sequence[str] = "local:demo", *arguments: str
+    hand: str | os.PathLike[str] | None = None, bus: str | Sequence[str] = "local:demo", *arguments: str
 ) -> "HandClient":
     """Connect to the controller of a bus, starting one if none runs there.
 
     A controller that is started here ends with this program, however that ends: the hand is relaxed and disarmed.
 
     Args:
-        hand: packaged hand or file; for a controller that is started.
+        hand: packaged hand or file, for a controller that is started; needed on a real bus, else ``"jamia"``.
         bus: as ``--bus``; of a hand on several buses all of them, its first bus first.
-        arguments: more words for ``handctl run``, e.g. ``"--log", "run.mcap"``.
+        arguments: more words for ``handctl run``, e.g. ``"--log", "run.mcap"``; on a real bus ``"--yes"``,
+            since nobody is there to be asked whether the hand may move.
 
     Raises:
-        ConfigError: that is no bus.
+        ConfigError: that is no bus, or a real one and no hand is named.
         BusError: there is no place for a socket.
     """
     given = [bus] if isinstance(bus, str) else list(bus)
@@ -60,7 +63,15 @@ def connect(
         raise ConfigError("no bus", "bus", "one, as in 'local:demo'")
     if answers(specs[0]):
         return HandClient(specs[0])
-    words = ["--hand", os.fspath(hand), *(word for text in given for word in ("--bus", text)), "--json", "--until-eof"]
+    if hand is None and (real := real_buses(specs)):
+        raise ConfigError(f"no hand is named, and {real[0]} may have real motors", "hand", "the hand that is there")
+    words = [
+        "--hand",
+        os.fspath(hand or DEFAULT_HAND),
+        *(word for text in given for word in ("--bus", text)),
+        "--json",
+        "--until-eof",
+    ]
     return HandClient(specs[0], [sys.executable, "-m", "handctl.cli", "run", *words, *arguments])
 
 

@@ -5,6 +5,7 @@ import datetime
 import sys
 from pathlib import Path
 
+from handctl.cli.begin import announce
 from handctl.cli.dry_run import told
 from handctl.cli.options import print_json, run_options
 from handctl.cli.plan import Plan, calibration_path, default_log, make_plan
@@ -32,6 +33,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         line = f"{plan.hand.name}: ready to commission at {plan.rate_hz:g} Hz, would write {path}"
         return told(plan, line, calibration=path)
+    announce(args, plan, path, None)
     log = args.log or default_log(plan.hand, "commission")
     calibration, outcome = commission(plan, log, run_live)
     calibration = calibration.model_copy(update={"identified": kept(path, plan.hand)})

@@ -7,6 +7,7 @@ import sys
 import tomllib
 from typing import Any
 
+from handctl.cli.begin import ask
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import bitrate_options, json_option, print_json
 from handctl.cli.scan import identified
@@ -62,8 +63,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         return _dry_run(args)
     warning = f"the shaft of {args.drive} {args.node} on {args.bus} turns, with at most {args.limit:g} N m"
-    if not args.yes:
-        raise ConfigError(warning, "", "--yes, once nothing and nobody is near it")
+    ask(warning, args.yes)
     _tell(f"{warning}. Ctrl-C lets go.")
     with held(args.bus):
         found = _found(args)

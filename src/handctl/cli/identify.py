@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from handctl.cli.begin import announce
 from handctl.cli.commission import commission, ensure_calibration, kept, write_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.exit_codes import Exit
@@ -86,6 +87,7 @@ def run(args: argparse.Namespace) -> int:
     if args.lockstep:
         calibration, outcome = _in_lockstep(args, plan, program, log, about)
     else:
+        announce(args, plan, path, calibration)
         _say(about)
         known = calibration or ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))
         calibration, outcome = known, run_live(plan, make_controller(plan, program, known, arm_at_once=True), log)

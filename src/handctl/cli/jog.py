@@ -2,6 +2,7 @@
 
 import argparse
 
+from handctl.cli.begin import announce
 from handctl.cli.commission import ensure_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.options import print_json, run_options
@@ -33,6 +34,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         line = f"{plan.hand.name}: would jog {args.digit}" + (f", after commissioning: {why}" if why else "")
         return told(plan, line, digit=args.digit, commissioning=why)
+    announce(args, plan, path, calibration)
     log = args.log or default_log(plan.hand, "jog")
     if calibration is None:
         calibration = ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))

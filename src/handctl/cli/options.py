@@ -9,12 +9,22 @@ from typing import Any
 from handctl.cli.exit_codes import Exit
 from handctl.hand.quantities import FASTEST_BUS, SLOWEST_BUS
 
+DEFAULT_HAND = "jamia"
 LONGEST_LINE = 4000
+
+
+class _Named(argparse.Action):
+    """Stores a hand, and that somebody has named it."""
+
+    def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
+        namespace.hand, namespace.hand_named = values, True
 
 
 def hand_option(parser: argparse.ArgumentParser) -> None:
     """--hand: a packaged hand or a file."""
-    parser.add_argument("--hand", default="jamia", metavar="NAME|FILE", help="packaged hand or file (default: jamia)")
+    text = f"packaged hand or file (default: {DEFAULT_HAND}; needed on a real bus)"
+    parser.add_argument("--hand", action=_Named, default=DEFAULT_HAND, metavar="NAME|FILE", help=text)
+    parser.set_defaults(hand_named=False)
 
 
 def bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
@@ -64,7 +74,13 @@ def run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> N
     parser.add_argument("--rate", type=float, metavar="HZ", help="control rate (default: by the bus load)")
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="default: HAND.calibration.toml")
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
+    yes_option(parser)
     time_scale_option(parser)
+
+
+def yes_option(parser: argparse.ArgumentParser) -> None:
+    """--yes: go on without the question."""
+    parser.add_argument("--yes", action="store_true", help="on a real bus: move at once, do not ask")
 
 
 def time_scale_option(parser: argparse.ArgumentParser, more: str = "") -> None:

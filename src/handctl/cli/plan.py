@@ -20,13 +20,11 @@ from handctl.drives.load import MOST, highest_rate
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand, load_hand
 from handctl.output import check_output
-from handctl.runtime.bus import check_spec
+from handctl.runtime.bus import check_spec, real_buses
 
 TASKS = Path(__file__).parent.parent / "tasks"
 TICKS_IN_WATCHDOG = 2
 """Ticks in a drive's watchdog time, at least: one lost frame is no reason to let go."""
-SIMULATED = ("local:", "virtual:", "udp_multicast:", "socketcan:vcan", "socketcan:vxcan")
-"""Buses on which time may run otherwise: no real motor waits for a slower controller."""
 FRESH_S = 24 * 3600.0
 """A calibration older than this is not armed with: load cells drift and ropes creep."""
 
@@ -65,16 +63,11 @@ class Plan:
     @property
     def simulated(self) -> bool:
         """Whether it is for buses, and none of them can have real motors."""
-        return bool(self.buses) and not _real(self.buses)
+        return bool(self.buses) and not real_buses(self.buses)
 
     def on(self, buses: tuple[str, ...]) -> "Plan":
         """The same plan on other buses."""
         return replace(self, buses=buses)
-
-
-def _real(buses: Sequence[str]) -> list[str]:
-    """The buses that may have real motors."""
-    return [spec for spec in buses if not spec.startswith(SIMULATED)]
 
 
 def make_plan(args: argparse.Namespace, lockstep: bool = False) -> Plan:
@@ -86,17 +79,29 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> Plan:
     hand = load_hand(args.hand)
     layers = layered_gains(args, hand)
     buses = () if lockstep else bus_specs(hand, args.bus)
+    _refuse_unnamed(args, hand, buses)
     loads = bus_loads(hand)
     rate = control_rate(args.rate, hand, loads)
     load = tuple(one.at(rate) for one in loads)
     if not 0.001 <= args.time_scale <= 100:
         raise ConfigError(f"{args.time_scale:g}", "--time-scale", "0.001 to 100")
-    if args.time_scale != 1 and (real := _real(buses)):
+    if args.time_scale != 1 and (real := real_buses(buses)):
         right = "1, or a bus of simulated ones: local:NAME, socketcan:vcan0"
         raise ConfigError(f"{args.time_scale:g}, and {real[0]} may have real motors", "--time-scale", right)
     _check_log(args.log)
     attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
     return Plan(hand, layers.gains, rate, load, buses, attachments, args.time_scale, args.json, args.clear)
+
+
+def _refuse_unnamed(args: argparse.Namespace, hand: Hand, buses: Sequence[str]) -> None:
+    """Refuse the default hand on a real bus: its limits are those of other motors and tendons.
+
+    Raises:
+        ConfigError: no hand is named, and the bus may have real motors.
+    """
+    if not args.hand_named and (real := real_buses(buses)):
+        right = f"--hand, the file of the hand that is there; the default {hand.name!r} is for simulated buses alone"
+        raise ConfigError(f"no hand is named, and {real[0]} may have real motors", "--hand", right)
 
 
 def control_rate(asked: float | None, hand: Hand, loads: Sequence[BusLoad]) -> float:

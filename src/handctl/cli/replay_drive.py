@@ -3,6 +3,7 @@
 import argparse
 from dataclasses import replace
 
+from handctl.cli.begin import announce
 from handctl.cli.commission import ensure_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.exit_codes import Exit
@@ -29,6 +30,7 @@ def run(args: argparse.Namespace) -> int:
             line = f"{plan.hand.name}: would drive {end - begin:.2f} s of {args.recorded} at {plan.rate_hz:g} Hz"
             told(plan, line, log=args.recorded, seconds=end - begin, commissioning=why)
             return lossy
+        announce(args, plan, path, calibration)
         log = args.log or default_log(plan.hand, "replay")
         if calibration is None:
             calibration = ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))

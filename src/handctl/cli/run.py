@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from handctl.cli.begin import announce
 from handctl.cli.commission import ensure_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.options import print_json, run_options
@@ -47,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
         good = f"{plan.hand.name}: all files are good; {plan.rate_hz:g} Hz, bus load {100 * max(plan.load):.0f} %"
         next_step = f"the hand would be commissioned first: {why}" if why else "the hand is commissioned"
         return told(plan, good, next_step, commissioning=why)
+    announce(args, plan, path, calibration)
     log = args.log or default_log(plan.hand)
     if calibration is None:
         runner = partial(run_live, attendant=Owner() if args.until_eof else None)

@@ -7,7 +7,15 @@ import argparse
 import importlib
 from pathlib import Path
 
-from handctl.cli.options import bus_option, dry_run_option, gains_options, hand_option, json_option, time_scale_option
+from handctl.cli.options import (
+    bus_option,
+    dry_run_option,
+    gains_options,
+    hand_option,
+    json_option,
+    time_scale_option,
+    yes_option,
+)
 from handctl.errors import ConfigError
 
 EXAMPLE = "handctl tune design --hand jamia --plants 4 --out tuned.toml"
@@ -79,4 +87,5 @@ def _verify(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calibration", type=Path, metavar="FILE", help="default: HAND.calibration.toml")
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND-verify.mcap)")
     parser.add_argument("--clear", action="store_true", help="clear latched drive errors; find the cause first")
+    yes_option(parser)
     time_scale_option(parser)

@@ -7,6 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from handctl.cli.begin import announce
 from handctl.cli.commission import ensure_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.exit_codes import Exit
@@ -57,6 +58,7 @@ def _with_gains(plan: Plan, gains: Any, candidate: Path) -> Plan:
 def _run(args: argparse.Namespace, plan: Plan, program: Any, watch: Any, log: Path) -> tuple[Outcome, Path | None]:
     if not args.lockstep:
         path, calibration, why = find_calibration(args, plan.hand)
+        announce(args, plan, path, calibration)
         if calibration is None:
             calibration = ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))
         return run_live(plan, make_controller(plan, program, calibration, True), log, attendant=watch), None

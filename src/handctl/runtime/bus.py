@@ -12,6 +12,15 @@ Stamp = Callable[[int], int]
 """Time of the run [ns] from a CLOCK_MONOTONIC time [ns]."""
 
 
+SIMULATED = ("local:", "virtual:", "udp_multicast:", "socketcan:vcan", "socketcan:vxcan")
+"""Buses on which there are no real motors: time may run otherwise there, and nobody is asked before a hand moves."""
+
+
+def real_buses(specs: Sequence[str]) -> list[str]:
+    """Return the buses that may have real motors."""
+    return [spec for spec in specs if not spec.startswith(SIMULATED)]
+
+
 class Bus(Protocol):
     """One CAN bus that never blocks and never raises for what happens on the wire.
 

@@ -1,0 +1,148 @@
+"""A bus that may have real motors: no default hand, one question before anything moves, and what was found is named."""
+
+import datetime
+import io
+import os
+import pty
+import select
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import handctl as library
+from handctl.cli.begin import age
+from handctl.cli.main import main
+from handctl.hand.description import load_hand
+from handctl.runtime.bus import real_buses
+from tests.cli.refused import refused
+from tests.runtime.processes import write_calibration
+
+REAL = ("socketcan:can0", "pcan:PCAN_USBBUS1", "slcan:/dev/ttyACM0")
+MOVES = {
+    "run": ("run",),
+    "jog": ("jog", "index", "--angle", "3"),
+    "identify": ("identify",),
+    "commission": ("commission",),
+    "replay": ("replay", "drive", "before.mcap"),
+    "tune": ("tune", "verify", "new.toml"),
+}
+HAND = ("--hand", "jamia")
+
+
+@pytest.fixture(autouse=True)
+def files(place, monkeypatch):
+    """What the verbs read before they come to the bus; standard input is no terminal."""
+    (place / "new.toml").write_text("schema = 1\n[motion]\nforce_N = 25.0\n")
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """A run in virtual time that can be driven again."""
+    folder = tmp_path_factory.mktemp("recorded")
+    task = folder / "short.toml"
+    task.write_text('schema = 1\nname = "s"\n[[phase]]\nkind = "move"\nname = "m"\nangle_deg = 5.0\nduration_s = 0.3\n')
+    words = ["demo", "--lockstep", "--task", str(task), "--log", str(folder / "before.mcap"), "--json"]
+    subprocess.run([sys.executable, "-m", "handctl.cli", *words], check=True, capture_output=True, cwd=folder)
+    return folder / "before.mcap"
+
+
+@pytest.fixture(params=MOVES)
+def words(request, place):
+    if request.param == "replay":
+        (place / "before.mcap").write_bytes(request.getfixturevalue("recorded").read_bytes())
+    return MOVES[request.param]
+
+
+def test_which_buses_may_have_real_motors():
+    simulated = ["local:a", "socketcan:vcan0", "socketcan:vxcan1", "virtual:x", "udp_multicast:ff15::1"]
+    assert real_buses([*simulated, *REAL]) == list(REAL)
+
+
+def test_no_hand_is_the_default_on_a_real_bus(words, capsys):
+    for bus in REAL:
+        for more in ((), ("--yes",), ("--dry-run",)):
+            err = refused(capsys, *words, "--bus", bus, *more)
+            assert f"--hand: no hand is named, and {bus} may have" in err
+    assert main([*words, "--bus", "local:nobody", "--dry-run"]) == 0, "a simulated one has a default"
+
+
+def test_without_a_terminal_a_hand_moves_only_with_yes(words, capsys):
+    said = "jamia on socketcan:can0 is armed and moves index, middle, ring, thumb; expected --yes"
+    assert said in refused(capsys, *words, *HAND, "--bus", "socketcan:can0")
+    assert main([*words, *HAND, "--bus", "socketcan:can0", "--dry-run"]) == 0, "nothing moves"
+    capsys.readouterr()
+    assert main([*words, *HAND, "--bus", "socketcan:can0", "--yes"]) == 1, "it comes to the bus, which is not there"
+    assert "can0" in capsys.readouterr().err.splitlines()[-1]
+
+
+def at_a_terminal(answer: str) -> tuple[int, str]:
+    """Run a hand from a terminal, answer its question; exit code, and what the terminal showed."""
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "handctl.cli", "run", *HAND, "--bus", "socketcan:nosuch"]
+    process = subprocess.Popen(command, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True)
+    os.close(theirs)
+    shown, answered, end = "", False, time.monotonic() + 60.0
+    while time.monotonic() < end and select.select([ours], [], [], 60.0)[0]:
+        try:
+            piece = os.read(ours, 4096).decode()
+        except OSError:  # nobody holds the other end any more
+            break
+        shown += piece
+        if "[y/N]" in shown and not answered:
+            os.write(ours, f"{answer}\n".encode())
+            answered = True
+    os.close(ours)
+    return process.wait(20.0), shown
+
+
+@pytest.mark.parametrize(("answer", "code"), [("y", 1), ("", 2)])
+def test_at_a_terminal_it_asks_once(answer, code):
+    exit_code, shown = at_a_terminal(answer)
+    assert exit_code == code, shown
+    assert shown.count("[y/N]") == 1
+    assert ("not confirmed" in shown) == (code == 2)
+
+
+def test_a_program_names_hand_and_consent(place, capfd):
+    with pytest.raises(library.ConfigError, match="no hand is named, and socketcan:can0 may have real motors"):
+        library.connect(bus="socketcan:can0")
+    with pytest.raises(library.DriveError, match=r"is armed and moves .*; expected --yes"), library.connect(
+        "jamia", "socketcan:can0"
+    ):  # fmt: skip
+        pass
+    with pytest.raises(library.DriveError, match="nosuch"), library.connect("jamia", "socketcan:nosuch", "--yes"):
+        pass
+
+
+def test_what_lies_in_the_folder_is_named_in_the_first_line(place, capsys):
+    hand = load_hand("jamia")
+    write_calibration(place / "jamia.calibration.toml", hand)
+    made = (datetime.datetime.now(datetime.UTC) - datetime.timedelta(hours=3)).isoformat()
+    head = f'made = "{made}"\nhand = "jamia"\nidentity = "{hand.identity}"\n'
+    (place / "jamia.gains.toml").write_text(f"schema = 1\n[motion]\nforce_N = 25.0\n[provenance]\n{head}")
+    for words in (("run",), ("jog", "index", "--angle", "3"), ("run", "--json")):
+        assert main([*words, "--bus", "local:nobody"]) == 1
+        first = capsys.readouterr().err.splitlines()[0]
+        assert first.startswith(f"handctl: found in this folder: gains {place / 'jamia.gains.toml'}, 3 h old; ")
+        assert f"calibration {place / 'jamia.calibration.toml'}, " in first
+        assert first.endswith(" s old")
+    named = ("--gains", "jamia.gains.toml", "--calibration", "jamia.calibration.toml")
+    assert main(["run", "--bus", "local:nobody", *named]) == 1
+    assert "found in this folder" not in capsys.readouterr().err, "who names them knows"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [(-5.0, "0 s"), (59.0, "59 s"), (119.0, "119 s"), (120.0, "2 min"), (7200.0, "2 h"), (200_000.0, "2 days")],
+)
+def test_an_age_has_one_unit(seconds, text):
+    assert age(seconds) == text
+
+
+def test_a_folder_without_files_says_nothing(place: Path, capsys):
+    assert main(["run", "--bus", "local:nobody"]) == 1
+    assert "found in this folder" not in capsys.readouterr().err
