@@ -134,6 +134,7 @@ MATRIX: tuple[Row, ...] = (
     Row("N11", "error node={node} size=3", CUT, 2, rows=("N11b",), protocols=(MIT,)),
     Row("N11", "error node={node} size=0xff01", CUT, 2, rows=("N11b",), protocols=(CIA402,)),
     Row("N11", "error node={node} size=0x20000000", CUT, 2, rows=("N11b",), protocols=(ODRIVE,), extra_ms=HEARTBEAT),
+    Row("N12", "forget node={node}", CUT, 4, 1000.0, ("N12",)),
     Row("N13", "twin node={node} seed=1", RELAX, 2, rows=("B06", "N13"), protocols=ONCE),
     Row("N13", "duplicate node={node} seed=1", RELAX, 4, rows=("N13", "B06"), protocols=ONCE),
     Row("N14", "disobey node={node} size=0", RELAX, 22, rows=("N14", "T02", "T04"), stages=(GRASP,), protocols=ONCE),
@@ -171,7 +172,7 @@ LIKELIEST = ("B01", "B02", "B03", "B17", "N01", "N02", "N08", "N11", "T01", "T04
 """The faults of which all pairs are tried: cables, connectors, supply, ropes, a busy host."""
 LEFT_OUT = {
     "B18": "before arming: unit tests with error frames", "N03": "before arming: tests of the modes",
-    "N12": "before arming: tests of the drives against other registers", "T07": "commissioning: its own tests",
+    "T07": "commissioning: its own tests",
     "T09": "needs minutes of motion: tests of the residuals", "H05": "real processes: tests/runtime",
     "H07": "real processes: tests of the loop", "H11": "real processes, as root in a guest: tests/vcan",
     "H12": "real processes",
