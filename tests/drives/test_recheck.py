@@ -1,6 +1,7 @@
 """A drive that comes back enabled without its settings: limit and watchdog are read again while it is enabled."""
 
 import os
+from itertools import pairwise
 
 import pytest
 
@@ -58,7 +59,7 @@ def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
     drive, state = enabled(node_id)
     state, asked = run(drive, state, 2001, GOOD)
     assert [register for _, register in asked] == [codec.TIMEOUT, codec.TMAX] * 4
-    assert {b - a for (a, _), (b, _) in zip(asked, asked[1:], strict=False)} == {250}
+    assert {b - a for (a, _), (b, _) in pairwise(asked)} == {250}
     assert state.phase == Phase.ENABLED
     assert state.feedback_count == 2001
     assert state.misread == 0

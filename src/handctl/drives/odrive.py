@@ -105,7 +105,7 @@ class OdriveDrive:
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Heartbeat, the cyclic position (on by default, used or not), temperatures and settings, which are asked for."""
+        """Heartbeat, cyclic position (on by default, used or not), and what is asked for: temperatures, settings."""
         warm = 0.0 if self.old else 1e9 / TEMPERATURE_NS
         told = 1.0 / (self.cyclic_s or codec.ENCODER_MS * 1e-3)
         again = recheck.PER_SECOND if self.settings else 0.0
