@@ -140,7 +140,7 @@ MATRIX: tuple[Row, ...] = (
     Row("N13", "duplicate node={node} seed=1", RELAX, 4, rows=("N13", "B06"), protocols=ONCE),
     Row("N14", "disobey node={node} size=0", RELAX, 22, rows=("N14", "T02", "T04"), stages=(GRASP,), protocols=ONCE),
     Row("N14", "runaway node={node}", RELAX, 10, rows=("N14", "T03", "N05", "T04")),
-    Row("N14", "ripple node={node} size=0.2 hz=20", RELAX, 22, 600.0, ("N14b", "T03", "N07"), (GRASP,)),
+    Row("N14", "ripple node={node} size=0.2 hz=20", RELAX, 22, 600.0, ("N14b", "T03", "N07", "T01"), (GRASP,)),
     Row("N15", "slow node={node} size=2", WARN, 22, rows=("N15",), protocols=ONCE),
     Row("N15", "slow node={node} size=4", WARN, 4, rows=("B01",), protocols=(ODRIVE,)),
     Row("N16", "hold_on node={node}", CUT, 2, 100.0, ("N16",), (GRASP,)),
