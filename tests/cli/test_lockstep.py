@@ -17,7 +17,7 @@ from tests.runtime.processes import SHORT
 
 KEYS = {
     "ticks", "missed", "late_us", "tracking_rmse_rad", "tension_rmse_n", "tension_hold_error_n",
-    "frames_tx", "frames_rx", "frames_lost", "bus_load", "log",
+    "frames_tx", "frames_rx", "frames_late", "frames_lost", "joint_angles", "bus_load", "log",
 }  # fmt: skip
 
 
@@ -88,7 +88,7 @@ def test_two_runs_say_the_same(twins):
 def keeps_its_promises(result):
     assert result.keys() >= KEYS
     assert result["late_us"].keys() >= {"p50", "p99_9", "max"}
-    assert (result["missed"], result["frames_lost"], result["failure"]) == (0, 0, "")
+    assert (result["missed"], result["frames_late"], result["frames_lost"], result["failure"]) == (0, 0, 0, "")
     assert result["object_motion_mm"] < 1.0
     assert result["tension_hold_error_n"] < 2.0
     assert len(result["tracking_rmse_deg"]) == 4

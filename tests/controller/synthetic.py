@@ -34,6 +34,7 @@ def known(model: HandModel, x: np.ndarray) -> Estimate:
         slack=np.zeros(n, dtype=bool),
         q=q,
         dq=dq,
+        q_sigma=np.full(len(q), np.nan),
     )
 
 

@@ -15,6 +15,7 @@ from handctl.controller.gains import Gains
 from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.live import LiveProgram
 from handctl.controller.model import HandModel
+from handctl.controller.posture import Posture
 from handctl.controller.retune import Coming
 from handctl.controller.state import State
 from handctl.controller.trajectory import MinimumJerk
@@ -277,6 +278,9 @@ def changes(state: State) -> Iterator[tuple[str, State]]:
         yield f"watch.{name}", state._replace(watch=state.watch._replace(**{name: gap}))
     yield "watch.stuck", state._replace(watch=state.watch._replace(stuck=stuck._replace(ticks=stuck.ticks + 1)))
     yield "touch.tension", state._replace(touch=state.touch._replace(tension=state.touch.tension + 1.0))
+    for name in Posture._fields:
+        changed = state.posture._replace(**{name: getattr(state.posture, name) + 1.0})
+        yield f"posture.{name}", state._replace(posture=changed)
     yield "touch.blocked", state._replace(touch=state.touch._replace(blocked=(True,) * 4))
     yield "safety.counting", state._replace(safety=replace(safety, counting=(*safety.counting, ("B01", "x", 1))))
     yield "safety.latched", state._replace(safety=replace(safety, latched=(*safety.latched, ("B01", "x"))))  # type: ignore[arg-type]

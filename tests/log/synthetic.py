@@ -111,6 +111,7 @@ class Synthetic:
             "motor_torque_goal": 0.005 * (tension + 0.5), "motor_temperature": warm,
             "motor_age": np.full(len(motor), period), "drive_phase": np.full(len(motor), float(phase)),
             "tip_force": 3.0 * pressing, "contact": (pressing > 0.01).astype(float),
+            "q_sigma": 0.002 + 0.3 * pressing[np.array(self._digit_of)], "tip_force_sigma": 0.1 + 0.5 * pressing,
         }  # fmt: skip
         return Telemetry(**{name: np.asarray(values[name], float) for name in TELEMETRY_AXES})
 

@@ -17,7 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
 
-from handctl.controller.types import TELEMETRY_FIELDS
+from handctl.controller.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.logfile import Reading, printable
 from handctl.log.reader import RunLog
@@ -55,6 +55,21 @@ def test_every_field_comes_back_bit_for_bit(lively_log: Path, cached: bool, monk
             expected = np.array([getattr(telemetry, name) for telemetry in recorded])
             assert log.field(name).tobytes() == expected.tobytes(), name
             assert log.field(name).shape == (len(log), len(log.names(name)))
+
+
+def test_a_log_without_the_latest_fields_is_read(lively_log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As if a coming version had one field more: today's log lacks it, as logs of version 0.1 lack q_sigma."""
+    recorded = [out.telemetry for _, out in lively.ticks(lively.header())]
+    monkeypatch.setitem(TELEMETRY_AXES, "coming", "joint")
+    for module in ("batch", "reader"):
+        monkeypatch.setattr(f"handctl.log.{module}.TELEMETRY_FIELDS", (*TELEMETRY_FIELDS, "coming"))
+    monkeypatch.setattr("handctl.log.batch.TELEMETRY_FIRST", len(TELEMETRY_FIELDS))
+    with RunLog(lively_log) as log:
+        assert log.fields == TELEMETRY_FIELDS
+        assert np.isnan(log.field("coming")).all()
+        assert log.field("coming").shape == (len(log), len(log.header.joints))
+        expected = np.array([telemetry.q_sigma for telemetry in recorded])
+        assert log.field("q_sigma").tobytes() == expected.tobytes()
 
 
 def test_times_gaps_events_and_phases(lively_log: Path) -> None:

@@ -55,9 +55,12 @@ def test_tension_has_its_band_command_and_limit(found: dict[str, Entity], log: R
 
 
 def test_angles_are_in_degrees_digit_by_digit(found: dict[str, Entity], log: RunLog) -> None:
-    for kind, name in (("estimate", "q"), ("command", "q_goal")):
-        parts = [found[f"/angle/{digit}/{kind}"].table("Scalars:scalars") for digit in log.header.digits]
+    shown = {"estimate": "Measurements:values", "command": "Scalars:scalars"}
+    for (kind, component), name in zip(shown.items(), ("q", "q_goal"), strict=True):
+        parts = [found[f"/angle/{digit}/{kind}"].table(component) for digit in log.header.digits]
         np.testing.assert_allclose(np.hstack(parts), np.degrees(log.field(name)), atol=1e-12)
+    bands = [found[f"/angle/{digit}/estimate"].table("Measurements:variances") for digit in log.header.digits]
+    np.testing.assert_allclose(np.hstack(bands) ** 0.5, np.degrees(log.field("q_sigma")), rtol=1e-9)
 
 
 def test_arrows_are_the_forces_of_the_object_on_the_tips(found: dict[str, Entity], log: RunLog) -> None:

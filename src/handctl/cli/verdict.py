@@ -9,9 +9,10 @@ from typing import Any
 from handctl.cli.plan import Plan
 from handctl.cli.screen import screen
 from handctl.cli.session import Outcome
+from handctl.controller.setup import make_sensors
 from handctl.log.reader import RunLog
 from handctl.report.figure import draw_run
-from handctl.report.summary import summarise
+from handctl.report.summary import angle_rows, summarise
 from handctl.report.truth import Truth, read_truth
 
 
@@ -38,7 +39,8 @@ def judge(plan: Plan, outcome: Outcome, log: Path, truth_file: Path | None, pict
         "time_scale": plan.time_scale,
         "frames_tx": stats.frames_tx,
         "frames_rx": stats.frames_rx,
-        "frames_lost": lost_frames(outcome),
+        "frames_late": outcome.state.sensors.stale,
+        "frames_lost": lost_frames(plan, outcome),
         "bus_load": max(plan.load),
         "log": str(log),
         "log_bytes": int(str(outcome.log["bytes"])),
@@ -82,9 +84,9 @@ def _left_out(path: Path, error: OSError) -> None:
     print(f"handctl: {path} is left out: {error.strerror or error}", file=sys.stderr)
 
 
-def lost_frames(outcome: Outcome) -> int:
-    """Frames that a bus refused or that sensors answered out of time."""
-    return outcome.stats.refused + outcome.state.sensors.stale
+def lost_frames(plan: Plan, outcome: Outcome) -> int:
+    """Return how many frames a bus refused or the sensor node never sent; an answer after the next SYNC is late."""
+    return outcome.stats.refused + make_sensors(plan.hand).lost(outcome.state.sensors)
 
 
 def print_summary(result: dict[str, Any], plan: Plan) -> None:
@@ -101,9 +103,11 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
         ("raw load cell against truth", _with(result["tension_raw_rmse_n"], 1.0, "N rms", 2)),
         ("tension while holding, error", _with(result["tension_hold_error_n"], 1.0, "N", 2)),
         ("object moved while held", _with(result["object_motion_mm"], 1.0, "mm", 3)),
+        *angle_rows(result["joint_angles"]),
         *_forces(result),
         ("bus load, worst case", f"{100 * result['bus_load']:.0f} %"),
-        ("frames sent / received / lost", f"{result['frames_tx']} / {result['frames_rx']} / {result['frames_lost']}"),
+        ("frames sent / received", f"{result['frames_tx']} / {result['frames_rx']}"),
+        ("frames late / lost", f"{result['frames_late']} / {result['frames_lost']}"),
         ("log", f"{result['log']} ({result['log_bytes'] / 1e6:.1f} MB)"),
         ("priority", result["priority"]),
     ]

@@ -64,7 +64,8 @@ def feel(model: HandModel, before: tuple[float, ...], estimate: Estimate, closin
     """
     if True not in closing:
         return (0.0,) * len(closing)
-    share, now = -math.expm1(-model.period / SMOOTH_S), felt(model, estimate.q, estimate.external).tolist()
+    free = model.excursion_to_joints.dot(estimate.excursion)  # a closing digit is free until this finds otherwise
+    share, now = -math.expm1(-model.period / SMOOTH_S), felt(model, free, estimate.external).tolist()
     rows = zip(before or (0.0,) * len(closing), now, closing, strict=True)
     return tuple([old + share * (new - old) if asked else 0.0 for old, new, asked in rows])
 

@@ -9,6 +9,7 @@ from handctl.controller.gains import Gains
 from handctl.controller.kept import Kept
 from handctl.controller.motors import Motors
 from handctl.controller.plain_bytes import plain_bytes
+from handctl.controller.posture import Posture
 from handctl.controller.program import Progress
 from handctl.controller.retune import Coming
 from handctl.controller.touch import Touch
@@ -67,9 +68,8 @@ def sensor_bytes(sensors: SensorState) -> bytes:
 
 def watch_bytes(watch: WatchState) -> bytes:
     """What safety remembers."""
-    *usual, replays, swings = watch
-    motors, joints, filtered, stands, taut, bears, slip_from, derailed, asked, wanted, goal, ropes, counts, owed = usual
-    arrays = (*motors, *joints, *filtered, *stands, bears, slip_from, derailed, asked, wanted, goal, *replays, swings)
+    motors, joints, filtered, stands, taut, bears, slip_from, derailed, asked, wanted, goal, ropes, counts, owed = watch
+    arrays = (*motors, *joints, *filtered, *stands, bears, slip_from, derailed, asked, wanted, goal)
     plain = plain_bytes((taut, tuple(ropes), tuple(counts), owed))
     return b"".join([array.tobytes() for array in arrays]) + plain
 
@@ -77,6 +77,11 @@ def watch_bytes(watch: WatchState) -> bytes:
 def touch_bytes(touch: Touch) -> bytes:
     """What is felt of the digits."""
     return bytes(touch.blocked) + touch.tension.tobytes()
+
+
+def posture_bytes(posture: Posture) -> bytes:
+    """Pack the joint angles beside those of the free digit."""
+    return b"".join([array.tobytes() for array in posture])
 
 
 def progress_bytes(progress: Progress) -> bytes:

@@ -73,6 +73,7 @@ class Estimate(NamedTuple):
         nis: normalised innovation squared of encoder and load cell; NaN if missing.
         slack: boolean.
         q, dq: (J,) joint angles [rad] and rates [rad/s].
+        q_sigma: (J,) standard deviation of the angles [rad]; NaN before ``posture`` has seen to it.
     """
 
     tension: Vector
@@ -90,6 +91,7 @@ class Estimate(NamedTuple):
     slack: NDArray[np.bool_]
     q: Vector
     dq: Vector
+    q_sigma: Vector
 
 
 def start(model: HandModel, state: FilterState, travel: Vector) -> FilterState:
@@ -291,6 +293,7 @@ def _estimate(
         filters.slack,
         q,
         dq,
+        nothing(len(q)),
     )
 
 

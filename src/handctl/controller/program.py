@@ -105,8 +105,8 @@ def loose(model: HandModel, estimate: Estimate) -> list[str]:
 
 
 def coordinates(digit: DigitModel, estimate: Estimate) -> Vector:
-    """Present coordinates (n_c,) of a digit [rad]."""
-    return np.asarray(digit.joints_to_coordinates @ estimate.q[digit.joints])
+    """Present coordinates (n_c,) of a digit, those of its excursions [rad]; contact turns its joints besides."""
+    return np.asarray(digit.joints_to_coordinates @ digit.excursion_to_joints @ estimate.excursion[digit.tendons])
 
 
 def motion_to(digit: DigitModel, estimate: Estimate, angle: float | Vector, duration: float, t: float) -> DigitGoal:

@@ -7,6 +7,7 @@ from handctl.controller.computed_torque import LawState
 from handctl.controller.filter_state import FilterState
 from handctl.controller.gains import Gains
 from handctl.controller.motors import Motors
+from handctl.controller.posture import Posture
 from handctl.controller.program import Progress
 from handctl.controller.retune import Coming
 from handctl.controller.touch import Touch
@@ -35,6 +36,7 @@ class State(NamedTuple):
         safety: debounce and latches.
         watch: what safety remembers besides.
         touch: what is felt of each digit, planned or not.
+        posture: joint angles beside those of the free digit.
         failure: why the run ends early, one line; empty if it does not.
         unconfirmed: motors that have not confirmed that they are disabled.
         gains: that a person has set since the start; None before.
@@ -54,6 +56,7 @@ class State(NamedTuple):
     safety: SafetyState
     watch: WatchState
     touch: Touch
+    posture: Posture
     failure: str = ""
     unconfirmed: tuple[str, ...] = ()
     clearing: bool = False
@@ -72,6 +75,7 @@ class State(NamedTuple):
             packing.progress_bytes(self.progress),
             packing.watch_bytes(self.watch),
             packing.touch_bytes(self.touch),
+            packing.posture_bytes(self.posture),
             packing.gains_bytes(self.gains),
             packing.gains_bytes(self.coming),
             packing.motor_bytes(motors or Motors.of(self.drives)),

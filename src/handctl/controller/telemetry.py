@@ -8,6 +8,7 @@ from handctl.controller.computed_torque import Command
 from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.model import HandModel
 from handctl.controller.motors import Motors
+from handctl.controller.posture import Angles, tip_force_sigma
 from handctl.controller.types import Telemetry
 
 
@@ -63,4 +64,6 @@ def telemetry(
         phase,
         model.all_digits.tip_force(estimate.q, estimate.external),
         np.array(contact, dtype=np.float64),
+        estimate.q_sigma,
+        tip_force_sigma(model, Angles(estimate.q, estimate.q_sigma), estimate.external, estimate.sigma),
     )

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from handctl.choose import nothing
-from handctl.controller import computed_torque, estimator, retune, touch
+from handctl.controller import computed_torque, estimator, posture, retune, touch
 from handctl.controller.answers import answer
 from handctl.controller.computed_torque import Command, LawState
 from handctl.controller.derating import restraints
@@ -26,6 +26,7 @@ from handctl.controller.innovation import doubts
 from handctl.controller.model import HandModel
 from handctl.controller.modes import farewell, next_mode, wanted_of_drives
 from handctl.controller.motors import Motors
+from handctl.controller.posture import Posture, Readings
 from handctl.controller.program import Program, Progress
 from handctl.controller.received import Received
 from handctl.controller.state import State
@@ -116,6 +117,7 @@ class Controller:
             safety=safety.SafetyState(),
             watch=self.guard.watcher.initial(),
             touch=Touch.none(len(self.model.digits)),
+            posture=Posture.initial(self.model),
         )
 
     def cut_frames(self) -> tuple[Frame, ...]:
@@ -184,6 +186,8 @@ class Controller:
         commanded = state.mode in (ACTIVE, RELAX)
         felt = touch.feel(self.model, state.touch, estimate) if commanded else Touch.none(len(self.model.digits))
         state = state._replace(k=entry.k, drives=drives, sensors=sensors, filter=filters, watch=watch, touch=felt)
+        if filters.started:
+            state, estimate = self._angles(state, estimate, entry)
         return state, Received(motors, counts_before, measured, estimate, foreign, strange, jumped)
 
     def _receive(
@@ -235,6 +239,16 @@ class Controller:
         law, felt = state.law, zip(state.progress.contact, state.touch.blocked, strict=True)
         held = tuple([(touches and state.mode in ACTING) or blocked for touches, blocked in felt])
         return estimator.step(self.model, state.filter, measured, law.force, law.rate, held, law.friction_state, missed)
+
+    def _angles(self, state: State, estimate: Estimate, entry: TickIn) -> tuple[State, Estimate]:
+        """Estimate joint angles from the excursions, from contact and from joint encoders."""
+        readings = None
+        if posture.places(self.model).reads:
+            readings = Readings.of(len(estimate.q), self.sensors.latest_joints(state.sensors), entry.t_ns)
+        after, angles = posture.step(self.model, state.posture, estimate, state.touch.tension, entry.k, readings)
+        if after is not state.posture:
+            state = state._replace(posture=after)
+        return state, estimate._replace(q=angles.q, q_sigma=angles.sigma)
 
     def _program(
         self, state: State, action: Action, estimate: Estimate, measured: Measured

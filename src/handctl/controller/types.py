@@ -146,6 +146,10 @@ class Telemetry(NamedTuple):
     """(D,) tip-equivalent contact force, normal to the last link [N]."""
     contact: Vector
     """(D,) 1 in contact, 0 not."""
+    q_sigma: Vector
+    """(J,) standard deviation of the estimated joint angle [rad]."""
+    tip_force_sigma: Vector
+    """(D,) standard deviation of the tip-equivalent force [N]."""
 
     def packed(self) -> bytes:
         """All fields in order as little-endian float64."""
@@ -155,11 +159,16 @@ class Telemetry(NamedTuple):
 TELEMETRY_FIELDS = Telemetry._fields
 """Field names in the order of ``Telemetry.packed``."""
 
+TELEMETRY_FIRST = 25
+"""Number of fields in logs of version 0.1 and before; later fields follow them."""
+
 TELEMETRY_AXES = {
     **dict.fromkeys(TELEMETRY_FIELDS[:6], "joint"),
     **dict.fromkeys(TELEMETRY_FIELDS[6:16], "tendon"),
     **dict.fromkeys(TELEMETRY_FIELDS[16:23], "motor"),
-    **dict.fromkeys(TELEMETRY_FIELDS[23:], "digit"),
+    **dict.fromkeys(TELEMETRY_FIELDS[23:25], "digit"),
+    "q_sigma": "joint",
+    "tip_force_sigma": "digit",
 }
 """Which of joint, tendon, motor, digit each field runs over."""
 

@@ -1,16 +1,14 @@
 """The sensor node: load cells and joint encoders, in frames of our own (``sensor_node.dbc``).
 
-The host sends SYNC with a counter byte; the node samples at once and answers with the low four bits of that byte in
-every frame, so that a stale frame cannot pass for a fresh one. Successive counters do not repeat with period 16: see
-``counters``. Up to five channels of 12 bits a frame,
-after a counter of four bits, packed from the lowest bit. Tension: 62.5 mN a count from -6 N. Joint angle: 1/4096
-turn a count from -180 degrees; joint frames come on every SYNC whose counter is a multiple of ``joint_decimation``.
+The host sends SYNC with the low byte of the tick number; the node samples at once and answers with the low four bits
+of that byte in every frame, so that a stale frame cannot pass for a fresh one. Up to five channels of 12 bits a frame,
+after a counter of four bits, packed from the lowest bit. Tension: 62.5 mN a count from -6 N. Joint angle: 1/4096 turn
+a count from -180 degrees; joint frames come on every ``joint_decimation``-th SYNC.
 """
 
-import functools
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple, Protocol, Self
 
 from handctl.drives.frame import Frame
@@ -30,8 +28,6 @@ TARE_LEAST_N, TARE_MOST_N = TENSION_ZERO_N + LOW_MARGIN_N, 6.0
 looks like a loose rope; higher, and its range ends below what ``tension_rail`` says."""
 TENSION_RAIL_N = TENSION_TOP_N - TARE_MOST_N
 """Tension, after any tare, from which on a load cell may be saturated."""
-COUNTER_PERIOD, DISTINCT = 4096, 8
-"""Ticks after which the counters of SYNC repeat, and among which the four bits of the answers are all different."""
 JOINT_STEP_RAD = 2 * math.pi / 4096
 JOINT_ZERO = 2048
 JOINT_FRAMES = 0x10
@@ -77,12 +73,14 @@ class SensorState(NamedTuple):
         asked: low four bits of the last SYNC; -1 before the first.
         stale: frames whose counter was not the one asked for.
         misread: frames of a wrong shape on the node's identifiers.
+        syncs: SYNCs so far.
     """
 
     groups: tuple[Group, ...]
     asked: int = -1
     stale: int = 0
     misread: int = 0
+    syncs: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +96,6 @@ class SensorNode:
         tension_frames: how many of them carry tensions.
         frame_of: of each tendon of the hand, the tension frame that has its load cell; -1 without one.
         decimation: joint frames come on every such SYNC.
-        counters: byte of SYNC by tick, repeated; follows from the decimation.
     """
 
     bus: int
@@ -109,10 +106,6 @@ class SensorNode:
     tension_frames: int
     frame_of: tuple[int, ...]
     decimation: int
-    counters: bytes = field(init=False, repr=False, compare=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "counters", counters(self.decimation))
 
     @classmethod
     def of(cls, node: SensorDescription, bus: int, tendons: tuple[str, ...], joints: tuple[str, ...]) -> Self:
@@ -171,8 +164,9 @@ class SensorNode:
 
     def sync(self, state: SensorState, k: int) -> tuple[SensorState, Frame]:
         """SYNC of tick k; answers to it will carry its counter."""
-        counter = self.counters[k % len(self.counters)]
-        return state._replace(asked=counter & 0xF), Frame(self.sync_id, bytes((counter,)), bus=self.bus)
+        return state._replace(asked=k & 0xF, syncs=state.syncs + 1), Frame(
+            self.sync_id, bytes((k & 0xFF,)), bus=self.bus
+        )
 
     def receive(self, state: SensorState, frame: Frame) -> SensorState:
         """Take in a frame; what is not the node's leaves the state as it is. Never raises on wire data."""
@@ -185,10 +179,10 @@ class SensorNode:
         bits = int.from_bytes(data, "little")
         if bits & 0xF != state.asked:
             return state._replace(stale=state.stale + 1)
-        groups, asked, stale, misread = state
+        groups, asked, *counts = state
         raw = tuple([bits >> shift & FULL for shift in SHIFTS[: len(self.channels[index])]])
         new = Group(asked, t_ns, groups[index].frames + 1, raw)
-        return SensorState((*groups[:index], new, *groups[index + 1 :]), asked, stale, misread)
+        return SensorState((*groups[:index], new, *groups[index + 1 :]), asked, *counts)
 
     def new_tensions(self, before: SensorState, now: SensorState) -> list[tuple[int, float]]:
         """(tendon index, tension [N]) of every channel that was read since ``before``."""
@@ -199,6 +193,20 @@ class SensorNode:
         """(joint index, angle [rad]) of every channel that was read since ``before``."""
         fresh = self._fresh(before, now, slice(self.tension_frames, None))
         return [(i, (raw - JOINT_ZERO) * JOINT_STEP_RAD) for i, raw in fresh]
+
+    def lost(self, state: SensorState) -> int:
+        """Return how many tension frames never came, those of the last SYNC aside, which may be on their way."""
+        came = sum(group.frames for group in state.groups[: self.tension_frames])
+        return max(0, (state.syncs - 1) * self.tension_frames - came - state.stale)
+
+    def latest_joints(self, state: SensorState) -> list[tuple[int, float, int]]:
+        """Return joint index, angle [rad] and time of reception [ns] of the latest reading of each joint."""
+        frames = zip(self.channels[self.tension_frames :], state.groups[self.tension_frames :], strict=True)
+        return [
+            (index, (raw - JOINT_ZERO) * JOINT_STEP_RAD, group.t_ns)
+            for channels, group in frames
+            for index, raw in zip(channels, group.raw, strict=False)
+        ]
 
     def all_read(self, state: SensorState) -> bool:
         """Whether the load cell of every tendon was read at least once."""
@@ -228,30 +236,6 @@ class SensorNode:
             if new.frames != old.frames
             for pair in zip(channels, new.raw, strict=True)
         ]
-
-
-@functools.lru_cache(maxsize=16)
-def counters(decimation: int) -> bytes:
-    """Return the counter byte of each SYNC of a period of about ``COUNTER_PERIOD`` ticks.
-
-    Four bits that count up cannot tell a frame that is 16 or 32 ticks old from a fresh one. These do not count up: of
-    two ticks less than ``DISTINCT`` apart the low four bits differ, and at any other distance they agree by chance. The
-    remainder by ``decimation`` is that of the tick, since the node sends joint frames by it. From a decimation of 8 on
-    the four bits have fewer than three values for a remainder, and the bits of near ticks may agree.
-    """
-    rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
-    by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]
-    chance, recent, made = 1, list[int](), bytearray()
-    for k in range(COUNTER_PERIOD - COUNTER_PERIOD % decimation):
-        chance = chance * 6364136223846793005 + 1442695040888963407 & 0xFFFF_FFFF_FFFF_FFFF  # Knuth's MMIX
-        fit = sorted(by_nibble[k % decimation])
-        for old in reversed(recent):  # the latest first
-            if len(fit) > 2 and old in fit:
-                fit.remove(old)
-        nibble = fit[(chance >> 33) % len(fit)]
-        made.append(by_nibble[k % decimation][nibble])
-        recent = [*recent[2 - DISTINCT :], nibble]
-    return bytes(made)
 
 
 def saturated(cells: Iterable[tuple[int, float]]) -> tuple[int, ...]:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.types import TELEMETRY_AXES, TELEMETRY_FIELDS
+from handctl.controller.types import TELEMETRY_AXES, TELEMETRY_FIELDS, TELEMETRY_FIRST
 from handctl.log.header import RunHeader
 from handctl.log.record import FIXED, FRAME, SIZES, TickRecord, layout, unpack_tick
 
@@ -64,10 +64,31 @@ class Batch(NamedTuple):
     notable: dict[int, TickRecord]
 
 
-def columns(header: RunHeader) -> dict[str, slice]:
-    """Where each field of the telemetry is in a row of ``Batch.numbers``."""
+def layout_of(header: RunHeader, width: int) -> tuple[str, ...]:
+    """Return the fields of a telemetry row of so many columns: logs of earlier versions lack the last ones.
+
+    Args:
+        header: of the run.
+        width: columns of a row.
+    """
+    earlier = TELEMETRY_FIELDS[:TELEMETRY_FIRST]
+    return earlier if width == columns_of(header, earlier) else TELEMETRY_FIELDS
+
+
+def columns_of(header: RunHeader, fields: tuple[str, ...]) -> int:
+    """Return how many columns these fields take."""
+    return sum(len(header.axis(TELEMETRY_AXES[name])) for name in fields)
+
+
+def columns(header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIELDS) -> dict[str, slice]:
+    """Return where each field of the telemetry is in a row.
+
+    Args:
+        header: of the run.
+        fields: of the row, in order.
+    """
     places, at = {}, 0
-    for name in TELEMETRY_FIELDS:
+    for name in fields:
         size = len(header.axis(TELEMETRY_AXES[name]))
         places[name] = slice(at, at + size)
         at += size

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Mode
+from handctl.controller.types import TELEMETRY_AXES, Mode
 from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
 from handctl.log.reader import RunLog
 from handctl.safety.action import Action
@@ -57,7 +57,7 @@ class Block(NamedTuple):
 
 def columns(log: RunLog) -> tuple[str, ...]:
     """Return the names of the telemetry's columns: ``q/index_j1``, ``tension/index_tendon``; units as in ``unit``."""
-    return tuple(f"{field}/{name}" for field in TELEMETRY_FIELDS for name in log.header.axis(TELEMETRY_AXES[field]))
+    return tuple(f"{field}/{name}" for field in log.fields for name in log.header.axis(TELEMETRY_AXES[field]))
 
 
 def unit(column: str) -> str:

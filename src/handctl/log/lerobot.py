@@ -28,6 +28,9 @@ DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 QUANTILES = (1, 10, 50, 90, 99)
 
+SIGMA = ("q_sigma", "tension_sigma")
+"""Standard deviations of ``observation.state``; logs of version 0.1 have no ``q_sigma``."""
+
 Array = NDArray[np.float64]
 Statistics = dict[str, dict[str, list[float]]]
 """Values by the name of the statistic, by feature."""
@@ -78,11 +81,21 @@ def _vectors(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], 
     names = [f"{joint}.pos_rad" for joint in header.joints]
     names += [f"{tendon}.tension_N" for tendon in header.tendons]
     asked = np.hstack([np.where(np.isnan(goals), q, goals), np.where(np.isnan(pulls), tension, pulls)])
-    return {
+    found = {
         "observation.state": (names, np.hstack([q, tension])),
         "observation.tip_force": ([f"{digit}.force_N" for digit in header.digits], _known(log, "tip_force", rows)),
         "action": (names, asked),
     }
+    if SIGMA[0] in log.fields:
+        sigma = np.hstack([_known(log, name, rows) for name in SIGMA])
+        found["observation.sigma"] = ([_sigma_name(name) for name in names], sigma)
+    return found
+
+
+def _sigma_name(name: str) -> str:
+    """Return the name of an element's standard deviation: ``index_j1.pos_sigma_rad`` of ``index_j1.pos_rad``."""
+    quantity, unit = name.rsplit("_", 1)
+    return f"{quantity}_sigma_{unit}"
 
 
 def _known(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:

@@ -10,9 +10,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.types import TELEMETRY_AXES
+from handctl.controller.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
-from handctl.log.batch import FIXED_DTYPE, columns
+from handctl.log.batch import FIXED_DTYPE, columns, columns_of, layout_of
 from handctl.log.chain import SIZE
 from handctl.log.chain import TOPIC as CHAIN_TOPIC
 from handctl.log.clock_pairs import TOPIC as CLOCK_TOPIC
@@ -177,7 +177,7 @@ class RunLog:
         return [Gap(int(self.k[i]), int(self.k[i + 1])) for i in at]
 
     def field(self, name: str) -> Array:
-        """(ticks, n) one field of the telemetry, NaN where nothing was known.
+        """(ticks, n) one field of the telemetry, NaN where nothing was known, or in a log that lacks it.
 
         Args:
             name: of ``controller.types.TELEMETRY_FIELDS``.
@@ -185,16 +185,26 @@ class RunLog:
         Raises:
             LogError: there is no such field, or the log is damaged.
         """
-        places = columns(self.header)
-        if name not in places:
-            raise LogError(f"no field {printable(name)!r}", self._file.name, "one of " + ", ".join(places))
+        if name not in TELEMETRY_FIELDS:
+            raise LogError(f"no field {printable(name)!r}", self._file.name, "one of " + ", ".join(TELEMETRY_FIELDS))
+        places = columns(self.header, self.fields)
+        if name not in places:  # a log of an earlier version
+            return np.full((len(self), len(self.names(name))), np.nan)
         if 8 * self._width * len(self) <= _CACHE_BYTES:
             return self._numbers[:, places[name]]
         return self._columns(places[name])
 
+    @functools.cached_property
+    def fields(self) -> tuple[str, ...]:
+        """Fields of the telemetry in the file; logs of earlier versions lack the last of TELEMETRY_FIELDS."""
+        for place, one in self._rows(self._values):
+            with Reading(self._file.at(place.offset)):
+                return layout_of(self.header, (one.data().shape[1] - VALUES_START + VALUES_END) // 8)
+        return TELEMETRY_FIELDS
+
     @property
     def _width(self) -> int:
-        return sum(len(self.header.axis(axis)) for axis in TELEMETRY_AXES.values())
+        return columns_of(self.header, self.fields)
 
     @functools.cached_property
     def _numbers(self) -> Array:

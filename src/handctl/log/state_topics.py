@@ -24,7 +24,16 @@ JOINT_STATES = {
 }
 """Topic -> axis and what goes into position, velocity, effort; empty: the array stays empty, which ROS 2 allows."""
 
+ESTIMATES = {
+    "/force_estimate": ("tension", "N"),
+    "/joint_estimate": ("q", "rad"),
+    "/tip_force_estimate": ("tip_force", "N"),
+}
+"""Topic -> field of the telemetry with a standard deviation, and its unit."""
+
 _NOTES = {
+    "/joint_estimate": "joint angles and their variance, large where a digit in contact has fewer tendons than joints",
+    "/tip_force_estimate": "tip-equivalent force and its variance",
     "/joint_states": "effort: torque of the tendons at the estimated tension, R^T f without friction [N m]",
     "/tendon_states": "position: excursion [m]; effort: estimated tension at the load cell [N]",
     "/tendon_commands": "effort: commanded tension at the load cell [N]",
@@ -116,8 +125,10 @@ class StateTopics:
         channel = registry.add("/controller/values", "pal_statistics_msgs/StatisticsValues")
         self._values = Stream(channel, statistics_values(width))
         self._cycle = Stream(registry.add("/cycle", "handctl_msgs/CycleStats"), cycle(len(header.motors)))
-        channel = registry.add("/force_estimate", "handctl_msgs/Estimate")
-        self._estimate = Stream(channel, estimate(header.tendons, "N"))
+        self._estimates = {}
+        for topic, (field, unit) in ESTIMATES.items():
+            channel = registry.add(topic, "handctl_msgs/Estimate", note=_NOTES.get(topic, ""))
+            self._estimates[field] = Stream(channel, estimate(header.axis(TELEMETRY_AXES[field]), unit))
 
     def _wrench(self, registry: Registry, digit: str) -> Stream:
         note = "force of the object on the digit; the tip closes towards +y of its frame"
@@ -137,8 +148,9 @@ class StateTopics:
             runs.append(stream.run(stamps, {"force": force}))
         runs.append(self._values.run(stamps, {"values": batch.numbers}))
         runs.append(self._cycle.run(stamps, self._cycle_values(batch) | {"stale": part["motor_age"]}))
-        variance = part["tension_sigma"] ** 2
-        runs.append(self._estimate.run(stamps, {"value": part["tension"], "variance": variance}))
+        for field, stream in self._estimates.items():
+            variance = part[f"{field}_sigma"] ** 2
+            runs.append(stream.run(stamps, {"value": part[field], "variance": variance}))
         return runs
 
     def _tendon_torque(self, tension: Numbers) -> Numbers:

@@ -76,7 +76,7 @@ def differences(columns: Columns, logged: TickRecord, numbers: bytes, computed: 
     yield from text("action", logged.action.name, computed.action.name)
     yield from text("phase", logged.phase, computed.phase)
     yield from text("events", _told(logged.events), _told(computed.events))
-    packed = computed.telemetry.packed()
+    packed = computed.telemetry.packed()[: len(numbers)]  # an earlier version lacks the last fields
     if packed != numbers:
         for column, was, now in _changed(numbers, packed):
             yield Difference(k, t_s, columns.field[column], columns.name[column], was, now, ulps(was, now))
@@ -91,7 +91,7 @@ def same(logged: TickRecord, numbers: bytes, computed: TickOut) -> bool:
     return (
         logged.state_hash == computed.state_hash
         and logged.frames == computed.frames
-        and numbers == computed.telemetry.packed()
+        and numbers == computed.telemetry.packed()[: len(numbers)]
         and (logged.mode, logged.action, logged.phase, logged.events)
         == (computed.mode, computed.action, computed.phase, computed.events)
     )

@@ -94,7 +94,7 @@ def _key(truth: bool) -> tuple[list[Any], list[str]]:
     from matplotlib.lines import Line2D
 
     marks = [
-        (Line2D([], [], color=COLOURS[0], linewidth=1.8), "estimate; of tensions with its 1-sigma band"),
+        (Line2D([], [], color=COLOURS[0], linewidth=1.8), "estimate; of tensions and forces with its 1-sigma band"),
         (Line2D([], [], color=COMMAND, linewidth=1.0, linestyle="--"), "command"),
     ]
     if truth:
@@ -137,9 +137,12 @@ def _tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, 
 
 
 def _forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> None:
-    estimate = log.field("tip_force")
+    estimate, sigma = log.field("tip_force"), log.field("tip_force_sigma")
     for d, (axes, name) in enumerate(zip(row, hand.digit_names, strict=True)):
-        axes.plot(log.times, estimate[:, d], color=COLOURS[d % len(COLOURS)], linewidth=1.0)
+        colour = COLOURS[d % len(COLOURS)]
+        axes.plot(log.times, estimate[:, d], color=colour, linewidth=1.0)
+        low, high = estimate[:, d] - sigma[:, d], estimate[:, d] + sigma[:, d]
+        axes.fill_between(log.times, low, high, color=colour, alpha=0.25, linewidth=0)
         if truth is not None:
             parts = [truth.at(f"contact_force/{name}/{axis}", log.t_ns + offset_ns) for axis in "xyz"]
             _beside(axes, log, None, np.asarray(np.sqrt(sum(part**2 for part in parts)), np.float64))

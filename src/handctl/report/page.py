@@ -18,7 +18,7 @@ from handctl.log.reader import RunLog
 from handctl.output import whole
 from handctl.report.figure import draw_run
 from handctl.report.pictures import lateness, loads, poses
-from handctl.report.summary import summarise
+from handctl.report.summary import angle_rows, summarise
 from handctl.report.truth import Truth
 
 MOST_EVENTS, MOST_CONTACTS = 500, 20
@@ -108,6 +108,7 @@ def _numbers(
         ("tension estimate, against the plant", _unit(found["tension_rmse_n"], "N rms")),
         ("object moved while held", _unit(found["object_motion_mm"], "mm")),
     ]
+    rows += [(_text(name), text) for name, text in angle_rows(found["joint_angles"])]
     rows += [(f"{n}: tip-equivalent force", _unit(f, "N")) for n, f in found["tip_equivalent_force_n"].items()]
     return _table((name, text) for name, text in rows if text)
 

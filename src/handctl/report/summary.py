@@ -52,7 +52,7 @@ def summarise(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> d
     result |= judge_tracking(log, hand, truth, offset_ns, active)
     result |= judge_tension(log, hand, truth, offset_ns, active, holds)
     result |= judge_grasp(log, hand, truth, offset_ns, holds)
-    return result
+    return result | {"joint_angles": judge_angles(log, hand, truth, offset_ns, active, holds)}
 
 
 def _percentile(values: NDArray[Any], percent: float) -> float:
@@ -179,6 +179,67 @@ def judge_grasp(
         paths = [truth.table(["object/x", "object/y", "object/z"], t_ns[one]) for one in holds if one.any()]
         motion = max(float(np.linalg.norm(path - path[0], axis=1).max() * 1e3) for path in paths)
     return result | {"object_motion_mm": motion, "contact_force_n": force}
+
+
+def judge_angles(
+    log: RunLog,
+    hand: Hand,
+    truth: Truth | None,
+    offset_ns: int,
+    active: NDArray[np.bool_],
+    holds: list[NDArray[np.bool_]],
+) -> dict[str, dict[str, Any]]:
+    """Judge the estimated joint angles of each digit while it holds, or while it is active if nothing is held.
+
+    Returns:
+        For each digit ``source`` (see ``angle_source``), ``sigma_deg`` (root mean square over joints and ticks),
+        ``error_deg`` (the same of the error) and ``inside`` (fraction of errors within two standard deviations);
+        the last two are NaN without a truth.
+    """
+    inside = np.any(holds, axis=0) if holds and np.any(holds) else active
+    q, sigma = log.field("q")[inside], log.field("q_sigma")[inside]
+    error = np.full_like(q, np.nan)
+    if truth is not None:
+        error = q - truth.table([f"q/{joint}" for joint in hand.joints], log.t_ns[inside] + offset_ns)
+    found = {}
+    for name, joints in hand.digit_joints.items():
+        known = ~np.isnan(error[:, joints]) & ~np.isnan(sigma[:, joints])
+        within = np.abs(error[:, joints]) <= 2.0 * sigma[:, joints]
+        found[name] = {
+            "source": angle_source(hand, name),
+            "sigma_deg": float(np.degrees(rms(sigma[:, joints]))),
+            "error_deg": float(np.degrees(rms(error[:, joints]))),
+            "inside": float(within[known].mean()) if known.any() else float("nan"),
+        }
+    return found
+
+
+def angle_source(hand: Hand, name: str) -> str:
+    """Return what the joint angles of a digit rest on: "excursion", "encoders", or "assumed"."""
+    digit = DigitModel.of(hand, name)
+    if np.linalg.matrix_rank(digit.moment_arms) == digit.joint_count:
+        return "excursion"
+    return "encoders" if set(digit.joint_names) <= set(hand.sensor_node.joints) else "assumed"
+
+
+SOURCES = {
+    "excursion": "measured by the tendons",
+    "encoders": "measured by joint encoders",
+    "assumed": "assumed, not measured",
+}
+"""What to say of joint angles, by their source."""
+
+
+def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
+    """Return a title and a text for the joint angles of each digit that has a standard deviation."""
+    rows = []
+    for name, found in angles.items():
+        if found["sigma_deg"] != found["sigma_deg"]:
+            continue
+        error = "" if found["error_deg"] != found["error_deg"] else f", {found['error_deg']:.1f} deg rms off"
+        text = f"{SOURCES[found['source']]}: sigma {found['sigma_deg']:.1f} deg{error}"
+        rows.append((f"{name} joint angles", text))
+    return rows
 
 
 def measured_load(log: RunLog, bitrate: int, data_bitrate: int | None, sent: Sequence[tuple[int, bool]]) -> float:

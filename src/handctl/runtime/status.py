@@ -20,9 +20,11 @@ def status(entry: TickIn, out: TickOut) -> dict[str, Any]:
         "phase": out.phase,
         "late_us": entry.late_ns / 1e3,
         "q_rad": _plain(numbers.q.tolist()),
+        "q_sigma_rad": _plain(numbers.q_sigma.tolist()),
         "tension_N": _plain(numbers.tension.tolist()),
         "tension_goal_N": _plain(numbers.tension_goal.tolist()),
         "tip_force_N": _plain(numbers.tip_force.tolist()),
+        "tip_force_sigma_N": _plain(numbers.tip_force_sigma.tolist()),
         "events": [{"name": event.name, "where": event.where, "text": event.text} for event in out.events],
         "contact": [touches > 0.5 for touches in numbers.contact.tolist()],
     }

@@ -60,6 +60,6 @@ def message(chunk: Chunk) -> pa.StructArray | None:
     return None
 
 
-def numbers(column: pa.ListArray, width: int) -> Floats:
+def numbers(column: pa.ListArray) -> Floats:
     """(n, width) of a column of lists, all of one length."""
-    return np.asarray(column.flatten(), np.float64).reshape(len(column), width)
+    return np.asarray(column.flatten(), np.float64).reshape(len(column), -1)

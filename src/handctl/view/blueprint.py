@@ -81,7 +81,7 @@ def _angles(subject: Subject, window: Window) -> rrb.Grid:
     """One plot for each digit."""
     views = [
         rrb.TimeSeriesView(
-            name=f"{digit.name} joint angles [deg], grey: command",
+            name=f"{digit.name} joint angles [deg], 1-sigma band, grey: command",
             contents=f"/angle/{digit.name}/**",
             axis_x=LINKED,
             time_ranges=window,

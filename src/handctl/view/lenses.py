@@ -69,17 +69,16 @@ class Lenses:
         messages = message(chunk)
         if messages is None:
             return
-        table = numbers(messages.field("values"), self._subject.width)
+        table = numbers(messages.field("values"))
         times = run_times(chunk, self._offset)
-        part = {name: table[:, place] for name, place in self._subject.columns.items()}
-        variances = (part["tension_sigma"] ** 2).ravel()
-        measured = rr.Measurements.columns(values=part["tension"].ravel(), variances=variances)
-        yield timed("/tension/estimate", times, measured.partition([part["tension"].shape[1]] * len(times)))
+        part = self._subject.fields(table)
+        yield timed("/tension/estimate", times, band(part["tension"], part["tension_sigma"]))
         yield timed("/tension/command", times, scalars(part["tension_goal"]))
         limits = np.tile(self._subject.limits, (2, 1))
         yield timed("/tension/limit", times[[0, -1]], scalars(limits))
         for digit, joints in self._subject.hand.digit_joints.items():
-            yield timed(f"/angle/{digit}/estimate", times, scalars(np.degrees(part["q"][:, joints])))
+            angle = np.degrees(part["q"][:, joints])
+            yield timed(f"/angle/{digit}/estimate", times, band(angle, np.degrees(part["q_sigma"][:, joints])))
             yield timed(f"/angle/{digit}/command", times, scalars(np.degrees(part["q_goal"][:, joints])))
         for index, digit in enumerate(self._subject.hand.digit_names):
             yield timed(f"/force/{digit}", times, arrows(part["tip_force"][:, index]))
@@ -107,6 +106,12 @@ class Lenses:
             names = messages.field("name").to_pylist()
             entity = STATE_TOPICS[chunk.entity_path]
             yield timed(entity, run_times(chunk, self._offset), rr.StateChange.columns(state=names))
+
+
+def band(values: Floats, sigma: Floats) -> rr.ComponentColumnList:
+    """(n, lines) as lines of a plot in a band of one standard deviation; none where that is not known."""
+    measured = rr.Measurements.columns(values=values.ravel(), variances=np.nan_to_num(sigma**2).ravel())
+    return measured.partition([values.shape[1]] * len(values))
 
 
 def scalars(values: Floats) -> rr.ComponentColumnList:

@@ -33,18 +33,23 @@ def _lines(entity: str, names: Sequence[str], colours: Sequence[Colour], width: 
     return static(entity, look.partition([len(names)]))
 
 
+def _measured(entity: str, names: Sequence[str], colours: Sequence[Colour], unit: str) -> Chunk:
+    """Lines with their band."""
+    look = rr.Measurements.columns(
+        names=list(names),
+        colors=list(colours),
+        widths=[ESTIMATE_WIDTH] * len(names),
+        units=[unit] * len(names),
+    )
+    return static(entity, look.partition([len(names)]))
+
+
 def _tensions(subject: Subject) -> Iterator[Chunk]:
     """Estimates with their band in the colours of the digits, commands faint, limits red."""
     names = subject.hand.tendon_names
     places = subject.hand.digit_tendons.values()
     colours = [shade for i, place in enumerate(places) for shade in palette.shades(i, place.stop - place.start)]
-    look = rr.Measurements.columns(
-        names=list(names),
-        colors=colours,
-        widths=[ESTIMATE_WIDTH] * len(names),
-        units=["N"] * len(names),
-    )
-    yield static("/tension/estimate", look.partition([len(names)]))
+    yield _measured("/tension/estimate", names, colours, "N")
     yield _lines(
         "/tension/command", ["command"] * len(names), [palette.faint(colour) for colour in colours], COMMAND_WIDTH
     )
@@ -56,7 +61,7 @@ def _angles(subject: Subject) -> Iterator[Chunk]:
     for index, digit in enumerate(subject.hand.digit):
         names = [name.removeprefix(f"{digit.name}_") for name in digit.joints]
         colours = palette.shades(index, len(names))
-        yield _lines(f"/angle/{digit.name}/estimate", names, colours, ESTIMATE_WIDTH)
+        yield _measured(f"/angle/{digit.name}/estimate", names, colours, "deg")
         wanted = [f"{name} command" for name in names]
         yield _lines(f"/angle/{digit.name}/command", wanted, [palette.PLAIN] * len(names), COMMAND_WIDTH)
 

@@ -2,13 +2,17 @@
 
 import tomllib
 from dataclasses import dataclass
-from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
 
 from handctl.controller.types import TELEMETRY_AXES
 from handctl.errors import LogError
 from handctl.hand.description import Hand, hand_from
-from handctl.log.batch import columns
+from handctl.log.batch import columns, layout_of
 from handctl.log.header import RunHeader
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -48,15 +52,18 @@ class Subject:
         """Rerun keeps one layout for each of these."""
         return f"handctl_{self.hand.name}"
 
-    @cached_property
-    def columns(self) -> dict[str, slice]:
-        """Where each field of the telemetry is in a row of /controller/values."""
-        return columns(self.header)
+    def fields(self, table: Floats) -> dict[str, Floats]:
+        """Part the rows of /controller/values.
 
-    @property
-    def width(self) -> int:
-        """Number of columns of /controller/values."""
-        return sum(len(self.header.axis(axis)) for axis in TELEMETRY_AXES.values())
+        Args:
+            table: (n, columns).
+
+        Returns:
+            (n, names) of each field; NaN for fields that an earlier version did not log.
+        """
+        places = columns(self.header, layout_of(self.header, table.shape[1]))
+        missing = {name: np.full((len(table), len(self.header.axis(axis))), np.nan) for name, axis in _later(places)}
+        return {name: table[:, place] for name, place in places.items()} | missing
 
     @property
     def limits(self) -> list[float]:
@@ -67,3 +74,8 @@ class Subject:
     def reach(self) -> float:
         """Length of the longest digit [m]."""
         return max(sum(digit.link_length_m) for digit in self.hand.digit)
+
+
+def _later(places: dict[str, slice]) -> list[tuple[str, str]]:
+    """Name and axis of the fields that a log lacks."""
+    return [(name, axis) for name, axis in TELEMETRY_AXES.items() if name not in places]
