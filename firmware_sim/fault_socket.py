@@ -9,13 +9,17 @@ from firmware_sim.description import SimulatorError
 
 if TYPE_CHECKING:  # a bus alone has a server, too, but neither faults nor a plant
     from firmware_sim.faults import Faults
+    from firmware_sim.pace import Pace
 
 LONGEST = 4096
 """Bytes of a question."""
 
 
 class FaultSocket:
-    """A Unix datagram socket; ``{"inject": TEXT}``, ``{"list": true}`` or ``{"kinds": true}`` in, a JSON object out."""
+    """A Unix datagram socket: a question in, a JSON object out.
+
+    Questions are ``{"inject": TEXT}``, ``{"list": true}``, ``{"kinds": true}`` and ``{"pace": true}``.
+    """
 
     def __init__(self, path: Path, faults: "Faults") -> None:
         """Args: where it lies; whose faults it takes.
@@ -37,21 +41,21 @@ class FaultSocket:
         """Return what to wait on."""
         return [self._socket]
 
-    def serve(self) -> None:
-        """Answer what has been asked."""
+    def serve(self, pace: "Pace | None" = None) -> None:
+        """Answer what has been asked, also for the pace."""
         while True:
             try:
                 question, asker = self._socket.recvfrom(LONGEST)
             except (BlockingIOError, ConnectionError):
                 return
-            answer = json.dumps(self._answer(question)).encode()
+            answer = json.dumps(self._answer(question, pace)).encode()
             if asker:
                 try:
                     self._socket.sendto(answer, asker)
                 except OSError:
                     continue  # whoever asked has gone, or its queue is full
 
-    def _answer(self, question: bytes) -> dict[str, object]:
+    def _answer(self, question: bytes, pace: "Pace | None") -> dict[str, object]:
         try:
             asked = json.loads(question)
         except ValueError:
@@ -63,6 +67,8 @@ class FaultSocket:
                 return {"error": str(error)}
         elif isinstance(asked, dict) and asked.get("kinds"):
             return {"kinds": self._faults.kinds()}
+        elif isinstance(asked, dict) and asked.get("pace") and pace:
+            return {"pace": pace.told(self._faults.t_ns - self._faults.slip_ns)}
         elif not isinstance(asked, dict) or not asked.get("list"):
             return {"error": 'expected {"inject": TEXT}, {"list": true} or {"kinds": true}'}
         return {"faults": self._faults.told()[-20:], "t_ns": self._faults.t_ns, "slip_ns": self._faults.slip_ns}

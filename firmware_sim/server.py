@@ -2,7 +2,6 @@
 
 import select
 import socket
-import sys
 import time
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -10,7 +9,9 @@ from typing import Protocol
 
 from firmware_sim.fault_socket import FaultSocket
 from firmware_sim.frame import Frame
+from firmware_sim.pace import Pace
 from firmware_sim.ports import Port
+from firmware_sim.priority import Urgency
 from firmware_sim.wired import WiredPort
 
 TURN_NS = 1_000_000
@@ -21,8 +22,11 @@ SLIP_NS = 50_000_000
 """Further behind than this the plant's clock gives up the time that is lost [ns of plant time]."""
 ROUNDS = 64
 """Ports are asked at most this often in one turn: a full wire cannot keep the plant from moving."""
-STRIDE_NS = 10_000_000
-"""At most this much plant time is caught up before frames are looked at again [ns]."""
+REST_S = 0.005
+"""Pause after time was given up [s]: whoever waits for this core gets it."""
+STRIDE_NS = 4_000_000
+"""At most this much plant time is caught up before frames are answered and looked at again [ns]: half a millisecond of
+computing, since an answer that comes after the next SYNC is late."""
 
 
 class Clock(Protocol):
@@ -92,16 +96,34 @@ class Server:
     """Drives a world by a clock and the ports of its buses.
 
     Attributes:
+        pace: how well the world keeps up.
         overruns: turns that found the plant late. slips: how often it gave up lost time.
         running: set to False, from a signal handler too, and ``run`` returns.
     """
 
-    def __init__(self, world: Served, ports: list[Port], clock: Clock, faults: FaultSocket | None = None) -> None:
-        """Args: world, whose clock is at the present time; ports in the order of the hand's buses; clock; faults."""
-        self._faults = faults
+    def __init__(
+        self,
+        world: Served,
+        ports: list[Port],
+        clock: Clock,
+        faults: FaultSocket | None = None,
+        urgency: Urgency | None = None,
+    ) -> None:
+        """Set the server up.
+
+        Args:
+            world: what is served, its clock at the present time.
+            ports: in the order of the hand's buses.
+            clock: that the world follows.
+            faults: socket that takes faults and questions.
+            urgency: real-time priority; None for a process that stays an ordinary one.
+        """
+        self._faults, self._urgency = faults, urgency
+        self.pace = Pace(world.t_ns)
         self._world, self._ports, self._clock = world, ports, clock
         self.overruns = self.slips = 0
         self.running = True
+        self._served = False
 
     def run(self) -> None:
         """Serve until ``running`` is False."""
@@ -112,14 +134,24 @@ class Server:
         """Wait for frames or for the next millisecond, let the plant catch up, answer."""
         ready = self._wait()
         frames = self._receive(ready)
+        if frames:
+            self._heard()
         self._catch_up(sampled=bool(frames))
         self._answer(frames)
         if self._faults and self._faults.readers()[0] in ready:
-            self._faults.serve()
+            self._faults.serve(self.pace)
         for _ in range(ROUNDS):
             if not (frames := self._receive(())):
                 break
             self._answer(frames)
+
+    def _heard(self) -> None:
+        """Be quick, and judge the pace, once a host is there: before, nobody waits for the plant."""
+        if not self._served:
+            self._served = True
+            self.pace.begin(self._world.t_ns)
+        if self._urgency:
+            self._urgency.heard()
 
     def _receive(self, ready: Collection[socket.socket]) -> list[Frame]:
         return [frame for port in self._ports for frame in port.receive(ready)]
@@ -151,7 +183,11 @@ class Server:
         """Give up lost time: plant and watchdogs stood still while this process did not run."""
         self._world.slip_ns += behind_ns
         self.slips += 1
-        print(f"firmware_sim: {behind_ns / 1e6:.0f} ms behind, clock slipped", file=sys.stderr, flush=True)
+        if self._urgency:
+            self._urgency.behind()
+        if self._served:
+            self.pace.slipped(behind_ns, self._world.t_ns)
+        time.sleep(REST_S)
 
     def _answer(self, frames: list[Frame]) -> None:
         answers: list[list[Frame]] = [[] for _ in self._ports]

@@ -14,7 +14,7 @@ from firmware_sim.fault_socket import FaultSocket
 from firmware_sim.perturb import KEYS, perturbed
 from firmware_sim.places import faults_path, truth_path
 from firmware_sim.ports import Port, assign, open_port
-from firmware_sim.priority import take_priority
+from firmware_sim.priority import Urgency
 from firmware_sim.scene import load_scene, packaged
 from firmware_sim.server import ScaledClock, Server
 from firmware_sim.truth import TruthWriter
@@ -105,7 +105,7 @@ def run(words: list[str]) -> None:
             ready["truth"] = str(path)
             pairs = " ".join(f"{key}={value}" for key, value in ready.items())
             told = json.dumps({"ready": ready}) if args.json else f"firmware_sim: ready {pairs}"
-            _serve(Server(world, ports, clock, faults), world, path, header, told)
+            _serve(Server(world, ports, clock, faults, Urgency()), world, path, header, told)
     finally:
         for port in ports:
             port.close()
@@ -122,7 +122,6 @@ def _serve(server: Server, world: World, path: Path, header: dict[str, Any], rea
         server.running = False
 
     until_signal(stop)
-    take_priority()
     gc.collect()
     gc.freeze()  # what is loaded by now lives on; the collector need not look at it in the loop
     print(ready, flush=True)

@@ -5,6 +5,7 @@ from typing import cast
 
 import pytest
 
+from handctl.cli import session
 from handctl.cli.main import main
 from handctl.cli.plan import Plan
 from handctl.cli.session import Outcome, remedy
@@ -16,11 +17,11 @@ from handctl.runtime.loop import LoopStats
 LATE, TORN = ("B03b", "N02"), ("T01",)
 
 
-def ended(*rows: str) -> Outcome:
+def ended(*rows: str, cpu_s: float = 0.0) -> Outcome:
     """A run that these rows ended."""
     safety = SimpleNamespace(latched=[SimpleNamespace(id=row) for row in rows])
-    state = SimpleNamespace(safety=safety, failure="fault" if rows else "")
-    return Outcome(cast(State, state), LoopStats(), {}, None, 0)
+    state = SimpleNamespace(safety=safety, failure="fault" if rows else "", k=1000)
+    return Outcome(cast(State, state), LoopStats(cpu_s=cpu_s), {}, None, 0)
 
 
 @pytest.mark.parametrize(
@@ -38,6 +39,36 @@ def ended(*rows: str) -> Outcome:
 def test_slower_time_is_for_simulated_hands_that_are_late(bus: str, rows: tuple[str, ...], told: bool) -> None:
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), (bus,) if bus else ())
     assert ("--time-scale" in remedy(plan, ended(*rows))) == told
+
+
+@pytest.mark.parametrize(
+    ("cpu_s", "capacity", "advice", "number"),
+    [
+        (0.0, None, None, 0.7),
+        (4.0, None, None, 0.3),
+        (0.2, 0.5, None, 0.3),
+        (0.2, 3.0, None, 0.7),
+        (0.2, 3.0, 0.01, 0.01),
+    ],
+    ids=["nothing measured", "slow controller", "slow simulator", "a stall", "what the simulator saw"],
+)
+def test_the_pace_that_is_advised_is_measured(
+    monkeypatch: pytest.MonkeyPatch, cpu_s: float, capacity: float | None, advice: float | None, number: float
+) -> None:
+    """It always said 0.5, also where a grasp ran at 0.01 only. The run took 2 s: 1,000 ticks at 500 Hz."""
+    told = {"pace": {"advice": advice, "plant_s_per_cpu_s": capacity}}
+    monkeypatch.setattr(session, "ask_simulator", lambda path, question: told if question == {"pace": True} else {})
+    monkeypatch.setattr(session, "cores", lambda: {0, 1})
+    plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
+    assert remedy(plan, ended(*LATE, cpu_s=cpu_s)).endswith(f"--time-scale {number:g} on both sides")
+
+
+def test_simulator_and_controller_share_a_core(monkeypatch: pytest.MonkeyPatch) -> None:
+    told = {"pace": {"advice": None, "plant_s_per_cpu_s": 2.0}}
+    monkeypatch.setattr(session, "ask_simulator", lambda path, question: told)
+    monkeypatch.setattr(session, "cores", lambda: {0})
+    plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
+    assert session.slower(plan, ended(*LATE, cpu_s=1.8)) == 0.5
 
 
 def test_virtual_time_is_not_slowed(capsys: pytest.CaptureFixture[str]) -> None:

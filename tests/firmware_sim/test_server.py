@@ -9,9 +9,11 @@ import pytest
 from firmware_sim.description import SimulatorError, load_hand
 from firmware_sim.frame import FDF, Frame, pack_record
 from firmware_sim.local import HubPort, JoinedPort
+from firmware_sim.pace import Pace, rounded_down
 from firmware_sim.ports import assign, open_port
+from firmware_sim.priority import ORDINARY_S, Urgency
 from firmware_sim.scene import load_scene
-from firmware_sim.server import SLIP_NS, STRIDE_NS, ScaledClock, Server
+from firmware_sim.server import LATE_NS, SLIP_NS, STRIDE_NS, ScaledClock, Server
 from firmware_sim.world import World
 
 MS = 1_000_000
@@ -108,13 +110,90 @@ def test_answers_go_out_in_the_same_turn_in_the_order_of_the_questions(bench: Be
 
 
 def test_a_late_turn_catches_up_in_strides_and_is_counted(bench: Bench) -> None:
-    bench.turn(30)
-    assert bench.world.t_ns == START + STRIDE_NS
-    bench.turn(30)
-    bench.turn(30)
-    assert bench.world.t_ns == START + 30 * MS
-    assert bench.server.overruns == 3
+    for turn in range(1, 9):
+        bench.turn(30)
+        assert bench.world.t_ns == START + min(turn * STRIDE_NS, 30 * MS)
+    assert bench.server.overruns == sum(30 * MS - turn * STRIDE_NS > LATE_NS for turn in range(8))
     assert bench.world.slip_ns == 0
+
+
+def test_an_answer_does_not_wait_for_all_that_is_caught_up(bench: Bench) -> None:
+    """Catching up 10 ms took 2 ms of computing, and the answer to a SYNC came after the next one."""
+    sent = bench.turn(30, Frame(0x80, b"\x05"))
+    assert [frame.can_id for frame in sent] == [0x1A0]
+    assert bench.world.t_ns == START + STRIDE_NS
+
+
+class Granted:
+    """Real-time priority that is granted by the test."""
+
+    def __init__(self) -> None:
+        self.now_s, self.asked, self.taken = 0.0, 0, False
+
+    def take(self) -> bool:
+        self.asked, self.taken = self.asked + 1, True
+        return True
+
+    def give_back(self) -> None:
+        self.taken = False
+
+
+def test_priority_is_for_a_host_that_is_there_and_a_plant_that_keeps_up() -> None:
+    granted = Granted()
+    urgency = Urgency(granted.take, granted.give_back, lambda: granted.now_s)
+    for _ in range(10):
+        urgency.behind()
+    assert granted.asked == 0, "nobody has sent anything yet"
+    urgency.heard()
+    assert granted.taken
+    urgency.behind()
+    assert granted.taken, "a machine that stood still once keeps up"
+    for _ in range(2):
+        granted.now_s += 0.2
+        urgency.behind()
+    assert not granted.taken
+    urgency.heard()
+    assert not granted.taken, "not at once again"
+    granted.now_s += ORDINARY_S
+    urgency.heard()
+    assert granted.taken
+
+
+def test_a_machine_that_is_too_slow_is_said_once_a_second_with_the_pace_that_it_keeps() -> None:
+    """2,338 lines in 275 s, and none of them said what would help."""
+    now = {"wall": 0.0, "cpu": 0.0}
+    lines: list[str] = []
+    pace = Pace(0, lambda: now["wall"], lambda: now["cpu"], lines.append)
+    plant_ns = 0
+    for _ in range(100):  # 10 s: a tenth of real time, always at work
+        now["wall"] += 0.1
+        now["cpu"] += 0.1
+        plant_ns += 10 * MS
+        pace.slipped(90 * MS, plant_ns)
+    assert 9 <= len(lines) <= 11
+    assert sum(int(line.split(" times")[0].rsplit(" ", 1)[1]) for line in lines[1:]) >= 80
+    assert pace.advice == pytest.approx(0.08)
+    assert "--time-scale 0.08" in lines[-1]
+    assert pace.told(plant_ns)["plant_s_per_cpu_s"] == pytest.approx(0.1)
+
+
+def test_one_stall_is_no_slow_machine() -> None:
+    lines: list[str] = []
+    pace = Pace(0, lambda: 0.0, lambda: 0.0, lines.append)
+    pace.slipped(200 * MS, MS)
+    assert lines == ["firmware_sim: 200 ms behind, clock slipped"]
+    assert pace.advice is None
+
+
+def test_slips_that_no_host_feels_are_counted_in_silence(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
+    bench.turn(1 + SLIP_NS // MS + 200)
+    assert bench.server.slips == 1
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("pace", "said"), [(0.37, 0.3), (1.0, 1.0), (0.0299, 0.02), (1e-6, 0.001), (0.3, 0.3)])
+def test_a_pace_is_rounded_down_to_one_digit(pace: float, said: float) -> None:
+    assert rounded_down(pace) == said
 
 
 def test_far_behind_it_gives_up_the_time_and_says_so(bench: Bench, capsys: pytest.CaptureFixture[str]) -> None:
@@ -138,7 +217,7 @@ def test_a_slip_does_not_trip_a_watchdog_but_real_silence_does(bench: Bench) -> 
     bench.turn(1, write_timeout(40), Frame(1, ENABLE))
     bench.turn(1 + 500)
     assert [state(frame) for frame in bench.turn(502, Frame(1, COMMAND))] == [STATE_ENABLED]
-    for t_ms in range(503, 560, 5):
+    for t_ms in range(503, 560, 2):
         bench.turn(t_ms)
     assert [state(frame) for frame in bench.turn(560, Frame(1, COMMAND))] == [STATE_LOST]
 

@@ -24,7 +24,7 @@ from handctl.cli.options import (
 )
 from handctl.cli.plan import Plan, default_log, find_task, make_plan
 from handctl.cli.run import report
-from handctl.cli.session import Outcome, Runner, make_controller, refuse_blind_view, run_live, run_lockstep
+from handctl.cli.session import Outcome, Runner, make_controller, refuse_blind_view, run_live, run_lockstep, slower
 from handctl.cli.verdict import judge
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.tick import Controller
@@ -36,8 +36,8 @@ from handctl.runtime.places import truth_path
 EXAMPLE = "handctl demo --lockstep"
 SIMULATOR = "firmware_sim"
 START_S = 20.0
-SLOWER, SLOWEST = 0.5, 0.1
-"""By how much time is slowed where a machine cannot keep up with a hand that it simulates as well, and how far."""
+SLOWEST = 0.1
+"""How far time is slowed where a machine cannot keep up with a hand that it simulates as well."""
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -96,22 +96,30 @@ def _on_bus(plan: Plan, spec: str) -> Plan:
 
 
 class _LateError(Exception):
-    """The simulated hand and its controller did not keep up with each other on this machine."""
+    """The simulated hand and its controller did not keep up with each other on this machine.
+
+    Attributes:
+        scale: of time that the machine keeps.
+    """
+
+    def __init__(self, failure: str, scale: float) -> None:
+        super().__init__(failure)
+        self.scale = scale
 
 
 def _in_real_time(args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path) -> tuple[Outcome, Plan]:
     """On real clocks, in slower time if it must be; what it came to, and with which plan."""
-    again = plan.time_scale * SLOWER >= SLOWEST and not wire_words(args)  # a wire may be too slow by itself
+    again = plan.time_scale > SLOWEST and not wire_words(args)  # a wire may be too slow by itself
     first, then = _live(view=False, refuse_late=again), _live(args.view, refuse_late=again)
     try:
         with simulator(args, plan):
             return _commission_and_run(plan, program, log, first, then), plan
     except _LateError as late:
-        slower = replace(plan, time_scale=plan.time_scale * SLOWER)
+        slower_plan = replace(plan, time_scale=max(late.scale, SLOWEST))
         _set_aside(log, plan.time_scale)
         why = f"this machine does not keep up with a simulated hand ({late})"
-        print(f"handctl: {why}; once more at {slower.time_scale:g} of real time", file=sys.stderr)
-    return _in_real_time(args, slower, program, log)
+        print(f"handctl: {why}; once more at {slower_plan.time_scale:g} of real time", file=sys.stderr)
+    return _in_real_time(args, slower_plan, program, log)
 
 
 def _set_aside(log: Path, scale: float) -> None:
@@ -127,7 +135,7 @@ def _live(view: bool, refuse_late: bool) -> Runner:
         outcome = run_live(plan, controller, log, live_view=view)
         state = outcome.state
         if refuse_late and state.failure and not state.progress.failure:  # nothing is wrong with this hand but its time
-            raise _LateError(state.failure)
+            raise _LateError(state.failure, slower(plan, outcome))
         return outcome
 
     return runner

@@ -57,6 +57,7 @@ class LoopStats:
         late_ns: lateness of the last ``KEPT`` ticks, in no order once there were more [ns]; the log has it of all.
         frames_tx, frames_rx: frames sent and received.
         refused: frames that the bus did not take.
+        cpu_s: that this process computed while the loop ran [s].
     """
 
     ticks: int = 0
@@ -65,6 +66,7 @@ class LoopStats:
     frames_tx: int = 0
     frames_rx: int = 0
     refused: int = 0
+    cpu_s: float = 0.0
 
 
 class Signals:
@@ -134,6 +136,7 @@ class Loop(Generic[S]):
         gc.collect()
         gc.freeze()
         gc.disable()
+        cpu_s = time.process_time()
         try:
             with self.urgent():
                 self.clock.begin()
@@ -143,6 +146,7 @@ class Loop(Generic[S]):
         finally:
             gc.enable()
             gc.unfreeze()
+            self.stats.cpu_s = time.process_time() - cpu_s
 
     def _guarded(self, state: S) -> S:
         """Run; on any error tell the drives to let go before it travels on.
