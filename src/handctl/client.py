@@ -120,10 +120,14 @@ class HandClient:
     ) -> None:
         self._end(tell=kind is None)
 
-    def move(self, duration_s: float = 1.0, wait: bool = True, **angle_deg: float) -> None:
+    def move(
+        self, goals: Mapping[str, float] | None = None, /, duration_s: float = 1.0, wait: bool = True,
+        **angle_deg: float,
+    ) -> None:  # fmt: skip
         """Move digits to joint angles, e.g. ``hand.move(index=30, thumb=10)`` [deg].
 
         Args:
+            goals: the same as a mapping, e.g. ``hand.move({"index": 30})``; both together are one goal.
             duration_s: of the motion, in the hand's time [s].
             wait: return when it is over, not when it begins.
             angle_deg: mean joint angle by digit [deg].
@@ -133,25 +137,28 @@ class HandClient:
             DriveError: the run has ended, or ends meanwhile, e.g. by a fault; it says why.
             BusError: the controller does not answer.
         """
-        goal = {"do": "move", "angle_deg": _numbers(angle_deg), **_numbers({"duration_s": duration_s})}
-        _refuse_nobody(goal, angle_deg)
+        angles = _digits("move", goals, angle_deg)
+        goal = {"do": "move", "angle_deg": _numbers(angles), **_numbers({"duration_s": duration_s})}
         validated(goal, MoveDigits, "move")
         began_s = self._set_goal(goal)
         while wait and self._acting(ANSWER_S)["t_s"] < began_s + goal["duration_s"]:
             pass
 
-    def hold(self, rate_N_per_s: float = 100.0, **tension_N: float) -> None:
+    def hold(
+        self, goals: Mapping[str, float] | None = None, /, rate_N_per_s: float = 100.0, **tension_N: float
+    ) -> None:
         """Hold tensions, one for all tendons of a digit, e.g. ``hand.hold(index=12)`` [N]; returns at once.
 
         Args:
+            goals: the same as a mapping, e.g. ``hand.hold({"index": 12})``; both together are one goal.
             rate_N_per_s: how fast the tension changes [N/s].
             tension_N: by digit [N].
 
         Raises:
             ConfigError, DriveError, BusError: see ``move``.
         """
-        goal = {"do": "hold", "tension_N": _numbers(tension_N), **_numbers({"rate_N_per_s": rate_N_per_s})}
-        _refuse_nobody(goal, tension_N)
+        tensions = _digits("hold", goals, tension_N)
+        goal = {"do": "hold", "tension_N": _numbers(tensions), **_numbers({"rate_N_per_s": rate_N_per_s})}
         validated(goal, HoldTension, "hold")
         self._set_goal(goal)
 
@@ -294,9 +301,20 @@ class HandClient:
             print(text, end="", file=sys.stderr, flush=True)
 
 
-def _refuse_nobody(goal: Mapping[str, Any], digits: Mapping[str, Any]) -> None:
-    if not digits:
-        raise ConfigError("no digit", goal["do"], "one at least, as in index=30")
+def _digits(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by digit, from a mapping and from keywords.
+
+    Raises:
+        ConfigError: no mapping, no digit, or one that is there twice.
+    """
+    if goals is not None and not isinstance(goals, Mapping):
+        raise ConfigError(repr(goals), do, 'digits by name, as in index=30 or {"index": 30}')
+    found = {str(name): value for name, value in (goals or {}).items()}
+    if twice := found.keys() & named.keys():
+        raise ConfigError(f"{min(twice)} is there twice", do, "one value for each digit")
+    if not found and not named:
+        raise ConfigError("no digit", do, "one at least, as in index=30")
+    return found | dict(named)
 
 
 def _numbers(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -82,6 +82,23 @@ def test_a_goal_of_no_digit_is_refused(alone):
         alone.hold()
 
 
+def test_digits_may_come_as_a_mapping(alone, monkeypatch):
+    """The first argument was taken for the duration, and the line said "no digit"."""
+    asked = []
+    monkeypatch.setattr(alone, "_set_goal", asked.append)
+    alone.move({"index": 10}, thumb=5, wait=False)
+    alone.hold({"index": 10})
+    goals = [one.get("angle_deg", one.get("tension_N")) for one in asked]
+    assert goals == [{"index": 10.0, "thumb": 5.0}, {"index": 10.0}]
+    for do in (alone.move, alone.hold):
+        with pytest.raises(ConfigError, match=r"(move|hold): 2.0; expected digits by name, as in index=30"):
+            do(2.0)
+        with pytest.raises(ConfigError, match="index is there twice; expected one value for each digit"):
+            do({"index": 1}, index=2)
+        with pytest.raises(ConfigError, match="no digit; expected one at least"):
+            do({})
+
+
 def test_nobody_there_is_one_line(alone):
     with pytest.raises(BusError, match="the controller is silent"):
         alone.state(-1.0)
