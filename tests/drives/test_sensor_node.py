@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.drives.frame import Frame
-from handctl.drives.sensor_node import TENSION_TOP_N, TENSION_ZERO_N, SensorNode, SensorState, saturated
+from handctl.drives.sensor_node import TENSION_TOP_N, TENSION_ZERO_N, SensorNode, SensorState, counters, saturated
 
 RAW = st.integers(0, 4095)
 CHANNELS = 11
@@ -60,6 +60,30 @@ def encoded(first_id: int, prefix: str, counter: int, values: Sequence[float], t
     return frames
 
 
+def tick_of(node: SensorNode, nibble: int) -> int:
+    """Return the first tick whose SYNC has these low four bits."""
+    return next(k for k, counter in enumerate(node.counters) if counter & 0xF == nibble)
+
+
+@pytest.mark.parametrize("decimation", [1, 2, 3, 4, 5, 7, 8, 12, 16, 100, 256])
+def test_counters_keep_the_turn_of_the_joints(decimation: int) -> None:
+    made = counters(decimation)
+    assert len(made) % decimation == 0
+    assert all(counter % decimation == k % decimation for k, counter in enumerate(made))
+
+
+@pytest.mark.parametrize("decimation", [1, 2, 3, 4, 5, 6, 7])
+def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
+    """Less than 8 ticks old never, older ones by chance: more than 40 of 100 are lost then, which relaxes (B03b)."""
+    nibbles = [counter & 0xF for counter in counters(decimation)]
+    n = len(nibbles)
+    for age in range(1, 200):
+        same = [k >= age and nibbles[k] == nibbles[k - age] for k in range(n)]  # but for the seam
+        assert sum(same) <= (0 if age < 8 else 0.4 * n), age
+        worst = max(sum(same[k : k + 100]) for k in range(n - 100))
+        assert worst < 60, age
+
+
 def received(node: SensorNode, state: SensorState, frames: Sequence[Frame]) -> SensorState:
     for frame in frames:
         state = node.receive(state, frame)
@@ -70,8 +94,9 @@ def received(node: SensorNode, state: SensorState, frames: Sequence[Frame]) -> S
 def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int], k: int) -> None:
     node = SensorNode.of(Section(tendons=TENDONS[: len(tensions)], joints=JOINTS[: len(joints)]), 0, TENDONS, JOINTS)
     before, sync = node.sync(node.initial(), k)
-    assert DBC.decode_message(sync.can_id, sync.data) == {"counter": k % 256}
-    frames = encoded(0x1A0, "tension", k % 16, tensions) + encoded(0x1B0, "joint", k % 16, joints)
+    assert DBC.decode_message(sync.can_id, sync.data) == {"counter": sync.data[0]}
+    nibble = sync.data[0] % 16
+    frames = encoded(0x1A0, "tension", nibble, tensions) + encoded(0x1B0, "joint", nibble, joints)
     now = received(node, before, frames)
     told: dict[str, Any] = {}
     for frame in frames:
@@ -85,8 +110,9 @@ def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int
 def test_golden_frames() -> None:
     """By hand: 0 N is raw 96 = 0x060, 10 N raw 256 = 0x100, rail 0xFFF; 0 rad is raw 0x800; counter 7."""
     node = SensorNode.of(Section(tendons=TENDONS[:3], joints=("j4",)), 0, TENDONS, JOINTS)
-    before, sync = node.sync(node.initial(), 0x107)
-    assert sync == Frame(0x080, b"\x07")
+    before, sync = node.sync(node.initial(), tick_of(node, 7))
+    assert sync == Frame(0x080, sync.data)
+    assert sync.data[0] & 0xF == 7
     now = received(node, before, [Frame(0x1A0, bytes.fromhex("070600f1ff"))])
     assert list(node.new_tensions(before, now)) == [(0, 0.0), (1, 10.0), (2, 249.9375)]
     now = received(node, before, [Frame(0x1B0, bytes.fromhex("0780"))])
@@ -96,15 +122,15 @@ def test_golden_frames() -> None:
 @given(st.integers(0, 255), st.integers(0, 15))
 def test_only_the_answer_to_the_last_sync_counts(k: int, counter: int) -> None:
     node = SensorNode.of(Section(), 0, TENDONS, JOINTS)
-    before, _ = node.sync(node.initial(), k)
+    before, sync = node.sync(node.initial(), k)
     now = received(node, before, encoded(0x1A0, "tension", counter, [100] * CHANNELS))
-    fresh = counter == k % 16
+    fresh = counter == sync.data[0] % 16
     assert len(list(node.new_tensions(before, now))) == (CHANNELS if fresh else 0)
     assert now.stale == (0 if fresh else 3)
 
 
 def test_nothing_is_new_twice_and_what_is_missing_stays_missing(node: SensorNode) -> None:
-    before, _ = node.sync(node.initial(), 1)
+    before, _ = node.sync(node.initial(), tick_of(node, 1))
     first, second, _ = encoded(0x1A0, "tension", 1, range(CHANNELS))
     now = received(node, before, [second])
     assert [i for i, _ in node.new_tensions(before, now)] == [5, 6, 7, 8, 9]
@@ -115,7 +141,7 @@ def test_nothing_is_new_twice_and_what_is_missing_stays_missing(node: SensorNode
 
 def test_times_are_in_the_order_of_the_hand() -> None:
     node = SensorNode.of(Section(tendons=("t2", "t0", "t1", "t5", "t4", "t3")), 0, TENDONS[:7], JOINTS)
-    state, _ = node.sync(node.initial(), 0)
+    state, _ = node.sync(node.initial(), tick_of(node, 0))
     assert node.tension_times(state) == (-1,) * 7
     first, second = encoded(0x1A0, "tension", 0, [0] * 6)
     state = received(node, state, [first._replace(t_ns=10), second._replace(t_ns=20)])
@@ -158,7 +184,7 @@ def test_a_saturated_load_cell_is_beyond_the_rail_after_any_tare(node: SensorNod
 def test_the_simulated_node_and_the_host_agree(node: SensorNode) -> None:
     from firmware_sim.nodes.sensors import joint_code, pack, tension_code
 
-    before, _ = node.sync(node.initial(), 3)
+    before, _ = node.sync(node.initial(), tick_of(node, 3))
     forces, angles = [7.3 * i for i in range(5)], [0.4 * i - 0.8 for i in range(5)]
     frames = [
         Frame(0x1A0, pack(3, [tension_code(force) for force in forces])),
@@ -172,20 +198,20 @@ def test_the_simulated_node_and_the_host_agree(node: SensorNode) -> None:
 def test_a_group_knows_its_counter_and_how_often_it_came(node: SensorNode) -> None:
     state = node.initial()
     for k in (5, 6):
-        state, sync = node.sync(state, k)
+        state, sync = node.sync(state, tick_of(node, k))
         for frame in encoded(0x1A0, "tension", k & 0xF, [1.0] * CHANNELS, t_ns=k):
             state = node.receive(state, frame)
     assert [group.counter for group in state.groups[:3]] == [6, 6, 6]
     assert [group.frames for group in state.groups[:3]] == [2, 2, 2]
     assert [group.t_ns for group in state.groups[:3]] == [6, 6, 6]
     other = SensorNode.of(Section(), 1, TENDONS, JOINTS)
-    assert other.sync(other.initial(), 0x1FF)[1] == Frame(0x080, b"\xff", bus=1)
+    assert other.sync(other.initial(), 0x1FF)[1] == Frame(0x080, other.counters[0x1FF:0x200], bus=1)
     assert sync.bus == 0
 
 
 def test_groups_belong_to_their_node(node: SensorNode) -> None:
     whole = node.initial()
-    state, _ = node.sync(whole, 1)
+    state, _ = node.sync(whole, tick_of(node, 1))
     for frame in encoded(0x1A0, "tension", 1, [1.0] * CHANNELS):
         state = node.receive(state, frame)
     with pytest.raises(ValueError, match="zip"):
@@ -196,7 +222,7 @@ def test_groups_belong_to_their_node(node: SensorNode) -> None:
 
 
 def test_what_is_stale_and_what_cannot_be_read_are_counted_apart(node: SensorNode) -> None:
-    state, _ = node.sync(node.initial(), 1)
+    state, _ = node.sync(node.initial(), tick_of(node, 1))
     state = node.receive(state, Frame(0x1A0, bytes(3)))
     (good, *_) = encoded(0x1A0, "tension", 2, [1.0] * CHANNELS)
     state = node.receive(state, good)

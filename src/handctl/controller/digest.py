@@ -68,8 +68,9 @@ def sensor_bytes(sensors: SensorState) -> bytes:
 
 def watch_bytes(watch: WatchState) -> bytes:
     """What safety remembers."""
-    motors, joints, filtered, stands, taut, bears, slip_from, derailed, asked, wanted, goal, ropes, counts, owed = watch
-    arrays = (*motors, *joints, *filtered, *stands, bears, slip_from, derailed, asked, wanted, goal)
+    *usual, replays, swings = watch
+    motors, joints, filtered, stands, taut, bears, slip_from, derailed, asked, wanted, goal, ropes, counts, owed = usual
+    arrays = (*motors, *joints, *filtered, *stands, bears, slip_from, derailed, asked, wanted, goal, *replays, swings)
     plain = plain_bytes((taut, tuple(ropes), tuple(counts), owed))
     return b"".join([array.tobytes() for array in arrays]) + plain
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from handctl.drives import cia402_codec as codec
 from handctl.drives import cia402_setup as setup
+from handctl.drives import recheck
 from handctl.drives.causes import Cause
 from handctl.drives.cia402_progress import (
     CAUSES,
@@ -117,8 +118,9 @@ class Cia402Drive:
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Its heartbeat and this host's."""
-        return ((1, False, HEARTBEATS_MISSED * 1e9 / self.patience_ns), (1, False, 1e9 / self.beat_every_ns))
+        """Its heartbeat and this host's, and objects that are read again."""
+        beats = (1, False, HEARTBEATS_MISSED * 1e9 / self.patience_ns), (1, False, 1e9 / self.beat_every_ns)
+        return (*beats, *((8, False, recheck.PER_SECOND),) * 2)
 
     @property
     def host_ids(self) -> frozenset[int]:
@@ -151,6 +153,11 @@ class Cia402Drive:
         """SYNC asks for it."""
         return 0.0
 
+    @property
+    def guards(self) -> tuple[setup.Step, ...]:
+        """Objects that are read again while it is enabled."""
+        return tuple(step for step in self.steps if (step.number, step.sub) in setup.GUARDS)
+
     def initial(self) -> DriveState:
         """Silent."""
         return DriveState(private=Progress())
@@ -173,11 +180,25 @@ class Cia402Drive:
 
     def _take_object(self, state: DriveState, data: bytes) -> DriveState:
         progress, reply = progress_of(state), codec.sdo_reply(data)
+        if reply is not None and state.phase == ENABLED and progress.check.waiting:
+            return self._take_again(state, progress, reply)
         if reply is None or progress.walk.step >= len(self.steps) or state.phase not in (SILENT, CONFIGURING):
             return state
         walk, problem = setup.take(progress.walk, self.steps, reply)
         known = state._replace(phase=CONFIGURING, private=progress._replace(walk=walk))
         return fault(known, MISMATCH, problem) if problem else known
+
+    def _take_again(self, state: DriveState, progress: Progress, reply: codec.SdoReply) -> DriveState:
+        """Compare an object that was read again while enabled; another value means that all may be lost."""
+        step = self.guards[progress.check.step]
+        if reply[:2] != (step.number, step.sub) or not (reply.raw or reply.abort):
+            return state
+        if reply.raw == step.raw:
+            return state._replace(private=progress._replace(check=recheck.agreed(progress.check, len(self.guards))))
+        value = int.from_bytes(reply.raw, "little")
+        read = codec.abort_text(reply.abort) if reply.abort else f"reads {value:#x} while enabled"
+        text = f"{step.name}: {read}, expected {step.value:#x}: settings are lost"
+        return fault(state._replace(private=progress._replace(check=recheck.Recheck())), MISMATCH, text)
 
     def _take_feedback(self, state: DriveState, frame: Frame) -> DriveState:
         """Values and power state; before its objects are known a TPDO may hold anything."""
@@ -212,7 +233,8 @@ class Cia402Drive:
         if want == DISABLE or (state.phase == ENABLED and (want != ENABLE or progress.disabling_ns >= 0)):
             return self._disable(state, progress, t_ns)
         if state.phase == ENABLED:
-            return state, (self._rpdo(codec.ENABLE_OPERATION, torque),)
+            state, again = self._ask_again(state, progress, t_ns)
+            return state, (self._rpdo(codec.ENABLE_OPERATION, torque), *again)
         if state.phase == FAULT:
             return state, self.cut() if progress.may_be_enabled else ()
         progress = progress._replace(disabling_ns=-1)
@@ -222,8 +244,20 @@ class Cia402Drive:
             return self._start(state, progress, t_ns)
         if want == ENABLE:
             word = codec.NEXT.get(progress.power, codec.DISABLE_VOLTAGE)
-            return state._replace(private=progress._replace(asked=True)), (self._rpdo(word, 0.0),)
+            check = progress.check if progress.asked else recheck.begin(self.node_id, t_ns)
+            return state._replace(private=progress._replace(asked=True, check=check)), (self._rpdo(word, 0.0),)
         return state._replace(private=progress), ()
+
+    def _ask_again(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Read an object of the enabled drive again, when it is its turn."""
+        if t_ns < progress.check.due_ns:
+            return state, ()
+        step = self.guards[progress.check.step]
+        check = recheck.asked(progress.check, self.node_id, t_ns)
+        state = state._replace(private=progress._replace(check=check))
+        if check.unanswered:
+            state = fault(state, MISMATCH, f"{step.name} is not answered while enabled")
+        return state, (Frame(codec.SDO_REQUEST + self.node_id, codec.upload(step.number, step.sub), 0, self.bus),)
 
     def _disable(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """Until a status word says otherwise, what may be enabled counts as enabled; it must be operational to say."""

@@ -7,6 +7,7 @@ from handctl.drives import cia402_setup as setup
 from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase
 from handctl.drives.frame import Frame
+from handctl.drives.recheck import Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
@@ -35,6 +36,7 @@ class Progress(NamedTuple):
         asked: whether it was told to enable, and has not said since that it is disabled.
         disabling_ns: since when it is told to disable [ns]; -1 if it is not.
         clearing: how many status words may still show the fault that is being cleared.
+        check: how far its objects were read again while it is enabled.
     """
 
     walk: setup.Walk = setup.Walk()
@@ -46,6 +48,7 @@ class Progress(NamedTuple):
     asked: bool = False
     disabling_ns: int = -1
     clearing: int = 0
+    check: Recheck = Recheck()
 
     @property
     def may_be_enabled(self) -> bool:

@@ -52,6 +52,10 @@ class Step(NamedTuple):
         return f"object {self.number:#06x}:{self.sub}"
 
 
+GUARDS = ((0x1016, 1), (0x6072, 0))
+"""Objects that make an enabled drive the first guard: loss of this host's heartbeat, and the largest torque."""
+
+
 class Walk(NamedTuple):
     """How far: index, whether it has been written, when the open request was sent [ns] (-1 if none), how often."""
 

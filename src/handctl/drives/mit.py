@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 
 from handctl.drives import mit_codec as codec
 from handctl.drives import mit_registers as registers
+from handctl.drives import recheck
 from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
@@ -103,8 +104,8 @@ class MitDrive:
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Nothing: a motor speaks only when spoken to."""
-        return ()
+        """Registers that are read again, and the answers; a motor speaks only when spoken to."""
+        return ((8, bool(self.flags), recheck.PER_SECOND),) * 2
 
     @property
     def host_ids(self) -> frozenset[int]:
@@ -142,6 +143,11 @@ class MitDrive:
         ranges = zip((codec.PMAX, codec.VMAX, codec.TMAX), self.ranges, strict=True)
         return ((codec.CTRL_MODE, codec.MIT_MODE), *ranges, (codec.TIMEOUT, self.timeout))
 
+    @property
+    def guards(self) -> tuple[tuple[int, float], ...]:
+        """(register, value) that make it the first guard, which are read again while it is enabled."""
+        return ((codec.TIMEOUT, self.timeout), (codec.TMAX, self.ranges.torque))
+
     def initial(self) -> DriveState:
         """Silent."""
         return DriveState(private=Progress())
@@ -154,6 +160,10 @@ class MitDrive:
         if len(data) != 8:
             return state._replace(misread=state.misread + 1)
         phase, _, _, _, _, _, count, error, text, misread, private = state
+        if phase is ENABLED and private.check.waiting:
+            reply = codec.register_reply(data, self.node_id)
+            if reply is not None and reply[:2] == (codec.READ, self.guards[private.check.step][0]):
+                return self._take_guard(state, private, reply)
         if phase is ENABLED and data[0] == self.head and private.asked:  # as in nearly every tick
             _, position, velocity, torque, hot = codec.decode_feedback(data, self.lines)
             values = (ENABLED, position, velocity, torque, hot, t_ns, count + 1, error, text, misread, private)
@@ -178,6 +188,14 @@ class MitDrive:
         ready = progress._replace(walk=Walk(), configured=True, ready_ns=t_ns)
         return state._replace(phase=READY, private=ready)
 
+    def _take_guard(self, state: DriveState, progress: Progress, reply: codec.RegisterReply) -> DriveState:
+        """Compare a register that was read again while enabled; another value means that all may be lost."""
+        register, value = self.guards[progress.check.step]
+        if reply.raw == codec.register_bytes(register, value):
+            return state._replace(private=progress._replace(check=recheck.agreed(progress.check, len(self.guards))))
+        text = f"{registers.name(register)} reads {reply.value:g} while enabled, expected {value:g}: settings are lost"
+        return fault(state._replace(private=progress._replace(check=recheck.Recheck())), MISMATCH, text)
+
     def _take_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
         """Values of a feedback frame, and what its state nibble means."""
         nibble, position, velocity, torque, hot = codec.decode_feedback(data, self.lines)
@@ -197,7 +215,11 @@ class MitDrive:
         """See ``contract.Drive``."""
         progress: Progress = state.private
         if want is ENABLE and state.phase is ENABLED and not progress.disabling:
-            return state, (make(Frame, (self.node_id, self.command(torque), self.flags, self.bus, 0)),)
+            command = make(Frame, (self.node_id, self.command(torque), self.flags, self.bus, 0))
+            if t_ns < progress.check.due_ns:
+                return state, (command,)
+            state, question = self._ask_guard(state, progress, t_ns)
+            return state, (command, question)
         if want == LISTEN:
             return state, ()
         if want == DISABLE or state.phase == ENABLED:
@@ -210,7 +232,8 @@ class MitDrive:
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and want == ENABLE:
-            asked = state._replace(private=progress._replace(asked=True))
+            check = progress.check if progress.asked else recheck.begin(self.node_id, t_ns)
+            asked = state._replace(private=progress._replace(asked=True, check=check))
             return asked, (self._frame(codec.special(codec.ENABLE)),)
         question = self._frame(codec.special(codec.CLEAR)) if progress.clearing else self._refresh()
         return state._replace(private=progress), (question,)
@@ -220,6 +243,15 @@ class MitDrive:
         phase = ENABLED if progress.asked or progress.found_enabled else state.phase
         since = progress.disabling_ns if progress.disabling else t_ns
         return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
+
+    def _ask_guard(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, Frame]:
+        """Read a register again that makes the enabled drive the first guard."""
+        register, _ = self.guards[progress.check.step]
+        check = recheck.asked(progress.check, self.node_id, t_ns)
+        state = state._replace(private=progress._replace(check=check))
+        if check.unanswered:
+            state = fault(state, MISMATCH, f"{registers.name(register)} is not answered while enabled")
+        return state, self._broadcast(codec.register_request(self.node_id, codec.READ, register))
 
     def _configure(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """The next register request; a motor that is enabled is disabled first."""

@@ -6,6 +6,7 @@ from handctl.drives import mit_codec as codec
 from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase
 from handctl.drives.mit_registers import Walk
+from handctl.drives.recheck import Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
@@ -33,6 +34,7 @@ class Progress(NamedTuple):
         disabling_ns: since when [ns].
         clearing: how many answers may still carry the error that is being cleared.
         ready_ns: when its registers were known [ns].
+        check: how far its registers were read again while it is enabled.
     """
 
     walk: Walk = Walk()
@@ -43,6 +45,7 @@ class Progress(NamedTuple):
     disabling_ns: int = 0
     clearing: int = 0
     ready_ns: int = 0
+    check: Recheck = Recheck()
 
 
 def progress_of(state: DriveState) -> Progress:

@@ -49,7 +49,7 @@ def take(walk: Walk, wanted: Wanted, reply: codec.RegisterReply) -> tuple[Walk, 
         return Walk(walk.step + 1), ""
     if not walk.written:
         return Walk(walk.step, writing=True), ""
-    return walk, f"{_name(register)} reads {reply.value:g} after writing, expected {value:g}"
+    return walk, f"{name(register)} reads {reply.value:g} after writing, expected {value:g}"
 
 
 def ask(walk: Walk, wanted: Wanted, node_id: int, t_ns: int) -> tuple[Walk, bytes, str]:
@@ -68,11 +68,12 @@ def ask(walk: Walk, wanted: Wanted, node_id: int, t_ns: int) -> tuple[Walk, byte
         return walk, b"", ""
     register, value = wanted[walk.step]
     if walk.tries >= REQUEST_TRIES:
-        return walk, b"", f"{_name(register)} is not answered"
+        return walk, b"", f"{name(register)} is not answered"
     operation = codec.WRITE if walk.writing else codec.READ
     data = codec.register_request(node_id, operation, register, value)
     return walk._replace(sent_ns=t_ns, tries=walk.tries + 1), data, ""
 
 
-def _name(register: int) -> str:
+def name(register: int) -> str:
+    """Return a register for people."""
     return f"register {register} {codec.REGISTER_NAMES[register]}"

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from handctl.drives import odrive_codec as codec
 from handctl.drives import odrive_endpoints as endpoints
+from handctl.drives import recheck
 from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
@@ -104,10 +105,12 @@ class OdriveDrive:
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Heartbeat, the cyclic position (on by default, used or not), and temperatures, which are asked for."""
+        """Heartbeat, cyclic position (on by default, used or not), and what is asked for: temperatures, settings."""
         warm = 0.0 if self.old else 1e9 / TEMPERATURE_NS
         told = 1.0 / (self.cyclic_s or codec.ENCODER_MS * 1e-3)
-        return ((8, False, HEARTBEATS_MISSED * 1e9 / self.patience_ns + told), (0, False, warm), (8, False, warm))
+        again = recheck.PER_SECOND if self.settings else 0.0
+        beats = HEARTBEATS_MISSED * 1e9 / self.patience_ns + told
+        return ((8, False, beats), (0, False, warm), (8, False, warm), (4, False, again), (8, False, again))
 
     @property
     def host_ids(self) -> frozenset[int]:
@@ -184,11 +187,25 @@ class OdriveDrive:
 
     def _take_setting(self, state: DriveState, data: bytes) -> DriveState:
         progress = progress_of(state)
+        if state.phase == ENABLED and progress.check.waiting:
+            return self._take_again(state, progress, data)
         if state.phase != CONFIGURING or progress.walk.step >= len(self.settings):
             return state
         walk, write, problem = endpoints.take(progress.walk, self.settings, data)
         known = state._replace(private=progress._replace(walk=walk, write=write or progress.write))
         return fault(known, MISMATCH, problem) if problem else known
+
+    def _take_again(self, state: DriveState, progress: Progress, data: bytes) -> DriveState:
+        """Compare a setting that was read again while enabled; another value means that all may be lost."""
+        setting = self.settings[progress.check.step]
+        endpoint, raw = codec.sdo_reply(data)
+        if endpoint != setting.endpoint or len(raw) < len(setting.raw):
+            return state
+        if raw[: len(setting.raw)] == setting.raw:
+            return state._replace(private=progress._replace(check=recheck.agreed(progress.check, len(self.settings))))
+        values = endpoints.shown(raw, setting), endpoints.shown(setting.raw, setting)
+        text = f"{setting.name} reads {values[0]} while enabled, expected {values[1]}: settings are lost"
+        return fault(state._replace(private=progress._replace(check=recheck.Recheck())), MISMATCH, text)
 
     def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
         """See ``contract.Drive``."""
@@ -202,7 +219,8 @@ class OdriveDrive:
             return begin_disabling(state, progress, t_ns), (self._state(codec.IDLE),)
         if state.phase == ENABLED:
             state, asked = self._questions(state, t_ns)
-            return state, (self._torque(torque), *asked)
+            state, again = self._ask_again(state, t_ns)
+            return state, (self._torque(torque), *asked, *again)
         if state.phase == FAULT:
             return state, self.cut() if progress.may_be_enabled else ()
         state = state._replace(private=progress._replace(disabling_ns=-1))
@@ -221,7 +239,8 @@ class OdriveDrive:
         if not progress.fresh:
             again = progress._replace(walk=endpoints.Walk(), configured=False)
             return state._replace(phase=CONFIGURING, private=again), asked
-        told = state._replace(private=progress._replace(asked_ns=t_ns, orders=progress.orders + 1))
+        check = recheck.begin(self.node_id, t_ns)
+        told = state._replace(private=progress._replace(asked_ns=t_ns, orders=progress.orders + 1, check=check))
         return told, (*self._setup(), self._torque(0.0), self._state(codec.CLOSED_LOOP), *asked)
 
     def _configure(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
@@ -266,6 +285,18 @@ class OdriveDrive:
             frames.append(self._ask(codec.TEMPERATURE))
             state = state._replace(private=progress._replace(warmed_ns=t_ns))
         return state, tuple(frames)
+
+    def _ask_again(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Read a setting of the enabled drive again, when it is its turn."""
+        progress = progress_of(state)
+        if not self.settings or t_ns < progress.check.due_ns:
+            return state, ()
+        setting = self.settings[progress.check.step]
+        check = recheck.asked(progress.check, self.node_id, t_ns)
+        state = state._replace(private=progress._replace(check=check))
+        if check.unanswered:
+            state = fault(state, MISMATCH, f"{setting.name} is not answered while enabled")
+        return state, (self._frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),)
 
     def _torque(self, torque: float) -> Frame:
         if not abs(torque) <= self.torque_limit:

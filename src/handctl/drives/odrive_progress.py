@@ -8,6 +8,7 @@ from handctl.drives import odrive_endpoints as endpoints
 from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase
 from handctl.drives.frame import Frame
+from handctl.drives.recheck import Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 DROPPED_OUT, MISMATCH, REFUSED, ENABLED_BY_OTHERS, LOST = (1 << 32 | number for number in range(5))
@@ -48,6 +49,7 @@ class Progress(NamedTuple):
         clearing: how many heartbeats may still carry the error that is being cleared.
         fresh: whether all settings were found to be right in the last tick, too short ago for a restart.
         orders: how often it was told to enable in vain.
+        check: how far its settings were read again while it is enabled.
     """
 
     version: bool = False
@@ -64,6 +66,7 @@ class Progress(NamedTuple):
     clearing: int = 0
     fresh: bool = False
     orders: int = 0
+    check: Recheck = Recheck()
 
     @property
     def may_be_enabled(self) -> bool:

@@ -1,14 +1,16 @@
 """The sensor node: load cells and joint encoders, in frames of our own (``sensor_node.dbc``).
 
-The host sends SYNC with the low byte of the tick number; the node samples at once and answers with the low four bits
-of that byte in every frame, so that a stale frame cannot pass for a fresh one. Up to five channels of 12 bits a frame,
-after a counter of four bits, packed from the lowest bit. Tension: 62.5 mN a count from -6 N. Joint angle: 1/4096 turn
-a count from -180 degrees; joint frames come on every ``joint_decimation``-th SYNC.
+The host sends SYNC with a counter byte; the node samples at once and answers with the low four bits of that byte in
+every frame, so that a stale frame cannot pass for a fresh one. Successive counters do not repeat with period 16: see
+``counters``. Up to five channels of 12 bits a frame,
+after a counter of four bits, packed from the lowest bit. Tension: 62.5 mN a count from -6 N. Joint angle: 1/4096
+turn a count from -180 degrees; joint frames come on every SYNC whose counter is a multiple of ``joint_decimation``.
 """
 
+import functools
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, Self
 
 from handctl.drives.frame import Frame
@@ -28,6 +30,8 @@ TARE_LEAST_N, TARE_MOST_N = TENSION_ZERO_N + LOW_MARGIN_N, 6.0
 looks like a loose rope; higher, and its range ends below what ``tension_rail`` says."""
 TENSION_RAIL_N = TENSION_TOP_N - TARE_MOST_N
 """Tension, after any tare, from which on a load cell may be saturated."""
+COUNTER_PERIOD, DISTINCT = 4096, 8
+"""Ticks after which the counters of SYNC repeat, and among which the four bits of the answers are all different."""
 JOINT_STEP_RAD = 2 * math.pi / 4096
 JOINT_ZERO = 2048
 JOINT_FRAMES = 0x10
@@ -96,6 +100,7 @@ class SensorNode:
         tension_frames: how many of them carry tensions.
         frame_of: of each tendon of the hand, the tension frame that has its load cell; -1 without one.
         decimation: joint frames come on every such SYNC.
+        counters: byte of SYNC by tick, repeated; follows from the decimation.
     """
 
     bus: int
@@ -106,6 +111,10 @@ class SensorNode:
     tension_frames: int
     frame_of: tuple[int, ...]
     decimation: int
+    counters: bytes = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "counters", counters(self.decimation))
 
     @classmethod
     def of(cls, node: SensorDescription, bus: int, tendons: tuple[str, ...], joints: tuple[str, ...]) -> Self:
@@ -164,8 +173,9 @@ class SensorNode:
 
     def sync(self, state: SensorState, k: int) -> tuple[SensorState, Frame]:
         """SYNC of tick k; answers to it will carry its counter."""
-        return state._replace(asked=k & 0xF, syncs=state.syncs + 1), Frame(
-            self.sync_id, bytes((k & 0xFF,)), bus=self.bus
+        counter = self.counters[k % len(self.counters)]
+        return state._replace(asked=counter & 0xF, syncs=state.syncs + 1), Frame(
+            self.sync_id, bytes((counter,)), bus=self.bus
         )
 
     def receive(self, state: SensorState, frame: Frame) -> SensorState:
@@ -236,6 +246,30 @@ class SensorNode:
             if new.frames != old.frames
             for pair in zip(channels, new.raw, strict=True)
         ]
+
+
+@functools.lru_cache(maxsize=16)
+def counters(decimation: int) -> bytes:
+    """Return the counter byte of each SYNC of a period of about ``COUNTER_PERIOD`` ticks.
+
+    Four bits that count up cannot tell a frame that is 16 or 32 ticks old from a fresh one. These do not count up: of
+    two ticks less than ``DISTINCT`` apart the low four bits differ, and at any other distance they agree by chance. The
+    remainder by ``decimation`` is that of the tick, since the node sends joint frames by it. From a decimation of 8 on
+    the four bits have fewer than three values for a remainder, and the bits of near ticks may agree.
+    """
+    rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
+    by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]
+    chance, recent, made = 1, list[int](), bytearray()
+    for k in range(COUNTER_PERIOD - COUNTER_PERIOD % decimation):
+        chance = chance * 6364136223846793005 + 1442695040888963407 & 0xFFFF_FFFF_FFFF_FFFF  # Knuth's MMIX
+        fit = sorted(by_nibble[k % decimation])
+        for old in reversed(recent):  # the latest first
+            if len(fit) > 2 and old in fit:
+                fit.remove(old)
+        nibble = fit[(chance >> 33) % len(fit)]
+        made.append(by_nibble[k % decimation][nibble])
+        recent = [*recent[2 - DISTINCT :], nibble]
+    return bytes(made)
 
 
 def saturated(cells: Iterable[tuple[int, float]]) -> tuple[int, ...]:

@@ -64,6 +64,10 @@ def _disobeyed(limits: Limits, s: Signals) -> Sequence[Reading]:
     return above(limits.motors, s.disobeyed, DISOBEYED_N)
 
 
+def _swings(limits: Limits, s: Signals) -> Sequence[Reading]:
+    return s.swinging
+
+
 def _halved(limits: Limits, s: Signals) -> Sequence[Reading]:
     return [(name, 0.5) for name in s.halved] if s.halved else NOTHING
 
@@ -108,6 +112,8 @@ NODE_FAULTS: tuple[Fault, ...] = (
           _doubled),
     Fault("N14", "a command is not obeyed", "torque asked and made differ by 15 N at the rope, filtered", 1,
           Action.RELAX, PERSON, _disobeyed),
+    Fault("N14b", "the tension swings", "8 N RMS about its command, above 8 Hz, for 250 ms", 1, Action.RELAX, PERSON,
+          _swings),
     Fault("N15", "a slow node", "misses seven of 20 answers, seldom two running", 1, Action.WARN, ITSELF, _halved),
     Fault("N16", "a drive does not let go", "tension not falling 100 ms after the torque was cut", 1, Action.CUT,
           PERSON, _limp),

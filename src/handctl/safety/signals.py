@@ -113,6 +113,8 @@ class Signals(NamedTuple):
         stuck_joint: joints whose encoder stands although the spool moves [deg].
         stuck_cell: tendons whose load cell repeats itself although the motor's torque moves [N].
         mute: joints whose encoder's frame has not come for as long as several of them take, and since when [s].
+        replayed: tendons whose load cell tells what it told before, and how long before [ticks].
+        swinging: tendons whose tension swings about what is commanded, and how far, RMS [N].
         railed: tendons whose load cell is at an end of its range, whatever it is tared to, and what it reads [N].
     """
 
@@ -151,6 +153,8 @@ class Signals(NamedTuple):
     stuck_joint: Named = ()
     stuck_cell: Named = ()
     mute: Named = ()
+    replayed: Named = ()
+    swinging: Named = ()
     railed: Named = ()
 
 

@@ -71,6 +71,10 @@ def _stuck(limits: Limits, s: Signals) -> Sequence[Reading]:
     return s.stuck_cell
 
 
+def _replayed(limits: Limits, s: Signals) -> Sequence[Reading]:
+    return s.replayed
+
+
 def _derailed(limits: Limits, s: Signals) -> Sequence[Reading]:
     return above(limits.tendons, s.derailed, DERAILED_DEG)
 
@@ -94,6 +98,8 @@ TENDON_FAULTS: tuple[Fault, ...] = (
           PERSON, _drifted),
     Fault("T05", "a load cell is stuck", "the same count 40 times while the motor's torque moves", 1, Action.RELAX,
           PERSON, _stuck),
+    Fault("T05b", "load-cell readings are old", "8 to 16 in a row as so many ticks before", 1, Action.RELAX,
+          PERSON, _replayed),
     Fault("T06", "load cell saturated", "a rail, or a broken wire, three ticks", 3, Action.RELAX, PERSON, _saturated),
     Fault("T08", "a rope left its pulley", "joint and spool differ by more than any stretch, three readings", 1,
           Action.RELAX, PERSON, _derailed),

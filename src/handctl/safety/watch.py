@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.choose import chosen, nothing, only, zeros
-from handctl.safety import answers, counts, jumps, residuals, ropes, stuck
+from handctl.safety import answers, counts, jumps, replays, residuals, ropes, stuck, swings
 from handctl.safety.node_faults import DISOBEYED_N, SLIP_WARN_DEG
 from handctl.safety.signals import Limits, Named, Signals
 from handctl.safety.tendon_faults import DERAILED_DEG, FRICTION_WARN_N, RESIDUAL_WARN_N
@@ -103,6 +103,8 @@ class WatchState(NamedTuple):
         ropes: taut, slack and cut.
         counts: losses and the like.
         owed: per motor, questions that it has not answered; see ``answers``.
+        replays: load-cell readings, and whether they were there before.
+        swings: (3, N) see ``swings``.
     """
 
     motors: jumps.Accepted
@@ -119,6 +121,8 @@ class WatchState(NamedTuple):
     ropes: ropes.Ropes
     counts: counts.Counts
     owed: answers.Owed
+    replays: replays.Replays
+    swings: Vector
 
     @staticmethod
     def initial(n: int, j: int) -> "WatchState":
@@ -138,6 +142,8 @@ class WatchState(NamedTuple):
             ropes=ropes.Ropes(),
             counts=counts.Counts(),
             owed=((),) * n,
+            replays=replays.Replays.initial(n),
+            swings=swings.initial(n),
         )
 
 
@@ -234,7 +240,11 @@ def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tu
     derailed = (state.derailed + 1.0) * (np.abs(slip) > DERAILED_DEG) if seen.read else state.derailed
     state = state._replace(filtered=filtered, stuck=stands, taut=taut, bears=bears)
     state = state._replace(slip_from=begin, derailed=derailed, ropes=tense)
-    told = _rope_signals(watcher, state, cell, seen)
+    state = state._replace(
+        replays=replays.step(state.replays, seen.tension),
+        swings=swings.step(state.swings, seen.tension - state.wanted, watcher.period),
+    )
+    told = _rope_signals(watcher, state, cell, seen) | _cell_signals(watcher, state)
     if np.count_nonzero(np.abs(filtered.low) > watcher.suspicion):
         told |= _residual_signals(watcher, filtered)
     if seen.read and np.count_nonzero(derailed >= DERAILED_READINGS):
@@ -252,6 +262,16 @@ def _rope_signals(watcher: Watcher, state: WatchState, cell: list[float], seen: 
     slack = ropes.slack(state.ropes, names, period)
     snapped = ropes.snapped(state.ropes, names, cell, state.wanted.tolist(), speed, period)
     return {"slack": slack, "snapped": snapped} if slack or snapped else {}
+
+
+def _cell_signals(watcher: Watcher, state: WatchState) -> dict[str, Any]:
+    """Return load cells that repeat what they told before, and tensions that swing, if there are any."""
+    names, told = watcher.limits.tendons, dict[str, Any]()
+    if old := replays.replayed(state.replays):
+        told["replayed"] = tuple([(names[i], float(age)) for i, age in old])
+    if quick := swings.swinging(state.swings):
+        told["swinging"] = tuple([(names[i], size) for i, size in quick])
+    return told
 
 
 def _residual_signals(watcher: Watcher, filtered: residuals.Filtered) -> dict[str, Any]:

@@ -1,0 +1,69 @@
+"""Detect load-cell readings that were there before: content that is some ticks old under a fresh counter.
+
+A reading carries noise of several counts. If a channel repeats, sample by sample, what it read a constant number of
+ticks ago, it is no measurement of now. A delay that sets in without a gap sends as many readings twice as it is ticks
+long. A channel that stands, or toggles between few values, repeats itself by nature: then ``stuck`` asks.
+"""
+
+import math
+from collections import Counter
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.choose import nothing
+
+Vector = NDArray[np.float64]
+Counts = NDArray[np.int16]
+
+AGE = 64
+"""Oldest content that is looked for [ticks]."""
+LEAST, WINDOW = 8, 16
+"""Readings in a row that are as they were, from which on chance is asked; readings from which chance is estimated."""
+UNLIKELY = math.log(1e16)
+"""Negative logarithm of the chance of a run that counts. With noise of 8 counts two readings agree in 4 of 100 cases
+and 12 in a row are enough; with noise of 1.5 counts it takes 22."""
+
+
+class Replays(NamedTuple):
+    """Last readings and runs of equal ones.
+
+    Attributes:
+        past: (AGE, N) readings, the latest first [N]; NaN where there was none.
+        same: (AGE, N) how many readings in a row were as so many ticks before.
+    """
+
+    past: Vector
+    same: Counts
+
+    @staticmethod
+    def initial(n: int) -> "Replays":
+        """Return the state before the first reading."""
+        return Replays(nothing(AGE * n).reshape(AGE, n), np.zeros((AGE, n), np.int16))
+
+
+def step(state: Replays, reading: Vector) -> Replays:
+    """Compare (N,) readings [N], NaN where missing, with those of the last ``AGE`` ticks."""
+    same = (state.same + 1) * (state.past == reading)
+    np.minimum(same, AGE, out=same)
+    return Replays(np.concatenate((reading[None], state.past[:-1])), same.astype(np.int16, copy=False))
+
+
+def replayed(state: Replays) -> list[tuple[int, int]]:
+    """Return (channel, age [ticks]) of each channel whose readings were there before."""
+    longest = state.same.max(axis=0)
+    if longest.max(initial=0) < LEAST:
+        return []
+    found = []
+    for channel in np.flatnonzero(longest >= LEAST).tolist():
+        run = int(longest[channel])
+        if -run * math.log(_agreeing(state.past[:WINDOW, channel].tolist())) >= UNLIKELY:
+            found.append((channel, int(np.argmax(state.same[:, channel])) + 1))
+    return found
+
+
+def _agreeing(readings: list[float]) -> float:
+    """Estimate the chance that two readings of now are equal, from the pairs among the last ones."""
+    pairs = sum(count * (count - 1) // 2 for count in Counter(readings).values())
+    return min(1.0, (pairs + 1) / (len(readings) * (len(readings) - 1) // 2 + 1))

@@ -1,0 +1,105 @@
+"""A drive that comes back enabled without its settings: limit and watchdog are read again while it is enabled."""
+
+import os
+from itertools import pairwise
+
+import pytest
+
+from handctl.campaign.scenarios import ALL, FREE
+from handctl.campaign.stage import bring, hand_in, started
+from handctl.cli.plan import fastest
+from handctl.controller.bus_load import bus_loads
+from handctl.controller.types import Mode
+from handctl.drives import mit_codec as codec
+from handctl.drives import recheck
+from handctl.drives.causes import Cause
+from handctl.drives.contract import Phase, Want
+from handctl.drives.frame import Frame
+from handctl.drives.mit import MitDrive
+from handctl.drives.mit_progress import Progress
+
+TICK_NS = 2_000_000
+SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else (1,)
+
+
+def enabled(node_id: int) -> tuple[MitDrive, object]:
+    """Return an enabled MIT drive and its state."""
+    drive = MitDrive("m", 0, node_id, node_id + 0x100, codec.Ranges(12.5, 50.0, 0.8), 1, 0.0, 1000)
+    check = recheck.begin(node_id, 0)
+    state = drive.initial()._replace(phase=Phase.ENABLED, private=Progress(configured=True, asked=True, check=check))
+    return drive, state
+
+
+def run(drive: MitDrive, state, ticks: int, registers: dict[int, float], heard: bool = True):
+    """Answer commands and requests for so many ticks; the state, and the tick and register of each request."""
+    asked = []
+    feedback = bytes((codec.ENABLED << 4 | drive.node_id & 0xF, 0x80, 0, 0x7F, 0xF7, 0xFF, 25, 25))
+    for k in range(ticks):
+        state, frames = drive.advance(state, k * TICK_NS, Want.ENABLE, 0.1)
+        if state.phase != Phase.ENABLED:
+            break
+        for frame in frames:
+            answer = feedback
+            if frame.can_id == codec.BROADCAST_ID:
+                register = frame.data[3]
+                asked.append((k, register))
+                answer = frame.data[:4] + codec.register_bytes(register, registers[register])
+                if not heard:
+                    continue
+            state = drive.receive(state, Frame(drive.reply_id, answer, 0, 0, k * TICK_NS + 1000))
+    return state, asked
+
+
+GOOD = {codec.TIMEOUT: 1000, codec.TMAX: 0.8}
+
+
+@pytest.mark.parametrize("node_id", [1, 11, 0x11, 0x1F])
+def test_two_registers_are_read_by_turns_and_feedback_goes_on(node_id):
+    """Also where the first byte of an answer is that of the feedback of an enabled motor."""
+    drive, state = enabled(node_id)
+    state, asked = run(drive, state, 2001, GOOD)
+    assert [register for _, register in asked] == [codec.TIMEOUT, codec.TMAX] * 4
+    assert {b - a for (a, _), (b, _) in pairwise(asked)} == {250}
+    assert state.phase == Phase.ENABLED
+    assert state.feedback_count == 2001
+    assert state.misread == 0
+
+
+def test_no_two_of_eleven_motors_ask_in_one_tick():
+    ticks = [run(*enabled(node_id), 260, GOOD)[1][0][0] for node_id in range(1, 12)]
+    assert len(set(ticks)) == 11
+
+
+@pytest.mark.parametrize("lost", [{codec.TIMEOUT: 0}, {codec.TMAX: 10.0}])
+@pytest.mark.parametrize("node_id", [2, 0x12])
+def test_a_lost_register_is_a_mismatch_within_a_second(node_id, lost):
+    drive, state = enabled(node_id)
+    state, asked = run(drive, state, 600, GOOD | lost)
+    assert state.phase == Phase.FAULT
+    assert drive.cause(state.error) == Cause.MISMATCH
+    assert "while enabled" in state.error_text
+    assert asked[-1][0] <= 500
+
+
+def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
+    drive, state = enabled(3)
+    few, _ = run(drive, state, 250 * (recheck.TRIES - 1), GOOD, heard=False)
+    assert few.phase == Phase.ENABLED
+    many, asked = run(drive, state, 250 * (recheck.TRIES + 1), GOOD, heard=False)
+    assert many.phase == Phase.FAULT
+    assert "not answered while enabled" in many.error_text
+    assert len(asked) == recheck.TRIES - 1
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("protocol", ALL)
+def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
+    hand = hand_in("jamia", protocol)
+    with started(hand, fastest(bus_loads(hand)), seed) as course:
+        bring(course, FREE)
+        course.peer.inject(f"forget node={hand.motor[seed % 4].name}")
+        end_s = course.k * course.period_ns * 1e-9 + 1.01
+        assert course.until(lambda out: out.mode == Mode.CUT, 1.02)
+        assert course.k * course.period_ns * 1e-9 <= end_s
+        latched = {(mark.id, mark.instance) for mark in course.state.safety.latched}
+        assert latched == {("N12", hand.motor[seed % 4].name)}

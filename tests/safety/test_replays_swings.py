@@ -1,0 +1,107 @@
+"""Load-cell readings that were there before, and tensions that swing: found where they are, silent where not."""
+
+import math
+import os
+
+import numpy as np
+import pytest
+
+from handctl.campaign.scenarios import GRASP
+from handctl.campaign.stage import bring, hand_in, started
+from handctl.cli.plan import fastest
+from handctl.controller.bus_load import bus_loads
+from handctl.controller.types import Mode
+from handctl.safety import replays, swings
+
+NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
+SEEDS = range(20)
+STEP_N = 0.0625
+
+
+def readings(seed: int, ticks: int, noise: float, n: int = 4) -> np.ndarray:
+    """Return (ticks, n) readings [N] about 20 N in counts of a load cell, with noise [N]."""
+    chance = np.random.default_rng(seed)
+    return np.round((20.0 + chance.normal(0.0, noise, (ticks, n))) / STEP_N) * STEP_N
+
+
+def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
+    """Return the first tick in which something is found, and what; -1 if nothing ever is."""
+    state = replays.Replays.initial(rows.shape[1])
+    for k, row in enumerate(rows):
+        state = replays.step(state, row)
+        if found := replays.replayed(state):
+            return k, found
+    return -1, []
+
+
+@pytest.mark.parametrize("age", [16, 32, 50, replays.AGE])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_content_of_some_ticks_ago_is_found_within_sixteen(seed: int, age: int) -> None:
+    rows = readings(seed, 300, 0.5)
+    late = rows.copy()
+    late[200:, 2] = rows[200 - age : 300 - age, 2]
+    k, found = first_found(late)
+    assert 207 <= k < 200 + min(age, 24)
+    assert found == [(2, age)]
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02, 0.05, 0.1, 0.5, 1.5])
+@pytest.mark.parametrize("seed", range(20 if NIGHTLY else 4))
+def test_readings_of_now_are_none_whatever_their_noise(seed: int, noise: float) -> None:
+    """Also of a cell that stands, or toggles between two counts."""
+    assert first_found(readings(seed, 20_000 if NIGHTLY else 3_000, noise)) == (-1, [])
+
+
+def test_a_missing_reading_equals_nothing() -> None:
+    rows = readings(0, 300, 0.5)
+    rows[100:200] = np.nan
+    assert first_found(rows) == (-1, [])
+
+
+def swung(deviation: np.ndarray, period: float) -> tuple[float, float]:
+    """Return when [s] a deviation [N] counts as a swing, -1 if never, and its RMS then [N]."""
+    state = swings.initial(2)
+    for k, value in enumerate(deviation):
+        state = swings.step(state, np.array([value, 0.0]), period)
+        if found := swings.swinging(state):
+            assert [i for i, _ in found] == [0]
+            return k * period, found[0][1]
+    return -1.0, 0.0
+
+
+@pytest.mark.parametrize("rate", [100.0, 200.0, 500.0, 1000.0])
+@pytest.mark.parametrize("hz", [15.0, 25.0, 40.0])
+def test_a_swing_of_twenty_newtons_is_found_in_a_third_of_a_second(rate: float, hz: float) -> None:
+    t = np.arange(0.0, 1.0, 1.0 / rate) + 0.3e-3
+    when, rms = swung(20.0 * np.sin(2.0 * math.pi * hz * t), 1.0 / rate)
+    assert swings.LASTS_S <= when < 0.35
+    assert 8.0 < rms < 20.0
+
+
+@pytest.mark.parametrize("rate", [100.0, 500.0])
+def test_a_step_and_a_small_swing_are_none(rate: float) -> None:
+    t = np.arange(0.0, 2.0, 1.0 / rate)
+    assert swung(75.0 * np.clip(1.0 - t / 0.015, 0.0, 1.0) + 75.0 * np.exp(-t / 0.03), 1.0 / rate)[0] < 0.0
+    assert swung(9.0 * np.sin(2.0 * math.pi * 20.0 * t), 1.0 / rate)[0] < 0.0
+    assert swung(60.0 * np.sin(2.0 * math.pi * 0.5 * t), 1.0 / rate)[0] < 0.0, "slow"
+    assert swung(np.full(len(t), np.nan), 1.0 / rate)[0] < 0.0
+
+
+@pytest.mark.parametrize("seed", SEEDS if NIGHTLY else (3,))
+@pytest.mark.parametrize(
+    ("fault", "rows", "seconds"),
+    [
+        ("old cell={tendon} size=16", {"T05b"}, 0.08),
+        ("replay node=sensors size=16", {"N02", "B03b"}, 0.2),
+        ("ripple node={motor} size=0.2 hz=25", {"N14b"}, 0.7),
+    ],
+)
+def test_a_grasping_hand_relaxes(fault: str, rows: set[str], seconds: float, seed: int) -> None:
+    hand = hand_in("jamia", "mit")
+    with started(hand, fastest(bus_loads(hand)), seed) as course:
+        bring(course, GRASP)
+        which = seed % 4
+        course.peer.inject(fault.format(tendon=hand.tendon[which].name, motor=hand.motor[which].name))
+        assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), seconds)
+        assert {mark.id for mark in course.state.safety.latched} <= rows
+        assert course.peer.told()[0]["felt"]
