@@ -2,12 +2,15 @@
 
 import sys
 
+from firmware_sim.command import check_words
 from firmware_sim.description import SimulatorError
+from firmware_sim.printing import one_line
 
 
 def main(words: list[str]) -> int:
     """Run; return the exit code: 0 after SIGTERM or SIGINT, 2 for arguments that cannot be served."""
     try:  # each imports what it needs: a bus needs neither MuJoCo nor a compiler
+        check_words(words)
         if words[:1] == ["bus"]:
             from firmware_sim import alone
 
@@ -21,7 +24,7 @@ def main(words: list[str]) -> int:
 
             simulate.run(words)
     except SimulatorError as error:
-        print(f"firmware_sim: {error}", file=sys.stderr)
+        print(f"firmware_sim: {one_line(str(error))}", file=sys.stderr)
         return 2
     return 0
 

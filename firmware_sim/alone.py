@@ -4,6 +4,7 @@ import select
 
 from firmware_sim.command import Parser, until_signal
 from firmware_sim.ports import open_port
+from firmware_sim.printing import printable
 from firmware_sim.server import ScaledClock
 from firmware_sim.wired import ALONE_BITRATES, maker
 
@@ -27,7 +28,7 @@ def run(words: list[str]) -> None:
     port = open_port(f"local:{args.name}", 0, wired)
     running = [True]
     until_signal(running.clear)
-    print(f"firmware_sim: ready bus=local:{args.name}", flush=True)
+    print(f"firmware_sim: ready bus=local:{printable(args.name)}", flush=True)
     try:
         while running:
             wait_ns = max(0, port.due_ns - ScaledClock().now_ns())

@@ -13,6 +13,7 @@ from firmware_sim.motor import Motor
 from firmware_sim.nodes import PROTOCOLS
 from firmware_sim.nodes.kind import Node
 from firmware_sim.ports import open_port
+from firmware_sim.printing import printable
 from firmware_sim.server import ScaledClock, Server
 from firmware_sim.wired import ALONE_BITRATES, maker
 
@@ -150,7 +151,7 @@ def run(words: list[str]) -> None:
             server.running = False
 
         until_signal(stop)
-        print(f"firmware_sim: ready drive={args.protocol} ids={args.ids} bus={args.bus}", flush=True)
+        print(f"firmware_sim: ready drive={args.protocol} ids={args.ids} bus={printable(args.bus)}", flush=True)
         server.run()
         counts = " ".join(f"{key}={value}" for key, value in server.summary().items())
         print(f"firmware_sim: ended {counts}", file=sys.stderr)

@@ -1,6 +1,7 @@
 """What the commands of the simulator have in common: errors of one line, and an orderly end."""
 
 import argparse
+import re
 import signal
 from collections.abc import Callable
 from types import FrameType
@@ -14,6 +15,15 @@ class Parser(argparse.ArgumentParser):
 
     def error(self, message: str) -> NoReturn:
         raise SimulatorError(f"{message}; --help shows how")
+
+
+def check_words(words: list[str]) -> None:
+    """Refuse words that no command can use: NUL, and the end of the options as an option's value."""
+    for word in words:
+        if "\0" in word:
+            raise SimulatorError("a word with a NUL in it; expected names as files can have them")
+        if match := re.fullmatch(r"(--?[^=]+)=--", word):
+            raise SimulatorError(f"{match[1]}: -- is no value")
 
 
 def check_time_scale(value: float) -> None:

@@ -147,9 +147,11 @@ def load_hand(name_or_path: str) -> Hand:
     path = find_hand(name_or_path)
     try:
         return _hand(tomllib.loads(path.read_text("utf-8")))
-    except tomllib.TOMLDecodeError as error:
+    except OSError as error:
+        raise SimulatorError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:  # also of a number without end, and of text that is not UTF-8
         raise SimulatorError(f"{path}: not TOML: {error}") from error
-    except (KeyError, TypeError) as error:
+    except (KeyError, TypeError, AttributeError) as error:
         raise SimulatorError(f"{path}: not a complete hand: missing or wrong key {error}") from error
 
 

@@ -26,7 +26,7 @@ def perturbed(hand: Hand, factors: dict[str, float]) -> Hand:
         factors: key of ``KEYS`` to factor (``bias``: to newtons).
 
     Raises:
-        SimulatorError: an unknown key, or a factor that is not finite or is negative.
+        SimulatorError: an unknown key, a factor that is not finite or is negative, or a hand with text for a number.
     """
     for key, value in factors.items():
         if key not in KEYS:
@@ -36,13 +36,16 @@ def perturbed(hand: Hand, factors: dict[str, float]) -> Hand:
         if value == 0 and key in ("mass", "motor_inertia"):
             raise SimulatorError(f"perturb {key}=0: expected a factor > 0")
     f = {key: factors.get(key, 1.0) for key in KEYS}
-    return replace(
-        hand,
-        digits=[_digit(digit, f) for digit in hand.digits],
-        tendons=[_tendon(tendon, f) for tendon in hand.tendons],
-        motors=[_motor(motor, f) for motor in hand.motors],
-        sensors=_sensors(hand.sensors, f["noise"], factors.get("bias", 0.0)) if hand.sensors else None,
-    )
+    try:
+        return replace(
+            hand,
+            digits=[_digit(digit, f) for digit in hand.digits],
+            tendons=[_tendon(tendon, f) for tendon in hand.tendons],
+            motors=[_motor(motor, f) for motor in hand.motors],
+            sensors=_sensors(hand.sensors, f["noise"], factors.get("bias", 0.0)) if hand.sensors else None,
+        )
+    except (ArithmeticError, TypeError) as error:
+        raise SimulatorError(f"hand {hand.name}: a value is not a number: {error}") from error
 
 
 def _scaled(values: tuple[float, ...], factor: float) -> tuple[float, ...]:

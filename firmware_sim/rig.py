@@ -12,7 +12,7 @@ from firmware_sim.scene import load_scene
 from firmware_sim.truth import TruthWriter
 from firmware_sim.wire.options import parse
 from firmware_sim.wired_tick import WiredTick
-from firmware_sim.world import World
+from firmware_sim.world import make_world
 
 FRAME_NS = 135_000
 """Worst case of a classical frame of 8 bytes at 1 Mbit/s [ns], by which answers follow one another. Source: VCAN."""
@@ -57,7 +57,7 @@ class Rig:
             SimulatorError: hand, scene, factors or wire are wrong.
         """
         hand = perturbed(load_hand(hand_path), perturb or {})
-        self.world = World(hand, load_scene(scene), seed, homed)
+        self.world = make_world(hand, load_scene(scene), seed, homed)
         self._period_ns = period_ns
         self.wired = None if wire is None else WiredTick(self.world, parse(wire))
         self._truth: TruthWriter | None = None

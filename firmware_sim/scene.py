@@ -130,7 +130,9 @@ def _read(path: Any, where: str) -> Scene:
         raw = tomllib.loads(path.read_text("utf-8"))
         thing, support, load = _thing(raw.get("object")), _support(raw.get("support")), _load(raw.get("load"))
         scene = Scene(raw["name"], thing, support, load, tuple(read_stage(stage) for stage in raw.get("stage", ())))
-    except (OSError, RecursionError, KeyError, TypeError, ValueError) as error:
+    except KeyError as error:
+        raise SimulatorError(f"scene {where}: missing or unknown key {error}") from error
+    except (OSError, RecursionError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise SimulatorError(f"scene {where}: {error}") from error
     if scene.support and not scene.thing:
         raise SimulatorError(f"scene {where}: a support without an object")

@@ -14,13 +14,14 @@ from firmware_sim.fault_socket import FaultSocket
 from firmware_sim.perturb import KEYS, perturbed
 from firmware_sim.places import faults_path, truth_path
 from firmware_sim.ports import Port, assign, open_port
+from firmware_sim.printing import printable
 from firmware_sim.priority import Urgency
 from firmware_sim.scene import load_scene, packaged
 from firmware_sim.server import ScaledClock, Server
 from firmware_sim.truth import TruthWriter
 from firmware_sim.wire.options import KEYS as WIRE_KEYS
 from firmware_sim.wired import maker
-from firmware_sim.world import World
+from firmware_sim.world import World, make_world
 
 _KEYS = "\n".join(f"  {key:16}{text}" for key, text in KEYS.items())
 _WIRE_KEYS = "\n".join(f"  {key:16}{text}" for key, text in WIRE_KEYS.items())
@@ -90,7 +91,7 @@ def run(words: list[str]) -> None:
     hand, scene = perturbed(load_hand(args.hand), factors), load_scene(args.scene)
     specs = assign(args.bus, hand.buses)
     clock = ScaledClock(args.time_scale)
-    world = World(hand, scene, args.seed, args.homed, clock.now_ns(), compiled=False)
+    world = make_world(hand, scene, args.seed, args.homed, clock.now_ns(), compiled=False)
     wired = maker(args.wire, hand.bitrates, clock.now_ns)
     if args.dry_run:
         return
@@ -103,7 +104,7 @@ def run(words: list[str]) -> None:
             header = {**world.header("monotonic"), "perturb": factors, "time_scale": args.time_scale}
             ready = {"hand": world.hand.name, "scene": world.plant.scene.name, "bus": " ".join(args.bus)}
             ready["truth"] = str(path)
-            pairs = " ".join(f"{key}={value}" for key, value in ready.items())
+            pairs = " ".join(f"{key}={printable(value)}" for key, value in ready.items())
             told = json.dumps({"ready": ready}) if args.json else f"firmware_sim: ready {pairs}"
             _serve(Server(world, ports, clock, faults, Urgency()), world, path, header, told)
     finally:

@@ -237,3 +237,24 @@ class World:
 def _steps(now_ns: int, due_ns: int, end_ns: int) -> int:
     """Return how many steps, at least one, it takes until something is due, without going beyond the end."""
     return max(1, min(-((now_ns - due_ns) // STEP_NS), (end_ns - now_ns) // STEP_NS))
+
+
+def make_world(
+    hand: Hand,
+    scene: Scene,
+    seed: int = 0,
+    homed: bool = False,
+    origin_ns: int = 0,
+    compiled: bool = True,
+) -> World:
+    """Build the world of a hand from a file; arguments as those of ``World``.
+
+    Raises:
+        SimulatorError: the numbers or names of the hand are not those of a plant.
+    """
+    try:
+        return World(hand, scene, seed, homed, origin_ns, compiled)
+    except SimulatorError:
+        raise
+    except (ArithmeticError, LookupError, TypeError, ValueError) as error:
+        raise SimulatorError(f"hand {hand.name}: cannot be simulated: {error}") from error

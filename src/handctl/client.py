@@ -23,6 +23,7 @@ from handctl.controller.requests import REFUSED, HoldTension, MoveDigits
 from handctl.controller.types import LETTING_GO
 from handctl.document import validated
 from handctl.errors import BusError, ConfigError, DriveError, PowerError, UnconfirmedError
+from handctl.printing import escaped
 from handctl.runtime.asking import ANSWER_S, confirmed, follow_to_the_end, is_off
 from handctl.runtime.bus import real_buses
 from handctl.runtime.mailbox import LARGEST, Watcher, answers
@@ -298,7 +299,7 @@ class HandClient:
         self._shown += len(new)
         if text := new.decode("utf-8", "replace"):
             self._last_words = text.strip().splitlines()[-1].removeprefix("handctl: ") if text.strip() else ""
-            print(text, end="", file=sys.stderr, flush=True)
+            print(escaped(text, "\n\t"), end="", file=sys.stderr, flush=True)
 
 
 def _digits(do: str, goals: object, named: Mapping[str, Any]) -> dict[str, Any]:

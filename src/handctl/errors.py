@@ -1,8 +1,12 @@
 """The errors that reach a person: each says what, where, and what would be right, in one line."""
 
+from handctl.printing import message
+
 
 class HandctlError(Exception):
     """An error with a one-line message: ``what; where; expected right``.
+
+    The message is printable and of bounded length, whatever its parts quote.
 
     Args:
         what: what is wrong, with the offending value.
@@ -15,7 +19,7 @@ class HandctlError(Exception):
         parts = [f"{where}: {what}" if where else what]
         if right:
             parts.append(f"expected {right}")
-        super().__init__("; ".join(parts).replace("\n", " "))
+        super().__init__(message("; ".join(parts)))
 
 
 class ConfigError(HandctlError):

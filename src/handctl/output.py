@@ -35,7 +35,7 @@ def whole(path: Path, new: bool = False) -> Iterator[Path]:
     """
     target = _target(path, new)
     if target.exists() and not target.is_file():
-        with _named(path, target):
+        with _named(path, target), _read_pipe(target, path):
             yield target
         return
     beside = target.with_name(f".{os.getpid()}{target.suffix}")
@@ -51,6 +51,17 @@ def whole(path: Path, new: bool = False) -> Iterator[Path]:
             shutil.rmtree(beside, ignore_errors=True)
         else:
             beside.unlink(missing_ok=True)
+
+
+def named_after(path: Path, suffix: str) -> Path:
+    """Name an output after the file that it is made of: its path with another suffix.
+
+    Raises:
+        ConfigError: the path has no file name, as ``.`` and ``/``.
+    """
+    if not path.name:
+        raise ConfigError("is a folder", str(path), "a file")
+    return path.with_suffix(suffix)
 
 
 def write_whole(path: Path, text: str, new: bool = False) -> None:
@@ -102,6 +113,27 @@ def _target(path: Path, new: bool) -> Path:
     if target.is_file() and (target.suffix == LOG or _is_log(target)):
         raise ConfigError("is a log", str(path), "another name: nothing is written over a log")
     return target
+
+
+@contextmanager
+def _read_pipe(target: Path, path: Path) -> Iterator[None]:
+    """Refuse a named pipe that nobody reads: opening it would wait without end.
+
+    The pipe stays open meanwhile, because its reader ends when the last writer closes it.
+    """
+    if not target.is_fifo():
+        yield
+        return
+    try:
+        descriptor = os.open(target, os.O_WRONLY | os.O_NONBLOCK)
+    except OSError as error:
+        if error.errno != errno.ENXIO:
+            raise
+        raise ConfigError("is a pipe that nobody reads", str(path), "a file") from None
+    try:
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def _is_log(path: Path) -> bool:

@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 
 from firmware_sim.__main__ import main
+from firmware_sim.description import SimulatorError, find_hand
+from firmware_sim.rig import Rig
 from firmware_sim.truth import read_truth
 
 ENABLE = bytes.fromhex("fffffffffffffffc")
@@ -135,6 +137,61 @@ def test_a_second_simulator_on_the_same_bus_is_refused(
 
 
 HAND = ["--hand", "jamia", "--bus", "local:x"]
+ESCAPES = "\x1b[2J\x1b]0;mine\x07\x9b\u202e\n"
+REFUSED = {
+    "end of options": ["--hand", "jamia", "--bus=--"],
+    "end of options, drive": ["drive", "mit", "--ids=--", "--bus", "local:x"],
+    "end of options, bus": ["bus", "--wire=--", "x"],
+    "NUL": ["--hand", "a\0b", "--bus", "local:x"],
+    "hand": ["--hand", ESCAPES, "--bus", "local:x"],
+    "bus": ["--hand", "jamia", "--bus", f"local:a/{ESCAPES}"],
+    "scene": [*HAND, "--scene", ESCAPES],
+    "scene file": [*HAND, "--scene", "odd.toml"],
+    "perturb": [*HAND, "--perturb", ESCAPES],
+    "wire": [*HAND, "--wire", f"{ESCAPES}=3"],
+    "unknown": [*HAND, f"--{ESCAPES}"],
+    "long": [*HAND, "--scene", "x" * 5000],
+    "number": [*HAND, "--seed", "9" * 5000],
+    "ids": ["drive", "mit", "--ids", "9" * 5000, "--bus", "local:x"],
+    "hand file": ["--hand", "./odd.toml", "--bus", "local:x"],
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_cannot_be_served_is_one_harmless_line(
+    run_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], case: str
+) -> None:
+    monkeypatch.chdir(run_folder)
+    (run_folder / "odd.toml").write_text('name = "x"\n[object]\nshape = "\\u001b[2J\\n"\n')
+    assert main(REFUSED[case]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("firmware_sim: ")
+    assert err.count("\n") == 1
+    assert err[:-1].isprintable()
+    assert len(err) < 530
+
+
+ODD_HANDS = {
+    "a number without end": ("schema = 1", "schema = " + "9" * 5000),
+    "no spool": ("spool_radius_m = ", "spool_radius_m = 0 # "),
+    "too few masses": ("link_mass_kg = ", "link_mass_kg = [0.1] # "),
+    "no such tendon": ("tendons = ", "tendons = [3] # "),
+    "no number": ("stiffness_N_per_m = ", 'stiffness_N_per_m = "\\u001b" # '),
+}
+
+
+@pytest.mark.parametrize("case", ODD_HANDS)
+def test_a_hand_that_is_no_plant_is_refused_by_both_simulators(
+    run_folder: Path, capsys: pytest.CaptureFixture[str], case: str
+) -> None:
+    path = run_folder / "odd.toml"
+    old, new = ODD_HANDS[case]
+    path.write_text(find_hand("jamia").read_text().replace(old, new))
+    assert main(["--hand", str(path), "--bus", "local:x", "--dry-run"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    with pytest.raises(SimulatorError):
+        Rig(str(path))
 
 
 def test_the_truth_is_written_over_no_log(run_folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

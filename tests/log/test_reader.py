@@ -19,10 +19,11 @@ from mcap.writer import Writer
 
 from handctl.controller.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
-from handctl.log.logfile import Reading, printable
+from handctl.log.logfile import Reading
 from handctl.log.reader import RunLog
 from handctl.log.record import TickRecord, pack
 from handctl.log.recorder import Recorder
+from handctl.printing import printable
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from handctl.cli.options import print_json
 from handctl.cli.plan import bus_specs, fastest
 from handctl.controller.bus_load import BusLoad, Row, bus_loads, split
 from handctl.drives.load import MOST
-from handctl.drives.load_table import TABLE, TABLE_MOST, TABLE_RATES_HZ
+from handctl.drives.load_table import TABLE, TABLE_RATES_HZ
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand, load_hand
 
@@ -105,9 +105,9 @@ def _print_split(buses: list[list[str]]) -> None:
 def _print_table() -> None:
     rates = " / ".join(f"{rate:g}" for rate in TABLE_RATES_HZ)
     print("worst case with stuff bits, frames of the tensions included, SYNC only where the protocol needs it")
-    print(f"{'protocol':<34}{'bus':<11}motors  us a tick   % at {rates} Hz   Hz at {TABLE_MOST:.0%}")
+    print(f"{'protocol':<34}{'bus':<11}motors  us a tick   % at {rates} Hz   Hz at {MOST:.0%}")
     for row in TABLE:
         loads = " / ".join(f"{100 * rate * row.tick_s:.0f}" for rate in TABLE_RATES_HZ)
         kind = "FD 1/5" if row.fd else "classical"
         print(f"{row.protocol:<34}{kind:<11}{row.motors:>6}{row.tick_s * 1e6:>11.0f}   {loads:<22}"
-              f"{TABLE_MOST / row.tick_s:>6.0f}")  # fmt: skip
+              f"{MOST / row.tick_s:>6.0f}")  # fmt: skip

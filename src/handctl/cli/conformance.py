@@ -4,7 +4,6 @@ import argparse
 import dataclasses
 import math
 import sys
-import tomllib
 from typing import Any
 
 from handctl.cli.begin import ask
@@ -17,6 +16,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit import MitDrive
 from handctl.drives.registry import PROTOCOLS, make_drive
 from handctl.errors import BusError, ConfigError, DriveError, PowerError
+from handctl.hand.description import parse_toml
 from handctl.hand.sections import Motor
 from handctl.runtime.bus import Bus, check_spec, open_bus
 from handctl.runtime.clock import RealClock, give_back_priority, take_priority
@@ -89,9 +89,9 @@ def _options(words: list[str]) -> dict[str, Any]:
         ConfigError: not TOML.
     """
     try:
-        return tomllib.loads("\n".join(words))
-    except ValueError as error:
-        raise ConfigError(f"{' '.join(words)}: {error}", "--option", "KEY=VALUE, as in gear_ratio=6.0") from None
+        return parse_toml("\n".join(words), "--option")
+    except ConfigError as error:
+        raise ConfigError(f"{' '.join(words)}: {error.what}", "--option", "KEY=VALUE, as in gear_ratio=6.0") from None
 
 
 def _drive(args: argparse.Namespace, options: dict[str, Any], found: Found | None) -> Drive:

@@ -14,6 +14,7 @@ from typing import Any
 from handctl.cli.screen import screen
 from handctl.controller.types import Event, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
+from handctl.printing import escaped_streams
 
 EVERY_S = 0.1
 STDERR = 2
@@ -145,7 +146,8 @@ def main() -> None:
     """The display process: reads lines until the controller closes the pipe."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     head = json.loads(sys.stdin.readline())
-    (_drawn if sys.stdout.isatty() else _plain)(head)
+    with escaped_streams():
+        (_drawn if sys.stdout.isatty() else _plain)(head)
 
 
 if __name__ == "__main__":

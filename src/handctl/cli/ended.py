@@ -14,6 +14,7 @@ from types import FrameType, TracebackType
 
 from handctl.cli.exit_codes import Exit
 from handctl.handlers import handling
+from handctl.printing import escaped_streams
 
 
 class Terminated(KeyboardInterrupt):
@@ -39,8 +40,9 @@ def give_bugs_a_code() -> None:
     bugs: list[BaseException] = []
 
     def show(kind: type[BaseException], bug: BaseException, trace: TracebackType | None) -> None:
-        sys.__excepthook__(kind, bug, trace)
-        print("handctl: this is a bug in handctl; what stands above tells where", file=sys.stderr)
+        with escaped_streams():
+            sys.__excepthook__(kind, bug, trace)
+            print("handctl: this is a bug in handctl; what stands above tells where", file=sys.stderr)
         bugs.append(bug)
 
     def end() -> None:

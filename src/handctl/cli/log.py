@@ -10,7 +10,7 @@ from handctl.cli.options import json_option, print_json, say, tell_lossy
 from handctl.cli.progress import progress
 from handctl.errors import LogError
 from handctl.log.reader import RunLog
-from handctl.output import whole
+from handctl.output import named_after, whole
 
 EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl log info run.mcap"
 
@@ -158,7 +158,7 @@ def _diff(args: argparse.Namespace) -> int:
 def _export(args: argparse.Namespace) -> int:
     os.environ.setdefault("RUST_LOG", "error")  # Rerun's own notes; what matters is said by us
     with RunLog(args.log) as log:
-        out = args.output or args.log.with_suffix(f".{args.format}")
+        out = args.output or named_after(args.log, f".{args.format}")
         with whole(out, new=True) as part, progress("writing", quiet=args.json):
             count = _write(args, log, part)
         code = tell_lossy(args.log, log.warning)

@@ -11,8 +11,10 @@ from typing import Protocol
 
 from handctl.cli.ended import Terminated, ended_by_signals, give_bugs_a_code
 from handctl.cli.exit_codes import Exit
+from handctl.cli.parser import Parser, check_words
 from handctl.cli.streams import flush, give_up_output, make_usable
 from handctl.errors import ConfigError, HandctlError, IncomparableError, LogError, PowerError
+from handctl.printing import escaped_streams, message
 
 VERBS = {
     "demo": "close a simulated hand on an object and look at the run",
@@ -69,10 +71,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         give_bugs_a_code()
     make_usable()
+    with escaped_streams():
+        return _ended(words)
+
+
+def _ended(words: list[str]) -> int:
+    """Carry out a command line; its exit code, also of what goes wrong."""
     try:
         with ended_by_signals():
-            if any("\0" in word for word in words):
-                raise ConfigError("a word with a NUL in it", "the command line", "names as files can have them")
+            check_words(words)
             code = _done(words)
             flush()
             return code
@@ -104,7 +111,7 @@ def _done(words: list[str]) -> int:
     """The exit code of what was asked for."""
     if words and words[0] in VERBS:
         return _verb(words[0], words[1:])
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog="handctl",
         description="Controller and data logger for tendon-driven robot hands.",
         epilog="verbs:\n" + "".join(f"  {name:<12}{text}\n" for name, text in VERBS.items()) + "\n" + EPILOG,
@@ -125,7 +132,7 @@ def _done(words: list[str]) -> int:
 def _verb(name: str, words: list[str]) -> int:
     """Run one verb."""
     module: Verb = importlib.import_module(f"handctl.cli.{name}")
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog=f"handctl {name}",
         description=VERBS[name][0].upper() + VERBS[name][1:] + ".",
         epilog=f"example:\n  {module.EXAMPLE}",
@@ -137,5 +144,5 @@ def _verb(name: str, words: list[str]) -> int:
 
 def _say(error: HandctlError | str, code: Exit) -> int:
     with suppress(OSError):  # the code tells, too
-        print(f"handctl: {error}", file=sys.stderr)
+        print(f"handctl: {message(str(error))}", file=sys.stderr)
     return code

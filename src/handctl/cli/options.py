@@ -8,9 +8,9 @@ from typing import Any
 
 from handctl.cli.exit_codes import Exit
 from handctl.hand.quantities import FASTEST_BUS, SLOWEST_BUS
+from handctl.printing import encodable, message
 
 DEFAULT_HAND = "jamia"
-LONGEST_LINE = 4000
 
 
 class _Named(argparse.Action):
@@ -101,9 +101,7 @@ def gains_options(parser: argparse.ArgumentParser) -> None:
 
 def say(text: str, error: bool = False) -> None:
     """Print a line that has words of a file in it, so that none of them can command the terminal."""
-    from handctl.log.logfile import printable
-
-    print(printable(text, LONGEST_LINE), file=sys.stderr if error else sys.stdout)
+    print(message(text), file=sys.stderr if error else sys.stdout)
 
 
 def tell_lossy(path: Path, warning: str) -> Exit:
@@ -126,15 +124,15 @@ def wire_words(args: argparse.Namespace) -> list[str]:
 
 def print_json(result: dict[str, Any]) -> None:
     """Print a result for programs; NaN becomes null."""
-    json.dump(_plain(result), sys.stdout, indent=2, allow_nan=False)
-    sys.stdout.write("\n")
+    text = json.dumps(_plain(result), indent=2, allow_nan=False)
+    sys.stdout.write(text.replace("\x7f", "\\u007f") + "\n")  # JSON leaves this control character as it is
 
 
 def _plain(value: Any) -> Any:
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {encodable(str(key)): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
         return [_plain(item) for item in value]
     if isinstance(value, float) and not (value == value and abs(value) != float("inf")):
         return None
-    return str(value) if isinstance(value, Path) else value
+    return encodable(str(value)) if isinstance(value, Path | str) else value

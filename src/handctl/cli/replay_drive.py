@@ -13,6 +13,7 @@ from handctl.cli.session import make_controller, run_live
 from handctl.log.reader import RunLog
 from handctl.replay.compare import check_same_hand, difference_lines
 from handctl.replay.drive import bridged, difference, driven, playback, stretch
+from handctl.replay.rebuild import logged_hand
 
 
 def run(args: argparse.Namespace) -> int:
@@ -20,6 +21,7 @@ def run(args: argparse.Namespace) -> int:
     with RunLog(args.recorded) as before:
         plan = make_plan(args)
         check_same_hand(before, plan.hand.name, plan.hand.identity, f"--hand {args.hand}")
+        logged_hand(before)  # its names are those of the columns
         program = playback(before, plan.period_ns * 1e-9, args.raw)
         path, calibration, why = find_calibration(args, plan.hand)
         begin, end = stretch(before)

@@ -10,7 +10,7 @@ from handctl.cli.exit_codes import Exit
 from handctl.cli.options import print_json, say, tell_lossy
 from handctl.cli.progress import progress
 from handctl.errors import ConfigError, LogError
-from handctl.output import check_output
+from handctl.output import check_output, named_after
 
 
 def run(args: argparse.Namespace) -> int:
@@ -98,14 +98,14 @@ def _other_gains(args: argparse.Namespace, log: Any) -> bool:
     from handctl.replay.execute import execute
 
     commands = Commands()
-    picture = args.picture or args.recorded.with_suffix(".gains.png")
+    picture = args.picture or named_after(args.recorded, ".gains.png")
     check_output(picture, "--picture", args.recorded, args.gains)
     gains = load_gains(args.gains)
     with progress("executing", len(log), args.json) as told:
         found = execute(log, gains, commands.add, told)
     if not found.ticks:
         raise LogError("not one tick in it", str(args.recorded), "a run that commanded something")
-    draw(picture, log, commands, f"{log.header.metadata['hand']}: {args.recorded.name} with {args.gains.name}")
+    draw(picture, log, commands, f"{log.header.metadata.get('hand', '?')}: {args.recorded.name} with {args.gains.name}")
     change = summary(log, commands)
     if args.json:
         first = found.first._asdict() if found.first else None

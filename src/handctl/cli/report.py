@@ -6,7 +6,7 @@ from pathlib import Path
 from handctl.cli.options import json_option, print_json, say, tell_lossy
 from handctl.cli.progress import progress
 from handctl.errors import LogError
-from handctl.output import check_output
+from handctl.output import check_output, named_after
 
 EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl report run.mcap"
 
@@ -23,18 +23,16 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the page."""
-    from handctl.log.header import TRUTH_OFFSET
     from handctl.log.reader import RunLog
     from handctl.replay.rebuild import logged_hand
     from handctl.report.page import write_page
     from handctl.report.truth import read_truth
 
-    out = args.output or args.log.with_suffix(".html")
+    out = args.output or named_after(args.log, ".html")
     check_output(out, "--output", args.log, args.truth)
     truth = read_truth(args.truth) if args.truth else None
     with RunLog(args.log) as log:
-        told = log.header.metadata.get(TRUTH_OFFSET, "0")
-        offset = int(told) if told.isdecimal() else 0
+        offset = log.header.truth_offset_ns
         if truth and not truth.covers(log.t_ns + offset):
             raise LogError("is of another time than the log", str(args.truth), "the truth of this run, in lockstep")
         with progress("drawing", quiet=args.json):

@@ -10,7 +10,7 @@ from handctl.controller.gains import Gains, Provenance, gains_text
 from handctl.controller.identified import identified_hand
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand, load_hand
-from handctl.output import check_output, write_whole
+from handctl.output import check_output, named_after, write_whole
 from handctl.tune.ensemble import widths
 
 
@@ -24,7 +24,7 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
     own = [Path(f"{hand}.{what}") for what in ("calibration.toml", "gains.toml", "study")]
     read = (*own, Path(args.hand), args.gains, args.fit, getattr(args, "study", None))
     check_output(out, "--out", *read)
-    picture: Path = args.picture or out.with_suffix(".png")
+    picture: Path = args.picture or named_after(out, ".png")
     check_output(picture, "--picture", *read)
     if picture.resolve() == out.resolve():
         raise ConfigError("is the name of the picture, too", f"--out {out}", "another --out or --picture")

@@ -1,6 +1,5 @@
 """Putting a controller together from data, so that a log can put the same one together again."""
 
-import tomllib
 from collections.abc import Iterable
 from typing import Annotated, Literal
 
@@ -26,7 +25,7 @@ from handctl.drives.contract import Drive
 from handctl.drives.identifiers import check_identifiers
 from handctl.drives.registry import make_drive
 from handctl.drives.sensor_node import SensorNode
-from handctl.hand.description import Hand, hand_from
+from handctl.hand.description import Hand, hand_from, parse_toml
 
 ATTACHMENT = "setup.json"
 """Name under which a log keeps its ``Setup``."""
@@ -116,7 +115,8 @@ class Setup(Document):
 
     def controller(self, hand: Hand, gains: Gains) -> Controller:
         """The controller again; designs all gains."""
-        known = hand_from(tomllib.loads(self.identified_hand), "setup.json") if self.identified_hand else hand
+        identified = parse_toml(self.identified_hand, ATTACHMENT)
+        known = hand_from(identified, ATTACHMENT) if identified else hand
         model = HandModel.of(known, gains, self.rate_hz, np.array(self.torque_gain) if self.torque_gain else None)
         tare, zero = np.array(self.tare_N), np.array(self.zero_rad)
         drives, sensors = make_drives(hand), make_sensors(hand)

@@ -6,10 +6,9 @@ SYNC where the protocol cannot do without. What a hand file really puts on its b
 
 from typing import Any, NamedTuple
 
-from handctl.drives.load import bus_time_s
+from handctl.drives.load import MOST, bus_time_s
 
 NOMINAL, DATA = 1_000_000, 5_000_000
-TABLE_MOST = 0.80
 TABLE_RATES_HZ = (250.0, 500.0, 1000.0)
 
 
@@ -39,7 +38,7 @@ class TableRow(NamedTuple):
     def numbers(self) -> dict[str, Any]:
         """The line for programs."""
         loads = {f"{rate:g}": rate * self.tick_s for rate in TABLE_RATES_HZ}
-        return self._asdict() | {"tick_us": self.tick_s * 1e6, "load": loads, "max_hz": TABLE_MOST / self.tick_s}
+        return self._asdict() | {"tick_us": self.tick_s * 1e6, "load": loads, "max_hz": MOST / self.tick_s}
 
 
 TABLE = (

@@ -167,13 +167,44 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         if path.exists() and not path.is_file():
             raise ConfigError("not a file", str(path), "a TOML file")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        text = path.read_text(encoding="utf-8")
     except OSError as error:
         raise ConfigError(f"cannot be read: {error.strerror}", str(path), "a readable file") from None
     except UnicodeDecodeError as error:
         raise ConfigError(f"byte {error.start} is not UTF-8", str(path), "a UTF-8 text file") from None
+    return parse_toml(text, str(path))
+
+
+def parse_toml(text: str, source: str) -> dict[str, Any]:
+    """Parse TOML, from a file, a log or the command line.
+
+    Args:
+        text: what is parsed.
+        source: what to call it in messages.
+
+    Raises:
+        ConfigError: it is not TOML, or a whole number has more than the 64 bits that TOML guarantees.
+    """
+    try:
+        content = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise ConfigError(f"not TOML: {error}", str(path), "valid TOML") from None
+        raise ConfigError(f"not TOML: {error}", source, "valid TOML") from None
+    _check_whole_numbers(content, source)
+    return content
+
+
+def _check_whole_numbers(content: dict[str, Any], source: str) -> None:
+    """Refuse whole numbers that do not fit into 64 bits: a long one cannot even be printed."""
+    nodes: list[tuple[str, Any]] = list(content.items())
+    while nodes:
+        key, node = nodes.pop()
+        if isinstance(node, dict):
+            nodes += node.items()
+        elif isinstance(node, list):
+            nodes += [(key, one) for one in node]
+        elif isinstance(node, int) and node.bit_length() > 63:
+            what = f"a whole number of {node.bit_length()} bits"
+            raise ConfigError(what, f"{source}: {key}", f"at most {2**63 - 1} in magnitude")
 
 
 def hand_from(content: Mapping[str, Any], source: str) -> Hand:

@@ -4,6 +4,8 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from handctl.printing import encodable
+
 
 def toml_text(content: Mapping[str, Any]) -> str:
     """Write plain values, then tables, then arrays of tables; absent (None) values and empty tables are left out."""
@@ -33,7 +35,7 @@ def _value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+        return _quoted(value)
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{_key(key)} = {_value(entry)}" for key, entry in value.items()) + " }"
     if isinstance(value, list | tuple):
@@ -41,5 +43,10 @@ def _value(value: Any) -> str:
     return repr(value)
 
 
+def _quoted(text: str) -> str:
+    """A basic string; what has no encoding in UTF-8 is escaped as text, since TOML has no escape for it."""
+    return json.dumps(encodable(text), ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
 def _key(key: str) -> str:
-    return key if key.isascii() and key.replace("_", "").replace("-", "").isalnum() else json.dumps(key)
+    return key if key.isascii() and key.replace("_", "").replace("-", "").isalnum() else _quoted(key)

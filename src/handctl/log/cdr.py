@@ -38,8 +38,8 @@ class CdrWriter:
         self.put("I", number)
 
     def text(self, value: str) -> None:
-        """A string; text that is not valid Unicode goes through unharmed to our own reader."""
-        raw = value.encode("utf-8", "surrogatepass")
+        """A string; a lone surrogate, which no other reader could decode, is escaped."""
+        raw = value.encode("utf-8", "backslashreplace")
         self.count(len(raw) + 1)
         self.data += raw + b"\0"
 
@@ -91,7 +91,7 @@ class CdrReader:
     def text(self) -> str:
         """A string."""
         size = self.count()
-        return self.take(size)[: max(size - 1, 0)].decode("utf-8", "surrogatepass")
+        return self.take(size)[: max(size - 1, 0)].decode()
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,12 +24,12 @@ def seed(metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Map
     """Hash before the first tick: of all that is known of a run by then, but for the facts of one machine or day."""
     whole = hashlib.blake2b(digest_size=SIZE)
     texts = {
-        f"{group}.{name}": text.encode()
+        f"{group}.{name}": text.encode("utf-8", "backslashreplace")
         for group, table in (("m", metadata), ("g", gains))
         for name, text in table.items()
     }
     for name, data in sorted((texts | {f"a.{name}": data for name, data in attachments.items()}).items()):
-        whole.update(f"{name}:{len(data)}:".encode("utf-8", "surrogatepass"))
+        whole.update(f"{name}:{len(data)}:".encode("utf-8", "backslashreplace"))
         whole.update(data)
     return whole.digest()
 

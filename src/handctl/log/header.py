@@ -2,11 +2,24 @@
 
 import json
 import tomllib
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Self
+from typing import Any, Self
+
+from handctl.errors import LogError
+from handctl.hand.quantities import NAME_PATTERN
+from handctl.printing import encodable
 
 TRUTH_OFFSET = "truth_offset_ns"
 """In the metadata of a lockstep run: its t = 0 on the simulator's clock, which commissioning has moved on [ns]."""
+PERIODS_NS = (10_000, 10_000_000_000)
+"""Shortest and longest period of a tick in a log [ns]."""
+LATEST_NS = 1 << 62
+"""Latest time in a log [ns]: the sum of two of them, and UNIX time until 2116, fit into 64 bits."""
+NAMES = ("joints", "tendons", "motors", "digits", "buses")
+"""Lists of names in a header."""
+MAX_NAMES = 1000
+"""Names in one list."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +69,50 @@ class RunHeader:
             **more,  # type: ignore[arg-type]
         )
 
+    @classmethod
+    def of_record(
+        cls,
+        record: Mapping[str, str],
+        metadata: Mapping[str, dict[str, str]],
+        attachments: dict[str, bytes],
+    ) -> Self:
+        """Read a header from the records of a log, and check every value that others count with.
+
+        Args:
+            record: metadata record ``handctl.run``, a JSON text by name.
+            metadata: all metadata records.
+            attachments: all attachments.
+
+        Raises:
+            ValueError: a value has another type than a header has, or is out of its range.
+            KeyError: a value is missing.
+        """
+        run = {name: json.loads(text) for name, text in record.items()}
+        names = {part: _names(part, run[part]) for part in NAMES}
+        return cls(
+            attachments.get("hand.toml", b"").decode(),
+            **names,
+            period_ns=_whole("period_ns", run["period_ns"], *PERIODS_NS),
+            offset_ns=_whole("offset_ns", run["offset_ns"], 0, LATEST_NS),
+            metadata=metadata.get("handctl", {}),
+            gains=metadata.get("handctl.gains", {}),
+            attachments=attachments,
+            wall=metadata.get("handctl.wall", {}),
+            deterministic=run["deterministic"] is True,
+        )
+
+    @property
+    def truth_offset_ns(self) -> int:
+        """Time of t = 0 on the simulator's clock [ns]; 0 of a run that was not in lockstep.
+
+        Raises:
+            LogError: the log states something else.
+        """
+        text = self.metadata.get(TRUTH_OFFSET, "0")
+        if not (text.isascii() and text.isdecimal() and len(text) < 20 and int(text) <= LATEST_NS):
+            raise LogError(f"{TRUTH_OFFSET} = {text}", "the log", f"a whole number from 0 to {LATEST_NS}")
+        return int(text)
+
     def axis(self, name: str) -> tuple[str, ...]:
         """Names along an axis of the telemetry: joint, tendon, motor or digit."""
         return {"joint": self.joints, "tendon": self.tendons, "motor": self.motors, "digit": self.digits}[name]
@@ -64,6 +121,8 @@ class RunHeader:
         """For the pipe: one line of JSON, then the attachments one after the other."""
         sizes = {name: len(data) for name, data in self.attachments.items()}
         plain = asdict(self) | {"attachments": sizes}
+        for table in ("metadata", "gains", "wall"):
+            plain[table] = {encodable(name): encodable(text) for name, text in plain[table].items()}
         return json.dumps(plain).encode() + b"\n" + b"".join(self.attachments.values())
 
     @classmethod
@@ -74,5 +133,30 @@ class RunHeader:
         attachments, at = {}, 0
         for name, size in plain["attachments"].items():
             attachments[name], at = rest[at : at + size], at + size
-        names = {part: tuple(plain[part]) for part in ("joints", "tendons", "motors", "digits", "buses")}
+        names = {part: tuple(plain[part]) for part in NAMES}
         return cls(**(plain | names | {"attachments": attachments}))
+
+
+def _whole(key: str, value: Any, low: int, high: int) -> int:
+    """Check a whole number of a log's header."""
+    if type(value) is not int or not low <= value <= high:
+        raise ValueError(f"{key} is {_brief(value)}, not a whole number from {low} to {high}")
+    return value
+
+
+def _names(key: str, value: Any) -> tuple[str, ...]:
+    """Check a list of names of a log's header: each as a hand file can have it, and none twice."""
+    if not isinstance(value, list) or len(value) > MAX_NAMES:
+        raise ValueError(f"{key} is {_brief(value)}, not a list of at most {MAX_NAMES} names")
+    for name in value:
+        if not isinstance(name, str) or not NAME_PATTERN.fullmatch(name):
+            raise ValueError(f"{key} contains {_brief(name)}, not a name of letters, digits and _")
+    if len(set(value)) < len(value):
+        raise ValueError(f"{key} contains a name twice")
+    return tuple(value)
+
+
+def _brief(value: Any) -> str:
+    """Write a value of a header for a message."""
+    text = json.dumps(value)
+    return text if len(text) <= 40 else text[:37] + "..."

@@ -9,7 +9,6 @@ Source: LeRobot 0.4 and 0.6, ``datasets/utils.py`` and ``dataset_metadata.py``: 
 """
 
 import json
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +18,11 @@ import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
 from handctl.controller.types import Mode
-from handctl.errors import LogError
-from handctl.log.logfile import printable
+from handctl.errors import ConfigError, LogError
+from handctl.hand.description import parse_toml
 from handctl.log.moments import check_order
 from handctl.log.reader import RunLog
+from handctl.printing import printable
 
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -125,8 +125,8 @@ def _scalars(frames: int, fps: int) -> dict[str, NDArray[Any]]:
 def _task(log: RunLog) -> str:
     """What was done, in words."""
     try:
-        told = tomllib.loads(log.header.attachments.get("task.toml", b"").decode())
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError):
+        told = parse_toml(log.header.attachments.get("task.toml", b"").decode(), "task.toml in the log")
+    except (ConfigError, UnicodeDecodeError):
         told = {}
     otherwise = f"run of hand {log.header.metadata.get('hand', '?')}"
     return printable(str(told.get("description") or told.get("name") or otherwise))

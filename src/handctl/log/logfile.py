@@ -15,15 +15,10 @@ import lz4.frame  # type: ignore[import-untyped]
 import zstandard
 
 from handctl.errors import LogError
+from handctl.printing import printable
 
 MAX_CHUNK = 32 << 20
 """Uncompressed; our own chunks stay below 8 MiB."""
-
-
-def printable(text: str, most: int = 200) -> str:
-    """Text of a file as it may go to a terminal: no control codes, no direction marks, not endless."""
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape", "replace").decode() for c in text[:most])
-    return shown + ("..." if len(text) > most else "")
 
 
 DAMAGE = (

@@ -18,17 +18,18 @@ from handctl.log.chain import TOPIC as CHAIN_TOPIC
 from handctl.log.clock_pairs import TOPIC as CLOCK_TOPIC
 from handctl.log.clock_pairs import ClockPair, pair_of
 from handctl.log.header import RunHeader
-from handctl.log.logfile import ChunkPlace, LogFile, Reading, printable
+from handctl.log.logfile import ChunkPlace, LogFile, Reading
 from handctl.log.messages_in import Definitions, Rows, definitions, rows
 from handctl.log.moments import Gap, LoggedEvent, PhaseChange
 from handctl.log.record import TickRecord, layout, unpack_tick
 from handctl.log.scan import Scan, scan
 from handctl.log.topics import TICK_TOPIC, VALUES_TOPIC
 from handctl.log.writer import SCHEMA
+from handctl.printing import printable
 
 Array = NDArray[np.float64]
 
-_MAX_NAMES = 1000
+_MAX_PHASES = 1000
 VALUES_START = 4 + 8 + 8 + 8
 """Start of the values in a StatisticsValues: encapsulation, stamp, empty frame_id with padding, length with padding."""
 VALUES_END = -4
@@ -37,28 +38,11 @@ _CACHE_BYTES = 64 << 20
 
 
 def _header(found: Scan) -> RunHeader:
-    run = {name: json.loads(text) for name, text in found.metadata["handctl.run"].items()}
-    if run["schema"] != SCHEMA:
-        raise ValueError(f"log of version {run['schema']}; this reader knows {SCHEMA}")
-    for name in ("joints", "tendons", "motors", "digits", "buses"):
-        if len(run[name]) > _MAX_NAMES or not all(isinstance(one, str) for one in run[name]):
-            raise ValueError(f"{name} is no list of names")
+    record = found.metadata["handctl.run"]
+    if (schema := json.loads(record["schema"])) != SCHEMA:
+        raise ValueError(f"log of version {schema}; this reader knows {SCHEMA}")
     attachments = {name: data for name, (_, _, data) in found.attachments.items()}
-    return RunHeader(
-        attachments.get("hand.toml", b"").decode(),
-        tuple(run["joints"]),
-        tuple(run["tendons"]),
-        tuple(run["motors"]),
-        tuple(run["digits"]),
-        tuple(run["buses"]),
-        period_ns=int(run["period_ns"]),
-        offset_ns=int(run["offset_ns"]),
-        metadata=found.metadata.get("handctl", {}),
-        gains=found.metadata.get("handctl.gains", {}),
-        attachments=attachments,
-        wall=found.metadata.get("handctl.wall", {}),
-        deterministic=run["deterministic"] is True,
-    )
+    return RunHeader.of_record(record, found.metadata, attachments)
 
 
 class RunLog:
@@ -287,7 +271,7 @@ class RunLog:
                     tick = unpack_tick(message)
                     phase = tick.phase
                     events += [LoggedEvent(tick.tick_in.k, tick.tick_in.t_ns, event) for event in tick.events]
-                    if not tick.events and len(quiet) < _MAX_NAMES:
+                    if not tick.events and len(quiet) < _MAX_PHASES:
                         quiet[tail] = phase
             if not phases or phases[-1].name != phase:
                 phases.append(PhaseChange(int(self.k[index]), int(self.t_ns[index]), phase))

@@ -3,6 +3,7 @@
 from typing import Any, NamedTuple
 
 from handctl.controller.types import Mode
+from handctl.errors import IncomparableError
 from handctl.log.moments import check_order
 from handctl.log.reader import RunLog
 from handctl.replay.compare import both, check_same_hand
@@ -46,6 +47,9 @@ def diff(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
     """
     theirs = b.header.metadata
     check_same_hand(a, theirs.get("hand", "?"), theirs.get("identity", "?"), where)
+    for names in ("joints", "tendons", "motors", "digits"):
+        if getattr(a.header, names) != getattr(b.header, names):
+            raise IncomparableError(f"other {names} than in the other log", where, "a log of the same hand")
     for log in (a, b):
         check_order(log.t_ns, log.header.period_ns)
     first, second = ({part.name: part for part in parts(log)} for log in (a, b))

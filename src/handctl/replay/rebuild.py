@@ -1,6 +1,5 @@
 """The controller of a recorded run, put together again from what the log holds."""
 
-import tomllib
 from importlib.metadata import version
 from typing import TypeVar
 
@@ -10,10 +9,11 @@ from handctl.controller.gains import Gains
 from handctl.controller.setup import ATTACHMENT, Setup
 from handctl.controller.tick import Controller
 from handctl.errors import ConfigError, LogError
-from handctl.hand.description import Hand, hand_from
+from handctl.hand.description import Hand
 from handctl.log.code import UNKNOWN, code_identity
-from handctl.log.logfile import printable
+from handctl.log.hand import described_hand
 from handctl.log.reader import RunLog
+from handctl.printing import printable
 
 
 def logged_hand(log: RunLog) -> Hand:
@@ -23,9 +23,9 @@ def logged_hand(log: RunLog) -> Hand:
         LogError: the log holds no hand that this version can read.
     """
     try:
-        return hand_from(tomllib.loads(log.header.hand_toml), "hand.toml in the log")
-    except (tomllib.TOMLDecodeError, ConfigError) as error:
-        raise LogError(f"no usable hand in it: {printable(str(error))}", "the log", "a hand.toml") from None
+        return described_hand(log.header, "hand.toml in the log")
+    except ConfigError as error:
+        raise LogError(f"no usable hand in it: {error}", "the log", "a hand.toml") from None
 
 
 def logged_gains(log: RunLog) -> Gains:

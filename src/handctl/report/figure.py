@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from handctl.controller.types import Mode
 from handctl.hand.description import Hand
-from handctl.log.logfile import printable
 from handctl.log.reader import RunLog
 from handctl.output import save_figure
+from handctl.printing import printable
 from handctl.report.summary import mean_angles
 from handctl.report.truth import Truth
 

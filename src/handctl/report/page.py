@@ -12,10 +12,10 @@ import numpy as np
 
 from handctl.hand.description import Hand
 from handctl.log.clock_pairs import steps
-from handctl.log.logfile import printable
 from handctl.log.moments import LoggedEvent
 from handctl.log.reader import RunLog
 from handctl.output import whole
+from handctl.printing import printable
 from handctl.report.figure import draw_run
 from handctl.report.pictures import lateness, loads, poses
 from handctl.report.summary import angle_rows, summarise

@@ -41,7 +41,7 @@ def load_peer(entry: str, **options: object) -> Peer:
     try:
         peer: Peer = factory(**options)
     except (ValueError, OSError) as error:
-        raise ConfigError(str(error), entry) from None
+        raise ConfigError(str(error), "the simulated hand") from None
     return peer
 
 

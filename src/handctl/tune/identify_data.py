@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from handctl.controller.setup import ATTACHMENT
 from handctl.controller.types import Mode
 from handctl.hand.description import Hand
+from handctl.log.logfile import Reading
 from handctl.log.moments import phase_of_each
 from handctl.log.reader import RunLog
 
@@ -109,8 +110,14 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
 def _logged_gain(log: RunLog, tendons: int) -> list[float]:
     """(N,) torque gain that the run's controller already made up for."""
     text = log.header.attachments.get(ATTACHMENT, b"{}")
-    known = json.loads(text).get("torque_gain") or [1.0] * tendons
-    return [float(gain) for gain in known]
+    with Reading(f"{ATTACHMENT} in the log"):
+        setup = json.loads(text)
+        if not isinstance(setup, dict):
+            raise ValueError("not a table")
+        known = setup.get("torque_gain") or [1.0] * tendons
+        if len(known) != tendons:
+            raise ValueError(f"{len(known)} torque gains of {tendons} tendons")
+        return [float(gain) for gain in known]
 
 
 def _has(hand: Hand, digit: str, tendon: int) -> bool:

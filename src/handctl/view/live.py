@@ -61,7 +61,7 @@ def main() -> int:
 
         follow(log, arguments, stop)
     except HandctlError as error:
-        print(f"handctl view: {error}", file=sys.stderr)
+        print(f"handctl view: {error}", file=sys.stderr)  # printable, as every HandctlError
         return 1
     return 0
 

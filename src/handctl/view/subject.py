@@ -1,16 +1,16 @@
 """What is shown: the hand and the run of a log, as the lenses and the layout want to know them."""
 
-import tomllib
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from handctl.controller.types import TELEMETRY_AXES
-from handctl.errors import LogError
-from handctl.hand.description import Hand, hand_from
+from handctl.hand.description import Hand
 from handctl.log.batch import columns, layout_of
+from handctl.log.hand import described_hand
 from handctl.log.header import RunHeader
+from handctl.printing import printable
 
 Floats = NDArray[np.float64]
 
@@ -34,18 +34,11 @@ class Subject:
         """The subject of a log.
 
         Raises:
-            LogError: the description in the log is no TOML, or its names are not those of the header.
-            ConfigError: the description in the log is none of a hand.
+            LogError: the names of the description are not those of the header.
+            ConfigError: the description in the log is not one of a hand.
         """
         where = f"{name}, attachment hand.toml"
-        try:
-            content = tomllib.loads(header.hand_toml)
-        except (tomllib.TOMLDecodeError, RecursionError) as error:
-            raise LogError(f"not TOML: {error}", where, "the description of the hand that ran") from None
-        hand = hand_from(content, where)
-        if (hand.joints, hand.tendon_names, hand.digit_names) != (header.joints, header.tendons, header.digits):
-            raise LogError("other names than the log's header has", where, "the description of the hand that ran")
-        return cls(header, hand, name)
+        return cls(header, described_hand(header, where), printable(name))
 
     @property
     def application(self) -> str:

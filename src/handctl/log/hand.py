@@ -1,0 +1,23 @@
+"""The hand that a log describes."""
+
+from handctl.errors import LogError
+from handctl.hand.description import Hand, hand_from, parse_toml
+from handctl.log.header import RunHeader
+
+
+def described_hand(header: RunHeader, where: str) -> Hand:
+    """Read the hand of a log, and check that the log's columns are its.
+
+    Args:
+        header: of the log.
+        where: what to call the description in messages.
+
+    Raises:
+        ConfigError: the description is not one of a hand.
+        LogError: it names other joints, tendons, motors or digits than the header.
+    """
+    hand = hand_from(parse_toml(header.hand_toml, where), where)
+    described = (hand.joints, hand.tendon_names, hand.motor_names, hand.digit_names)
+    if described != (header.joints, header.tendons, header.motors, header.digits):
+        raise LogError("other names than the log's header has", where, "the description of the hand that ran")
+    return hand

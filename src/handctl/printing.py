@@ -1,0 +1,89 @@
+"""Text for people: what files, logs and arguments say never commands a terminal, and never fills it.
+
+Every character that is not printable is written as Python escapes it: control characters, terminal escapes, marks that
+turn the direction of a line, and lone surrogates.
+"""
+
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any, cast
+
+LONGEST_MESSAGE = 500
+"""Characters of one message."""
+LEFT_OUT = " [...] "
+"""Stands for the middle of a message that is longer."""
+
+
+def escaped(text: str, kept: str = "") -> str:
+    """Escape the characters that are not printable.
+
+    Args:
+        text: any text.
+        kept: characters to leave as they are, such as line ends.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in kept else _escape(c) for c in text)
+
+
+def _escape(character: str) -> str:
+    """Write one character as Python's source does."""
+    return character.encode("unicode_escape", "replace").decode()
+
+
+def printable(text: str, most: int = 200) -> str:
+    """Escape text and cut it after ``most`` characters."""
+    return escaped(text[:most]) + ("..." if len(text) > most else "")
+
+
+def message(text: str, most: int = LONGEST_MESSAGE) -> str:
+    """Make one line of bounded length: line ends become spaces, and a long text loses its middle.
+
+    What is wrong stands at the beginning of a message, what would be right at its end.
+    """
+    if len(text) > 4 * most:  # escaping makes a text longer, never shorter
+        text = text[: 2 * most] + text[-2 * most :]
+    line = escaped(text.replace("\n", " "))
+    if len(line) <= most:
+        return line
+    end = most // 3
+    return line[: most - end - len(LEFT_OUT)] + LEFT_OUT + line[-end:]
+
+
+def encodable(text: str) -> str:
+    """Escape lone surrogates, which stand for the bytes of a name that is not UTF-8 and have no encoding."""
+    return text.encode("utf-8", "backslashreplace").decode()
+
+
+class EscapedStream:
+    """A text stream that escapes what is not printable; line ends and tabs remain."""
+
+    def __init__(self, stream: Any) -> None:
+        self.rich_proxied_file = stream
+        """The stream itself: ``rich`` writes its own escapes there, see ``cli.screen`` for what is printed with it."""
+
+    def write(self, text: str) -> int:
+        """Write escaped text."""
+        self.rich_proxied_file.write(escaped(text, "\n\t"))
+        return len(text)
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        """Write escaped lines."""
+        for line in lines:
+            self.write(line)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.rich_proxied_file, name)
+
+
+@contextmanager
+def escaped_streams() -> Iterator[None]:
+    """Escape all that is printed on standard output and standard error, whoever prints it."""
+    before = sys.stdout, sys.stderr
+    out, err = (one if isinstance(one, EscapedStream) else EscapedStream(one) for one in before)
+    sys.stdout, sys.stderr = cast(Any, out), cast(Any, err)
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before

@@ -1,0 +1,262 @@
+"""Words from files, logs and arguments reach a terminal escaped and in lines of bounded length, and JSON is UTF-8."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from handctl.cli.main import VERBS, main
+from handctl.cli.options import print_json, say
+from handctl.cli.screen import screen
+from handctl.errors import ConfigError
+from handctl.hand.description import HANDS, parse_toml
+from handctl.hand.toml_text import toml_text
+from handctl.printing import LONGEST_MESSAGE, EscapedStream, encodable, escaped, escaped_streams, message
+from tests.cli.refused import refused
+
+ESCAPES = "\x1b[2J\x1b]0;mine\x07\x9b31m\r\u202e\u2028\x7f"
+TASKS = HANDS.parents[1] / "tasks"
+
+
+def is_harmless(text):
+    return all(c.isprintable() or c in "\n\t" for c in text)
+
+
+def exit_code(words):
+    """The exit code of a command line, also of one that argparse refuses."""
+    try:
+        return main(words)
+    except SystemExit as ended:
+        return ended.code
+
+
+def test_what_is_not_printable_is_escaped():
+    assert escaped("a\x1b[2J\nb\u00e4\u03b8") == "a\\x1b[2J\\nb\u00e4\u03b8"
+    assert escaped("a\nb\x07", "\n") == "a\nb\\x07"
+    assert escaped(ESCAPES).isprintable()
+    assert escaped("\ud800") == "\\ud800"
+    assert encodable("a\udcff\x1b").encode() == b"a\\udcff\x1b"
+
+
+@pytest.mark.parametrize("size", [499, 500, 501, 2000, 100_000])
+@pytest.mark.parametrize("letter", ["x", "\x1b"])
+def test_a_message_keeps_its_beginning_and_its_end(size, letter):
+    line = message("what" + letter * (size - 8) + "right\n"[:4])
+    assert len(line) <= LONGEST_MESSAGE
+    assert line.startswith("what")
+    assert line.endswith("righ")
+    assert line.isprintable()
+    assert ("[...]" in line) == (size > 500 or letter == "\x1b")
+
+
+def test_an_error_is_one_harmless_line():
+    line = str(ConfigError(f"{ESCAPES}\n" * 1000, "where", "this"))
+    assert line.isprintable()
+    assert len(line) <= LONGEST_MESSAGE
+    assert line.startswith("where: ")
+    assert line.endswith("; expected this")
+
+
+def test_a_stream_escapes_whoever_prints(capsys):
+    with escaped_streams():
+        print(f"{ESCAPES}\tb\nc")
+        print(ESCAPES, file=sys.stderr)
+        sys.stdout.writelines([ESCAPES])
+        inner = sys.stdout
+        with escaped_streams():
+            assert sys.stdout is inner, "escaped once"
+    assert not isinstance(sys.stdout, EscapedStream)
+    out, err = capsys.readouterr()
+    assert out.startswith("\\x1b[2J")
+    assert "\tb\nc\n" in out
+    assert is_harmless(out + err)
+
+
+def test_a_table_of_rich_escapes_its_cells_and_keeps_its_own_codes(monkeypatch):
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(f"head{ESCAPES}")
+    table.add_row(f"cell{ESCAPES}")
+    table.add_row(Text(f"text{ESCAPES}"))
+    console = screen(least=80)
+    console.file = io.StringIO()
+    console.print(table)
+    console.print(f"line{ESCAPES}")
+    assert is_harmless(console.file.getvalue())
+    assert console.file.getvalue().count("\\x1b[2J") == 4
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    console = screen(least=80)
+    console.file = io.StringIO()
+    console.print(Text(f"red{ESCAPES}", style="red"))
+    assert console.file.getvalue().startswith("\x1b[31m"), "rich colours"
+    assert "red\\x1b[2J" in console.file.getvalue()
+
+
+def test_rich_writes_its_codes_past_the_escaping_stream(monkeypatch, capsys):
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    with escaped_streams():
+        from rich.text import Text
+
+        screen().print(Text("red\x1b[2J", style="red"))
+    out, _ = capsys.readouterr()
+    assert out.startswith("\x1b[31m")
+    assert "\x1b[2J" not in out
+
+
+def test_a_long_line_is_cut(capsys):
+    say("a" * 2000)
+    assert len(capsys.readouterr().out) <= LONGEST_MESSAGE + 1
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_what_argparse_says_is_escaped_and_cut(capsys, verb):
+    for words in ([f"--no{ESCAPES}\n{'x' * 3000}"], [ESCAPES], [f"--gain{ESCAPES}=3"]):
+        assert exit_code([verb, *words, "--no-such-option", ESCAPES]) == 2
+        out, err = capsys.readouterr()
+        assert is_harmless(out + err)
+        assert len(err.splitlines()[-1]) < LONGEST_MESSAGE + 60
+    assert exit_code([ESCAPES]) == 2
+    assert is_harmless(capsys.readouterr().err)
+
+
+FILES = {
+    "key": f"{json.dumps(ESCAPES)} = 3",
+    "table": f"[{json.dumps(ESCAPES)}]",
+    "value": f"schema = {json.dumps(ESCAPES)}",
+    "list": f"schema = 1\nname = [{json.dumps(ESCAPES)}]",
+    "long": f"schema = 1\n{'k' * 3000} = 3",
+}
+READS = {
+    "hand": ("config", "check", "--hand", "odd.toml"),
+    "task": ("config", "check", "--task", "odd.toml"),
+    "gains": ("config", "check", "--gains", "odd.toml"),
+    "calibration": ("config", "check", "--calibration", "odd.toml"),
+    "trajectory": ("run", "--bus", "local:nobody", "--dry-run", "--trajectory", "odd.toml"),
+    "limits": ("replay", "safety", str(HANDS.parents[3] / "logs/golden/jamia-fault.mcap"), "--limits", "odd.toml"),
+}
+
+
+@pytest.mark.parametrize("content", FILES)
+@pytest.mark.parametrize("what", READS)
+def test_what_a_file_says_is_escaped_and_cut(place, capsys, what, content):
+    (place / "odd.toml").write_text(FILES[content])
+    line = refused(capsys, *READS[what])
+    assert line[:-1].isprintable()
+    assert len(line) < LONGEST_MESSAGE + 20
+
+
+def test_a_name_and_a_note_are_escaped_where_all_is_well(place, capsys):
+    task = (TASKS / "grasp.toml").read_text().replace('name = "', f'name = "{json.dumps(ESCAPES)[1:-1]}', 1)
+    (place / "odd.toml").write_text(task)
+    (place / "a\x1b[2J.toml").write_text("schema = 1\n[motion]\nforce_N = 12.0\n")
+    for words in (
+        ("config", "check", "--task", "odd.toml"),
+        ("gains", "show", "--gains", "a\x1b[2J.toml"),
+        ("gains", "apply", "a\x1b[2J.toml", "--note", ESCAPES),
+        ("gains", "log"),
+        ("gains", "show"),
+        ("config", "show"),
+    ):
+        assert main(words) == 0, words
+        out, err = capsys.readouterr()
+        assert is_harmless(out + err), words
+
+
+WIDE = {"hex": "0x" + "f" * 5000, "decimal": "9" * 5000, "65 bits": str(2**64), "in a list": f"[1, [{2**64}]]"}
+"""Numbers that cannot be printed, or that TOML does not promise to hold."""
+
+
+@pytest.mark.parametrize("number", WIDE)
+@pytest.mark.parametrize("what", READS)
+def test_a_number_without_end_in_a_file(place, capsys, what, number):
+    (place / "odd.toml").write_text(f"schema = 1\nname = {WIDE[number]}\n")
+    line = refused(capsys, *READS[what])
+    assert "odd.toml" in line
+    assert len(line) < LONGEST_MESSAGE
+
+
+def test_the_largest_numbers_of_toml_are_read():
+    content = {"a": 2**63 - 1, "b": [-(2**63) + 1]}
+    assert parse_toml(toml_text(content), "here") == content
+
+
+@pytest.mark.parametrize("option", ["bus", "rate", "gain", "log", "hand", "jobs", "seed", "output", "wire", "perturb"])
+@pytest.mark.parametrize("verb", ["run", "demo", "report", "fault", "tune", "identify", "scan", "sim"])
+def test_the_end_of_the_options_is_no_value(capsys, verb, option):
+    assert f"--{option}" in refused(capsys, verb, f"--{option}=--")
+
+
+@pytest.mark.parametrize("name", [".", "", "/", ".."])
+@pytest.mark.parametrize(
+    "verb",
+    [
+        ("report",),
+        ("log", "export", "--csv"),
+        ("log", "export", "--lerobot"),
+        ("log", "recover"),
+        ("log", "info"),
+        ("replay", "execute", "--gains", "gains.toml"),
+        ("view",),
+    ],
+    ids=" ".join,
+)
+def test_a_log_whose_name_is_a_folder(place, capsys, verb, name):
+    (place / "gains.toml").write_text("schema = 1\n")
+    refused(capsys, *verb, name)
+
+
+@pytest.mark.parametrize("number", ["9" * 50, "9" * 5000, "-1", "0.5", "1e99", "\x1b[2J"])
+@pytest.mark.parametrize("drive", ["mit", "odrive", "cia402", "cubemars"])
+def test_a_node_that_no_bus_has(capsys, drive, number):
+    words = ("conformance", "--drive", drive, f"--node={number}", "--bus", "local:nobody")
+    assert exit_code([*words, "--torque-limit-Nm", "0.1", "--dry-run"]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert is_harmless(err)
+    assert len(err.splitlines()[-1]) < LONGEST_MESSAGE + 60
+
+
+def test_a_pipe_that_nobody_reads_is_not_waited_for(place, capsys):
+    os.mkfifo(place / "pipe")
+    golden = HANDS.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
+    assert "nobody reads" in refused(capsys, "report", str(golden), "--output", "pipe")
+
+
+def test_json_of_foreign_words_is_utf8_that_others_read(capsys):
+    print_json({f"k{ESCAPES}\udcff": ["\ud800", ESCAPES, {"\udcff": "\x7f"}]})
+    text = capsys.readouterr().out
+    assert is_harmless(text)
+    found = json.loads(text)
+    json.dumps(found, ensure_ascii=False).encode()
+    assert ESCAPES in found[f"k{ESCAPES}\\udcff"], "nothing but the surrogates has changed"
+
+
+def test_a_note_of_bytes_that_are_no_text_is_kept_escaped(place):
+    (place / "new.toml").write_text("schema = 1\n[motion]\nforce_N = 12.0\n")
+    words = (sys.executable, "-m", "handctl.cli", "gains", "apply", "new.toml", "--note", b"n\xf6te\x1b")
+    assert subprocess.run(words, capture_output=True, check=False).returncode == 0
+    words = (sys.executable, "-m", "handctl.cli", "gains", "log", "--json")
+    done = subprocess.run(words, capture_output=True, check=True)
+    assert "n\\udcf6te\x1b" in done.stdout.decode().replace("\\\\", "\\").replace("\\u001b", "\x1b")
+
+
+def test_a_folder_whose_name_is_no_text(place):
+    folder = os.fsencode(place) + b"/l\xf6g"
+    os.mkdir(folder)
+    words = (sys.executable, "-m", "handctl.cli", "config", "check", "--json", "--gains", b"l\xf6g/x\x1b.toml")
+    done = subprocess.run(words, capture_output=True, check=False)
+    assert done.returncode == 2
+    assert b"l\\udcf6g/x\\x1b.toml" in done.stderr
+
+
+def test_what_the_simulator_refuses_is_told_without_its_class(place, capsys):
+    (place / "odd.toml").write_text('name = "x"\n[object]\nshape = "\\u001b[2J\\n"\n')
+    for words in (("demo", "--lockstep", "--scene", "odd.toml"), ("demo", "--lockstep", "--scene", ESCAPES)):
+        line = refused(capsys, *words)
+        assert "firmware_sim" not in line
+        assert ":Rig" not in line
+        assert line[:-1].isprintable()

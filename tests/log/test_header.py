@@ -1,0 +1,123 @@
+"""The header of a log from elsewhere: every value that others count with has its type and range, in every verb."""
+
+import json
+from pathlib import Path
+
+import pytest
+from headers import with_metadata, with_run
+
+from handctl.cli.main import main
+from handctl.errors import LogError
+from handctl.hand.description import HANDS
+from handctl.log.header import LATEST_NS, PERIODS_NS
+from handctl.log.reader import RunLog
+
+GOLDEN = HANDS.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
+VERBS = {
+    "log info": ("log", "info", "odd.mcap"),
+    "log check": ("log", "check", "odd.mcap"),
+    "log diff": ("log", "diff", "odd.mcap", "odd.mcap"),
+    "export csv": ("log", "export", "--csv", "odd.mcap"),
+    "export parquet": ("log", "export", "--parquet", "odd.mcap"),
+    "export candump": ("log", "export", "--candump", "odd.mcap"),
+    "export lerobot": ("log", "export", "--lerobot", "odd.mcap"),
+    "export rrd": ("log", "export", "--rrd", "odd.mcap"),
+    "report": ("report", "odd.mcap"),
+    "replay execute": ("replay", "execute", "odd.mcap"),
+    "replay drive": ("replay", "drive", "odd.mcap", "--bus", "local:nobody", "--dry-run"),
+    "replay safety": ("replay", "safety", "odd.mcap", "--limits", "limits.toml"),
+    "identify": ("identify", "--from", "odd.mcap"),
+    "view": ("view", "odd.mcap", "--save", "odd.rrd"),
+}
+NUMBERS = {
+    "period_ns": ["0", "0.5", "1e-300", "1e308", "-1", "true", "null", '"5"', "[5]", "NaN", "9" * 5000, str(2**64)],
+    "offset_ns": ["0.5", "1e308", "-1", "true", "null", '"5"', "[5]", "NaN", "9" * 5000, str(2**64)],
+}
+TEXTS = ['"abc"', "{}", '[["a"]]', "[1]", "[null]", '["a", "a"]', '["\\ud800"]', '["\\u001b[2J"]', '["a\\nb"]', '[""]']
+LISTS = ("joints", "tendons", "motors", "digits", "buses")
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "limits.toml").write_text("tension_trip_N = 20")
+    return tmp_path
+
+
+def _refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    """The one line in which a verb refuses; ``log check`` tells what it finds on standard output, with exit code 1."""
+    checks = words[:2] == ("log", "check")
+    assert main(words) == (1 if checks else 2), words
+    out, err = capsys.readouterr()
+    said, silent = (out, err) if checks else (err, out)
+    said = said.removeprefix("reading odd.mcap\n")
+    assert silent == ""
+    assert said.count("\n") == 1, said
+    assert said[:-1].isprintable()
+    assert len(said) < 600
+    return said
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_period_that_is_none_is_refused_in_one_line(
+    place: Path, capsys: pytest.CaptureFixture[str], verb: str
+) -> None:
+    for period in ("0", "0.5", str(2**64)):
+        with_run(GOLDEN, place / "odd.mcap", period_ns=period)
+        assert "period_ns" in _refused(capsys, *VERBS[verb])
+    with_run(GOLDEN, place / "odd.mcap", offset_ns=str(2**64))
+    assert "offset_ns" in _refused(capsys, *VERBS[verb])
+    with_run(GOLDEN, place / "odd.mcap", tendons='["\\ud800", ["a"]]')
+    assert "tendons" in _refused(capsys, *VERBS[verb])
+
+
+@pytest.mark.parametrize(("key", "text"), [(key, text) for key, texts in NUMBERS.items() for text in texts])
+def test_a_number_of_the_header_has_its_type_and_range(small_log: Path, tmp_path: Path, key: str, text: str) -> None:
+    with pytest.raises(LogError, match=key if len(text) < 4000 else "digits"):
+        RunLog(with_run(small_log, tmp_path / "odd.mcap", **{key: text}))
+
+
+@pytest.mark.parametrize("text", TEXTS)
+@pytest.mark.parametrize("key", LISTS)
+def test_a_name_of_the_header_is_a_name(small_log: Path, tmp_path: Path, key: str, text: str) -> None:
+    with pytest.raises(LogError, match=key) as refused:
+        RunLog(with_run(small_log, tmp_path / "odd.mcap", **{key: text}))
+    assert str(refused.value).isprintable()
+
+
+def test_the_ends_of_the_ranges_are_read(small_log: Path, tmp_path: Path) -> None:
+    for period in PERIODS_NS:
+        with RunLog(with_run(small_log, tmp_path / "odd.mcap", period_ns=str(period))) as log:
+            assert log.header.period_ns == period
+    with RunLog(with_run(small_log, tmp_path / "odd.mcap", offset_ns=str(LATEST_NS))) as log:
+        assert log.header.offset_ns == LATEST_NS
+
+
+@pytest.mark.parametrize("verb", [verb for verb in VERBS if verb.startswith(("report", "replay", "identify", "view"))])
+def test_a_hand_with_other_names_than_the_columns_is_refused(
+    place: Path, capsys: pytest.CaptureFixture[str], verb: str
+) -> None:
+    def renamed(name: str, old: dict[str, str]) -> dict[str, str]:
+        if name != "handctl.run":
+            return old
+        joints = json.loads(old["joints"])
+        return old | {"joints": json.dumps([*joints[:-1], "another"])}
+
+    (place / "odd.mcap").write_bytes(with_metadata(GOLDEN.read_bytes(), renamed))
+    assert "other" in _refused(capsys, *VERBS[verb])
+
+
+@pytest.mark.parametrize("text", ["²", "-1", "1.5", "9" * 5000, str(2**64), "\x1b[2J"])
+def test_an_offset_of_the_truth_that_is_none_is_refused(
+    place: Path, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    more = {"truth_offset_ns": text}
+    changed = with_metadata(GOLDEN.read_bytes(), lambda name, old: old | more if name == "handctl" else old)
+    (place / "odd.mcap").write_bytes(changed)
+    assert "truth_offset_ns" in _refused(capsys, "report", "odd.mcap")
+
+
+def test_logs_of_other_columns_are_not_compared(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with_run(GOLDEN, place / "odd.mcap", joints='["a", "b"]')
+    assert main(["log", "diff", str(GOLDEN), "odd.mcap"]) == 4
+    assert "other joints" in capsys.readouterr().err
