@@ -48,7 +48,7 @@ def commissioned(model: HandModel, cells: Cells, noise: float = 0.2, loss: float
     progress, n = program.begin(model), model.tendon_count
     for k in range(round(60.0 / model.period)):
         i = progress.step - 1
-        pulled = progress.step > 0
+        pulled = any(goal.kind != Kind.LIMP for goal in progress.goals)
         tension = cells(i if pulled else -1) + BIAS_N + noise * rng.normal(size=n)
         travel = np.full(n, JUST_TAUT_M) + (tension - BIAS_N) / model.space.stiffness
         shown = tension - (progress.tare or 0.0)
@@ -59,7 +59,7 @@ def commissioned(model: HandModel, cells: Cells, noise: float = 0.2, loss: float
         if pulled and i != never and k * model.period - progress.since > 0.2:
             estimate = under(model, PULL_N)
         progress, _ = program.advance(model, progress, estimate, measured, k * model.period)
-        if pulled and not progress.finished and progress.step == i + 1:
+        if pulled and not progress.finished and progress.phase.startswith("pull"):
             pulls = [d for d, goal in enumerate(progress.goals) if goal.kind != Kind.LIMP]
             assert pulls == [next(d for d, s in enumerate(model.digit_tendons) if s.start <= i < s.stop)]
             goal = progress.goals[pulls[0]]

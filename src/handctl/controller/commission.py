@@ -2,6 +2,9 @@
 
 One tendon after the other is pulled gently, all others limp, and only its own load cell may answer. The pull stays
 below what moves a digit against its springs: it says nothing of joint encoders.
+
+Load cells drift while many tendons are pulled one by one. Before each pull the hand is limp for a moment: the readings
+then are what the answers of all load cells are judged against, and renew the tare of the tendon that is pulled next.
 """
 
 from dataclasses import dataclass, replace
@@ -20,6 +23,8 @@ PULL_N = 3.0
 PULL_FORCE_LIMIT_N = 12.0
 """Motor force that a pull may use, should its load cell not answer: pull, friction and a margin."""
 TARE_S = 0.5
+REST_SETTLE_S, REST_S = 0.3, 0.2
+"""Time for which the hand is limp before each pull, and time for which load cells are read then."""
 SETTLE_S = 0.7
 TAKE_UP_TIMEOUT_S = 3.0
 MEASURE_S = 0.3
@@ -28,8 +33,10 @@ ANSWER_SHARE = 0.6
 CROSSTALK_SHARE = 0.3
 """No other load cell may answer with more."""
 
-TARE, SAMPLES, ZERO, ANSWER, CROSSTALK, PULLED = range(6)
-COLUMNS = 6
+TARE, SAMPLES, ZERO, ANSWER, CROSSTALK, PULLED, REST, RESTED = range(8)
+COLUMNS = 8
+RESTING = -1
+"""``Progress.touching[0]`` before a pull; 0 until its tendon is taut, then 1 more than the readings taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +44,7 @@ class CommissionProgram:
     """Step 0 tares; step i + 1 pulls tendon i.
 
     ``Progress.record`` is a table of a row per tendon: sum of tare samples, their number, zero [rad], answer [N],
-    crosstalk [N], and the sum of its samples in the present pull.
+    crosstalk [N], the sum of its samples in the present pull, and the sum and number of those just before it.
     """
 
     def begin(self, model: HandModel) -> Progress:
@@ -55,6 +62,8 @@ class CommissionProgram:
             return replace(progress, since=t), (Event("info", "phase", "", "tare: all motors limp"),)
         if progress.step == 0:
             return self._tare(model, progress, measured, t)
+        if progress.touching[0] == RESTING:
+            return self._rest(model, progress, measured, t)
         return self._pull(model, progress, estimate, measured, t)
 
     def _tare(
@@ -67,12 +76,41 @@ class CommissionProgram:
         progress = _with(progress, table)
         if t - progress.since < TARE_S:
             return progress, ()
-        tare = _tare(table)
+        return self._tared(model, progress) or self._next(model, _renewed(progress), t)
+
+    def _tared(self, model: HandModel, progress: Progress) -> tuple[Progress, tuple[Event, ...]] | None:
+        """Refuse a tare that leaves no room to either end of the range; None if there is none."""
+        tare = _tare(_table(progress))
         worst = int(np.maximum(tare - TARE_MOST_N, TARE_LEAST_N - tare).argmax())
-        if not TARE_LEAST_N <= tare[worst] <= TARE_MOST_N:
-            read, bounds = f"{tare[worst]:.1f} N without tension", f"from {TARE_LEAST_N:g} to {TARE_MOST_N:g} N"
-            return self._refuse(model, progress, worst, f"load cell reads {read}, which can be tared {bounds}")
-        return self._next(model, replace(progress, tare=tuple(tare.tolist())), t)
+        if TARE_LEAST_N <= tare[worst] <= TARE_MOST_N:
+            return None
+        read, bounds = f"{tare[worst]:.1f} N without tension", f"from {TARE_LEAST_N:g} to {TARE_MOST_N:g} N"
+        return self._refuse(model, progress, worst, f"load cell reads {read}, which can be tared {bounds}")
+
+    def _rest(
+        self, model: HandModel, progress: Progress, measured: Measured, t: float
+    ) -> tuple[Progress, tuple[Event, ...]]:
+        """Read all load cells of the limp hand, renew the tare of the present tendon, then pull it.
+
+        Only the present tendon's tare is renewed. It was never taut, whereas friction may hold tension in a tendon
+        that was pulled before.
+        """
+        if t - progress.since < REST_SETTLE_S or np.isnan(measured.tension).any():
+            return progress, ()
+        i, table = progress.step - 1, _table(progress)
+        table[:, REST] += measured.tension
+        table[:, RESTED] += 1.0
+        samples = table[i, RESTED]
+        if samples * model.period < REST_S:
+            return _with(progress, table), ()
+        table[i, TARE] += table[i, REST] / samples * table[i, SAMPLES]
+        table[i, REST] = 0.0
+        progress = _renewed(_with(progress, table))
+        goals = tuple(_pull_goal(tendons, i) for tendons in model.digit_tendons)
+        name = model.hand.tendon_names[i]
+        pulling = replace(progress, since=t, goals=goals, phase=f"pull {name}", touching=(0,) * len(goals))
+        event = Event("info", "phase", name, f"pulling {name} with {PULL_N:g} N")
+        return self._tared(model, progress) or (pulling, (event,))
 
     def _pull(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
@@ -109,18 +147,12 @@ class CommissionProgram:
         return progress, (event, *entered)
 
     def _next(self, model: HandModel, progress: Progress, t: float) -> tuple[Progress, tuple[Event, ...]]:
-        """Pull the next tendon, or finish."""
-        step, digits = progress.step + 1, len(model.digits)
+        """Let go; rest before the next tendon is pulled, or finish."""
+        step, limp = progress.step + 1, (DigitGoal(),) * len(model.digits)
         if step > model.tendon_count:
-            limp = (DigitGoal(),) * digits
-            return replace(progress, finished=True, phase="end", goals=limp), (
-                Event("info", "phase", "", "commissioned"),
-            )
-        i = step - 1
-        goals = tuple(_pull_goal(tendons, i) for tendons in model.digit_tendons)
-        name = model.hand.tendon_names[i]
-        progress = replace(progress, step=step, since=t, goals=goals, phase=f"pull {name}", touching=(0,) * digits)
-        return progress, (Event("info", "phase", name, f"pulling {name} with {PULL_N:g} N"),)
+            finished = replace(progress, finished=True, phase="end", goals=limp)
+            return finished, (Event("info", "phase", "", "commissioned"),)
+        return replace(progress, step=step, since=t, goals=limp, phase="rest", touching=(RESTING,) * len(limp)), ()
 
     def _refuse(self, model: HandModel, progress: Progress, i: int, text: str) -> tuple[Progress, tuple[Event, ...]]:
         name = model.hand.tendon_names[i]
@@ -159,14 +191,19 @@ def _tare(table: Vector) -> Vector:
     return np.asarray(table[:, TARE] / np.maximum(table[:, SAMPLES], 1.0))
 
 
+def _renewed(progress: Progress) -> Progress:
+    """Take the tares of the table off from the next reading on."""
+    return replace(progress, tare=tuple(_tare(_table(progress)).tolist()))
+
+
 def _averaged(model: HandModel, table: Vector, i: int, samples: int) -> Vector:
     """The table with the results of tendon i, and the sums of its pull gone."""
-    rise = table[:, PULLED] / samples
+    rise = table[:, PULLED] / samples - table[:, REST] / table[i, RESTED]
     stretch = rise[i] / model.space.stiffness[i] / model.space.spool[i]
     table[i, ZERO] = table[i, ZERO] / samples - stretch
     table[i, ANSWER] = rise[i]
     table[i, CROSSTALK] = np.abs(np.delete(rise, i)).max(initial=0.0)
-    table[:, PULLED] = 0.0
+    table[:, [PULLED, REST, RESTED]] = 0.0
     return table
 
 
