@@ -1,5 +1,6 @@
 """Commissioning on a hand made up by the test: results, and every way in which a tendon can be wrong."""
 
+import os
 import re
 from collections.abc import Callable
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 
 from handctl.controller.calibration import Calibration, load_calibration
-from handctl.controller.commission import PULL_FORCE_LIMIT_N, PULL_N, CommissionProgram, result
+from handctl.controller.commission import CROSSTALK_SHARE, PULL_FORCE_LIMIT_N, PULL_N, CommissionProgram, result
 from handctl.controller.estimator import Measured
 from handctl.controller.gains import Gains
 from handctl.controller.goal import Kind
@@ -16,9 +17,10 @@ from handctl.controller.program import Progress
 from handctl.controller.types import Mode
 from handctl.drives.frame import Frame
 from handctl.errors import ConfigError
-from handctl.hand.description import load_hand
+from handctl.hand.description import hand_from, load_hand
 from tests.controller.bench import Bench, bench
 from tests.controller.synthetic import nothing_read, slack, under
+from tests.hand.many import fifteen_motors
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +35,7 @@ def jamia11() -> HandModel:
 
 
 BIAS_N, JUST_TAUT_M = 0.7, 1.2e-3
+SEEDS = range(20 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 4)
 
 Cells = Callable[[int], np.ndarray]
 """Tensions at all load cells while tendon i is pulled; -1: while all are limp."""
@@ -42,14 +45,27 @@ def good(model: HandModel) -> Cells:
     return lambda i: np.where(np.arange(model.tendon_count) == i, PULL_N, 0.0)
 
 
-def commissioned(model: HandModel, cells: Cells, noise: float = 0.2, loss: float = 0.0, never: int = -9) -> Progress:
-    """Run the program; tendon ``never`` never becomes taut, a share ``loss`` of the ticks brings nothing."""
-    rng, program = np.random.default_rng(7), CommissionProgram()
+def commissioned(
+    model: HandModel,
+    cells: Cells,
+    noise: float = 0.2,
+    loss: float = 0.0,
+    never: int = -9,
+    drift: float = 0.0,
+    seed: int = 7,
+) -> Progress:
+    """Run the program; tendon ``never`` never becomes taut, a share ``loss`` of the ticks brings nothing.
+
+    Each load cell's zero walks at random by ``drift`` [N] in 100 s.
+    """
+    rng, program = np.random.default_rng(seed), CommissionProgram()
     progress, n = program.begin(model), model.tendon_count
+    walked, step = np.zeros(n), drift * np.sqrt(model.period / 100.0)
     for k in range(round(60.0 / model.period)):
+        walked += step * rng.normal(size=n) if drift else 0.0
         i = progress.step - 1
         pulled = any(goal.kind != Kind.LIMP for goal in progress.goals)
-        tension = cells(i if pulled else -1) + BIAS_N + noise * rng.normal(size=n)
+        tension = cells(i if pulled else -1) + BIAS_N + walked + noise * rng.normal(size=n)
         travel = np.full(n, JUST_TAUT_M) + (tension - BIAS_N) / model.space.stiffness
         shown = tension - (progress.tare or 0.0)
         measured: Measured = nothing_read(model)._replace(travel=travel, tension=shown)
@@ -110,6 +126,47 @@ def test_two_load_cells_that_answer_together_are_refused(model: HandModel) -> No
 
     progress = commissioned(model, cells)
     assert progress.failure.startswith(model.hand.tendon_names[1])
+    assert "another load cell" in progress.failure
+
+
+@pytest.fixture(scope="module")
+def fifteen() -> HandModel:
+    return HandModel.of(hand_from(fifteen_motors(), "a hand of 15 motors"), Gains(), 50.0)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(fifteen: HandModel, seed: int) -> None:
+    """Twice the packaged hands' drift: 0.9 N rms by the end, which is the limit of crosstalk."""
+    progress = commissioned(fifteen, good(fifteen), drift=2.0, seed=seed)
+    assert not progress.failure
+    found = result(fifteen, progress, "2024-01-01T00:00:00+00:00").tendon
+    assert max(row.crosstalk_N for row in found.values()) < CROSSTALK_SHARE * PULL_N
+    assert [row.answer_N for row in found.values()] == pytest.approx([PULL_N] * 15, abs=1.0)
+
+
+def test_a_tare_is_of_the_moment_before_its_pull(jamia: HandModel) -> None:
+    """A zero that drifts by 0.1 N a second from the first tick of rest on is tared where it is then."""
+    drifted = [0.0]
+
+    def cells(i: int) -> np.ndarray:
+        drifted[0] += 0.1 * jamia.period
+        return good(jamia)(i) + drifted[0]
+
+    progress = commissioned(jamia, cells, noise=0.0)
+    assert not progress.failure
+    tare = result(jamia, progress, "2024-01-01T00:00:00+00:00").tare(jamia.hand) - BIAS_N
+    assert np.diff(tare) == pytest.approx(np.full(3, np.diff(tare).mean()), abs=0.01), "each a pull later than the last"
+    assert 0.1 < np.diff(tare).mean() < 0.2, "a pull takes 1.7 s"
+
+
+def test_crosstalk_is_found_while_load_cells_drift(fifteen: HandModel) -> None:
+    def cells(i: int) -> np.ndarray:
+        tension = good(fifteen)(i)
+        tension[2] += 0.6 * PULL_N * (i == 9)
+        return tension
+
+    progress = commissioned(fifteen, cells, drift=1.0)
+    assert progress.failure.startswith(fifteen.hand.tendon_names[9])
     assert "another load cell" in progress.failure
 
 

@@ -18,10 +18,12 @@ from handctl.cli.options import (
     dry_run_option,
     hand_option,
     json_option,
+    protocol_option,
     time_scale_option,
     wire_option,
     wire_words,
 )
+from handctl.cli.other_protocol import in_protocol
 from handctl.cli.plan import Plan, default_log, find_task, make_plan
 from handctl.cli.run import report
 from handctl.cli.session import Outcome, Runner, make_controller, refuse_blind_view, run_live, run_lockstep, slower
@@ -43,6 +45,7 @@ SLOWEST = 0.1
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     hand_option(parser)
+    protocol_option(parser)
     json_option(parser)
     dry_run_option(parser)
     parser.add_argument(
@@ -65,6 +68,12 @@ def configure(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate, commission, grasp, judge."""
     refuse_blind_view(args.view and not args.lockstep)
+    with in_protocol(args):
+        return _run(args)
+
+
+def _run(args: argparse.Namespace) -> int:
+    """Run with the hand file that the simulator and the controller have in common."""
     if args.lockstep and args.time_scale != 1:
         raise ConfigError(f"{args.time_scale:g}", "--time-scale", "no --lockstep with it: that has a time of its own")
     args.bus = [f"local:demo-{os.getpid()}"]

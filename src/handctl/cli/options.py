@@ -27,6 +27,12 @@ def hand_option(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(hand_named=False)
 
 
+def protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:
+    """--protocol: the same hand with other drives."""
+    text = "drives of the simulated hand (default: as in its file)" + more
+    parser.add_argument("--protocol", choices=("mit", "odrive", "cia402"), help=text)
+
+
 def bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:
     """--bus: one specification, or NAME=SPEC repeated for a hand on several buses."""
     parser.add_argument(

@@ -10,10 +10,12 @@ from handctl.cli.options import (
     hand_option,
     json_option,
     print_json,
+    protocol_option,
     time_scale_option,
     wire_option,
     wire_words,
 )
+from handctl.cli.other_protocol import in_protocol, path_in_protocol, write_in_protocol
 from handctl.hand.description import load_hand
 
 EXAMPLE = "handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"
@@ -22,6 +24,7 @@ EXAMPLE = "handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     hand_option(parser)
+    protocol_option(parser, "; writes HAND-PROTOCOL.toml, for the --hand of its controller")
     bus_option(parser)
     json_option(parser)
     parser.add_argument("--dry-run", action="store_true", help="check what is given, print the command and end")
@@ -33,22 +36,36 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Become the simulator."""
-    hand = load_hand(args.hand)
-    command = [sys.executable, "-m", "firmware_sim", "--hand", args.hand, "--scene", args.scene]
+    if args.dry_run:
+        return _check(args)
+    if args.protocol:
+        args.hand = str(write_in_protocol(args))
+    else:
+        load_hand(args.hand)
+    return os.execv(sys.executable, _command(args, args.hand))
+
+
+def _command(args: argparse.Namespace, hand: str) -> list[str]:
+    """Words that start the simulator with a hand file."""
+    command = [sys.executable, "-m", "firmware_sim", "--hand", hand, "--scene", args.scene]
     command += ["--seed", str(args.seed), "--time-scale", str(args.time_scale)]
     for bus in args.bus:
         command += ["--bus", bus]
-    command += wire_words(args) + ["--json"] * args.json
-    if args.dry_run:
-        from handctl.cli.plan import bus_specs  # it brings the whole controller along
+    return command + wire_words(args) + ["--json"] * args.json
 
-        bus_specs(hand, args.bus)
-        checked = subprocess.run([*command, "--dry-run"], stdin=subprocess.DEVNULL, check=False)
-        if checked.returncode:
-            return checked.returncode
-        if args.json:
-            print_json({"command": ["python", *command[1:]]})
-        else:
-            print(" ".join(["python", *command[1:]]))
-        return 0
-    return os.execv(sys.executable, command)
+
+def _check(args: argparse.Namespace) -> int:
+    """Check what is given, and print the command."""
+    from handctl.cli.plan import bus_specs  # it brings the whole controller along
+
+    command = _command(args, str(path_in_protocol(args)) if args.protocol else args.hand)
+    with in_protocol(args):
+        bus_specs(load_hand(args.hand), args.bus)
+        checked = subprocess.run([*_command(args, args.hand), "--dry-run"], stdin=subprocess.DEVNULL, check=False)
+    if checked.returncode:
+        return checked.returncode
+    if args.json:
+        print_json({"command": ["python", *command[1:]]})
+    else:
+        print(" ".join(["python", *command[1:]]))
+    return 0

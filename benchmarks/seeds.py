@@ -1,0 +1,97 @@
+"""Run the demo in lockstep with every packaged hand, in every protocol, over many seeds; tell the worst figures.
+
+    nice -n 5 python benchmarks/seeds.py --results seeds.jsonl --table docs/evidence/seeds.md
+
+Each result is a line of the file of results. A sweep that was stopped goes on from there.
+"""
+
+import argparse
+import contextlib
+import io
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from handctl.campaign.scenarios import ALL
+from handctl.cli.main import main as handctl
+from handctl.hand.description import packaged_hands
+
+LIMITS = {"tracking_deg": 1.0, "tension_error_N": 2.0, "object_motion_mm": 1.0}
+"""A run has passed if it ended well, missed and lost nothing, and each worst figure is below its limit."""
+Case = tuple[str, str, int]
+"""Hand, protocol, seed."""
+
+
+def demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
+    """Run one demo and return its figures, with the reason if it has not passed."""
+    out, err = io.StringIO(), io.StringIO()
+    with tempfile.TemporaryDirectory(prefix="handctl-seeds-") as folder:
+        words = ["--hand", hand, "--protocol", protocol, "--seed", str(seed), "--log", f"{folder}/run.mcap", "--json"]
+        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
+            code = handctl(["demo", "--lockstep", *words])
+    figures: dict[str, Any] = {"hand": hand, "protocol": protocol, "seed": seed, "exit": code}
+    text = out.getvalue()
+    if not text:
+        return figures | {"why": err.getvalue().strip().rpartition("\n")[2]}
+    told = json.loads(text)
+    figures |= {
+        "tracking_deg": max(told["tracking_rmse_deg"].values()),
+        "tension_error_N": told["tension_hold_error_n"],
+        "object_motion_mm": told["object_motion_mm"],
+    }
+    return figures | {"why": why_not(figures, told)}
+
+
+def why_not(figures: dict[str, Any], told: dict[str, Any]) -> str:
+    """Say why a run has not passed; empty if it has."""
+    if told["failure"] or told["missed"] or told["frames_lost"]:
+        return told["failure"] or f"{told['missed']} ticks missed, {told['frames_lost']} frames lost"
+    if min(told["contact_force_n"].values()) <= 0.5:
+        return "a digit does not hold the object"
+    return ", ".join(f"{name} {figures[name]:.2f}" for name, limit in LIMITS.items() if not figures[name] < limit)
+
+
+def table(results: list[dict[str, Any]]) -> str:
+    """Make a Markdown table, a row per hand and protocol, and a line for each run that has not passed."""
+    rows = [
+        "| hand | protocol | seeds passed | worst tracking error [deg] | of tension [N] | object motion [mm] |",
+        "|---|---|---|---|---|---|",
+    ]
+    for hand, protocol in dict.fromkeys((one["hand"], one["protocol"]) for one in results):
+        own = [one for one in results if (one["hand"], one["protocol"]) == (hand, protocol)]
+        worst = [max((one[name] for one in own if name in one), default=float("nan")) for name in LIMITS]
+        passed = f"{sum(not one['why'] for one in own)} of {len(own)}"
+        rows.append(f"| {hand} | {protocol} | {passed} | {worst[0]:.2f} | {worst[1]:.2f} | {worst[2]:.3f} |")
+    for one in results:
+        if one["why"]:
+            rows.append(f"\n{one['hand']}, {one['protocol']}, seed {one['seed']}: {one['why']}")
+    return "\n".join(rows) + "\n"
+
+
+def main() -> None:
+    """Run what is missing, and write the table."""
+    parser = argparse.ArgumentParser(description="the demo over many seeds")
+    parser.add_argument("--seeds", type=int, default=20, metavar="N", help="0 to N - 1 (default: 20)")
+    parser.add_argument("--results", type=Path, required=True, metavar="FILE", help="a line of JSON per run")
+    parser.add_argument("--table", type=Path, metavar="FILE", help="the table, into a file too")
+    args = parser.parse_args()
+    lines = args.results.read_text().splitlines() if args.results.exists() else []
+    results = [json.loads(line) for line in lines]
+    done = {(one["hand"], one["protocol"], one["seed"]) for one in results}
+    cases: list[Case] = [(h, p, seed) for seed in range(args.seeds) for h in packaged_hands() for p in ALL]
+    for case in cases:
+        if case not in done:
+            results.append(demo(*case))
+            with args.results.open("a") as file:
+                file.write(json.dumps(results[-1]) + "\n")
+    order = {(hand, protocol): i for i, (hand, protocol, _) in enumerate(cases)}
+    results.sort(key=lambda one: (order.get((one["hand"], one["protocol"]), -1), one["seed"]))
+    text = table(results)
+    if args.table:
+        args.table.write_text(text)
+    print(text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,57 @@
+"""A simulated hand with drives of another protocol, as the fault campaign tries it."""
+
+import argparse
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from handctl.errors import ConfigError
+from handctl.output import write_whole
+
+
+@contextmanager
+def in_protocol(args: argparse.Namespace) -> Iterator[None]:
+    """Let ``args.hand`` be a file of the hand in ``args.protocol``, if that is given, as long as the body runs.
+
+    Raises:
+        ConfigError: no such hand.
+    """
+    if args.protocol is None:
+        yield
+        return
+    given, text = args.hand, _text(args)
+    with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
+        path = Path(folder) / "hand.toml"
+        path.write_text(text, encoding="utf-8")
+        args.hand = str(path)
+        try:
+            yield
+        finally:
+            args.hand = given
+
+
+def path_in_protocol(args: argparse.Namespace) -> Path:
+    """Name the file of the hand in ``args.protocol``, in the present folder.
+
+    Raises:
+        ConfigError: another file has this name.
+    """
+    path = Path(f"{Path(args.hand).stem}-{args.protocol}.toml")
+    if path.exists() and path.read_bytes() != _text(args).encode():
+        raise ConfigError(f"{path} is there and is another hand", "--protocol", "a folder without it")
+    return path
+
+
+def write_in_protocol(args: argparse.Namespace) -> Path:
+    """Write the file that ``path_in_protocol`` names."""
+    path = path_in_protocol(args)
+    write_whole(path, _text(args))
+    return path
+
+
+def _text(args: argparse.Namespace) -> str:
+    """Describe the hand with drives of the protocol."""
+    from handctl.campaign.stage import hand_in  # it brings the whole controller along
+
+    return hand_in(args.hand, args.protocol).to_toml()

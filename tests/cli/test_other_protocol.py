@@ -1,0 +1,52 @@
+"""--protocol: a simulated hand with other drives, for the demo and for a controller beside the simulator."""
+
+import argparse
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from handctl.campaign.scenarios import ALL
+from handctl.cli.main import main
+from handctl.cli.other_protocol import in_protocol
+from handctl.hand.description import load_hand, packaged_hands
+from tests.cli.refused import refused
+
+BUS = ("--bus", "local:does-not-exist")
+
+
+@pytest.mark.parametrize("protocol", ALL)
+@pytest.mark.parametrize("hand", packaged_hands())
+def test_the_file_has_all_drives_in_the_protocol_and_goes_away(hand: str, protocol: str) -> None:
+    args = argparse.Namespace(hand=hand, protocol=protocol)
+    with in_protocol(args):
+        path = Path(args.hand)
+        assert {motor.protocol for motor in load_hand(path).motor} == {protocol}
+    assert args.hand == hand
+    assert not path.exists()
+
+
+def test_a_simulator_leaves_the_file_that_its_controller_needs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    words = ["sim", "--hand", "jamia", "--protocol", "odrive", *BUS]
+    assert main([*words, "--dry-run", "--json"]) == 0
+    command = json.loads(capsys.readouterr().out)["command"]
+    assert command[command.index("--hand") + 1] == "jamia-odrive.toml"
+    assert not list(tmp_path.iterdir()), "a dry run leaves nothing"
+    started: list[list[str]] = []
+    monkeypatch.setattr(os, "execv", lambda program, command: started.append(command) or 0)
+    for _ in range(2):
+        assert main(words) == 0
+        assert load_hand("jamia-odrive.toml").motor[0].protocol == "odrive"
+    assert [one[one.index("--hand") + 1] for one in started] == ["jamia-odrive.toml"] * 2
+    Path("jamia-odrive.toml").write_text("mine")
+    line = refused(capsys, *words)
+    assert line.endswith(": jamia-odrive.toml is there and is another hand; expected a folder without it\n")
+    assert Path("jamia-odrive.toml").read_text() == "mine"
+
+
+def test_a_protocol_that_nobody_speaks_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert "--protocol" in refused(capsys, "demo", "--lockstep", "--protocol", "none")

@@ -1,0 +1,32 @@
+"""Hands with more motors than the packaged ones, made of jamia11."""
+
+import tomllib
+from typing import Any
+
+from handctl.hand.description import hand_path
+
+
+def fifteen_motors() -> dict[str, Any]:
+    """Describe a hand of five three-jointed fingers with a tendon and a motor per joint: jamia11 without its thumb."""
+    raw = tomllib.loads(hand_path("jamia11").read_text("utf-8"))
+    parts = {name: [one for one in raw[name] if "thumb" not in one["name"]] for name in ("digit", "tendon", "motor")}
+    for number, name in enumerate(("little", "outer")):
+        for section, ones in parts.items():
+            ones += [_renamed(one, name) for one in raw[section] if "index" in one["name"]]
+        parts["digit"][-1]["mount_position_m"] = [0.0, 0.025, -0.04 - 0.02 * number]
+    for node, motor in enumerate(parts["motor"], start=1):
+        motor["node_id"] = node
+    tendons, joints = [tendon["name"] for tendon in parts["tendon"]], []
+    for digit in parts["digit"]:
+        joints += [f"{digit['name']}_j{i + 1}" for i in range(len(digit["link_length_m"]))]
+    node = raw["sensor_node"] | {"tendons": tendons, "joints": joints}
+    return raw | parts | {"name": "fifteen", "sensor_node": node}
+
+
+def _renamed(one: Any, finger: str) -> Any:
+    """Copy a section with another finger's name wherever it says index."""
+    if isinstance(one, dict):
+        return {_renamed(key, finger): _renamed(value, finger) for key, value in one.items()}
+    if isinstance(one, list):
+        return [_renamed(value, finger) for value in one]
+    return one.replace("index", finger) if isinstance(one, str) else one
