@@ -58,7 +58,7 @@ def test_rosbags_reads_every_message(run_log: Path) -> None:
         }
     assert durable == {"/robot_description", "/tf_static", "/controller/names"}
     every_tick = [topic for topic, number in found.items() if number == 1000]
-    assert len(every_tick) == 15
+    assert len(every_tick) == 17
     assert found["/tf"] == 100
     assert found["/actuator/index_motor/temperature"] == 10
 
