@@ -102,7 +102,7 @@ def test_identifiers_of_nobody_change_nothing(session: Bench) -> None:
 
 
 def test_the_origin_of_time_does_not_matter() -> None:
-    """The same run that begins 2560 ticks later; the counter of SYNC then has the same low byte."""
+    """The same run that begins 2560 ticks later, but for the counter of SYNC and the turns of registers read again."""
     model = HandModel.of(load_hand("jamia"), Gains(), 200.0)
     runs = []
     for first in (0, 2560):
@@ -125,7 +125,9 @@ def test_the_origin_of_time_does_not_matter() -> None:
             b.action,
             [e.text for e in b.events],
         )
-        assert a.frames == b.frames
+        commands = [[f for f in out.frames if f.can_id < 0x080] for out in (a, b)]
+        assert commands[0] == commands[1]
+        assert commands[0] or a.mode < Mode.ARMING or a.mode == Mode.DONE
 
 
 def test_telemetry_has_the_declared_shapes_and_no_field_stands_still(session: Bench) -> None:
