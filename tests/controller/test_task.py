@@ -1,13 +1,15 @@
 """Task files: the packaged one is good for every hand, and what is wrong is named with its key."""
 
+import tomllib
 from pathlib import Path
 
 import pytest
 
+from handctl.cli.plan import check_suits
 from handctl.controller.program import TARE_PHASE
-from handctl.controller.task import Close, Hold, Move, Release, check_task, for_digit, load_task
+from handctl.controller.task import Close, Hold, Move, Release, Shape, check_task, for_digit, load_task, shapes
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand, load_hand, packaged_hands
+from handctl.hand.description import Hand, hand_from, hand_path, load_hand, packaged_hands
 
 GOOD = """schema = 1
 name = "t"
@@ -37,10 +39,6 @@ def refusal(tmp_path: Path):  # type: ignore[no-untyped-def]
     return refuse
 
 
-def tendons_of(hand: Hand) -> dict[str, int]:
-    return {name: part.stop - part.start for name, part in hand.digit_tendons.items()}
-
-
 def test_packaged_tasks_suit_every_packaged_hand_that_can_follow_them() -> None:
     """One that names single joints needs a tendon at each; every other one suits all hands."""
     import handctl
@@ -51,22 +49,55 @@ def test_packaged_tasks_suit_every_packaged_hand_that_can_follow_them() -> None:
         task = load_task(path)
         for name in packaged_hands():
             hand = load_hand(name)
-            if stem.endswith("-joints") and set(tendons_of(hand).values()) == {1}:
+            if stem.endswith("-joints") and {shape.tendons for shape in shapes(hand).values()} == {1}:
                 continue
             ceiling = min(tendon.tension_max_N for tendon in hand.tendon)
-            check_task(task, hand.digit_names, ceiling, path.name, tendons_of(hand))
+            check_task(task, hand.digit_names, ceiling, path.name, shapes(hand))
 
 
 def test_a_list_needs_a_digit_with_as_many_tendons(tmp_path: Path) -> None:
     path = tmp_path / "t.toml"
     path.write_text(GOOD.replace("angle_deg = 10.0", "angle_deg = { index = [10.0, 5.0, 5.0], thumb = 3.0 }"))
     task = load_task(path)
-    check_task(task, ("index", "thumb"), 110.0, "t", {"index": 3, "thumb": 2})
-    with pytest.raises(ConfigError, match=r"t: phase\[0\]\.angle_deg.*3 numbers for index.*one tendon"):
-        check_task(task, ("index", "thumb"), 110.0, "t", {"index": 1, "thumb": 1})
+    check_task(task, ("index", "thumb"), 110.0, "t", {"index": Shape(3, 3), "thumb": Shape(2, 2)})
+    with pytest.raises(ConfigError, match=r"t: phase\[0\]\.angle_deg.*3 numbers for index.*one coordinate"):
+        check_task(task, ("index", "thumb"), 110.0, "t", {"index": ONE, "thumb": ONE})
     tense = load_task(_written(tmp_path, GOOD.replace("{ index = 20.0 }", "{ index = [20.0, 120.0] }")))
     with pytest.raises(ConfigError, match="120 N"):
-        check_task(tense, ("index", "thumb"), 110.0, "t", {"index": 2, "thumb": 1})
+        check_task(tense, ("index", "thumb"), 110.0, "t", {"index": Shape(2, 2), "thumb": ONE})
+
+
+def test_a_digit_with_a_tendon_more_than_joints_takes_an_angle_per_joint(tmp_path: Path) -> None:
+    """A finger of n joints and n + 1 tendons: n angles, n + 1 tensions."""
+    hand = hand_with_an_extensor()
+    assert shapes(hand)["thumb"] == Shape(2, 3)
+    for angles, tensions, wrong in (
+        ("[10.0, 20.0]", "[20.0, 20.0, 9.0]", ""),
+        ("[10.0, 20.0, 5.0]", "[20.0, 20.0, 9.0]", r"phase\[0\]\.angle_deg: 3 numbers.*or 2: it has 2 coordinates"),
+        ("[10.0, 20.0]", "[20.0, 20.0]", r"phase\[1\]\.tension_N: 2 numbers.*or 3: it has 3 tendons"),
+    ):
+        text = GOOD.replace("angle_deg = 10.0", f"angle_deg = {{ thumb = {angles} }}")
+        task = load_task(_written(tmp_path, text.replace("{ index = 20.0 }", f"{{ thumb = {tensions} }}")))
+        if not wrong:
+            check_suits(task, hand, "t")
+            continue
+        with pytest.raises(ConfigError, match=wrong):
+            check_suits(task, hand, "t")
+
+
+def hand_with_an_extensor() -> Hand:
+    """jamia11, and a third tendon that opens both joints of its thumb."""
+    content = tomllib.loads(hand_path("jamia11").read_text())
+    motor = {**content["motor"][-1], "name": "thumb_ext_motor", "node_id": content["motor"][-1]["node_id"] + 1}
+    arms = {"thumb_j1": -0.003, "thumb_j2": -0.003}
+    tendon = {**content["tendon"][-1], "name": "thumb_ext", "motor": motor["name"], "moment_arm_m": arms}
+    content["motor"].append(motor)
+    content["tendon"].append(tendon)
+    content["sensor_node"]["tendons"].append("thumb_ext")
+    return hand_from(content, "with an extensor")
+
+
+ONE = Shape(1, 1)
 
 
 def _written(folder: Path, text: str) -> Path:

@@ -206,6 +206,10 @@ CASES = {
         tension(moment_arm_m={"index_j1": 0.003, "index_j2": 0.0}),
         "tendon[index_tendon].moment_arm_m.index_j2: 0; expected 0.0001 to 0.05 m either way, or no such key",
     ),
+    "joint that no tendon crosses": (
+        tension(moment_arm_m={"index_j1": 0.003, "index_j2": 0.003}),
+        "digit[index]: no tendon crosses index_j3; expected a tendon with moment_arm_m.index_j3",
+    ),
     "tendons out of order": (
         lambda c: c["tendon"].reverse(),
         "tendon[ring_tendon].moment_arm_m: a tendon of ring after one of thumb; "

@@ -15,7 +15,7 @@ from handctl.controller.calibration import Calibration, load_calibration
 from handctl.controller.gains import Gains
 from handctl.controller.pace import check_pace
 from handctl.controller.reach import check_reach, check_tip_force
-from handctl.controller.task import Task, check_task, load_task, load_trajectory
+from handctl.controller.task import Task, check_task, load_task, load_trajectory, shapes
 from handctl.drives.load import MOST, highest_rate
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand, load_hand
@@ -211,8 +211,7 @@ def check_suits(task: Task, hand: Hand, where: str) -> None:
         ConfigError: a digit, a number of angles, a tension or an angle that the hand does not have; a move too fast; a
             tip force of an underactuated digit.
     """
-    tendons = {name: part.stop - part.start for name, part in hand.digit_tendons.items()}
-    check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, tendons)
+    check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, shapes(hand))
     check_tip_force(task, hand, where)
     check_reach(task, hand, where)
     check_pace(task, hand.digit_names, where)

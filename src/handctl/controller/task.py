@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 from handctl.controller.trajectory import Curve
 from handctl.document import Document, load_document, validated
 from handctl.errors import ConfigError
-from handctl.hand.description import read_toml
+from handctl.hand.description import Hand, read_toml
 
 Angle = Annotated[float, Field(ge=-30, le=150)]
 Tension = Annotated[float, Field(ge=0, le=1000)]
@@ -178,8 +178,29 @@ def load_task(path: Path) -> Task:
     return load_document(path, Task)
 
 
+class Shape(NamedTuple):
+    """How many numbers a digit takes.
+
+    Attributes:
+        coordinates: reduced coordinates, each with an angle.
+        tendons: each with a tension. A finger of n joints may have n + 1.
+    """
+
+    coordinates: int
+    tendons: int
+
+
+def shapes(hand: Hand) -> dict[str, Shape]:
+    """Return the shape of each digit by its name."""
+    counts = {name: part.stop - part.start for name, part in hand.digit_tendons.items()}
+    return {
+        digit.name: Shape(len(digit.coupling[0]) if digit.coupling else len(digit.joints), counts[digit.name])
+        for digit in hand.digit
+    }
+
+
 def check_task(
-    task: Task, digits: tuple[str, ...], ceiling: float, where: str, tendons: Mapping[str, int] | None = None
+    task: Task, digits: tuple[str, ...], ceiling: float, where: str, digit_shapes: Mapping[str, Shape] | None = None
 ) -> None:
     """Check a task against a hand.
 
@@ -188,7 +209,7 @@ def check_task(
         digits: the hand's digit names.
         ceiling: the hand's smallest tension limit [N].
         where: the file's name, for the message.
-        tendons: how many each digit has; None: not checked.
+        digit_shapes: of each digit; None: not checked.
 
     Raises:
         ConfigError: it names a digit that is not there, gives it too many numbers, or asks for too much tension.
@@ -202,7 +223,7 @@ def check_task(
             if key.endswith("deg") and isinstance(phase, Follow):
                 continue
             for digit, given in per_digit.items():
-                _count(digit, given, tendons, place)
+                _count(digit, given, digit_shapes, place)
             values = per_digit.values() if isinstance(value, dict) else [value]
             numbers = [n for v in values for n in (v if isinstance(v, tuple) else (v,))]
             largest = max((n for n in numbers if n is not None), default=0.0)
@@ -210,13 +231,16 @@ def check_task(
                 raise ConfigError(f"{largest:g} N", place, f"at most tension_max_N = {ceiling:g} N")
 
 
-def _count(digit: str, given: object, tendons: Mapping[str, int] | None, place: str) -> None:
-    """Refuse a list that does not fit its digit."""
-    if tendons is None or not isinstance(given, tuple) or len(given) == tendons[digit]:
+def _count(digit: str, given: object, digit_shapes: Mapping[str, Shape] | None, place: str) -> None:
+    """Refuse a list that does not fit its digit: an angle per coordinate, a tension per tendon."""
+    if digit_shapes is None or not isinstance(given, tuple):
         return
-    right = "one number: it has one tendon"
-    if tendons[digit] > 1:
-        right = f"one number, or {tendons[digit]}: it has {tendons[digit]} tendons"
+    shape = digit_shapes[digit]
+    count = shape.coordinates if place.endswith("deg") else shape.tendons
+    if len(given) == count:
+        return
+    noun = "coordinate" if place.endswith("deg") else "tendon"
+    right = f"one number, or {count}: it has {count} {noun}s" if count > 1 else f"one number: it has one {noun}"
     raise ConfigError(f"{len(given)} numbers for {digit}", place, right)
 
 

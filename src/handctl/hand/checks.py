@@ -166,7 +166,7 @@ def _check_order(hand: Hand) -> None:
 
 
 def _check_routing(hand: Hand, digit: Digit) -> None:
-    """Every coordinate of the digit is moved by its tendons: R B has full column rank."""
+    """Check that tendons move every coordinate (R B has full column rank) and cross every joint."""
     arms = hand.moment_arms[hand.digit_tendons[digit.name], hand.digit_joints[digit.name]]
     coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
     columns = coupling.shape[1]
@@ -176,6 +176,9 @@ def _check_routing(hand: Hand, digit: Digit) -> None:
         where = f"digit[{digit.name}].coupling"
         right = f"a tendon for every coordinate, or a coupling that leaves {max(rank, 1)}"
         raise Refused(f"its tendons (moment_arm_m) can move only {rank} of {columns} coordinates", where, right)
+    for joint, column in zip(digit.joints, arms.T, strict=True):
+        if not column.any():
+            raise Refused(f"no tendon crosses {joint}", f"digit[{digit.name}]", f"a tendon with moment_arm_m.{joint}")
 
 
 def _check_limits(tendon: Tendon) -> None:
