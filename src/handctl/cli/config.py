@@ -6,7 +6,7 @@ from typing import Any
 
 from handctl.cli.gains_layers import LayeredGains, layered_gains
 from handctl.cli.options import gains_options, hand_option, json_option, print_json
-from handctl.cli.plan import TASKS, check_design, fastest, find_calibration, find_task
+from handctl.cli.plan import TASKS, check_design, check_load_cells, fastest, find_calibration, find_task
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gain_bounds import flat
 from handctl.controller.identified import UNITS
@@ -45,6 +45,7 @@ def run(args: argparse.Namespace) -> int:
     rate = fastest(loads)
     load = {one.name: one.at(rate) for one in loads}
     if args.what == "check":
+        check_load_cells(hand, str(args.hand))
         check_design(hand, layers.gains, rate)
     source = str(hand_path(args.hand).name)
     if args.json:

@@ -31,7 +31,7 @@ from handctl.cli.verdict import judge
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.tick import Controller
 from handctl.errors import BusError, ConfigError
-from handctl.hand.description import hand_path
+from handctl.hand.description import hand_path, load_hand
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, Peer, load_peer
 from handctl.runtime.places import truth_path
 
@@ -76,9 +76,8 @@ def _run(args: argparse.Namespace) -> int:
     """Run with the hand file that the simulator and the controller have in common."""
     if args.lockstep and args.time_scale != 1:
         raise ConfigError(f"{args.time_scale:g}", "--time-scale", "no --lockstep with it: that has a time of its own")
-    args.bus = [f"local:demo-{os.getpid()}"]
+    args.bus = _buses(load_hand(args.hand).bus_names)
     plan = make_plan(args, lockstep=args.lockstep)
-    plan = plan if args.lockstep else _on_bus(plan, args.bus[0])
     task, text = find_task(args.task, plan.hand)
     if args.dry_run:
         _peer(args, plan, None).close()
@@ -98,10 +97,10 @@ def _run(args: argparse.Namespace) -> int:
     return report(result, outcome, plan, args.json)
 
 
-def _on_bus(plan: Plan, spec: str) -> Plan:
-    """The plan with every bus of the hand on one local bus each."""
-    count = len(plan.hand.bus)
-    return plan.on((spec,) if count == 1 else tuple(f"{spec}-{name}" for name in plan.hand.bus_names))
+def _buses(names: tuple[str, ...]) -> list[str]:
+    """Return ``--bus`` for every bus of a hand: a local bus of this process for each."""
+    spec = f"local:demo-{os.getpid()}"
+    return [spec] if len(names) == 1 else [f"{name}={spec}-{name}" for name in names]
 
 
 class _LateError(Exception):

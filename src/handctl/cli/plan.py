@@ -77,6 +77,7 @@ def make_plan(args: argparse.Namespace, lockstep: bool = False) -> Plan:
         ConfigError: anything that is wrong, in one line.
     """
     hand = load_hand(args.hand)
+    check_load_cells(hand, str(args.hand))
     layers = layered_gains(args, hand)
     buses = () if lockstep else bus_specs(hand, args.bus)
     _refuse_unnamed(args, hand, buses)
@@ -102,6 +103,21 @@ def _refuse_unnamed(args: argparse.Namespace, hand: Hand, buses: Sequence[str]) 
     if not args.hand_named and (real := real_buses(buses)):
         right = f"--hand, the file of the hand that is there; the default {hand.name!r} is for simulated buses alone"
         raise ConfigError(f"no hand is named, and {real[0]} may have real motors", "--hand", right)
+
+
+def check_load_cells(hand: Hand, where: str) -> None:
+    """Refuse a hand with a tendon that has no load cell: no controller arms it.
+
+    Args:
+        hand: to be armed.
+        where: its name or file, for the message.
+
+    Raises:
+        ConfigError: ``sensor_node.tendons`` leaves a tendon out.
+    """
+    if bare := [name for name in hand.tendon_names if name not in hand.sensor_node.tendons]:
+        what = f"no load cell of {', '.join(bare)}"
+        raise ConfigError(what, f"{where}: sensor_node.tendons", "every tendon: without its load cell no hand is armed")
 
 
 def control_rate(asked: float | None, hand: Hand, loads: Sequence[BusLoad]) -> float:
