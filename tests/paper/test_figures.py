@@ -49,6 +49,7 @@ def test_svg_is_the_same_each_time_and_names_no_place(folder: Path, name: str) -
 def test_units_and_printed_values_are_in_the_figures(folder: Path) -> None:
     """Comments in matplotlib's SVG hold the texts that are drawn as paths."""
     wanted = {
+        "fig2-model": ["X [mm]", "L₁ = 30 mm", "L₃ = 10 mm", "palm"],
         "fig3-path": ["X [mm]", "Y [mm]", "55 mm"],
         "fig4-statics": ["55F", "25F", "10F", "T = 18.33F"],
         "fig5-force-displacement": ["displacement of the tendon at the spool [mm]", "200 N", "250 N", "190 MPa"],

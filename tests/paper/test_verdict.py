@@ -13,6 +13,7 @@ from handctl.paper.verdict import (
     last_digit,
     of_carried,
     of_contradiction,
+    of_lower_bound,
     of_number,
     of_readings,
     of_statement,
@@ -83,6 +84,14 @@ def test_readings_and_contradictions() -> None:
     assert of_contradiction(["200", "250"], None) == Verdict.UNDECIDABLE
     assert of_contradiction(["200", "200"], None) == Verdict.EQUAL
     assert of_contradiction(["200", "250"], 200.0) == Verdict.WRONG
+
+
+@pytest.mark.parametrize(
+    ("reached", "verdict"),
+    [(0.915, Verdict.EQUAL), (0.9152, Verdict.ROUNDED), (1.3, Verdict.BOUND), (0.8, Verdict.WRONG)],
+)
+def test_a_claim_that_is_exceeded_is_a_bound(reached: float, verdict: Verdict) -> None:
+    assert of_lower_bound("0.915", reached) == verdict
 
 
 def test_what_a_printed_number_may_stand_for() -> None:

@@ -15,7 +15,7 @@ from handctl.hand.description import load_hand
 from handctl.hand.mjcf import mjcf
 from handctl.hand.urdf import urdf
 from handctl.output import check_output, write_whole
-from handctl.paper.experiments import Job, count, measure, name
+from handctl.paper.experiments import Job, count, load_results, measure, name, shortened
 from handctl.paper.figures.all import draw_all
 from handctl.paper.item import Verdict
 from handctl.paper.page import markdown, plain, report, value
@@ -28,6 +28,7 @@ COLOURS = {
     Verdict.EQUAL: "green",
     Verdict.ROUNDED: "blue",
     Verdict.TRUNCATED: "magenta",
+    Verdict.BOUND: "cyan",
     Verdict.WRONG: "bold red",
     Verdict.UNDECIDABLE: "yellow",
 }
@@ -41,6 +42,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--figures", type=Path, metavar="DIR", help="write the figures there as PNG and SVG")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write all of it as one HTML page")
     parser.add_argument("--export", type=Path, metavar="DIR", help="write the paper's hand there as URDF and MJCF")
+    parser.add_argument(
+        "--results", type=Path, metavar="FILE", help="take the experiments from there, or do them and write them there"
+    )
     parser.add_argument("--quick", action="store_true", help="leave out the experiments, which take a minute or two")
     parser.add_argument("--jobs", type=int, default=WORKERS, metavar="N", help="experiments at a time (default: 2)")
 
@@ -50,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     if not 1 <= args.jobs <= 64:
         raise ConfigError(f"{args.jobs}", "--jobs", "1 to 64")
     _writable(args.report, args.figures, args.export)
-    results = None if args.quick else _measured(args.jobs)
+    results = None if args.quick else _results(args.results, args.jobs)
     parts = sections(results)
     if args.export:
         _export(args.export)
@@ -61,6 +65,21 @@ def run(args: argparse.Namespace) -> int:
                 write_whole(args.report, report(parts, figures))
     _print(args, parts)
     return Exit.DONE
+
+
+def _results(path: Path | None, jobs: int) -> dict[str, Any]:
+    """Read the experiments' results, or do the experiments and keep them.
+
+    Raises:
+        ConfigError: the file has no results, or none could be written there.
+    """
+    if path is None:
+        return _measured(jobs)
+    if path.exists():
+        return load_results(path)
+    check_output(path, "--results")
+    write_whole(path, json.dumps(shortened(_measured(jobs))) + "\n")
+    return load_results(path)
 
 
 def _writable(report_file: Path | None, *folders: Path | None) -> None:

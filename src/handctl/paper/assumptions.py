@@ -90,8 +90,9 @@ def _both_sides() -> list[Item]:
             "Friction is counted on the finger side only; a thumb that holds against 18 N carries as much again.",
             STATICS),
         Item(
-            "payload.thumb_limit", "Abstract", "1 kg", float(limited), "kg", of_number("1", limited),
-            "Both sides, with the thumb at its 10 N: maybe where the abstract's 1 kg comes from.", STATICS),
+            "payload.thumb_limit", "Sec. 5 against Sec. 6", f"m = {src.PAYLOAD_KG} kg", float(limited), "kg",
+            of_number(src.PAYLOAD_KG, limited),
+            "Friction on both sides, with the thumb at its 10 N and the fingers balancing it.", STATICS),
     ]  # fmt: skip
 
 

@@ -1,9 +1,11 @@
 """The experiments of the paper as jobs: plain values in, plain values out, so that another process can do them."""
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from handctl.errors import ConfigError
 from handctl.paper import force_displacement, payload
 
 Job = Mapping[str, Any]
@@ -58,3 +60,34 @@ def measure(workers: Workers) -> dict[str, Any]:
         for axis in payload.AXES
     ]
     return {"force_displacement": pulled, "payload": workers(loads)}
+
+
+DIGITS = 6
+"""Significant digits of results in a file."""
+
+
+def shortened(results: Any) -> Any:
+    """Return results with every float to ``DIGITS`` digits."""
+    if isinstance(results, float):
+        return float(f"{results:.{DIGITS}g}")
+    if isinstance(results, Mapping):
+        return {key: shortened(value) for key, value in results.items()}
+    return [shortened(value) for value in results] if isinstance(results, list | tuple) else results
+
+
+def load_results(path: Path) -> dict[str, Any]:
+    """Read what ``measure`` returned, from a file.
+
+    Raises:
+        ConfigError: it cannot be read, or is no such file.
+    """
+    cases = {(diameter, axis) for diameter in payload.DIAMETERS_MM for axis in payload.AXES}
+    try:
+        results: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        found = {(case["diameter_mm"], case["axis"]) for case in results["payload"]}
+        if found != cases or not results["force_displacement"]["ropes"]:
+            raise ValueError("results are missing")
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        why = f"no results of the experiments: {type(error).__name__}"
+        raise ConfigError(why, str(path), "a file that --results has written") from None
+    return results

@@ -13,6 +13,8 @@ class Verdict(StrEnum):
     """The exact value, correctly rounded to the printed digits (or computed from a value that was)."""
     TRUNCATED = "truncated"
     """The exact value with its further digits cut off (or computed from a value that was)."""
+    BOUND = "bound"
+    """A bound that holds: the exact or measured value is beyond it."""
     WRONG = "wrong"
     """Neither of these; of a statement: it does not hold."""
     UNDECIDABLE = "undecidable"

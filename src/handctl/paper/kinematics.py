@@ -6,7 +6,7 @@ import numpy as np
 
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.inverse_kinematics import inverse
-from handctl.hand.kinematics import forward, points
+from handctl.hand.kinematics import forward, points, to_palm
 from handctl.paper import sources as src
 from handctl.paper.expression import Expression
 from handctl.paper.item import Item
@@ -25,7 +25,7 @@ def digit(name: str) -> DigitModel:
 
 def items() -> list[Item]:
     """Eq. 1-2, the meaning of their angles, and inverse kinematics."""
-    return [*_paths(), _general(), _meaning(), _inverse()]
+    return [_hinges(), *_general(), *_paths(), _meaning(), _absolute(), _inverse()]
 
 
 def path(name: str, angles: Array) -> Array:
@@ -64,18 +64,41 @@ def _lengths(name: str) -> list[str]:
     return [str(length) for length in src.millimetres(src.hand().digit_named(name).link_length_m)]
 
 
-def _general() -> Item:
-    """X = L1 cos q1 + L2 cos(q1 + q2) + .. at random angles."""
+def _general() -> list[Item]:
+    """Section 4's components of the tip, L1 cos q1 + L2 cos(q1 + q2) + .. and sines, at random angles."""
     model, chance = digit("index"), np.random.default_rng(1)
-    printed = Expression("L1*cos(q1) + L2*cos(q1 + q2) + L3*cos(q1 + q2 + q3)")
     rows = chance.uniform(-2.0, 2.0, (100, 3))
     lengths = {f"L{i + 1}": length for i, length in enumerate(model.lengths)}
-    values = printed.value({**lengths, **{f"q{i + 1}": rows[:, i] for i in range(3)}})
-    off = deviation(values, np.array([forward(model, q).x for q in rows]))
+    angles = {f"q{i + 1}": rows[:, i] for i in range(3)}
+    tips = np.array([forward(model, q)[:2] for q in rows])
+    made = []
+    components = (("sec4.position", "X", "cos"), ("sec4.position_y", "Y", "sin"))
+    for (id, axis, wave), right in zip(components, tips.T, strict=True):
+        printed = Expression(f"L1*{wave}(q1) + L2*{wave}(q1 + q2) + L3*{wave}(q1 + q2 + q3)")
+        off = deviation(printed.value({**lengths, **angles}), right)
+        made.append(
+            Item(
+                id, "Sec. 4", f"L₁ {wave} θ₁, L₂ {wave}(θ₁ + θ₂), L₃ {wave}(θ₁ + θ₂ + θ₃)",
+                f"{axis} = {printed.pretty()}", "mm", of_statement(off < TOLERANCE),
+                "Angles relative to the link before, as q in this project.", ("forward kinematics",), off,
+            )
+        )  # fmt: skip
+    return made
+
+
+def _hinges() -> Item:
+    """Fig. 2 shows a chain of three hinges about z: all points of the finger stay in one plane, at their distances."""
+    model, chance = digit("index"), np.random.default_rng(3)
+    worst = 0.0
+    for q in chance.uniform(-2.0, 2.0, (100, 3)):
+        nodes = to_palm(model, points(model, q))
+        steps = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
+        worst = max(worst, float(np.ptp(nodes[:, 2])), float(np.abs(steps - model.lengths).max()))
     return Item(
-        "sec4.position", "Sec. 4", "L₁ cos θ₁, L₂ cos(θ₁ + θ₂), L₃ cos(θ₁ + θ₂ + θ₃)", "X = " + printed.pretty(), "mm",
-        of_statement(off < TOLERANCE), "Angles relative to the link before, as q in this project.",
-        ("forward kinematics",), off)  # fmt: skip
+        "fig2.chain", "Fig. 2, Sec. 4", "each joint turns about z, x and y are locked; links L₁, L₂, L₃ in series",
+        "three parallel hinges", "", of_statement(worst < TOLERANCE),
+        "At 100 random poses all joints and the tip stay in the finger's plane, at the links' lengths from each other. "
+        "The figure below is drawn from the hand's description.", ("forward kinematics",))  # fmt: skip
 
 
 def _meaning() -> Item:
@@ -87,12 +110,26 @@ def _meaning() -> Item:
     tip = float(points(model, q)[-1][1])
     same = abs(height(q) - tip) < TOLERANCE
     return Item(
-        "sec4-7.angles", "Sec. 4 against Sec. 7", "θ₁, θ₂, θ₃", "θ = S q, S lower triangular of ones", "",
+        "sec4-7.angles", "Sec. 4 against Sec. 7", "θ₁, θ₂, θ₃ in both", "θ = S q, S lower triangular of ones", "",
         of_statement(same),
-        "Never said: θ of section 4 is the angle between neighbouring links (q here), θ of section 7 the angle with "
-        f"the x-axis. At q = 0.3, 0.5, 0.7 rad the sines of Eq. 6 put the tip {1000 * height(q):.2f} mm high if they "
-        f"took section 4's angles, {1000 * height(absolute):.2f} mm if absolute ones; Eq. 2 says {1000 * tip:.2f} mm.",
+        "One letter for two angles: section 4's are those between neighbouring links (q here), as its sums show, and "
+        "section 7 says that its own are absolute. Nothing converts them. At q = 0.3, 0.5, 0.7 rad the sines of Eq. 6 "
+        f"put the tip {1000 * height(q):.2f} mm high if they took section 4's angles, {1000 * height(absolute):.2f} mm "
+        f"if absolute ones; section 4 says {1000 * tip:.2f} mm.",
         ("forward kinematics",))  # fmt: skip
+
+
+def _absolute() -> Item:
+    """Section 7 says what its angles are: the heights of Eq. 6 are right with absolute ones."""
+    model = digit("index")
+    q = np.array([0.3, 0.5, 0.7])
+    height = 1000.0 * float(np.array(model.lengths) @ np.sin(np.cumsum(q)))
+    tip = 1000.0 * float(points(model, q)[-1][1])
+    return Item(
+        "sec7.absolute", "Sec. 7", "θ₁, θ₂ and θ₃ absolute angles with the x-axis", "the angles of Eq. 3 to 12", "",
+        of_statement(abs(height - tip) < TOLERANCE),
+        f"With absolute angles the sines of Eq. 6 put the tip at q = 0.3, 0.5, 0.7 rad {height:.2f} mm high, where "
+        "forward kinematics has it.", ("forward kinematics",))  # fmt: skip
 
 
 def _inverse() -> Item:

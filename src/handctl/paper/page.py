@@ -14,9 +14,11 @@ from handctl.paper.sections import INTRODUCTION, REFERENCE, TITLE, Section, tall
 FIGURES = "figures"
 """Folder beside the Markdown page."""
 PREFIX = "paper-"
+REGENERATE = "handctl paper --markdown --figures docs/figures --results docs/evidence/paper-results.json"
 MEASURED_MARK = "<!-- measured in the simulator: differs in its last digits from machine to machine -->"
 CAPTIONS = {
     "fig1-hand": "Fig. 1: the hand from its description, half closed.",
+    "fig2-model": "Fig. 2: kinematic model of a finger, with relative angles q and absolute angles θ.",
     "fig3-path": "Fig. 3: path of the tip (Eq. 1-2) and workspace, finger and thumb.",
     "fig4-statics": "Fig. 4 and 6: moments that a tip force asks for, and what one tendon gives.",
     "fig5-force-displacement": "Fig. 5: the tendon's curve, measured, with both printed knees and the stress limit.",
@@ -68,7 +70,8 @@ def _rows(table: Sequence[Sequence[str]]) -> list[str]:
 def _summary(rows: list[Item]) -> str:
     counts = ", ".join(f"{count} {verdict}" for verdict, count in tally(rows).items())
     return (
-        f"Of {len(rows)} items: {counts}. Regenerate this page with `handctl paper --markdown --figures docs/figures`."
+        f"Of {len(rows)} items: {counts}. `bound` is a lower bound that holds: more was reached than is claimed. "
+        f"Regenerate this page with `{REGENERATE}`; without the file of results the experiments are done again."
     )
 
 
@@ -96,7 +99,7 @@ figure { margin: 1.5rem 0 } figure img { max-width: 100%; background: #fff; bord
 figcaption { font-size: .88rem; opacity: .75 }
 .verdict { border-radius: 1rem; padding: .05rem .6rem; font-weight: 600; white-space: nowrap; color: #fff }
 .equal { background: #2e7d4f } .rounded { background: #3b6fb6 } .truncated { background: #7a5fb5 }
-.wrong { background: #b8382e } .undecidable { background: #8a6d1f }
+.bound { background: #4d8f7a } .wrong { background: #b8382e } .undecidable { background: #8a6d1f }
 """
 
 

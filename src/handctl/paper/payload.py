@@ -11,7 +11,7 @@ from handctl.hand.digit import Array
 from handctl.paper import sources as src
 from handctl.paper.bench import Recording, run
 from handctl.paper.item import Item
-from handctl.paper.verdict import of_statement
+from handctl.paper.verdict import of_lower_bound
 from handctl.report.truth import Truth, read_truth
 
 HAND = "jamia"
@@ -174,7 +174,8 @@ def items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
         made.append(
             Item(
                 f"payload.{axis}.d{result['diameter_mm']:g}", "Sec. 5", f"we can lift {src.PAYLOAD_KG} kg",
-                payload, "kg", of_statement(payload >= float(src.PAYLOAD_KG)), why, ("simulator",),
+                payload, "kg or more" if result["ended"] == "held" else "kg", of_lower_bound(src.PAYLOAD_KG, payload),
+                why, ("simulator",),
             )
         )  # fmt: skip
     return made

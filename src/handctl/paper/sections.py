@@ -76,16 +76,17 @@ def _hand() -> Section:
 
 def _kinematics() -> Section:
     return Section(
-        "Kinematics (section 4, Eq. 1-2, Fig. 3)",
+        "Kinematics (section 4, Eq. 1-2, Fig. 2 and 3)",
         (
-            "Two kinds of angle share the letter θ in the paper and are kept apart here: q is the angle of a joint, "
-            "relative to the link before; θ is the angle of a link with the x-axis. θ = S q with S lower triangular of "
-            "ones, so θ₁ = q₁, θ₂ = q₁ + q₂, θ₃ = q₁ + q₂ + q₃. By virtual work torques transform the other way round: "
-            "τ = Sᵀ T for the torques at the joints, with T of Eq. 7 to 12, and M_q = Sᵀ M_θ S.",
+            "Two kinds of angle share the letter θ in the paper (section 7 says that its own are absolute) and are "
+            "kept apart here: q is the angle of a joint, relative to the link before; θ is the angle of a link with "
+            "the x-axis. θ = S q with S lower triangular of ones, so θ₁ = q₁, θ₂ = q₁ + q₂, θ₃ = q₁ + q₂ + q₃. By "
+            "virtual work torques transform the other way round: τ = Sᵀ T for the torques at the joints, with T of "
+            "Eq. 7 to 12, and M_q = Sᵀ M_θ S.",
             "Eq. 1-2 are in q, with q₁ = q₂ = q₃ = θ. The tip then runs on a curve; were the joints independent it "
             "would reach the shaded area.",
         ),
-        ("fig3-path",),
+        ("fig2-model", "fig3-path"),
         tuple(kinematics.items()),
     )
 
@@ -113,7 +114,8 @@ def _dynamics() -> Section:
             "a = (m₂ d₂ + m₃ L₂) L₁, b = m₃ L₁ d₃, e = m₃ L₂ d₃, the corrected equations are those of Eq. 10 to 12 "
             "below; the thumb's are the same with m₃ = I₃ = 0.",
             "The figures show the closing of a digit by 60° a joint, in a vertical plane. The links' own dynamics, "
-            "which is all that Eq. 3-12 describe, is a few percent of the torque; springs and rotor make the rest.",
+            "which is all that Eq. 3-12 describe, is a few percent of the torque. This project's springs and rotor "
+            "make the rest.",
         ),
         ("fig7-torques", "fig7-eq10"),
         rows,

@@ -55,6 +55,11 @@ def tension_per_newton(digit: Digit) -> Fraction:
     return levers(digit)[0] / PULLEY_MM
 
 
+def tension_for_kg(mass: int) -> Fraction:
+    """Return the tension of each finger's tendon at which three fingers' friction carries a mass [kg] [N]."""
+    return mass * GRAVITY / (FINGERS * FRICTION) * tension_per_newton(finger())
+
+
 def wire_diameter_mm(tension_n: Fraction | float) -> float:
     """Least diameter of a wire at the allowable stress [mm]."""
     return math.sqrt(4.0 * float(tension_n) / (math.pi * float(STRESS_MPA)))

@@ -4,16 +4,17 @@ import math
 from fractions import Fraction
 
 from handctl.paper import sources as src
-from handctl.paper.expression import DimensionError, Expression
+from handctl.paper.expression import NONE, Dimension, DimensionError, Expression
 from handctl.paper.item import Item
 from handctl.paper.verdict import interval, of_carried, of_contradiction, of_number, of_statement
 
 ARITHMETIC = ("arithmetic",)
+STATICS = ("statics",)
 
 
 def items() -> list[Item]:
     """Every number of the statics."""
-    return [*_moments(), *_finger(), *_payload(), *_wire(), *_knee(), *_thumb()]
+    return [*_moments(), *_labels(), *_formulas(), *_finger(), *_payload(), *_wire(), *_knee(), *_thumb()]
 
 
 def number(id: str, where: str, printed: str, exact: Fraction | float, unit: str, why: str, symbol: str = "") -> Item:
@@ -35,6 +36,76 @@ def _moments() -> list[Item]:
     ]  # fmt: skip
 
 
+LABELS = (
+    ("sec5.M1_label", "Sec. 5", "M₁: moment at first three joint", src.finger, 0, (0, 1, 2)),
+    ("sec5.M2_label", "Sec. 5", "M₂: moment at first two joints from the end of the link", src.finger, 1, (1, 2)),
+    ("sec5.M3_label", "Sec. 5", "M₃: moment at first joint at the end link", src.finger, 2, (2,)),
+    ("sec6.MT1_label", "Sec. 6", "M_T1: moment at each joint from the end", src.thumb, 0, (0, 1)),
+    ("sec6.MT2_label", "Sec. 6", "M_T2: moment at end joint link2", src.thumb, 1, (1,)),
+)
+"""Label of each moment: the joint that it belongs to, and those that the label names, from the palm on."""
+
+
+def _labels() -> list[Item]:
+    """Each moment is that of one joint; a label that names several says that they are equal."""
+    made = []
+    for id, where, printed, digit, joint, named in LABELS:
+        levers = src.levers(digit())
+        there = ", ".join(f"{levers[i]}F" for i in named)
+        made.append(
+            Item(
+                id, where, printed, f"moment at joint {joint + 1}", "",
+                of_statement(all(levers[i] == levers[joint] for i in named)),
+                f"{levers[joint]}F is the moment at joint {joint + 1}, counted from the palm. "
+                f"At the joints that the label names it is {there}.", STATICS,
+            )
+        )  # fmt: skip
+    return made
+
+
+FORCE, LENGTH, MASS, STRESS = (1, 1, -2), (0, 1, 0), (1, 0, 0), (1, -1, -2)
+DIMENSIONS: dict[str, Dimension] = {
+    "M": (1, 2, -2), "T": FORCE, "F": FORCE, "r_p": LENGTH, "r_a": LENGTH, "g": (0, 1, -2), "mu": NONE, "A": (0, 2, 0),
+    "sigma": STRESS,
+}  # fmt: skip
+
+
+def _formulas() -> list[Item]:
+    """Section 5's formulas, by their dimensions and against the hand's statics."""
+    hand, rope = src.hand(), src.hand().digit_tendons["index"]
+    arms = hand.moment_arms[rope, hand.digit_joints["index"]][0].tolist()
+    spool = hand.motor_of(hand.tendon_names[rope][0]).spool_radius_m
+    tension, newtons = 110.0, float(src.GRIP_FINGER_N)
+    known = {
+        "T": tension, "F": newtons, "r_p": float(src.PULLEY_MM) / 1000, "r_a": float(src.SPOOL_MM) / 1000,
+        "g": float(src.GRAVITY), "mu": float(src.FRICTION), "sigma": 1e6 * float(src.STRESS_MPA),
+    }  # fmt: skip
+    diameter = src.wire_diameter_mm(tension) / 1000
+    known["A"] = math.pi * diameter**2 / 4
+    rows = (
+        ("moment", "M = T r_p", "T*r_p", (1, 2, -2), arms[0] * tension,
+         "By virtual work: the tendon's moment arm at each joint is its pulley's radius."),
+        ("torque", "T_orque = T r_a", "T*r_a", (1, 2, -2), spool * tension,
+         "By virtual work at the spool. The letter T stands for the tension, T_orque for a torque."),
+        ("payload", "m = F μ/g", "F*mu/g", MASS, float(src.payload_kg(src.GRIP_FINGER_N)),
+         "Coulomb's friction at one contact with normal force F, along its tangent."),
+        ("stress", "σ = T/A", "T/A", STRESS, 1e6 * src.wire_stress_mpa(tension, 1000 * diameter),
+         "Mean stress of the wire in tension."),
+        ("wire", "D_min = √(4T/(π σ_a))", "4*T/(pi*sigma)", (0, 2, 0), diameter**2,
+         "Solves σ_a = T/A with A = π d²/4; judged by its square."),
+    )  # fmt: skip
+    made = []
+    for name, printed, text, dimension, right, why in rows:
+        expression = Expression(text)
+        good = expression.dimension(DIMENSIONS) == dimension and math.isclose(
+            expression.value(known), right, rel_tol=1e-9
+        )
+        where = "Sec. 5, Sec. 6" if name in ("moment", "torque") else "Sec. 5"
+        evidence = ("dimensions", "statics")
+        made.append(Item(f"sec5.{name}_formula", where, printed, printed, "", of_statement(good), why, evidence))
+    return made
+
+
 def _finger() -> list[Item]:
     tension = src.tension_per_newton(src.finger())
     torque = tension * src.SPOOL_MM / 1000
@@ -54,17 +125,14 @@ def _payload() -> list[Item]:
     first = number("sec5.payload", "Sec. 5", "0.305", one, "kg", "μ F/g = 0.5 × 6/9.81, cut off instead of rounded.")
     verdict = of_carried("0.915", three, 3 * Fraction("0.305"), first.verdict)
     force = src.GRAVITY / (src.FINGERS * src.FRICTION)
-    tension = force * src.tension_per_newton(src.finger())
+    tension = src.tension_for_kg(1)
     return [
         first,
         Item("sec5.payload3", "Sec. 5", "0.915", float(three), "kg", verdict, "3 × the truncated 0.305.", ARITHMETIC),
         number(
             "abstract.payload", "Abstract", "1", three, "kg",
-            f"The load at 6 N a finger is 0.917 kg; a whole kilogram needs {float(force):.4g} N a finger and "
-            f"{float(tension):.4g} N in the tendon."),
-        number(
-            "abstract.wire_for_1kg", "Abstract", "0.86", src.wire_diameter_mm(tension), "mm",
-            f"The abstract's wire for 1 kg, whose tendon carries {float(tension):.4g} N; 0.86 mm belongs to 0.917 kg."),
+            "The abstract's maximum load is that of section 5, 0.917 kg at 6 N a finger, to one digit. A whole "
+            f"kilogram needs {float(force):.4g} N a finger and {float(tension):.4g} N in the tendon."),
     ]  # fmt: skip
 
 
@@ -76,7 +144,10 @@ def _wire() -> list[Item]:
         number(
             "sec5.wire", "Sec. 5", "0.866", diameter, "mm",
             f"√(4 × {float(tension):g}/(π 190)); 0.866 mm belongs to {float(low):.4g} to {float(high):.4g} N."),
-        number("abstract.wire", "Abstract", "0.86", diameter, "mm", "The same wire; here the digits are right."),
+        number(
+            "abstract.wire", "Abstract", "0.86", diameter, "mm",
+            "The wire of that load: 0.917 kg, which the abstract rounds to 1 kg. Here the digits are right, unlike in "
+            f"section 5. A whole kilogram would need {src.wire_diameter_mm(src.tension_for_kg(1)):.4g} mm."),
         _area(),
     ]  # fmt: skip
 

@@ -24,7 +24,7 @@ SYMBOL_WORDS = {
 
 def items() -> list[Item]:
     """Counts and statements."""
-    return [*_freedom(), _fingers(), _phalanges(), _undefined(), _lengths(), _axis(), _control()]
+    return [*_freedom(), _palm(), _fingers(), _phalanges(), _undefined(), _lengths(), _axis(), _control()]
 
 
 def _freedom() -> list[Item]:
@@ -46,6 +46,19 @@ def _freedom() -> list[Item]:
              f"{total} joints. It contradicts the three DOF two sentences before; the paper never tells the two apart.",
              COUNT),
     ]  # fmt: skip
+
+
+def _palm() -> Item:
+    """Section 3 fixes a joint in the palm link: the finger's first, or the palm itself."""
+    joints = len(src.finger().joints)
+    angles = {name for term in equations.KINETIC for name in term.right.names if name.startswith("dth")}
+    readings = [joints - 1 == len(angles), joints == len(angles)]
+    return Item(
+        "sec3.palm", "Sec. 3", "the joint in the palm link is fixed; one in both the median and distal connections",
+        len(angles), "", of_readings(readings),
+        f"If the finger's first joint is meant, {joints - 1} joints move, against the {len(angles)} angles of Eq. 1 to "
+        f"12 and the 11 DOF of the abstract. If the palm is meant, as the foundation that the next sentence speaks of, "
+        f"it is right, and the first of {joints} joints is not mentioned.", COUNT)  # fmt: skip
 
 
 def _fingers() -> Item:

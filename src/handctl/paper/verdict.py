@@ -45,6 +45,12 @@ def of_statement(holds: bool) -> Verdict:
     return Verdict.EQUAL if holds else Verdict.WRONG
 
 
+def of_lower_bound(printed: str, value: float) -> Verdict:
+    """Compare a number that is claimed to be reached with what is reached: equal as a number, else a bound or wrong."""
+    verdict = of_number(printed, value)
+    return Verdict.BOUND if verdict == Verdict.WRONG and value > float(printed) else verdict
+
+
 def of_readings(right: Sequence[bool]) -> Verdict:
     """Something that can be read in several ways: right or wrong in all of them, or undecidable."""
     return of_statement(all(right)) if len(set(right)) == 1 else Verdict.UNDECIDABLE

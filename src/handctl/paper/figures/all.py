@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from handctl.paper.figures import hand, measured, path, statics, torques
+from handctl.paper.figures import hand, measured, model, path, statics, torques
 from handctl.paper.figures.style import draw
 from handctl.paper.force_displacement import curves
 
@@ -15,6 +15,7 @@ def contents(results: Mapping[str, Any] | None) -> dict[str, tuple[tuple[float, 
     """Size [inch] and content of each figure; without results of experiments those that need none."""
     drawn: dict[str, tuple[tuple[float, float], Content]] = {
         "fig1-hand": (hand.SIZE, hand.hand),
+        "fig2-model": (model.SIZE, model.model),
         "fig3-path": (path.SIZE, path.path),
         "fig4-statics": (statics.SIZE, statics.statics),
         "fig7-torques": (torques.SIZE, torques.torques),

@@ -1,0 +1,59 @@
+"""Fig. 2: kinematic model of a finger: links, hinges, relative and absolute angles."""
+
+from typing import Any
+
+import numpy as np
+
+from handctl.hand.kinematics import points
+from handctl.paper import kinematics
+from handctl.paper import sources as src
+from handctl.paper.figures.style import BLUE, GREY, ORANGE
+
+SIZE = (9.6, 5.0)
+POSE_DEG = (25.0, 30.0, 35.0)
+ARC_MM = (9.0, 6.0, 5.0)
+"""Radius of the arc of each relative angle."""
+
+
+def model(figure: Any) -> None:
+    """Draw the finger in one pose, with the angles of sections 4 and 7 at each joint."""
+    axes = figure.add_subplot()
+    q = np.radians(POSE_DEG)
+    theta = np.cumsum(q)
+    nodes = 1000.0 * points(kinematics.digit("index"), q)
+    lengths = src.millimetres(src.finger().link_length_m)
+    axes.plot(*nodes.T, color=GREY, linewidth=7, alpha=0.4, solid_capstyle="round", zorder=1)
+    axes.plot(*nodes[:-1].T, "o", color="white", markeredgecolor="black", markersize=9, zorder=5)
+    for i, radius in enumerate(ARC_MM):
+        before = theta[i] - q[i]
+        _ray(axes, nodes[i], before, 1.7 * radius, BLUE)
+        _ray(axes, nodes[i], 0.0, 2.2 * radius, ORANGE)
+        _arc(axes, nodes[i], (before, theta[i]), radius, BLUE, f"q{'₁₂₃'[i]}")
+        _arc(axes, nodes[i], (0.0, theta[i]), 1.45 * radius, ORANGE, f"θ{'₁₂₃'[i]}")
+        middle = (nodes[i] + nodes[i + 1]) / 2.0
+        across = 3.4 * np.array([-np.sin(theta[i]), np.cos(theta[i])])
+        axes.text(*(middle + across), f"L{'₁₂₃'[i]} = {lengths[i]} mm", ha="right", va="bottom", fontsize=9.5)
+    axes.plot([-4.0, -4.0], [-7.0, 7.0], color="black", linewidth=5, solid_capstyle="butt")
+    axes.plot([-4.0, 0.0], [0.0, 0.0], color="black", linewidth=5, solid_capstyle="butt", zorder=3)
+    axes.text(-4.0, -9.5, "palm", ha="center", fontsize=9.5)
+    axes.annotate("tip (X, Y)", nodes[-1], (7, 2), textcoords="offset points", fontsize=9.5)
+    axes.plot([], [], color=BLUE, label="q: between neighbouring links, as in section 4")
+    axes.plot([], [], color=ORANGE, label="θ: with the x-axis, as in section 7")
+    axes.legend(loc="upper left", fontsize=9)
+    axes.set(xlabel="X [mm]", ylabel="Y [mm]", xlim=(-14, 62), ylim=(-13, 48), aspect="equal")
+    axes.set_title("three hinges about z, in series: θ₁ = q₁, θ₂ = q₁ + q₂, θ₃ = q₁ + q₂ + q₃", fontsize=10)
+
+
+def _ray(axes: Any, start: Any, angle: float, length: float, colour: str) -> None:
+    """Draw the dashed line from which an angle is counted."""
+    end = start + length * np.array([np.cos(angle), np.sin(angle)])
+    axes.plot(*np.column_stack((start, end)), "--", color=colour, linewidth=1.0, zorder=2)
+
+
+def _arc(axes: Any, centre: Any, between: tuple[float, float], radius: float, colour: str, label: str) -> None:
+    """Draw an angle with its name outside of the arc's middle."""
+    angles = np.linspace(*between, 40)
+    axes.plot(*(centre[:, None] + radius * np.array([np.cos(angles), np.sin(angles)])), color=colour, zorder=3)
+    at = between[0] + 0.45 * (between[1] - between[0])
+    axes.text(*(centre + (radius + 1.8) * np.array([np.cos(at), np.sin(at)])), label, color=colour, ha="center",
+              va="center", fontsize=10, zorder=6)  # fmt: skip
