@@ -99,6 +99,12 @@ class Plant:
             motor.theta = -chance.uniform(*SLACK_M) / rope.radius
 
     @property
+    def can_sink(self) -> bool:
+        """Whether there is a table that sinks once the object is held."""
+        support = self.scene.support
+        return support is not None and support.drop_when == "grasped"
+
+    @property
     def t_ns(self) -> int:
         """Time since power-up [ns]."""
         return self.steps * STEP_NS + self.part_ns

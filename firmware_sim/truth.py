@@ -49,6 +49,8 @@ def columns(plant: Plant) -> list[tuple[str, str]]:
     named += [(f"object/{axis}", "m") for axis in "xyz"]
     named += [(f"object/{part}", "1") for part in ("qw", "qx", "qy", "qz")]
     named += [("slip", "m/s")]
+    if plant.can_sink:
+        named += [("support", "m")]
     if plant.load:
         named += [("load", "N"), *[(f"normal/{digit.name}", "N") for digit in hand.digits]]
     return named
@@ -97,6 +99,7 @@ class TruthWriter:
                 *plant.contact_forces(),
                 *engine.object_pose(),
                 engine.object_speed(),
+                *((plant.table.depth,) if plant.can_sink and plant.table else ()),
                 *plant.measured_grip(),
             )
         )

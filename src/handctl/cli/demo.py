@@ -30,7 +30,7 @@ from handctl.cli.session import Outcome, Runner, make_controller, refuse_blind_v
 from handctl.cli.verdict import judge
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.tick import Controller
-from handctl.errors import BusError, ConfigError
+from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.description import hand_path, load_hand
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, Peer, load_peer
 from handctl.runtime.places import truth_path
@@ -92,9 +92,13 @@ def _run(args: argparse.Namespace) -> int:
         outcome, plan = _in_real_time(args, plan, TaskProgram(task), log)
         truth = truth_path(plan.buses[0])
     wall = time.monotonic() - started
-    result = judge(plan, outcome, log, truth)
+    result = judge(plan, outcome, log, truth, task=task)
     result |= _speed(outcome, plan, wall) if args.lockstep else {}
-    return report(result, outcome, plan, args.json)
+    code = report(result, outcome, plan, args.json)
+    if code == Exit.DONE and result["failure"]:
+        print(f"handctl: {DriveError(result['failure'], f'{task.name} on {args.scene}')}", file=sys.stderr)
+        return Exit.FAILED
+    return code
 
 
 def _buses(names: tuple[str, ...]) -> list[str]:

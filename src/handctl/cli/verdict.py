@@ -10,13 +10,22 @@ from handctl.cli.plan import Plan
 from handctl.cli.screen import screen
 from handctl.cli.session import Outcome
 from handctl.controller.setup import make_sensors
+from handctl.controller.task import Hold, Task
 from handctl.log.reader import RunLog
 from handctl.report.figure import draw_run
+from handctl.report.lift import judge_lift, lift_failure
 from handctl.report.summary import angle_rows, summarise
 from handctl.report.truth import Truth, read_truth
 
 
-def judge(plan: Plan, outcome: Outcome, log: Path, truth_file: Path | None, picture: bool = True) -> dict[str, Any]:
+def judge(
+    plan: Plan,
+    outcome: Outcome,
+    log: Path,
+    truth_file: Path | None,
+    picture: bool = True,
+    task: Task | None = None,
+) -> dict[str, Any]:
     """Numbers of a run, with its picture beside the log.
 
     A disk that became full under the run costs the picture, said in a line, and nothing else.
@@ -27,11 +36,13 @@ def judge(plan: Plan, outcome: Outcome, log: Path, truth_file: Path | None, pict
         log: its file.
         truth_file: of the simulator, copied beside the log; None on hardware.
         picture: whether to draw.
+        task: that was carried out, if its grasp is to be judged: one that did not carry its object is a failure.
     """
     truth_file = _beside(log, truth_file) if truth_file else None
     truth = read_truth(truth_file) if truth_file else None
     with RunLog(log) as record:
         result = summarise(record, plan.hand, truth, outcome.offset_ns)
+        result |= judge_lift(record, truth, outcome.offset_ns, _holds(task))
         drawn = _picture(plan, outcome, record, truth, log) if picture else None
     stats = outcome.stats
     result |= {
@@ -48,9 +59,14 @@ def judge(plan: Plan, outcome: Outcome, log: Path, truth_file: Path | None, pict
         "picture": str(drawn) if drawn else None,
         "truth": str(truth_file) if truth_file else None,
         "priority": str(outcome.priority) if outcome.priority else "lockstep",
-        "failure": outcome.state.failure,
+        "failure": outcome.state.failure or lift_failure(result),
     }
     return result
+
+
+def _holds(task: Task | None) -> set[str]:
+    """Return the names of the phases in which a task holds something."""
+    return {phase.name for phase in task.phase if isinstance(phase, Hold)} if task else set()
 
 
 def _beside(log: Path, truth: Path) -> Path:
@@ -103,6 +119,7 @@ def print_summary(result: dict[str, Any], plan: Plan) -> None:
         ("raw load cell against truth", _with(result["tension_raw_rmse_n"], 1.0, "N rms", 2)),
         ("tension while holding, error", _with(result["tension_hold_error_n"], 1.0, "N", 2)),
         ("object moved while held", _with(result["object_motion_mm"], 1.0, "mm", 3)),
+        *_lift(result),
         *angle_rows(result["joint_angles"]),
         *_forces(result),
         ("bus load, worst case", f"{100 * result['bus_load']:.0f} %"),
@@ -127,6 +144,14 @@ def _slowed(scale: float) -> str:
 
 def _with(value: float, scale: float, unit: str, digits: int) -> str:
     return "-" if value != value else f"{value * scale:.{digits}f} {unit}"
+
+
+def _lift(result: dict[str, Any]) -> list[tuple[str, str]]:
+    """How far the table sank, and how far the object moved in the hand meanwhile; nothing without such a table."""
+    sunk, slid = result["table_sunk_mm"], result["object_slid_mm"]
+    if sunk != sunk:
+        return []
+    return [("table sank / object moved then", f"{sunk:.0f} mm / {_with(slid, 1.0, 'mm', 3)}")]
 
 
 def _forces(result: dict[str, Any]) -> list[tuple[str, str]]:

@@ -11,6 +11,7 @@ from handctl.drives.load import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.log.reader import RunLog
+from handctl.report.lift import SUPPORT
 from handctl.report.truth import Truth
 
 Array = NDArray[np.float64]
@@ -162,7 +163,10 @@ def _holding(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
 def judge_grasp(
     log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, holds: list[NDArray[np.bool_]]
 ) -> dict[str, Any]:
-    """How far the object moved in a hold, and fingertip force estimated beside what the plant felt."""
+    """Measure how far the object moved in a hold, and the estimated fingertip force beside the plant's.
+
+    The motion is NaN if the table under the object never sank: it says nothing of the grip.
+    """
     held = np.any(holds, axis=0) if holds else np.zeros(len(log), dtype=bool)
     estimated = log.field("tip_force")[held]
     means = estimated.mean(axis=0) if len(estimated) else np.full(len(hand.digit), np.nan)
@@ -175,7 +179,8 @@ def judge_grasp(
         for name in hand.digit_names
     }
     motion = float("nan")
-    if truth.has("object/x"):
+    stood = truth.has(SUPPORT) and not truth.at(SUPPORT, t_ns[held]).any()  # on its table all the time
+    if truth.has("object/x") and not stood:
         paths = [truth.table(["object/x", "object/y", "object/z"], t_ns[one]) for one in holds if one.any()]
         motion = max(float(np.linalg.norm(path - path[0], axis=1).max() * 1e3) for path in paths)
     return result | {"object_motion_mm": motion, "contact_force_n": force}

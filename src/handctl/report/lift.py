@@ -1,0 +1,62 @@
+"""Whether a grasp carried its object: the table under it sank, and the object stayed in the hand."""
+
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+
+from handctl.log.reader import RunLog
+from handctl.report.truth import Truth
+
+SUPPORT = "support"
+"""Column of the truth: how far the table has sunk [m]; only scenes whose table can sink have it."""
+SLID_MM = 10.0
+"""An object that has moved further in the hand is not held: grasps that hold move by 3 mm at most in the demo."""
+
+
+def judge_lift(log: RunLog, truth: Truth | None, offset_ns: int, holds: Collection[str]) -> dict[str, Any]:
+    """Measure how far the table sank while the object was held, and how far the object then moved in the hand.
+
+    Args:
+        log: of the run.
+        truth: of the simulator; None on hardware.
+        offset_ns: the run's t = 0 on the simulator's clock [ns].
+        holds: names of the task's phases that hold.
+
+    Returns:
+        ``table_sunk_mm`` at the end of the last hold and ``object_slid_mm`` from the first sinking to there. NaN
+        without a table that can sink, or before the first hold.
+    """
+    nothing = dict.fromkeys(("table_sunk_mm", "object_slid_mm"), float("nan"))
+    t_ns = _held(log, holds) + offset_ns
+    if truth is None or not truth.has(SUPPORT) or not len(t_ns) or not truth.covers(t_ns):
+        return nothing
+    inside = (truth.t_ns >= t_ns[0]) & (truth.t_ns <= t_ns[-1])
+    sunk = truth.values[inside, truth.columns.index(SUPPORT)]
+    places = truth.table(["object/x", "object/y", "object/z"], truth.t_ns[inside])[sunk > 0.0]
+    slid = float(np.linalg.norm(places - places[0], axis=1).max() * 1e3) if len(places) else float("nan")
+    return {"table_sunk_mm": float(sunk[-1] * 1e3), "object_slid_mm": slid}
+
+
+def _held(log: RunLog, holds: Collection[str]) -> Any:
+    """Return the times of the ticks from the first hold to the last [ns]."""
+    changes = log.phases
+    ends = [*[change.k for change in changes[1:]], int(log.k[-1]) + 1] if changes else []
+    spans = [(change.k, end) for change, end in zip(changes, ends, strict=True) if change.name in holds]
+    if not spans:
+        return log.t_ns[:0]
+    return log.t_ns[(log.k >= spans[0][0]) & (log.k < spans[-1][1])]
+
+
+def lift_failure(found: dict[str, Any]) -> str:
+    """Return why the grasp failed, or an empty text if it carried its object or there was nothing to carry.
+
+    Args:
+        found: as ``judge_lift`` returns.
+    """
+    sunk, slid = found["table_sunk_mm"], found["object_slid_mm"]
+    if sunk == 0.0:
+        return "the object was never lifted: too few digits pressed on it for the table to sink"
+    if slid > SLID_MM:
+        return f"the object was not held: it moved {slid:.0f} mm while the table sank {sunk:.0f} mm"
+    return ""

@@ -1,0 +1,103 @@
+"""What ``handctl demo`` calls a success, and hands a little unlike the packaged ones."""
+
+import json
+import tomllib
+
+import pytest
+
+from handctl.cli.main import main
+from handctl.hand.description import hand_path
+from handctl.hand.toml_text import toml_text
+from tests.cli.refused import refused
+
+GRASP = """schema = 1
+name = "two fingers"
+[[phase]]
+kind = "close"
+name = "close"
+angle_deg = 85.0
+speed_deg_s = 80.0
+contact_tension_N = 18.0
+[[phase]]
+kind = "hold"
+name = "carry"
+tension_N = 30.0
+rate_N_per_s = 100.0
+duration_s = 1.0
+"""
+
+
+def jamia():
+    return tomllib.loads(hand_path("jamia").read_text())
+
+
+def two_fingers():
+    """Index and middle finger, which close to the same side: they can lift nothing."""
+    content = jamia()
+    for part in ("digit", "tendon", "motor"):
+        content[part] = content[part][:2]
+    node = content["sensor_node"]
+    node["tendons"] = node["tendons"][:2]
+    node["joints"] = [joint for joint in node["joints"] if joint.startswith(("index", "middle"))]
+    return content
+
+
+def two_buses():
+    """The thumb and the ring finger on a bus of their own."""
+    content = jamia()
+    content["bus"].append({**content["bus"][0], "name": "second"})
+    for motor in content["motor"][2:]:
+        motor["bus"] = "second"
+    return content
+
+
+def test_a_grasp_that_lifts_nothing_is_a_failure(place, capsys):
+    (place / "two.toml").write_text(toml_text(two_fingers()))
+    (place / "grasp.toml").write_text(GRASP)
+    assert main(["demo", "--lockstep", "--json", "--hand", "two.toml", "--task", "grasp.toml", "--log", "x.mcap"]) == 1
+    shown = capsys.readouterr()
+    result = json.loads(shown.out)
+    assert "never lifted" in result["failure"]
+    assert result["table_sunk_mm"] == 0.0
+    assert result["object_motion_mm"] is None
+    assert shown.err.splitlines()[-1].startswith("handctl: two fingers on cylinder: the object was never lifted")
+
+
+def test_a_hand_of_two_buses_needs_no_bus_named(place, capsys):
+    (place / "buses.toml").write_text(toml_text(two_buses()))
+    assert main(["demo", "--hand", "buses.toml", "--dry-run"]) == 0
+    assert "jamia: power grasp on cylinder" in capsys.readouterr().out
+
+
+@pytest.mark.realtime
+def test_a_hand_of_two_buses_works_in_real_time(place, capsys):
+    (place / "buses.toml").write_text(toml_text(two_buses()))
+    (place / "bend.toml").write_text('schema = 1\nname = "bend"\n[[phase]]\nkind = "move"\nangle_deg = 20.0\n')
+    words = ["--hand", "buses.toml", "--task", "bend.toml", "--scene", "none", "--time-scale", "0.3", "--log", "x.mcap"]
+    assert main(["demo", "--json", *words]) == 0
+    assert json.loads(capsys.readouterr().out)["failure"] == ""
+
+
+CELLS = {"none": [], "one": ["index_tendon"]}
+
+
+@pytest.mark.parametrize("cells", CELLS)
+@pytest.mark.parametrize("verb", ["config", "demo", "run"])
+def test_a_tendon_without_a_load_cell_is_refused_by_checks_and_runs(place, capsys, verb, cells):
+    content = jamia()
+    content["sensor_node"]["tendons"] = CELLS[cells]
+    (place / "hand.toml").write_text(toml_text(content))
+    words = {"config": ["check"], "demo": ["--lockstep"], "run": ["--bus", "local:x", "--task", "grasp.toml"]}[verb]
+    line = refused(capsys, verb, *words, "--hand", "hand.toml")
+    assert line.startswith("handctl: hand.toml: sensor_node.tendons: no load cell of ")
+    assert "thumb_tendon" in line
+    assert main(["config", "show", "--hand", "hand.toml"]) == 0
+
+
+@pytest.mark.parametrize("verb", ["config", "demo"])
+def test_a_joint_that_no_tendon_crosses_is_one_line(place, capsys, verb):
+    content = jamia()
+    del content["tendon"][0]["moment_arm_m"]["index_j3"]
+    (place / "hand.toml").write_text(toml_text(content))
+    line = refused(capsys, verb, "check" if verb == "config" else "--lockstep", "--hand", "hand.toml")
+    assert "digit[index]: no tendon crosses index_j3" in line
