@@ -2,6 +2,7 @@
 
 import math
 import random
+from collections import deque
 from collections.abc import Callable
 from typing import Any, cast
 
@@ -191,6 +192,58 @@ def _hot(world: Any, one: Active) -> Undo:
     return lambda: setattr(thermal, "held", None)
 
 
+class _Crossed:
+    """A drive's motor whose sensors belong to one rotor and whose power stage to another.
+
+    Attributes: servo: what the drive regulates. The rest is read from, and written to, the rotor with the sensors.
+    """
+
+    def __init__(self, sensed: Any, driven: Any) -> None:
+        self.__dict__.update(sensed=sensed, servo=driven.servo)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.__dict__["sensed"], name)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        setattr(self.__dict__["sensed"], name, value)
+
+
+def _exchange(world: Any, one: Active) -> Undo:
+    """Two drives read each other's sensors (swap), or drive each other's power stage (cross)."""
+    names = one.fault.instance, one.fault.other
+    nodes, motors = [world.node_of(name) for name in names], [world.plant.motors[name] for name in names]
+    swapped = one.fault.kind == "swap"
+    for i, node in enumerate(nodes):
+        own, other = motors[i], motors[1 - i]
+        node.motor = _Crossed(other, own) if swapped else _Crossed(own, other)
+    one.feel(world.t_ns)
+
+    def undo() -> None:
+        for node, motor in zip(nodes, motors, strict=True):
+            node.motor = motor
+
+    return undo
+
+
+def _late(world: Any, one: Active) -> Undo:
+    """The power stage gets each command so much later."""
+    motor, delay_ns = world.plant.motors[one.fault.instance], round(one.fault.size * 1e6)
+    waiting: deque[tuple[int, float]] = deque()
+
+    def law(command: float) -> float:
+        now_ns = int(world.plant.t_ns)
+        waiting.append((now_ns, command))
+        while len(waiting) > 1 and waiting[1][0] <= now_ns - delay_ns:
+            waiting.popleft()
+        other = waiting[0][1]
+        if abs(other - command) > 1e-9:
+            one.feel(int(world.t_ns))
+        return other
+
+    motor.disobeys = law
+    return lambda: setattr(motor, "disobeys", None)
+
+
 def _servo(world: Any, one: Active) -> Undo:
     """The drive's power stage does something else than it is told; a sensor node has none."""
     if one.fault.instance == SENSORS:
@@ -213,4 +266,5 @@ _BEGIN: dict[str, Callable[[Any, Active], Undo]] = {
     "snap": _snap, "slack": _slack, "friction": _friction, "block": _block, "error": _trip, "watchdog": _trip,
     "voltage": _trip, "reset": _reset, "hot": _hot, "disobey": _servo, "runaway": _servo, "hold_on": _servo,
     "off": _servo, "mute": _mute, "forget": _forget, "ripple": _ripple,
+    "swap": _exchange, "cross": _exchange, "late": _late,
 }  # fmt: skip

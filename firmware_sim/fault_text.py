@@ -43,6 +43,9 @@ KINDS = {
     "hold_on": Kind((NODE,), 0, "a node says that it is disabled, and keeps its torque"),
     "forget": Kind((NODE,), 0, "a node loses its registers, once, and stays enabled (size > 0: TMAX is size [N m])"),
     "ripple": Kind((NODE,), 0.1, "a motor's torque has a ripple of amplitude size [N m] at hz"),
+    "late": Kind((NODE,), 50, "a node obeys each command size [ms] later"),
+    "swap": Kind((NODE,), 0, "two drives report each other's encoder and current"),
+    "cross": Kind((NODE,), 0, "two drives make each other's torque, and report what they were told"),
     "flood": Kind((BUS,), 100, "size frames of identifier 0x000 every millisecond"),
     "unknown": Kind((BUS,), 1, "size frames of an unknown identifier every millisecond"),
     "foreign": Kind((NODE,), 0, "somebody else sends a node commands, every 10 ms"),
@@ -64,14 +67,17 @@ KINDS = {
 SIZES = {
     "delay": (0.0, 1e5), "corrupt": (1.0, 512.0), "shorten": (1.0, 64.0), "slow": (2.0, 1e6),
     "error": (0.0, 2.0**32 - 1), "hot": (-40.0, 1000.0), "disobey": (-10.0, 10.0), "runaway": (-4.0, 4.0),
-    "forget": (0.0, 50.0), "ripple": (0.0, 50.0), "scale": (-10.0, 10.0), "old": (1.0, 1000.0), "replay": (1.0, 1000.0),
+    "forget": (0.0, 50.0), "ripple": (0.0, 50.0), "late": (0.0, 1e3),
+    "scale": (-10.0, 10.0), "old": (1.0, 1000.0), "replay": (1.0, 1000.0),
     "flood": (1.0, 1000.0), "unknown": (1.0, 1000.0), "noise": (0.0, 1e6), "slack": (0.0, 1000.0),
     "friction": (0.0, 1e4),
 }  # fmt: skip
 """Sizes that mean something; of the others a million either way."""
+OF_TWO = ("swap", "cross")
+"""Kinds that take a second motor, ``with=NAME``."""
 ANY_SIZE = (-1e6, 1e6)
 OF_DRIVES = ("reset", "error", "watchdog", "voltage", "hot", "disobey", "runaway", "hold_on", "foreign", "forget",
-             "ripple")  # fmt: skip
+             "ripple", "late", "swap", "cross")  # fmt: skip
 """Kinds that the sensor node cannot have: it has no power stage, and the host sends it nothing but SYNC."""
 
 
@@ -84,6 +90,7 @@ class Fault:
         start_ns, duration_ns: when it begins and how long it lasts [ns].
         size: see its kind. p: probability for each frame. seed: of its chance. hz: frequency of a ripple [Hz].
         text: as it was written.
+        other: the second motor, of a kind that takes one.
     """
 
     kind: str
@@ -96,13 +103,14 @@ class Fault:
     seed: int
     hz: float
     text: str
+    other: str = ""
 
 
 def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
     """Read a fault.
 
     Args:
-        text: ``KIND COMPONENT=INSTANCE [size=X] [p=X] [hz=X] [at=TIME] [for=TIME] [seed=N]``.
+        text: ``KIND COMPONENT=INSTANCE [with=NAME] [size=X] [p=X] [hz=X] [at=TIME] [for=TIME] [seed=N]``.
         hand: whose it is.
         now_ns: what ``at`` counts from [ns].
 
@@ -131,6 +139,7 @@ def parse_fault(text: str, hand: Hand, now_ns: int = 0) -> Fault:
         seed=int(_number(text, "seed", given.pop("seed", "0"), 0, 1e9)),
         hz=_number(text, "hz", given.pop("hz", "25"), 0.0, 1e4),
         text=text,
+        other=_other(text, kind, instance, given, hand),
     )
     if given:
         raise SimulatorError(f"fault {text!r}: unknown {next(iter(given))!r}; expected size, p, hz, at, for or seed")
@@ -143,6 +152,18 @@ def _component(text: str, kind: str, given: dict[str, str]) -> str:
     if len(found) != 1 or found[0] not in allowed:
         raise SimulatorError(f"fault {text!r}: {kind} needs {' or '.join(f'{name}=NAME' for name in allowed)}")
     return found[0]
+
+
+def _other(text: str, kind: str, first: str, given: dict[str, str], hand: Hand) -> str:
+    """Return the second motor of a kind that takes two; empty for the others."""
+    if kind not in OF_TWO:
+        return ""
+    if "with" not in given:
+        raise SimulatorError(f"fault {text!r}: {kind} needs with=NAME, the other motor")
+    other = _instance(text, instances(NODE, hand, kind), NODE, given.pop("with"), hand)
+    if other == first:
+        raise SimulatorError(f"fault {text!r}: {kind} needs two motors, not {first!r} twice")
+    return other
 
 
 def instances(component: str, hand: Hand, kind: str = "") -> list[str]:

@@ -10,9 +10,9 @@ from handctl.safety.markdown import catalogue, checklist, late, later
 from handctl.safety.table import TABLE
 
 ROOT = Path(__file__).parents[2]
-SIZES = {"B": 18, "N": 16, "T": 9, "H": 15, "I": 10}
+SIZES = {"B": 18, "N": 17, "T": 9, "H": 15, "I": 10}
 IDS = [f"{letter}{number:02}" for letter, size in SIZES.items() for number in range(1, size + 1)]
-"""The 68 rows of the project's fault catalogue."""
+"""The 68 rows of the project's fault catalogue, and N17, which was found by trial."""
 BY_ID = {entry.id: entry for entry in CATALOGUE}
 
 AUTOSAR = {
@@ -36,7 +36,7 @@ PX4 = {
 
 
 def test_the_catalogue_has_every_row_once_and_in_order() -> None:
-    assert len(IDS) == 68
+    assert len(IDS) == 69
     assert [entry.id for entry in CATALOGUE] == IDS
 
 

@@ -158,7 +158,7 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     while desk.state.coming is not None:
         calls.clear()
         desk.tick()
-    (*_, most, kept), (*_, most_then, kept_then) = calls
+    (*_, most, kept, _), (*_, most_then, kept_then, _) = calls
     assert kept is not None
     np.testing.assert_array_equal(kept_then, kept)
     assert most_then is most is None

@@ -5,7 +5,7 @@ import contextlib
 import pytest
 
 from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.fault_text import KINDS, OF_DRIVES, instances, parse_fault
+from firmware_sim.fault_text import KINDS, OF_DRIVES, OF_TWO, instances, parse_fault
 from firmware_sim.frame import Frame
 from firmware_sim.rig import Rig
 
@@ -53,14 +53,19 @@ def test_what_cannot_be_is_one_line(text, words):
     assert "\n" not in str(caught.value)
 
 
+def second(kind: str, index: int) -> str:
+    """The other motor of a kind that takes two."""
+    return f" with={HAND.motors[index].name}" if kind in OF_TWO else ""
+
+
 EVERYTHING = [
-    f"{kind} {component}={instances(component, HAND, kind)[0]}"
+    f"{kind} {component}={instances(component, HAND, kind)[0]}{second(kind, -1)}"
     for kind, known in KINDS.items()
     for component in known.components
     if instances(component, HAND, kind)
 ]
 OTHERS = [
-    f"{kind} {component}={instances(component, HAND, kind)[-1]}"
+    f"{kind} {component}={instances(component, HAND, kind)[-1]}{second(kind, 0)}"
     for kind, known in KINDS.items()
     for component in known.components
     if instances(component, HAND, kind)

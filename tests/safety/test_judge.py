@@ -16,7 +16,7 @@ from tests.safety.test_table import CALM, CASES, LIMITS, course
 
 UNITED = {
     "drive_errors", "foreign", "io", "misshapen", "twice", "stale", "halved", "jumped", "jumping", "limp", "snapped",
-    "slack", "stuck_motor", "stuck_joint", "stuck_cell", "mute", "replayed", "swinging", "railed",
+    "slack", "stuck_motor", "stuck_joint", "stuck_cell", "mute", "replayed", "swinging", "railed", "unfollowed",
 }  # fmt: skip
 ARMED = [id_ for id_ in CASES if CASES[id_].present.armed]
 PAIRS = list(pairwise([*ARMED, ARMED[0]])) + [(a, b) for a in ("B02", "T03", "N09b") for b in ARMED if a != b]

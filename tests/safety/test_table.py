@@ -110,6 +110,7 @@ CASES = {
     "N14b": Case(with_(swinging=(("t1", 9.0),)), CALM, "t1", 1, Action.RELAX, True),
     "N15": Case(with_(halved=("m1",)), CALM, "m1", 1, Action.WARN, False),
     "N16": Case(with_(limp=(("t0", 30.0),)), CALM, "t0", 1, Action.CUT, True),
+    "N17": Case(with_(unfollowed=(("m1", 0.1),)), CALM, "m1", 1, Action.RELAX, True),
     "T01": Case(with_(snapped=(("t0", 0.1),)), CALM, "t0", 2, Action.RELAX, True),
     "T02a": Case(with_(slack=(("t0", 0.051),)), with_(slack=(("t0", 0.05),)), "t0", 1, Action.WARN, False),
     "T02b": Case(with_(slack=(("t0", 0.51),)), with_(slack=(("t0", 0.5),)), "t0", 1, Action.RELAX, True),

@@ -5,6 +5,7 @@ milliseconds where a row or a drive needs a time. An ODrive tells its state ever
 """
 
 import math
+from itertools import pairwise
 from typing import NamedTuple
 
 from handctl.drives.sensor_node import TENSION_RAIL_N
@@ -34,8 +35,9 @@ class Row(NamedTuple):
 
     Attributes:
         id: row of the fault catalogue.
-        fault: text for the simulator, with {node}, {tendon}, {digit}, {bus} or {joint} for the instance, {trip} and
-            {limit} for a tendon's tension_trip_N and drive_limit_N, {late} for a delay that is late at this rate [ms],
+        fault: text for the simulator, with {node}, {tendon}, {digit}, {bus} or {joint} for the instance, {other} for
+            the next motor, {trip} and {limit} for a tendon's tension_trip_N and drive_limit_N, {late} for a delay that
+            is late at this rate [ms],
             {jump} and {rough} for a step and for noise that no drive makes at this rate [rad]; or HOST ...
         action: what must happen at least.
         ticks, ms: by when, together.
@@ -87,6 +89,9 @@ class Scenario(NamedTuple):
 WARN, HOLD, RELAX, CUT = Action.WARN, Action.HOLD, Action.RELAX, Action.CUT
 ONCE = (MIT, CIA402)
 """Drives with exactly one answer to a command."""
+
+_EXCHANGED = ("N14", "N05", "N06", "T04", "T02", "N04", "T03")
+"""Rows that may find drives that were exchanged before N17 does, in motion or where they pull unequally."""
 
 MATRIX: tuple[Row, ...] = (
     Row("B01", "drop node={node} for=2500us", WARN, 2, rows=("B01", "N02"), stages=EVERYWHERE),
@@ -144,6 +149,9 @@ MATRIX: tuple[Row, ...] = (
     Row("N15", "slow node={node} size=2", WARN, 22, rows=("N15",), protocols=ONCE),
     Row("N15", "slow node={node} size=4", WARN, 4, rows=("B01",), protocols=(ODRIVE,)),
     Row("N16", "hold_on node={node}", CUT, 2, 100.0, ("N16",), (GRASP,)),
+    Row("N17", "swap node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED), protocols=ONCE),
+    Row("N17", "cross node={node} with={other}", RELAX, 2, 1000.0, ("N17", *_EXCHANGED), protocols=ONCE),
+    Row("N17", "late node={node} size=50", RELAX, 2, 4000.0, ("N17", *_EXCHANGED), protocols=ONCE),
     Row("T01", "snap tendon={tendon}", RELAX, 10, rows=("T01",), stages=(GRASP,)),
     Row("T02", "snap tendon={tendon}", WARN, 4, 110.0, ("T02", "T01", "N04"), (FREE,)),
     Row("T02", "slack tendon={tendon} size=30", WARN, 10, rows=("T02", "T01"), stages=(GRASP,)),
@@ -230,6 +238,9 @@ def _instances(hand: Hand, fault: str) -> list[dict[str, str]]:
             for rope in hand.tendon
             if not limited or rope.tension_trip_N < READABLE_N
         ]
+    if "{other}" in fault:
+        motors = [motor.name for motor in hand.motor]
+        return [{"node": one, "other": other} for one, other in pairwise(motors)]
     names = {
         "node": [motor.name for motor in hand.motor],
         "digit": list(hand.digit_names),

@@ -91,6 +91,22 @@ class Command(NamedTuple):
         return Command(zeros(n), nothing(n), zeros(joints), nothing(joints), nothing(joints))
 
 
+class Envelope(NamedTuple):
+    """What bounds the motor forces while the hand relaxes.
+
+    Attributes:
+        ceiling: (N,) largest motor force at the cable [N]. The smallest is 0.
+        open_loop: whether the ceiling itself is commanded, whatever is measured.
+    """
+
+    ceiling: Vector
+    open_loop: bool
+
+    def bound(self, force: Vector) -> Vector:
+        """Return (N,) motor force within the envelope, for the one that the loop asks for [N]."""
+        return self.ceiling if self.open_loop else _within(force, 0.0, self.ceiling)
+
+
 def step(
     model: HandModel,
     state: LawState,
@@ -99,6 +115,7 @@ def step(
     t: float,
     most: Vector | None = None,
     held: Vector | None = None,
+    envelope: Envelope | None = None,
 ) -> tuple[LawState, Command]:
     """One tick of the law for all digits.
 
@@ -110,6 +127,7 @@ def step(
         t: time [s].
         most: (N,) tension that must not be exceeded now, besides the hand's own limits [N].
         held: (N,) the same while safety holds [N]; the place on the way is the goal then, its speed is not.
+        envelope: of a hand that relaxes.
     """
     most = held if most is None else most if held is None else np.minimum(most, held)
     table = goal_table(model, goals)
@@ -122,6 +140,8 @@ def step(
     asked = _within(force, known.unwind, known.limit)
     if most is not None:
         asked = np.minimum(asked, most + model.space.coulomb)
+    if envelope is not None:
+        asked = envelope.bound(asked)
     tension = table.chosen(motion.tension, hold.setpoint, np.nan)
     load = table.chosen(motion.load, hold.setpoint, 0.0)
     acting = asked - _motor_friction(model, estimate, asked)
@@ -243,7 +263,7 @@ def _load(model: HandModel, table: GoalTable, way: Vector) -> Vector:
     return load
 
 
-def _within(values: Vector, low: Vector, high: Vector) -> Vector:
+def _within(values: Vector, low: Vector | float, high: Vector) -> Vector:
     """The values between two bounds; ``numpy.clip`` takes twice as long for a few."""
     return np.minimum(np.maximum(values, low), high)
 

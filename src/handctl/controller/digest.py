@@ -68,9 +68,12 @@ def sensor_bytes(sensors: SensorState) -> bytes:
 
 def watch_bytes(watch: WatchState) -> bytes:
     """What safety remembers."""
-    *usual, replays, swings = watch
-    motors, joints, filtered, stands, taut, bears, slip_from, derailed, asked, wanted, goal, ropes, counts, owed = usual
-    arrays = (*motors, *joints, *filtered, *stands, bears, slip_from, derailed, asked, wanted, goal, *replays, swings)
+    *usual, replays, swings, followed = watch
+    motors, joints, filtered, stands, taut, bears, slip_from, derailed, *goals, ropes, counts, owed = usual
+    arrays = (
+        *(*motors, *joints, *filtered, *stands, bears, slip_from, derailed),
+        *(*goals, *replays, swings, *followed),
+    )
     plain = plain_bytes((taut, tuple(ropes), tuple(counts), owed))
     return b"".join([array.tobytes() for array in arrays]) + plain
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.controller.model import HandModel
-from handctl.controller.relaxing import RELAX_FLOOR_N, hurried, relaxing, tension
+from handctl.controller.relaxing import RELAX_FLOOR_N, RELAXED_WITHIN_N, hurried, let_go, relaxing, tension
 from handctl.controller.state import State
 from handctl.controller.types import ACTING, BEFORE_ARMING, Event, Mode
 from handctl.drives.contract import Drive, DriveState, Phase, Want
@@ -31,7 +31,6 @@ READY_S = 0.1
 """Time for the filter to see a few measurements before arming."""
 ARMING_TIMEOUT_S = 1.0
 RELAX_TIMEOUT_S = 1.0
-RELAXED_WITHIN_N = 3.0
 DISARM_TIMEOUT_S = 1.0
 CUT_S = 0.1
 """Cut frames are repeated for this long."""
@@ -222,8 +221,9 @@ def _active(state: State, seen: Circumstances) -> Next:
 
 
 def _relax(state: State, seen: Circumstances) -> Next:
-    settled = np.max(tension(seen.model, state)) < RELAX_FLOOR_N + RELAXED_WITHIN_N or seen.elapsed >= RELAX_TIMEOUT_S
-    return (Mode.DISARM if settled else Mode.RELAX), ""
+    # A load cell that reads too little must not cut a taut tendon: the command has to have fallen, too.
+    settled = np.max(tension(seen.model, state)) < RELAX_FLOOR_N + RELAXED_WITHIN_N and let_go(state)
+    return (Mode.DISARM if settled or seen.elapsed >= RELAX_TIMEOUT_S else Mode.RELAX), ""
 
 
 def _disarm(state: State, seen: Circumstances) -> Next:

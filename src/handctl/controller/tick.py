@@ -16,7 +16,7 @@ import numpy as np
 from handctl.choose import nothing
 from handctl.controller import computed_torque, estimator, posture, retune, touch
 from handctl.controller.answers import answer
-from handctl.controller.computed_torque import Command, LawState
+from handctl.controller.computed_torque import Command, Envelope, LawState
 from handctl.controller.derating import restraints
 from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.filter_state import FilterState
@@ -29,6 +29,7 @@ from handctl.controller.motors import Motors
 from handctl.controller.posture import Posture, Readings
 from handctl.controller.program import Program, Progress
 from handctl.controller.received import Received
+from handctl.controller.relaxing import envelope
 from handctl.controller.state import State
 from handctl.controller.telemetry import telemetry
 from handctl.controller.touch import Touch
@@ -152,14 +153,15 @@ class Controller:
         t, foreign = entry.t_ns / 1e9, signals.foreign
         state, moved = next_mode(self.model, self.drives, state, verdict.action, wishes, foreign, t)
         progress, goal_time, stepped = self._program(state, verdict.action, estimate, measured)
-        law, command = self._command(state, verdict.action, estimate, progress.goals, goal_time)
+        bounds = envelope(self.model, state, entry.k - before.k)
+        law, command = self._command(state, verdict.action, estimate, progress.goals, goal_time, bounds)
         drives, sensors, frames = self._encode(state, entry, command)
         old_law = state.law
         watch = self.guard.commanded(watch, state.mode, command, before.drives, entry.k, estimate.excursion)
         state = state._replace(
             progress=progress, goal_time=goal_time, law=law, drives=drives, sensors=sensors, watch=watch
         )
-        state, retuned = self._retune(state, old_law, verdict.action, estimate, command)
+        state, retuned = self._retune(state, old_law, verdict.action, estimate, command, bounds)
         events = told + asked + tuple(_told(finding) for finding in verdict.findings) + moved + stepped + retuned
         motors = Motors.of(state.drives)
         contact = tuple(map(max, state.progress.contact, state.touch.blocked))
@@ -261,16 +263,28 @@ class Controller:
         return progress, t, events
 
     def _command(
-        self, state: State, action: Action, estimate: Estimate, goals: tuple[DigitGoal, ...], t: float
+        self,
+        state: State,
+        action: Action,
+        estimate: Estimate,
+        goals: tuple[DigitGoal, ...],
+        t: float,
+        bounds: Envelope | None,
     ) -> tuple[LawState, Command]:
         """Motor torques of this tick; none unless active or relaxing, and then from the tension that is there."""
         if state.mode not in (ACTIVE, RELAX):
             return LawState.idle(estimate.tension), Command.idle(self.model)
         most, kept = restraints(self.model, self.limits, state, action, estimate.tension)
-        return computed_torque.step(self.model, state.law, estimate, goals, t, most, kept)
+        return computed_torque.step(self.model, state.law, estimate, goals, t, most, kept, bounds)
 
     def _retune(
-        self, state: State, before: LawState, action: Action, estimate: Estimate, command: Command
+        self,
+        state: State,
+        before: LawState,
+        action: Action,
+        estimate: Estimate,
+        command: Command,
+        bounds: Envelope | None,
     ) -> tuple[State, tuple[Event, ...]]:
         """Design a piece of the gains that are coming; take them over from the next tick on when all is designed."""
         if state.coming is None:
@@ -281,7 +295,9 @@ class Controller:
         if state.mode in (Mode.ACTIVE, Mode.RELAX):
             other = self.designs.model(self.model, gains)
             limited = restraints(self.model, self.limits, state._replace(law=before), action, estimate.tension)
-            _, changed = computed_torque.step(other, before, estimate, state.progress.goals, state.goal_time, *limited)
+            _, changed = computed_torque.step(
+                other, before, estimate, state.progress.goals, state.goal_time, *limited, bounds
+            )
             law = retune.trimmed(law, (command.torque - changed.torque) / self.model.space.spool)
         return state._replace(gains=gains, coming=None, law=law), retune.changes(self.model.gains, gains)
 

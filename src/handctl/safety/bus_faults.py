@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from handctl.safety.action import Action
+from handctl.safety.action import Action, Release
 from handctl.safety.fault import ITSELF, NOTHING, PERSON, Fault, Reading, above, io
 from handctl.safety.signals import Limits, Signals
 
@@ -89,7 +89,8 @@ BUS_FAULTS: tuple[Fault, ...] = (
     Fault("B04", "a delayed frame", "an answer of the load cells to an older SYNC", 1, Action.WARN, ITSELF, _delayed),
     Fault("B05", "a frame came twice", "more answers than questions, of the same bytes", 1, Action.WARN, ITSELF,
           _same_twice),
-    Fault("B06", "a masquerade", "more answers than questions, of other bytes", 1, Action.RELAX, PERSON, _other_twice),
+    Fault("B06", "a masquerade", "more answers than questions, of other bytes", 1, Action.RELAX, PERSON, _other_twice,
+          Release.OPEN),
     Fault("B07", "frames overtake", "a stale load-cell frame arrives after the fresh one", 1, Action.WARN, ITSELF,
           _overtaken),
     Fault("B08", "corrupt payloads", "three frames of a node in 20 ticks cannot be read", 1, Action.RELAX, PERSON,

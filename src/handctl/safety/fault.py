@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from handctl.safety.action import Action
+from handctl.safety.action import Action, Release
 from handctl.safety.signals import Limits, Named, Signals
 
 Reading = tuple[str, float]
@@ -25,6 +25,7 @@ class Fault:
         action: what happens.
         clears: who ends it: "by itself", or "a person" for latched ones.
         detect: the detector: instances in which the fault is present, each with the reading that shows it.
+        release: how RELAX takes the torque away because of this fault.
     """
 
     id: str
@@ -34,6 +35,12 @@ class Fault:
     action: Action
     clears: str
     detect: Detector
+    release: Release = Release.LOOP
+
+    @property
+    def reaction(self) -> str:
+        """Return the action as tables name it, with the way to relax."""
+        return self.release.value if self.action == Action.RELAX else self.action.name
 
     @property
     def latched(self) -> bool:

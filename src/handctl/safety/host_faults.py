@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from handctl.safety.action import Action
+from handctl.safety.action import Action, Release
 from handctl.safety.fault import ITSELF, NOTHING, PERSON, Fault, Reading, io, recorder
 from handctl.safety.signals import Limits, Signals
 
@@ -48,7 +48,7 @@ HOST_FAULTS: tuple[Fault, ...] = (
     Fault("H10", "recorder lost", "the recorder process or its disk is gone", 1, Action.WARN, ITSELF,
           recorder("gone", "error")),
     Fault("H13", "a second controller", "a frame that only the host may send, or an answer it did not ask for", 1,
-          Action.RELAX, PERSON, _foreign),
+          Action.RELAX, PERSON, _foreign, Release.OPEN),
     Fault("I07a", "a bad live goal", "refused; the last good one stays", 1, Action.WARN, ITSELF, _refused),
     Fault("I07b", "bad live goals", "three refused within a second", 1, Action.RELAX, PERSON, _refused_often),
 )  # fmt: skip

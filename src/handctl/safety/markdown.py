@@ -12,7 +12,7 @@ RATE_HZ = 500.0
 
 def fault_table(table: tuple[Fault, ...] = TABLE) -> str:
     """The table in Markdown, a row a fault."""
-    rows = [f"| {f.id} | {f.title} | {f.detection} | {f.action.name} | {f.clears} |" for f in table]
+    rows = [f"| {f.id} | {f.title} | {f.detection} | {f.reaction} | {f.clears} |" for f in table]
     return "\n".join(["| id | fault | noticed by | action | ended |", "|---|---|---|---|---|", *rows])
 
 

@@ -1,9 +1,9 @@
-"""Rows N01 to N16: what goes wrong in drives and sensors. N03 and N12 before arming are judged by the inventory."""
+"""Rows N01 to N17: what goes wrong in drives and sensors. N03 and N12 before arming are judged by the inventory."""
 
 from collections.abc import Sequence
 
 from handctl.drives.causes import Cause
-from handctl.safety.action import Action
+from handctl.safety.action import Action, Release
 from handctl.safety.fault import ITSELF, NOTHING, PERSON, Detector, Fault, Reading, above
 from handctl.safety.signals import Limits, Signals
 
@@ -68,6 +68,10 @@ def _swings(limits: Limits, s: Signals) -> Sequence[Reading]:
     return s.swinging
 
 
+def _unfollowed(limits: Limits, s: Signals) -> Sequence[Reading]:
+    return s.unfollowed
+
+
 def _halved(limits: Limits, s: Signals) -> Sequence[Reading]:
     return [(name, 0.5) for name in s.halved] if s.halved else NOTHING
 
@@ -88,12 +92,13 @@ NODE_FAULTS: tuple[Fault, ...] = (
     Fault("N02b", "joint encoders silent", "no joint frame for 30 ms, at least four in a row", 1, Action.RELAX, PERSON,
           _joints_silent),
     Fault("N04", "an encoder is stuck", "it stands for 100 ms while goal, tension or spool move", 1, Action.RELAX,
-          PERSON, _stuck),
+          PERSON, _stuck, Release.OPEN),
     Fault("N05a", "an encoder jumped", "a step that no rotor makes; the sample is dropped", 1, Action.WARN, ITSELF,
           _jumped),
-    Fault("N05b", "an encoder jumps", "the same in two readings running", 1, Action.RELAX, PERSON, _jumping),
+    Fault("N05b", "an encoder jumps", "the same in two readings running", 1, Action.RELAX, PERSON, _jumping,
+          Release.OPEN),
     Fault("N06a", "joint and spool disagree", "more than 3 deg, filtered", 1, Action.WARN, ITSELF, _slips),
-    Fault("N06b", "an encoder slips", "more than 6 deg, filtered", 1, Action.RELAX, PERSON, _slipped),
+    Fault("N06b", "an encoder slips", "more than 6 deg, filtered", 1, Action.RELAX, PERSON, _slipped, Release.OPEN),
     Fault("N07", "a noisy encoder", "nine times the jerk that drive and noise can make, over 100 ms", 1, Action.HOLD,
           ITSELF, _noisy),
     Fault("N08", "a drive's watchdog fired", "the drive says so", 1, Action.RELAX, PERSON, _caused_by(Cause.WATCHDOG)),
@@ -107,14 +112,16 @@ NODE_FAULTS: tuple[Fault, ...] = (
     Fault("N11b", "drive reports an unknown error", "an unknown code counts as the most severe", 1, Action.CUT, PERSON,
           _caused_by(Cause.UNKNOWN)),
     Fault("N12", "another drive than configured", "a read-back differs, or somebody else has enabled it", 1,
-          Action.CUT, PERSON, _caused_by(Cause.MISMATCH)),
+          Action.CUT, PERSON, _caused_by(Cause.MISMATCH), Release.OPEN),
     Fault("N13", "two nodes with one id", "two answers to a question, three ticks running", 3, Action.RELAX, PERSON,
-          _doubled),
+          _doubled, Release.OPEN),
     Fault("N14", "a command is not obeyed", "torque asked and made differ by 15 N at the rope, filtered", 1,
-          Action.RELAX, PERSON, _disobeyed),
+          Action.RELAX, PERSON, _disobeyed, Release.OPEN),
     Fault("N14b", "the tension swings", "8 N RMS about its command, above 8 Hz, for 250 ms", 1, Action.RELAX, PERSON,
-          _swings),
+          _swings, Release.OPEN),
     Fault("N15", "a slow node", "misses seven of 20 answers, seldom two running", 1, Action.WARN, ITSELF, _halved),
     Fault("N16", "a drive does not let go", "tension not falling 100 ms after the torque was cut", 1, Action.CUT,
           PERSON, _limp),
+    Fault("N17", "torque reports of another motor", "less than 2/5 of the command's small changes are reported, 250 ms",
+          1, Action.RELAX, PERSON, _unfollowed, Release.OPEN),
 )  # fmt: skip

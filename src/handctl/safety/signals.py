@@ -112,6 +112,7 @@ class Signals(NamedTuple):
         stuck_motor: motors whose position stands although goal or tension moves; what moved [mm or N].
         stuck_joint: joints whose encoder stands although the spool moves [deg].
         stuck_cell: tendons whose load cell repeats itself although the motor's torque moves [N].
+        unfollowed: motors whose reported torque does not change with the command; what part of the changes it reports.
         mute: joints whose encoder's frame has not come for as long as several of them take, and since when [s].
         replayed: tendons whose load cell tells what it told before, and how long before [ticks].
         swinging: tendons whose tension swings about what is commanded, and how far, RMS [N].
@@ -152,6 +153,7 @@ class Signals(NamedTuple):
     stuck_motor: Named = ()
     stuck_joint: Named = ()
     stuck_cell: Named = ()
+    unfollowed: Named = ()
     mute: Named = ()
     replayed: Named = ()
     swinging: Named = ()

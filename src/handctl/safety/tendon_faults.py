@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from handctl.safety.action import Action
+from handctl.safety.action import Action, Release
 from handctl.safety.fault import ITSELF, NOTHING, PERSON, Fault, Reading, above
 from handctl.safety.signals import Limits, Signals
 
@@ -88,19 +88,21 @@ TENDON_FAULTS: tuple[Fault, ...] = (
           _snapped),
     Fault("T02a", "a rope is slack", "below 2 N for 50 ms where tension is wanted", 1, Action.WARN, ITSELF, _slack),
     Fault("T02b", "a rope stays slack", "the same for 500 ms", 1, Action.RELAX, PERSON, _slack_long),
-    Fault("T03", "over-tension", "one load-cell sample above tension_trip_N", 1, Action.RELAX, PERSON, _over_tension),
+    Fault("T03", "over-tension", "one load-cell sample above tension_trip_N", 1, Action.RELAX, PERSON, _over_tension,
+          Release.FAST),
     Fault("T03b", "beyond the drive", "one load-cell sample above drive_limit_N", 1, Action.CUT, PERSON, _beyond_drive),
     Fault("T03c", "over-tension stays", "still above tension_trip_N, or at the rail, 100 ms after relaxing began", 1,
           Action.CUT, PERSON, _stays),
     Fault("T04a", "a load cell drifts", "5 N that torque, inertia and friction do not explain", 1, Action.WARN, ITSELF,
           _drifts),
     Fault("T04b", "a load cell is wrong", "10 N that torque, inertia and friction do not explain", 1, Action.RELAX,
-          PERSON, _drifted),
+          PERSON, _drifted, Release.OPEN),
     Fault("T05", "a load cell is stuck", "the same count 40 times while the motor's torque moves", 1, Action.RELAX,
           PERSON, _stuck),
     Fault("T05b", "load-cell readings are old", "8 to 16 in a row as so many ticks before", 1, Action.RELAX,
-          PERSON, _replayed),
-    Fault("T06", "load cell saturated", "a rail, or a broken wire, three ticks", 3, Action.RELAX, PERSON, _saturated),
+          PERSON, _replayed, Release.OPEN),
+    Fault("T06", "load cell saturated", "a rail, or a broken wire, three ticks", 3, Action.RELAX, PERSON, _saturated,
+          Release.FAST),
     Fault("T08", "a rope left its pulley", "joint and spool differ by more than any stretch, three readings", 1,
           Action.RELAX, PERSON, _derailed),
     Fault("T09", "friction has grown", "3 N above the hand file's, averaged over 5 s of motion", 1, Action.WARN, ITSELF,

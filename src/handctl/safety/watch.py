@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.choose import chosen, nothing, only, zeros
-from handctl.safety import answers, counts, jumps, replays, residuals, ropes, stuck, swings
+from handctl.safety import answers, correlation, counts, jumps, replays, residuals, ropes, stuck, swings
 from handctl.safety.node_faults import DISOBEYED_N, SLIP_WARN_DEG
 from handctl.safety.signals import Limits, Named, Signals
 from handctl.safety.tendon_faults import DERAILED_DEG, FRICTION_WARN_N, RESIDUAL_WARN_N
@@ -45,6 +45,7 @@ class Watcher:
         patience: (2 N + J,) readings of each that may be the same before anybody asks why.
         stir: (2, 2 N + J) how far its witnesses may move meanwhile; what rests is asked in vain in every tick else.
         moves: (J, N) tendons from whose excursions each joint angle follows.
+        largest: (N,) force that a drive's own limit allows [N].
         start: what is remembered at first.
     """
 
@@ -61,6 +62,7 @@ class Watcher:
     patience: NDArray[np.int64] = field(init=False)
     stir: Vector = field(init=False)
     moves: NDArray[np.bool_] = field(init=False)
+    largest: Vector = field(init=False)
     start: "WatchState" = field(init=False)
 
     def __post_init__(self) -> None:
@@ -70,6 +72,7 @@ class Watcher:
         patience = (STUCK_S / every).astype(np.int64)
         patience[n : 2 * n] = np.minimum(patience[n : 2 * n], CELL_TICKS)
         object.__setattr__(self, "every", every)
+        object.__setattr__(self, "largest", np.array(self.limits.drive_limit or (never,) * n))
         object.__setattr__(self, "suspicion", residuals.suspicion(self.rotor, np.array(fine)))
         object.__setattr__(self, "patience", patience)
         first = np.repeat([STUCK_GOAL_MM * 1e-3, CELL_FORCE_N, STUCK_JOINT_DEG / DEG], [n, n, j])
@@ -105,6 +108,7 @@ class WatchState(NamedTuple):
         owed: per motor, questions that it has not answered; see ``answers``.
         replays: load-cell readings, and whether they were there before.
         swings: (3, N) see ``swings``.
+        followed: commanded against reported force.
     """
 
     motors: jumps.Accepted
@@ -123,6 +127,7 @@ class WatchState(NamedTuple):
     owed: answers.Owed
     replays: replays.Replays
     swings: Vector
+    followed: correlation.Correlation
 
     @staticmethod
     def initial(n: int, j: int) -> "WatchState":
@@ -144,6 +149,7 @@ class WatchState(NamedTuple):
             owed=((),) * n,
             replays=replays.Replays.initial(n),
             swings=swings.initial(n),
+            followed=correlation.Correlation.initial(n),
         )
 
 
@@ -238,13 +244,14 @@ def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tu
         before = stuck.unwitnessed(before, idle)
     stands = stuck.step(before, value, witnesses)
     derailed = (state.derailed + 1.0) * (np.abs(slip) > DERAILED_DEG) if seen.read else state.derailed
-    state = state._replace(filtered=filtered, stuck=stands, taut=taut, bears=bears)
+    followed = correlation.step(state.followed, state.asked, seen.force, watcher.period)
+    state = state._replace(followed=followed, filtered=filtered, stuck=stands, taut=taut, bears=bears)
     state = state._replace(slip_from=begin, derailed=derailed, ropes=tense)
     state = state._replace(
         replays=replays.step(state.replays, seen.tension),
         swings=swings.step(state.swings, seen.tension - state.wanted, watcher.period),
     )
-    told = _rope_signals(watcher, state, cell, seen) | _cell_signals(watcher, state)
+    told = _rope_signals(watcher, state, cell, seen) | _cell_signals(watcher, state) | _drive_signals(watcher, followed)
     if np.count_nonzero(np.abs(filtered.low) > watcher.suspicion):
         told |= _residual_signals(watcher, filtered)
     if seen.read and np.count_nonzero(derailed >= DERAILED_READINGS):
@@ -254,6 +261,14 @@ def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tu
         if np.count_nonzero(away >= watcher.stir):
             told |= _stuck_signals(watcher, stands, away)
     return state, raw._replace(**told) if told else raw
+
+
+def _drive_signals(watcher: Watcher, followed: correlation.Correlation) -> dict[str, Any]:
+    """Return the motors whose torque reports do not follow their commands, if there are any."""
+    unfollowed = correlation.unfollowed(followed, watcher.largest, watcher.period)
+    if not np.count_nonzero(unfollowed):
+        return {}
+    return {"unfollowed": _named(watcher.limits.motors, unfollowed, correlation.part(followed))}
 
 
 def _rope_signals(watcher: Watcher, state: WatchState, cell: list[float], seen: Seen) -> dict[str, Any]:

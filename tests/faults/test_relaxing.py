@@ -1,0 +1,107 @@
+"""Relaxing never pulls harder: random hands, plants, faults and instants, judged by the plant's own tension."""
+
+import math
+import os
+import random
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+
+from handctl.campaign.course import Course
+from handctl.campaign.scenarios import FREE, GRASP
+from handctl.campaign.stage import TASK, bring, hand_in, started
+from handctl.controller.types import Mode
+from handctl.runtime.mailbox import STOP
+
+NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
+SEEDS = range(20) if NIGHTLY else range(3)
+COMBINATIONS = [(hand, protocol) for hand in ("jamia", "jamia11") for protocol in ("mit", "odrive", "cia402")]
+SAMPLED = [(*COMBINATIONS[i % 6], seed) for seed in SEEDS for i in ([*range(6)] if NIGHTLY else [seed, seed + 3])]
+FAULTS = (
+    "swap node={a} with={b}", "cross node={a} with={b}", "late node={a} size=50", "late node={b} size=20",
+    "disobey node={a} size=1.6", "disobey node={b} size=0.4", "drift cell={t} size=-40", "drift cell={t} size=40",
+    "offset cell={t} size=-20", "stuck encoder={a}", "drift encoder={b} size=1.5", "friction tendon={t} size=6",
+    "noise cell={t} size=8", "",
+)  # fmt: skip
+RATE_HZ = {"jamia": 500.0, "jamia11": 250.0}
+WINDOW_S = 0.06
+"""Time for which a command may still be on its way to a motor that obeys late [s]."""
+MARGIN_N = 3.0
+"""Capstan friction and contacts, which the bound does not have [N]."""
+
+
+class Instant(NamedTuple):
+    """The true state of the tendons: force of the motors at the tendon [N], tension [N], speed at the spool [m/s]."""
+
+    force: np.ndarray
+    tension: np.ndarray
+    speed: np.ndarray
+
+
+def look(course: Course) -> Instant:
+    peer: Any = course.peer
+    spool = course.controller.model.space.spool
+    motors = [peer.world.plant.motors[motor.name] for motor in course.controller.model.hand.motor]
+    torque = np.array([motor.command for motor in motors])
+    return Instant(torque / spool, np.array(peer.truth()["tension"]), np.array([m.omega for m in motors]) * spool)
+
+
+def explained(course: Course, decided: Instant, force: np.ndarray) -> np.ndarray:
+    """Return (N,) largest tension that rotor and stretch explain [N].
+
+    A rotor of mass m at the tendon, of speed v, under a force that is never above F, overshoots against the tendon's
+    stiffness k from the tension T to at most F + sqrt((F - T)^2 + k m v^2). A free finger lets the rotor gain speed
+    until the force has gone.
+    """
+    space = course.controller.model.space
+    largest = np.maximum(force, 0.0)
+    gained = np.abs(decided.speed) + largest / space.motor_mass * WINDOW_S * (decided.tension < 10.0)
+    stretch = (largest - decided.tension) ** 2 + space.stiffness * space.motor_mass * gained**2
+    return np.maximum(largest + np.sqrt(stretch), decided.tension) + MARGIN_N
+
+
+@pytest.mark.parametrize(("hand_name", "protocol", "seed"), SAMPLED)
+def test_no_motor_is_commanded_to_pull_harder_and_no_tendon_bears_more(
+    hand_name: str, protocol: str, seed: int
+) -> None:
+    chance = random.Random(f"{hand_name} {protocol} {seed}")
+    hand, rate = hand_in(hand_name, protocol), RATE_HZ[hand_name]
+    perturb = {key: chance.uniform(0.7, 1.4) for key in ("stiffness", "friction", "motor_inertia")}
+    task = {**TASK, "phase": [*TASK["phase"][:-1], {**TASK["phase"][-1], "tension_N": chance.uniform(20.0, 90.0)}]}
+    a, b = chance.sample([motor.name for motor in hand.motor], 2)
+    fault = chance.choice(FAULTS).format(a=a, b=b, t=chance.choice(hand.tendon_names))
+    with started(hand, rate, seed, perturb, task) as course:
+        bring(course, chance.choice((FREE, GRASP)))
+        for _ in range(int(chance.uniform(0.0, 3.0) * rate)):
+            course.tick()
+        if fault:
+            course.peer.inject(fault)
+        stop_at = course.k + int(chance.uniform(0.02, 0.8) * rate)
+        judge(course, stop_at, round(WINDOW_S * rate), fault)
+
+
+def judge(course: Course, stop_at: int, window: int, fault: str) -> None:
+    recent: list[Instant] = [look(course)]
+    while course.state.mode == Mode.ACTIVE:
+        course.tick(requests=(STOP,) if course.k == stop_at else ())
+        recent.append(look(course))
+    decided, before = recent[-2], np.nanmax([one.force for one in recent[-window:]], axis=0)
+    last, peak, force = course.state.watch.asked, decided.tension, before
+    for _ in range(2000):
+        mode = course.state.mode
+        if mode == Mode.DONE:
+            break
+        course.tick()
+        asked = course.state.watch.asked
+        if course.state.mode == mode == Mode.RELAX:
+            rises = asked > np.maximum(last, 0.0)
+            assert not rises.any(), f"{fault}: {asked} after {last}"
+        last, now = asked, look(course)
+        peak, force = np.maximum(peak, now.tension), np.maximum(force, now.force)
+    # A drive that is told its share makes no more than before; one that exaggerates, no more than it did before.
+    assert (force <= np.maximum(before, 0.0) + 1e-6).all(), f"{fault}: {force} after {before}"
+    most = explained(course, decided, before)
+    assert (peak <= most).all(), f"{fault}: {peak} N, at most {most} N are explained, from {decided}"
+    assert course.state.mode == Mode.DONE
+    assert not math.isnan(float(peak.max()))

@@ -1,0 +1,77 @@
+"""Torque reports that follow their command, and those that do not."""
+
+import numpy as np
+import pytest
+
+from handctl.safety.correlation import Correlation, part, step, unfollowed
+
+PERIOD = 0.002
+LARGEST = np.full(2, 160.0)
+TICKS = 1000
+
+
+def after(commanded: np.ndarray, reported: np.ndarray) -> Correlation:
+    state = Correlation.initial(commanded.shape[1])
+    for force, report in zip(commanded, reported, strict=True):
+        state = step(state, force, report, PERIOD)
+    return state
+
+
+def noisy(seed: int, size: float = 0.1) -> np.ndarray:
+    """(TICKS, 2) commands of two motors that hold 90 N, rounded as a drive of twelve bits does [N]."""
+    return 90.0 + size * np.random.default_rng(seed).standard_normal((TICKS, 2))
+
+
+def rounded(force: np.ndarray) -> np.ndarray:
+    return np.round(force / 0.078) * 0.078
+
+
+def reports(commanded: np.ndarray, ticks: int = 1) -> np.ndarray:
+    """What drives report that obey so many ticks later, in the order in which ``step`` is given it."""
+    return rounded(np.roll(commanded, ticks, axis=0))
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("size", [0.02, 0.05, 0.1, 1.0])
+def test_a_report_that_follows_is_never_doubted(seed: int, size: float) -> None:
+    commanded = noisy(seed, size)
+    state = Correlation.initial(2)
+    for force, report in zip(commanded, reports(commanded), strict=True):
+        state = step(state, force, report, PERIOD)
+        assert not unfollowed(state, LARGEST, PERIOD).any()
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("fault", ["swapped", "late"])
+def test_a_report_of_another_motor_or_of_another_time_is_found(seed: int, fault: str) -> None:
+    commanded = noisy(seed)
+    made = reports(commanded)[:, ::-1] if fault == "swapped" else reports(commanded, 26)
+    state, found = Correlation.initial(2), np.zeros(2, dtype=bool)
+    for force, report in zip(commanded, made, strict=True):
+        state = step(state, force, report, PERIOD)
+        found |= unfollowed(state, LARGEST, PERIOD)
+    assert found.all()
+
+
+def test_a_command_at_rest_and_a_report_at_rest_say_nothing() -> None:
+    still = np.full((TICKS, 2), 90.0)
+    assert not unfollowed(after(still, reports(noisy(1))), LARGEST, PERIOD).any()
+    assert not unfollowed(after(noisy(1), still), LARGEST, PERIOD).any()
+
+
+def test_what_was_not_reported_is_left_out() -> None:
+    commanded = noisy(3)
+    made = reports(commanded)
+    made[::3] = np.nan
+    state = after(commanded, made)
+    assert part(state) == pytest.approx(1.0, abs=0.25)
+    assert not unfollowed(state, LARGEST, PERIOD).any()
+    silent = after(commanded, np.full_like(made, np.nan))
+    assert not unfollowed(silent, LARGEST, PERIOD).any()
+
+
+def test_one_outlier_is_not_a_fault() -> None:
+    commanded = noisy(4)
+    made = reports(commanded)
+    made[-2] += 50.0
+    assert not unfollowed(after(commanded, made), LARGEST, PERIOD).any()
