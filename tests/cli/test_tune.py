@@ -62,6 +62,64 @@ def test_poles_that_are_not_stable_in_simulation_are_not_written(place, capsys, 
     assert not list(place.iterdir())
 
 
+def scored(tracking):
+    return Score(tracking, 2.0, 3.0, 60.0, 0.0)
+
+
+def test_a_column_is_worse_only_beyond_its_spread():
+    from handctl.tune.verify import compare
+
+    runs = [[scored(1.0), scored(1.0 + 0.01 * i), *[scored(3.0 + 0.01 * i)] * 3] for i in range(3)]
+    assert [one.verdict for one in compare(runs)] == ["worse", "same", "same", "same"]
+    assert compare([runs[0]])[0].verdict == "worse"
+    noisy = [[scored(1.0), scored(1.0), *[scored(new)] * 3] for new in (0.5, 1.0, 2.0)]
+    assert compare(noisy)[0].verdict == "same"
+
+
+@pytest.mark.parametrize(("accept", "code"), [(False, 1), (True, 0)])
+def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(capsys, accept, code):
+    from handctl.cli.tune_verify import _report
+
+    rounds = [scored(1.0), scored(1.0), scored(3.0), scored(3.0), scored(3.0)]
+    run = {"through": True, "returned": None, "failure": "", "rounds": rounds, "judged_by": "truth"}
+    run |= {"log": "l", "picture": "p"}
+    args = Namespace(candidate="new.toml", hand="jamia", accept_worse=accept, json=False)
+    assert _report(args, [run] * 3, SimpleNamespace(exit=0)) == code
+    said = capsys.readouterr().out
+    assert "tracking: worse, 1.00 -> 3.00 deg" in said
+    assert ("gains apply" in said) == accept
+    assert ("--accept-worse" in said) != accept
+
+
+def test_a_commissioning_log_that_is_there_is_no_obstacle(place):
+    from handctl.cli.plan import commission_log
+
+    first = commission_log(place / "run.mcap")
+    assert first.name == "run.commission.mcap"
+    first.write_text("")
+    assert commission_log(place / "run.mcap").name == "run.commission-2.mcap"
+
+
+def test_an_excited_digit_that_met_something_is_spoilt():
+    from handctl.controller.types import Event
+    from handctl.log.moments import LoggedEvent, PhaseChange
+    from handctl.tune.identify import blocked
+
+    event = LoggedEvent(50, 10**9, Event("info", "blocked", "middle", "middle is blocked: 7.0 N"))
+    phases = [PhaseChange(0, 0, "start"), PhaseChange(40, 0, "index sweep"), PhaseChange(60, 0, "ring sweep")]
+    assert list(blocked(SimpleNamespace(events=[event], phases=phases))) == ["index"]
+    assert blocked(SimpleNamespace(events=[], phases=phases)) == {}
+
+
+def test_springs_too_weak_to_stretch_against_are_refused_in_one_line(place, capsys):
+    text = (
+        load_hand("jamia").to_toml().replace("spring_preload_rad = [", "spring_preload_rad = [0.01, 0.01, 0.01]#[", 1)
+    )
+    (place / "weak.toml").write_text(text)
+    said = refused(capsys, "identify", "--lockstep", "--hand", "weak.toml", "--dry-run")
+    assert "lifts it off its open stop" in said
+
+
 def test_units_in_brackets_are_no_markup(searched, capsys):
     searched.append(Trial(0, {}, Score(1.0, 2.0, 3.0, 60.0, -0.5)))
     assert main(["tune", "search", "--plants", "1", "--trials", "1", "--study", "[bold].study"]) == 0
@@ -156,7 +214,6 @@ def test_what_is_given_twice_is_taken_twice():
         (("identify", "--lockstep", "--seed", "-1"), "--seed: -1; expected 0 or more"),
         (("identify", "--lockstep", "--time-scale", "0.5"), "--time-scale: only with --bus"),
         (("tune", "verify", "new.toml", "--lockstep", "--clear"), "--clear: only with --bus"),
-        (("tune", "verify", "new.toml", "--lockstep", "--calibration", "x"), "--calibration: only with --bus"),
         (("tune", "design", "--damping", "nan"), "--damping: nan; expected only with --poles-Hz"),
         (("tune", "design", "--poles-Hz", ""), "--poles-Hz: ''; expected two numbers"),
         (("bus", "plan", "--hand", ""), "no such hand or file"),

@@ -10,7 +10,7 @@ from handctl.cli.dry_run import told
 from handctl.cli.options import print_json, run_options
 from handctl.cli.plan import Plan, calibration_path, default_log, make_plan
 from handctl.cli.session import Outcome, Runner, make_controller, remedy, run_live
-from handctl.controller.calibration import Calibration, load_calibration
+from handctl.controller.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.controller.commission import CommissionProgram, result
 from handctl.controller.identified import Identified
 from handctl.errors import ConfigError
@@ -82,6 +82,34 @@ def kept(path: Path, hand: Hand) -> dict[str, Identified]:
         return load_calibration(path, hand).identified if path.exists() else {}
     except ConfigError:
         return {}
+
+
+Known = dict[str, Identified]
+"""Identified parameters by tendon."""
+
+
+def identified_in(path: Path | None, hand: Hand) -> Known:
+    """Return what a calibration file says was identified; nothing without a file.
+
+    Tares and zeros of a simulated hand are of one seed and one start, what was identified is not.
+
+    Raises:
+        ConfigError: the file cannot be read, is of another hand, or holds nothing identified.
+    """
+    if path is None:
+        return {}
+    found = load_calibration(path, hand).identified
+    if not found:
+        raise ConfigError("holds nothing identified", str(path), "a calibration that handctl identify wrote")
+    return found
+
+
+def homed(hand: Hand, known: Known) -> Calibration:
+    """Return the calibration of a simulated hand that starts taut with its encoders at zero."""
+    zero = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=0.0, crosstalk_N=0.0)
+    rows = dict.fromkeys(hand.tendon_names, zero)
+    made = VIRTUAL_DATE.isoformat(timespec="seconds")
+    return Calibration(hand=hand.name, identity=hand.identity, made=made, tendon=rows, identified=known)
 
 
 def ensure_calibration(plan: Plan, path: Path, why: str, runner: Runner, log: Path) -> Calibration:

@@ -11,20 +11,23 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.commission import commission, write_calibration
+from handctl.cli.commission import Known, commission, identified_in, write_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.exit_codes import Exit
+from handctl.cli.gains_layers import assignments
 from handctl.cli.options import (
     dry_run_option,
     hand_option,
     json_option,
+    perturb_option,
+    perturb_words,
     protocol_option,
     time_scale_option,
     wire_option,
     wire_words,
 )
 from handctl.cli.other_protocol import in_protocol
-from handctl.cli.plan import Plan, default_log, find_task, make_plan
+from handctl.cli.plan import Plan, commission_log, default_log, find_task, make_plan
 from handctl.cli.run import report
 from handctl.cli.session import Outcome, Runner, make_controller, refuse_blind_view, run_live, run_lockstep, slower
 from handctl.cli.verdict import judge
@@ -62,7 +65,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
     parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
     time_scale_option(parser, " (default: 1, and less if this machine cannot keep up)")
-    parser.set_defaults(gains=None, rate=None, calibration=None, clear=False)
+    perturb_option(parser)
+    text = "take what it says was identified; the simulated hand is commissioned all the same"
+    parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
+    parser.set_defaults(gains=None, rate=None, clear=False)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -79,6 +85,8 @@ def _run(args: argparse.Namespace) -> int:
     args.bus = _buses(load_hand(args.hand).bus_names)
     plan = make_plan(args, lockstep=args.lockstep)
     task, text = find_task(args.task, plan.hand)
+    assignments(args.perturb, "--perturb")
+    known = identified_in(args.calibration, plan.hand)
     if args.dry_run:
         _peer(args, plan, None).close()
         line = f"{plan.hand.name}: {task.name} on {args.scene}, {plan.rate_hz:g} Hz"
@@ -87,9 +95,9 @@ def _run(args: argparse.Namespace) -> int:
     plan.attachments["task.toml"] = text
     started = time.monotonic()
     if args.lockstep:
-        outcome, truth = _in_lockstep(args, plan, TaskProgram(task), log)
+        outcome, truth = _in_lockstep(args, plan, TaskProgram(task), log, known)
     else:
-        outcome, plan = _in_real_time(args, plan, TaskProgram(task), log)
+        outcome, plan = _in_real_time(args, plan, TaskProgram(task), log, known)
         truth = truth_path(plan.buses[0])
     wall = time.monotonic() - started
     result = judge(plan, outcome, log, truth, task=task)
@@ -119,19 +127,21 @@ class _LateError(Exception):
         self.scale = scale
 
 
-def _in_real_time(args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path) -> tuple[Outcome, Plan]:
+def _in_real_time(
+    args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, known: Known
+) -> tuple[Outcome, Plan]:
     """On real clocks, in slower time if it must be; what it came to, and with which plan."""
     again = plan.time_scale > SLOWEST and not wire_words(args)  # a wire may be too slow by itself
     first, then = _live(view=False, refuse_late=again), _live(args.view, refuse_late=again)
     try:
         with simulator(args, plan):
-            return _commission_and_run(plan, program, log, first, then), plan
+            return _commission_and_run(plan, program, log, (first, then), known), plan
     except _LateError as late:
         slower_plan = replace(plan, time_scale=max(late.scale, SLOWEST))
         _set_aside(log, plan.time_scale)
         why = f"this machine does not keep up with a simulated hand ({late})"
         print(f"handctl: {why}; once more at {slower_plan.time_scale:g} of real time", file=sys.stderr)
-    return _in_real_time(args, slower_plan, program, log)
+    return _in_real_time(args, slower_plan, program, log, known)
 
 
 def _set_aside(log: Path, scale: float) -> None:
@@ -153,17 +163,23 @@ def _live(view: bool, refuse_late: bool) -> Runner:
     return runner
 
 
-def _commission_and_run(plan: Plan, program: TaskProgram, log: Path, first: Runner, then: Runner) -> Outcome:
-    """A new hand is commissioned, then it works."""
+def _commission_and_run(
+    plan: Plan, program: TaskProgram, log: Path, runners: tuple[Runner, Runner], known: Known
+) -> Outcome:
+    """A new hand is commissioned, then it works; with what was identified before."""
+    first, then = runners
     print(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon", file=sys.stderr)
-    calibration, _ = commission(plan, log.with_suffix(".commission.mcap"), first)
+    calibration, _ = commission(plan, commission_log(log), first)
+    calibration = calibration.model_copy(update={"identified": known})
     path = log.with_suffix(".calibration.toml")
     write_calibration(path, calibration)
     plan.attachments["calibration.toml"] = path.read_bytes()
     return then(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
 
 
-def _in_lockstep(args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path) -> tuple[Outcome, Path]:
+def _in_lockstep(
+    args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, known: Known
+) -> tuple[Outcome, Path]:
     """The same against the simulator's lockstep rig."""
     truth = log.with_suffix(".truth")
     peer = _peer(args, plan, truth)
@@ -173,7 +189,7 @@ def _in_lockstep(args: argparse.Namespace, plan: Plan, program: TaskProgram, log
         return run_lockstep(plan, controller, log, clock)
 
     try:
-        return _commission_and_run(plan, program, log, runner, runner), truth
+        return _commission_and_run(plan, program, log, (runner, runner), known), truth
     finally:
         peer.close()
 
@@ -188,6 +204,7 @@ def _peer(args: argparse.Namespace, plan: Plan, truth: Path | None) -> Peer:
         period_ns=plan.period_ns,
         truth_path=str(truth) if truth else None,
         wire=args.wire,
+        perturb=assignments(args.perturb, "--perturb"),
     )
 
 
@@ -206,7 +223,7 @@ def simulator(args: argparse.Namespace, plan: Plan) -> Iterator[None]:
     """
     command = [sys.executable, "-m", SIMULATOR, "--hand", str(args.hand)]
     command += ["--scene", str(args.scene), "--seed", str(args.seed), *wire_words(args)]
-    command += ["--time-scale", str(plan.time_scale)]
+    command += ["--time-scale", str(plan.time_scale), *perturb_words(args)]
     for name, spec in zip(plan.hand.bus_names, plan.buses, strict=True):
         command += ["--bus", f"{name}={spec}"]
     child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)

@@ -1,6 +1,7 @@
 """``handctl identify``: find out what a hand is made of, by exciting it or from logs; keep it."""
 
 import argparse
+import shlex
 import sys
 import time
 from collections.abc import Callable
@@ -12,8 +13,8 @@ from handctl.cli.commission import commission, ensure_calibration, kept, write_c
 from handctl.cli.dry_run import told
 from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import assignments, check_bus_only, check_perturb
-from handctl.cli.options import print_json, run_options, say
-from handctl.cli.plan import Plan, calibration_path, default_log, find_calibration, make_plan
+from handctl.cli.options import perturb_option, print_json, run_options, say
+from handctl.cli.plan import Plan, calibration_path, commission_log, default_log, find_calibration, make_plan
 from handctl.cli.session import Outcome, Runner, make_controller, run_live, run_lockstep
 from handctl.controller.calibration import Calibration, load_calibration
 from handctl.controller.excite import ExciteProgram
@@ -47,14 +48,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--lockstep", action="store_true", help="the simulated hand in virtual time, without a bus")
     parser.add_argument("--seed", type=int, default=0, help="of the simulated hand")
-    parser.add_argument(
-        "--perturb",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="KEY=FACTOR",
-        help="make the simulated hand unlike its file",
-    )
+    perturb_option(parser)
     parser.add_argument("--no-write", action="store_true", help="leave the calibration file as it is")
 
 
@@ -89,7 +83,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         announce(args, plan, path, calibration)
         _say(about)
-        known = calibration or ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))
+        known = calibration or ensure_calibration(plan, path, why, run_live, commission_log(log))
         calibration, outcome = known, run_live(plan, make_controller(plan, program, known, arm_at_once=True), log)
     outcome.refuse_unfinished(f"identifying {plan.hand.name}, log {log}")
     with RunLog(log) as record:
@@ -130,7 +124,7 @@ def _commission_and_excite(
 ) -> tuple[Calibration, Outcome]:
     """A new hand is commissioned, then excited."""
     started = time.monotonic()
-    calibration, _ = commission(plan, log.with_suffix(".commission.mcap"), runner)
+    calibration, _ = commission(plan, commission_log(log), runner)
     outcome = runner(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
     simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
     _say(f"{simulated:.0f} s of the simulated hand in {time.monotonic() - started:.0f} s")
@@ -190,22 +184,32 @@ def _report(
     """The calibration, pictures, numbers."""
     made = now()
     known = kept(path, hand)
+    spoilt = {one.data.digit: one.blocked for tendons in found.values() for one in tendons.values() if one.blocked}
+    told_anything = False
     for log, tendons in found.items():
         new = {name: one.identified(log, made) for name, one in tendons.items()}
+        told_anything = told_anything or any(one is not None for one in new.values())
         known |= {name: one.beside(known.get(name)) for name, one in new.items() if one is not None}
-    written = calibration is not None and not args.no_write
+    written = calibration is not None and not args.no_write and (told_anything or not spoilt)
     if calibration is not None and written:
         write_calibration(path, calibration.model_copy(update={"identified": known}))
     pictures = _pictures(hand, found, _say)  # they go beside the logs: where they cannot, nothing else is lost
+    for digit, why in spoilt.items():
+        say(f"handctl: nothing of {digit} is kept: {why}; expected a digit that meets nothing", error=True)
+    ended = Exit.FAILED if spoilt else Exit.DONE
     if args.json:
-        print_json(_told(found, pictures, path if written else None))
-        return Exit.DONE
+        print_json(_told(found, pictures, path if written else None) | {"blocked": spoilt})
+        return ended
     for log, tendons in found.items():
         print("\n".join([f"from {log}:", *table(tendons)]))
     print("pictures: " + ", ".join(map(str, pictures)))
+    if written:
+        search = shlex.join(["handctl", "tune", "search", "--hand", str(args.hand), "--calibration", str(path)])
+        print(f"calibration written to {path}\nnext: {search}")
+        return ended
     why = "as asked" if args.no_write else f"there is no {path}: handctl commission first"
-    print(f"calibration written to {path}" if written else f"no calibration written: {why}")
-    return Exit.DONE
+    print(f"no calibration written: {'every digit was blocked' if spoilt and calibration else why}")
+    return ended
 
 
 def _pictures(hand: Hand, found: dict[Path, dict[str, Found]], say: Callable[[str], None]) -> list[Path]:

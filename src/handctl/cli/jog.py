@@ -6,7 +6,7 @@ from handctl.cli.begin import announce
 from handctl.cli.commission import ensure_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.options import print_json, run_options
-from handctl.cli.plan import default_log, find_calibration, make_plan
+from handctl.cli.plan import commission_log, default_log, find_calibration, make_plan
 from handctl.cli.session import make_controller, run_live
 from handctl.controller.live import JogProgram
 from handctl.controller.requests import HoldTension, MoveDigits
@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     announce(args, plan, path, calibration)
     log = args.log or default_log(plan.hand, "jog")
     if calibration is None:
-        calibration = ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))
+        calibration = ensure_calibration(plan, path, why, run_live, commission_log(log))
     outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
     if args.json:
         print_json({"digit": args.digit, "log": str(log), "failure": outcome.state.failure})

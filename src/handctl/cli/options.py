@@ -84,6 +84,17 @@ def run_options(parser: argparse.ArgumentParser, bus_required: bool = True) -> N
     time_scale_option(parser)
 
 
+def perturb_option(parser: argparse.ArgumentParser) -> None:
+    """--perturb: how the simulated hand differs from its file."""
+    text = "make the simulated hand unlike its file, e.g. stiffness=0.8 friction=1.3 (python -m firmware_sim --help)"
+    parser.add_argument("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help=text)
+
+
+def perturb_words(args: argparse.Namespace) -> list[str]:
+    """The option as the simulator takes it."""
+    return ["--perturb", *args.perturb] if args.perturb else []
+
+
 def yes_option(parser: argparse.ArgumentParser) -> None:
     """--yes: go on without the question."""
     parser.add_argument("--yes", action="store_true", help="on a real bus: move at once, do not ask")

@@ -268,6 +268,17 @@ def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibr
     return path, calibration, ""
 
 
+def commission_log(log: Path) -> Path:
+    """Return a new name beside a run's log for the commissioning before it.
+
+    A run that a fault ended in its commissioning leaves that log and no other; the same command then goes on beside it.
+    """
+    number, path = 1, log.with_suffix(".commission.mcap")
+    while os.path.lexists(path):
+        number, path = number + 1, log.with_suffix(f".commission-{number + 1}.mcap")
+    return path
+
+
 def default_log(hand: Hand, kind: str = "") -> Path:
     """logs/DATE-HAND.mcap, made unique."""
     folder = Path("logs")

@@ -8,7 +8,7 @@ from handctl.cli.commission import ensure_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.exit_codes import Exit
 from handctl.cli.options import print_json, say, tell_lossy
-from handctl.cli.plan import default_log, find_calibration, make_plan
+from handctl.cli.plan import commission_log, default_log, find_calibration, make_plan
 from handctl.cli.session import make_controller, run_live
 from handctl.log.reader import RunLog
 from handctl.replay.compare import check_same_hand, difference_lines
@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
         announce(args, plan, path, calibration)
         log = args.log or default_log(plan.hand, "replay")
         if calibration is None:
-            calibration = ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))
+            calibration = ensure_calibration(plan, path, why, run_live, commission_log(log))
         plan = replace(plan, attachments=plan.attachments | {"calibration.toml": path.read_bytes()})
         outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
         with RunLog(log) as after:

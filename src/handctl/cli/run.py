@@ -11,7 +11,7 @@ from handctl.cli.commission import ensure_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.options import print_json, run_options
 from handctl.cli.owner import Owner
-from handctl.cli.plan import Plan, default_log, find_calibration, find_task, find_trajectory, make_plan
+from handctl.cli.plan import Plan, commission_log, default_log, find_calibration, find_task, find_trajectory, make_plan
 from handctl.cli.session import Outcome, make_controller, refuse_blind_view, remedy, run_live
 from handctl.cli.verdict import judge, print_summary
 from handctl.controller.grasp import TaskProgram
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
     log = args.log or default_log(plan.hand)
     if calibration is None:
         runner = partial(run_live, attendant=Owner() if args.until_eof else None)
-        calibration = ensure_calibration(plan, path, why, runner, log.with_suffix(".commission.mcap"))
+        calibration = ensure_calibration(plan, path, why, runner, commission_log(log))
     plan.attachments.update(attached | {"calibration.toml": path.read_bytes()})
     controller = make_controller(plan, program, calibration, arm_at_once=True)
     owner = Owner() if args.until_eof else None

@@ -5,10 +5,13 @@ import os
 import subprocess
 import sys
 
+from handctl.cli.gains_layers import assignments
 from handctl.cli.options import (
     bus_option,
     hand_option,
     json_option,
+    perturb_option,
+    perturb_words,
     print_json,
     protocol_option,
     time_scale_option,
@@ -30,6 +33,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--dry-run", action="store_true", help="check what is given, print the command and end")
     parser.add_argument("--scene", default="cylinder", help="cylinder, sphere, box, none, or a scene file")
     parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
+    perturb_option(parser)
     wire_option(parser)
     time_scale_option(parser)
 
@@ -51,7 +55,8 @@ def _command(args: argparse.Namespace, hand: str) -> list[str]:
     command += ["--seed", str(args.seed), "--time-scale", str(args.time_scale)]
     for bus in args.bus:
         command += ["--bus", bus]
-    return command + wire_words(args) + ["--json"] * args.json
+    assignments(args.perturb, "--perturb")
+    return command + wire_words(args) + perturb_words(args) + ["--json"] * args.json
 
 
 def _check(args: argparse.Namespace) -> int:

@@ -13,6 +13,7 @@ from handctl.cli.options import (
     gains_options,
     hand_option,
     json_option,
+    perturb_option,
     time_scale_option,
     yes_option,
 )
@@ -54,7 +55,8 @@ def _kind(
 def _plants(parser: argparse.ArgumentParser, default: int) -> None:
     text = f"plants to keep the margins on, the hand's own first (default: {default})"
     parser.add_argument("--plants", type=int, default=default, metavar="N", help=text)
-    parser.add_argument("--fit", type=Path, metavar="FILE", help="calibration: tune the hand as it was identified")
+    text = "tune the hand as it was identified"
+    parser.add_argument("--fit", "--calibration", dest="fit", type=Path, metavar="FILE", help=text)
     parser.add_argument("--out", type=Path, metavar="FILE", help="gains file to write (default: HAND.KIND.toml)")
 
 
@@ -83,8 +85,13 @@ def _verify(parser: argparse.ArgumentParser) -> None:
     bus_option(parser, required=False)
     dry_run_option(parser)
     parser.add_argument("--lockstep", action="store_true", help="on a simulated hand in this process, in virtual time")
-    parser.add_argument("--perturb", action="append", default=[], metavar="KEY=X", help="of the simulated hand's plant")
-    parser.add_argument("--calibration", type=Path, metavar="FILE", help="default: HAND.calibration.toml")
+    perturb_option(parser)
+    text = "default: HAND.calibration.toml; with --lockstep only what it says was identified counts (default: nothing)"
+    parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
+    text = "with --lockstep: so many runs, each with another seed, whose spread decides (default: 3)"
+    parser.add_argument("--seeds", type=int, default=3, metavar="N", help=text)
+    text = "say verified although a column is worse than with the old gains"
+    parser.add_argument("--accept-worse", action="store_true", help=text)
     parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND-verify.mcap)")
     parser.add_argument("--clear", action="store_true", help="clear latched drive errors; find the cause first")
     yes_option(parser)

@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 from typing import NamedTuple
 
-from handctl.controller.calibration import load_calibration
+from handctl.cli.commission import identified_in
 from handctl.controller.gains import Gains, Provenance, gains_text
 from handctl.controller.identified import identified_hand
 from handctl.errors import ConfigError
@@ -86,7 +86,5 @@ def subject(name: str, fit: Path | None) -> Subject:
     hand = load_hand(name)
     if fit is None:
         return Subject(hand, hand, {})
-    found = load_calibration(fit, hand).identified
-    if not found:
-        raise ConfigError("holds nothing identified", str(fit), "a calibration that handctl identify wrote")
+    found = identified_in(fit, hand)
     return Subject(hand, identified_hand(hand, found), widths(found))

@@ -8,14 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.begin import announce
-from handctl.cli.commission import ensure_calibration
+from handctl.cli.commission import ensure_calibration, homed, identified_in
 from handctl.cli.dry_run import told
 from handctl.cli.exit_codes import Exit
 from handctl.cli.gains_layers import assignments, check_bus_only, check_perturb, gains_for
 from handctl.cli.options import print_json
-from handctl.cli.plan import Plan, check_design, default_log, find_calibration, make_plan
+from handctl.cli.plan import Plan, check_design, commission_log, default_log, find_calibration, make_plan
 from handctl.cli.screen import screen
 from handctl.cli.session import Outcome, make_controller, run_live, run_lockstep
+from handctl.cli.tune_files import checked_count
 from handctl.errors import ConfigError
 from handctl.hand.description import hand_path
 
@@ -30,14 +31,11 @@ def run(args: argparse.Namespace) -> int:
     check_perturb(args)
     if args.lockstep:
         check_bus_only(args)
-        if args.calibration:
-            raise ConfigError("only with --bus", "--calibration", "a simulated hand without one")
     plan = make_plan(args, lockstep=args.lockstep)
     new = gains_for(plan.hand, args.candidate)
     check_design(plan.hand, new.gains, plan.rate_hz)
     old = plan.gains
     base = old.model_copy(update={"filter": new.gains.filter})
-    watch = Watch(plan.hand, base, new.gains)
     if old.filter != new.gains.filter:
         print("the filter's gains cannot change in a run: both halves use the new ones", file=sys.stderr)
     if args.dry_run:
@@ -45,8 +43,17 @@ def run(args: argparse.Namespace) -> int:
         return told(plan, line, gains=args.candidate, amplitudes=AMPLITUDES)
     log = args.log or default_log(plan.hand, "verify")
     plan = _with_gains(plan, base, args.candidate)
-    outcome, truth = _run(args, plan, Exercise(AMPLITUDES), watch, log)
-    return _report(args, plan, outcome, watch, log, truth)
+    first, runs = args.seed, []
+    for seed in range(first, first + (checked_count(args.seeds, "--seeds", 100) if args.lockstep else 1)):
+        args.seed = seed
+        own = log if seed == first else log.with_stem(f"{log.stem}-seed{seed}")
+        watch = Watch(plan.hand, base, new.gains)
+        outcome, truth = _run(args, plan, Exercise(AMPLITUDES), watch, own)
+        runs.append(_judged(plan, outcome, watch, own, truth))
+        if not runs[-1]["through"]:
+            break
+    args.seed = first
+    return _report(args, runs, outcome)
 
 
 def _with_gains(plan: Plan, gains: Any, candidate: Path) -> Plan:
@@ -60,10 +67,11 @@ def _run(args: argparse.Namespace, plan: Plan, program: Any, watch: Any, log: Pa
         path, calibration, why = find_calibration(args, plan.hand)
         announce(args, plan, path, calibration)
         if calibration is None:
-            calibration = ensure_calibration(plan, path, why, run_live, log.with_suffix(".commission.mcap"))
+            calibration = ensure_calibration(plan, path, why, run_live, commission_log(log))
         return run_live(plan, make_controller(plan, program, calibration, True), log, attendant=watch), None
     from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
 
+    calibration = homed(plan.hand, identified_in(args.calibration, plan.hand))
     truth = log.with_suffix(".truth")
     peer = load_peer(
         SIMULATED_HAND,
@@ -76,14 +84,13 @@ def _run(args: argparse.Namespace, plan: Plan, program: Any, watch: Any, log: Pa
     )
     try:
         clock = LockstepClock(peer, plan.period_ns)
-        return run_lockstep(plan, make_controller(plan, program, None, True), log, clock, watch), truth
+        return run_lockstep(plan, make_controller(plan, program, calibration, True), log, clock, watch), truth
     finally:
         peer.close()
 
 
-def _report(
-    args: argparse.Namespace, plan: Plan, outcome: Outcome, watch: Any, log: Path, truth_file: Path | None
-) -> int:
+def _judged(plan: Plan, outcome: Outcome, watch: Any, log: Path, truth_file: Path | None) -> dict[str, Any]:
+    """What one run came to."""
     from handctl.log.reader import RunLog
     from handctl.report.truth import read_truth
     from handctl.tune.plots import draw_verify
@@ -94,23 +101,48 @@ def _report(
         rounds = scores(record, plan.hand, truth, outcome.offset_ns)
         picture = log.with_suffix(".png")
         draw_verify(picture, record, plan.hand, truth, outcome.offset_ns, watch.returned)
-    through = watch.returned is None and not outcome.state.failure and len(rounds) == len(AMPLITUDES)
-    result = {
-        "verified": through,
+    return {
+        "through": watch.returned is None and not outcome.state.failure and len(rounds) == len(AMPLITUDES),
         "returned": asdict(watch.returned) if watch.returned else None,
         "failure": outcome.state.failure,
-        "rounds": [asdict(one) for one in rounds],
+        "rounds": rounds,
         "judged_by": "truth" if truth else "estimates",
         "log": str(log),
         "picture": str(picture),
     }
+
+
+def _report(args: argparse.Namespace, runs: list[dict[str, Any]], outcome: Outcome) -> int:
+    """Say what all runs came to; the table is that of the last one."""
+    from handctl.tune.verify import compare
+
+    last = runs[-1]
+    columns = compare([one["rounds"] for one in runs]) if last["through"] else []
+    worse = [column.name for column in columns if column.verdict == "worse"]
+    verified = last["through"] and (args.accept_worse or not worse)
+    result = {key: value for key, value in last.items() if key != "through"} | {
+        "verified": verified,
+        "columns": [asdict(column) for column in columns],
+        "worse": worse,
+        "rounds": [asdict(one) for one in last["rounds"]],
+        "runs": len(runs),
+        "logs": [one["log"] for one in runs],
+    }
     if args.json:
         print_json(result)
     else:
-        _print(result, rounds, args)
+        _print(result, last["rounds"], args)
     if outcome.exit != Exit.DONE:
         return outcome.exit
-    return Exit.DONE if through else Exit.FAILED
+    return Exit.DONE if verified else Exit.FAILED
+
+
+def _print_columns(result: dict[str, Any]) -> None:
+    runs = result["runs"]
+    how = f"spread of {runs} seeds" if runs > 1 else "one run, spread assumed"
+    for one in result["columns"]:
+        change = f"{one['old']:.2f} -> {one['new']:.2f} {one['unit']}, difference +-{one['spread']:.2f} ({how})"
+        print(f"{one['name']}: {one['verdict']}, {change}")
 
 
 def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespace) -> None:
@@ -132,7 +164,11 @@ def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespa
             f"back to the old gains at {back['t_s']:.3f} s (tick {back['k']}), "
             f"amplitude {back['amplitude']:g}: {back['why']}"
         )
-    elif result["verified"]:
+    if result.get("columns"):
+        _print_columns(result)
+    if result.get("worse") and not result["verified"]:
+        print(f"not verified: {', '.join(result['worse'])} worse than with the old gains; --accept-worse takes that")
+    if result["verified"]:
         console.print(f"verified; to use them: handctl gains apply {args.candidate} --hand {args.hand}", soft_wrap=True)
     if result["failure"]:
         console.print(f"the run failed: {result['failure']}")

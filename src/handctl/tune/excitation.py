@@ -15,6 +15,8 @@ weaker than its file lacks a third of what it is asked for; pressed harder, it i
 LEAST_N, LIFT_SHARE = 1.1, 0.6
 """A digit on its open stop is stretched between the first, above what counts as slack, and the second, a share of the
 tension that lifts it off against springs as in the hand file."""
+LEAST_STRETCH_N = 0.5
+"""Range of that stretch, at least: less is lost in the load cell's noise."""
 STRETCH_S, STRETCHES = 0.9, 4
 """The motor's own friction is more than this tension, and gains may be weak: on quicker ramps the rope's tension
 makes a third of its way."""
@@ -25,11 +27,17 @@ def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
     """Steps of the named digits, one digit after the other.
 
     Raises:
-        ConfigError: there is no such digit.
+        ConfigError: there is no such digit, or its springs are too weak to stretch its tendon on the open stop.
     """
     for name in digits:
         if name not in hand.digit_names:
             raise ConfigError(repr(name), "--digits", "some of " + ", ".join(hand.digit_names))
+        if LIFT_SHARE * (tension := lift_off(hand, name)) < LEAST_N + LEAST_STRETCH_N:
+            least = (LEAST_N + LEAST_STRETCH_N) / LIFT_SHARE
+            what = f"{tension:.2f} N lifts it off its open stop, too little to stretch its tendon there"
+            raise ConfigError(
+                what, f"digit {name}", f"springs with a preload of {least:.2f} N or more, or other --digits"
+            )
     return tuple(step for name in digits for step in _steps(hand, name))
 
 

@@ -2,7 +2,7 @@
 
 import datetime
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from handctl.controller.identified import UNITS, Identified
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
+from handctl.log.moments import phase_of_each
 from handctl.log.reader import RunLog
 from handctl.tune.fit import NAMES, Fit, Problem, fit
 from handctl.tune.fit_digit import Balance, fit_digit, joined
@@ -29,6 +30,7 @@ class Found:
     Attributes:
         data: from the log. fit: of all parameters. judged: what of it counts. coherence: mean over the swing's band.
         spectrum: frequencies [Hz] and coherence. balance: of the digit, if it has several tendons and joint encoders.
+        blocked: when and what the digit met while it was excited; empty if nothing, or if it was not excited.
     """
 
     data: TendonData
@@ -37,11 +39,12 @@ class Found:
     coherence: float
     spectrum: tuple[Array, Array]
     balance: Balance | None = None
+    blocked: str = ""
 
     def identified(self, log: Path, made: str) -> Identified | None:
-        """For the calibration file; None if the data tell nothing."""
+        """For the calibration file; None if the data tell nothing, or are spoilt by what the digit met."""
         names = self.judged.names
-        if not names:
+        if not names or self.blocked:
             return None
         at = [NAMES.index(name) for name in names]
         scale = self.fit.problem.nominal[at]
@@ -74,6 +77,7 @@ class Found:
         }
         return {
             "digit": self.data.digit,
+            "blocked": self.blocked,
             "parameters": rows,
             "load_cell_offset_N": float(self.fit.z[len(NAMES)]),
             "coherence": self.coherence,
@@ -112,6 +116,24 @@ def identify(log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda t
         own = [(data, one) for data, one in solved if data.digit == name]
         balance, fits = _of_digit(hand, name, own)
         found |= {data.tendon: _found(hand, data, one, balance) for (data, _), one in zip(own, fits, strict=True)}
+    spoilt = blocked(log)
+    return {name: replace(one, blocked=spoilt.get(one.data.digit, "")) for name, one in found.items()}
+
+
+def blocked(log: RunLog) -> dict[str, str]:
+    """Return what each excited digit met while it was to move freely, by digit; nothing of those that met nothing.
+
+    The digit that was excited is spoilt, whichever of two that touch each other is found blocked.
+    """
+    events = [one for one in log.events if one.event.name == "blocked" and one.event.text.count("is blocked")]
+    if not events:
+        return {}
+    phases = phase_of_each(log.phases, np.array([one.k for one in events]))
+    found: dict[str, str] = {}
+    for one, phase in zip(events, phases, strict=True):
+        digit, _, step = str(phase).partition(" ")
+        if step:
+            found.setdefault(digit, f"{one.event.text} at {one.t_ns / 1e9:.1f} s, in its {step}")
     return found
 
 

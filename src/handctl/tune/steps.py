@@ -108,7 +108,10 @@ def _ripple(values: Matrix) -> float:
 
 @dataclass
 class Proof:
-    """Asks whether gains come to rest in lockstep on the hand's own plant and on the one with the smallest margins.
+    """Asks whether gains come to rest in lockstep.
+
+    It asks on the hand's own plant, on the one with the smallest margins, and on the one with the most friction, which
+    the linear loops leave out.
 
     Attributes:
         hand: that the plants are made of.
@@ -134,7 +137,8 @@ class Proof:
         return not self.told
 
     def _ask(self, model: HandModel) -> str:
-        for i in sorted({0, weakest(model, self.plants)}):
+        friction = [one.get("friction", 1.0) for one in self.factors]
+        for i in sorted({0, weakest(model, self.plants), friction.index(max(friction))}):
             found = swing(self.hand, model, self.factors[i], self.seed + i)
             if not found.at_rest:
                 return f": plant {i + 1} of {len(self.plants)} {found}"

@@ -9,6 +9,7 @@ from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.stats import t as student
 
 from handctl.controller.gain_bounds import LIVE, flat
 from handctl.controller.gains import Gains
@@ -142,6 +143,55 @@ class Watch:
                 return f"tension of {tendon.name} {tension:.0f} N, limit {bound:.0f}"
         most = max(limits.ringing * self._most, limits.ringing_floor_Nm_per_s)
         return f"motor torques ring with {ringing:.1f} N m/s, limit {most:.1f}" if ringing > most else ""
+
+
+COLUMNS = {
+    "tracking_deg": ("tracking", "deg"),
+    "tension_N": ("tension", "N"),
+    "effort_Nm_per_s": ("effort", "N m/s"),
+    "peak_tension_N": ("peak tension", "N"),
+}
+ONE_RUN = 0.1
+"""Spread of a column of which there is one run, as a share of its value: an assumption."""
+LEAST_SPREAD = 0.02
+"""Difference that counts, at least, as a share of the old value."""
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One measure at full amplitude, old gains against new.
+
+    Attributes:
+        name, unit: of the measure.
+        old, new: means over the runs.
+        spread: half of the 95 % interval of the difference; assumed where there is one run.
+        verdict: "better", "worse" or "same".
+    """
+
+    name: str
+    unit: str
+    old: float
+    new: float
+    spread: float
+    verdict: str
+
+
+def compare(runs: list[list[Score]]) -> list[Column]:
+    """Judge the new gains' round at full amplitude against the old gains', run by run.
+
+    Args:
+        runs: scores of the rounds of each run.
+    """
+    found = []
+    for key, (name, unit) in COLUMNS.items():
+        old = np.array([getattr(rounds[OLD_ROUNDS - 1], key) for rounds in runs])
+        new = np.array([getattr(rounds[-1], key) for rounds in runs])
+        n, mean, change = len(runs), float(old.mean()), float((new - old).mean())
+        spread = ONE_RUN * mean if n == 1 else float(student.ppf(0.975, n - 1) * (new - old).std(ddof=1) / n**0.5)
+        counts = abs(change) > max(spread, LEAST_SPREAD * mean)
+        verdict = ("worse" if change > 0.0 else "better") if counts else "same"
+        found.append(Column(name, unit, mean, float(new.mean()), spread, verdict))
+    return found
 
 
 def scores(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> list[Score]:
