@@ -149,9 +149,9 @@ def test_the_truth_file_keeps_its_promises(tmp_path: Path) -> None:
     names = truth.header["columns"]
     for name in ("tension/index_tendon", "q/thumb_j2", "dq/ring_j3", "motor/thumb_motor", "torque/thumb_motor",
                      "contact_force/middle/z",
-                 "object/x", "object/qw", "slip"):  # fmt: skip
+                 "object/x", "object/qw", "slip", "support"):  # fmt: skip
         assert name in names
-    assert len(names) == len(truth.header["units"]) == 4 + 11 + 11 + 4 + 4 + 12 + 7 + 1
+    assert len(names) == len(truth.header["units"]) == 4 + 11 + 11 + 4 + 4 + 12 + 7 + 1 + 1
     assert (truth.header["clock"], truth.header["seed"], truth.header["period_ns"]) == ("virtual", 5, 1_000_000)
     assert truth.header["scene"] == "cylinder:35"
     assert np.array_equal(np.diff(truth.t_ns), np.full(len(truth.t_ns) - 1, 1_000_000))
