@@ -121,3 +121,13 @@ def test_logs_of_other_columns_are_not_compared(place: Path, capsys: pytest.Capt
     with_run(GOLDEN, place / "odd.mcap", joints='["a", "b"]')
     assert main(["log", "diff", str(GOLDEN), "odd.mcap"]) == 4
     assert "other joints" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["3.5", "[]", '{"torque_gain": [1.0]}', '{"torque_gain": 3}', "{"])
+def test_a_setup_that_is_none_is_refused_by_identify(small_log: Path, text: str) -> None:
+    from handctl.tune.identify_data import _logged_gain
+
+    with RunLog(small_log) as log:
+        log.header.attachments["setup.json"] = text.encode()
+        with pytest.raises(LogError, match=r"setup\.json"):
+            _logged_gain(log, 4)
