@@ -79,6 +79,8 @@ class MotorSpec:
     direction: int
     zero: float
     options: dict[str, Any]
+    serial: int | None = None
+    """Serial number of the drive; None: as its protocol's simulated drives have it."""
     torque_gain: float = 1.0
     """Torque that really appears over the torque that the drive believes; 1 unless perturbed."""
 

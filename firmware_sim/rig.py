@@ -9,6 +9,7 @@ from firmware_sim.description import load_hand
 from firmware_sim.frame import FDF, Frame
 from firmware_sim.perturb import perturbed
 from firmware_sim.scene import load_scene
+from firmware_sim.serials import numbered
 from firmware_sim.truth import TruthWriter
 from firmware_sim.wire.options import parse
 from firmware_sim.wired_tick import WiredTick
@@ -29,7 +30,7 @@ class Rig:
         wired: the wires; None without.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 - a keyword for each thing that a test varies
         self,
         hand_path: str,
         *,
@@ -40,6 +41,7 @@ class Rig:
         period_ns: int = 2_000_000,
         homed: bool = False,
         wire: Sequence[str] | None = None,
+        serials: Sequence[str] = (),
     ) -> None:
         """Build the hand.
 
@@ -53,10 +55,12 @@ class Rig:
             homed: start with taut ropes and encoders at zero.
             wire: KEY=VALUE words of a simulated wire, see ``wire.options``; None for answers that are never late.
 
+            serials: serial numbers of the drives, see ``serials.numbered``.
+
         Raises:
             SimulatorError: hand, scene, factors or wire are wrong.
         """
-        hand = perturbed(load_hand(hand_path), perturb or {})
+        hand = numbered(perturbed(load_hand(hand_path), perturb or {}), serials)
         self.world = make_world(hand, load_scene(scene), seed, homed)
         self._period_ns = period_ns
         self.wired = None if wire is None else WiredTick(self.world, parse(wire))

@@ -17,6 +17,7 @@ from firmware_sim.ports import Port, assign, open_port
 from firmware_sim.printing import printable
 from firmware_sim.priority import Urgency
 from firmware_sim.scene import load_scene, packaged
+from firmware_sim.serials import numbered
 from firmware_sim.server import ScaledClock, Server
 from firmware_sim.truth import TruthWriter
 from firmware_sim.wire.options import KEYS as WIRE_KEYS
@@ -63,6 +64,8 @@ def _parser() -> argparse.ArgumentParser:
     add("--dry-run", action="store_true", help="check all of it and end; no bus is opened")
     add("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time on a local bus (they take none)")
     add("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help="a plant unlike its hand file")
+    text = "serial number of the drives: each adds its number on the bus, or of one motor alone"
+    add("--serial", action="append", default=[], metavar="[MOTOR=]NUMBER", help=text)
     return parser
 
 
@@ -89,6 +92,7 @@ def run(words: list[str]) -> None:
         raise SimulatorError(f"--truth {args.truth}: is a log; expected another name")
     factors = _factors(args.perturb)
     hand, scene = perturbed(load_hand(args.hand), factors), load_scene(args.scene)
+    hand = numbered(hand, args.serial)
     specs = assign(args.bus, hand.buses)
     clock = ScaledClock(args.time_scale)
     world = make_world(hand, scene, args.seed, args.homed, clock.now_ns(), compiled=False)

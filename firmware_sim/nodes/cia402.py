@@ -50,6 +50,8 @@ class Cia402Node:
         self.motor.servo.release()
         self.objects, self.power, self.nmt = Dictionary(self._id), Power(), PRE_OPERATIONAL
         self.objects[0x6076, 0] = round(self._rated * _UNITS[self._spec.options.get("rated_torque_unit", "mN_m")])
+        if self._spec.serial is not None:
+            self.objects[0x1018, 4] = self._spec.serial
         self.pdos = Pdos(self.objects)
         self._beat_ns = self.fed_ns = -1
         if announce:

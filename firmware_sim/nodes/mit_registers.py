@@ -65,11 +65,12 @@ def _possible(register: int, value: float) -> bool:
 
 
 def _factory(spec: MotorSpec) -> dict[int, float]:
+    serial = 0x5349_4D00 + spec.node_id if spec.serial is None else spec.serial
     values: dict[int, float] = dict.fromkeys((*range(24, 29), *range(31, 35), *range(50, 56), 4, 5, 6, 18, 19), 0.0)
     values.update({0: 15.0, KT: spec.torque_constant, OVER_TEMPERATURE: 100.0, OVER_CURRENT: 0.98})
     values.update({MST_ID: spec.options.get("reply_id", spec.node_id + 0x10), ESC_ID: spec.node_id})
     values.update({TIMEOUT: 0, CTRL_MODE: MODE_MIT, 11: spec.viscous, 12: spec.inertia})
-    values.update({13: 0x0001_0003, 14: 0x0001_0501, 15: 0x5349_4D00 + spec.node_id, 16: 14})
+    values.update({13: 0x0001_0003, 14: 0x0001_0501, 15: serial, 16: 14})
     values.update({17: 0.6, 20: 16.0, PMAX: spec.position_range, VMAX: spec.velocity_range, TMAX: spec.torque_max})
     values.update({29: 32.0, 30: 0.8, 35: 9 if spec.options.get("fd") else 4, 36: 1})
     values.update({VBUS: 24.0, T_BOARD: 25.0, T_MOTOR: 25.0})

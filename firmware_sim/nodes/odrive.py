@@ -51,6 +51,7 @@ class OdriveNode:
         self.motor, self._offset = motor, offset
         self.ids: frozenset[int] | None = None
         self._node, options = spec.node_id, spec.options
+        self._serial = SERIAL + spec.node_id if spec.serial is None else spec.serial
         self._gear = float(options.get("gear_ratio", 1.0))
         self._sign, self._kt = spec.direction, spec.torque_constant
         self._peak = spec.torque_peak
@@ -113,7 +114,7 @@ class OdriveNode:
         if command == 0x03:
             return struct.pack("<II", self.active, self.reason)
         if command == 0x06:
-            return bytes((self._node,)) + (SERIAL + self._node).to_bytes(6, "little") + b"\0"
+            return bytes((self._node,)) + self._serial.to_bytes(6, "little") + b"\0"
         if command == 0x09:
             return struct.pack("<ff", self._turns(), sign * gear * self.motor.velocity / _TURN)
         current = sign * self.motor.torque / self._kt

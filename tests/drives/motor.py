@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from handctl.drives.frame import Frame
 
 FLOATS = {21: 12.5, 22: 50.0, 23: 0.8}
-INTEGERS = {9: 0, 10: 1}
+INTEGERS = {9: 0, 10: 1, 15: 0x1234}
 
 
 @dataclass

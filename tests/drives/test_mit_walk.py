@@ -119,7 +119,7 @@ def test_a_reply_that_comes_twice_does_not_answer_the_next_request(walk: Walk) -
         walk.pending = [reply for reply in walk.pending for _ in range(2)]
         walk.tick(Want.POLL)
     assert walk.motor.written == []
-    assert len([frame for frame in walk.sent if frame.data[2] == 0x33]) == 5
+    assert len([frame for frame in walk.sent if frame.data[2] == 0x33]) == 6
 
 
 def test_short_replies_and_those_of_another_motor_are_counted_and_not_read(walk: Walk) -> None:

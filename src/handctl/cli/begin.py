@@ -38,6 +38,9 @@ def announce(args: argparse.Namespace, plan: Plan, path: Path, calibration: Cali
         found.append(_described("calibration", path, calibration.made))
     if found:
         say(f"handctl: found in this folder: {'; '.join(found)}", error=True)
+    if calibration and not calibration.drive:
+        text = "does not name the drives it was made with, any hand of this design would be armed with it"
+        say(f"handctl: caution: {path} {text}; handctl commission makes one that does", error=True)
     if real := real_buses(plan.buses):
         joints = ", ".join(plan.hand.digit_names)
         ask(f"{plan.hand.name} on {', '.join(real)} is armed and moves {joints}", args.yes)

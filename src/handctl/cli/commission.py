@@ -3,11 +3,12 @@
 import argparse
 import datetime
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 from handctl.cli.begin import announce
 from handctl.cli.dry_run import told
-from handctl.cli.options import print_json, run_options
+from handctl.cli.options import print_json, run_options, say
 from handctl.cli.plan import Plan, calibration_path, default_log, make_plan
 from handctl.cli.session import Outcome, Runner, make_controller, remedy, run_live
 from handctl.controller.calibration import Calibration, TendonCalibration, load_calibration
@@ -36,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     announce(args, plan, path, None)
     log = args.log or default_log(plan.hand, "commission")
     calibration, outcome = commission(plan, log, run_live)
-    calibration = calibration.model_copy(update={"identified": kept(path, plan.hand)})
+    calibration = calibration.model_copy(update={"identified": kept(path, plan.hand, calibration.drive)})
     write_calibration(path, calibration)
     if args.json:
         print_json({"calibration": str(path), "log": str(log), **calibration.model_dump(by_alias=True)})
@@ -64,7 +65,10 @@ def commission(plan: Plan, log: Path, runner: Runner) -> tuple[Calibration, Outc
     outcome.refuse_unfinished(f"commissioning {plan.hand.name}", remedy(plan, outcome))
     virtual = outcome.priority is None  # in lockstep there is no date, or no two runs would be the same
     now = VIRTUAL_DATE if virtual else datetime.datetime.now(datetime.UTC)
-    return result(controller.model, outcome.state.progress, now.isoformat(timespec="seconds")), outcome
+    calibration = result(controller.model, outcome.state.progress, now.isoformat(timespec="seconds"))
+    there = zip(controller.drives, outcome.state.drives, strict=True)
+    drives = {drive.name: drive.identity(known) for drive, known in there}
+    return calibration.model_copy(update={"drive": drives}), outcome
 
 
 def write_calibration(path: Path, calibration: Calibration) -> None:
@@ -72,16 +76,31 @@ def write_calibration(path: Path, calibration: Calibration) -> None:
     rows = calibration.model_dump(by_alias=True)
     tables = {f"tendon.{name}": row for name, row in rows.pop("tendon").items()}
     tables |= {f"identified.{name}": row for name, row in rows.pop("identified").items()}
+    if not rows["drive"]:
+        del rows["drive"]
     text = toml_text(rows) + "".join(f"\n[{name}]\n{toml_text(row)}" for name, row in tables.items())
     write_whole(path, text)
 
 
-def kept(path: Path, hand: Hand) -> dict[str, Identified]:
-    """What was identified before: a new tare does not change what the hand is made of; nothing of another hand."""
+def kept(path: Path, hand: Hand, drives: Mapping[str, str]) -> dict[str, Identified]:
+    """What was identified before: a new tare does not change what the hand is made of; nothing of another hand.
+
+    Args:
+        path: of the calibration before.
+        hand: description.
+        drives: that were there now, by motor; empty if unknown.
+    """
     try:
-        return load_calibration(path, hand).identified if path.exists() else {}
+        before = load_calibration(path, hand) if path.exists() else None
     except ConfigError:
         return {}
+    if before is None:
+        return {}
+    if drives and before.drive and before.drive != drives:
+        if before.identified:
+            say(f"handctl: caution: {path}: was of other drives, what was identified with them is left out", error=True)
+        return {}
+    return before.identified
 
 
 Known = dict[str, Identified]
@@ -116,6 +135,6 @@ def ensure_calibration(plan: Plan, path: Path, why: str, runner: Runner, log: Pa
     """Commission a hand that cannot be armed otherwise, and say so."""
     print(f"commissioning {plan.hand.name} first: {why}", file=sys.stderr)
     calibration, _ = commission(plan, log, runner)
-    calibration = calibration.model_copy(update={"identified": kept(path, plan.hand)})
+    calibration = calibration.model_copy(update={"identified": kept(path, plan.hand, calibration.drive)})
     write_calibration(path, calibration)
     return calibration

@@ -183,7 +183,7 @@ def _report(
 ) -> int:
     """The calibration, pictures, numbers."""
     made = now()
-    known = kept(path, hand)
+    known = kept(path, hand, calibration.drive if calibration else {})
     spoilt = {one.data.digit: one.blocked for tendons in found.values() for one in tendons.values() if one.blocked}
     told_anything = False
     for log, tendons in found.items():

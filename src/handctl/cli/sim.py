@@ -34,6 +34,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", default="cylinder", help="cylinder, sphere, box, none, or a scene file")
     parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
     perturb_option(parser)
+    text = "serial number of the simulated drives: each adds its number on the bus, or of one motor alone"
+    parser.add_argument("--serial", action="append", default=[], metavar="[MOTOR=]NUMBER", help=text)
     wire_option(parser)
     time_scale_option(parser)
 
@@ -56,6 +58,7 @@ def _command(args: argparse.Namespace, hand: str) -> list[str]:
     for bus in args.bus:
         command += ["--bus", bus]
     assignments(args.perturb, "--perturb")
+    command += [word for serial in args.serial for word in ("--serial", serial)]
     return command + wire_words(args) + perturb_words(args) + ["--json"] * args.json
 
 

@@ -46,6 +46,8 @@ class Calibration(Document):
     made: str
     """Date and time, ISO 8601, UTC."""
     tendon: dict[str, TendonCalibration]
+    drive: dict[str, str] = Field(default_factory=dict)
+    """What tells each drive from others, by motor, see ``Drive.identity``; empty in files of earlier versions."""
     identified: dict[str, Identified] = Field(default_factory=dict)
     """What identification found, by tendon; what is not there is as the hand file says."""
 

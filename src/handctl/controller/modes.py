@@ -54,6 +54,7 @@ class Circumstances(NamedTuple):
         action: what safety demands.
         wishes: what people asked.
         foreign: signs of a second controller: identifiers that only a host sends, motors that nobody here has asked.
+        identities: of the drives that the calibration was made with, as ``Drive.identity``; empty where unknown.
     """
 
     model: HandModel
@@ -62,6 +63,7 @@ class Circumstances(NamedTuple):
     action: Action
     wishes: Wishes
     foreign: tuple[str, ...]
+    identities: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -112,6 +114,7 @@ def next_mode(
     wishes: Wishes,
     foreign: tuple[str, ...],
     t: float,
+    identities: tuple[str, ...] = (),
 ) -> tuple[State, tuple[Event, ...]]:
     """Decide the mode of this tick.
 
@@ -123,8 +126,9 @@ def next_mode(
         wishes: what people asked.
         foreign: signs of a second controller, as text.
         t: time of the tick [s].
+        identities: of the drives that the calibration names; empty if it names none.
     """
-    seen = Circumstances(model, drives, t - state.mode_since, action, wishes, foreign)
+    seen = Circumstances(model, drives, t - state.mode_since, action, wishes, foreign, identities)
     demanded = None if seen.nothing_special else _demanded(state, seen)
     mode, failure = demanded or _MODES[state.mode](state, seen)
     if mode == state.mode:
@@ -204,7 +208,17 @@ def _unread(state: State, seen: Circumstances) -> list[str]:
 
 
 def _ready(state: State, seen: Circumstances) -> Next:
+    if strange := _strange(state, seen):
+        return Mode.DONE, f"{strange}: the calibration is another hand's, name this one's or commission it"
     return (Mode.ARMING if state.armed and seen.elapsed >= READY_S else Mode.READY), ""
+
+
+def _strange(state: State, seen: Circumstances) -> str:
+    """Return which drives are not those that the calibration was made with; empty if all are, or it names none."""
+    there = [drive.identity(known) for drive, known in zip(seen.drives, state.drives, strict=True)]
+    pairs = zip(seen.names, there, seen.identities, strict=False)
+    others = [(name, now, then) for name, now, then in pairs if then not in ("", now)]
+    return ", ".join(f"{name} is drive {now}, calibrated was {then}" for name, now, then in others)
 
 
 def _arming(state: State, seen: Circumstances) -> Next:

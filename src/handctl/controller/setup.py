@@ -1,6 +1,7 @@
 """Putting a controller together from data, so that a log can put the same one together again."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
@@ -94,6 +95,8 @@ class Setup(Document):
     """(N,) load-cell tare, in the order of the tendons."""
     zero_rad: tuple[float, ...]
     """(N,) motor zero."""
+    identities: tuple[str, ...] = ()
+    """Of the drives that the calibration was made with; empty: unknown."""
     program: ProgramSetup
     identified_hand: str = ""
     """The hand as identified, TOML; empty: as its file says."""
@@ -108,6 +111,7 @@ class Setup(Document):
             arm_at_once=controller.arm_at_once,
             tare_N=tuple(controller.tare.tolist()),
             zero_rad=tuple(controller.zero.tolist()),
+            identities=controller.identities,
             program=_described(controller.program),
             identified_hand="" if controller.model.torque_gain is None else controller.model.hand.to_toml(),
             torque_gain=() if controller.model.torque_gain is None else tuple(controller.model.torque_gain.tolist()),
@@ -120,7 +124,8 @@ class Setup(Document):
         model = HandModel.of(known, gains, self.rate_hz, np.array(self.torque_gain) if self.torque_gain else None)
         tare, zero = np.array(self.tare_N), np.array(self.zero_rad)
         drives, sensors = make_drives(hand), make_sensors(hand)
-        return Controller.of(model, drives, sensors, _made(self.program, hand), tare, zero, self.arm_at_once)
+        controller = Controller.of(model, drives, sensors, _made(self.program, hand), tare, zero, self.arm_at_once)
+        return replace(controller, identities=self.identities)
 
 
 def caveats(drives: Iterable[Drive]) -> tuple[str, ...]:
@@ -160,7 +165,10 @@ def make_controller(
     found = calibration.identified if calibration else {}
     gain = torque_gain(hand, found) if found else None
     model = HandModel.of(identified_hand(hand, found) if found else hand, gains, rate_hz, gain)
-    return Controller.of(model, make_drives(hand), make_sensors(hand), program, tare, zero, arm_at_once)
+    drives, sensors = make_drives(hand), make_sensors(hand)
+    controller = Controller.of(model, drives, sensors, program, tare, zero, arm_at_once)
+    known = calibration.drive if calibration else {}
+    return replace(controller, identities=tuple(known.get(drive.name, "") for drive in drives) if known else ())
 
 
 def _described(program: Program) -> AnySetup:

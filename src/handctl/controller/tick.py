@@ -63,6 +63,7 @@ class Controller:
         owners: (bus, identifier) to the index of the drive that sends it, or SENSORS.
         ours: (bus, identifier) of frames that only this host may send.
         arm_at_once: arm as soon as everything has answered, without a request.
+        identities: of the drives that tare and zero were found with; empty if unknown.
         designs: of gains that were set in a run.
     """
 
@@ -76,6 +77,7 @@ class Controller:
     owners: dict[tuple[int, int], int]
     ours: frozenset[tuple[int, int]]
     arm_at_once: bool = True
+    identities: tuple[str, ...] = ()
     designs: retune.Designs = field(default_factory=retune.Designs, compare=False, repr=False)
 
     @staticmethod
@@ -151,7 +153,7 @@ class Controller:
         judged, verdict = safety.judge(state.safety, self.limits, signals)
         state = state if judged is state.safety else state._replace(safety=judged)
         t, foreign = entry.t_ns / 1e9, signals.foreign
-        state, moved = next_mode(self.model, self.drives, state, verdict.action, wishes, foreign, t)
+        state, moved = next_mode(self.model, self.drives, state, verdict.action, wishes, foreign, t, self.identities)
         progress, goal_time, stepped = self._program(state, verdict.action, estimate, measured)
         bounds = envelope(self.model, state, entry.k - before.k)
         law, command = self._command(state, verdict.action, estimate, progress.goals, goal_time, bounds)

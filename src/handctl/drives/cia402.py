@@ -299,6 +299,10 @@ class Cia402Drive:
     def _nmt(self, order: int) -> Frame:
         return Frame(codec.NMT, bytes((order, self.node_id)), 0, self.bus)
 
+    def identity(self, state: DriveState) -> str:
+        """Object 0x1018:4, which a drive need not have."""
+        return f"{serial:#x}" if (serial := progress_of(state).walk.serial) else f"node {self.node_id}"
+
     def cause(self, error: int) -> Cause:
         """See ``contract.Drive``."""
         return CAUSES.get(error, Cause.OTHER if error in codec.ERRORS else Cause.UNKNOWN)

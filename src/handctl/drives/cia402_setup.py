@@ -19,6 +19,10 @@ UNSUPERVISED = 0x1016, 1, (MASTER << 16).to_bytes(4, "little")
 """Number, subindex and bytes of an object: a heartbeat that may be 0 ms apart is not waited for."""
 
 
+SERIAL = 0x1018, 4
+"""Number and subindex of the serial number."""
+
+
 class Check(enum.IntEnum):
     """What is done with an object."""
 
@@ -30,6 +34,8 @@ class Check(enum.IntEnum):
     """Write, read, must be this value."""
     WRITE_IF_THERE = 3
     """The same, and a drive without this object is well."""
+    TELL_IF_THERE = 4
+    """Read, whatever it is; a drive without this object is well."""
 
 
 class Step(NamedTuple):
@@ -47,6 +53,11 @@ class Step(NamedTuple):
         return self.value.to_bytes(self.size, "little")
 
     @property
+    def writes(self) -> bool:
+        """Whether it is written, and read back then."""
+        return self.check in (Check.WRITE, Check.WRITE_IF_THERE)
+
+    @property
     def name(self) -> str:
         """The object for people."""
         return f"object {self.number:#06x}:{self.sub}"
@@ -57,12 +68,21 @@ GUARDS = ((0x1016, 1), (0x6072, 0))
 
 
 class Walk(NamedTuple):
-    """How far: index, whether it has been written, when the open request was sent [ns] (-1 if none), how often."""
+    """How far a drive's objects are known.
+
+    Attributes:
+        step: index of the object.
+        written: whether it has been written.
+        sent_ns: when the open request was sent [ns]; -1 if none is.
+        tries: how often.
+        serial: the drive's serial number; 0 if it has not told one.
+    """
 
     step: int = 0
     written: bool = False
     sent_ns: int = -1
     tries: int = 0
+    serial: int = 0
 
 
 def steps(node_id: int, rated: int, most: int, watchdog_ms: int, heartbeat_ms: int) -> tuple[Step, ...]:
@@ -75,11 +95,12 @@ def steps(node_id: int, rated: int, most: int, watchdog_ms: int, heartbeat_ms: i
         watchdog_ms: longest time without this host's heartbeat [ms].
         heartbeat_ms: period of the drive's own [ms].
     """
-    same, bits, write, maybe = Check
+    same, bits, write, maybe, tell = Check
     others = [Step(maybe, base + i, 1, PDO_OFF | cob + 0x100 * i + node_id, 4) for base, cob in ((0x1400, codec.RPDO),
               (0x1800, codec.TPDO)) for i in (1, 2, 3)]  # fmt: skip
     return (
         Step(bits, 0x1000, 0, 0x0192, 4),
+        Step(tell, *SERIAL, 0, 4),
         Step(write, 0x6040, 0, codec.DISABLE_VOLTAGE, 2),
         Step(bits, 0x6502, 0, 1 << TORQUE_MODE - 1, 4),
         Step(same, 0x6076, 0, rated, 4),
@@ -118,16 +139,18 @@ def take(walk: Walk, wanted: tuple[Step, ...], reply: codec.SdoReply) -> tuple[W
     step = wanted[walk.step]
     if walk.sent_ns < 0 or reply[:2] != (step.number, step.sub):
         return walk, ""
-    done = Walk(walk.step + 1)
+    done = Walk(walk.step + 1, serial=walk.serial)
     if reply.abort:
-        if reply.abort in (codec.ABSENT, 0x06090011) and step.check == Check.WRITE_IF_THERE:
+        if reply.abort in (codec.ABSENT, 0x06090011) and step.check >= Check.WRITE_IF_THERE:
             return done, ""
         return walk, f"{step.name}: {codec.abort_text(reply.abort)}"
-    if step.check >= Check.WRITE and not walk.written:
-        return (walk, "") if reply.raw else (Walk(walk.step, written=True), "")
+    if step.writes and not walk.written:
+        return (walk, "") if reply.raw else (Walk(walk.step, written=True, serial=walk.serial), "")
     if not reply.raw:
         return walk, ""
     value = int.from_bytes(reply.raw, "little")
+    if step.check == Check.TELL_IF_THERE:
+        return done._replace(serial=value), ""
     good = value & step.value == step.value if step.check == Check.HAS_BITS else value == step.value
     return (done, "") if good else (walk, f"{step.name} reads {value:#x}, expected {step.value:#x}")
 
@@ -139,6 +162,6 @@ def ask(walk: Walk, wanted: tuple[Step, ...], t_ns: int) -> tuple[Walk, bytes, s
     step = wanted[walk.step]
     if walk.step and walk.tries >= REQUEST_TRIES:
         return walk, b"", f"{step.name} is not answered"
-    writes = step.check >= Check.WRITE and not walk.written
+    writes = step.writes and not walk.written
     data = codec.download(step.number, step.sub, step.raw) if writes else codec.upload(step.number, step.sub)
     return walk._replace(sent_ns=t_ns, tries=walk.tries + 1), data, ""

@@ -138,6 +138,14 @@ class Drive(Protocol):
         """Frames at the good end of a run, after which the drive may miss this host; none if it may still pull."""
         ...
 
+    def identity(self, state: DriveState) -> str:
+        """Return what tells this drive from another one: its serial number as ``scan`` prints it.
+
+        A drive that has told none is known by its number on the bus alone, ``node N``: one of the same number in
+        another hand cannot be told from it.
+        """
+        ...
+
     def cause(self, error: int) -> Cause:
         """What is behind an error, ``DriveState.error``, that is not 0."""
         ...

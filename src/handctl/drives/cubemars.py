@@ -256,6 +256,10 @@ class CubemarsDrive:
         """Nothing: it has no watchdog that would miss this host."""
         return ()
 
+    def identity(self, state: DriveState) -> str:
+        """Its number: it tells no serial number."""
+        return f"node {self.node_id}"
+
     def cause(self, error: int) -> Cause:
         """See ``contract.Drive``."""
         return CAUSES.get(error, Cause.UNKNOWN)

@@ -180,13 +180,13 @@ class MitDrive:
         if state.phase != CONFIGURING:
             return state
         progress = progress_of(state)
+        if progress.walk.step >= len(self.wanted):
+            told = reply[:2] == (codec.READ, codec.SERIAL)
+            return _ready(state, progress, t_ns, int.from_bytes(reply.raw, "little")) if told else state
         walk, problem = registers.take(progress.walk, self.wanted, reply)
         if problem:
             return fault(state, MISMATCH, problem)
-        if walk.step < len(self.wanted):
-            return state._replace(private=progress._replace(walk=walk))
-        ready = progress._replace(walk=Walk(), configured=True, ready_ns=t_ns)
-        return state._replace(phase=READY, private=ready)
+        return state._replace(private=progress._replace(walk=walk))
 
     def _take_guard(self, state: DriveState, progress: Progress, reply: codec.RegisterReply) -> DriveState:
         """Compare a register that was read again while enabled; another value means that all may be lost."""
@@ -258,6 +258,10 @@ class MitDrive:
         if progress.found_enabled:
             told = state._replace(error_text="enabled, and does not disable", private=progress)
             return told, self.cut()
+        if progress.walk.step >= len(self.wanted):
+            walk, data, untold = registers.ask_serial(progress.walk, self.node_id, t_ns)
+            known = state._replace(private=progress._replace(walk=walk))
+            return _ready(known, progress, t_ns, 0) if untold else known, (self._broadcast(data),) if data else ()
         walk, data, problem = registers.ask(progress.walk, self.wanted, self.node_id, t_ns)
         if problem:
             return fault(state._replace(private=progress), MISMATCH, problem), ()
@@ -291,6 +295,10 @@ class MitDrive:
         """Disabled, its watchdog watches nothing."""
         return ()
 
+    def identity(self, state: DriveState) -> str:
+        """Register 15."""
+        return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
+
     def cause(self, error: int) -> Cause:
         """See ``contract.Drive``."""
         return CAUSES.get(error, Cause.UNKNOWN)
@@ -303,3 +311,9 @@ class MitDrive:
 
     def _refresh(self) -> Frame:
         return self._broadcast(codec.register_request(self.node_id, codec.REFRESH))
+
+
+def _ready(state: DriveState, progress: Progress, t_ns: int, serial: int) -> DriveState:
+    """All registers are right; 0 is a serial number that was not told."""
+    ready = progress._replace(walk=Walk(), configured=True, ready_ns=t_ns, serial=serial)
+    return state._replace(phase=READY, private=ready)

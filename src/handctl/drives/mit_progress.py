@@ -35,6 +35,7 @@ class Progress(NamedTuple):
         clearing: how many answers may still carry the error that is being cleared.
         ready_ns: when its registers were known [ns].
         check: how far its registers were read again while it is enabled.
+        serial: its serial number; 0 if it has not told one.
     """
 
     walk: Walk = Walk()
@@ -46,6 +47,7 @@ class Progress(NamedTuple):
     clearing: int = 0
     ready_ns: int = 0
     check: Recheck = Recheck()
+    serial: int = 0
 
 
 def progress_of(state: DriveState) -> Progress:

@@ -6,6 +6,8 @@ from handctl.drives import mit_codec as codec
 
 REQUEST_TIMEOUT_NS = 20_000_000
 REQUEST_TRIES = 10
+SERIAL_TRIES = 3
+"""Of a register that a motor need not have."""
 
 Wanted = tuple[tuple[int, float], ...]
 """(register, value) in the order of asking."""
@@ -72,6 +74,20 @@ def ask(walk: Walk, wanted: Wanted, node_id: int, t_ns: int) -> tuple[Walk, byte
     operation = codec.WRITE if walk.writing else codec.READ
     data = codec.register_request(node_id, operation, register, value)
     return walk._replace(sent_ns=t_ns, tries=walk.tries + 1), data, ""
+
+
+def ask_serial(walk: Walk, node_id: int, t_ns: int) -> tuple[Walk, bytes, bool]:
+    """The request for the serial number that is due, once all wanted registers are right.
+
+    Returns:
+        the walk from here; payload on BROADCAST_ID, empty if an answer is awaited; whether the motor does not tell it.
+    """
+    if walk.sent_ns >= 0 and t_ns - walk.sent_ns < REQUEST_TIMEOUT_NS:
+        return walk, b"", False
+    if walk.tries >= SERIAL_TRIES:
+        return walk, b"", True
+    data = codec.register_request(node_id, codec.READ, codec.SERIAL)
+    return walk._replace(sent_ns=t_ns, tries=walk.tries + 1), data, False
 
 
 def name(register: int) -> str:

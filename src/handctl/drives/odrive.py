@@ -21,6 +21,7 @@ from handctl.drives.odrive_progress import (
     HEARTBEATS_MISSED,
     MISMATCH,
     REPEAT_NS,
+    SERIAL_TRIES,
     TEMPERATURE_NS,
     VERSION_TRIES,
     Progress,
@@ -152,7 +153,8 @@ class OdriveDrive:
         command = frame.can_id & 0x1F
         if frame.bus != self.bus or frame.can_id >> 5 != self.node_id or command not in codec.ANSWERS:
             return state
-        if len(frame.data) != 8 and not (command == codec.TX_SDO and 4 < len(frame.data) < 8):
+        shortest = {codec.TX_SDO: 5, codec.ADDRESS: 7}.get(command, 8)
+        if not shortest <= len(frame.data) <= 8:
             return state._replace(misread=state.misread + 1)
         if command == codec.HEARTBEAT:
             return take_heartbeat(state, frame, self.old)
@@ -160,6 +162,8 @@ class OdriveDrive:
             return self._take_version(state, frame.data)
         if command == codec.TX_SDO:
             return self._take_setting(state, frame.data)
+        if command == codec.ADDRESS:
+            return self._take_serial(state, frame.data)
         return self._take_values(state, command, frame)
 
     def _take_values(self, state: DriveState, command: int, frame: Frame) -> DriveState:
@@ -183,7 +187,16 @@ class OdriveDrive:
             return state
         if data[0] != codec.PROTOCOL:
             return fault(state, MISMATCH, f"speaks CANSimple version {data[0]}, expected {codec.PROTOCOL}")
-        return state._replace(phase=CONFIGURING, private=progress_of(state)._replace(version=True, tries=0))
+        return state._replace(
+            phase=CONFIGURING, private=progress_of(state)._replace(version=True, tries=0, sent_ns=-REPEAT_NS)
+        )
+
+    def _take_serial(self, state: DriveState, data: bytes) -> DriveState:
+        """Its number on the bus, then 48 bits of serial number."""
+        if state.phase != CONFIGURING or data[0] != self.node_id:
+            return state
+        serial = int.from_bytes(data[1:7], "little")
+        return state._replace(private=progress_of(state)._replace(serial=serial, asked_serial=SERIAL_TRIES))
 
     def _take_setting(self, state: DriveState, data: bytes) -> DriveState:
         progress = progress_of(state)
@@ -251,6 +264,8 @@ class OdriveDrive:
             return state._replace(error_text=text), (self._state(codec.IDLE),)
         if not progress.version:
             return self._ask_version(state, progress, t_ns)
+        if progress.asked_serial < SERIAL_TRIES and not self.old:
+            return self._ask_serial(state, progress, t_ns)
         if progress.write:
             return state._replace(private=progress._replace(write=b"")), (self._frame(codec.RX_SDO, progress.write),)
         if progress.walk.step < len(self.settings):
@@ -276,6 +291,13 @@ class OdriveDrive:
         asked = progress._replace(sent_ns=t_ns, tries=progress.tries + 1 if progress.heard_ns >= 0 else 0)
         frame = self._frame(codec.CLEAR_ERRORS, b"") if progress.clearing else self._ask(codec.GET_VERSION)
         return state._replace(private=asked), (frame,)
+
+    def _ask_serial(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Older firmware 0.6 does not answer: it is asked a few times, and is known by its number then."""
+        if t_ns - progress.sent_ns < REPEAT_NS:
+            return state, ()
+        asked = progress._replace(sent_ns=t_ns, asked_serial=progress.asked_serial + 1)
+        return state._replace(private=asked), (self._ask(codec.ADDRESS),)
 
     def _questions(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
         """What is asked for in a tick."""
@@ -306,6 +328,10 @@ class OdriveDrive:
     def leave(self, state: DriveState) -> tuple[Frame, ...]:
         """Disabled, its watchdog watches nothing."""
         return ()
+
+    def identity(self, state: DriveState) -> str:
+        """48 bits of the Address message, which firmware 0.5 and early 0.6 do not have."""
+        return f"{serial:012X}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def cause(self, error: int) -> Cause:
         """See ``contract.Drive``."""

@@ -22,7 +22,7 @@ CAUSES_OF_BITS = {
 }  # fmt: skip
 """By our own codes, and by the bit of the heartbeat's error."""
 REPEAT_NS, TEMPERATURE_NS = 20_000_000, 200_000_000
-VERSION_TRIES, CLEAR_TRIES = 10, 3
+VERSION_TRIES, CLEAR_TRIES, SERIAL_TRIES = 10, 3, 3
 ORDERS = 5
 """Orders to enable that may be lost."""
 HEARTBEATS_MISSED = 3.5
@@ -36,6 +36,8 @@ class Progress(NamedTuple):
 
     Attributes:
         version: whether the protocol version is the one spoken here.
+        serial: its serial number; 0 if it has not told one.
+        asked_serial: how often it was asked for it; ``SERIAL_TRIES`` and it is not asked again.
         walk: how far the endpoints are known.
         write: payload of RxSdo that is to be sent next; empty if none.
         configured: whether mode and limits were sent.
@@ -53,6 +55,8 @@ class Progress(NamedTuple):
     """
 
     version: bool = False
+    serial: int = 0
+    asked_serial: int = 0
     walk: endpoints.Walk = endpoints.Walk()
     write: bytes = b""
     configured: bool = False
@@ -151,7 +155,8 @@ def _did_not_enable(state: DriveState, progress: Progress, beat: codec.Heartbeat
     if progress.orders >= ORDERS:
         off = state._replace(private=progress._replace(asked_ns=-1, orders=0))
         return fault(off, REFUSED, f"told to enable {ORDERS} times, and stays idle: it restarts, or takes no orders")
-    fresh = Progress(version=progress.version, axis=progress.axis, heard_ns=progress.heard_ns, orders=progress.orders)
+    fresh = Progress(version=progress.version, serial=progress.serial, asked_serial=progress.asked_serial,
+                     axis=progress.axis, heard_ns=progress.heard_ns, orders=progress.orders)  # fmt: skip
     return state._replace(phase=CONFIGURING, private=fresh)
 
 

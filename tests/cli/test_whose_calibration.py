@@ -1,0 +1,149 @@
+"""A calibration belongs to one hand: to the drives that were there when it was made, as they tell themselves."""
+
+import json
+import tomllib
+
+import pytest
+
+from handctl.cli.begin import announce
+from handctl.cli.commission import commission, kept, write_calibration
+from handctl.cli.main import main
+from handctl.cli.plan import make_plan
+from handctl.cli.session import make_controller, run_lockstep
+from handctl.controller.calibration import load_calibration
+from handctl.controller.live import JogProgram
+from handctl.controller.requests import MoveDigits
+from handctl.controller.types import Mode
+from handctl.hand.description import load_hand
+from handctl.log.reader import RunLog
+from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
+from tests.drives.protocol_bench import hand_file
+
+FIRST, SECOND = ("0x4000",), ("0x8000",)
+GOAL = {"do": "move", "angle_deg": {"index": 5.0}, "duration_s": 0.2}
+
+
+class Bench:
+    """A hand of one design in virtual time, and the controller's plan for it."""
+
+    def __init__(self, place, hand, serials=()):
+        import argparse
+
+        from handctl.cli.options import run_options
+
+        parser = argparse.ArgumentParser()
+        run_options(parser, bus_required=False)
+        self.args = parser.parse_args(["--hand", str(hand), "--json"])
+        self.plan, self.place = make_plan(self.args, lockstep=True), place
+        self.peer = load_peer(SIMULATED_HAND, hand_path=str(hand), period_ns=self.plan.period_ns, serials=serials)
+        self.clock = LockstepClock(self.peer, self.plan.period_ns)
+
+    def runner(self, plan, controller, log):
+        return run_lockstep(plan, controller, log, self.clock)
+
+    def commission(self, name):
+        calibration, _ = commission(self.plan, self.place / f"{name}.mcap", self.runner)
+        return calibration
+
+    def jog(self, calibration, name):
+        program = JogProgram(MoveDigits.model_validate(GOAL), 0.4)
+        controller = make_controller(self.plan, program, calibration, True)
+        return self.runner(self.plan, controller, self.place / f"{name}.mcap")
+
+
+def modes(log):
+    with RunLog(log) as run:
+        return [event.event.text for event in run.events if event.event.name == "mode"]
+
+
+@pytest.mark.parametrize("protocols", [["mit"], ["odrive"], ["cia402"]], ids="+".join)
+def test_the_second_hand_of_a_design_is_not_armed_with_the_first_one_s_calibration(place, protocols):
+    """Two hands in one folder: the second was armed with the first one's tares and zeros, without a word."""
+    hand = hand_file(place, protocols)
+    first, second = Bench(place, hand, FIRST), Bench(place, hand, SECOND)
+    calibration = first.commission("first")
+    assert set(calibration.drive) == {motor.name for motor in load_hand(str(hand)).motor}
+    assert not any(text.startswith("node") for text in calibration.drive.values())
+    path = place / "c.toml"
+    write_calibration(path, calibration)
+    assert load_calibration(path, first.plan.hand) == calibration, "it reads back"
+    calibration = load_calibration(path, first.plan.hand)
+    assert first.jog(calibration, "again").state.failure == ""
+    outcome = second.jog(calibration, "other")
+    assert outcome.state.mode == Mode.DONE
+    assert not outcome.state.unconfirmed
+    assert "the calibration is another hand's, name this one's or commission it" in outcome.state.failure
+    for name, text in calibration.drive.items():
+        assert f"{name} is drive " in outcome.state.failure
+        assert f"calibrated was {text}" in outcome.state.failure
+    assert "\n" not in outcome.state.failure
+    assert [text.partition(":")[0] for text in modes(place / "other.mcap")][-1] == "READY -> DONE", "never armed"
+    for one in (first, second):
+        one.peer.close()
+
+
+def test_one_replaced_drive_is_named(place):
+    hand = hand_file(place, ["mit"])
+    motor = load_hand(str(hand)).motor[0].name
+    before, after = Bench(place, hand, FIRST), Bench(place, hand, (*FIRST, f"{motor}=0x77"))
+    failure = after.jog(before.commission("before"), "after").state.failure
+    assert failure.startswith(f"{motor} is drive 0x77, calibrated was 0x40")
+    assert failure.count(" is drive ") == 1
+    for one in (before, after):
+        one.peer.close()
+
+
+def test_a_log_says_whose_it_was_and_repeats(place, capsys):
+    bench = Bench(place, "jamia", SECOND)
+    calibration = bench.commission("made")
+    bench.jog(calibration.model_copy(update={"drive": dict.fromkeys(calibration.drive, "0x1")}), "refused")
+    bench.peer.close()
+    assert modes(place / "refused.mcap")[-1].startswith("READY -> DONE: ")
+    assert main(["replay", "execute", "refused.mcap", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["differing"] == 0
+
+
+def test_a_file_of_an_earlier_version_is_taken_with_one_line(place, capsys):
+    bench = Bench(place, "jamia")
+    calibration = bench.commission("made").model_copy(update={"drive": {}})
+    path = place / "old.toml"
+    write_calibration(path, calibration)
+    assert "drive" not in tomllib.loads(path.read_text())
+    old = load_calibration(path, bench.plan.hand)
+    capsys.readouterr()
+    bench.args.calibration = path
+    announce(bench.args, bench.plan, path, old)
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert f"caution: {path} does not name the drives it was made with" in err
+    assert bench.jog(old, "with_old").state.failure == ""
+    bench.peer.close()
+
+
+def test_what_was_identified_of_other_drives_is_left_out(place, capsys):
+    bench = Bench(place, "jamia")
+    calibration, path = bench.commission("made"), place / "c.toml"
+    bench.peer.close()
+    hand = bench.plan.hand
+    write_calibration(path, calibration)
+    assert kept(path, hand, calibration.drive) == {}
+    others = dict.fromkeys(calibration.drive, "0x1")
+    capsys.readouterr()
+    assert kept(path, hand, others) == {}
+    assert capsys.readouterr().err == "", "there was nothing to leave out"
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("x", "expected a number, or MOTOR=NUMBER"),
+        ("nobody=3", "no motor 'nobody'; expected one of index_motor"),
+        ("-999", "expected 0 to 0xffffffff"),
+        ("0x1ffffffff", "expected 0 to 0xffffffff"),
+    ],
+)
+def test_serial_numbers_that_no_drive_has_are_refused(capfd, word, said):
+    assert main(["sim", "--bus", "local:a", f"--serial={word}", "--dry-run"]) == 2
+    err = capfd.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
