@@ -18,7 +18,9 @@ def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) 
     result = json.loads(capsys.readouterr().out)
     (bus,) = result["buses"]
     assert bus["tick_us"] == pytest.approx(4 * 270 + 125 + 65, rel=0.001), "commands, answers, tensions, SYNC"
-    assert bus["load"] == pytest.approx(bus["tick_us"] * 500e-6)
+    read_again = 4 * 2 * 135e-6 * 2.0
+    """A setting of each drive is read again twice a second: a question and an answer of 135 us."""
+    assert bus["load"] == pytest.approx(bus["tick_us"] * 500e-6 + read_again)
 
 
 def test_what_does_not_fit_is_said_and_split(capsys: pytest.CaptureFixture[str]) -> None:

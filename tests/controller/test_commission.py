@@ -260,7 +260,7 @@ def test_a_motor_that_turns_the_other_way_is_found(whole: Bench) -> None:
 
     whole.peer.step = reversed_motor  # type: ignore[method-assign]
     whole.until(Mode.DONE, 30.0)
-    assert whole.state.failure == "fault N14 index_motor", "safety is there before the rope would have to be taut"
+    assert whole.state.failure == "fault N17 index_motor", "safety is there before the rope would have to be taut"
 
 
 @pytest.fixture

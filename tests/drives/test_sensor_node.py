@@ -243,19 +243,20 @@ def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) 
     """In whatever order and tick; what is said of joints does not count."""
     state = node.initial()
     for k, (base, done) in enumerate([(0x1B0, False), (0x1A0, False), (0x1A0, False), (0x1A1, False), (0x1A2, True)]):
-        state, _ = node.sync(state, k)
+        state, sync = node.sync(state, k)
         size = node.lengths[node.ids.index(base)]
-        state = node.receive(state, Frame(base, bytes([k] + [0] * (size - 1))))
+        state = node.receive(state, Frame(base, bytes([sync.data[0] & 0xF] + [0] * (size - 1))))
         assert node.all_read(state) == done, hex(base)
     assert not replace(node, frame_of=(*node.frame_of[:-1], -1)).all_read(state), "one has no load cell"
 
 
 def test_each_joint_frame_is_told_by_its_first_joint_and_when_it_came_last(node: SensorNode) -> None:
-    state, _ = node.sync(node.initial(), 1)
+    state, sync = node.sync(node.initial(), 1)
+    counter = sync.data[0] & 0xF
     assert node.joint_times(state) == [(0, -1), (5, -1), (10, -1)]
-    first, second, _ = encoded(0x1B0, "joint", 1, range(CHANNELS), t_ns=30)
+    first, second, _ = encoded(0x1B0, "joint", counter, range(CHANNELS), t_ns=30)
     state = received(node, state, [second._replace(t_ns=20)])
     assert node.joint_times(state) == [(0, -1), (5, 20), (10, -1)]
-    state = received(node, state, encoded(0x1A0, "tension", 1, range(CHANNELS), t_ns=40))
+    state = received(node, state, encoded(0x1A0, "tension", counter, range(CHANNELS), t_ns=40))
     assert node.joint_times(state) == [(0, -1), (5, 20), (10, -1)], "load cells are no joints"
     assert node.joint_times(received(node, state, [first])) == [(0, 30), (5, 20), (10, -1)]

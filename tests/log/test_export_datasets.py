@@ -108,7 +108,11 @@ def test_the_episode_has_its_statistics(dataset: Path) -> None:
 
 def test_names_of_elements_have_their_unit(dataset: Path) -> None:
     features = json.loads((dataset / "meta" / "info.json").read_text())["features"]
-    units = {"observation.state": {"pos_rad", "tension_N"}, "observation.tip_force": {"force_N"}}
+    units = {
+        "observation.state": {"pos_rad", "tension_N"},
+        "observation.sigma": {"pos_sigma_rad", "tension_sigma_N"},
+        "observation.tip_force": {"force_N"},
+    }
     for name, feature in features.items():
         if feature["names"]:
             expected = units.get(name, units["observation.state"])

@@ -26,8 +26,9 @@ def test_a_run_does_not_differ_from_itself(golden: Path) -> None:
 def test_a_lost_object_shows_in_the_hold(golden: Path) -> None:
     with RunLog(golden / "jamia-grasp.mcap") as a, RunLog(golden / "jamia-lost.mcap") as b:
         found = diff(a, b, "b")
-    assert found["phases"]["preshape"]["joint_deg"]["index_j1"]["peak"] < 1.0
-    assert found["phases"]["hold"]["joint_deg"]["index_j1"]["peak"] > 2.0
+    # Where a digit touches, its angles follow from its tension: a newton is worth some degrees.
+    assert found["phases"]["preshape"]["joint_deg"]["index_j1"]["peak"] < 5.0
+    assert found["phases"]["hold"]["joint_deg"]["index_j1"]["peak"] > 20.0
 
 
 def test_phases_of_one_run_only_are_named(golden: Path) -> None:

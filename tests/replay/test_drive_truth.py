@@ -79,10 +79,13 @@ def pair(folder: Path, request: pytest.FixtureRequest) -> Pair:
 
 
 def test_the_log_repeats(pair: Pair) -> None:
-    """Tensions alone leave a digit free on its way: half a newton is six degrees of its springs."""
+    """Tensions alone leave a digit free on its way: half a newton is six degrees of its springs.
+
+    Where a digit touches, a newton moves the estimated angles of its joints by two degrees more.
+    """
     found = pair.difference()
-    worst = {"joint_deg": 6.0, "tendon_N": 13.0} if pair.raw else {"joint_deg": 1.0, "tendon_N": 13.0}
-    usual = {"joint_deg": 2.0, "tendon_N": 2.2} if pair.raw else {"joint_deg": 0.4, "tendon_N": 2.2}
+    worst = {"joint_deg": 12.0, "tendon_N": 13.0} if pair.raw else {"joint_deg": 3.0, "tendon_N": 13.0}
+    usual = {"joint_deg": 3.0, "tendon_N": 2.2} if pair.raw else {"joint_deg": 1.5, "tendon_N": 2.2}
     for signal in worst:
         assert max(row["peak"] for row in found[signal].values()) < worst[signal]
         assert max(row["rms"] for row in found[signal].values()) < usual[signal]

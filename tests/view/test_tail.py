@@ -39,6 +39,9 @@ def test_the_parts_together_are_the_whole(seed: int, jamia_path: Path, tmp_path:
     shown, expected = entities(chunks), entities(log_chunks(jamia_path, Lenses(subject), "whole"))
     assert shown.keys() == expected.keys()
     for name in shown.keys() - {"/tension/limit"}:
+        if name == "/tf_static":  # said once, and again in a part that begins at the same instant
+            assert set(map(repr, shown[name].rows)) == set(map(repr, expected[name].rows))
+            continue
         np.testing.assert_array_equal(shown[name].times, expected[name].times, err_msg=name)
         assert repr(shown[name].rows) == repr(expected[name].rows), name
 

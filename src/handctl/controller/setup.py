@@ -93,8 +93,8 @@ class Setup(Document):
     arm_at_once: bool
     tare_N: tuple[float, ...]
     """(N,) load-cell tare, in the order of the tendons."""
-    zero_rad: tuple[float, ...]
-    """(N,) motor zero."""
+    zero_rad: tuple[Annotated[float, Field(ge=-1000, le=1000)], ...]
+    """(N,) motor zero, as far as a calibration may have it."""
     identities: tuple[str, ...] = ()
     """Of the drives that the calibration was made with; empty: unknown."""
     program: ProgramSetup

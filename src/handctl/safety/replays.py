@@ -2,7 +2,7 @@
 
 A reading carries noise of several counts. If a channel repeats, sample by sample, what it read a constant number of
 ticks ago, it is no measurement of now. A delay that sets in without a gap sends as many readings twice as it is ticks
-long. A channel that stands, or toggles between few values, repeats itself by nature: then ``stuck`` asks.
+long. A channel that stands, or whose loop cycles through a few counts, repeats itself by nature: then ``stuck`` asks.
 """
 
 import math
@@ -21,6 +21,8 @@ AGE = 64
 """Oldest content that is looked for [ticks]."""
 LEAST, WINDOW = 8, 16
 """Readings in a row that are as they were, from which on chance is asked; readings from which chance is estimated."""
+FEW = 5
+"""So many different readings in the window are the limit cycle of a loop, in which neighbours are not independent."""
 UNLIKELY = math.log(1e16)
 """Negative logarithm of the chance of a run that counts. With noise of 8 counts two readings agree in 4 of 100 cases
 and 12 in a row are enough; with noise of 1.5 counts it takes 22."""
@@ -65,5 +67,8 @@ def replayed(state: Replays) -> list[tuple[int, int]]:
 
 def _agreeing(readings: list[float]) -> float:
     """Estimate the chance that two readings of now are equal, from the pairs among the last ones."""
-    pairs = sum(count * (count - 1) // 2 for count in Counter(readings).values())
+    counts = Counter(readings)
+    if len(counts) <= FEW:
+        return 1.0
+    pairs = sum(count * (count - 1) // 2 for count in counts.values())
     return min(1.0, (pairs + 1) / (len(readings) * (len(readings) - 1) // 2 + 1))
