@@ -18,6 +18,8 @@ from handctl.runtime.mailbox import Watcher
 READY_S, END_S = 60.0, 200.0
 BUS = "local:t"
 SCALE = 0.4
+SERIAL = 0x5349_4D00
+"""Of a simulated MIT drive, to which its number on the bus is added."""
 GO = 'schema = 1\nname = "short"\n'
 MOVE = '[[phase]]\nkind = "move"\nname = "{name}"\nangle_deg = {angle}\nduration_s = {duration}\n'
 SHORT = GO + MOVE.format(name="bend", angle=25.0, duration=0.5) + MOVE.format(name="open", angle=0.0, duration=0.4)
@@ -90,6 +92,8 @@ def write_calibration(path: Path, description: Hand) -> None:
     nothing = {"tare_N": 0.0, "zero_rad": 0.0, "answer_N": 3.0, "crosstalk_N": 0.0}
     head = {"schema": 1, "hand": description.name, "identity": description.identity, "made": made}
     tables = "".join(f"\n[tendon.{name}]\n{toml_text(nothing)}" for name in description.tendon_names)
+    if all(motor.protocol == "mit" for motor in description.motor):
+        tables += "\n[drive]\n" + toml_text({m.name: f"{SERIAL + m.node_id:#x}" for m in description.motor})
     path.write_text(toml_text(head) + tables)
 
 

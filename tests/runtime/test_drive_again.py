@@ -26,7 +26,7 @@ from tests.runtime.processes import (
 
 pytestmark = pytest.mark.realtime
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
-SCALE = 0.7
+SCALE = 0.4
 
 
 @pytest.fixture
