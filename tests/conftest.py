@@ -19,7 +19,7 @@ settings.register_profile("every run", CALM, derandomize=True, database=None, ma
 settings.register_profile("nightly", CALM, max_examples=2000, print_blob=True)
 settings.load_profile("nightly" if NIGHTLY else "every run")
 
-SLOWER = 0.4
+SLOWER = 0.5
 CALM_S, PATIENCE_S = 1.0, 15.0
 LATEST_S = 900.0
 """For all tries of a test together; one of its own is nearer."""

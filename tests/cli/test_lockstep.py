@@ -105,6 +105,7 @@ def test_the_demo_keeps_its_promises(twins):
     assert result["tension_rmse_n"] < result["tension_raw_rmse_n"]
 
 
+@pytest.mark.nightly
 def test_the_demo_with_a_motor_a_joint_keeps_them_too(eleven):
     result = eleven[1]
     keeps_its_promises(result)

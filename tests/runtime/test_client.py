@@ -140,6 +140,7 @@ def test_connect_says_why_the_controller_ends(place, capfd):
     assert "nobody serves this bus" in capfd.readouterr().err
 
 
+@REALTIME
 def test_a_program_moves_holds_and_looks(place, hand, calibrated, scale):
     with library.connect("jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale) as client:
         client.move(duration_s=0.4, wait=False, index=30.0)

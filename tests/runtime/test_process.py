@@ -44,7 +44,7 @@ def run_short(place, processes, scale):
 
 
 def test_run_commissions_moves_and_judges_itself(place, processes, slower):
-    (code, result, err), log = run_short(place, processes, scaled(0.6 * slower))
+    (code, result, err), log = run_short(place, processes, scaled(0.4 * slower))
     assert code == 0, err
     assert err.startswith("commissioning jamia first: there is no jamia.calibration.toml")
     assert result["failure"] == ""

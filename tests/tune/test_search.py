@@ -89,6 +89,7 @@ class Tired:
         return
 
 
+@pytest.mark.nightly
 def test_an_interrupted_search_goes_on_to_the_same_end(plan: Plan, found: Found, tmp_path: Path) -> None:
     crew: Workers = Tired(2)
     seen: list[int] = []

@@ -91,7 +91,9 @@ def test_it_ends_with_its_viewer(tmp_path: Path, vulkan: dict[str, str], monkeyp
     recorder = Recorder.start(path, run)
     follower = start_live(path, "--headless", "--window-size", "400x300")
     try:
-        ViewerClient.connect(url_of(follower))
+        for tick_in, out in synthetic.Synthetic(run, 1.0):
+            recorder.record(pack(tick_in, out))
+        assert wait_for(ViewerClient.connect(url_of(follower)), 1) > 0, "the follower knows that its viewer listens"
         (window,) = psutil.Process(follower.pid).children()
         window.kill()
         assert follower.wait(WAIT_S) == 0
