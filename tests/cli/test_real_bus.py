@@ -18,7 +18,7 @@ from handctl.cli.main import main
 from handctl.hand.description import load_hand
 from handctl.runtime.bus import real_buses
 from tests.cli.refused import refused
-from tests.runtime.processes import write_calibration
+from tests.runtime.processes import write_homed
 
 REAL = ("socketcan:can0", "pcan:PCAN_USBBUS1", "slcan:/dev/ttyACM0")
 MOVES = {
@@ -120,7 +120,7 @@ def test_a_program_names_hand_and_consent(place, capfd):
 
 def test_what_lies_in_the_folder_is_named_in_the_first_line(place, capsys):
     hand = load_hand("jamia")
-    write_calibration(place / "jamia.calibration.toml", hand)
+    write_homed(place / "jamia.calibration.toml", hand)
     made = (datetime.datetime.now(datetime.UTC) - datetime.timedelta(hours=3)).isoformat()
     head = f'made = "{made}"\nhand = "jamia"\nidentity = "{hand.identity}"\n'
     (place / "jamia.gains.toml").write_text(f"schema = 1\n[motion]\nforce_N = 25.0\n[provenance]\n{head}")

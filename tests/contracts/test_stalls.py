@@ -19,7 +19,7 @@ TRIES = []
 @pytest.mark.parametrize("stalled", [True, False])
 def test_of_the_clock(stalled, request, slower):
     TRIES.append(stalled)
-    assert slower == pytest.approx(0.4 ** (TRIES.count(stalled) - 1)), "each try in slower time"
+    assert slower == pytest.approx(SLOWER ** (TRIES.count(stalled) - 1)), "each try in slower time"
     repeats = request.config.pluginmanager.get_plugin("repeats")
     if stalled:
         os.kill(repeats.meter.pids[0], signal.SIGSTOP)

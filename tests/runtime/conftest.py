@@ -5,7 +5,7 @@ import tempfile
 import pytest
 
 from handctl.hand.description import load_hand
-from tests.runtime.processes import BUS, LONG, SCALE, SHORT, end, scaled, start_hand, write_calibration
+from tests.runtime.processes import BUS, LONG, SCALE, SHORT, end, scaled, start_hand, write_homed
 
 
 @pytest.fixture
@@ -44,5 +44,5 @@ def hand(place, processes, scale):
 @pytest.fixture
 def calibrated(place):
     """Words for a hand that starts homed: nothing to tare, nothing to zero."""
-    write_calibration(place / "c.toml", load_hand("jamia"))
+    write_homed(place / "c.toml", load_hand("jamia"))
     return ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml")

@@ -29,7 +29,7 @@ from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
 from handctl.report.truth import Truth, read_truth
 from handctl.runtime.places import faults_path, local_bus_path, run_dir
-from tests.runtime.processes import BUS, LONG, end, scaled, start_hand, write_calibration
+from tests.runtime.processes import BUS, LONG, end, scaled, start_hand, write_homed
 
 SYNC, RECORD = 0x080, 72
 RATE_HZ = 500.0
@@ -97,7 +97,7 @@ class Range:
         hand = load_hand("jamia")
         task, calibration = folder / "long.toml", folder / "c.toml"
         task.write_text(LONG)
-        write_calibration(calibration, hand)
+        write_homed(calibration, hand)
         load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
         self.plan = Plan(hand, Gains(), RATE_HZ, load, bus_specs(hand, [BUS]), {}, scale, True, True)
         self.controller: Controller = make_controller(

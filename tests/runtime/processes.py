@@ -10,16 +10,19 @@ import sys
 import time
 from pathlib import Path
 
+from handctl.cli.commission import write_calibration
+from handctl.controller.calibration import Calibration, TendonCalibration
 from handctl.hand.description import Hand
-from handctl.hand.toml_text import toml_text
 from handctl.log.reader import RunLog
 from handctl.runtime.mailbox import Watcher
 
 READY_S, END_S = 60.0, 200.0
 BUS = "local:t"
 SCALE = 0.4
-SERIAL = 0x5349_4D00
-"""Of a simulated MIT drive, to which its number on the bus is added."""
+SERIAL = 0x4000
+"""Serial numbers of the simulated drives begin here; each drive adds its number on the bus."""
+HOMED = ("--homed", "--serial", f"{SERIAL:#x}")
+"""Words for a simulated hand, for which a calibration of ``write_homed`` is right."""
 GO = 'schema = 1\nname = "short"\n'
 MOVE = '[[phase]]\nkind = "move"\nname = "{name}"\nangle_deg = {angle}\nduration_s = {duration}\n'
 SHORT = GO + MOVE.format(name="bend", angle=25.0, duration=0.5) + MOVE.format(name="open", angle=0.0, duration=0.4)
@@ -33,7 +36,7 @@ def scaled(scale: float) -> tuple[str, str]:
 
 def start_hand(truth: Path, *words: str) -> "subprocess.Popen[str]":
     """A simulated hand that serves ``local:t``."""
-    command = [sys.executable, "-m", "firmware_sim", "--bus", BUS, "--homed", "--truth", str(truth), *words]
+    command = [sys.executable, "-m", "firmware_sim", "--bus", BUS, *HOMED, "--truth", str(truth), *words]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
     assert process.stdout
     assert select.select([process.stdout], [], [], READY_S)[0], "no ready line"
@@ -86,15 +89,17 @@ def sockets() -> list[str]:
     return sorted(os.listdir(os.environ["HANDCTL_RUN_DIR"]))
 
 
-def write_calibration(path: Path, description: Hand) -> None:
-    """A calibration of this minute for a hand that starts homed: nothing to tare, nothing to zero."""
-    made = datetime.datetime.now(datetime.UTC).isoformat()
-    nothing = {"tare_N": 0.0, "zero_rad": 0.0, "answer_N": 3.0, "crosstalk_N": 0.0}
-    head = {"schema": 1, "hand": description.name, "identity": description.identity, "made": made}
-    tables = "".join(f"\n[tendon.{name}]\n{toml_text(nothing)}" for name in description.tendon_names)
-    if all(motor.protocol == "mit" for motor in description.motor):
-        tables += "\n[drive]\n" + toml_text({m.name: f"{SERIAL + m.node_id:#x}" for m in description.motor})
-    path.write_text(toml_text(head) + tables)
+def write_homed(path: Path, description: Hand) -> None:
+    """Write a calibration of this minute for the hand of ``HOMED`` words: nothing to tare, nothing to zero."""
+    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    calibration = Calibration(
+        hand=description.name,
+        identity=description.identity,
+        made=datetime.datetime.now(datetime.UTC).isoformat(),
+        tendon=dict.fromkeys(description.tendon_names, nothing),
+        drive={motor.name: f"{SERIAL + motor.node_id:#x}" for motor in description.motor},
+    )
+    write_calibration(path, calibration)
 
 
 def ended_well(log: Path) -> list[str]:

@@ -21,18 +21,17 @@ from tests.runtime.processes import (
     start_hand,
     start_handctl,
     wait_for,
-    write_calibration,
+    write_homed,
 )
 
 pytestmark = pytest.mark.realtime
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
-SCALE = 0.4
 
 
 @pytest.fixture
 def place(place):
     (place / "scene.toml").write_text(SCENE.format(friction=0.5))
-    write_calibration(place / "c.toml", load_hand("jamia"))
+    write_homed(place / "c.toml", load_hand("jamia"))
     return place
 
 

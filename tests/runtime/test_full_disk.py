@@ -12,7 +12,7 @@ from handctl.hand.description import load_hand
 from handctl.log.reader import RunLog
 from handctl.replay.execute import execute
 from handctl.runtime.mailbox import Watcher
-from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, wait_for, write_calibration
+from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, wait_for, write_homed
 
 pytestmark = pytest.mark.realtime
 SCALE = 0.6
@@ -22,7 +22,7 @@ ROOM = "96m"
 
 @pytest.fixture
 def place(place):
-    write_calibration(place / "c.toml", load_hand("jamia"))
+    write_homed(place / "c.toml", load_hand("jamia"))
     return place
 
 

@@ -21,12 +21,11 @@ from tests.runtime.processes import (
     ended_well,
     handctl,
     said,
-    scaled,
     sockets,
     start_hand,
     start_handctl,
     wait_for,
-    write_calibration,
+    write_homed,
 )
 
 pytestmark = pytest.mark.realtime
@@ -43,8 +42,8 @@ def run_short(place, processes, scale):
     return told, log
 
 
-def test_run_commissions_moves_and_judges_itself(place, processes, slower):
-    (code, result, err), log = run_short(place, processes, scaled(0.4 * slower))
+def test_run_commissions_moves_and_judges_itself(place, processes, scale):
+    (code, result, err), log = run_short(place, processes, scale)
     assert code == 0, err
     assert err.startswith("commissioning jamia first: there is no jamia.calibration.toml")
     assert result["failure"] == ""
@@ -110,7 +109,7 @@ def test_a_motor_that_is_not_there_is_named(place, hand, processes, scale):
     content = tomllib.loads((HANDS / "jamia.toml").read_text())
     content["motor"][2]["node_id"] = 9
     (place / "mine.toml").write_text(toml_text(content))
-    write_calibration(place / "c.toml", load_hand("mine.toml"))
+    write_homed(place / "c.toml", load_hand("mine.toml"))
     words = ("--hand", "mine.toml", "--bus", BUS, "--calibration", "c.toml", *scale)
     refused = handctl("run", *words, "--task", "short.toml", "--log", "run.mcap", "--json")
     assert refused.returncode == 1

@@ -6,14 +6,14 @@ import pytest
 
 from handctl.hand.description import load_hand
 from tests.runtime.kills import Listener, whole
-from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, write_calibration
+from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, write_homed
 
 pytestmark = pytest.mark.realtime
 WORDS = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", "--json")
 
 
 def test_a_second_controller_is_refused_and_the_first_goes_on(place, scale):
-    write_calibration(place / "c.toml", load_hand("jamia"))
+    write_homed(place / "c.toml", load_hand("jamia"))
     simulated = start_hand(place / "hand.truth", "--hand", "jamia", *scale)
     first = start_handctl("run", *WORDS, "--log", "first.mcap", *scale)
     try:

@@ -71,7 +71,7 @@ def test_a_command_that_hangs_is_killed_with_all_its_guest(monkeypatch: pytest.M
     started_s = time.monotonic() - begun
     with tempfile.TemporaryDirectory() as folder:
         monkeypatch.setattr(tempfile, "tempdir", folder)  # so that the processes of this run can be told from others
-        status = uml.run(["bash", "-c", "echo started; sleep 1000"], timeout_s=max(2.0, 2.0 * started_s), say=heard)
+        status = uml.run(["bash", "-c", "echo started; sleep 1000"], timeout_s=5.0 + 4.0 * started_s, say=heard)
         assert status == uml.TIMED_OUT
         assert said == ["started"]
         if uml.means()[0] == "uml":

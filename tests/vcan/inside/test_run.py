@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from handctl.hand.description import load_hand
-from tests.runtime.processes import scaled, write_calibration
+from tests.runtime.processes import HOMED, scaled, write_homed
 from tests.vcan.inside.conftest import STOOD_STILL, TIME_SCALE, serving
 
 HANDCTL = Path(sys.executable).with_name("handctl")
@@ -28,10 +28,10 @@ def run_on(folder: Path, time_scale: float) -> subprocess.CompletedProcess[str]:
     """``handctl run`` with a simulator of its own."""
     calibration = folder / "jamia.calibration.toml"
     if not NIGHTLY:
-        write_calibration(calibration, load_hand("jamia"))
+        write_homed(calibration, load_hand("jamia"))
     words = ["run", "--hand", "jamia", "--bus", "socketcan:vcan0", "--task", str(TASK), *scaled(time_scale)]
     files = ["--json", "--log", str(folder / "run.mcap"), "--calibration", str(calibration)]
-    options = ["--scene", "cylinder", *([] if NIGHTLY else ["--homed"])]
+    options = ["--scene", "cylinder", *(() if NIGHTLY else HOMED)]
     with serving(*options, told=folder / "simulator", time_scale=time_scale):
         return subprocess.run([HANDCTL, *words, *files], cwd=folder, capture_output=True, text=True, check=False)
 
