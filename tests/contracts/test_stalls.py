@@ -12,6 +12,7 @@ pytestmark = pytest.mark.realtime
 AGAIN = """
 import os, signal, time
 import pytest
+from tests.conftest import SLOWER
 
 TRIES = []
 
