@@ -46,7 +46,7 @@ def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
     found = json.loads(done.stdout)
     single = 3.0  # at first touch one joint of a digit gives way before the other; the digit's mean does not
     assert {name for name, row in found["joint_deg"].items() if row["peak"] > single} == set()
-    assert max(row["rms"] for row in found["joint_deg"].values()) < 0.5
+    assert max(row["rms"] for row in found["joint_deg"].values()) < 1.0, "as in lockstep, tests/replay/test_drive.py"
     with RunLog(GOLDEN) as before, RunLog(place / "again.mcap") as after:
         apart = mean_angles_apart(before, after)
         assert np.percentile(apart, 99, axis=0).max() < 1.0
