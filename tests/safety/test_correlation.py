@@ -62,7 +62,7 @@ def test_a_command_at_rest_and_a_report_at_rest_say_nothing() -> None:
 def test_what_was_not_reported_is_left_out() -> None:
     commanded = noisy(3)
     made = reports(commanded)
-    made[::3] = np.nan
+    made[::10] = np.nan
     state = after(commanded, made)
     assert part(state) == pytest.approx(1.0, abs=0.25)
     assert not unfollowed(state, LARGEST, PERIOD).any()
@@ -75,3 +75,38 @@ def test_one_outlier_is_not_a_fault() -> None:
     made = reports(commanded)
     made[-2] += 50.0
     assert not unfollowed(after(commanded, made), LARGEST, PERIOD).any()
+
+
+def stalled(seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """(TICKS, 2) commands, and the reports of drives that obey, on a bus that stands still for one to five ticks now
+    and then: what was sent meanwhile is answered at once, before any of it is obeyed. The command moves on meanwhile."""
+    random = np.random.default_rng(seed)
+    commanded, made = noisy(seed), np.full((TICKS, 2), np.nan)
+    obeyed, standstill = commanded[0].copy(), 0
+    for k in range(1, TICKS):
+        standstill = standstill - 1 if standstill else int(random.integers(1, 6)) * int(random.random() < 0.04)
+        if standstill:
+            commanded[k:] += random.choice((-2.0, 2.0))
+        else:
+            made[k], obeyed = obeyed, commanded[k].copy()
+    return commanded, rounded(made)
+
+
+def doubted(commanded: np.ndarray, made: np.ndarray) -> np.ndarray:
+    """(2,) whether a motor was ever said not to follow."""
+    state, found = Correlation.initial(2), np.zeros(2, dtype=bool)
+    for force, report in zip(commanded, made, strict=True):
+        state = step(state, force, report, PERIOD)
+        found |= unfollowed(state, LARGEST, PERIOD)
+    return found
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_answers_after_a_standstill_are_not_a_fault(seed: int) -> None:
+    assert not doubted(*stalled(seed)).any()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_swapped_reports_are_found_between_standstills(seed: int) -> None:
+    commanded, made = stalled(seed)
+    assert doubted(commanded + noisy(seed + 100), made[:, ::-1]).all()

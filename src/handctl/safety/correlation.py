@@ -9,6 +9,9 @@ low-passed products say so:
 
 Less than two fifths of the command come back, by four standard deviations of the estimate. For uncorrelated increments
 the sample covariance has the variance S_aa S_bb / n. Source: Bartlett's formula for white noise.
+
+A pair counts only once a drive has answered in time for a few ticks. After a standstill it answers every
+command that waited before it obeys the last of them, so that its next report belongs to an older command.
 """
 
 import math
@@ -24,6 +27,8 @@ TIME_S = 0.25
 FILLED = 0.9
 """Share of the low-pass that measurements have to fill before it is judged."""
 SIGMAS, PART = 4.0, 0.4
+SETTLED_TICKS = 3
+"""Ticks on time before a report is taken for the answer to its command: one obeys late, and two make an increment."""
 MOVED_SHARE = 1.0 / 4000.0
 """Least increment, as a share of the largest force: half a step of a torque of twelve bits. Rounding blurs less."""
 
@@ -34,18 +39,20 @@ class Correlation(NamedTuple):
     Attributes:
         forces: (3, N) last command, the one before that, and last report [N], NaN where unknown.
         moments: (4, N) low-passed S_aa, S_ab, S_bb [N^2], and the share of the low-pass that is filled.
+        on_time: (N,) ticks in a row in which the motor answered in time.
     """
 
     forces: Vector
     moments: Vector
+    on_time: Vector
 
     @staticmethod
     def initial(n: int) -> "Correlation":
         """Return what is known of n motors at first: nothing."""
-        return Correlation(np.full((3, n), np.nan), np.zeros((4, n)))
+        return Correlation(np.full((3, n), np.nan), np.zeros((4, n)), np.zeros(n))
 
 
-def step(state: Correlation, commanded: Vector, reported: Vector, period: float) -> Correlation:
+def step(state: Correlation, commanded: Vector, reported: Vector, period: float, missed: int = 0) -> Correlation:
     """Take in one tick.
 
     Args:
@@ -54,14 +61,16 @@ def step(state: Correlation, commanded: Vector, reported: Vector, period: float)
             the report of this tick belongs to the command before that.
         reported: (N,) force that the drive reports in this tick [N], NaN where no report came.
         period: control period [s].
+        missed: ticks that were skipped before this one.
     """
     last, before, report = state.forces
     a, b = last - before, reported - report
-    known = np.isfinite(a + b)
+    on_time = np.zeros(len(a)) if missed else np.where(np.isfinite(reported), state.on_time + 1.0, 0.0)
+    known = np.isfinite(a + b) & (on_time > SETTLED_TICKS)
     now = np.array([a * a, a * b, b * b, np.ones(len(a))])
     change = (1.0 - math.exp(-period / TIME_S)) * (now - state.moments)
     moments = state.moments + np.where(known, change, 0.0)
-    return Correlation(np.array([commanded, last, reported]), moments)
+    return Correlation(np.array([commanded, last, reported]), moments, on_time)
 
 
 def unfollowed(state: Correlation, largest: Vector, period: float) -> NDArray[np.bool_]:

@@ -244,7 +244,7 @@ def watched(watcher: Watcher, state: WatchState, raw: Signals, seen: Seen) -> tu
         before = stuck.unwitnessed(before, idle)
     stands = stuck.step(before, value, witnesses)
     derailed = (state.derailed + 1.0) * (np.abs(slip) > DERAILED_DEG) if seen.read else state.derailed
-    followed = correlation.step(state.followed, state.asked, seen.force, watcher.period)
+    followed = correlation.step(state.followed, state.asked, seen.force, watcher.period, raw.missed)
     state = state._replace(followed=followed, filtered=filtered, stuck=stands, taut=taut, bears=bears)
     state = state._replace(slip_from=begin, derailed=derailed, ropes=tense)
     state = state._replace(
