@@ -79,7 +79,7 @@ def test_one_outlier_is_not_a_fault() -> None:
 
 def stalled(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """(TICKS, 2) commands, and the reports of drives that obey, on a bus that stands still for one to five ticks now
-    and then: what was sent meanwhile is answered at once, before any of it is obeyed. The command moves on meanwhile."""
+    and then: what was sent meanwhile is answered at once, before any of it is obeyed. The command moves on."""
     random = np.random.default_rng(seed)
     commanded, made = noisy(seed), np.full((TICKS, 2), np.nan)
     obeyed, standstill = commanded[0].copy(), 0
