@@ -24,7 +24,8 @@ from handctl.controller.excite import ExciteProgram
 from handctl.controller.gain_bounds import with_values
 from handctl.controller.gains import Gains
 from handctl.controller.identified import DIGIT_KEYS
-from handctl.hand.description import Hand, hand_path, load_hand
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_path, load_hand
 from handctl.log.reader import RunLog
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
 from handctl.tune.excitation import excitation

@@ -15,7 +15,7 @@ from typing import Any
 
 from handctl.campaign.scenarios import ALL
 from handctl.cli.main import main as handctl
-from handctl.hand.description import packaged_hands
+from handctl.hand.load import packaged_hands
 
 LIMITS = {"tracking_deg": 1.0, "tension_error_N": 2.0, "object_motion_mm": 1.0}
 """A run has passed if it ended well, missed and lost nothing, and each worst figure is below its limit."""

@@ -11,7 +11,7 @@ from handctl.controller.grasp import TaskProgram
 from handctl.controller.setup import make_controller
 from handctl.controller.task import load_task
 from handctl.controller.types import TickIn
-from handctl.hand.description import hand_path, load_hand
+from handctl.hand.load import hand_path, load_hand
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, load_peer
 
 RATES = {"jamia": 500.0, "jamia11": 200.0}

@@ -16,7 +16,7 @@ from typing import Any
 
 from handctl.controller.gain_bounds import with_values
 from handctl.controller.gains import Gains
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.tune.ensemble import ensemble
 from handctl.tune.workers import Processes
 

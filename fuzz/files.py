@@ -16,8 +16,9 @@ from handctl.controller.task import Task, trajectory_from
 from handctl.document import validated
 from handctl.drives.registry import make_drive
 from handctl.errors import HandctlError
-from handctl.hand.description import HANDS, Hand, hand_from, load_hand, packaged_hands, read_toml
+from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
+from handctl.hand.load import HANDS, hand_from, load_hand, packaged_hands, read_toml
 from handctl.hand.toml_text import toml_text
 
 Target = Callable[[bytes], bool]

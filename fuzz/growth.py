@@ -19,7 +19,7 @@ from handctl.controller.grasp import TaskProgram
 from handctl.controller.setup import make_controller
 from handctl.controller.task import load_task
 from handctl.controller.types import TickIn, TickOut
-from handctl.hand.description import hand_path, load_hand
+from handctl.hand.load import hand_path, load_hand
 from handctl.runtime.lockstep import LockstepClock, load_peer
 from handctl.runtime.mailbox import STOP
 

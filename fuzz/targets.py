@@ -5,7 +5,7 @@ from pathlib import Path
 
 from fuzz import files, logs, texts, wire
 from fuzz.drives import DRIVES
-from handctl.hand.description import HANDS
+from handctl.hand.load import HANDS
 
 Target = Callable[[bytes], bool]
 TARGETS: dict[str, Callable[[Path], Target]] = {

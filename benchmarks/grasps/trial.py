@@ -21,7 +21,7 @@ from handctl.controller.task import Hold
 from handctl.controller.tick import Controller
 from handctl.controller.types import Event, Mode, TickIn
 from handctl.drives.frame import Frame
-from handctl.hand.description import hand_path, load_hand
+from handctl.hand.load import hand_path, load_hand
 
 TIMEOUT_S = 120.0
 GONE_M = 0.3

@@ -9,15 +9,15 @@ from handctl.cli.session import make_controller
 from handctl.controller.gains import Gains
 from handctl.controller.program import Progress, motion_to
 from handctl.controller.types import Mode
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.hand.urdf import urdf
 from handctl.log.header import RunHeader
 from handctl.log.record import pack
 from handctl.log.recorder import Recorder
-from handctl.runtime.bus import open_bus
 from handctl.runtime.clock import RealClock, take_priority
 from handctl.runtime.loop import Loop
 from handctl.runtime.mailbox import STOP
+from handctl.runtime.open_bus import open_bus
 
 DESIGN_HZ = 1000.0
 

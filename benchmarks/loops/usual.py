@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio
 from filterpy.kalman import KalmanFilter
 
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.hand.urdf import urdf
 from handctl.runtime.clock import take_priority
 

@@ -8,7 +8,8 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
-from handctl.hand.description import Hand, hand_from, hand_path, load_hand
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_from, hand_path, load_hand
 
 CLEAR = ".clear"
 """Suffix of a packaged hand's name for its twin with room around every digit."""

@@ -12,7 +12,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from handctl.errors import ConfigError
-from handctl.hand.description import read_toml
+from handctl.hand.load import read_toml
 from handctl.hand.messages import key_path, shown
 
 

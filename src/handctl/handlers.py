@@ -20,3 +20,14 @@ def handling(handler: Callable[[int, FrameType | None], None], *numbers: signal.
     finally:
         for number, handled in before.items():
             signal.signal(number, handled)
+
+
+class Stop:
+    """Set by SIGTERM, so that nothing is torn apart in the middle."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def __call__(self, number: int, frame: object) -> None:
+        """As signal handler."""
+        self.asked = True

@@ -10,7 +10,7 @@ from handctl.cli.main import main
 from handctl.controller.bus_load import bus_loads, split
 from handctl.controller.setup import make_drives
 from handctl.drives.load import MOST, bus_time_s
-from handctl.hand.description import hand_path, load_hand
+from handctl.hand.load import hand_path, load_hand
 
 
 def test_the_packaged_hand_fits_at_its_rate(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,7 @@ import tomllib
 import pytest
 
 from handctl.cli.main import main
-from handctl.hand.description import hand_path
+from handctl.hand.load import hand_path
 from handctl.hand.toml_text import toml_text
 from tests.cli.refused import refused
 

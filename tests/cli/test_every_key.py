@@ -10,7 +10,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.controller.gains import Gains
-from handctl.hand.description import HANDS, load_hand
+from handctl.hand.load import HANDS, load_hand
 from handctl.hand.toml_text import toml_text
 from tests.hand.test_refusals import changed, is_number, leaves, said
 

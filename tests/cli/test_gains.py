@@ -12,7 +12,7 @@ from handctl.cli.commission import write_calibration
 from handctl.cli.main import main
 from handctl.controller.calibration import Calibration, TendonCalibration
 from handctl.controller.gains import Gains, Provenance, gains_text
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.log.reader import RunLog
 from tests.runtime.processes import scaled
 

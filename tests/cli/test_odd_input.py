@@ -6,7 +6,7 @@ import os
 import pytest
 
 from handctl.cli.main import main
-from handctl.hand.description import HANDS
+from handctl.hand.load import HANDS
 from tests.cli.refused import refused
 
 BUS = ("--bus", "local:nobody")

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from handctl.cli.main import main
 from handctl.errors import ConfigError
-from handctl.hand.description import hand_path
+from handctl.hand.load import hand_path
 from handctl.output import save_figure, whole, write_whole
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"

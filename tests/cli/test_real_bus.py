@@ -15,8 +15,8 @@ import pytest
 import handctl as library
 from handctl.cli.begin import age
 from handctl.cli.main import main
-from handctl.hand.description import load_hand
-from handctl.runtime.bus import real_buses
+from handctl.hand.load import load_hand
+from handctl.runtime.open_bus import real_buses
 from tests.cli.refused import refused
 from tests.runtime.processes import write_homed
 

@@ -8,7 +8,7 @@ import tomllib
 import pytest
 
 from handctl.cli.main import VERBS, main
-from handctl.hand.description import HANDS, hand_from, load_hand
+from handctl.hand.load import HANDS, hand_from, load_hand
 from handctl.hand.toml_text import toml_text
 from tests.cli.refused import refused
 

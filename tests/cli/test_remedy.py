@@ -11,7 +11,7 @@ from handctl.cli.plan import Plan
 from handctl.cli.session import Outcome, remedy
 from handctl.controller.gains import Gains
 from handctl.controller.state import State
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.runtime.loop import LoopStats
 
 LATE, TORN = ("B03b", "N02"), ("T01",)

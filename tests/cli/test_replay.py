@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.replay.difference import Difference
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden"

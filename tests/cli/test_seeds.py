@@ -6,7 +6,7 @@ import pytest
 
 from benchmarks.seeds import demo
 from handctl.campaign.scenarios import ALL
-from handctl.hand.description import packaged_hands
+from handctl.hand.load import packaged_hands
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 CASES = [(hand, protocol, seed) for hand in packaged_hands() for protocol in ALL for seed in range(20)]

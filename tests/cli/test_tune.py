@@ -14,7 +14,7 @@ from handctl.cli.identify import configure
 from handctl.cli.main import main
 from handctl.cli.tune_verify import _print
 from handctl.controller.calibration import Calibration, TendonCalibration
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.log.reader import RunLog
 from handctl.log.writer import LogWriter
 from handctl.tune.search import Found, Trial

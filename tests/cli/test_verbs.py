@@ -132,7 +132,7 @@ def test_a_dry_run_of_gains_tells_them(place, capsys):
 def log(tmp_path_factory):
     """A small log of a run that ended well."""
     from handctl.controller.types import TELEMETRY_AXES, Mode, Telemetry, TickIn, TickOut
-    from handctl.hand.description import load_hand
+    from handctl.hand.load import load_hand
     from handctl.log.header import RunHeader
     from handctl.log.record import pack
     from handctl.log.recorder import Recorder

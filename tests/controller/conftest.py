@@ -4,7 +4,7 @@ import pytest
 
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 
 DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}
 """Control rates that the bus load allows [Hz]."""

@@ -15,7 +15,7 @@ from handctl.controller.setup import make_drives, make_sensors
 from handctl.controller.tick import Controller
 from handctl.controller.types import Event, Mode, TickIn
 from handctl.drives.frame import Frame
-from handctl.hand.description import hand_path, load_hand
+from handctl.hand.load import hand_path, load_hand
 
 RATE_HZ = 250.0
 PERIOD_NS = round(1e9 / RATE_HZ)

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from handctl.controller.allocation import REGULARISATION, allocate, bounded
-from handctl.hand.description import load_hand
 from handctl.hand.digit import DigitModel
+from handctl.hand.load import load_hand
 
 DIGITS = {
     f"{name} {digit}": (load_hand(name), digit)

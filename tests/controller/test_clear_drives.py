@@ -6,7 +6,7 @@ from handctl.controller.gains import Gains
 from handctl.controller.live import LiveProgram
 from handctl.controller.model import HandModel
 from handctl.controller.types import Mode
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from tests.controller.bench import Bench, bench
 
 COMMUNICATION_LOST = 0xD

@@ -17,7 +17,7 @@ from handctl.controller.program import Progress
 from handctl.controller.types import Mode
 from handctl.drives.frame import Frame
 from handctl.errors import ConfigError
-from handctl.hand.description import hand_from, load_hand
+from handctl.hand.load import hand_from, load_hand
 from tests.controller.bench import Bench, bench
 from tests.controller.synthetic import nothing_read, slack, under
 from tests.hand.many import fifteen_motors

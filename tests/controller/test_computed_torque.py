@@ -17,7 +17,7 @@ from handctl.controller.law_constants import UNWIND_SHARE
 from handctl.controller.model import HandModel, _torque_limit
 from handctl.controller.statics import load_statics, tendon_efficiency
 from handctl.controller.trajectory import MinimumJerk
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from tests.controller.goals import holding, moving
 from tests.controller.synthetic import at_rest, known
 

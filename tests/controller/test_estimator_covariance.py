@@ -12,7 +12,7 @@ from handctl.controller.estimator import Measured
 from handctl.controller.filter_stack import MEASUREMENTS, STATES, E, Regime, S, V, X
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
-from handctl.hand.description import hand_from, hand_path
+from handctl.hand.load import hand_from, hand_path
 from tests.controller.filter_runs import all_in, nowhere, readings, resting, step
 from tests.controller.oracle import SCALE, assumed_measurements, measurement_noise, over_one_period
 from tests.controller.synthetic import nothing_read

@@ -13,7 +13,7 @@ from handctl.controller.state import State
 from handctl.controller.types import Mode
 from handctl.drives.contract import Phase
 from handctl.drives.frame import Frame
-from handctl.hand.description import hand_from, hand_path
+from handctl.hand.load import hand_from, hand_path
 from handctl.safety.action import Action
 from tests.controller.bench import Bench, bench
 

@@ -8,7 +8,7 @@ from handctl.campaign.stage import started
 from handctl.controller.let_go import let_go
 from handctl.controller.types import Mode
 from handctl.drives.frame import Frame
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from tests.drives.protocol_bench import OPTIONS, hand_file
 
 PERIOD_NS = 2_000_000

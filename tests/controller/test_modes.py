@@ -11,7 +11,7 @@ from handctl.controller.model import HandModel
 from handctl.controller.modes import ARMING_TIMEOUT_S, CUT_S, DISARM_TIMEOUT_S, INVENTORY_TIMEOUT_S, LISTEN_S, READY_S
 from handctl.controller.types import IoEvent, Mode
 from handctl.drives.frame import Frame
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.safety.action import Action
 from tests.controller.bench import Bench, bench
 

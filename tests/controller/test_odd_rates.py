@@ -14,7 +14,7 @@ from handctl.controller.tick import Controller
 from handctl.controller.types import Event, Mode, TickIn
 from handctl.document import validated
 from handctl.drives.frame import Frame
-from handctl.hand.description import hand_path, load_hand
+from handctl.hand.load import hand_path, load_hand
 from tests.conftest import NIGHTLY
 
 RATES_HZ = (250.0, 300.0, 333.0, 400.0, 450.0, 500.0, 640.0, 1000.0)

@@ -19,7 +19,7 @@ from handctl.controller.setup import make_drives, make_sensors
 from handctl.controller.tick import Controller
 from handctl.controller.types import Mode, TickIn
 from handctl.drives.frame import Frame
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from tests.controller.synthetic import under
 
 RATE_HZ = 250.0

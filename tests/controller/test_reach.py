@@ -10,8 +10,8 @@ from handctl.cli.main import main
 from handctl.controller.reach import check_reach, check_tip_force
 from handctl.controller.task import Task
 from handctl.errors import ConfigError
-from handctl.hand.description import load_hand, packaged_hands
 from handctl.hand.digit import DigitModel
+from handctl.hand.load import load_hand, packaged_hands
 
 JAMIA, ELEVEN = load_hand("jamia"), load_hand("jamia11")
 

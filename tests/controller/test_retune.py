@@ -18,7 +18,7 @@ from handctl.controller.requests import parse_request
 from handctl.controller.retune import KEPT, Coming, Designs
 from handctl.controller.types import Mode
 from handctl.errors import ConfigError
-from handctl.hand.description import hand_path
+from handctl.hand.load import hand_path
 from handctl.runtime.lockstep import load_peer
 from handctl.safety.action import Action
 from handctl.safety.judge import Verdict

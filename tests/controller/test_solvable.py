@@ -12,7 +12,7 @@ from handctl.controller.gain_bounds import bounds, with_values
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
 from handctl.errors import ConfigError
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 
 ODD = {
     "motion.force_N": 1e-9,

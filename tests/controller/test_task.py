@@ -9,7 +9,8 @@ from handctl.cli.plan import check_suits
 from handctl.controller.program import TARE_PHASE
 from handctl.controller.task import Close, Hold, Move, Release, Shape, check_task, for_digit, load_task, shapes
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand, hand_from, hand_path, load_hand, packaged_hands
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_from, hand_path, load_hand, packaged_hands
 
 GOOD = """schema = 1
 name = "t"

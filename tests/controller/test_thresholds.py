@@ -6,7 +6,7 @@ import pytest
 
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.controller.thresholds import frames_most
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from tests.drives.protocol_bench import OPTIONS, hand_file
 
 FEEDBACK = "torque_feedback = true\n"

@@ -21,7 +21,7 @@ from handctl.controller.state import State
 from handctl.controller.trajectory import MinimumJerk
 from handctl.controller.types import TELEMETRY_AXES, IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.hand.description import hand_from, hand_path, load_hand
+from handctl.hand.load import hand_from, hand_path, load_hand
 from handctl.safety.action import Action
 from handctl.safety.counts import Counts
 from handctl.safety.ropes import Ropes

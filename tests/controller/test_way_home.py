@@ -15,7 +15,7 @@ from handctl.controller.relaxing import (
 )
 from handctl.controller.types import Mode
 from handctl.drives.frame import Frame
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from tests.controller.bench import Bench, bench
 
 STOP, CUT = '{"do": "stop"}', '{"do": "cut"}'

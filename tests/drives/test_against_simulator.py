@@ -9,7 +9,7 @@ from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
 from handctl.drives.sensor_node import SensorNode
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 
 PERIOD_NS = 2_000_000
 HAND = load_hand("jamia")

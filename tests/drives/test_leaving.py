@@ -7,7 +7,7 @@ import pytest
 from handctl.campaign.course import Course
 from handctl.campaign.stage import started
 from handctl.controller.types import Mode
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from tests.drives.protocol_bench import OPTIONS, hand_file
 
 SILENCE_TICKS = 500

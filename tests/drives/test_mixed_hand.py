@@ -12,7 +12,7 @@ from handctl.drives.identifiers import check_identifiers
 from handctl.drives.load import bus_time_s
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from tests.drives.protocol_bench import Bench, described, hand_file, on_two_buses
 
 

@@ -9,8 +9,8 @@ import pytest
 from handctl.controller.tendon_space import tendon_space
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
-from handctl.hand.description import load_hand
 from handctl.hand.digit import DigitModel
+from handctl.hand.load import load_hand
 from tests.drives.protocol_bench import described, hand_file
 
 CIA402 = {"rated_torque_N_m": 0.5, "counts_per_turn": 4096}

@@ -8,7 +8,7 @@ import pytest
 from handctl.controller.bus_load import bus_loads
 from handctl.drives.contract import Phase, Want
 from handctl.drives.frame import ERROR
-from handctl.hand.description import hand_path, load_hand
+from handctl.hand.load import hand_path, load_hand
 from handctl.runtime.lockstep import LockstepBus, LockstepClock
 from tests.drives.protocol_bench import Bench, hand_file, on_two_buses
 

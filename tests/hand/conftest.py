@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand, hand_from, load_hand, packaged_hands
+from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
+from handctl.hand.load import hand_from, load_hand, packaged_hands
 
 
 @pytest.fixture(params=packaged_hands())

@@ -3,7 +3,7 @@
 import tomllib
 from typing import Any
 
-from handctl.hand.description import hand_path
+from handctl.hand.load import hand_path
 
 
 def fifteen_motors() -> dict[str, Any]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.hand.description import HANDS, hand_from
+from handctl.hand.load import HANDS, hand_from
 
 JAMIA = tomllib.loads((HANDS / "jamia.toml").read_text())
 

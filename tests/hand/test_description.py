@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.hand.description import HANDS, hand_from, load_hand, packaged_hands
+from handctl.hand.load import HANDS, hand_from, load_hand, packaged_hands
 
 CONTENT = {name: tomllib.loads((HANDS / f"{name}.toml").read_text()) for name in packaged_hands()}
 

@@ -8,8 +8,9 @@ import pinocchio
 import pytest
 
 from handctl.hand import dynamics
-from handctl.hand.description import Hand, load_hand
+from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
+from handctl.hand.load import load_hand
 from handctl.hand.urdf import urdf
 
 SAMPLES = 1000

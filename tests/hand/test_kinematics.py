@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio
 import pytest
 
-from handctl.hand.description import Hand, load_hand
+from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel, rotation_rpy
 from handctl.hand.frames import link_transforms, quaternion
 from handctl.hand.inverse_kinematics import coordinate_limits, inverse, inverse_coupled
@@ -19,6 +19,7 @@ from handctl.hand.kinematics import (
     tip_jacobian,
     to_palm,
 )
+from handctl.hand.load import load_hand
 from handctl.hand.urdf import urdf
 
 

@@ -8,8 +8,8 @@ import tomllib
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.hand.description import HANDS, hand_from, packaged_hands
 from handctl.hand.digit import DigitModel
+from handctl.hand.load import HANDS, hand_from, packaged_hands
 from handctl.hand.urdf import urdf
 
 CONTENT = {name: tomllib.loads((HANDS / f"{name}.toml").read_text()) for name in packaged_hands()}

@@ -7,7 +7,8 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand, hand_from, load_hand, packaged_hands
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_from, load_hand, packaged_hands
 from handctl.hand.strength import MARGIN, largest_force, runaway_tension, strength_warnings
 
 

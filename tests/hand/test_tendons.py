@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
-from handctl.hand.description import load_hand
 from handctl.hand.digit import DigitModel
+from handctl.hand.load import load_hand
 from handctl.hand.tendons import (
     TendonLaw,
     effective_moment_arms,

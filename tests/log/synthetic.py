@@ -15,7 +15,7 @@ import numpy as np
 from handctl.controller.types import TELEMETRY_AXES, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
 from handctl.drives.contract import Phase
 from handctl.drives.frame import Frame
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.hand.urdf import urdf
 from handctl.log.header import RunHeader
 from handctl.log.record import pack

@@ -8,7 +8,7 @@ from headers import with_metadata, with_run
 
 from handctl.cli.main import main
 from handctl.errors import LogError
-from handctl.hand.description import HANDS
+from handctl.hand.load import HANDS
 from handctl.log.header import LATEST_NS, PERIODS_NS
 from handctl.log.reader import RunLog
 

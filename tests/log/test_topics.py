@@ -15,9 +15,9 @@ from oracle import Rosbags, by_topic, messages
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from handctl.hand.description import load_hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.frames import link_transforms
+from handctl.hand.load import load_hand
 from handctl.log.header import RunHeader
 from handctl.log.record import FRAMING, pack
 from handctl.log.tf_topics import links

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from handctl.errors import HandctlError
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.paper import experiments, force_displacement, payload, pool, sections
 from handctl.report.truth import Truth
 

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.log.reader import RunLog
 from handctl.replay.compare import resampled
 from handctl.replay.drive import stretch

@@ -17,7 +17,7 @@ from handctl.controller.state import State
 from handctl.controller.task import load_task
 from handctl.controller.types import IoEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.hand.description import hand_path, load_hand
+from handctl.hand.load import hand_path, load_hand
 from handctl.log.record import pack
 from handctl.log.recorder import Recorder
 from handctl.runtime.lockstep import LockstepBus, LockstepClock, Peer, load_peer

@@ -21,7 +21,7 @@ from handctl.controller.requests import HoldTension, MoveDigits
 from handctl.controller.setup import Setup, make_controller
 from handctl.controller.types import TickIn, TickOut
 from handctl.errors import LogError
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.log.code import code_identity
 from handctl.log.reader import RunLog
 from handctl.replay import rebuild as rebuilding

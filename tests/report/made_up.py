@@ -7,7 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from handctl.controller.types import TELEMETRY_AXES, Mode
-from handctl.hand.description import Hand, load_hand
+from handctl.hand.description import Hand
+from handctl.hand.load import load_hand
 from handctl.log.moments import PhaseChange
 from handctl.report.truth import Truth
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handctl.controller.types import Mode
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.report.figure import draw_run
 from handctl.report.truth import Truth
 from tests.report.made_up import MadeUpLog, truth_of

@@ -25,7 +25,7 @@ from handctl.controller.calibration import load_calibration
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.tick import Controller
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.log.reader import RunLog
 from handctl.report.truth import Truth, read_truth
 from handctl.runtime.places import faults_path, local_bus_path, run_dir

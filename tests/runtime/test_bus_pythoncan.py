@@ -14,7 +14,8 @@ import can
 import pytest
 
 from handctl.drives.frame import Frame
-from handctl.runtime.bus import Bus, open_bus
+from handctl.runtime.bus import Bus
+from handctl.runtime.open_bus import open_bus
 from handctl.runtime.pythoncan import PythonCanBus
 from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, hub, record
 

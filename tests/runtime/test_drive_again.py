@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.log.reader import RunLog
 from handctl.runtime.mailbox import Watcher
 from tests.replay.repeat import mean_angles_apart, tensions_held

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.log.reader import RunLog
 from handctl.replay.execute import execute
 from handctl.runtime.mailbox import Watcher

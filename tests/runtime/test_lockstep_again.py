@@ -11,7 +11,7 @@ from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.task import load_task
 from handctl.drives.registry import PROTOCOLS
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.runtime.lockstep import LockstepClock, load_peer
 from tests.drives.protocol_bench import GUARDED, hand_file
 from tests.runtime.processes import GO, MOVE

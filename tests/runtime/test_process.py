@@ -10,7 +10,7 @@ import tomllib
 
 import pytest
 
-from handctl.hand.description import HANDS, load_hand
+from handctl.hand.load import HANDS, load_hand
 from handctl.hand.toml_text import toml_text
 from handctl.log.reader import RunLog
 from handctl.report.truth import read_truth

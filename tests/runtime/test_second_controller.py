@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from tests.runtime.kills import Listener, whole
 from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, write_homed
 

@@ -4,7 +4,7 @@ import pytest
 
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 
 
 @pytest.fixture(scope="session")

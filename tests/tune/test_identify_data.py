@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from handctl.controller.types import Mode
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.log.reader import RunLog
 from handctl.tune.identify_data import LATE_S, STOP_DEG, tendon_data
 

@@ -12,7 +12,7 @@ import pytest
 
 from handctl.controller.gains import Gains, MotionGains
 from handctl.errors import ConfigError
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.tune.ensemble import ensemble
 from handctl.tune.search import RANDOM_BATCHES, Found, Plan, Trial, _sampler, _study, search
 from handctl.tune.space import SPACE, within

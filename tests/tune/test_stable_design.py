@@ -8,7 +8,7 @@ import pytest
 
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
-from handctl.hand.description import hand_from, load_hand, packaged_hands
+from handctl.hand.load import hand_from, load_hand, packaged_hands
 from handctl.tune.design import Design, design, linear_factors, unlike_tendons
 from handctl.tune.ensemble import ensemble
 from handctl.tune.linear import LoopKind, System, _half_closed, controller, loop

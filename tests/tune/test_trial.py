@@ -4,7 +4,7 @@ import pytest
 
 from benchmarks.tuning import PLANT, detuned_gains
 from handctl.controller.model import HandModel
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.tune.trial import exercise
 
 

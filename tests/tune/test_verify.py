@@ -10,7 +10,7 @@ from handctl.cli.tune_verify import _who
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.exercise import Exercise
 from handctl.controller.gains import Gains, MotionGains, TensionGains
-from handctl.hand.description import hand_path, load_hand
+from handctl.hand.load import hand_path, load_hand
 from handctl.log.reader import RunLog
 from handctl.replay.execute import execute
 from handctl.runtime.lockstep import LockstepClock, load_peer

@@ -21,7 +21,8 @@ from handctl.controller.setup import make_controller
 from handctl.controller.task import Task
 from handctl.controller.types import Mode
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand, load_hand
+from handctl.hand.description import Hand
+from handctl.hand.load import load_hand
 from handctl.runtime.lockstep import SIMULATED_HAND, load_peer
 
 FIRST_NODE = 0x10

@@ -11,11 +11,13 @@ from handctl.cli.options import print_json
 from handctl.drives.discovery import Found
 from handctl.drives.registry import DISCOVERIES
 from handctl.errors import BusError, ConfigError
-from handctl.hand.description import Hand, load_hand
+from handctl.hand.description import Hand
+from handctl.hand.load import load_hand
 from handctl.hand.sections import Bus as BusSection
-from handctl.runtime.bus import Bus, open_bus
+from handctl.runtime.bus import Bus
 from handctl.runtime.link import NoTool, read_link
 from handctl.runtime.link_findings import WIRING, Finding, absent, findings
+from handctl.runtime.open_bus import open_bus
 from handctl.runtime.round_trip import RoundTrip, round_trip
 from handctl.runtime.scan import Scan, scan
 

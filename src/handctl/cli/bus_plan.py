@@ -11,7 +11,8 @@ from handctl.controller.bus_load import BusLoad, Row, bus_loads, split
 from handctl.drives.load import MOST
 from handctl.drives.load_table import TABLE, TABLE_RATES_HZ
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand, load_hand
+from handctl.hand.description import Hand
+from handctl.hand.load import load_hand
 
 
 def run(args: argparse.Namespace) -> int:

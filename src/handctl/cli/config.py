@@ -12,7 +12,8 @@ from handctl.controller.gain_bounds import flat
 from handctl.controller.identified import UNITS
 from handctl.controller.setup import caveats, make_drives
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand, hand_path, load_hand, packaged_hands
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_path, load_hand, packaged_hands
 from handctl.hand.strength import strength_warnings
 
 EXAMPLE = "handctl config show --hand jamia"

@@ -34,7 +34,7 @@ from handctl.cli.verdict import judge
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.tick import Controller
 from handctl.errors import BusError, ConfigError, DriveError
-from handctl.hand.description import hand_path, load_hand
+from handctl.hand.load import hand_path, load_hand
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, Peer, load_peer
 from handctl.runtime.places import truth_path
 

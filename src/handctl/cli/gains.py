@@ -14,7 +14,8 @@ from handctl.controller.gain_bounds import bounds, flat, with_values
 from handctl.controller.gains import Gains, Provenance, load_gains_file
 from handctl.controller.requests import REFUSED
 from handctl.errors import ConfigError, UnconfirmedError
-from handctl.hand.description import Hand, load_hand
+from handctl.hand.description import Hand
+from handctl.hand.load import load_hand
 from handctl.tune.gains_store import Entry, GainsStore
 
 EXAMPLE = "handctl gains show --hand jamia"

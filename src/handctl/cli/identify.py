@@ -20,7 +20,8 @@ from handctl.controller.calibration import Calibration, load_calibration
 from handctl.controller.excite import ExciteProgram
 from handctl.controller.tick import Controller
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand, hand_path, load_hand
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_path, load_hand
 from handctl.log.reader import RunLog
 from handctl.replay.rebuild import logged_hand
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer

@@ -11,7 +11,7 @@ from handctl.cli.exit_codes import Exit
 from handctl.cli.progress import progress
 from handctl.cli.screen import screen
 from handctl.errors import ConfigError
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.hand.mjcf import mjcf
 from handctl.hand.urdf import urdf
 from handctl.output import check_output, write_whole

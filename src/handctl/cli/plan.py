@@ -18,9 +18,10 @@ from handctl.controller.reach import check_reach, check_tip_force
 from handctl.controller.task import Task, check_task, load_task, load_trajectory, shapes
 from handctl.drives.load import MOST, highest_rate
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand, load_hand
+from handctl.hand.description import Hand
+from handctl.hand.load import load_hand
 from handctl.output import check_output
-from handctl.runtime.bus import check_spec, real_buses
+from handctl.runtime.open_bus import check_spec, real_buses
 
 TASKS = Path(__file__).parent.parent / "tasks"
 TICKS_IN_WATCHDOG = 2

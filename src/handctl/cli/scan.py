@@ -12,7 +12,7 @@ from handctl.cli.options import bitrate_options, bus_option, json_option, print_
 from handctl.drives import cia402_codec
 from handctl.drives.discovery import Found
 from handctl.drives.frame import REMOTE, Frame
-from handctl.runtime.bus import open_bus
+from handctl.runtime.open_bus import open_bus
 from handctl.runtime.scan import Scan, all_questions, scan
 
 EXAMPLE = "handctl scan --bus socketcan:can0 --dry-run"

@@ -19,7 +19,7 @@ from handctl.cli.options import (
     wire_words,
 )
 from handctl.cli.other_protocol import in_protocol, path_in_protocol, write_in_protocol
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 
 EXAMPLE = "handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"
 

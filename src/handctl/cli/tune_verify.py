@@ -18,7 +18,7 @@ from handctl.cli.screen import screen
 from handctl.cli.session import Outcome, make_controller, run_live, run_lockstep
 from handctl.cli.tune_files import checked_count
 from handctl.errors import ConfigError
-from handctl.hand.description import hand_path
+from handctl.hand.load import hand_path
 
 
 def run(args: argparse.Namespace) -> int:

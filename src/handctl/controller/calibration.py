@@ -13,7 +13,8 @@ from handctl.controller.types import Vector
 from handctl.document import Document, validated
 from handctl.drives.sensor_node import TARE_LEAST_N, TARE_MOST_N
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand, read_toml
+from handctl.hand.description import Hand
+from handctl.hand.load import read_toml
 
 
 class TendonCalibration(Document):

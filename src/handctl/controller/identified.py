@@ -8,7 +8,8 @@ from pydantic import Field, model_validator
 from handctl.controller.types import Vector
 from handctl.document import Document
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand, hand_from
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_from
 
 TENDON_KEYS = {"rope_stiffness": "stiffness_N_per_m", "capstan": "friction_coefficient"}
 MOTOR_KEYS = {

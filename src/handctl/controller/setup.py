@@ -26,7 +26,8 @@ from handctl.drives.contract import Drive
 from handctl.drives.identifiers import check_identifiers
 from handctl.drives.registry import make_drive
 from handctl.drives.sensor_node import SensorNode
-from handctl.hand.description import Hand, hand_from, parse_toml
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_from, parse_toml
 
 ATTACHMENT = "setup.json"
 """Name under which a log keeps its ``Setup``."""

@@ -12,7 +12,8 @@ from pydantic import Field, model_validator
 from handctl.controller.trajectory import Curve
 from handctl.document import Document, load_document, validated
 from handctl.errors import ConfigError
-from handctl.hand.description import Hand, read_toml
+from handctl.hand.description import Hand
+from handctl.hand.load import read_toml
 
 Angle = Annotated[float, Field(ge=-30, le=150)]
 Tension = Annotated[float, Field(ge=0, le=1000)]

@@ -1,7 +1,8 @@
 """The hand that a log describes."""
 
 from handctl.errors import LogError
-from handctl.hand.description import Hand, hand_from, parse_toml
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_from, parse_toml
 from handctl.log.header import RunHeader
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from handctl.controller.types import Mode
 from handctl.errors import ConfigError, LogError
-from handctl.hand.description import parse_toml
+from handctl.hand.load import parse_toml
 from handctl.log.moments import check_order
 from handctl.log.reader import RunLog
 from handctl.printing import printable

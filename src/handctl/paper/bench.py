@@ -16,7 +16,7 @@ from handctl.controller.types import IoEvent, TickIn, TickOut, Vector
 from handctl.drives.registry import make_drive
 from handctl.drives.sensor_node import SensorNode
 from handctl.errors import DriveError
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, load_peer
 from handctl.runtime.loop import Loop
 

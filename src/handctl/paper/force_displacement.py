@@ -10,8 +10,9 @@ import numpy as np
 from scipy.optimize import curve_fit
 
 from handctl.controller.task import Task
-from handctl.hand.description import Hand, hand_from, load_hand
+from handctl.hand.description import Hand
 from handctl.hand.digit import Array
+from handctl.hand.load import hand_from, load_hand
 from handctl.hand.tendons import TendonLaw
 from handctl.paper import sources as src
 from handctl.paper.bench import run

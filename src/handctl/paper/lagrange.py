@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from handctl.hand.description import load_hand
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.dynamics import inverse_dynamics
+from handctl.hand.load import load_hand
 from handctl.paper import equations
 from handctl.paper.equations import Term
 from handctl.paper.expression import Dimension, DimensionError

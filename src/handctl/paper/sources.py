@@ -4,7 +4,8 @@ import math
 from fractions import Fraction
 from functools import cache
 
-from handctl.hand.description import Hand, load_hand
+from handctl.hand.description import Hand
+from handctl.hand.load import load_hand
 from handctl.hand.sections import Digit
 
 PULLEY_MM = Fraction(3)

@@ -17,7 +17,8 @@ from handctl.controller.program import Program
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.controller.tick import Controller
 from handctl.controller.types import Mode, TickIn, TickOut
-from handctl.hand.description import Hand, hand_from
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_from
 from handctl.report.summary import mean_angles, rms
 from handctl.report.truth import Truth, read_truth
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, load_peer

@@ -9,11 +9,11 @@ from pathlib import Path
 import rerun as rr
 
 from handctl.errors import LogError
+from handctl.handlers import Stop
 from handctl.log.reader import RunLog
 from handctl.view.blueprint import dashboard
 from handctl.view.feed import log_chunks, recording
 from handctl.view.lenses import Lenses
-from handctl.view.live import Stop
 from handctl.view.styles import styles
 from handctl.view.subject import Subject
 from handctl.view.tail import Tail

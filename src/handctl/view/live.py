@@ -12,6 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from handctl.errors import HandctlError
+from handctl.handlers import Stop
 
 NICE = 10
 """So much less than the controller does this process want the processor."""
@@ -32,17 +33,6 @@ def start_live(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
     return subprocess.Popen(
         command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env=quiet, start_new_session=True
     )
-
-
-class Stop:
-    """Set by SIGTERM, so that nothing is torn apart in the middle."""
-
-    def __init__(self) -> None:
-        self.asked = False
-
-    def __call__(self, number: int, frame: object) -> None:
-        """As signal handler."""
-        self.asked = True
 
 
 def main() -> int:

@@ -22,7 +22,7 @@ from handctl.controller.live import JogProgram
 from handctl.controller.requests import HoldTension
 from handctl.controller.types import Mode, TickIn, TickOut
 from handctl.errors import LogError
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from handctl.log.reader import RunLog
 from tests.drives.protocol_bench import hand_file
 from tests.vcan.inside.conftest import STOOD_STILL

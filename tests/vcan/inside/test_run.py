@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.hand.description import load_hand
+from handctl.hand.load import load_hand
 from tests.runtime.processes import HOMED, scaled, write_homed
 from tests.vcan.inside.conftest import STOOD_STILL, TIME_SCALE, serving
 
