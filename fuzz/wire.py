@@ -11,7 +11,7 @@ from typing import NamedTuple
 from fuzz.drives import DRIVES
 from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
-from handctl.drives.sensor_node import SensorNode, SensorState, saturated
+from handctl.drives.sensors.node import SensorNode, SensorState, saturated
 from tests.drives.protocol_bench import Bench, hand_file
 
 Target = Callable[[bytes], bool]

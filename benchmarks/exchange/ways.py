@@ -40,7 +40,7 @@ class Ours:
 
     def __init__(self, interface, channel, motors):
         from handctl.drives.frame import Frame, make
-        from handctl.drives.mit_codec import Ranges, decode_feedback, encode_torque, lines
+        from handctl.drives.mit.codec import Ranges, decode_feedback, encode_torque, lines
         from handctl.runtime.open_bus import open_bus
 
         self.bus, self.make = open_bus(f"{interface}:{channel}", 0, 1_000_000), make
@@ -66,8 +66,8 @@ class Drives(Ours):
     def __init__(self, interface, channel, motors):
         super().__init__(interface, channel, motors)
         from handctl.drives.contract import DriveState, Phase, Want
-        from handctl.drives.mit import MitDrive
-        from handctl.drives.mit_progress import Progress
+        from handctl.drives.mit.drive import MitDrive
+        from handctl.drives.mit.progress import Progress
 
         self.want = Want.ENABLE
         make = partial(MitDrive, bus=0, ranges=self.ranges, direction=1, zero=0.0, timeout=1000)

@@ -7,7 +7,7 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.drives.frame import Frame
-from handctl.drives.mit_codec import encode_torque
+from handctl.drives.mit.codec import encode_torque
 from handctl.runtime.local import LocalBus
 from handctl.runtime.mailbox import Mailbox
 from tests.drives.bench_process import drives

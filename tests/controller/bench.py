@@ -16,8 +16,8 @@ from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.controller.types import Event, IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.drives.mit import MitDrive
-from handctl.drives.sensor_node import SensorNode
+from handctl.drives.mit.drive import MitDrive
+from handctl.drives.sensors.node import SensorNode
 from handctl.hand.description import Hand
 from tests.drives.motor import ScriptedMotor
 

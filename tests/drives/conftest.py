@@ -8,7 +8,7 @@ import pytest
 
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.frame import Frame
-from handctl.drives.mit import MitDrive
+from handctl.drives.mit.drive import MitDrive
 from tests.drives.motor import ScriptedMotor
 
 PERIOD_NS = 2_000_000

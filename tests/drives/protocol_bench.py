@@ -10,7 +10,7 @@ from firmware_sim.rig import Rig
 from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.drives.frame import Frame
 from handctl.drives.registry import PROTOCOLS, make_drive
-from handctl.drives.sensor_node import SensorNode
+from handctl.drives.sensors.node import SensorNode
 from handctl.hand.load import hand_path, load_hand
 from handctl.hand.sections import Motor
 

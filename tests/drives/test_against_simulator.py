@@ -8,7 +8,7 @@ from firmware_sim.rig import Rig
 from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
-from handctl.drives.sensor_node import SensorNode
+from handctl.drives.sensors.node import SensorNode
 from handctl.hand.load import load_hand
 
 PERIOD_NS = 2_000_000

@@ -5,9 +5,9 @@ import struct
 
 import pytest
 
-from handctl.drives import cia402_codec as cia402
-from handctl.drives import mit_codec as mit
-from handctl.drives import odrive_codec as odrive
+from handctl.drives.cia402 import codec as cia402
+from handctl.drives.mit import codec as mit
+from handctl.drives.odrive import codec as odrive
 
 STATUS = {
     0x0000: cia402.NOT_READY, 0x0040: cia402.OFF, 0x0021: cia402.READY_TO_SWITCH_ON, 0x0023: cia402.SWITCHED_ON,

@@ -11,8 +11,8 @@ from firmware_sim.drive_types import drive_spec
 from firmware_sim.nodes.cubemars import FULL_SCALE, CubemarsNode, Error
 from handctl.drives.causes import Cause
 from handctl.drives.contract import Phase, Want
-from handctl.drives.cubemars import MODELS, CubemarsDrive
 from handctl.drives.frame import Frame
+from handctl.drives.mit.cubemars import MODELS, CubemarsDrive
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.runtime.conformance import Subject, Verdict, checks

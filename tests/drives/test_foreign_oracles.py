@@ -12,8 +12,8 @@ from firmware_sim.bench import Bench
 from firmware_sim.drive_types import drive_spec
 from firmware_sim.frame import REMOTE, Frame
 from firmware_sim.nodes.cia402_dictionary import EDS, Dictionary
-from handctl.drives import cia402_setup as setup
-from handctl.drives import odrive_codec as codec
+from handctl.drives.cia402 import settings as setup
+from handctl.drives.odrive import codec
 
 NODE = 3
 

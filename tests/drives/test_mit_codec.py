@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.drives import mit_codec as codec
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.frame import FDF, Frame
-from handctl.drives.mit import MitDrive
-from handctl.drives.mit_progress import Progress
-from handctl.drives.mit_registers import Walk
+from handctl.drives.mit import codec
+from handctl.drives.mit.drive import MitDrive
+from handctl.drives.mit.progress import Progress
+from handctl.drives.mit.settings import Walk
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from tests.drives.conftest import Section, drive_of

@@ -4,7 +4,7 @@ import pytest
 
 from handctl.drives.contract import Phase, Want
 from handctl.drives.frame import Frame
-from handctl.drives.mit_progress import DROPPED_OUT, ENABLED_BY_OTHERS, GONE_NS, UNKNOWN
+from handctl.drives.mit.progress import DROPPED_OUT, ENABLED_BY_OTHERS, GONE_NS, UNKNOWN
 from tests.drives.conftest import PERIOD_NS, Walk
 
 DISABLE = b"\xff" * 7 + b"\xfd"

@@ -6,7 +6,7 @@ import pytest
 
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.frame import Frame
-from handctl.drives.mit_progress import DROPPED_OUT, GONE_NS, MISMATCH, Progress
+from handctl.drives.mit.progress import DROPPED_OUT, GONE_NS, MISMATCH, Progress
 from tests.drives.conftest import Walk, drive_of
 
 ENABLE = b"\xff" * 7 + b"\xfc"

@@ -7,9 +7,9 @@ import cantools.database
 import odrive_can
 import pytest
 
-from handctl.drives import odrive_05
 from handctl.drives.contract import Phase, Want
 from handctl.drives.frame import REMOTE, Frame
+from handctl.drives.odrive import firmware_05 as odrive_05
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.runtime.conformance import Subject, Verdict, checks

@@ -9,12 +9,12 @@ import pytest
 from firmware_sim.frame import Frame as WireFrame
 from firmware_sim.nodes.cia402 import Cia402Node
 from firmware_sim.nodes.odrive import OdriveNode
-from handctl.drives import odrive_codec as codec
-from handctl.drives.cia402 import Cia402Drive
+from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import Phase, Want
 from handctl.drives.frame import Frame
-from handctl.drives.odrive import OdriveDrive
-from handctl.drives.odrive_progress import progress_of
+from handctl.drives.odrive import codec
+from handctl.drives.odrive.drive import OdriveDrive
+from handctl.drives.odrive.progress import progress_of
 from tests.drives.protocol_bench import FIRST_NODE, OPTIONS, Bench, hand_file
 
 

@@ -10,13 +10,13 @@ from handctl.campaign.stage import bring, hand_in, started
 from handctl.cli.plan import fastest
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.types import Mode
-from handctl.drives import mit_codec as codec
 from handctl.drives import recheck
 from handctl.drives.causes import Cause
 from handctl.drives.contract import Phase, Want
 from handctl.drives.frame import Frame
-from handctl.drives.mit import MitDrive
-from handctl.drives.mit_progress import Progress
+from handctl.drives.mit import codec
+from handctl.drives.mit.drive import MitDrive
+from handctl.drives.mit.progress import Progress
 
 TICK_NS = 2_000_000
 SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else (1,)

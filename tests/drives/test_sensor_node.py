@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.drives.frame import Frame
-from handctl.drives.sensor_node import TENSION_TOP_N, TENSION_ZERO_N, SensorNode, SensorState, counters, saturated
+from handctl.drives.sensors.node import TENSION_TOP_N, TENSION_ZERO_N, SensorNode, SensorState, counters, saturated
 
 RAW = st.integers(0, 4095)
 CHANNELS = 11
@@ -33,7 +33,7 @@ class Section:
 
 
 def read_dbc() -> Database:
-    text = files("handctl.drives").joinpath("sensor_node.dbc").read_text(encoding="ascii")
+    text = files("handctl.drives.sensors").joinpath("sensor_node.dbc").read_text(encoding="ascii")
     database = cantools.database.load_string(text, "dbc", strict=True)
     assert isinstance(database, Database)
     return database

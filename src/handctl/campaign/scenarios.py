@@ -8,7 +8,7 @@ import math
 from itertools import pairwise
 from typing import NamedTuple
 
-from handctl.drives.sensor_node import TENSION_RAIL_N
+from handctl.drives.sensors.node import TENSION_RAIL_N
 from handctl.hand.description import Hand
 from handctl.safety.action import Action
 

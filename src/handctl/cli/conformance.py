@@ -13,7 +13,7 @@ from handctl.cli.scan import identified
 from handctl.drives.contract import Drive, Phase, Want
 from handctl.drives.discovery import LISTEN_S, Found
 from handctl.drives.frame import Frame
-from handctl.drives.mit import MitDrive
+from handctl.drives.mit.drive import MitDrive
 from handctl.drives.registry import PROTOCOLS, make_drive
 from handctl.errors import BusError, ConfigError, DriveError, PowerError
 from handctl.hand.load import parse_toml

@@ -9,7 +9,7 @@ from handctl.cli.buses import named_buses
 from handctl.cli.exit_codes import Exit
 from handctl.cli.fragment import fragment
 from handctl.cli.options import bitrate_options, bus_option, json_option, print_json
-from handctl.drives import cia402_codec
+from handctl.drives.cia402 import codec as cia402_codec
 from handctl.drives.discovery import Found
 from handctl.drives.frame import REMOTE, Frame
 from handctl.runtime.open_bus import open_bus

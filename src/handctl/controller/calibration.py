@@ -11,7 +11,7 @@ from pydantic import Field, field_validator
 from handctl.controller.identified import Identified, check_identified
 from handctl.controller.types import Vector
 from handctl.document import Document, validated
-from handctl.drives.sensor_node import TARE_LEAST_N, TARE_MOST_N
+from handctl.drives.sensors.node import TARE_LEAST_N, TARE_MOST_N
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import read_toml

@@ -17,7 +17,7 @@ from handctl.controller.goal import DigitGoal, Kind
 from handctl.controller.model import HandModel
 from handctl.controller.program import TARE_PHASE, Progress
 from handctl.controller.types import Event, Vector
-from handctl.drives.sensor_node import TARE_LEAST_N, TARE_MOST_N
+from handctl.drives.sensors.node import TARE_LEAST_N, TARE_MOST_N
 
 PULL_N = 3.0
 PULL_FORCE_LIMIT_N = 12.0

@@ -13,7 +13,7 @@ from handctl.controller.posture import Posture
 from handctl.controller.program import Progress
 from handctl.controller.retune import Coming
 from handctl.controller.touch import Touch
-from handctl.drives.sensor_node import SensorState
+from handctl.drives.sensors.node import SensorState
 from handctl.safety.watch import WatchState
 
 PLACE = struct.Struct("<qBdd??")

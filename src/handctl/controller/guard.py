@@ -20,7 +20,7 @@ from handctl.controller.types import ACTING, Event, Mode, TickIn, Vector
 from handctl.drives.causes import Cause
 from handctl.drives.contract import Drive, DriveState, Phase
 from handctl.drives.frame import EXTENDED, REMOTE
-from handctl.drives.sensor_node import SensorNode, SensorState
+from handctl.drives.sensors.node import SensorNode, SensorState
 from handctl.safety import stuck
 from handctl.safety.answers import asked
 from handctl.safety.signals import (

@@ -27,7 +27,7 @@ from scipy.linalg import block_diag, null_space
 from handctl.controller.estimator import Estimate
 from handctl.controller.model import HandModel
 from handctl.controller.types import Vector
-from handctl.drives.sensor_node import JOINT_STEP_RAD
+from handctl.drives.sensors.node import JOINT_STEP_RAD
 from handctl.hand.digit import DigitModel
 
 MODEL_ERROR_N = 0.5

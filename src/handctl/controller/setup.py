@@ -25,7 +25,7 @@ from handctl.document import Document
 from handctl.drives.contract import Drive
 from handctl.drives.identifiers import check_identifiers
 from handctl.drives.registry import make_drive
-from handctl.drives.sensor_node import SensorNode
+from handctl.drives.sensors.node import SensorNode
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_from, parse_toml
 

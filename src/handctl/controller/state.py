@@ -13,7 +13,7 @@ from handctl.controller.retune import Coming
 from handctl.controller.touch import Touch
 from handctl.controller.types import Mode
 from handctl.drives.contract import DriveState
-from handctl.drives.sensor_node import SensorState
+from handctl.drives.sensors.node import SensorState
 from handctl.safety.judge import SafetyState
 from handctl.safety.watch import WatchState
 

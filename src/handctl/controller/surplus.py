@@ -12,7 +12,7 @@ from typing import NamedTuple, TypeVar
 from handctl.controller.state import State
 from handctl.drives.contract import Drive
 from handctl.drives.frame import Frame
-from handctl.drives.sensor_node import SensorNode, SensorState
+from handctl.drives.sensors.node import SensorNode, SensorState
 from handctl.safety.answers import Owed, answered
 from handctl.safety.signals import LOAD_CELLS, Named
 

@@ -36,7 +36,7 @@ from handctl.controller.touch import Touch
 from handctl.controller.types import ACTING, Event, Mode, TickIn, TickOut, Vector
 from handctl.drives.contract import Drive, DriveState, Phase
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.sensor_node import SensorNode, SensorState, saturated
+from handctl.drives.sensors.node import SensorNode, SensorState, saturated
 from handctl.safety import judge as safety
 from handctl.safety.action import Action
 from handctl.safety.signals import Limits, Signals

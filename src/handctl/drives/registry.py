@@ -3,14 +3,17 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from handctl.drives import cia402_discovery, mit_discovery, odrive_discovery, sensor_discovery
-from handctl.drives.cia402 import Cia402Drive
+from handctl.drives.cia402 import discovery as cia402_discovery
+from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import Drive
-from handctl.drives.cubemars import CubemarsDrive
 from handctl.drives.description import MotorDescription
 from handctl.drives.discovery import Discovery
-from handctl.drives.mit import MitDrive
-from handctl.drives.odrive import OdriveDrive
+from handctl.drives.mit import discovery as mit_discovery
+from handctl.drives.mit.cubemars import CubemarsDrive
+from handctl.drives.mit.drive import MitDrive
+from handctl.drives.odrive import discovery as odrive_discovery
+from handctl.drives.odrive.drive import OdriveDrive
+from handctl.drives.sensors import discovery as sensor_discovery
 from handctl.errors import ConfigError
 
 

@@ -14,7 +14,7 @@ from handctl.controller.task import Task
 from handctl.controller.tick import Controller
 from handctl.controller.types import IoEvent, TickIn, TickOut, Vector
 from handctl.drives.registry import make_drive
-from handctl.drives.sensor_node import SensorNode
+from handctl.drives.sensors.node import SensorNode
 from handctl.errors import DriveError
 from handctl.hand.load import load_hand
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, load_peer

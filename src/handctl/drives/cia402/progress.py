@@ -2,9 +2,9 @@
 
 from typing import NamedTuple, cast
 
-from handctl.drives import cia402_codec as codec
-from handctl.drives import cia402_setup as setup
 from handctl.drives.causes import Cause
+from handctl.drives.cia402 import codec
+from handctl.drives.cia402 import settings as setup
 from handctl.drives.contract import DriveState, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.recheck import Recheck

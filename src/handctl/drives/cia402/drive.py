@@ -8,11 +8,11 @@ SYNC. SYNC is the sensor node's, which has the same identifier 0x080; on a bus w
 import math
 from dataclasses import dataclass
 
-from handctl.drives import cia402_codec as codec
-from handctl.drives import cia402_setup as setup
 from handctl.drives import recheck
 from handctl.drives.causes import Cause
-from handctl.drives.cia402_progress import (
+from handctl.drives.cia402 import codec
+from handctl.drives.cia402 import settings as setup
+from handctl.drives.cia402.progress import (
     CAUSES,
     CLEAR_TRIES,
     MISMATCH,

@@ -8,24 +8,15 @@ unwrapped: the hand's travel is far inside. Nothing but feedback of state 0, or 
 import math
 from dataclasses import dataclass, field
 
-from handctl.drives import mit_codec as codec
-from handctl.drives import mit_registers as registers
 from handctl.drives import recheck
 from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
 from handctl.drives.frame import BRS, FDF, Frame, make
-from handctl.drives.mit_progress import (
-    CAUSES,
-    CLEAR_TRIES,
-    GONE_NS,
-    MISMATCH,
-    Progress,
-    fault,
-    judge,
-    progress_of,
-)
-from handctl.drives.mit_registers import Walk
+from handctl.drives.mit import codec
+from handctl.drives.mit import settings as registers
+from handctl.drives.mit.progress import CAUSES, CLEAR_TRIES, GONE_NS, MISMATCH, Progress, fault, judge, progress_of
+from handctl.drives.mit.settings import Walk
 from handctl.drives.options import switch
 from handctl.errors import ConfigError
 

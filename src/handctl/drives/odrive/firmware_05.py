@@ -4,7 +4,7 @@ There is no version, no SDO, no temperature and no torque on the bus: the watchd
 set over USB, and nobody on the bus can know them. Source: facts, odrive_cansimple; the vendor's DBC 0.5.6.
 """
 
-from handctl.drives.odrive_codec import SUCCESS, Heartbeat
+from handctl.drives.odrive.codec import SUCCESS, Heartbeat
 
 FIRMWARE = ("0.6", "0.5")
 """Values of the option ``firmware``, the usual one first."""

@@ -8,7 +8,7 @@ import struct
 from collections.abc import MutableMapping
 from typing import Any, NamedTuple
 
-from handctl.drives import odrive_codec as codec
+from handctl.drives.odrive import codec
 from handctl.errors import ConfigError
 
 REQUEST_TIMEOUT_NS = 20_000_000

@@ -1,7 +1,7 @@
 """The sensor node on a bus: it answers a SYNC with frames that carry the low four bits of the SYNC's counter.
 
 SYNC is no order to a motor of its own, but it lets CANopen drives act on PDOs that they hold: where one is found, and
-beside an ODrive with node number 4, it is not sent (``orders`` of theirs name it). Source: ``sensor_node``.
+beside an ODrive with node number 4, it is not sent (``orders`` of theirs name it). Source: ``node``.
 """
 
 from handctl.drives.discovery import Discovery, Found, Seen

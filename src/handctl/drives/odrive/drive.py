@@ -2,21 +2,21 @@
 
 Position is asked for in every tick by a remote frame, so that it is as old as the command; with ``encoder_period_ms``
 the drive's cyclic messages are trusted instead. Mode and limits cannot be read back on CANSimple, and the watchdog not
-even be set: with the endpoints of ``odrive_endpoints`` they are, by SDO. Only a heartbeat tells what the drive does.
+even be set: with the endpoints of ``settings`` they are, by SDO. Only a heartbeat tells what the drive does.
 """
 
 import math
 from dataclasses import dataclass
 
-from handctl.drives import odrive_codec as codec
-from handctl.drives import odrive_endpoints as endpoints
 from handctl.drives import recheck
 from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
 from handctl.drives.frame import REMOTE, Frame
-from handctl.drives.odrive_options import KNOWN, take_options
-from handctl.drives.odrive_progress import (
+from handctl.drives.odrive import codec
+from handctl.drives.odrive import settings as endpoints
+from handctl.drives.odrive.options import KNOWN, take_options
+from handctl.drives.odrive.progress import (
     CLEAR_TRIES,
     HEARTBEATS_MISSED,
     MISMATCH,
@@ -54,7 +54,7 @@ class OdriveDrive:
         cyclic_s: period of the drive's own messages [s]; 0 if position is asked for in every tick.
         torque_feedback: whether torque is asked for in every tick.
         patience_ns: longest time without a heartbeat [ns].
-        old: firmware 0.5, see ``odrive_05``.
+        old: firmware 0.5, see ``firmware_05``.
     """
 
     name: str

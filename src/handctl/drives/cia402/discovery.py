@@ -4,8 +4,8 @@ Reading an object is no order. What a drive tells beyond its device type is read
 any tick (``runtime.canopen_identity``). Source: facts, cia402.
 """
 
-from handctl.drives import cia402_codec as codec
-from handctl.drives.cia402_setup import MASTER
+from handctl.drives.cia402 import codec
+from handctl.drives.cia402.settings import MASTER
 from handctl.drives.discovery import Discovery, Found, Seen
 from handctl.drives.frame import REMOTE, Frame
 

@@ -3,8 +3,8 @@
 from collections.abc import MutableMapping
 from typing import Any, NamedTuple
 
-from handctl.drives import odrive_endpoints as endpoints
-from handctl.drives.odrive_05 import FIRMWARE
+from handctl.drives.odrive import settings as endpoints
+from handctl.drives.odrive.firmware_05 import FIRMWARE
 from handctl.drives.options import positive, whole
 from handctl.errors import ConfigError
 

@@ -2,10 +2,10 @@
 
 from typing import NamedTuple
 
-from handctl.drives import mit_codec as codec
 from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase
-from handctl.drives.mit_registers import Walk
+from handctl.drives.mit import codec
+from handctl.drives.mit.settings import Walk
 from handctl.drives.recheck import Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase

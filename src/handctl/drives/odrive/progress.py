@@ -2,12 +2,12 @@
 
 from typing import NamedTuple, cast
 
-from handctl.drives import odrive_05
-from handctl.drives import odrive_codec as codec
-from handctl.drives import odrive_endpoints as endpoints
 from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase
 from handctl.drives.frame import Frame
+from handctl.drives.odrive import codec
+from handctl.drives.odrive import firmware_05 as odrive_05
+from handctl.drives.odrive import settings as endpoints
 from handctl.drives.recheck import Recheck
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase

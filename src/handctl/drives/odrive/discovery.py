@@ -6,10 +6,10 @@ tells neither version nor serial number this way. Source: facts, odrive_cansimpl
 
 import struct
 
-from handctl.drives import odrive_05
-from handctl.drives import odrive_codec as codec
 from handctl.drives.discovery import Discovery, Found, Seen
 from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
+from handctl.drives.odrive import codec
+from handctl.drives.odrive import firmware_05 as odrive_05
 
 ADDRESS, BROADCAST = 0x06, 0x3F
 BEATS = 3

@@ -7,7 +7,7 @@ of type 1: sampled at SYNC. Loss of the master's heartbeat is a fault of the dri
 import enum
 from typing import NamedTuple
 
-from handctl.drives import cia402_codec as codec
+from handctl.drives.cia402 import codec
 
 REQUEST_TIMEOUT_NS = 20_000_000
 REQUEST_TRIES = 10

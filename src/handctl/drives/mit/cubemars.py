@@ -11,11 +11,11 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
-from handctl.drives import mit_codec as codec
 from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
 from handctl.drives.frame import Frame, make
+from handctl.drives.mit import codec
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = Want

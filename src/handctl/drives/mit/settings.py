@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from handctl.drives import mit_codec as codec
+from handctl.drives.mit import codec
 
 REQUEST_TIMEOUT_NS = 20_000_000
 REQUEST_TRIES = 10

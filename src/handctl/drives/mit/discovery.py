@@ -7,9 +7,9 @@ Source: facts, mit_damiao.
 
 import struct
 
-from handctl.drives import mit_codec as codec
 from handctl.drives.discovery import Discovery, Found, Seen
 from handctl.drives.frame import Frame
+from handctl.drives.mit import codec
 
 NUMBERS = range(1, 0x80)
 MST_ID, HARDWARE, SOFTWARE, SERIAL, CAN_BR = 7, 13, 14, 15, 35

@@ -1,0 +1,1 @@
+"""CiA 402 drives in cyclic synchronous torque mode over CANopen."""

@@ -1,0 +1,1 @@
+"""The sensor node: load cells and joint encoders."""
