@@ -26,7 +26,7 @@ from handctl.controller.gains import Gains
 from handctl.controller.identified import DIGIT_KEYS
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_path, load_hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
 from handctl.tune.excitation import excitation
 from handctl.tune.identify import Found, identify

@@ -13,7 +13,7 @@ from pathlib import Path
 from who import spent
 
 from handctl.controller.tick import Controller
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.difference import same
 from handctl.replay.rebuild import rebuild
 

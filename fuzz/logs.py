@@ -11,14 +11,14 @@ from fuzz import files
 from fuzz.mutate import Source
 from handctl.controller.types import TELEMETRY_FIELDS
 from handctl.errors import LogError
-from handctl.log.chain import TOPIC as CHAIN_TOPIC
-from handctl.log.clock_pairs import TOPIC as CLOCK_TOPIC
-from handctl.log.logfile import LogFile
-from handctl.log.messages_in import definitions
-from handctl.log.reader import RunLog
-from handctl.log.recover import recover
-from handctl.log.scan import Scan, scan
-from handctl.log.topics import TICK_TOPIC, VALUES_TOPIC
+from handctl.log.read.logfile import LogFile
+from handctl.log.read.messages_in import definitions
+from handctl.log.read.reader import RunLog
+from handctl.log.read.recover import recover
+from handctl.log.read.scan import Scan, scan
+from handctl.log.topics.all import TICK_TOPIC, VALUES_TOPIC
+from handctl.log.topics.chain import TOPIC as CHAIN_TOPIC
+from handctl.log.topics.clock_pairs import TOPIC as CLOCK_TOPIC
 from tests.log import synthetic
 
 Target = Callable[[bytes], bool]

@@ -23,7 +23,7 @@ import numpy as np
 from firmware_sim.description import load_hand as load_simulated
 from firmware_sim.fault_text import KINDS, instances
 from handctl.hand.load import load_hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import Watcher
 from tests.runtime.processes import BUS, LONG, end, handctl, start_handctl, write_calibration
 

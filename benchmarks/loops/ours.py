@@ -13,7 +13,7 @@ from handctl.hand.load import load_hand
 from handctl.hand.urdf import urdf
 from handctl.log.header import RunHeader
 from handctl.log.record import pack
-from handctl.log.recorder import Recorder
+from handctl.log.write.recorder import Recorder
 from handctl.runtime.clock import RealClock, take_priority
 from handctl.runtime.loop import Loop
 from handctl.runtime.mailbox import STOP

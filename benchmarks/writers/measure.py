@@ -14,10 +14,10 @@ from mcap_ros2.decoder import DecoderFactory
 
 from benchmarks.writers.others import OTHERS, Message
 from benchmarks.writers.sustained import sustained
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.log.record import FRAMING, pack
-from handctl.log.recorder import Recorder
-from handctl.log.writer import LogWriter
+from handctl.log.write.recorder import Recorder
+from handctl.log.write.writer import LogWriter
 
 RATE_HZ = 1000
 

@@ -18,9 +18,9 @@ import synthetic
 
 from handctl.controller.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.log.record import pack
-from handctl.log.recorder import Recorder
+from handctl.log.write.recorder import Recorder
 from handctl.runtime.clock import RealClock, give_back_priority, take_priority
 from handctl.runtime.loop import Loop, LoopStats
 

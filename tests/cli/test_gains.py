@@ -13,7 +13,7 @@ from handctl.cli.main import main
 from handctl.controller.calibration import Calibration, TendonCalibration
 from handctl.controller.gains import Gains, Provenance, gains_text
 from handctl.hand.load import load_hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from tests.runtime.processes import scaled
 
 PACKAGED_N = Gains().motion.force_N

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from handctl.cli.main import main
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from tests.conftest import NIGHTLY
 from tests.runtime.processes import SHORT
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.log.record import SIZES
-from handctl.log.writer import LogWriter
+from handctl.log.write.writer import LogWriter
 
 GRASP = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 

@@ -15,8 +15,8 @@ from handctl.cli.main import main
 from handctl.cli.tune_verify import _print
 from handctl.controller.calibration import Calibration, TendonCalibration
 from handctl.hand.load import load_hand
-from handctl.log.reader import RunLog
-from handctl.log.writer import LogWriter
+from handctl.log.read.reader import RunLog
+from handctl.log.write.writer import LogWriter
 from handctl.tune.search import Found, Trial
 from handctl.tune.trial import Score
 from tests.cli.refused import refused
@@ -102,7 +102,7 @@ def test_a_commissioning_log_that_is_there_is_no_obstacle(place):
 
 def test_an_excited_digit_that_met_something_is_spoilt():
     from handctl.controller.types import Event
-    from handctl.log.moments import LoggedEvent, PhaseChange
+    from handctl.log.read.moments import LoggedEvent, PhaseChange
     from handctl.tune.identify import blocked
 
     event = LoggedEvent(50, 10**9, Event("info", "blocked", "middle", "middle is blocked: 7.0 N"))

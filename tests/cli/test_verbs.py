@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from handctl.cli.main import VERBS, main
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 
 BUS = ("--bus", "local:does-not-exist")
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
@@ -135,7 +135,7 @@ def log(tmp_path_factory):
     from handctl.hand.load import load_hand
     from handctl.log.header import RunHeader
     from handctl.log.record import pack
-    from handctl.log.recorder import Recorder
+    from handctl.log.write.recorder import Recorder
     from handctl.safety.action import Action
 
     hand = load_hand("jamia")

@@ -15,7 +15,7 @@ from handctl.controller.live import JogProgram
 from handctl.controller.requests import MoveDigits
 from handctl.controller.types import Mode
 from handctl.hand.load import load_hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
 from tests.drives.protocol_bench import hand_file
 

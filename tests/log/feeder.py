@@ -9,7 +9,7 @@ from pathlib import Path
 import synthetic
 
 from handctl.log.record import pack
-from handctl.log.recorder import Recorder
+from handctl.log.write.recorder import Recorder
 
 
 def main() -> None:

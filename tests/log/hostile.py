@@ -8,8 +8,8 @@ import lz4.frame
 import zstandard
 
 from handctl.log.container import MAGIC
-from handctl.log.logfile import MAX_CHUNK, LogFile
-from handctl.log.scan import Scan, scan
+from handctl.log.read.logfile import MAX_CHUNK, LogFile
+from handctl.log.read.scan import Scan, scan
 
 
 def _chunk(compression: str, packed: bytes, size: int, crc: int = 0) -> bytes:

@@ -19,8 +19,8 @@ from handctl.hand.load import load_hand
 from handctl.hand.urdf import urdf
 from handctl.log.header import RunHeader
 from handctl.log.record import pack
-from handctl.log.recorder import Recorder
-from handctl.log.state_topics import moment_arms
+from handctl.log.topics.state import moment_arms
+from handctl.log.write.recorder import Recorder
 from handctl.safety.action import Action
 
 SCHEDULE = (("start", 0.02), ("tighten", 0.08), ("close", 0.40), ("hold", 0.75), ("release", 0.85), ("open", 0.98))

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import synthetic
 
-from handctl.log.chain import link, seed_of
-from handctl.log.clock_pairs import ClockPair, ClockStep, steps
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.log.record import FRAMING, pack
-from handctl.log.writer import LogWriter
+from handctl.log.topics.chain import link, seed_of
+from handctl.log.topics.clock_pairs import ClockPair, ClockStep, steps
+from handctl.log.write.writer import LogWriter
 
 
 def _written(path: Path, clocks: list[tuple[int, int]], seconds: float, deterministic: bool) -> Path:

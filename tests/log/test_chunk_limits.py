@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from handctl.log.messages_in import BYTES_PER_RUN, MAX_CHANNELS, MIN_RUNS, rows
+from handctl.log.read.messages_in import BYTES_PER_RUN, MAX_CHANNELS, MIN_RUNS, rows
 
 
 def channel(number: int) -> bytes:

@@ -14,9 +14,9 @@ import pytest
 from handctl.controller import types
 from handctl.controller.types import TELEMETRY_FIELDS
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
-from handctl.log.export import HEADS, WORDS, _candump, columns, export_candump, export_csv, titled, unit
-from handctl.log.parquet import export_parquet
-from handctl.log.reader import RunLog
+from handctl.log.export.parquet import export_parquet
+from handctl.log.export.tables import HEADS, WORDS, _candump, columns, export_candump, export_csv, titled, unit
+from handctl.log.read.reader import RunLog
 from handctl.safety.action import Action
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden"

@@ -11,10 +11,10 @@ from rerun.chunk import RrdReader
 from rerun.experimental import LeRobotReader
 
 from handctl.controller.types import TELEMETRY_FIELDS, Mode
-from handctl.log.export import columns, export_csv, titled
-from handctl.log.lerobot import export_lerobot
-from handctl.log.parquet import export_parquet
-from handctl.log.reader import RunLog
+from handctl.log.export.lerobot import export_lerobot
+from handctl.log.export.parquet import export_parquet
+from handctl.log.export.tables import columns, export_csv, titled
+from handctl.log.read.reader import RunLog
 from handctl.view.feed import write_rrd
 from handctl.view.subject import Subject
 

@@ -10,7 +10,7 @@ from handctl.cli.main import main
 from handctl.errors import LogError
 from handctl.hand.load import HANDS
 from handctl.log.header import LATEST_NS, PERIODS_NS
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 
 GOLDEN = HANDS.parents[3] / "logs" / "golden" / "jamia-fault.mcap"
 VERBS = {

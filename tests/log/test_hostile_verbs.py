@@ -11,7 +11,7 @@ from hostile import hostile
 
 from handctl.cli.main import main
 from handctl.log.record import FRAMING, pack
-from handctl.log.writer import LogWriter
+from handctl.log.write.writer import LogWriter
 
 CODES = {"log recover": (1, 2, 3), "log check": (1, 2, 3), "replay drive": (2, 4), "view --save": (2, 3)}
 """Of verbs that may say something else than that the input is bad; the logs name no hand, which drive sees first."""
@@ -19,7 +19,7 @@ PROBE = """
 import contextlib, io, json, resource, sys, time
 from pathlib import Path
 from handctl.cli.main import main
-import handctl.log.reader, handctl.log.recover, handctl.replay.check, handctl.replay.damage, handctl.replay.execute
+import handctl.log.read.reader, handctl.log.read.recover, handctl.replay.check, handctl.replay.damage, handctl.replay.execute
 import handctl.report.page, handctl.replay.diff, handctl.replay.limits
 import handctl.view.feed
 folder, found = Path(sys.argv[1]), []

@@ -9,12 +9,12 @@ import pytest
 from oracle import Ros2Support, Rosbags, by_topic, oracles
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from handctl.log.can_topics import fd_frame
-from handctl.log.event_topics import labelled, parameter_event, rosout
-from handctl.log.health_topics import Status, diagnostic_array
 from handctl.log.messages import DEFINITIONS, schema_name, schema_text
 from handctl.log.record import pack
-from handctl.log.recorder import Recorder
+from handctl.log.topics.can import fd_frame
+from handctl.log.topics.events import labelled, parameter_event, rosout
+from handctl.log.topics.health import Status, diagnostic_array
+from handctl.log.write.recorder import Recorder
 
 STANDARD = ("builtin_interfaces", "std_msgs", "geometry_msgs", "tf2_msgs", "sensor_msgs", "diagnostic_msgs")
 

@@ -19,10 +19,10 @@ from mcap.writer import Writer
 
 from handctl.controller.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
-from handctl.log.logfile import Reading
-from handctl.log.reader import RunLog
+from handctl.log.read.logfile import Reading
+from handctl.log.read.reader import RunLog
 from handctl.log.record import TickRecord, pack
-from handctl.log.recorder import Recorder
+from handctl.log.write.recorder import Recorder
 from handctl.printing import printable
 
 
@@ -49,7 +49,7 @@ def test_ticks_come_back_exactly(lively_log: Path) -> None:
 @pytest.mark.parametrize("cached", [True, False])
 def test_every_field_comes_back_bit_for_bit(lively_log: Path, cached: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     if not cached:
-        monkeypatch.setattr("handctl.log.reader._CACHE_BYTES", 0)
+        monkeypatch.setattr("handctl.log.read.reader._CACHE_BYTES", 0)
     recorded = [out.telemetry for _, out in lively.ticks(lively.header())]
     with RunLog(lively_log) as log:
         for name in TELEMETRY_FIELDS:
@@ -151,7 +151,7 @@ _PROBE = """
 import resource, sys, time
 from pathlib import Path
 from handctl.errors import LogError
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 begin = time.process_time()
 try:
@@ -205,7 +205,7 @@ def test_a_pipe_or_directory_is_refused_at_once(tmp_path: Path) -> None:
 def test_a_log_of_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.mcap"
     synthetic.write(path, synthetic.header(rate_hz=50), 0.1)
-    monkeypatch.setattr("handctl.log.reader.SCHEMA", 2)
+    monkeypatch.setattr("handctl.log.read.reader.SCHEMA", 2)
     with pytest.raises(LogError, match="version 1"):
         RunLog(path)
 

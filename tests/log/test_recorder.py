@@ -17,12 +17,12 @@ import synthetic
 
 from handctl.controller.types import IoEvent, TickIn
 from handctl.errors import LogError
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.log.record import FRAMING, pack
-from handctl.log.recorder import PIPE_BYTES, Recorder
-from handctl.log.syncer import Syncer
-from handctl.log.writer import LogWriter
-from handctl.log.writer_process import NICE
+from handctl.log.write.process import NICE
+from handctl.log.write.recorder import PIPE_BYTES, Recorder
+from handctl.log.write.syncer import Syncer
+from handctl.log.write.writer import LogWriter
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 KILLS, TOGETHER = 100 if NIGHTLY else 8, 4
@@ -34,7 +34,7 @@ FEEDER = Path(__file__).with_name("feeder.py")
 def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Recorder]]:
     """Starts recorders, with the pipe that anybody may have, and leaves none behind."""
     started: list[Recorder] = []
-    monkeypatch.setattr("handctl.log.recorder.PIPE_BYTES", PIPE_BYTES[-1:])
+    monkeypatch.setattr("handctl.log.write.recorder.PIPE_BYTES", PIPE_BYTES[-1:])
 
     def one(name: str = "run.mcap", deterministic: bool = False, floor_bytes: int = 1, **more: object) -> Recorder:
         run = synthetic.header(rate_hz=1000, deterministic=deterministic, **more)

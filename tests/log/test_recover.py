@@ -9,10 +9,10 @@ import synthetic
 from oracle import messages
 
 from handctl.errors import ConfigError, LogError
-from handctl.log.logfile import LogFile
-from handctl.log.reader import RunLog
-from handctl.log.recover import Recovery, Status, recover
-from handctl.log.scan import Scan, scan
+from handctl.log.read.logfile import LogFile
+from handctl.log.read.reader import RunLog
+from handctl.log.read.recover import Recovery, Status, recover
+from handctl.log.read.scan import Scan, scan
 
 SAMPLE = 500
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from handctl.log.syncer import Syncer
+from handctl.log.write.syncer import Syncer
 
 
 def test_a_process_of_its_own_syncs_and_ends_with_its_parent(tmp_path: Path) -> None:

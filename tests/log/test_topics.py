@@ -20,8 +20,8 @@ from handctl.hand.frames import link_transforms
 from handctl.hand.load import load_hand
 from handctl.log.header import RunHeader
 from handctl.log.record import FRAMING, pack
-from handctl.log.tf_topics import links
-from handctl.log.writer import LogWriter
+from handctl.log.topics.transforms import links
+from handctl.log.write.writer import LogWriter
 
 
 def _write(

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import synthetic
 
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.log.record import FRAMING, pack
-from handctl.log.recorder import Recorder
-from handctl.log.writer import LogWriter
+from handctl.log.write.recorder import Recorder
+from handctl.log.write.writer import LogWriter
 
 
 def _per_item(number: int, work: Callable[[], object]) -> float:

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.hand.load import load_hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.compare import resampled
 from handctl.replay.drive import stretch
 from handctl.report.summary import mean_angles

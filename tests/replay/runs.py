@@ -19,7 +19,7 @@ from handctl.controller.types import IoEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.hand.load import hand_path, load_hand
 from handctl.log.record import pack
-from handctl.log.recorder import Recorder
+from handctl.log.write.recorder import Recorder
 from handctl.runtime.lockstep import LockstepBus, LockstepClock, Peer, load_peer
 from handctl.runtime.loop import Loop
 

@@ -8,11 +8,11 @@ import lz4.frame
 import pytest
 
 from handctl.cli.main import main
-from handctl.log.logfile import ChunkPlace, LogFile
-from handctl.log.messages_in import definitions, rows
-from handctl.log.reader import RunLog
-from handctl.log.recover import recover
-from handctl.log.scan import Scan, scan
+from handctl.log.read.logfile import ChunkPlace, LogFile
+from handctl.log.read.messages_in import definitions, rows
+from handctl.log.read.reader import RunLog
+from handctl.log.read.recover import recover
+from handctl.log.read.scan import Scan, scan
 from handctl.replay.check import check
 from handctl.replay.damage import first_damage
 

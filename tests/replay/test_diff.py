@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handctl.errors import IncomparableError
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.check import check
 from handctl.replay.compare import compare, difference_lines
 from handctl.replay.diff import diff

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from handctl.controller.playback import Recording
 from handctl.errors import IncomparableError
 from handctl.hand.load import load_hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.compare import check_same_hand, compare, delay, resampled
 from handctl.replay.drive import difference, playback, recording, stretch
 from handctl.replay.execute import execute

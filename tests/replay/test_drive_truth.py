@@ -11,7 +11,7 @@ import pytest
 import runs
 from numpy.typing import NDArray
 
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.drive import difference, playback, stretch
 from handctl.report.truth import read_truth
 

@@ -23,7 +23,7 @@ from handctl.controller.types import TickIn, TickOut
 from handctl.errors import LogError
 from handctl.hand.load import load_hand
 from handctl.log.code import code_identity
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay import rebuild as rebuilding
 from handctl.replay.counterfactual import Commands, draw, summary
 from handctl.replay.difference import Columns, differences, same, ulps

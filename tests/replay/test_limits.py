@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from handctl.errors import ConfigError
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.limits import judge_again
 
 

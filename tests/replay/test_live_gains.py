@@ -13,7 +13,7 @@ from handctl.controller.identified import Identified
 from handctl.controller.live import JogProgram
 from handctl.controller.requests import HoldTension
 from handctl.hand.load import hand_path, load_hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.execute import execute
 from handctl.runtime.lockstep import LockstepClock, load_peer
 

@@ -12,7 +12,7 @@ import runs
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.task import load_task
 from handctl.controller.types import IoEvent
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.execute import execute
 from handctl.runtime.lockstep import Peer
 

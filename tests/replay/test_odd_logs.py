@@ -16,9 +16,9 @@ from handctl.controller.types import Event, TickIn, TickOut
 from handctl.drives.frame import EXTENDED
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.log.record import FRAMING, pack
-from handctl.log.writer import LogWriter
+from handctl.log.write.writer import LogWriter
 from handctl.replay.difference import Columns, differences, same
 from handctl.replay.drive import bridged, difference, driven, playback, recording, stretch
 from handctl.replay.execute import execute

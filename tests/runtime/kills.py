@@ -26,7 +26,7 @@ from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.tick import Controller
 from handctl.hand.load import load_hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.report.truth import Truth, read_truth
 from handctl.runtime.places import faults_path, local_bus_path, run_dir
 from tests.runtime.processes import BUS, LONG, end, scaled, start_hand, write_homed

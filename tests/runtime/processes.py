@@ -13,7 +13,7 @@ from pathlib import Path
 from handctl.cli.commission import write_calibration
 from handctl.controller.calibration import Calibration, TendonCalibration
 from handctl.hand.description import Hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import Watcher
 
 READY_S, END_S = 60.0, 200.0

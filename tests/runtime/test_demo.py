@@ -5,7 +5,7 @@ import re
 import pytest
 
 from handctl.cli.demo import SLOWEST
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from tests.runtime.processes import ended_well, said, start_handctl
 
 pytestmark = pytest.mark.realtime

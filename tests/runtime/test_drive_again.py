@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from handctl.hand.load import load_hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import Watcher
 from tests.replay.repeat import mean_angles_apart, tensions_held
 from tests.replay.runs import SCENE

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from handctl.hand.load import load_hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.execute import execute
 from handctl.runtime.mailbox import Watcher
 from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, wait_for, write_homed

@@ -12,7 +12,7 @@ import pytest
 
 from handctl.hand.load import HANDS, load_hand
 from handctl.hand.toml_text import toml_text
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.report.truth import read_truth
 from handctl.runtime.mailbox import Watcher
 from tests.runtime.processes import (

@@ -11,7 +11,7 @@ from handctl.controller.bus_load import bus_loads
 from handctl.controller.exercise import Exercise
 from handctl.controller.gains import Gains, MotionGains, TensionGains
 from handctl.hand.load import hand_path, load_hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.execute import execute
 from handctl.runtime.lockstep import LockstepClock, load_peer
 from handctl.tune.verify import Watch, scores

@@ -21,7 +21,7 @@ def main() -> None:
     """Open a log as the verb does, and end with the first picture."""
     os.environ.setdefault("RUST_LOG", "error")  # as the verb does
     from handctl.cli import view  # noqa: F401 (what the verb imports counts)
-    from handctl.log.reader import RunLog
+    from handctl.log.read.reader import RunLog
     from handctl.view.browse import browse
     from handctl.view.subject import Subject
     from handctl.view.viewer import software_vulkan

@@ -9,7 +9,7 @@ import pyarrow as pa  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 from rerun.chunk import Chunk, RrdReader
 
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.view.subject import Subject
 
 

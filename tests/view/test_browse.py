@@ -11,10 +11,10 @@ import psutil
 import pytest
 
 from handctl.errors import LogError
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
+from handctl.log.read.scan import scanned
 from handctl.log.record import FRAMING, pack
-from handctl.log.scan import scanned
-from handctl.log.writer import LogWriter
+from handctl.log.write.writer import LogWriter
 from handctl.view.arrow import TIMELINE
 from handctl.view.browse import browse
 from handctl.view.feed import run_chunks

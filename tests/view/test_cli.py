@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from handctl.cli.main import main
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.view import viewer
 from handctl.view.moment import moment
 

@@ -14,9 +14,9 @@ from handctl.drives.load import frame_time_s
 from handctl.errors import ConfigError, LogError
 from handctl.hand.digit import DigitModel
 from handctl.hand.frames import link_transforms
-from handctl.log.logfile import LogFile
-from handctl.log.reader import RunLog
-from handctl.log.scan import Scan, scan
+from handctl.log.read.logfile import LogFile
+from handctl.log.read.reader import RunLog
+from handctl.log.read.scan import Scan, scan
 from handctl.view import feed, palette
 from handctl.view.lenses import FORCE_SCALE
 from handctl.view.load import SPAN_NS

@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from handctl.log.record import pack
-from handctl.log.recorder import Recorder
+from handctl.log.write.recorder import Recorder
 from handctl.view.arrow import TIMELINE
 from handctl.view.live import start_live
 from handctl.view.picture import reached

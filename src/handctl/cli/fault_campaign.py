@@ -23,7 +23,7 @@ from handctl.controller.gains import Gains
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.log.record import pack
-from handctl.log.recorder import Recorder
+from handctl.log.write.recorder import Recorder
 from handctl.output import write_whole
 
 QUICK_CALM_S, CALM_S = 4.0, 60.0

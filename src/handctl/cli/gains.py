@@ -109,7 +109,7 @@ def _side(word: str, hand: Hand) -> Gains:
             raise ConfigError(f"no gains number {word}", str(store.history), "one that handctl gains log lists")
         return found[word.lstrip("0")]
     if word.endswith(".mcap"):
-        from handctl.log.reader import RunLog
+        from handctl.log.read.reader import RunLog
         from handctl.replay.rebuild import logged_gains
 
         with RunLog(Path(word)) as log:

@@ -22,7 +22,7 @@ from handctl.controller.tick import Controller
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_path, load_hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.rebuild import logged_hand
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
 from handctl.tune.excitation import excitation

@@ -9,7 +9,7 @@ from handctl.cli.exit_codes import Exit
 from handctl.cli.options import json_option, print_json, say, tell_lossy
 from handctl.cli.progress import progress
 from handctl.errors import LogError
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.output import named_after, whole
 
 EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl log info run.mcap"
@@ -62,7 +62,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _info(args: argparse.Namespace) -> int:
-    from handctl.log.clock_pairs import steps
+    from handctl.log.topics.clock_pairs import steps
 
     with RunLog(args.log) as log:
         header = log.header
@@ -177,20 +177,20 @@ def _write(args: argparse.Namespace, log: RunLog, out: Path) -> int:
 
         return write_rrd(args.log, Subject.of(log.header, args.log.stem), out)
     if form == "parquet":
-        from handctl.log.parquet import export_parquet
+        from handctl.log.export.parquet import export_parquet
 
         return export_parquet(log, out)
     if form == "lerobot":
-        from handctl.log.lerobot import export_lerobot
+        from handctl.log.export.lerobot import export_lerobot
 
         return export_lerobot(log, out)
-    from handctl.log.export import export_candump, export_csv
+    from handctl.log.export.tables import export_candump, export_csv
 
     return export_csv(log, out) if form == "csv" else export_candump(log, out)
 
 
 def _recover(args: argparse.Namespace) -> int:
-    from handctl.log.recover import recover
+    from handctl.log.read.recover import recover
 
     output = args.output or Path(str(args.log).removesuffix(".mcap") + ".recovered.mcap")
     with progress("copying", quiet=args.json):

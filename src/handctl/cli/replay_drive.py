@@ -10,7 +10,7 @@ from handctl.cli.exit_codes import Exit
 from handctl.cli.options import print_json, say, tell_lossy
 from handctl.cli.plan import commission_log, default_log, find_calibration, make_plan
 from handctl.cli.session import make_controller, run_live
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.compare import check_same_hand, difference_lines
 from handctl.replay.drive import bridged, difference, driven, playback, stretch
 from handctl.replay.rebuild import logged_hand

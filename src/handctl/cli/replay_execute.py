@@ -15,7 +15,7 @@ from handctl.output import check_output, named_after
 
 def run(args: argparse.Namespace) -> int:
     """Execute the log again."""
-    from handctl.log.reader import RunLog
+    from handctl.log.read.reader import RunLog
 
     if args.within is not None and not args.within >= 0:
         raise ConfigError(f"{args.within:g}", "--within", "0 or more")

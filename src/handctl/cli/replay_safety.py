@@ -4,7 +4,7 @@ import argparse
 
 from handctl.cli.options import print_json, say, tell_lossy
 from handctl.cli.progress import progress
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.limits import judge_again
 
 

@@ -23,7 +23,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the page."""
-    from handctl.log.reader import RunLog
+    from handctl.log.read.reader import RunLog
     from handctl.replay.rebuild import logged_hand
     from handctl.report.page import write_page
     from handctl.report.truth import read_truth

@@ -24,7 +24,7 @@ from handctl.controller.types import IoEvent, TickIn, TickOut
 from handctl.errors import DriveError, HandctlError, PowerError
 from handctl.log.header import TRUTH_OFFSET
 from handctl.log.record import pack
-from handctl.log.recorder import Recorder
+from handctl.log.write.recorder import Recorder
 from handctl.runtime.clock import Clock, Priority, RealClock, cores, give_back_priority, prepare_priority, urgent
 from handctl.runtime.lockstep import LockstepBus, LockstepClock
 from handctl.runtime.loop import Loop, LoopBus, LoopStats, Signals

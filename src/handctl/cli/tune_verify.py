@@ -91,7 +91,7 @@ def _run(args: argparse.Namespace, plan: Plan, program: Any, watch: Any, log: Pa
 
 def _judged(plan: Plan, outcome: Outcome, watch: Any, log: Path, truth_file: Path | None) -> dict[str, Any]:
     """What one run came to."""
-    from handctl.log.reader import RunLog
+    from handctl.log.read.reader import RunLog
     from handctl.report.truth import read_truth
     from handctl.tune.plots import draw_verify
     from handctl.tune.verify import AMPLITUDES, scores

@@ -11,7 +11,7 @@ from handctl.cli.screen import screen
 from handctl.cli.session import Outcome
 from handctl.controller.setup import make_sensors
 from handctl.controller.task import Hold, Task
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.report.figure import draw_run
 from handctl.report.lift import judge_lift, lift_failure
 from handctl.report.summary import angle_rows, summarise

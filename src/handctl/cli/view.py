@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
 
         follow(args.log)
         return Exit.DONE
-    from handctl.log.reader import RunLog
+    from handctl.log.read.reader import RunLog
     from handctl.view.subject import Subject
 
     with RunLog(args.log, checked=False) as log:

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from handctl.log.chain import link, seed_of
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
+from handctl.log.topics.chain import link, seed_of
 from handctl.replay.rebuild import logged_hand
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.errors import IncomparableError
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 
 Array = NDArray[np.float64]
 

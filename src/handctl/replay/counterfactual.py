@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.controller.types import TickIn, TickOut
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
 from handctl.replay.compare import size
 

@@ -5,13 +5,13 @@ from pathlib import Path
 from typing import NamedTuple
 
 from handctl.errors import LogError
-from handctl.log.chain import SIZE, TOPIC, link
-from handctl.log.logfile import ChunkPlace, LogFile, Reading
-from handctl.log.messages_in import definitions, rows
-from handctl.log.reader import VALUES_END, VALUES_START
-from handctl.log.recover import scan_all
-from handctl.log.scan import Scan
-from handctl.log.topics import TICK_TOPIC, VALUES_TOPIC
+from handctl.log.read.logfile import ChunkPlace, LogFile, Reading
+from handctl.log.read.messages_in import definitions, rows
+from handctl.log.read.reader import VALUES_END, VALUES_START
+from handctl.log.read.recover import scan_all
+from handctl.log.read.scan import Scan
+from handctl.log.topics.all import TICK_TOPIC, VALUES_TOPIC
+from handctl.log.topics.chain import SIZE, TOPIC, link
 
 ABSENT = -1
 """Channel of a topic that a log does not have: one of a version without the chain."""

@@ -4,8 +4,8 @@ from typing import Any, NamedTuple
 
 from handctl.controller.types import Mode
 from handctl.errors import IncomparableError
-from handctl.log.moments import check_order
-from handctl.log.reader import RunLog
+from handctl.log.read.moments import check_order
+from handctl.log.read.reader import RunLog
 from handctl.replay.compare import both, check_same_hand
 
 QUIET = frozenset(mode.name.lower() for mode in Mode if mode != Mode.RELAX)

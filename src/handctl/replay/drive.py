@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from handctl.controller.playback import PlaybackProgram, Recording
 from handctl.controller.types import Mode
 from handctl.errors import LogError
-from handctl.log.moments import check_order
-from handctl.log.reader import RunLog
+from handctl.log.read.moments import check_order
+from handctl.log.read.reader import RunLog
 from handctl.replay.compare import both
 
 Array = NDArray[np.float64]

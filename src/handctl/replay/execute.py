@@ -16,7 +16,7 @@ from handctl.controller.gains import Gains
 from handctl.controller.tick import Controller
 from handctl.controller.types import TickIn, TickOut
 from handctl.errors import LogError
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.difference import Columns, Difference, differences, same, same_decisions
 from handctl.replay.rebuild import rebuild
 

@@ -12,7 +12,7 @@ from handctl.controller.requests import Clear, parse_request
 from handctl.controller.tick import Controller
 from handctl.document import Document, load_document
 from handctl.errors import ConfigError
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.execute import TOLD, refusal, undisturbed
 from handctl.replay.rebuild import rebuild
 from handctl.safety import judge as safety

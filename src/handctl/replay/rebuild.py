@@ -11,8 +11,8 @@ from handctl.controller.tick import Controller
 from handctl.errors import ConfigError, LogError
 from handctl.hand.description import Hand
 from handctl.log.code import UNKNOWN, code_identity
-from handctl.log.hand import described_hand
-from handctl.log.reader import RunLog
+from handctl.log.read.hand import described_hand
+from handctl.log.read.reader import RunLog
 from handctl.printing import printable
 
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from handctl.controller.types import Mode
 from handctl.hand.description import Hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
 from handctl.printing import printable
 from handctl.report.summary import mean_angles

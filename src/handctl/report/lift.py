@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.report.truth import Truth
 
 SUPPORT = "support"

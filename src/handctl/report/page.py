@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from handctl.hand.description import Hand
-from handctl.log.clock_pairs import steps
-from handctl.log.moments import LoggedEvent
-from handctl.log.reader import RunLog
+from handctl.log.read.moments import LoggedEvent
+from handctl.log.read.reader import RunLog
+from handctl.log.topics.clock_pairs import steps
 from handctl.output import whole
 from handctl.printing import printable
 from handctl.report.figure import draw_run

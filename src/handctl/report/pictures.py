@@ -12,7 +12,7 @@ from handctl.drives.load import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.kinematics import points, to_palm
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.report.figure import COLOURS, QUIET
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from handctl.controller.types import Mode
 from handctl.drives.load import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.report.lift import SUPPORT
 from handctl.report.truth import Truth
 

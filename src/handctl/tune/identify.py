@@ -12,8 +12,8 @@ from handctl.controller.identified import UNITS, Identified
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.log.moments import phase_of_each
-from handctl.log.reader import RunLog
+from handctl.log.read.moments import phase_of_each
+from handctl.log.read.reader import RunLog
 from handctl.tune.fit import NAMES, Fit, Problem, fit
 from handctl.tune.fit_digit import Balance, fit_digit, joined
 from handctl.tune.identifiability import Identifiability, excitation_coherence, identifiability

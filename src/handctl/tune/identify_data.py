@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from handctl.controller.setup import ATTACHMENT
 from handctl.controller.types import Mode
 from handctl.hand.description import Hand
-from handctl.log.logfile import Reading
-from handctl.log.moments import phase_of_each
-from handctl.log.reader import RunLog
+from handctl.log.read.logfile import Reading
+from handctl.log.read.moments import phase_of_each
+from handctl.log.read.reader import RunLog
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -7,7 +7,7 @@ import numpy as np
 
 from handctl.controller.model import HandModel
 from handctl.hand.description import Hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
 from handctl.report.summary import mean_angles
 from handctl.report.truth import Truth

@@ -15,8 +15,8 @@ from handctl.controller.gain_bounds import LIVE, flat
 from handctl.controller.gains import Gains
 from handctl.controller.types import Mode, TickIn, TickOut
 from handctl.hand.description import Hand
-from handctl.log.moments import phase_of_each
-from handctl.log.reader import RunLog
+from handctl.log.read.moments import phase_of_each
+from handctl.log.read.reader import RunLog
 from handctl.report.summary import mean_angles
 from handctl.report.truth import Truth
 from handctl.safety.action import Action

@@ -6,7 +6,7 @@ from itertools import chain, islice, takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from handctl.log.scan import Scan
+from handctl.log.read.scan import Scan
 from handctl.view.subject import Subject
 from handctl.view.viewer import Viewer, launched
 

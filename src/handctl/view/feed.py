@@ -13,8 +13,8 @@ import rerun as rr
 from rerun.chunk import Chunk, McapReader
 
 from handctl.errors import LogError
-from handctl.log.recover import Status, recover
-from handctl.log.scan import Scan, scanned
+from handctl.log.read.recover import Status, recover
+from handctl.log.read.scan import Scan, scanned
 from handctl.view.arrow import LOG_TIME, run_times
 from handctl.view.blueprint import dashboard
 from handctl.view.lenses import Lenses

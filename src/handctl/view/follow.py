@@ -10,7 +10,7 @@ import rerun as rr
 
 from handctl.errors import LogError
 from handctl.handlers import Stop
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.view.blueprint import dashboard
 from handctl.view.feed import log_chunks, recording
 from handctl.view.lenses import Lenses

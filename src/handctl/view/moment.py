@@ -1,6 +1,6 @@
 """The moment of a run that is worth a picture."""
 
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 
 BEST = "hold"
 

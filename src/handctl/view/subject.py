@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from handctl.controller.types import TELEMETRY_AXES
 from handctl.hand.description import Hand
 from handctl.log.batch import columns, layout_of
-from handctl.log.hand import described_hand
 from handctl.log.header import RunHeader
+from handctl.log.read.hand import described_hand
 from handctl.printing import printable
 
 Floats = NDArray[np.float64]

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from handctl.log.logfile import LogFile
-from handctl.log.scan import Scan, scan
+from handctl.log.read.logfile import LogFile
+from handctl.log.read.scan import Scan, scan
 
 
 class Tail:

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from handctl.log.logfile import ChunkPlace, LogFile
-from handctl.log.scan import Scan
+from handctl.log.read.logfile import ChunkPlace, LogFile
+from handctl.log.read.scan import Scan
 
 SPAN_NS = 20_000_000_000
 """So much of a run is joined before it is sent on: few chunks, and memory that does not grow."""

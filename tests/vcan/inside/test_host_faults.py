@@ -23,7 +23,7 @@ from handctl.controller.requests import HoldTension
 from handctl.controller.types import Mode, TickIn, TickOut
 from handctl.errors import LogError
 from handctl.hand.load import load_hand
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from tests.drives.protocol_bench import hand_file
 from tests.vcan.inside.conftest import STOOD_STILL
 from tests.vcan.inside.test_protocols import DIGITS, PULL_N, RATE_HZ, simulated

@@ -1,6 +1,6 @@
 """The recorder process: records on stdin, notes as JSON lines on stdout; ends when its input ends.
 
-``python -m handctl.log.writer_process PATH FLOOR_BYTES``. It ignores SIGINT and SIGTERM: the controller decides when
+``python -m handctl.log.write.process PATH FLOOR_BYTES``. It ignores SIGINT and SIGTERM: the controller decides when
 a run is over, and if the controller dies the pipe ends.
 """
 
@@ -16,8 +16,8 @@ from pathlib import Path
 
 from handctl.log.header import RunHeader
 from handctl.log.record import END, FRAMING, HEADER, TICK
-from handctl.log.syncer import Syncer
-from handctl.log.writer import LogWriter
+from handctl.log.write.syncer import Syncer
+from handctl.log.write.writer import LogWriter
 
 READ_BYTES = 1 << 20
 NAP_S = 0.01

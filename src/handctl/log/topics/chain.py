@@ -14,7 +14,7 @@ from handctl.log.batch import Batch
 from handctl.log.cdr import Template, TemplateWriter
 from handctl.log.container import Run
 from handctl.log.header import RunHeader
-from handctl.log.streams import Registry, Stamps, Stream
+from handctl.log.topics.streams import Registry, Stamps, Stream
 
 TOPIC = "/tick/chain"
 SIZE = 8

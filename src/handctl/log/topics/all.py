@@ -4,17 +4,17 @@ import numpy as np
 from mcap.records import Channel, Schema
 
 from handctl.log.batch import Batch
-from handctl.log.can_topics import CanTopics
 from handctl.log.cdr import CdrWriter
-from handctl.log.chain import ChainTopic
-from handctl.log.clock_pairs import ClockTopic
 from handctl.log.container import Run
-from handctl.log.event_topics import EventTopics
 from handctl.log.header import RunHeader
-from handctl.log.health_topics import HealthTopics
-from handctl.log.state_topics import StateTopics, names_message
-from handctl.log.streams import Registry, Stamps, loose
-from handctl.log.tf_topics import TfTopics
+from handctl.log.topics.can import CanTopics
+from handctl.log.topics.chain import ChainTopic
+from handctl.log.topics.clock_pairs import ClockTopic
+from handctl.log.topics.events import EventTopics
+from handctl.log.topics.health import HealthTopics
+from handctl.log.topics.state import StateTopics, names_message
+from handctl.log.topics.streams import Registry, Stamps, loose
+from handctl.log.topics.transforms import TfTopics
 
 TICK_TOPIC, VALUES_TOPIC = "/tick", "/controller/values"
 """What the reader needs; all other topics are made from these two and from the header."""

@@ -8,8 +8,8 @@ from pathlib import Path
 import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 
-from handctl.log.export import HEADS, WORDS, blocks, columns, unit
-from handctl.log.reader import RunLog
+from handctl.log.export.tables import HEADS, WORDS, blocks, columns, unit
+from handctl.log.read.reader import RunLog
 
 
 def export_parquet(log: RunLog, path: Path) -> int:

@@ -10,9 +10,9 @@ from mcap.records import Channel, Schema
 
 from handctl.errors import LogError
 from handctl.log.container import Container, Run
-from handctl.log.logfile import ChunkPlace, LogFile, Reading
-from handctl.log.messages_in import definitions, rows
-from handctl.log.scan import Scan, scan
+from handctl.log.read.logfile import ChunkPlace, LogFile, Reading
+from handctl.log.read.messages_in import definitions, rows
+from handctl.log.read.scan import Scan, scan
 from handctl.output import whole
 
 

@@ -10,11 +10,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from handctl.log.batch import Batcher
-from handctl.log.clock_pairs import PERIOD_NS
 from handctl.log.container import Container, Run
 from handctl.log.header import RunHeader
-from handctl.log.syncer import sync_now
-from handctl.log.topics import Topics
+from handctl.log.topics.all import Topics
+from handctl.log.topics.clock_pairs import PERIOD_NS
+from handctl.log.write.syncer import sync_now
 
 CHUNK_SPAN_NS = 250_000_000
 """Most that a kill of the recorder may cost; a chunk never holds more."""

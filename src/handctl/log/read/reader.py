@@ -13,18 +13,18 @@ from numpy.typing import NDArray
 from handctl.controller.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.batch import FIXED_DTYPE, columns, columns_of, layout_of
-from handctl.log.chain import SIZE
-from handctl.log.chain import TOPIC as CHAIN_TOPIC
-from handctl.log.clock_pairs import TOPIC as CLOCK_TOPIC
-from handctl.log.clock_pairs import ClockPair, pair_of
 from handctl.log.header import RunHeader
-from handctl.log.logfile import ChunkPlace, LogFile, Reading
-from handctl.log.messages_in import Definitions, Rows, definitions, rows
-from handctl.log.moments import Gap, LoggedEvent, PhaseChange
+from handctl.log.read.logfile import ChunkPlace, LogFile, Reading
+from handctl.log.read.messages_in import Definitions, Rows, definitions, rows
+from handctl.log.read.moments import Gap, LoggedEvent, PhaseChange
+from handctl.log.read.scan import Scan, scan
 from handctl.log.record import TickRecord, layout, unpack_tick
-from handctl.log.scan import Scan, scan
-from handctl.log.topics import TICK_TOPIC, VALUES_TOPIC
-from handctl.log.writer import SCHEMA
+from handctl.log.topics.all import TICK_TOPIC, VALUES_TOPIC
+from handctl.log.topics.chain import SIZE
+from handctl.log.topics.chain import TOPIC as CHAIN_TOPIC
+from handctl.log.topics.clock_pairs import TOPIC as CLOCK_TOPIC
+from handctl.log.topics.clock_pairs import ClockPair, pair_of
+from handctl.log.write.writer import SCHEMA
 from handctl.printing import printable
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from handctl.log.container import Run
 from handctl.log.header import RunHeader
 from handctl.log.messages import OTHER_PHASE, PHASES
 from handctl.log.record import TickRecord
-from handctl.log.streams import Registry, Stamps, loose
+from handctl.log.topics.streams import Registry, Stamps, loose
 from handctl.safety.action import Action
 
 LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}

@@ -10,7 +10,7 @@ from handctl.log.batch import Batch, columns
 from handctl.log.cdr import CdrWriter, Template, TemplateWriter
 from handctl.log.container import Run
 from handctl.log.header import RunHeader
-from handctl.log.streams import Registry, Stamps, Stream
+from handctl.log.topics.streams import Registry, Stamps, Stream
 
 Numbers = NDArray[np.float64]
 

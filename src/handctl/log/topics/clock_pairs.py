@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from handctl.log.cdr import CdrWriter
 from handctl.log.container import Run
-from handctl.log.streams import Registry, Stamps, loose
+from handctl.log.topics.streams import Registry, Stamps, loose
 
 TOPIC = "/clock_pairs"
 PERIOD_NS = 10_000_000_000

@@ -11,7 +11,7 @@ from handctl.log.batch import Batch, columns
 from handctl.log.cdr import TemplateWriter
 from handctl.log.container import Run
 from handctl.log.header import RunHeader
-from handctl.log.streams import Registry, Stamps, Stream
+from handctl.log.topics.streams import Registry, Stamps, Stream
 
 PERIOD_NS = 20_000_000
 """50 Hz: what a viewer shows, not what a controller needs."""

@@ -8,7 +8,7 @@ from handctl.log.batch import Batch, Frames
 from handctl.log.cdr import CdrWriter, Template, TemplateWriter
 from handctl.log.container import MESSAGE, Run
 from handctl.log.header import RunHeader
-from handctl.log.streams import Registry, Stamps, Stream, Times
+from handctl.log.topics.streams import Registry, Stamps, Stream, Times
 
 _ID_MASK = 0x1FFF_FFFF
 

@@ -61,7 +61,7 @@ class Recorder:
             LogError: the file cannot be created, or the process does not answer.
         """
         reading, writing = os.pipe()
-        command = [sys.executable, "-P", "-m", "handctl.log.writer_process", str(path), str(floor_bytes)]
+        command = [sys.executable, "-P", "-m", "handctl.log.write.process", str(path), str(floor_bytes)]
         try:
             child = subprocess.Popen(command, stdin=reading, stdout=subprocess.PIPE, start_new_session=True)
         finally:

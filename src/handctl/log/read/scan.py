@@ -12,7 +12,7 @@ from mcap.opcode import Opcode
 
 from handctl.errors import LogError
 from handctl.log.container import MAGIC
-from handctl.log.logfile import MAX_CHUNK, ChunkPlace, LogFile, Reading
+from handctl.log.read.logfile import MAX_CHUNK, ChunkPlace, LogFile, Reading
 
 MAX_ATTACHMENT, MAX_ATTACHMENTS = 16 << 20, 64 << 20
 MAX_METADATA, MAX_RECORDS = 1 << 20, 1000

@@ -11,8 +11,8 @@ from handctl.log.batch import Batch, columns
 from handctl.log.cdr import CdrWriter, Template, TemplateWriter
 from handctl.log.container import Run
 from handctl.log.header import RunHeader
-from handctl.log.streams import Registry, Stamps, Stream, loose
-from handctl.log.tf_topics import ROOT
+from handctl.log.topics.streams import Registry, Stamps, Stream, loose
+from handctl.log.topics.transforms import ROOT
 from handctl.safety.action import Action
 
 TEMPERATURE_PERIOD_NS = 200_000_000

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from handctl.controller.types import TELEMETRY_AXES, Mode
 from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.safety.action import Action
 
 BLOCK = 4096

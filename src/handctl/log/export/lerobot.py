@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from handctl.controller.types import Mode
 from handctl.errors import ConfigError, LogError
 from handctl.hand.load import parse_toml
-from handctl.log.moments import check_order
-from handctl.log.reader import RunLog
+from handctl.log.read.moments import check_order
+from handctl.log.read.reader import RunLog
 from handctl.printing import printable
 
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"

@@ -1,0 +1,1 @@
+"""Reading a log, whole or broken."""
