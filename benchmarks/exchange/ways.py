@@ -41,7 +41,7 @@ class Ours:
     def __init__(self, interface, channel, motors):
         from handctl.drives.frame import Frame, make
         from handctl.drives.mit.codec import Ranges, decode_feedback, encode_torque, lines
-        from handctl.runtime.open_bus import open_bus
+        from handctl.runtime.buses.open import open_bus
 
         self.bus, self.make = open_bus(f"{interface}:{channel}", 0, 1_000_000), make
         self.frame, self.encode, self.ids = Frame, encode_torque, range(1, motors + 1)

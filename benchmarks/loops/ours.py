@@ -14,10 +14,10 @@ from handctl.hand.urdf import urdf
 from handctl.log.header import RunHeader
 from handctl.log.record import pack
 from handctl.log.write.recorder import Recorder
+from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clock import RealClock, take_priority
 from handctl.runtime.loop import Loop
 from handctl.runtime.mailbox import STOP
-from handctl.runtime.open_bus import open_bus
 
 DESIGN_HZ = 1000.0
 

@@ -25,8 +25,8 @@ from handctl.document import validated
 from handctl.errors import BusError, ConfigError, DriveError, PowerError, UnconfirmedError
 from handctl.printing import escaped
 from handctl.runtime.asking import ANSWER_S, confirmed, follow_to_the_end, is_off
+from handctl.runtime.buses.open import real_buses
 from handctl.runtime.mailbox import LARGEST, Watcher, answers
-from handctl.runtime.open_bus import real_buses
 
 START_S = 300.0
 """Longest start: commissioning included, on a slow machine; a controller that cannot start ends long before [s]."""

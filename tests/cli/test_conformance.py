@@ -8,7 +8,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.drives.frame import Frame
 from handctl.drives.mit.codec import encode_torque
-from handctl.runtime.local import LocalBus
+from handctl.runtime.buses.local import LocalBus
 from handctl.runtime.mailbox import Mailbox
 from tests.drives.bench_process import drives
 from tests.runtime.processes import handctl

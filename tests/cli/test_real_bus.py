@@ -16,7 +16,7 @@ import handctl as library
 from handctl.cli.begin import age
 from handctl.cli.main import main
 from handctl.hand.load import load_hand
-from handctl.runtime.open_bus import real_buses
+from handctl.runtime.buses.open import real_buses
 from tests.cli.refused import refused
 from tests.runtime.processes import write_homed
 

@@ -7,7 +7,7 @@ from handctl.cli.main import main
 from handctl.cli.session import Outcome
 from handctl.drives.discovery import Found
 from handctl.errors import PowerError
-from handctl.runtime.drive_rig import DriveRig
+from handctl.runtime.diagnostics.drive_rig import DriveRig
 from handctl.runtime.loop import LoopStats
 
 FAILURE = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: index_motor"

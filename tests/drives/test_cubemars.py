@@ -15,7 +15,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit.cubemars import MODELS, CubemarsDrive
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
-from handctl.runtime.conformance import Subject, Verdict, checks
+from handctl.runtime.diagnostics.conformance import Subject, Verdict, checks
 from tests.drives.protocol_bench import Bench, described, hand_file, servo_torques
 from tests.drives.virtual_bench import VirtualBench, rig_on
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.frame import BRS, FDF, Frame
 from handctl.drives.registry import PROTOCOLS
-from handctl.runtime.drive_rig import DriveRig
+from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import Bench, hand_file
 from tests.drives.virtual_bench import VirtualBench, rig_on
 

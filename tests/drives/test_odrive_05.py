@@ -12,8 +12,8 @@ from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.odrive import firmware_05 as odrive_05
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
-from handctl.runtime.conformance import Subject, Verdict, checks
-from handctl.runtime.scan import scan
+from handctl.runtime.diagnostics.conformance import Subject, Verdict, checks
+from handctl.runtime.diagnostics.scan import scan
 from tests.drives.protocol_bench import described
 from tests.drives.virtual_bench import NODE, VirtualBench, rig_on
 

@@ -8,7 +8,7 @@ from firmware_sim.frame import Frame as SimFrame
 from firmware_sim.nodes.odrive_bench import ENDPOINTS
 from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
-from handctl.runtime.drive_rig import PERIOD_NS, DriveRig
+from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from tests.drives.protocol_bench import described
 
 NODE = 0x21

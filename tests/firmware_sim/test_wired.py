@@ -14,8 +14,8 @@ from firmware_sim.wired import ALONE_BITRATES, WiredPort, maker
 from firmware_sim.world import World
 from handctl.drives.frame import Frame
 from handctl.drives.load import frame_time_s
-from handctl.runtime.bus import Bus
-from handctl.runtime.open_bus import open_bus
+from handctl.runtime.buses.contract import Bus
+from handctl.runtime.buses.open import open_bus
 
 MS = 1_000_000
 START = 5_000 * MS

@@ -10,8 +10,8 @@ import can
 import pytest
 
 from handctl.drives.frame import BRS, EXTENDED, FDF, REMOTE, Frame
-from handctl.runtime.bus import Bus
-from handctl.runtime.open_bus import open_bus
+from handctl.runtime.buses.contract import Bus
+from handctl.runtime.buses.open import open_bus
 
 WAIT_S = 20.0
 FD_SIZES = (*range(9), 12, 16, 20, 24, 32, 48, 64)

@@ -23,7 +23,7 @@ from handctl.cli.main import main
 from handctl.controller.requests import parse_request, taken
 from handctl.errors import BusError, PowerError, UnconfirmedError
 from handctl.runtime.asking import confirmed, ordered
-from handctl.runtime.local import connect
+from handctl.runtime.buses.local import connect
 from handctl.runtime.mailbox import Mailbox, Watcher
 from handctl.runtime.places import mailbox_path, run_dir
 from tests.runtime.processes import BUS, end, ended_well, handctl, said, start_handctl, wait_for

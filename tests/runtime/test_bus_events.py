@@ -5,7 +5,7 @@ import errno
 import pytest
 
 from handctl.drives.frame import ERROR
-from handctl.runtime.bus_events import BusEvents
+from handctl.runtime.buses.events import BusEvents
 
 
 def kinds(events: BusEvents) -> set[str]:

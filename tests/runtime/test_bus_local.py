@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from handctl.drives.frame import ERROR, FDF, Frame
-from handctl.runtime.bus import Bus
-from handctl.runtime.open_bus import open_bus
+from handctl.runtime.buses.contract import Bus
+from handctl.runtime.buses.open import open_bus
 from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, record
 
 SIZE = 72

@@ -14,9 +14,9 @@ import can
 import pytest
 
 from handctl.drives.frame import Frame
-from handctl.runtime.bus import Bus
-from handctl.runtime.open_bus import open_bus
-from handctl.runtime.pythoncan import PythonCanBus
+from handctl.runtime.buses.contract import Bus
+from handctl.runtime.buses.open import open_bus
+from handctl.runtime.buses.pythoncan import PythonCanBus
 from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, hub, record
 
 

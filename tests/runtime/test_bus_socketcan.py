@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, Frame
-from handctl.runtime.socketcan import SocketCanBus
+from handctl.runtime.buses.socketcan import SocketCanBus
 
 CLASSICAL = struct.Struct("=IB3x8s")
 FD = struct.Struct("=IBB2x64s")

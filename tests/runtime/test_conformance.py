@@ -3,8 +3,8 @@
 import pytest
 
 from firmware_sim.broken import FAULTS
-from handctl.runtime.conformance import Check, Subject, Verdict, checks
-from handctl.runtime.drive_rig import DriveRig
+from handctl.runtime.diagnostics.conformance import Check, Subject, Verdict, checks
+from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import GUARDED
 from tests.drives.virtual_bench import VirtualBench, rig_on
 

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from handctl.runtime.interface import compared, wrong_rate
-from handctl.runtime.link import parse_link
+from handctl.runtime.buses.interface import compared, wrong_rate
+from handctl.runtime.buses.link import parse_link
 
 
 def shown(nominal: int | None, data: int | None) -> str:

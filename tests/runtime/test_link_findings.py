@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from handctl.runtime.link import parse_link
-from handctl.runtime.link_findings import absent, findings
+from handctl.runtime.buses.link import parse_link
+from handctl.runtime.diagnostics.link_findings import absent, findings
 
 MEGABIT = 1_000_000
 

@@ -13,7 +13,7 @@ from handctl.cli.plan import Plan
 from handctl.controller.calibration import Calibration
 from handctl.controller.gains import load_gains_file
 from handctl.errors import ConfigError
-from handctl.runtime.open_bus import real_buses
+from handctl.runtime.buses.open import real_buses
 
 MINUTE_S, HOUR_S, DAY_S = 60.0, 3600.0, 86400.0
 

@@ -14,12 +14,12 @@ from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.hand.sections import Bus as BusSection
-from handctl.runtime.bus import Bus
-from handctl.runtime.link import NoTool, read_link
-from handctl.runtime.link_findings import WIRING, Finding, absent, findings
-from handctl.runtime.open_bus import open_bus
-from handctl.runtime.round_trip import RoundTrip, round_trip
-from handctl.runtime.scan import Scan, scan
+from handctl.runtime.buses.contract import Bus
+from handctl.runtime.buses.link import NoTool, read_link
+from handctl.runtime.buses.open import open_bus
+from handctl.runtime.diagnostics.link_findings import WIRING, Finding, absent, findings
+from handctl.runtime.diagnostics.round_trip import RoundTrip, round_trip
+from handctl.runtime.diagnostics.scan import Scan, scan
 
 BUSY = "is the machine busy, or the adapter's latency timer long? handctl doctor tells priorities"
 SLOW_S = 0.005

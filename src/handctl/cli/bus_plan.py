@@ -50,7 +50,7 @@ def plan(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
 
 def wrong_rates(hand: Hand, specs: tuple[str, ...]) -> list[str]:
     """A line for each interface that is set to another bit rate than the hand file says, with the command to type."""
-    from handctl.runtime.interface import wrong_rate
+    from handctl.runtime.buses.interface import wrong_rate
 
     found = [
         wrong_rate(spec.removeprefix("socketcan:"), bus.bitrate, bus.data_bitrate)

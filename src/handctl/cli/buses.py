@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from handctl.errors import ConfigError
 from handctl.hand.quantities import NAME_PATTERN
-from handctl.runtime.open_bus import check_spec
+from handctl.runtime.buses.open import check_spec
 
 
 def named_buses(given: Sequence[str]) -> dict[str, str]:

@@ -18,13 +18,13 @@ from handctl.drives.registry import PROTOCOLS, make_drive
 from handctl.errors import BusError, ConfigError, DriveError, PowerError
 from handctl.hand.load import parse_toml
 from handctl.hand.sections import Motor
-from handctl.runtime.bus import Bus
+from handctl.runtime.buses.contract import Bus
+from handctl.runtime.buses.open import check_spec, open_bus
 from handctl.runtime.clock import RealClock, give_back_priority, take_priority
-from handctl.runtime.conformance import PROMISES, Check, Subject, Verdict, checks
-from handctl.runtime.drive_rig import PERIOD_NS, DriveRig
+from handctl.runtime.diagnostics.conformance import PROMISES, Check, Subject, Verdict, checks
+from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
+from handctl.runtime.diagnostics.scan import Scan, hear, scan
 from handctl.runtime.mailbox import held
-from handctl.runtime.open_bus import check_spec, open_bus
-from handctl.runtime.scan import Scan, hear, scan
 
 EXAMPLE = "handctl conformance --drive odrive --node 3 --bus socketcan:can0 --torque-limit-Nm 0.1 --dry-run"
 WATCHDOG_MS = 100

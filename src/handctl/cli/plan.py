@@ -21,7 +21,7 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.output import check_output
-from handctl.runtime.open_bus import check_spec, real_buses
+from handctl.runtime.buses.open import check_spec, real_buses
 
 TASKS = Path(__file__).parent.parent / "tasks"
 TICKS_IN_WATCHDOG = 2

@@ -12,8 +12,8 @@ from handctl.cli.options import bitrate_options, bus_option, json_option, print_
 from handctl.drives.cia402 import codec as cia402_codec
 from handctl.drives.discovery import Found
 from handctl.drives.frame import REMOTE, Frame
-from handctl.runtime.open_bus import open_bus
-from handctl.runtime.scan import Scan, all_questions, scan
+from handctl.runtime.buses.open import open_bus
+from handctl.runtime.diagnostics.scan import Scan, all_questions, scan
 
 EXAMPLE = "handctl scan --bus socketcan:can0 --dry-run"
 SHOWN = 8
@@ -60,7 +60,7 @@ def identified(found: tuple[Found, ...], spec: str, bitrate: int) -> tuple[Found
     nodes = [drive.node_id for drive in found if drive.protocol == "cia402"]
     if not nodes:
         return found
-    from handctl.runtime.canopen_identity import identify
+    from handctl.runtime.diagnostics.canopen_identity import identify
 
     _tell(f"{spec}: reading the identity of CANopen nodes {', '.join(map(str, nodes))}")
     known = identify(spec, bitrate, nodes)

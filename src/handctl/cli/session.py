@@ -25,11 +25,11 @@ from handctl.errors import DriveError, HandctlError, PowerError
 from handctl.log.header import TRUTH_OFFSET
 from handctl.log.record import pack
 from handctl.log.write.recorder import Recorder
+from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clock import Clock, Priority, RealClock, cores, give_back_priority, prepare_priority, urgent
 from handctl.runtime.lockstep import LockstepBus, LockstepClock
 from handctl.runtime.loop import Loop, LoopBus, LoopStats, Signals
 from handctl.runtime.mailbox import CLEAR, Mailbox, held
-from handctl.runtime.open_bus import open_bus
 from handctl.runtime.simulator import ask_simulator, find_simulator
 from handctl.runtime.status import status
 from handctl.runtime.suspend import SuspendWatch

@@ -11,9 +11,9 @@ import can
 
 from handctl.drives.frame import ERROR, FDF, Frame
 from handctl.errors import BusError
-from handctl.runtime.local import LocalBus
+from handctl.runtime.buses.local import LocalBus
+from handctl.runtime.buses.pythoncan import frame_of, message_of
 from handctl.runtime.places import run_dir
-from handctl.runtime.pythoncan import frame_of, message_of
 
 AGAIN_S = 1e-3
 """How long to wait before a frame is tried again that found no room."""

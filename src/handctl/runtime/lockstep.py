@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from handctl.drives.frame import ERROR, Frame
 from handctl.errors import ConfigError
-from handctl.runtime.bus_events import BusEvents
+from handctl.runtime.buses.events import BusEvents
 
 SIMULATED_HAND = "firmware_sim.rig:Rig"
 """The peer that comes with handctl, by name."""

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.errors import BusError, ConfigError
-from handctl.runtime.open_bus import check_spec
+from handctl.runtime.buses.open import check_spec
 from handctl.runtime.places import faults_path, run_dir
 
 PATIENCE_S = 5.0

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 import pytest
 
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, Frame
-from handctl.runtime.bus import Bus
-from handctl.runtime.open_bus import open_bus
+from handctl.runtime.buses.contract import Bus
+from handctl.runtime.buses.open import open_bus
 
 CLASSICAL = struct.Struct("=IB3x8s")
 NOMINAL, DATA = 1_000_000, 5_000_000

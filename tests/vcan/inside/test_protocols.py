@@ -29,8 +29,8 @@ from handctl.controller.setup import make_drives, make_sensors
 from handctl.drives.contract import Phase, Want
 from handctl.drives.registry import PROTOCOLS
 from handctl.hand.load import load_hand
+from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clock import RealClock
-from handctl.runtime.open_bus import open_bus
 from tests.drives.protocol_bench import hand_file, on_two_buses
 
 RATE_HZ = 200.0

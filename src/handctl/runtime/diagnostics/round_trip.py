@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from handctl.drives.discovery import Found
 from handctl.drives.registry import DISCOVERIES
-from handctl.runtime.bus import Bus
+from handctl.runtime.buses.contract import Bus
 
 TIMES, PATIENCE_S = 20, 0.1
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import canopen
 from canopen.sdo.exceptions import SdoError
 
-from handctl.runtime.pythoncan import open_can
+from handctl.runtime.buses.pythoncan import open_can
 
 OBJECTS = {
     "vendor": (0x1018, 1),

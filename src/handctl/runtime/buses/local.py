@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 from handctl.drives.frame import ERROR, Frame, make
 from handctl.errors import BusError
-from handctl.runtime.bus import Stamp, check_size
-from handctl.runtime.bus_events import BusEvents, Event
+from handctl.runtime.buses.contract import Stamp, check_size
+from handctl.runtime.buses.events import BusEvents, Event
 from handctl.runtime.peers import served_by_us
 from handctl.runtime.places import local_bus_path
 

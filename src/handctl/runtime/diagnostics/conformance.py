@@ -9,8 +9,8 @@ from enum import Enum
 from typing import NamedTuple
 
 from handctl.drives.contract import Phase, Want
-from handctl.runtime.drive_rig import DriveRig
-from handctl.runtime.shaft import MOVED_RAD, STILL_RAD_S, brake, push
+from handctl.runtime.diagnostics.drive_rig import DriveRig
+from handctl.runtime.diagnostics.shaft import MOVED_RAD, STILL_RAD_S, brake, push
 
 FRESH_NS = 50_000_000
 LATE_OF_100 = 5

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from handctl.drives.discovery import ANSWER_S, LISTEN_S, ROUNDS, Found, allowed
 from handctl.drives.frame import Frame
 from handctl.drives.registry import DISCOVERIES
-from handctl.runtime.bus import Bus
+from handctl.runtime.buses.contract import Bus
 
 BURST, PAUSE_S = 4, 0.003
 """Frames that are sent at once, and the pause after them: an interface may queue as few as ten [s]."""

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from handctl.drives.frame import FDF, Frame
-from handctl.runtime.bus_events import Event
+from handctl.runtime.buses.events import Event
 
 Stamp = Callable[[int], int]
 """Time of the run [ns] from a CLOCK_MONOTONIC time [ns]."""

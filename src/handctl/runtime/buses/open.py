@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 
 from handctl.errors import ConfigError
-from handctl.runtime.bus import Bus, Stamp
+from handctl.runtime.buses.contract import Bus, Stamp
 
 SIMULATED = ("local:", "virtual:", "udp_multicast:", "socketcan:vcan", "socketcan:vxcan")
 """Buses on which there are no real motors: time may run otherwise there, and nobody is asked before a hand moves."""
@@ -50,13 +50,13 @@ def open_bus(spec: str, index: int, bitrate: int, data_bitrate: int | None = Non
     check_spec(spec)
     kind, _, channel = spec.partition(":")
     if kind == "local":
-        from handctl.runtime.local import LocalBus
+        from handctl.runtime.buses.local import LocalBus
 
         return LocalBus(channel, index, stamp)
     if kind == "socketcan" and sys.platform == "linux":
-        from handctl.runtime.socketcan import open_socketcan
+        from handctl.runtime.buses.socketcan import open_socketcan
 
         return open_socketcan(channel, index, bitrate, data_bitrate, stamp)
-    from handctl.runtime.pythoncan import PythonCanBus
+    from handctl.runtime.buses.pythoncan import PythonCanBus
 
     return PythonCanBus(kind, channel, index, bitrate, data_bitrate, stamp)

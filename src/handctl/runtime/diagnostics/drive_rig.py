@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 
 from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.drives.frame import Frame
-from handctl.runtime.bus import Bus
+from handctl.runtime.buses.contract import Bus
 from handctl.runtime.clock import Clock
 
 PERIOD_NS = 5_000_000

@@ -11,8 +11,8 @@ import can
 
 from handctl.drives.frame import BRS, ERROR, ESI, EXTENDED, FDF, REMOTE, Frame
 from handctl.errors import BusError
-from handctl.runtime.bus import Stamp, check_size
-from handctl.runtime.bus_events import BusEvents, Event
+from handctl.runtime.buses.contract import Stamp, check_size
+from handctl.runtime.buses.events import BusEvents, Event
 
 MOST = 4096
 """Frames of one drain: a flood cannot make a tick long."""

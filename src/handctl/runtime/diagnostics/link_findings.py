@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
-from handctl.runtime.link import Link
-from handctl.runtime.socketcan import QUEUE, advice
+from handctl.runtime.buses.link import Link
+from handctl.runtime.buses.socketcan import QUEUE, advice
 
 UDEV_QUEUE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queue_len}}="128"'
 UDEV_NAME = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="THE ADAPTER\'S", NAME="{0}"'

@@ -1,6 +1,6 @@
 """Whether an interface runs at the bit rates of the hand file; see ``link`` for all else that is known of it."""
 
-from handctl.runtime.link import Link, NoTool, read_link
+from handctl.runtime.buses.link import Link, NoTool, read_link
 
 
 def wrong_rate(channel: str, bitrate: int, data_bitrate: int | None) -> str:

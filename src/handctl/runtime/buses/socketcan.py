@@ -11,11 +11,11 @@ from typing import Any
 
 from handctl.drives.frame import ERROR, FDF, Frame, make
 from handctl.errors import BusError
-from handctl.runtime import mmsg
-from handctl.runtime.bus import Stamp, check_size
-from handctl.runtime.bus_events import BusEvents, Event
-from handctl.runtime.interface import wrong_rate
-from handctl.runtime.wall import WallOffset
+from handctl.runtime.buses import mmsg
+from handctl.runtime.buses.contract import Stamp, check_size
+from handctl.runtime.buses.events import BusEvents, Event
+from handctl.runtime.buses.interface import wrong_rate
+from handctl.runtime.buses.wall import WallOffset
 
 SLOTS = 128
 """Frames of one system call."""

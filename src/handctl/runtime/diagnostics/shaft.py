@@ -8,7 +8,7 @@ import math
 from typing import NamedTuple
 
 from handctl.drives.contract import Phase, Want
-from handctl.runtime.drive_rig import PERIOD_NS, DriveRig
+from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 
 PERIOD_S = PERIOD_NS * 1e-9
 MOVED_RAD, RAMP_S = 0.05, 1.0
