@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from handctl.campaign.scenarios import LEFT_OUT, MATRIX
-from handctl.safety.catalogue import CATALOGUE, DETECTED, LOST, ON_HARDWARE, REPLACED, TABLE_
-from handctl.safety.markdown import catalogue, checklist, late, later
-from handctl.safety.table import TABLE
+from handctl.safety.faults.catalogue import CATALOGUE, DETECTED, LOST, ON_HARDWARE, REPLACED, TABLE_
+from handctl.safety.faults.markdown import catalogue, checklist, late, later
+from handctl.safety.faults.table import TABLE
 
 ROOT = Path(__file__).parents[2]
 SIZES = {"B": 18, "N": 17, "T": 9, "H": 15, "I": 10}

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from handctl.cli.exit_codes import Exit
 from handctl.cli.main import VERBS
-from handctl.safety.markdown import fault_table
+from handctl.safety.faults.markdown import fault_table
 
 README = (Path(__file__).parents[2] / "README.md").read_text()
 

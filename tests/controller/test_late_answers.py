@@ -8,7 +8,7 @@ from handctl.controller.model import HandModel
 from handctl.controller.types import Mode, TickOut
 from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
-from handctl.safety.counts import WINDOW
+from handctl.safety.detectors.counts import WINDOW
 from tests.controller.bench import Bench, bench
 
 

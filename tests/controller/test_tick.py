@@ -23,8 +23,8 @@ from handctl.controller.types import TELEMETRY_AXES, IoEvent, Mode, TickIn, Tick
 from handctl.drives.frame import Frame
 from handctl.hand.load import hand_from, hand_path, load_hand
 from handctl.safety.action import Action
-from handctl.safety.counts import Counts
-from handctl.safety.ropes import Ropes
+from handctl.safety.detectors.counts import Counts
+from handctl.safety.detectors.ropes import Ropes
 from tests.controller.bench import Bench, bench
 
 

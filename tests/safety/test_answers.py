@@ -2,8 +2,8 @@
 
 import pytest
 
-from handctl.safety.answers import MOST, answered, asked
-from handctl.safety.counts import WINDOW
+from handctl.safety.detectors.answers import MOST, answered, asked
+from handctl.safety.detectors.counts import WINDOW
 
 
 @pytest.mark.parametrize(("owed", "able", "after"), [

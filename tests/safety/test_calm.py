@@ -6,8 +6,8 @@ import pytest
 
 from handctl.drives.causes import Cause
 from handctl.safety.calm import calm
+from handctl.safety.faults.table import TABLE
 from handctl.safety.signals import Limits, Signals
-from handctl.safety.table import TABLE
 from tests.safety.test_table import CASES, LIMITS, OTHER_SIGNS
 
 NOTHING = Signals(

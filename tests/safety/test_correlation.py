@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from handctl.safety.correlation import Correlation, part, step, unfollowed
+from handctl.safety.detectors.correlation import Correlation, part, step, unfollowed
 
 PERIOD = 0.002
 LARGEST = np.full(2, 160.0)

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from handctl.safety import counts, jumps, stuck
-from handctl.safety.counts import SHORT, WINDOW, Counts
-from handctl.safety.jumps import Accepted
-from handctl.safety.stuck import Stuck
+from handctl.safety.detectors import counts, jumps, stuck
+from handctl.safety.detectors.counts import SHORT, WINDOW, Counts
+from handctl.safety.detectors.jumps import Accepted
+from handctl.safety.detectors.stuck import Stuck
 
 NAN = np.nan
 NOTHING = (False, False)

@@ -4,10 +4,10 @@ import pytest
 
 from handctl.drives.causes import Cause
 from handctl.safety.action import Action
-from handctl.safety.catalogue import Entry
-from handctl.safety.fault import Fault, above, io, recorder
-from handctl.safety.markdown import catalogue, checklist, fault_table, late, later
-from handctl.safety.node_faults import _caused_by
+from handctl.safety.faults.catalogue import Entry
+from handctl.safety.faults.fault import Fault, above, io, recorder
+from handctl.safety.faults.markdown import catalogue, checklist, fault_table, late, later
+from handctl.safety.faults.node import _caused_by
 from handctl.safety.signals import Limits, Signals
 
 LIMITS = Limits(("a", "b"), (140.0, 140.0), 240.0, ("m", "n"))

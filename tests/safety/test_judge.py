@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from handctl.safety.action import Action
 from handctl.safety.calm import calm
+from handctl.safety.faults.table import TABLE
 from handctl.safety.judge import Latched, SafetyState, clear, judge
 from handctl.safety.signals import Signals
-from handctl.safety.table import TABLE
 from tests.safety.test_table import CALM, CASES, LIMITS, course
 
 UNITED = {

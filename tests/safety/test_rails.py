@@ -6,9 +6,9 @@ import pytest
 
 from handctl.safety.action import Action
 from handctl.safety.calm import calm
+from handctl.safety.faults.table import TABLE
 from handctl.safety.judge import SafetyState, judge
 from handctl.safety.signals import Limits, Signals
-from handctl.safety.table import TABLE
 
 LIMITS = Limits(("a", "b"), (140.0, 140.0), 243.9, ("m", "n"), tension_low=-4.0)
 

@@ -11,7 +11,7 @@ from handctl.campaign.stage import bring, hand_in, started
 from handctl.cli.plan import fastest
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.types import Mode
-from handctl.safety import replays, swings
+from handctl.safety.detectors import replays, swings
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SEEDS = range(20)

@@ -5,10 +5,10 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from handctl.safety import counts, residuals, ropes
-from handctl.safety.node_faults import DISOBEYED_N
-from handctl.safety.residuals import Filtered, Rope, Rotor
-from handctl.safety.tendon_faults import FRICTION_WARN_N, RESIDUAL_WARN_N
+from handctl.safety.detectors import counts, residuals, ropes
+from handctl.safety.detectors.residuals import Filtered, Rope, Rotor
+from handctl.safety.faults.node import DISOBEYED_N
+from handctl.safety.faults.tendon import FRICTION_WARN_N, RESIDUAL_WARN_N
 
 T = 0.002
 ROTOR: Rotor

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from handctl.safety import ropes
-from handctl.safety.ropes import Ropes, cut, limp, slack, snapped, step
+from handctl.safety.detectors import ropes
+from handctl.safety.detectors.ropes import Ropes, cut, limp, slack, snapped, step
 
 T = 0.002
 NAN = math.nan

@@ -6,9 +6,9 @@ import pytest
 
 from handctl.safety.action import Action
 from handctl.safety.calm import calm
+from handctl.safety.faults.table import TABLE
 from handctl.safety.judge import Latched, SafetyState, judge
 from handctl.safety.signals import Signals
-from handctl.safety.table import TABLE
 from tests.safety.test_table import LIMITS, course, io, tensions, with_
 
 DETECT = {fault.id: fault.detect for fault in TABLE}

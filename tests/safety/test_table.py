@@ -8,10 +8,10 @@ import pytest
 
 from handctl.drives.causes import Cause
 from handctl.safety.action import Action
-from handctl.safety.fault import Fault
+from handctl.safety.faults.fault import Fault
+from handctl.safety.faults.table import TABLE
 from handctl.safety.judge import SafetyState, Verdict, clear, judge
 from handctl.safety.signals import Limits, Signals, ticks_for
-from handctl.safety.table import TABLE
 
 LIMITS = Limits(
     tendons=("t0", "t1"), tension_trip=(140.0, 50.0), tension_rail=244.0, motors=("m0", "m1"),

@@ -5,9 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from handctl.safety import residuals, ropes, watch
-from handctl.safety.counts import Counts
-from handctl.safety.residuals import Rotor
+from handctl.safety import watch
+from handctl.safety.detectors import residuals, ropes
+from handctl.safety.detectors.counts import Counts
+from handctl.safety.detectors.residuals import Rotor
 from handctl.safety.signals import Limits, Signals
 from handctl.safety.watch import Seen, Watcher, WatchState, counted, screen, watched
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from handctl.safety import residuals, ropes, watch
-from handctl.safety.stuck import Stuck
+from handctl.safety import watch
+from handctl.safety.detectors import residuals, ropes
+from handctl.safety.detectors.stuck import Stuck
 from handctl.safety.watch import CELL_FORCE_N, CELL_TICKS, DEG, SLIP_SETTLE_S, STUCK_JOINT_DEG, STUCK_S, Watcher
 from tests.safety.test_watch import ARMED, T, made, seen
 

@@ -21,8 +21,8 @@ from handctl.drives.causes import Cause
 from handctl.drives.contract import Drive, DriveState, Phase
 from handctl.drives.frame import EXTENDED, REMOTE
 from handctl.drives.sensors.node import SensorNode, SensorState
-from handctl.safety import stuck
-from handctl.safety.answers import asked
+from handctl.safety.detectors import stuck
+from handctl.safety.detectors.answers import asked
 from handctl.safety.signals import (
     LEAST_SILENT,
     LOAD_CELLS,

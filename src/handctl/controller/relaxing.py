@@ -20,7 +20,7 @@ from handctl.controller.model import HandModel
 from handctl.controller.state import State
 from handctl.controller.types import Mode, Vector
 from handctl.safety.action import Release
-from handctl.safety.table import BY_ID
+from handctl.safety.faults.table import BY_ID
 
 RELAX_FLOOR_N = 5.0
 RELAX_RATE_N_PER_S, OVER_TENSION_RATE_N_PER_S = 500.0, 2000.0

@@ -13,7 +13,7 @@ from handctl.controller.state import State
 from handctl.drives.contract import Drive
 from handctl.drives.frame import Frame
 from handctl.drives.sensors.node import SensorNode, SensorState
-from handctl.safety.answers import Owed, answered
+from handctl.safety.detectors.answers import Owed, answered
 from handctl.safety.signals import LOAD_CELLS, Named
 
 Frames = tuple[Frame, ...]

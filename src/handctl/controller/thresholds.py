@@ -7,7 +7,7 @@ import numpy as np
 from handctl.controller.model import HandModel
 from handctl.drives.contract import Drive
 from handctl.drives.sensors.node import SensorNode
-from handctl.safety.residuals import Rotor
+from handctl.safety.detectors.residuals import Rotor
 from handctl.safety.signals import LEAST_FRAMES, LEAST_SILENT, LEAST_STALLED, SILENT_S, STALLED_S, Limits, ticks_for
 from handctl.safety.watch import JUMP_MARGIN, Watcher
 

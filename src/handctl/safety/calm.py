@@ -1,7 +1,7 @@
 """Whether a tick shows nothing at all: nearly all do, and then no row of the table has to be asked."""
 
-from handctl.safety.bus_faults import UNKNOWN_MOST
-from handctl.safety.host_faults import LATE_SHARE
+from handctl.safety.faults.bus import UNKNOWN_MOST
+from handctl.safety.faults.host import LATE_SHARE
 from handctl.safety.signals import FIRST_RARE, Limits, Signals
 
 RARE = Signals(armed=True)[FIRST_RARE:]

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 from handctl.safety.action import Action
 from handctl.safety.calm import calm
-from handctl.safety.fault import Fault, Reading
+from handctl.safety.faults.fault import Fault, Reading
+from handctl.safety.faults.table import TABLE
 from handctl.safety.signals import Limits, Signals
-from handctl.safety.table import TABLE
 
 
 class Latched(NamedTuple):

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.choose import chosen, nothing, only, zeros
-from handctl.safety import answers, correlation, counts, jumps, replays, residuals, ropes, stuck, swings
-from handctl.safety.node_faults import DISOBEYED_N, SLIP_WARN_DEG
+from handctl.safety.detectors import answers, correlation, counts, jumps, replays, residuals, ropes, stuck, swings
+from handctl.safety.faults.node import DISOBEYED_N, SLIP_WARN_DEG
+from handctl.safety.faults.tendon import DERAILED_DEG, FRICTION_WARN_N, RESIDUAL_WARN_N
 from handctl.safety.signals import Limits, Named, Signals
-from handctl.safety.tendon_faults import DERAILED_DEG, FRICTION_WARN_N, RESIDUAL_WARN_N
 
 Vector = NDArray[np.float64]
 

@@ -5,11 +5,11 @@ function of one tick's ``Signals``. Debounce, latch and the choice of the action
 know of the past is counted and filtered in ``watch``.
 """
 
-from handctl.safety.bus_faults import BUS_FAULTS
-from handctl.safety.fault import Fault
-from handctl.safety.host_faults import HOST_FAULTS
-from handctl.safety.node_faults import NODE_FAULTS
-from handctl.safety.tendon_faults import TENDON_FAULTS
+from handctl.safety.faults.bus import BUS_FAULTS
+from handctl.safety.faults.fault import Fault
+from handctl.safety.faults.host import HOST_FAULTS
+from handctl.safety.faults.node import NODE_FAULTS
+from handctl.safety.faults.tendon import TENDON_FAULTS
 
 TABLE: tuple[Fault, ...] = (*BUS_FAULTS, *NODE_FAULTS, *TENDON_FAULTS, *HOST_FAULTS)
 """All rows, in the order of the catalogue."""

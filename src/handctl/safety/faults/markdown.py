@@ -1,8 +1,8 @@
 """The fault table and the catalogue as pages, so that what README and docs promise is what the code does."""
 
-from handctl.safety.catalogue import CATALOGUE, ON_HARDWARE, TABLE_, Entry
-from handctl.safety.fault import Fault
-from handctl.safety.table import TABLE
+from handctl.safety.faults.catalogue import CATALOGUE, ON_HARDWARE, TABLE_, Entry
+from handctl.safety.faults.fault import Fault
+from handctl.safety.faults.table import TABLE
 
 ASKED_MS = 5.0
 """A tick of the ideal drive for which the project's fault catalogue is written."""

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from handctl.drives.causes import Cause
 from handctl.safety.action import Action, Release
-from handctl.safety.fault import ITSELF, NOTHING, PERSON, Detector, Fault, Reading, above
+from handctl.safety.faults.fault import ITSELF, NOTHING, PERSON, Detector, Fault, Reading, above
 from handctl.safety.signals import Limits, Signals
 
 DISOBEYED_N = 15.0

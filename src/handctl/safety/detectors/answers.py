@@ -8,7 +8,7 @@ node.
 
 from collections.abc import Sequence
 
-from handctl.safety.counts import WINDOW
+from handctl.safety.detectors.counts import WINDOW
 
 Owed = tuple[tuple[int, ...], ...]
 """Per node, the ticks whose questions are open, the oldest first."""

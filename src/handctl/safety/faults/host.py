@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from handctl.safety.action import Action, Release
-from handctl.safety.fault import ITSELF, NOTHING, PERSON, Fault, Reading, io, recorder
+from handctl.safety.faults.fault import ITSELF, NOTHING, PERSON, Fault, Reading, io, recorder
 from handctl.safety.signals import Limits, Signals
 
 LATE_SHARE = 0.25

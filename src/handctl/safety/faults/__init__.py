@@ -1,0 +1,1 @@
+"""The fault table: every fault declared, by where it comes from."""
