@@ -16,7 +16,7 @@ from handctl.log.export.parquet import export_parquet
 from handctl.log.export.tables import columns, export_csv, titled
 from handctl.log.read.reader import RunLog
 from handctl.view.feed import write_rrd
-from handctl.view.subject import Subject
+from handctl.view.scene.subject import Subject
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-fault.mcap"
 

@@ -23,7 +23,7 @@ def main() -> None:
     from handctl.cli import view  # noqa: F401 (what the verb imports counts)
     from handctl.log.read.reader import RunLog
     from handctl.view.browse import browse
-    from handctl.view.subject import Subject
+    from handctl.view.scene.subject import Subject
     from handctl.view.viewer import software_vulkan
 
     path, seen = Path(sys.argv[1]), threading.Event()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from rerun.chunk import Chunk, RrdReader
 
 from handctl.log.read.reader import RunLog
-from handctl.view.subject import Subject
+from handctl.view.scene.subject import Subject
 
 
 class Entity(NamedTuple):

@@ -15,11 +15,11 @@ from handctl.log.read.reader import RunLog
 from handctl.log.read.scan import scanned
 from handctl.log.record import FRAMING, pack
 from handctl.log.write.writer import LogWriter
-from handctl.view.arrow import TIMELINE
 from handctl.view.browse import browse
 from handctl.view.feed import run_chunks
 from handctl.view.picture import connected, wait_loaded
-from handctl.view.subject import Subject
+from handctl.view.scene.arrow import TIMELINE
+from handctl.view.scene.subject import Subject
 from handctl.view.viewer import viewer
 from handctl.view.windows import windows
 

@@ -17,10 +17,11 @@ from handctl.hand.frames import link_transforms
 from handctl.log.read.logfile import LogFile
 from handctl.log.read.reader import RunLog
 from handctl.log.read.scan import Scan, scan
-from handctl.view import feed, palette
-from handctl.view.lenses import FORCE_SCALE
-from handctl.view.load import SPAN_NS
-from handctl.view.subject import Subject
+from handctl.view import feed
+from handctl.view.scene import palette
+from handctl.view.scene.lenses import FORCE_SCALE
+from handctl.view.scene.load import SPAN_NS
+from handctl.view.scene.subject import Subject
 
 
 @pytest.fixture(scope="module")

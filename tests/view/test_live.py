@@ -12,9 +12,9 @@ import pytest
 
 from handctl.log.record import pack
 from handctl.log.write.recorder import Recorder
-from handctl.view.arrow import TIMELINE
 from handctl.view.live import start_live
 from handctl.view.picture import reached
+from handctl.view.scene.arrow import TIMELINE
 
 if TYPE_CHECKING:
     from rerun.experimental import ViewerClient

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from handctl.cli.main import main
-from handctl.view import palette
 from handctl.view.picture import connected, view_reports, wait_loaded
+from handctl.view.scene import palette
 from handctl.view.viewer import Viewer, viewer
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from rrd_entities import entities, subject_of
 
 from handctl.errors import LogError
 from handctl.view.feed import log_chunks
-from handctl.view.lenses import Lenses
+from handctl.view.scene.lenses import Lenses
 from handctl.view.tail import Tail
 
 

@@ -173,7 +173,7 @@ def _write(args: argparse.Namespace, log: RunLog, out: Path) -> int:
     form = args.format
     if form == "rrd":
         from handctl.view.feed import write_rrd
-        from handctl.view.subject import Subject
+        from handctl.view.scene.subject import Subject
 
         return write_rrd(args.log, Subject.of(log.header, args.log.stem), out)
     if form == "parquet":

@@ -39,7 +39,7 @@ def run(args: argparse.Namespace) -> int:
         follow(args.log)
         return Exit.DONE
     from handctl.log.read.reader import RunLog
-    from handctl.view.subject import Subject
+    from handctl.view.scene.subject import Subject
 
     with RunLog(args.log, checked=False) as log:
         subject = Subject.of(log.header, args.log.stem)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from handctl.log.read.scan import Scan
-from handctl.view.subject import Subject
+from handctl.view.scene.subject import Subject
 from handctl.view.viewer import Viewer, launched
 
 if TYPE_CHECKING:
@@ -49,8 +49,8 @@ def _send(running: Viewer, subject: Subject, chunks: "Iterator[Chunk]") -> None:
     """Send all chunks, until there are no more or the viewer is closed."""
     import rerun as rr
 
-    from handctl.view.blueprint import dashboard
     from handctl.view.feed import recording
+    from handctl.view.scene.blueprint import dashboard
 
     stream = recording(subject)
     stream.connect_grpc(running.url, default_blueprint=dashboard(subject))

@@ -15,11 +15,11 @@ from rerun.chunk import Chunk, McapReader
 from handctl.errors import LogError
 from handctl.log.read.recover import Status, recover
 from handctl.log.read.scan import Scan, scanned
-from handctl.view.arrow import LOG_TIME, run_times
-from handctl.view.blueprint import dashboard
-from handctl.view.lenses import Lenses
-from handctl.view.styles import styles
-from handctl.view.subject import Subject
+from handctl.view.scene.arrow import LOG_TIME, run_times
+from handctl.view.scene.blueprint import dashboard
+from handctl.view.scene.lenses import Lenses
+from handctl.view.scene.styles import styles
+from handctl.view.scene.subject import Subject
 from handctl.view.windows import SPAN_NS, windows
 
 ROOM = 2

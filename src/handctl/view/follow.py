@@ -11,11 +11,11 @@ import rerun as rr
 from handctl.errors import LogError
 from handctl.handlers import Stop
 from handctl.log.read.reader import RunLog
-from handctl.view.blueprint import dashboard
 from handctl.view.feed import log_chunks, recording
-from handctl.view.lenses import Lenses
-from handctl.view.styles import styles
-from handctl.view.subject import Subject
+from handctl.view.scene.blueprint import dashboard
+from handctl.view.scene.lenses import Lenses
+from handctl.view.scene.styles import styles
+from handctl.view.scene.subject import Subject
 from handctl.view.tail import Tail
 from handctl.view.viewer import Viewer, check_screen, software_vulkan, start_viewer
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from handctl.errors import HandctlError
 from handctl.output import whole
-from handctl.view.arrow import TIMELINE
+from handctl.view.scene.arrow import TIMELINE
 from handctl.view.viewer import Viewer, software_vulkan, viewer
 
 if TYPE_CHECKING:

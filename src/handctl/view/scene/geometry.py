@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import rerun as rr
 from rerun.chunk import Chunk
 
-from handctl.view import palette
-from handctl.view.arrow import static
-from handctl.view.subject import Subject
+from handctl.view.scene import palette
+from handctl.view.scene.arrow import static
+from handctl.view.scene.subject import Subject
 
 _SHAPES: dict[str, type[rr.Boxes3D] | type[rr.Cylinders3D] | type[rr.Ellipsoids3D]] = {
     "Boxes3D": rr.Boxes3D,

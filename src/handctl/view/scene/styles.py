@@ -6,10 +6,10 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from handctl.controller.types import TELEMETRY_AXES
-from handctl.view import palette
-from handctl.view.arrow import static
-from handctl.view.palette import Colour
-from handctl.view.subject import Subject
+from handctl.view.scene import palette
+from handctl.view.scene.arrow import static
+from handctl.view.scene.palette import Colour
+from handctl.view.scene.subject import Subject
 
 ESTIMATE_WIDTH, COMMAND_WIDTH, LIMIT_WIDTH = 1.8, 1.0, 2.2
 

@@ -4,8 +4,8 @@ import numpy as np
 import rerun.blueprint as rrb
 from rerun.blueprint.components import BackgroundKind, Corner2D, LinkAxis, PanelState
 
-from handctl.view.arrow import TIMELINE
-from handctl.view.subject import Subject
+from handctl.view.scene.arrow import TIMELINE
+from handctl.view.scene.subject import Subject
 
 LINKED = rrb.TimeAxis(link=LinkAxis.LinkToGlobal)
 NO_LEGEND = rrb.PlotLegend(visible=False)

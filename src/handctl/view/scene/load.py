@@ -6,8 +6,8 @@ from numpy.typing import NDArray
 
 from handctl.drives.frame import FDF
 from handctl.drives.load import frame_time_s
-from handctl.view.arrow import Floats
-from handctl.view.subject import Subject
+from handctl.view.scene.arrow import Floats
+from handctl.view.scene.subject import Subject
 
 LONGEST = 64
 SPAN_NS = 100_000_000

@@ -12,10 +12,10 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from handctl.controller.types import TELEMETRY_AXES
-from handctl.view.arrow import Floats, message, numbers, retimed, run_times, timed
-from handctl.view.geometry import solid
-from handctl.view.load import BusLoad
-from handctl.view.subject import Subject
+from handctl.view.scene.arrow import Floats, message, numbers, retimed, run_times, timed
+from handctl.view.scene.geometry import solid
+from handctl.view.scene.load import BusLoad
+from handctl.view.scene.subject import Subject
 
 FORCE_SCALE = 0.008
 """Length of an arrow [m/N]."""

@@ -1,0 +1,1 @@
+"""What the dashboard shows, and how a run's topics become it."""
