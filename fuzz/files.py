@@ -18,8 +18,8 @@ from handctl.drives.registry import make_drive
 from handctl.errors import HandctlError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
+from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import HANDS, hand_from, load_hand, packaged_hands, read_toml
-from handctl.hand.toml_text import toml_text
 
 Target = Callable[[bytes], bool]
 Content = Mapping[str, Any]

@@ -9,8 +9,8 @@ from handctl.cli.session import make_controller
 from handctl.controller.gains import Gains
 from handctl.controller.program import Progress, motion_to
 from handctl.controller.types import Mode
+from handctl.hand.formats.urdf import urdf
 from handctl.hand.load import load_hand
-from handctl.hand.urdf import urdf
 from handctl.log.header import RunHeader
 from handctl.log.record import pack
 from handctl.log.write.recorder import Recorder

@@ -10,8 +10,8 @@ import numpy as np
 import pinocchio
 from filterpy.kalman import KalmanFilter
 
+from handctl.hand.formats.urdf import urdf
 from handctl.hand.load import load_hand
-from handctl.hand.urdf import urdf
 from handctl.runtime.clock import take_priority
 
 ENABLE, DISABLE = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"

@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from handctl.errors import ConfigError
+from handctl.hand.file.messages import key_path, shown
 from handctl.hand.load import read_toml
-from handctl.hand.messages import key_path, shown
 
 
 class Document(BaseModel):

@@ -6,8 +6,8 @@ import tomllib
 import pytest
 
 from handctl.cli.main import main
+from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import hand_path
-from handctl.hand.toml_text import toml_text
 from tests.cli.refused import refused
 
 GRASP = """schema = 1

@@ -10,8 +10,8 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.controller.gains import Gains
+from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import HANDS, load_hand
-from handctl.hand.toml_text import toml_text
 from tests.hand.test_refusals import changed, is_number, leaves, said
 
 BUS = "local:does-not-exist"

@@ -12,8 +12,8 @@ from handctl.cli.main import VERBS, main
 from handctl.cli.options import print_json, say
 from handctl.cli.screen import screen
 from handctl.errors import ConfigError
+from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import HANDS, parse_toml
-from handctl.hand.toml_text import toml_text
 from handctl.printing import LONGEST_MESSAGE, EscapedStream, encodable, escaped, escaped_streams, message
 from tests.cli.refused import refused
 

@@ -8,8 +8,8 @@ import tomllib
 import pytest
 
 from handctl.cli.main import VERBS, main
+from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import HANDS, hand_from, load_hand
-from handctl.hand.toml_text import toml_text
 from tests.cli.refused import refused
 
 BUS = ("--bus", "local:does-not-exist")

@@ -12,7 +12,7 @@ from handctl.cli.fragment import fragment
 from handctl.cli.main import main
 from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.registry import make_drive
-from handctl.hand.sections import Bus, Motor
+from handctl.hand.file.sections import Bus, Motor
 from handctl.runtime.diagnostics.scan import Scan, all_questions, scan
 from tests.drives.bench_process import drives
 from tests.drives.protocol_bench import Bench as HandBench

@@ -11,8 +11,8 @@ from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.drives.frame import Frame
 from handctl.drives.registry import PROTOCOLS, make_drive
 from handctl.drives.sensors.node import SensorNode
+from handctl.hand.file.sections import Motor
 from handctl.hand.load import hand_path, load_hand
-from handctl.hand.sections import Motor
 
 PERIOD_NS = 2_000_000
 FIRST_NODE = 0x10

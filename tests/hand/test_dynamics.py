@@ -10,8 +10,8 @@ import pytest
 from handctl.hand import dynamics
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
+from handctl.hand.formats.urdf import urdf
 from handctl.hand.load import load_hand
-from handctl.hand.urdf import urdf
 
 SAMPLES = 1000
 GRAVITIES = [(0.0, 0.0, -9.81), (0.0, -9.81, 0.0), (9.81, 0.0, 0.0), (3.1, -7.7, 5.2)]

@@ -8,6 +8,7 @@ import pytest
 
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel, rotation_rpy
+from handctl.hand.formats.urdf import urdf
 from handctl.hand.frames import link_transforms, quaternion
 from handctl.hand.inverse_kinematics import coordinate_limits, inverse, inverse_coupled
 from handctl.hand.kinematics import (
@@ -20,7 +21,6 @@ from handctl.hand.kinematics import (
     to_palm,
 )
 from handctl.hand.load import load_hand
-from handctl.hand.urdf import urdf
 
 
 def angles(rng, digit, count=100):

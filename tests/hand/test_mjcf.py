@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from handctl.hand import dynamics
+from handctl.hand.formats.mjcf import mjcf
 from handctl.hand.kinematics import points, to_palm
-from handctl.hand.mjcf import mjcf
 
 
 @pytest.fixture

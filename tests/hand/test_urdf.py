@@ -5,7 +5,7 @@ from xml.etree import ElementTree as ET
 import mujoco
 import numpy as np
 
-from handctl.hand.urdf import urdf
+from handctl.hand.formats.urdf import urdf
 
 
 def test_names_are_those_of_the_contract(hand):

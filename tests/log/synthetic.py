@@ -15,8 +15,8 @@ import numpy as np
 from handctl.controller.types import TELEMETRY_AXES, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
 from handctl.drives.contract import Phase
 from handctl.drives.frame import Frame
+from handctl.hand.formats.urdf import urdf
 from handctl.hand.load import load_hand
-from handctl.hand.urdf import urdf
 from handctl.log.header import RunHeader
 from handctl.log.record import pack
 from handctl.log.topics.state import moment_arms

@@ -10,8 +10,8 @@ import tomllib
 
 import pytest
 
+from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import HANDS, load_hand
-from handctl.hand.toml_text import toml_text
 from handctl.log.read.reader import RunLog
 from handctl.report.truth import read_truth
 from handctl.runtime.mailbox import Watcher

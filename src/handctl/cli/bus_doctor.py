@@ -12,8 +12,8 @@ from handctl.drives.discovery import Found
 from handctl.drives.registry import DISCOVERIES
 from handctl.errors import BusError, ConfigError
 from handctl.hand.description import Hand
+from handctl.hand.file.sections import Bus as BusSection
 from handctl.hand.load import load_hand
-from handctl.hand.sections import Bus as BusSection
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.link import NoTool, read_link
 from handctl.runtime.buses.open import open_bus

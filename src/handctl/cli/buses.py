@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Sequence
 
 from handctl.errors import ConfigError
-from handctl.hand.quantities import NAME_PATTERN
+from handctl.hand.file.quantities import NAME_PATTERN
 from handctl.runtime.buses.open import check_spec
 
 

@@ -16,7 +16,7 @@ from handctl.controller.commission import CommissionProgram, result
 from handctl.controller.identified import Identified
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.toml_text import toml_text
+from handctl.hand.file.toml_text import toml_text
 from handctl.output import write_whole
 
 EXAMPLE = "handctl commission --hand jamia --bus local:demo --calibration /tmp/jamia.calibration.toml --dry-run"

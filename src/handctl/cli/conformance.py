@@ -16,8 +16,8 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.registry import PROTOCOLS, make_drive
 from handctl.errors import BusError, ConfigError, DriveError, PowerError
+from handctl.hand.file.sections import Motor
 from handctl.hand.load import parse_toml
-from handctl.hand.sections import Motor
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import check_spec, open_bus
 from handctl.runtime.clock import RealClock, give_back_priority, take_priority

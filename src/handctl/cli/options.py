@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.exit_codes import Exit
-from handctl.hand.quantities import FASTEST_BUS, SLOWEST_BUS
+from handctl.hand.file.quantities import FASTEST_BUS, SLOWEST_BUS
 from handctl.printing import encodable, message
 
 DEFAULT_HAND = "jamia"

@@ -11,9 +11,9 @@ from handctl.cli.exit_codes import Exit
 from handctl.cli.progress import progress
 from handctl.cli.screen import screen
 from handctl.errors import ConfigError
+from handctl.hand.formats.mjcf import mjcf
+from handctl.hand.formats.urdf import urdf
 from handctl.hand.load import load_hand
-from handctl.hand.mjcf import mjcf
-from handctl.hand.urdf import urdf
 from handctl.output import check_output, write_whole
 from handctl.paper.experiments import Job, count, load_results, measure, name, shortened
 from handctl.paper.figures.all import draw_all

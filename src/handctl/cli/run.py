@@ -18,7 +18,7 @@ from handctl.controller.grasp import TaskProgram
 from handctl.controller.live import LiveProgram
 from handctl.controller.program import Program
 from handctl.errors import DriveError
-from handctl.hand.toml_text import toml_text
+from handctl.hand.file.toml_text import toml_text
 from handctl.runtime.places import truth_path
 
 EXAMPLE = "handctl run --hand jamia --bus local:demo --task grasp.toml --dry-run"

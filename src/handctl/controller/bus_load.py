@@ -7,7 +7,7 @@ from handctl.drives.contract import Drive
 from handctl.drives.load import MOST, frame_time_s
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.sections import Bus
+from handctl.hand.file.sections import Bus
 
 
 @dataclass(frozen=True, slots=True)

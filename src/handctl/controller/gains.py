@@ -9,7 +9,7 @@ from pathlib import Path
 from pydantic import Field
 
 from handctl.document import Document, load_document
-from handctl.hand.toml_text import toml_text
+from handctl.hand.file.toml_text import toml_text
 
 
 class FilterGains(Document):

@@ -13,7 +13,7 @@ from handctl.controller.types import Vector
 from handctl.drives.registry import make_drive
 from handctl.hand.description import Hand
 from handctl.hand.dynamics import DigitModel, mass_matrix
-from handctl.hand.sections import Motor
+from handctl.hand.file.sections import Motor
 
 
 @dataclass(frozen=True, slots=True)

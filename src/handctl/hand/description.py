@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict, Field
 
-from handctl.hand import quantities as qty
-from handctl.hand.sections import Bus, Digit, Motor, Mount, Section, SensorNode, Tendon
-from handctl.hand.toml_text import toml_text
+from handctl.hand.file import quantities as qty
+from handctl.hand.file.sections import Bus, Digit, Motor, Mount, Section, SensorNode, Tendon
+from handctl.hand.file.toml_text import toml_text
 
 RATING = "joint_rated_torque_N_m"
 """Key of a digit that its content has only where the file gives it."""

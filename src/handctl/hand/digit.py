@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.hand.description import Hand
-from handctl.hand.sections import Digit
+from handctl.hand.file.sections import Digit
 
 Array = NDArray[np.float64]
 Values = Sequence[float] | Array

@@ -9,9 +9,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from handctl.errors import ConfigError
-from handctl.hand.checks import check_hand
 from handctl.hand.description import Hand
-from handctl.hand.messages import config_error, shown
+from handctl.hand.file.checks import check_hand
+from handctl.hand.file.messages import config_error, shown
 
 SCHEMA = 1
 """Version of the hand file's format that is read here."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from handctl.hand.digit import Array, DigitModel, Values
-from handctl.hand.sections import Tendon
+from handctl.hand.file.sections import Tendon
 
 ROPE_FRICTION_SPEED = 1e-3
 """Winding speed at which capstan friction is mostly developed, v0 of tanh(v / v0) [m/s]; a regularisation."""

@@ -5,8 +5,8 @@ from fractions import Fraction
 from functools import cache
 
 from handctl.hand.description import Hand
+from handctl.hand.file.sections import Digit
 from handctl.hand.load import load_hand
-from handctl.hand.sections import Digit
 
 PULLEY_MM = Fraction(3)
 """Radius of the joint pulleys. Source: section 5."""

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.signal import coherence
 
 from handctl.controller.identified import UNITS
-from handctl.hand.sections import Tendon
+from handctl.hand.file.sections import Tendon
 from handctl.tune.fit import INFORMED, NAMES, SCALE_DELAY_S, Fit
 from handctl.tune.identify_data import Array, TendonData
 

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from handctl.hand.digit import Array, DigitModel
+from handctl.hand.formats.urdf import PALM_MARGIN, PALM_THICKNESS
 from handctl.hand.kinematics import points, to_palm
-from handctl.hand.urdf import PALM_MARGIN, PALM_THICKNESS
 from handctl.paper import sources as src
 from handctl.paper.figures.style import BLUE, GREEN, ORANGE, PURPLE
 

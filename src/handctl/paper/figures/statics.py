@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from handctl.hand.sections import Digit
+from handctl.hand.file.sections import Digit
 from handctl.paper import sources as src
 from handctl.paper.figures.style import BLUE, GREY, ORANGE, RED
 

@@ -9,7 +9,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from handctl.hand.description import Hand
-from handctl.hand.sections import Digit
+from handctl.hand.file.sections import Digit
 
 PALM_THICKNESS = 0.010
 """Depth of the palm's box [m]; its face is x = 0."""

@@ -10,9 +10,9 @@ import numpy as np
 
 from handctl.hand.description import Hand
 from handctl.hand.digit import rotation_rpy
+from handctl.hand.file.sections import Digit
+from handctl.hand.formats.urdf import PALM_MARGIN, PALM_THICKNESS
 from handctl.hand.frames import quaternion
-from handctl.hand.sections import Digit
-from handctl.hand.urdf import PALM_MARGIN, PALM_THICKNESS
 
 STOPS = ("0.002 1", "0.99 0.9999 0.001")
 """Stiff joint stops; MuJoCo's own let springs push these light links 16 degrees past them."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from handctl.errors import ConfigError
-from handctl.hand.sections import Digit, Motor, Tendon
+from handctl.hand.file.sections import Digit, Motor, Tendon
 
 if TYPE_CHECKING:
     from handctl.hand.description import Hand

@@ -4,7 +4,7 @@ import math
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from handctl.hand import quantities as qty
+from handctl.hand.file import quantities as qty
 
 
 class Section(BaseModel):

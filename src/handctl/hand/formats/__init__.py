@@ -1,0 +1,1 @@
+"""A hand in the formats of other tools."""
