@@ -19,7 +19,8 @@ PROBE = """
 import contextlib, io, json, resource, sys, time
 from pathlib import Path
 from handctl.cli.main import main
-import handctl.log.read.reader, handctl.log.read.recover, handctl.replay.check, handctl.replay.damage, handctl.replay.execute
+import handctl.log.read.reader, handctl.log.read.recover
+import handctl.replay.check, handctl.replay.damage, handctl.replay.execute
 import handctl.report.page, handctl.replay.diff, handctl.replay.limits
 import handctl.view.feed
 folder, found = Path(sys.argv[1]), []

@@ -40,7 +40,7 @@ KEPT = 1 << 18
 
 
 class LoopBus(Protocol):
-    """What the loop asks of a bus; see ``runtime.bus``."""
+    """What the loop asks of a bus; see ``runtime.buses.contract``."""
 
     def drain(self) -> list[Frame]: ...
     def send(self, frames: Sequence[Frame]) -> int: ...

@@ -1,7 +1,7 @@
 """CANopen drives on a bus: their heartbeats, and their answers to an SDO that reads the device type.
 
 Reading an object is no order. What a drive tells beyond its device type is read by the ``canopen`` library, outside
-any tick (``runtime.canopen_identity``). Source: facts, cia402.
+any tick (``runtime.diagnostics.canopen_identity``). Source: facts, cia402.
 """
 
 from handctl.drives.cia402 import codec

@@ -33,7 +33,7 @@ class Bus(Protocol):
         ...
 
     def take_events(self) -> list[Event]:
-        """What happened since the last call; see ``bus_events``."""
+        """What happened since the last call; see ``events``."""
         ...
 
     def fileno(self) -> int:
