@@ -62,7 +62,7 @@ def test_a_log_without_the_latest_fields_is_read(lively_log: Path, monkeypatch: 
     """As if a coming version had one field more: today's log lacks it, as logs of version 0.1 lack q_sigma."""
     recorded = [out.telemetry for _, out in lively.ticks(lively.header())]
     monkeypatch.setitem(TELEMETRY_AXES, "coming", "joint")
-    for module in ("batch", "reader"):
+    for module in ("batch", "read.reader"):
         monkeypatch.setattr(f"handctl.log.{module}.TELEMETRY_FIELDS", (*TELEMETRY_FIELDS, "coming"))
     monkeypatch.setattr("handctl.log.batch.TELEMETRY_FIRST", len(TELEMETRY_FIELDS))
     with RunLog(lively_log) as log:
