@@ -8,7 +8,7 @@ import pytest
 from handctl.controller.filter_stack import STATES, S, V
 from handctl.controller.model import HandModel
 from handctl.controller.statics import load_statics, tendon_efficiency
-from handctl.controller.tip import tip_force, tip_lever
+from handctl.controller.tip import tip_force, tip_forces, tip_lever
 from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
 from handctl.hand.kinematics import points, tip_jacobian
 from handctl.hand.tendons import ROPE_FRICTION_SPEED
@@ -73,7 +73,9 @@ def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
     rng = np.random.default_rng(8)
     for _ in range(50):
         q, external = rng.uniform(-0.2, 1.8, len(model.hand.joints)), rng.normal(size=model.tendon_count) * 20.0
-        torque, force = model.all_digits.static_torque(q), model.all_digits.tip_force(q, external)
+        torque, digits = model.all_digits.static_torque(q), model.all_digits
+        constants = digits.ahead, digits.reach, digits.members, digits.arms
+        force, _ = tip_forces(q, np.zeros(len(q)), external, np.zeros(len(external)), *constants, 0.5, 0.15)
         for d, digit in enumerate(model.digits):
             np.testing.assert_allclose(
                 torque[digit.joints], static_torque(digit, q[digit.joints]), rtol=1e-12, atol=1e-15

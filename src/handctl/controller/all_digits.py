@@ -81,13 +81,3 @@ class AllDigits:
     def of_digit(self, values: Vector) -> Vector:
         """(D,) sums over each digit's tendons of values (N,)."""
         return np.asarray(self.ropes.dot(values))
-
-    def tip_force(self, q: Vector, external: Vector) -> Vector:
-        """Tip-equivalent forces of the tensions that contact explains, (D,) [N]; see ``tip.tip_force``.
-
-        Args:
-            q: (J,) [rad].
-            external: (N,) [N].
-        """
-        lever = np.cos(self.ahead.dot(q)).dot(self.reach)
-        return np.asarray(self.members.dot(lever * external.dot(self.arms)) / self.members.dot(lever * lever))

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, null_space
 
+from handctl.compiled import inner, kernel
 from handctl.controller.estimator import Estimate
 from handctl.controller.model import HandModel
 from handctl.controller.types import Vector
@@ -100,7 +101,7 @@ class Places:
         members: (J, J), 1 where two joints are of one digit.
         loose: (J,), whether a joint's digit has a null space.
         low, high: (J,) joint range [rad].
-        starts: first joint of each digit. digit_of: (J,) index of each joint's digit.
+        starts: (D + 1,) first joint of each digit, and J.
         rubbed: (N, J), moment arms times capstan coefficient [m].
         path: (N, J, J), joint angles that a tendon has wrapped up to each joint: 1 where it passes.
         noise: (J,) variance of a joint encoder's reading [rad^2].
@@ -112,7 +113,7 @@ class Places:
     every: int
     share: float
     kept: float
-    tendon_digits: list[int]
+    tendon_digits: NDArray[np.int64]
     compliance: Vector
     ahead: Vector
     reach: Vector
@@ -123,8 +124,7 @@ class Places:
     loose: NDArray[np.bool_]
     low: Vector
     high: Vector
-    starts: list[int]
-    digit_of: list[int]
+    starts: NDArray[np.int64]
     rubbed: Vector
     path: Vector
     noise: Vector
@@ -182,93 +182,236 @@ def step(
         readings: of joint encoders; None for a hand without.
     """
     known, free = places(model), estimate.q
-    stretch = (estimate.tension * STRETCH_ERROR) ** 2 + estimate.sigma**2
-    spread = model.excursion_to_joints * np.sqrt(known.excursion_noise + stretch / model.space.stiffness**2)
-    by_excursion = (spread * spread).sum(axis=1)
+    spread, by_excursion = _by_excursion(
+        estimate.tension, estimate.sigma, model.space.stiffness, known.excursion_noise, model.excursion_to_joints
+    )
     if not known.free:
         return before, Angles(free, np.sqrt(by_excursion))
-    state = before._replace(pressed=np.maximum(touched, before.pressed * known.kept))
-    columns = None
+    state, columns = before._replace(pressed=np.maximum(touched, before.pressed * known.kept)), None
     if k % known.every == 0:
-        columns, turn = _columns(model, known, state, estimate)
-        state = state._replace(turn=turn, sigma=np.sqrt((columns * columns).sum(axis=0)))
-    sigma = np.minimum(np.sqrt(state.sigma**2 + by_excursion), range_sigma(model))
-    angles = Angles(free + state.turn, sigma)
+        columns, state = _columns(model, known, state, estimate)
+    angles = Angles(*_angles(free, state.turn, state.sigma, by_excursion, range_sigma(model)))
     if columns is None or readings is None or not known.reads:
         return state, angles
     return state, _fused(known, angles, np.concatenate((columns, spread.T)), readings, estimate.dq)
 
 
-def _columns(model: HandModel, known: Places, state: Posture, estimate: Estimate) -> tuple[Vector, Vector]:
-    """Deviations (C, J) [rad] whose squares add up to the covariance in the null space, and the turn (J,) [rad].
+def _columns(model: HandModel, known: Places, state: Posture, estimate: Estimate) -> tuple[Vector, Posture]:
+    """Deviations (C, J) [rad] whose squares add up to the covariance in the null space, and the turn after this tick.
 
     The levers are those at the last estimate, which makes the ticks the iterations of a fixed point.
     """
-    free, external = estimate.q, state.pressed[known.tendon_digits]
-    turns, doubt = _turned(known, free, free + state.turn, external)
-    turn = state.turn + known.share * ((known.weight * turns).sum(axis=0) - state.turn)
-    columns = np.concatenate((doubt, _free_errors(model, known, free, estimate.tension)))
-    room = _room(known, free, np.concatenate((columns, -columns)))
-    columns = columns * np.maximum(room[: len(columns)], room[len(columns) :])
-    return np.concatenate((np.sqrt(known.weight) * (turns - turn), columns)), turn
+    free = estimate.q
+    external = state.pressed[known.tendon_digits]
+    turns, doubt = _turned(
+        free, free + state.turn, known.torque, external, known.ahead, known.reach, known.spread, known.compliance,
+        known.starts, known.low, known.high,
+    )  # fmt: skip
+    static = model.all_digits.static_torque(free)
+    errors = _free_errors(free, estimate.tension, known.rubbed, model.wrap, known.path, static, known.compliance)
+    columns, turn, sigma = _combined(
+        free, state.turn, turns, doubt, errors, known.weight, known.share, known.starts, known.low, known.high
+    )
+    return columns, state._replace(turn=turn, sigma=sigma)
 
 
-def tip_force_sigma(model: HandModel, angles: Angles, external: Vector, tension_sigma: Vector) -> Vector:
-    """Standard deviation of tip-equivalent forces, (D,) [N], by the angles' and the tensions' deviations.
-
-    Args:
-        model: the hand.
-        angles: of the joints.
-        external: (N,) tension that nothing explains [N].
-        tension_sigma: (N,) standard deviation of the tension [N].
-    """
-    digits = model.all_digits
-    tried = np.vstack((angles.q, angles.q + np.diag(angles.sigma)))
-    lever = np.cos(tried.dot(digits.ahead.T)).dot(digits.reach)
-    square = (lever * lever).dot(digits.members.T)
-    force = (lever * external.dot(digits.arms)).dot(digits.members.T) / square
-    error = np.sqrt(tension_sigma**2 + MODEL_ERROR_N**2 + (MODEL_ERROR * external) ** 2)
-    by_tension = (lever[0] * digits.arms * error[:, None]).dot(digits.members.T) / square[0]
-    return np.asarray(np.sqrt(((force[1:] - force[0]) ** 2).sum(axis=0) + (by_tension * by_tension).sum(axis=0)))
+@kernel("vector", "vector", "vector", "vector", "matrix")
+def _by_excursion(
+    tension: Vector, sigma: Vector, stiffness: Vector, noise: Vector, excursion_to_joints: Vector
+) -> tuple[Vector, Vector]:
+    """Return (J, N) deviations of the joint angles by each tendon's excursion [rad], and their squares' sums (J,)."""
+    joints, tendons = excursion_to_joints.shape
+    spread, total = np.zeros((joints, tendons)), np.zeros(joints)
+    for n in range(tendons):
+        stretch = (tension[n] * STRETCH_ERROR) ** 2 + sigma[n] ** 2
+        excursion = math.sqrt(noise[n] + stretch / stiffness[n] ** 2)
+        for j in range(joints):
+            spread[j, n] = excursion_to_joints[j, n] * excursion
+            total[j] += spread[j, n] ** 2
+    return spread, total
 
 
-def _turned(known: Places, free: Vector, q: Vector, external: Vector) -> tuple[Vector, Vector]:
+@kernel("vector", "vector", "vector", "vector", "vector")
+def _angles(
+    free: Vector, turn: Vector, turn_sigma: Vector, by_excursion: Vector, most: Vector
+) -> tuple[Vector, Vector]:
+    """Return (J,) joint angles and their standard deviations [rad], at most those of a joint anywhere in its range."""
+    sigma = np.empty(len(free))
+    for j in range(len(free)):
+        sigma[j] = min(math.sqrt(turn_sigma[j] ** 2 + by_excursion[j]), most[j])
+    return free + turn, sigma
+
+
+@kernel("vector", "vector", "matrix", "vector", "cube", "cube", "matrix", "matrix", "counts", "vector", "vector")
+def _turned(
+    free: Vector,
+    q: Vector,
+    torque_of: Vector,
+    external: Vector,
+    ahead: Vector,
+    reach: Vector,
+    spread: Vector,
+    compliance: Vector,
+    starts: NDArray[np.int64],
+    low: Vector,
+    high: Vector,
+) -> tuple[Vector, Vector]:
     """Joint angles by which a contact at each place turns a digit, and by which the tension's error does.
 
     Args:
-        known: constants of the hand.
         free: (J,) angles of the free digit [rad].
         q: (J,) angles at which levers are taken [rad].
+        torque_of: (J, N) torques in the digits' coordinates, of tensions [m].
         external: (N,) tension of contact [N].
+        ahead, reach, spread, compliance, starts, low, high: see ``Places``.
 
     Returns:
         (H, J) [rad] each.
     """
-    torque = known.torque.dot(external)
-    error = known.torque.dot(np.hypot(MODEL_ERROR_N, MODEL_ERROR * external))
-    lever = np.matmul(known.reach, np.cos(known.ahead.dot(q))[:, :, None])[:, :, 0]
-    unit = lever / np.maximum((lever * lever.dot(known.spread)).dot(known.members), LEVER_LEAST_M2)
-    turns = -((lever * torque).dot(known.members) * unit).dot(known.compliance)
-    doubt = np.sqrt(known.weight) * ((lever * error).dot(known.members) * unit).dot(known.compliance)
-    return turns * _room(known, free, turns), doubt
+    count, joints = ahead.shape[0], len(q)
+    turns, doubt = np.zeros((count, joints)), np.zeros((count, joints))
+    torque, error = np.zeros(joints), np.zeros(joints)
+    for j in range(joints):
+        for n in range(len(external)):
+            torque[j] += torque_of[j, n] * external[n]
+            error[j] += torque_of[j, n] * math.sqrt(MODEL_ERROR_N**2 + (MODEL_ERROR * external[n]) ** 2)
+    for place in range(count):
+        lever = _levers(q, ahead[place], reach[place])
+        for digit in range(len(starts) - 1):
+            first, end = starts[digit], starts[digit + 1]
+            square, work, work_error = 0.0, 0.0, 0.0
+            for j in range(first, end):
+                work += lever[j] * torque[j]
+                work_error += lever[j] * error[j]
+                for other in range(first, end):
+                    square += lever[j] * spread[j, other] * lever[other]
+            square = max(square, LEVER_LEAST_M2)
+            # Tension that nothing explains is positive where the object pushes the digit open.
+            turns[place, first:end] = -work / square * _given_way(lever, compliance, first, end)
+            doubt[place, first:end] = work_error / square * _given_way(lever, compliance, first, end)
+            _shorten(turns[place], free, first, end, low, high)
+    return turns, doubt
 
 
-def _free_errors(model: HandModel, known: Places, free: Vector, tension: Vector) -> Vector:
-    """(2, J) joint angles by which friction, and springs and gravity beside the coupling, turn a free digit [rad]."""
-    wrapped = model.wrap[:, None] + known.path.dot(free)
-    friction = FRICTION_FRACTION * tension.dot(known.rubbed * wrapped)
-    return np.asarray(np.stack((friction, model.all_digits.static_torque(free))).dot(known.compliance))
+@inner
+def _levers(q: Vector, ahead: Vector, reach: Vector) -> Vector:
+    """Return levers of a force at one place of each digit about the joints, (J,) [m], at angles (J,) [rad]."""
+    levers = np.zeros(len(q))
+    for link in range(len(q)):
+        angle = 0.0
+        for j in range(len(q)):
+            angle += ahead[link, j] * q[j]
+        for j in range(len(q)):
+            levers[j] += reach[j, link] * math.cos(angle)
+    return levers
 
 
-def _room(known: Places, q: Vector, turns: Vector) -> Vector:
-    """(C, J) fraction, 0 to 1, of turns (C, J) [rad] that the joints' ranges leave at q (J,); the same for a digit.
+@inner
+def _given_way(lever: Vector, compliance: Vector, first: int, end: int) -> Vector:
+    """Return by what a digit's joints turn under a force of 1 N at a place with levers (J,) [m], [rad/N]."""
+    turn = np.zeros(end - first)
+    for j in range(first, end):
+        for other in range(first, end):
+            turn[j - first] += lever[other] * compliance[other, j]
+    return turn
 
-    A digit's turn is shortened as a whole, so that its excursion stays.
+
+@inner
+def _room(turn: Vector, sign: float, q: Vector, first: int, end: int, low: Vector, high: Vector) -> float:
+    """Return the fraction, 0 to 1, of a digit's turn (J,) [rad] that its joints' ranges leave at q (J,)."""
+    least = 1.0
+    for j in range(first, end):
+        way = sign * turn[j]
+        room = max(high[j] - q[j] if way > 0.0 else q[j] - low[j], 0.0)
+        least = min(least, room / max(abs(way), TURN_LEAST_RAD))
+    return least
+
+
+@inner
+def _shorten(turn: Vector, q: Vector, first: int, end: int, low: Vector, high: Vector) -> None:
+    """Shorten a digit's turn to what its joints' ranges leave: as a whole, so that its excursion stays."""
+    room = _room(turn, 1.0, q, first, end, low, high)
+    for j in range(first, end):
+        turn[j] *= room
+
+
+@kernel("vector", "vector", "matrix", "vector", "cube", "vector", "matrix")
+def _free_errors(
+    free: Vector, tension: Vector, rubbed: Vector, wrap: Vector, path: Vector, static: Vector, compliance: Vector
+) -> Vector:
+    """Joint angles by which friction, and springs and gravity beside the coupling, turn a free digit, (2, J) [rad].
+
+    Args:
+        free: (J,) angles of the free digit [rad]. tension: (N,) [N].
+        rubbed, path, compliance: see ``Places``.
+        wrap: (N,) angle that each tendon has wrapped before the first joint [rad].
+        static: (J,) torques of gravity and springs [N m].
     """
-    room = np.where(turns > 0.0, known.high - q, q - known.low)
-    fraction = np.maximum(room, 0.0) / np.maximum(np.abs(turns), TURN_LEAST_RAD)
-    least = np.asarray(np.minimum.reduceat(fraction, known.starts, axis=1))
-    return np.asarray(np.minimum(least[:, known.digit_of], 1.0))
+    joints = len(free)
+    torque, turn = np.zeros((2, joints)), np.zeros((2, joints))
+    for j in range(joints):
+        torque[1, j] = static[j]
+        for n in range(len(tension)):
+            if rubbed[n, j] != 0.0:
+                wrapped = wrap[n]
+                for other in range(joints):
+                    wrapped += path[n, j, other] * free[other]
+                torque[0, j] += FRICTION_FRACTION * tension[n] * rubbed[n, j] * wrapped
+    for row in range(2):
+        for j in range(joints):
+            for other in range(joints):
+                turn[row, j] += torque[row, other] * compliance[other, j]
+    return turn
+
+
+@kernel("vector", "vector", "matrix", "matrix", "matrix", "matrix", "real", "counts", "vector", "vector")
+def _combined(
+    free: Vector,
+    before: Vector,
+    turns: Vector,
+    doubt: Vector,
+    errors: Vector,
+    weight: Vector,
+    share: float,
+    starts: NDArray[np.int64],
+    low: Vector,
+    high: Vector,
+) -> tuple[Vector, Vector, Vector]:
+    """Combine the places of contact and the free digit's errors.
+
+    Args:
+        free: (J,) angles of the free digit [rad].
+        before: (J,) turn of the last tick [rad].
+        turns, doubt: (H, J) turns for each place, and their deviation [rad].
+        errors: (2, J) of the free digit [rad].
+        weight, share, starts, low, high: see ``Places``.
+
+    Returns:
+        (2 H + 2, J) deviations [rad], (J,) mean turn [rad], smoothed, and (J,) its standard deviation [rad].
+    """
+    count, joints = turns.shape
+    columns, turn, sigma = np.empty((2 * count + 2, joints)), np.empty(joints), np.zeros(joints)
+    for j in range(joints):
+        mean = 0.0
+        for place in range(count):
+            mean += weight[place, j] * turns[place, j]
+        turn[j] = before[j] + share * (mean - before[j])
+        for place in range(count):
+            root = math.sqrt(weight[place, j])
+            columns[place, j] = root * (turns[place, j] - turn[j])
+            columns[count + place, j] = root * doubt[place, j]
+        columns[2 * count, j], columns[2 * count + 1, j] = errors[0, j], errors[1, j]
+    for row in range(count, 2 * count + 2):
+        for digit in range(len(starts) - 1):
+            first, end = starts[digit], starts[digit + 1]
+            forth = _room(columns[row], 1.0, free, first, end, low, high)
+            back = _room(columns[row], -1.0, free, first, end, low, high)
+            for j in range(first, end):
+                columns[row, j] *= max(forth, back)
+    for row in range(2 * count + 2):
+        for j in range(joints):
+            sigma[j] += columns[row, j] ** 2
+    return columns, turn, np.sqrt(sigma)
 
 
 def _fused(known: Places, prior: Angles, columns: Vector, readings: Readings, rate: Vector) -> Angles:
@@ -319,7 +462,7 @@ def places(model: HandModel) -> Places:
         every=every,
         share=-math.expm1(-every * model.period / SMOOTH_S),
         kept=math.exp(-model.period / RELEASE_S),
-        tendon_digits=list(model.digit_of),
+        tendon_digits=np.array(model.digit_of, dtype=np.int64),
         compliance=compliance,
         ahead=ahead,
         reach=reach,
@@ -330,8 +473,7 @@ def places(model: HandModel) -> Places:
         loose=compliance.any(axis=1) & read,
         low=np.concatenate([digit.joint_min for digit in digits]),
         high=np.concatenate([digit.joint_max for digit in digits]),
-        starts=[digit.joints.start for digit in digits],
-        digit_of=[d for d, size in enumerate(sizes) for _ in range(size)],
+        starts=np.cumsum([0, *sizes]),
         rubbed=arms * model.friction[:, None],
         path=model.pulleys[:, None, :] * np.tri(arms.shape[1]),
         noise=np.full(arms.shape[1], noise),

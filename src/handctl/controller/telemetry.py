@@ -8,7 +8,8 @@ from handctl.controller.computed_torque import Command
 from handctl.controller.estimator import Estimate, Measured
 from handctl.controller.model import HandModel
 from handctl.controller.motors import Motors
-from handctl.controller.posture import Angles, tip_force_sigma
+from handctl.controller.posture import MODEL_ERROR, MODEL_ERROR_N
+from handctl.controller.tip import tip_forces
 from handctl.controller.types import Telemetry
 
 
@@ -35,6 +36,9 @@ def telemetry(
     age = [(t_ns - heard) / 1e9 if heard >= 0 else math.nan for heard in motors.feedback_t_ns]
     told = np.array((motors.velocity, motors.torque, motors.temperature, age, motors.phase), dtype=np.float64)
     velocity, torque, temperature, ages, phase = told
+    digits, error = model.all_digits, (MODEL_ERROR_N, MODEL_ERROR)
+    uncertain = estimate.q, estimate.q_sigma, estimate.external, estimate.sigma
+    force, force_sigma = tip_forces(*uncertain, digits.ahead, digits.reach, digits.members, digits.arms, *error)
     missing = measured.travel != measured.travel
     if np.count_nonzero(missing):
         velocity[missing] = torque[missing] = np.nan
@@ -62,8 +66,8 @@ def telemetry(
         temperature,
         ages,
         phase,
-        model.all_digits.tip_force(estimate.q, estimate.external),
+        force,
         np.array(contact, dtype=np.float64),
         estimate.q_sigma,
-        tip_force_sigma(model, Angles(estimate.q, estimate.q_sigma), estimate.external, estimate.sigma),
+        force_sigma,
     )

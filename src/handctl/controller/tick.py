@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from handctl.choose import nothing
+from handctl.compiled import prepare
 from handctl.controller import computed_torque, estimator, posture, retune, touch
 from handctl.controller.answers import answer
 from handctl.controller.computed_torque import Command, Envelope, LawState
@@ -90,7 +91,8 @@ class Controller:
         zero: Vector,
         arm_at_once: bool = True,
     ) -> "Controller":
-        """Put a controller together; see the attributes."""
+        """Put a controller together, with its kernels compiled; see the attributes."""
+        prepare()
         owners = {(drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids}
         owners |= {(sensors.bus, can_id): SENSORS for can_id in sensors.node_ids}
         ours = {(drive.bus, can_id) for drive in drives for can_id in drive.host_ids}

@@ -20,6 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from handctl.compiled import kernel
+
 Vector = NDArray[np.float64]
 
 TIME_S = 0.25
@@ -63,14 +65,25 @@ def step(state: Correlation, commanded: Vector, reported: Vector, period: float,
         period: control period [s].
         missed: ticks that were skipped before this one.
     """
-    last, before, report = state.forces
-    a, b = last - before, reported - report
-    on_time = np.zeros(len(a)) if missed else np.where(np.isfinite(reported), state.on_time + 1.0, 0.0)
-    known = np.isfinite(a + b) & (on_time > SETTLED_TICKS)
-    now = np.array([a * a, a * b, b * b, np.ones(len(a))])
-    change = (1.0 - math.exp(-period / TIME_S)) * (now - state.moments)
-    moments = state.moments + np.where(known, change, 0.0)
-    return Correlation(np.array([commanded, last, reported]), moments, on_time)
+    return Correlation(*_step(*state, commanded, reported, 1.0 - math.exp(-period / TIME_S), missed))
+
+
+@kernel("matrix", "matrix", "vector", "vector", "vector", "real", "count")
+def _step(
+    forces: Vector, moments: Vector, on_time: Vector, commanded: Vector, reported: Vector, share: float, missed: int
+) -> tuple[Vector, Vector, Vector]:
+    """Take in one tick, of which each moment takes a share; see ``step``."""
+    moments, settled = moments.copy(), np.zeros(len(commanded))
+    for n in range(len(commanded)):
+        a, b = forces[0, n] - forces[1, n], reported[n] - forces[2, n]
+        if missed == 0 and math.isfinite(reported[n]):
+            settled[n] = on_time[n] + 1.0
+        if math.isfinite(a + b) and settled[n] > SETTLED_TICKS:
+            moments[0, n] += share * (a * a - moments[0, n])
+            moments[1, n] += share * (a * b - moments[1, n])
+            moments[2, n] += share * (b * b - moments[2, n])
+            moments[3, n] += share * (1.0 - moments[3, n])
+    return np.stack((commanded, forces[0], reported)), moments, settled
 
 
 def unfollowed(state: Correlation, largest: Vector, period: float) -> NDArray[np.bool_]:
@@ -81,11 +94,19 @@ def unfollowed(state: Correlation, largest: Vector, period: float) -> NDArray[np
         largest: (N,) largest force [N].
         period: control period [s].
     """
-    aa, ab, bb, filled = state.moments
-    # Both have to move by more than rounding: a command at rest says nothing, a report at rest is another fault.
-    moves = np.minimum(aa, bb) > (MOVED_SHARE * largest) ** 2
-    spread = SIGMAS * np.sqrt(aa * bb * period / (2.0 * TIME_S))
-    return np.asarray((filled > FILLED) & moves & (ab + spread < PART * aa))
+    return _unfollowed(state.moments, largest, period)
+
+
+@kernel("matrix", "vector", "real")
+def _unfollowed(moments: Vector, largest: Vector, period: float) -> NDArray[np.bool_]:
+    """Judge the moments (4, N); see ``unfollowed``."""
+    found = np.zeros(len(largest), dtype=np.bool_)
+    for n in range(len(largest)):
+        aa, ab, bb = moments[0, n], moments[1, n], moments[2, n]
+        # Both have to move by more than rounding: a command at rest says nothing, a report at rest is another fault.
+        if moments[3, n] > FILLED and min(aa, bb) > (MOVED_SHARE * largest[n]) ** 2:
+            found[n] = ab + SIGMAS * math.sqrt(aa * bb * period / (2.0 * TIME_S)) < PART * aa
+    return found
 
 
 def part(state: Correlation) -> Vector:

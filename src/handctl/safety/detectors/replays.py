@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.choose import nothing
+from handctl.compiled import kernel
 
 Vector = NDArray[np.float64]
 Counts = NDArray[np.int16]
@@ -47,17 +48,26 @@ class Replays(NamedTuple):
 
 def step(state: Replays, reading: Vector) -> Replays:
     """Compare (N,) readings [N], NaN where missing, with those of the last ``AGE`` ticks."""
-    same = (state.same + 1) * (state.past == reading)
-    np.minimum(same, AGE, out=same)
-    return Replays(np.concatenate((reading[None], state.past[:-1])), same.astype(np.int16, copy=False))
+    return Replays(*_step(*state, reading))
+
+
+@kernel("matrix", "shorts", "vector")
+def _step(past: Vector, same: Counts, reading: Vector) -> tuple[Vector, Counts]:
+    """Return past readings and runs of equal ones, with those of this tick; see ``Replays``."""
+    after, runs = np.empty_like(past), np.zeros_like(same)
+    after[0], after[1:] = reading, past[:-1]
+    for age in range(AGE):
+        for n in range(len(reading)):
+            if past[age, n] == reading[n]:
+                runs[age, n] = min(same[age, n] + 1, AGE)
+    return after, runs
 
 
 def replayed(state: Replays) -> list[tuple[int, int]]:
     """Return (channel, age [ticks]) of each channel whose readings were there before."""
-    longest = state.same.max(axis=0)
-    if longest.max(initial=0) < LEAST:
+    if state.same.max(initial=0) < LEAST:
         return []
-    found = []
+    found, longest = [], state.same.max(axis=0)
     for channel in np.flatnonzero(longest >= LEAST).tolist():
         run = int(longest[channel])
         if -run * math.log(_agreeing(state.past[:WINDOW, channel].tolist())) >= UNLIKELY:

@@ -5,6 +5,7 @@ cell's, the motor's or the friction's fault. Thresholds are so far from the nois
 them in ten thousand hours.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.choose import chosen, known, nothing
+from handctl.compiled import kernel
 
 Vector = NDArray[np.float64]
 
@@ -98,16 +100,48 @@ class Rope(NamedTuple):
 
 def step(rotor: Rotor, state: Filtered, rope: Rope) -> Filtered:
     """Filter one tick."""
-    position, speed, tension, force, wanted, slip = rope
-    made = chosen(force == force, force, wanted)
-    drag = rotor.damping * speed + rotor.coulomb * np.tanh(speed * 1e3)
-    balance = made - tension - rotor.inertia * (speed - state.speed) - drag
-    turned = position - state.position
-    jerk = turned - state.turned
-    rub = chosen(np.abs(speed) > RUB_SPEED, balance * np.sign(speed), nothing(len(speed)))
-    now = np.array([balance, made, wanted - force, tension, made, slip, jerk * jerk, rub])
-    low = state.low + rotor.shares * known(now - state.low)
-    return Filtered(low, speed, position, turned)
+    low, turned = _step(*state, *rope, rotor.damping, rotor.coulomb, rotor.inertia, rotor.shares)
+    return Filtered(low, rope.speed, rope.position, turned)
+
+
+@kernel("matrix", *["vector"] * 12, "matrix")
+def _step(
+    low: Vector,
+    last_speed: Vector,
+    last_position: Vector,
+    last_turned: Vector,
+    position: Vector,
+    speed: Vector,
+    tension: Vector,
+    force: Vector,
+    asked: Vector,
+    slip: Vector,
+    damping: Vector,
+    coulomb: Vector,
+    inertia: Vector,
+    shares: Vector,
+) -> tuple[Vector, Vector]:
+    """Return the low-passed rows (8, N), and by how far each motor has turned in this tick (N,) [rad].
+
+    Args:
+        low, last_speed, last_position, last_turned: see ``Filtered``.
+        position, speed, tension, force, asked, slip: see ``Rope``.
+        damping, coulomb, inertia, shares: see ``Rotor``.
+    """
+    low, turned, now = low.copy(), position - last_position, np.empty(8)
+    for n in range(len(position)):
+        made = asked[n] if math.isnan(force[n]) else force[n]
+        drag = damping[n] * speed[n] + coulomb[n] * math.tanh(speed[n] * 1e3)
+        balance = made - tension[n] - inertia[n] * (speed[n] - last_speed[n]) - drag
+        now[BALANCE], now[FORCE], now[ASKED] = balance, made, asked[n] - force[n]
+        now[TENSION], now[QUICK_FORCE], now[SLIP] = tension[n], made, slip[n]
+        now[JERK] = (turned[n] - last_turned[n]) ** 2
+        # Against the motion: what rubs has the sign of the speed.
+        now[RUB] = math.copysign(1.0, speed[n]) * balance if abs(speed[n]) > RUB_SPEED else math.nan
+        for row in range(8):
+            if not math.isnan(now[row] - low[row, n]):
+                low[row, n] += shares[row, n] * (now[row] - low[row, n])
+    return low, turned
 
 
 def begun(state: Filtered, rope: Rope) -> Filtered:

@@ -1,11 +1,13 @@
 """A reading that stands still although it must move: an expectation, not a variance; what rests is healthy."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.choose import chosen, nothing
+from handctl.choose import nothing
+from handctl.compiled import kernel
 
 Vector = NDArray[np.float64]
 
@@ -31,11 +33,24 @@ def step(state: Stuck, value: Vector, witnesses: Vector) -> Stuck:
         value: (n,) new readings, NaN where missing: a missing one is neither the same nor another one.
         witnesses: (c, n) what must not move while the reading stands; NaN for what says nothing.
     """
-    fresh = value == value
-    moved = fresh & (value != state.value)
-    anchor = chosen(moved | (state.anchor != state.anchor), witnesses, state.anchor)
-    ticks = (state.ticks + fresh) * ~moved
-    return Stuck(chosen(fresh, value, state.value), ticks, anchor)
+    return Stuck(*_step(*state, value, witnesses))
+
+
+@kernel("vector", "counts", "matrix", "vector", "matrix")
+def _step(
+    last: Vector, ticks: NDArray[np.int64], anchor: Vector, value: Vector, witnesses: Vector
+) -> tuple[Vector, NDArray[np.int64], Vector]:
+    """Take in one tick; see ``Stuck`` and ``step``."""
+    last, ticks, anchor = last.copy(), ticks.copy(), anchor.copy()
+    for i in range(len(value)):
+        fresh = not math.isnan(value[i])
+        moved = fresh and value[i] != last[i]
+        for witness in range(len(anchor)):
+            if moved or math.isnan(anchor[witness, i]):
+                anchor[witness, i] = witnesses[witness, i]
+        if fresh:
+            ticks[i], last[i] = 0 if moved else ticks[i] + 1, value[i]
+    return last, ticks, anchor
 
 
 def leapt(state: Stuck, which: NDArray[np.bool_], way: Vector) -> Stuck:

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.choose import known
+from handctl.compiled import kernel
 
 Vector = NDArray[np.float64]
 
@@ -27,11 +27,21 @@ def initial(n: int) -> Vector:
 
 def step(state: Vector, deviation: Vector, period: float) -> Vector:
     """Take in (N,) measured less commanded tension [N], NaN where there is none, after a ``period`` [s]."""
-    slow, square, lasts = state
-    slow = slow + (1.0 - math.exp(-period / SLOW_S)) * known(deviation - slow)
-    quick = known(deviation - slow)
-    square = square + (1.0 - math.exp(-period / MEAN_S)) * (quick * quick - square)
-    return np.array([slow, square, (lasts + period) * (square > SWING_N**2)])
+    return _step(state, deviation, period, 1.0 - math.exp(-period / SLOW_S), 1.0 - math.exp(-period / MEAN_S))
+
+
+@kernel("matrix", "vector", "real", "real", "real")
+def _step(state: Vector, deviation: Vector, period: float, slow_share: float, mean_share: float) -> Vector:
+    """Take in one tick, of which the slow part and the mean square take a share each; see ``step``."""
+    after = state.copy()
+    for n in range(len(deviation)):
+        quick = 0.0
+        if not math.isnan(deviation[n]):
+            after[0, n] += slow_share * (deviation[n] - after[0, n])
+            quick = deviation[n] - after[0, n]
+        after[1, n] += mean_share * (quick * quick - after[1, n])
+        after[2, n] = after[2, n] + period if after[1, n] > SWING_N**2 else 0.0
+    return after
 
 
 def swinging(state: Vector) -> list[tuple[int, float]]:
