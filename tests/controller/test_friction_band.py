@@ -20,9 +20,13 @@ TURN_S = 0.05
 def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
     """(ticks, N) expected tensions of a rope that winds at these speeds, 12 N asked, a fifth lost to friction."""
     n = model.tendon_count
-    load, efficiency, now, found = np.full(n, 12.0), np.full(n, 0.8), np.full(n, begin), []
+    now, found = [begin] * n, []
     for speed in speeds:
-        now = expected(model, now, now, load, efficiency, np.full(n, speed * model.period))
+        wound = speed * model.period
+        now = [
+            expected(tension, 12.0, 0.8, wound, stiffness, model.period)
+            for tension, stiffness in zip(now, model.space.stiffness, strict=True)
+        ]
         found.append(now)
     return np.array(found)
 

@@ -13,11 +13,13 @@ is to accelerate both. Hold: state feedback on tension error and cable speed, wi
 expected, its speed and the rotor's share of it are fed forward. Source: LQR of ``motion_design``.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from handctl.choose import chosen, nothing, only, zeros
+from handctl.compiled import kernel
 from handctl.controller.allocation import bounded
 from handctl.controller.estimator import Estimate
 from handctl.controller.friction_band import look_ahead
@@ -178,8 +180,19 @@ def _motor_friction(model: HandModel, estimate: Estimate, asked: Vector) -> Vect
     By the implicit midpoint rule: friction can stop a rotor within a period, but not turn it around.
     """
     known = constants(model)
-    coasting = estimate.speed + known.half * (asked - estimate.tension)
-    return model.space.coulomb * np.tanh(coasting / known.stopping)
+    return _friction_of(asked, estimate.speed, estimate.tension, known.half, known.stopping, model.space.coulomb)
+
+
+@kernel(*["vector"] * 6)
+def _friction_of(
+    asked: Vector, speed: Vector, tension: Vector, half: Vector, stopping: Vector, coulomb: Vector
+) -> Vector:
+    """Return (N,) friction of the motors [N]; see ``_motor_friction`` and ``Constants``."""
+    friction = np.empty(len(asked))
+    for n in range(len(asked)):
+        coasting = speed[n] + half[n] * (asked[n] - tension[n])
+        friction[n] = coulomb[n] * math.tanh(coasting / stopping[n])
+    return friction
 
 
 class _Motion(NamedTuple):

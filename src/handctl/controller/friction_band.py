@@ -7,11 +7,13 @@ At rest the digit creeps until friction has nothing to bear any more.
 Source: Prandtl's elastic-plastic element, its slider viscous below ``ROPE_FRICTION_SPEED``.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from handctl.choose import chosen, nothing, only, zeros
+from handctl.choose import nothing, zeros
+from handctl.compiled import inner, kernel
 from handctl.controller.estimator import Estimate
 from handctl.controller.goal_table import Mask
 from handctl.controller.model import HandModel
@@ -65,34 +67,66 @@ def look_ahead(
     """
     if not moving.any():
         return Ahead(zeros(len(moving)), zeros(len(moving)), nothing(len(moving)))
-    half = 0.5 * model.period / model.space.motor_mass
-    speed = estimate.speed + half * (force + estimate.motor_disturbance - estimate.tension)
-    coming = np.maximum(load + model.period * model.space.load_stiffness * rate, model.floor)
-    planned = expected(model, before, estimate.tension, coming, efficiency, model.period * speed)
-    known = moving & (before > 0.0)
-    beyond = np.log(np.maximum(before, LEAST_N) / np.maximum(load, LEAST_N))
-    developed = chosen(known, beyond / -np.log(np.minimum(efficiency, MOST)), nothing(len(load)))
+    space = model.space
     return Ahead(
-        only(moving, planned),
-        only(known, (planned - before) / model.period),
-        np.minimum(np.maximum(developed, -1.0), 1.0),
-    )
+        *_look_ahead(
+            before, estimate.tension, estimate.speed, estimate.motor_disturbance, force, load, rate, efficiency, moving,
+            model.floor, space.motor_mass, space.stiffness, space.load_stiffness, model.period,
+        )
+    )  # fmt: skip
 
 
-def expected(
-    model: HandModel, before: Vector, tension: Vector, load: Vector, efficiency: Vector, wound: Vector
-) -> Vector:
-    """(N,) tensions a period from now [N].
+@kernel(*["vector"] * 8, "flags", *["vector"] * 4, "real")
+def _look_ahead(
+    before: Vector,
+    tension: Vector,
+    speed: Vector,
+    disturbance: Vector,
+    force: Vector,
+    load: Vector,
+    rate: Vector,
+    efficiency: Vector,
+    moving: Mask,
+    floor: Vector,
+    motor_mass: Vector,
+    stiffness: Vector,
+    load_stiffness: Vector,
+    period: float,
+) -> tuple[Vector, Vector, Vector]:
+    """Expect the tensions a period from now; see ``look_ahead`` and ``Ahead``.
 
     Args:
-        model: the hand.
-        before: (N,) what was expected for the present [N]; 0 where nothing was.
-        tension: (N,) estimated at present [N], to begin from.
-        load: (N,) tensions that the digits ask without friction a period from now [N].
-        efficiency: (N,) share of a tension that reaches the joints while the rope winds.
-        wound: (N,) rope that the spool takes up in the period [m].
+        before, force, load, rate, efficiency, moving: as there.
+        tension, speed, disturbance: estimated at present [N], [m/s], [N].
+        floor, motor_mass, stiffness, load_stiffness: of the tendons [N], [kg], [N/m], [N/m]. period: [s].
     """
-    now = np.where(before > 0.0, before, tension)
-    creep = model.space.stiffness * CREEP_SPEED * model.period / (load * (1.0 - efficiency) + LEAST_N)
-    stuck = (now + model.space.stiffness * wound + creep * load) / (1.0 + creep)
-    return np.minimum(np.maximum(stuck, load * efficiency), load / efficiency)
+    count = len(before)
+    planned, change, developed = np.zeros(count), np.zeros(count), np.full(count, math.nan)
+    for n in range(count):
+        if not moving[n]:
+            continue
+        coming_speed = speed[n] + 0.5 * period / motor_mass[n] * (force[n] + disturbance[n] - tension[n])
+        coming = max(load[n] + period * load_stiffness[n] * rate[n], floor[n])
+        now = before[n] if before[n] > 0.0 else tension[n]
+        planned[n] = expected(now, coming, efficiency[n], period * coming_speed, stiffness[n], period)
+        if before[n] > 0.0:
+            change[n] = (planned[n] - before[n]) / period
+            beyond = math.log(max(before[n], LEAST_N) / max(load[n], LEAST_N))
+            developed[n] = min(max(-beyond / math.log(min(efficiency[n], MOST)), -1.0), 1.0)
+    return planned, change, developed
+
+
+@inner
+def expected(now: float, load: float, efficiency: float, wound: float, stiffness: float, period: float) -> float:
+    """Return the tension of a tendon a period from now [N].
+
+    Args:
+        now: tension at present [N].
+        load: tension that the digit asks without friction a period from now [N].
+        efficiency: share of a tension that reaches the joints while the rope winds.
+        wound: rope that the spool takes up in the period [m].
+        stiffness: of the rope [N/m]. period: [s].
+    """
+    creep = stiffness * CREEP_SPEED * period / (load * (1.0 - efficiency) + LEAST_N)
+    sticking = (now + stiffness * wound + creep * load) / (1.0 + creep)
+    return min(max(sticking, load * efficiency), load / efficiency)

@@ -5,8 +5,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from handctl.choose import chosen, nothing, zeros
+from handctl.compiled import kernel
 from handctl.controller.computed_torque import Command
 from handctl.controller.estimator import Measured
 from handctl.controller.model import HandModel
@@ -260,19 +262,41 @@ class Guard:
         friction may have stopped the motor short of it. Nor is one stuck that rests where it was to go while this is
         still on its way: from there on it is where the digit is. If it leaps there, no motor had to follow.
         """
-        before, stands = watch.goal, watch.stuck
+        stands = watch.stuck
         share, least = 1.0 - math.exp(-self.model.period / FOLLOW_S), SLOW_M_S * self.model.period
-        way = goal - before
-        left = np.abs(way)
-        near = (left <= least) | (stands.ticks[: len(goal)] == 0)
-        moved = chosen(near, goal, before + np.copysign(np.maximum(share * left, least), way))
-        if excursion is not None:
-            arrived, leap = np.abs(goal - excursion) < ARRIVED_M, excursion - before
-            leaps = arrived & (np.abs(leap) > LEAP_M)
-            if np.count_nonzero(leaps):
-                stands = stuck.leapt(stands, leaps, leap)
-            moved = chosen(arrived, excursion, moved)
-        return chosen(before != before, goal, moved), stands
+        there = nothing(len(goal)) if excursion is None else excursion
+        moved, leaps = _led(watch.goal, goal, there, stands.ticks, share, least)
+        if np.count_nonzero(leaps):
+            stands = stuck.leapt(stands, leaps, there - watch.goal)
+        return moved, stands
+
+
+@kernel("vector", "vector", "vector", "counts", "real", "real")
+def _led(
+    before: Vector, goal: Vector, excursion: Vector, ticks: NDArray[np.int64], share: float, least: float
+) -> tuple[Vector, NDArray[np.bool_]]:
+    """Lead each motor to its goal as it can follow; see ``Guard._followed``.
+
+    Args:
+        before: (N,) where it was led in the last tick [m]; NaN if nowhere.
+        goal: (N,) [m]. excursion: (N,) where the digits are [m]; NaN if unknown.
+        ticks: (2 N + J,) for how long each reading stands, those of the motors first.
+        share: of the way to the goal in a tick. least: way in a tick [m].
+
+    Returns:
+        (N,) goals as the motors can follow them [m], and where these leap to a digit that has arrived.
+    """
+    moved, leaps = goal.copy(), np.zeros(len(goal), dtype=np.bool_)
+    for n in range(len(goal)):
+        if math.isnan(before[n]):
+            continue
+        way = goal[n] - before[n]
+        if abs(way) > least and ticks[n] != 0:
+            moved[n] = before[n] + math.copysign(max(share * abs(way), least), way)
+        if abs(goal[n] - excursion[n]) < ARRIVED_M:
+            moved[n] = excursion[n]
+            leaps[n] = abs(excursion[n] - before[n]) > LEAP_M
+    return moved, leaps
 
 
 def _heard(state: State) -> bool:

@@ -65,7 +65,7 @@ def _step(past: Vector, same: Counts, reading: Vector) -> tuple[Vector, Counts]:
 
 def replayed(state: Replays) -> list[tuple[int, int]]:
     """Return (channel, age [ticks]) of each channel whose readings were there before."""
-    if state.same.max(initial=0) < LEAST:
+    if not _any_run(state.same):
         return []
     found, longest = [], state.same.max(axis=0)
     for channel in np.flatnonzero(longest >= LEAST).tolist():
@@ -73,6 +73,16 @@ def replayed(state: Replays) -> list[tuple[int, int]]:
         if -run * math.log(_agreeing(state.past[:WINDOW, channel].tolist())) >= UNLIKELY:
             found.append((channel, int(np.argmax(state.same[:, channel])) + 1))
     return found
+
+
+@kernel("shorts")
+def _any_run(same: Counts) -> bool:
+    """Return whether any run is so long that chance is asked."""
+    for age in range(same.shape[0]):
+        for n in range(same.shape[1]):
+            if same[age, n] >= LEAST:
+                return True
+    return False
 
 
 def _agreeing(readings: list[float]) -> float:
