@@ -56,6 +56,12 @@ def inner(function: F) -> F:
     return cast(F, dispatcher)
 
 
+@inner
+def square(value: float) -> float:
+    """Return the square of a number, by a product: ``**`` is a power for the interpreter, which rounds otherwise."""
+    return value * value
+
+
 def prepare(told: Callable[[int, int], None] | None = None) -> None:
     """Compile every kernel that has been imported, or load its code; afterwards none compiles in a tick.
 

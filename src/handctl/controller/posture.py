@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, null_space
 
-from handctl.compiled import inner, kernel
+from handctl.compiled import inner, kernel, square
 from handctl.controller.estimator import Estimate
 from handctl.controller.model import HandModel
 from handctl.controller.types import Vector
@@ -223,11 +223,11 @@ def _by_excursion(
     joints, tendons = excursion_to_joints.shape
     spread, total = np.zeros((joints, tendons)), np.zeros(joints)
     for n in range(tendons):
-        stretch = (tension[n] * STRETCH_ERROR) ** 2 + sigma[n] ** 2
-        excursion = math.sqrt(noise[n] + stretch / stiffness[n] ** 2)
+        stretch = square(tension[n] * STRETCH_ERROR) + square(sigma[n])
+        excursion = math.sqrt(noise[n] + stretch / square(stiffness[n]))
         for j in range(joints):
             spread[j, n] = excursion_to_joints[j, n] * excursion
-            total[j] += spread[j, n] ** 2
+            total[j] += square(spread[j, n])
     return spread, total
 
 
@@ -238,7 +238,7 @@ def _angles(
     """Return (J,) joint angles and their standard deviations [rad], at most those of a joint anywhere in its range."""
     sigma = np.empty(len(free))
     for j in range(len(free)):
-        sigma[j] = min(math.sqrt(turn_sigma[j] ** 2 + by_excursion[j]), most[j])
+        sigma[j] = min(math.sqrt(square(turn_sigma[j]) + by_excursion[j]), most[j])
     return free + turn, sigma
 
 
@@ -274,21 +274,21 @@ def _turned(
     for j in range(joints):
         for n in range(len(external)):
             torque[j] += torque_of[j, n] * external[n]
-            error[j] += torque_of[j, n] * math.sqrt(MODEL_ERROR_N**2 + (MODEL_ERROR * external[n]) ** 2)
+            error[j] += torque_of[j, n] * math.sqrt(square(MODEL_ERROR_N) + square(MODEL_ERROR * external[n]))
     for place in range(count):
         lever = _levers(q, ahead[place], reach[place])
         for digit in range(len(starts) - 1):
             first, end = starts[digit], starts[digit + 1]
-            square, work, work_error = 0.0, 0.0, 0.0
+            size, work, work_error = 0.0, 0.0, 0.0
             for j in range(first, end):
                 work += lever[j] * torque[j]
                 work_error += lever[j] * error[j]
                 for other in range(first, end):
-                    square += lever[j] * spread[j, other] * lever[other]
-            square = max(square, LEVER_LEAST_M2)
+                    size += lever[j] * spread[j, other] * lever[other]
+            size = max(size, LEVER_LEAST_M2)
             # Tension that nothing explains is positive where the object pushes the digit open.
-            turns[place, first:end] = -work / square * _given_way(lever, compliance, first, end)
-            doubt[place, first:end] = work_error / square * _given_way(lever, compliance, first, end)
+            turns[place, first:end] = -work / size * _given_way(lever, compliance, first, end)
+            doubt[place, first:end] = work_error / size * _given_way(lever, compliance, first, end)
             _shorten(turns[place], free, first, end, low, high)
     return turns, doubt
 
@@ -410,7 +410,7 @@ def _combined(
                 columns[row, j] *= max(forth, back)
     for row in range(2 * count + 2):
         for j in range(joints):
-            sigma[j] += columns[row, j] ** 2
+            sigma[j] += square(columns[row, j])
     return columns, turn, np.sqrt(sigma)
 
 

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from handctl.compiled import inner, kernel
+from handctl.compiled import inner, kernel, square
 from handctl.controller.types import Vector
 from handctl.hand.dynamics import DigitModel
 
@@ -75,16 +75,18 @@ def tip_forces(
         for n in range(len(external)):
             torque[c] += external[n] * arms[n, c]
     lever, tried = _levers(q, ahead, reach), q.copy()
-    force, square = _pressed(lever, torque, members), _pressed(lever, lever, members)
-    force = force / square
+    size = _pressed(lever, lever, members)
+    force = _pressed(lever, torque, members) / size
     for j in range(len(q)):
         tried[j] = q[j] + q_sigma[j]
         turned = _levers(tried, ahead, reach)
-        variance += (_pressed(turned, torque, members) / _pressed(turned, turned, members) - force) ** 2
+        change = _pressed(turned, torque, members) / _pressed(turned, turned, members) - force
+        variance += change * change
         tried[j] = q[j]
     for n in range(len(external)):
-        error = math.sqrt(tension_sigma[n] ** 2 + model_error_N**2 + (model_error * external[n]) ** 2)
-        variance += (_pressed(lever, arms[n], members) * error / square) ** 2
+        error = math.sqrt(square(tension_sigma[n]) + square(model_error_N) + square(model_error * external[n]))
+        change = _pressed(lever, arms[n], members) * error / size
+        variance += change * change
     return force, np.sqrt(variance)
 
 

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import kernel
+from handctl.compiled import kernel, square
 
 Vector = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ def _unfollowed(moments: Vector, largest: Vector, period: float) -> NDArray[np.b
     for n in range(len(largest)):
         aa, ab, bb = moments[0, n], moments[1, n], moments[2, n]
         # Both have to move by more than rounding: a command at rest says nothing, a report at rest is another fault.
-        if moments[3, n] > FILLED and min(aa, bb) > (MOVED_SHARE * largest[n]) ** 2:
+        if moments[3, n] > FILLED and min(aa, bb) > square(MOVED_SHARE * largest[n]):
             found[n] = ab + SIGMAS * math.sqrt(aa * bb * period / (2.0 * TIME_S)) < PART * aa
     return found
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.choose import chosen, known, nothing
-from handctl.compiled import kernel
+from handctl.compiled import kernel, square
 
 Vector = NDArray[np.float64]
 
@@ -135,7 +135,7 @@ def _step(
         balance = made - tension[n] - inertia[n] * (speed[n] - last_speed[n]) - drag
         now[BALANCE], now[FORCE], now[ASKED] = balance, made, asked[n] - force[n]
         now[TENSION], now[QUICK_FORCE], now[SLIP] = tension[n], made, slip[n]
-        now[JERK] = (turned[n] - last_turned[n]) ** 2
+        now[JERK] = square(turned[n] - last_turned[n])
         # Against the motion: what rubs has the sign of the speed.
         now[RUB] = math.copysign(1.0, speed[n]) * balance if abs(speed[n]) > RUB_SPEED else math.nan
         for row in range(8):

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import kernel
+from handctl.compiled import kernel, square
 
 Vector = NDArray[np.float64]
 
@@ -40,7 +40,7 @@ def _step(state: Vector, deviation: Vector, period: float, slow_share: float, me
             after[0, n] += slow_share * (deviation[n] - after[0, n])
             quick = deviation[n] - after[0, n]
         after[1, n] += mean_share * (quick * quick - after[1, n])
-        after[2, n] = after[2, n] + period if after[1, n] > SWING_N**2 else 0.0
+        after[2, n] = after[2, n] + period if after[1, n] > square(SWING_N) else 0.0
     return after
 
 
