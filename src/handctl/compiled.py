@@ -6,7 +6,8 @@ rounding (no ``fastmath``), so that both give the same numbers to the last bit.
 
 ``prepare`` compiles all kernels before a hand is armed. The code is kept in numba's cache, beside the source or in the
 user's own folder, and the next process loads it from there. Where no folder can be written, each process compiles anew.
-One compilation serves every hand: a kernel's arguments have fixed types, whatever their sizes.
+One compilation serves every hand: a kernel's arguments have fixed types, whatever their sizes. The cache notices a
+change of a kernel's own file only. So a kernel reads no constant that another file decides: it takes it as an argument.
 """
 
 from collections.abc import Callable
@@ -18,6 +19,8 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 _KERNELS: dict[str, tuple[Any, tuple[Any, ...]]] = {}
 """Name of each kernel to its dispatcher and the types of its arguments."""
+MARKED: list[Callable[..., Any]] = []
+"""Every function that is compiled, as it is written."""
 _TYPES = {
     "real": types.float64,
     "count": types.int64,
@@ -49,6 +52,7 @@ def kernel(*arguments: str) -> Callable[[F], F]:
 
 def inner(function: F) -> F:
     """Mark a function that only kernels call."""
+    MARKED.append(function)
     try:
         dispatcher: Any = njit(cache=True, error_model="numpy")(function)
     except RuntimeError:  # numba finds no folder that can be written, neither beside the source nor the user's own

@@ -1,14 +1,17 @@
 """The controller's kernels: compiled and interpreted give the same bytes, and none compiles in a tick."""
 
+import ast
+import inspect
 import os
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from handctl.compiled import kernel, prepare
+from handctl.compiled import MARKED, kernel, prepare
 from handctl.log.reader import RunLog
 from handctl.replay.rebuild import rebuild
 
@@ -66,3 +69,23 @@ def test_where_no_cache_can_be_written_each_process_compiles() -> None:
     command = [sys.executable, "-c", script]
     told = subprocess.run(command, env=environment, capture_output=True, text=True, check=True, timeout=120)
     assert float(told.stdout.strip("[] \n")) == pytest.approx(1.0 / np.cos(1.0), rel=1e-6)
+
+
+def decided_here(function: Callable[..., object]) -> set[str]:
+    """Names that a function's own file assigns from literals and from names of this kind."""
+    found: set[str] = set()
+    for node in ast.parse(Path(inspect.getfile(function)).read_text()).body:
+        if isinstance(node, ast.Assign):
+            used = {one.id for one in ast.walk(node.value) if isinstance(one, ast.Name)}
+            if used <= found | {"range", "math"}:
+                found |= {one.id for target in node.targets for one in ast.walk(target) if isinstance(one, ast.Name)}
+    return found
+
+
+def test_no_kernel_reads_a_constant_that_another_file_decides() -> None:
+    """The cache would keep the value of before."""
+    own = [function for function in MARKED if function.__module__.startswith("handctl.")]
+    assert len(own) > 10
+    for function in own:
+        numbers = {name for name in function.__code__.co_names if isinstance(function.__globals__.get(name), int | float)}
+        assert numbers <= decided_here(function), function

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.controller.friction_band import expected, look_ahead
+from handctl.controller.friction_band import CREEP_SPEED, expected, look_ahead
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.model import HandModel
 from handctl.controller.task import Task
@@ -20,11 +20,11 @@ TURN_S = 0.05
 def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
     """(ticks, N) expected tensions of a rope that winds at these speeds, 12 N asked, a fifth lost to friction."""
     n = model.tendon_count
-    now, found = [begin] * n, []
+    now, found, crept = [begin] * n, [], CREEP_SPEED * model.period
     for speed in speeds:
         wound = speed * model.period
         now = [
-            expected(tension, 12.0, 0.8, wound, stiffness, model.period)
+            expected(tension, 12.0, 0.8, wound, stiffness, crept)
             for tension, stiffness in zip(now, model.space.stiffness, strict=True)
         ]
         found.append(now)

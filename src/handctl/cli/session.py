@@ -13,7 +13,9 @@ from typing import Protocol
 from handctl.cli.display import Display
 from handctl.cli.exit_codes import Exit
 from handctl.cli.plan import Plan
+from handctl.cli.progress import progress
 from handctl.cli.run_header import run_header
+from handctl.compiled import prepare
 from handctl.controller import setup
 from handctl.controller.calibration import Calibration
 from handctl.controller.let_go import let_go
@@ -129,7 +131,9 @@ Runner = Callable[["Plan", Controller, Path], Outcome]
 
 
 def make_controller(plan: Plan, program: Program, calibration: Calibration | None, arm_at_once: bool) -> Controller:
-    """Design the gains and put the controller together."""
+    """Design the gains and put the controller together; a bar shows how far it is compiled where that takes a while."""
+    with progress("compiling the controller, once") as told:
+        prepare(told)
     return setup.make_controller(plan.hand, plan.gains, plan.rate_hz, program, calibration, arm_at_once)
 
 

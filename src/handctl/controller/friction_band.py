@@ -72,11 +72,12 @@ def look_ahead(
         *_look_ahead(
             before, estimate.tension, estimate.speed, estimate.motor_disturbance, force, load, rate, efficiency, moving,
             model.floor, space.motor_mass, space.stiffness, space.load_stiffness, model.period,
+            CREEP_SPEED * model.period,
         )
     )  # fmt: skip
 
 
-@kernel(*["vector"] * 8, "flags", *["vector"] * 4, "real")
+@kernel(*["vector"] * 8, "flags", *["vector"] * 4, "real", "real")
 def _look_ahead(
     before: Vector,
     tension: Vector,
@@ -92,6 +93,7 @@ def _look_ahead(
     stiffness: Vector,
     load_stiffness: Vector,
     period: float,
+    crept: float,
 ) -> tuple[Vector, Vector, Vector]:
     """Expect the tensions a period from now; see ``look_ahead`` and ``Ahead``.
 
@@ -99,6 +101,7 @@ def _look_ahead(
         before, force, load, rate, efficiency, moving: as there.
         tension, speed, disturbance: estimated at present [N], [m/s], [N].
         floor, motor_mass, stiffness, load_stiffness: of the tendons [N], [kg], [N/m], [N/m]. period: [s].
+        crept: way of a rope that creeps in a period [m].
     """
     count = len(before)
     planned, change, developed = np.zeros(count), np.zeros(count), np.full(count, math.nan)
@@ -108,7 +111,7 @@ def _look_ahead(
         coming_speed = speed[n] + 0.5 * period / motor_mass[n] * (force[n] + disturbance[n] - tension[n])
         coming = max(load[n] + period * load_stiffness[n] * rate[n], floor[n])
         now = before[n] if before[n] > 0.0 else tension[n]
-        planned[n] = expected(now, coming, efficiency[n], period * coming_speed, stiffness[n], period)
+        planned[n] = expected(now, coming, efficiency[n], period * coming_speed, stiffness[n], crept)
         if before[n] > 0.0:
             change[n] = (planned[n] - before[n]) / period
             beyond = math.log(max(before[n], LEAST_N) / max(load[n], LEAST_N))
@@ -117,7 +120,7 @@ def _look_ahead(
 
 
 @inner
-def expected(now: float, load: float, efficiency: float, wound: float, stiffness: float, period: float) -> float:
+def expected(now: float, load: float, efficiency: float, wound: float, stiffness: float, crept: float) -> float:
     """Return the tension of a tendon a period from now [N].
 
     Args:
@@ -125,8 +128,8 @@ def expected(now: float, load: float, efficiency: float, wound: float, stiffness
         load: tension that the digit asks without friction a period from now [N].
         efficiency: share of a tension that reaches the joints while the rope winds.
         wound: rope that the spool takes up in the period [m].
-        stiffness: of the rope [N/m]. period: [s].
+        stiffness: of the rope [N/m]. crept: way of a rope that creeps in the period [m].
     """
-    creep = stiffness * CREEP_SPEED * period / (load * (1.0 - efficiency) + LEAST_N)
+    creep = stiffness * crept / (load * (1.0 - efficiency) + LEAST_N)
     sticking = (now + stiffness * wound + creep * load) / (1.0 + creep)
     return min(max(sticking, load * efficiency), load / efficiency)
