@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from handctl.compiled import MARKED, kernel, prepare
-from handctl.log.reader import RunLog
+from handctl.log.read.reader import RunLog
 from handctl.replay.rebuild import rebuild
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
@@ -87,5 +87,6 @@ def test_no_kernel_reads_a_constant_that_another_file_decides() -> None:
     own = [function for function in MARKED if function.__module__.startswith("handctl.")]
     assert len(own) > 10
     for function in own:
-        numbers = {name for name in function.__code__.co_names if isinstance(function.__globals__.get(name), int | float)}
+        seen = function.__globals__
+        numbers = {name for name in function.__code__.co_names if isinstance(seen.get(name), int | float)}
         assert numbers <= decided_here(function), function
