@@ -16,10 +16,10 @@ from typing import Any
 
 from handctl.campaign.course import Course
 from handctl.campaign.stage import TASK, hand_in, started
-from handctl.cli.plan import fastest
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.types import Mode
 from handctl.safety.action import Action
+from handctl.session.plan import fastest
 
 WATCHED_S, STOPPED_S = 2.0, 1.5
 """Time from the fault until the operator stops the run, and from there to the end [s]."""

@@ -17,8 +17,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.plan import Plan, fastest
-from handctl.cli.session import make_controller, run_lockstep
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.excite import ExciteProgram
 from handctl.controller.gain_bounds import with_values
@@ -28,6 +26,8 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_path, load_hand
 from handctl.log.read.reader import RunLog
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
+from handctl.session.plan import Plan, fastest
+from handctl.session.run import make_controller, run_lockstep
 from handctl.tune.excitation import excitation
 from handctl.tune.identify import Found, identify
 
@@ -78,7 +78,7 @@ def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float
 def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
     """Excite and fit one digit of one hand; error and coverage of every parameter, or why it failed."""
     hand, factors = load_hand(hand_name), plant(seed)
-    plan = Plan(hand, detuned(seed), fastest(bus_loads(hand)), (), quiet=True)
+    plan = Plan(hand, detuned(seed), fastest(bus_loads(hand)), ())
     options = {"hand_path": str(hand_path(hand_name)), "seed": seed, "homed": True, "perturb": factors}
     peer = load_peer(SIMULATED_HAND, **options, period_ns=plan.period_ns)
     log = folder / f"{seed}.mcap"

@@ -20,13 +20,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.plan import fastest
 from handctl.cli.tune_files import subject
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gain_bounds import flat, with_values
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
 from handctl.hand.description import Hand
+from handctl.session.plan import fastest
 from handctl.tune.design import linear_factors, worst_of
 from handctl.tune.ensemble import ensemble
 from handctl.tune.search import Found, Plan, search

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from fuzz.mutate import Source, mutated, places
-from handctl.cli.plan import check_suits
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.calibration import calibration_from
 from handctl.controller.gains import Gains, GainsFile, Provenance
@@ -20,6 +19,7 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import HANDS, hand_from, load_hand, packaged_hands, read_toml
+from handctl.session.tasks import check_suits
 
 Target = Callable[[bytes], bool]
 Content = Mapping[str, Any]

@@ -12,8 +12,6 @@ import tempfile
 from pathlib import Path
 
 from fuzz.soak import SIZE_MIB_PER_H, TASK, Sample, sample, slope
-from handctl.cli.plan import Plan
-from handctl.cli.session import run_lockstep
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.setup import make_controller
@@ -22,6 +20,8 @@ from handctl.controller.types import TickIn, TickOut
 from handctl.hand.load import hand_path, load_hand
 from handctl.runtime.lockstep import LockstepClock, load_peer
 from handctl.runtime.mailbox import STOP
+from handctl.session.plan import Plan
+from handctl.session.run import run_lockstep
 
 EVERY_S = 30.0
 WARM_S = 600.0
@@ -53,7 +53,7 @@ def main() -> int:
     parser.add_argument("--hours", type=float, default=1.0, help="of simulated time (default: %(default)s)")
     args = parser.parse_args()
     hand = load_hand("jamia")
-    plan = Plan(hand, Gains(), 500.0, (), quiet=True)
+    plan = Plan(hand, Gains(), 500.0, ())
     options = {"hand_path": str(hand_path("jamia")), "scene": "none", "seed": 1, "homed": True, "truth_path": None}
     clock = LockstepClock(load_peer("firmware_sim.rig:Rig", **options, period_ns=plan.period_ns), plan.period_ns)
     with tempfile.TemporaryDirectory() as folder:

@@ -10,7 +10,6 @@ import numpy as np
 from firmware_sim.mjcf import STEP_S
 from firmware_sim.plant import Plant
 from firmware_sim.rig import Rig
-from handctl.cli.plan import fastest, find_task
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
@@ -22,6 +21,8 @@ from handctl.controller.tick import Controller
 from handctl.controller.types import Event, Mode, TickIn
 from handctl.drives.frame import Frame
 from handctl.hand.load import hand_path, load_hand
+from handctl.session.plan import fastest
+from handctl.session.tasks import find_task
 
 TIMEOUT_S = 120.0
 GONE_M = 0.3

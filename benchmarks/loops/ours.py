@@ -4,8 +4,6 @@ import select
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from handctl.cli.plan import Plan
-from handctl.cli.session import make_controller
 from handctl.controller.gains import Gains
 from handctl.controller.program import Progress, motion_to
 from handctl.controller.types import Mode
@@ -18,6 +16,8 @@ from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clock import RealClock, take_priority
 from handctl.runtime.loop import Loop
 from handctl.runtime.mailbox import STOP
+from handctl.session.plan import Plan
+from handctl.session.run import make_controller
 
 DESIGN_HZ = 1000.0
 

@@ -16,9 +16,6 @@ from numbers import Real
 from types import TracebackType
 from typing import Any, Self
 
-from handctl.cli.buses import named_buses
-from handctl.cli.exit_codes import Exit
-from handctl.cli.options import DEFAULT_HAND
 from handctl.controller.requests import REFUSED, HoldTension, MoveDigits
 from handctl.controller.types import LETTING_GO
 from handctl.document import validated
@@ -27,6 +24,8 @@ from handctl.printing import escaped
 from handctl.runtime.asking import ANSWER_S, confirmed, follow_to_the_end, is_off
 from handctl.runtime.buses.open import real_buses
 from handctl.runtime.mailbox import LARGEST, Watcher, answers
+from handctl.session.buses import DEFAULT_HAND, named_buses
+from handctl.session.exit_codes import Exit
 
 START_S = 300.0
 """Longest start: commissioning included, on a slow machine; a controller that cannot start ends long before [s]."""

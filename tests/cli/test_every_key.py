@@ -145,7 +145,7 @@ def no_bus(monkeypatch):
         raise OpenedError
 
     for name in ("open_bus", "Mailbox"):
-        monkeypatch.setattr(f"handctl.cli.session.{name}", opened)
+        monkeypatch.setattr(f"handctl.session.run.{name}", opened)
 
 
 def refusal(capsys, option, file):

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from handctl.cli.main import main
-from handctl.cli.verdict import _beside
+from handctl.session.verdict import _beside
 
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
 FULL = Path("/dev/full")
@@ -32,12 +32,13 @@ def test_a_run_without_room_for_its_picture_keeps_its_numbers(place, capsys):
     assert not (place / "run.png").is_symlink(), "half a picture is worth nothing"
 
 
-def test_a_truth_that_cannot_be_copied_is_read_where_it_is(place, capsys):
+def test_a_truth_that_cannot_be_copied_is_read_where_it_is(place):
     truth = place / "sim.truth"
     truth.write_bytes(bytes(100))
     (place / "run.truth").symlink_to(FULL)
-    assert _beside(place / "run.mcap", truth) == truth
-    assert capsys.readouterr().err == "handctl: " + str(place / "run.truth") + " is left out: No space left on device\n"
+    told: list[str] = []
+    assert _beside(place / "run.mcap", truth, told.append) == truth
+    assert told == [f"handctl: {place / 'run.truth'} is left out: No space left on device"]
 
 
 def test_a_page_that_cannot_be_written_is_one_line(place, capsys):

@@ -23,8 +23,8 @@ def no_bus(monkeypatch):
     def opened(*words, **options):
         raise AssertionError("a bus was opened")
 
-    monkeypatch.setattr("handctl.cli.session.open_bus", opened)
-    monkeypatch.setattr("handctl.cli.session.Mailbox", opened)
+    monkeypatch.setattr("handctl.session.run.open_bus", opened)
+    monkeypatch.setattr("handctl.session.run.Mailbox", opened)
     monkeypatch.setattr("handctl.cli.demo.simulator", opened)
 
 

@@ -5,14 +5,15 @@ from typing import cast
 
 import pytest
 
-from handctl.cli import session
 from handctl.cli.main import main
-from handctl.cli.plan import Plan
-from handctl.cli.session import Outcome, remedy
 from handctl.controller.gains import Gains
 from handctl.controller.state import State
 from handctl.hand.load import load_hand
 from handctl.runtime.loop import LoopStats
+from handctl.session import pace
+from handctl.session.pace import remedy
+from handctl.session.plan import Plan
+from handctl.session.run import Outcome
 
 LATE, TORN = ("B03b", "N02"), ("T01",)
 
@@ -57,18 +58,18 @@ def test_the_pace_that_is_advised_is_measured(
 ) -> None:
     """It always said 0.5, also where a grasp ran at 0.01 only. The run took 2 s: 1,000 ticks at 500 Hz."""
     told = {"pace": {"advice": advice, "plant_s_per_cpu_s": capacity}}
-    monkeypatch.setattr(session, "ask_simulator", lambda path, question: told if question == {"pace": True} else {})
-    monkeypatch.setattr(session, "cores", lambda: {0, 1})
+    monkeypatch.setattr(pace, "ask_simulator", lambda path, question: told if question == {"pace": True} else {})
+    monkeypatch.setattr(pace, "cores", lambda: {0, 1})
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
     assert remedy(plan, ended(*LATE, cpu_s=cpu_s)).endswith(f"--time-scale {number:g} on both sides")
 
 
 def test_simulator_and_controller_share_a_core(monkeypatch: pytest.MonkeyPatch) -> None:
     told = {"pace": {"advice": None, "plant_s_per_cpu_s": 2.0}}
-    monkeypatch.setattr(session, "ask_simulator", lambda path, question: told)
-    monkeypatch.setattr(session, "cores", lambda: {0})
+    monkeypatch.setattr(pace, "ask_simulator", lambda path, question: told)
+    monkeypatch.setattr(pace, "cores", lambda: {0})
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
-    assert session.slower(plan, ended(*LATE, cpu_s=1.8)) == 0.5
+    assert pace.slower(plan, ended(*LATE, cpu_s=1.8)) == 0.5
 
 
 def test_virtual_time_is_not_slowed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -4,11 +4,11 @@ import pytest
 
 from handctl.cli import commission, conformance, identify
 from handctl.cli.main import main
-from handctl.cli.session import Outcome
 from handctl.drives.discovery import Found
 from handctl.errors import PowerError
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from handctl.runtime.loop import LoopStats
+from handctl.session.run import Outcome
 
 FAILURE = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: index_motor"
 

@@ -9,7 +9,6 @@ from types import SimpleNamespace
 
 import pytest
 
-from handctl.cli.commission import write_calibration
 from handctl.cli.identify import configure
 from handctl.cli.main import main
 from handctl.cli.tune_verify import _print
@@ -17,6 +16,7 @@ from handctl.controller.calibration import Calibration, TendonCalibration
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.log.write.writer import LogWriter
+from handctl.session.calibration import write_calibration
 from handctl.tune.search import Found, Trial
 from handctl.tune.trial import Score
 from tests.cli.refused import refused
@@ -92,7 +92,7 @@ def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(capsys, acce
 
 
 def test_a_commissioning_log_that_is_there_is_no_obstacle(place):
-    from handctl.cli.plan import commission_log
+    from handctl.session.plan import commission_log
 
     first = commission_log(place / "run.mcap")
     assert first.name == "run.commission.mcap"

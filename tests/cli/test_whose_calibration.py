@@ -6,10 +6,8 @@ import tomllib
 import pytest
 
 from handctl.cli.begin import announce
-from handctl.cli.commission import commission, kept, write_calibration
 from handctl.cli.main import main
 from handctl.cli.plan import make_plan
-from handctl.cli.session import make_controller, run_lockstep
 from handctl.controller.calibration import load_calibration
 from handctl.controller.live import JogProgram
 from handctl.controller.requests import MoveDigits
@@ -17,6 +15,8 @@ from handctl.controller.types import Mode
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
+from handctl.session.calibration import commission, kept, write_calibration
+from handctl.session.run import make_controller, run_lockstep
 from tests.drives.protocol_bench import hand_file
 
 FIRST, SECOND = ("0x4000",), ("0x8000",)

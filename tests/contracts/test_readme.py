@@ -3,9 +3,9 @@
 import re
 from pathlib import Path
 
-from handctl.cli.exit_codes import Exit
 from handctl.cli.main import VERBS
 from handctl.safety.faults.markdown import fault_table
+from handctl.session.exit_codes import Exit
 
 README = (Path(__file__).parents[2] / "README.md").read_text()
 

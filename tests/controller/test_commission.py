@@ -269,7 +269,7 @@ def calibration(model: HandModel) -> Calibration:
 
 
 def test_the_file_is_read_back_as_it_was_written(model: HandModel, calibration: Calibration, tmp_path) -> None:  # type: ignore[no-untyped-def]
-    from handctl.cli.commission import write_calibration
+    from handctl.session.calibration import write_calibration
 
     path = tmp_path / "c.toml"
     write_calibration(path, calibration)
@@ -282,7 +282,7 @@ def test_the_file_is_read_back_as_it_was_written(model: HandModel, calibration: 
 def test_a_calibration_of_another_hand_or_with_a_tendon_missing_is_refused(
     jamia: HandModel, jamia11: HandModel, tmp_path
 ) -> None:  # type: ignore[no-untyped-def]
-    from handctl.cli.commission import write_calibration
+    from handctl.session.calibration import write_calibration
 
     path = tmp_path / "c.toml"
     found = result(jamia, commissioned(jamia, good(jamia)), "2024-01-01T00:00:00+00:00")
@@ -298,7 +298,7 @@ def test_a_calibration_of_another_hand_or_with_a_tendon_missing_is_refused(
 
 @pytest.mark.parametrize(("tare", "right"), [("-4.1", False), ("-4.0", True), ("6.0", True), ("6.1", False)])
 def test_a_tare_that_hides_an_end_of_the_range_is_refused(jamia: HandModel, tmp_path, tare: str, right: bool) -> None:  # type: ignore[no-untyped-def]
-    from handctl.cli.commission import write_calibration
+    from handctl.session.calibration import write_calibration
 
     path = tmp_path / "c.toml"
     write_calibration(path, result(jamia, commissioned(jamia, good(jamia)), "2024-01-01T00:00:00+00:00"))

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from firmware_sim.rig import Rig
-from handctl.cli.plan import find_task
 from handctl.controller import posture
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
@@ -20,6 +19,7 @@ from handctl.controller.tick import Controller
 from handctl.controller.types import Mode, TickIn
 from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
+from handctl.session.tasks import find_task
 from tests.controller.synthetic import under
 
 RATE_HZ = 250.0

@@ -4,9 +4,9 @@ import re
 from pathlib import Path
 
 from firmware_sim.scene import load_scene
-from handctl.cli.plan import find_task
 from handctl.controller.task import Close, Follow, Hold, Move, Release
 from handctl.hand.load import load_hand, packaged_hands
+from handctl.session.tasks import find_task
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "tasks.md").read_text("utf-8")

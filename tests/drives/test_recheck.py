@@ -7,7 +7,6 @@ import pytest
 
 from handctl.campaign.scenarios import ALL, FREE
 from handctl.campaign.stage import bring, hand_in, started
-from handctl.cli.plan import fastest
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.types import Mode
 from handctl.drives import recheck
@@ -17,6 +16,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.mit.progress import Progress
+from handctl.session.plan import fastest
 
 TICK_NS = 2_000_000
 SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else (1,)

@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.plan import Plan
-from handctl.cli.run_header import run_header
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.program import Program
@@ -22,6 +20,8 @@ from handctl.log.record import pack
 from handctl.log.write.recorder import Recorder
 from handctl.runtime.lockstep import LockstepBus, LockstepClock, Peer, load_peer
 from handctl.runtime.loop import Loop
+from handctl.session.header import run_header
+from handctl.session.plan import Plan
 
 TASK = """schema = 1
 name = "short grasp"

@@ -5,8 +5,6 @@ from pathlib import Path
 import numpy as np
 import runs
 
-from handctl.cli.plan import Plan
-from handctl.cli.session import make_controller, run_lockstep
 from handctl.controller.calibration import Calibration, TendonCalibration
 from handctl.controller.gains import Gains
 from handctl.controller.identified import Identified
@@ -16,6 +14,8 @@ from handctl.hand.load import hand_path, load_hand
 from handctl.log.read.reader import RunLog
 from handctl.replay.execute import execute
 from handctl.runtime.lockstep import LockstepClock, load_peer
+from handctl.session.plan import Plan
+from handctl.session.run import make_controller, run_lockstep
 
 REQUEST = '{"do": "gains", "set": {"motion.force_N": 40.0, "tension.integral_per_s": 6.0}}'
 

@@ -18,8 +18,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.cli.plan import Plan, bus_specs, load_task
-from handctl.cli.session import make_controller, run_live
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.calibration import load_calibration
 from handctl.controller.gains import Gains
@@ -29,6 +27,9 @@ from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.report.truth import Truth, read_truth
 from handctl.runtime.places import faults_path, local_bus_path, run_dir
+from handctl.session.plan import Plan, bus_specs
+from handctl.session.run import make_controller, run_live
+from handctl.session.tasks import load_task
 from tests.runtime.processes import BUS, LONG, end, scaled, start_hand, write_homed
 
 SYNC, RECORD = 0x080, 72

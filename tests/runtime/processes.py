@@ -10,11 +10,11 @@ import sys
 import time
 from pathlib import Path
 
-from handctl.cli.commission import write_calibration
 from handctl.controller.calibration import Calibration, TendonCalibration
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import Watcher
+from handctl.session.calibration import write_calibration
 
 READY_S, END_S = 60.0, 200.0
 BUS = "local:t"

@@ -4,8 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.plan import Plan, fastest
-from handctl.cli.session import make_controller, run_lockstep
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
@@ -13,6 +11,8 @@ from handctl.controller.task import load_task
 from handctl.drives.registry import PROTOCOLS
 from handctl.hand.load import load_hand
 from handctl.runtime.lockstep import LockstepClock, load_peer
+from handctl.session.plan import Plan, fastest
+from handctl.session.run import make_controller, run_lockstep
 from tests.drives.protocol_bench import GUARDED, hand_file
 from tests.runtime.processes import GO, MOVE
 
@@ -34,7 +34,7 @@ def test_a_run_after_another_one_finds_drives_that_were_disarmed(
     task.write_text(GO + MOVE.format(name="bend", angle=10.0, duration=0.1))
     hand = load_hand(path)
     rate = fastest(bus_loads(hand))
-    plan = Plan(hand, Gains(), rate, (0.5,), quiet=True)
+    plan = Plan(hand, Gains(), rate, (0.5,))
     peer = load_peer("firmware_sim.rig:Rig", hand_path=str(path), period_ns=plan.period_ns, homed=True, wire=wire)
     clock = LockstepClock(peer, plan.period_ns)
     failures = []

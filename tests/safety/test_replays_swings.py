@@ -8,10 +8,10 @@ import pytest
 
 from handctl.campaign.scenarios import GRASP
 from handctl.campaign.stage import bring, hand_in, started
-from handctl.cli.plan import fastest
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.types import Mode
 from handctl.safety.detectors import replays, swings
+from handctl.session.plan import fastest
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SEEDS = range(20)

@@ -8,13 +8,13 @@ import pytest
 from matplotlib.figure import Figure
 
 from benchmarks.identify import WITHIN, one, summary
-from handctl.cli.commission import write_calibration
 from handctl.cli.tune_files import subject
 from handctl.controller.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.controller.identified import UNITS, Identified, identified_hand, torque_gain
 from handctl.errors import ConfigError
 from handctl.hand.dynamics import DigitModel
 from handctl.hand.load import load_hand
+from handctl.session.calibration import write_calibration
 from handctl.tune.excitation import excitation, lift_off
 from handctl.tune.fit import NAMES
 from handctl.tune.fit_load import Bins, DigitLoad, LoadParameters

@@ -4,8 +4,6 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.plan import Plan, fastest
-from handctl.cli.session import make_controller, run_lockstep
 from handctl.cli.tune_verify import _who
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.exercise import Exercise
@@ -14,6 +12,8 @@ from handctl.hand.load import hand_path, load_hand
 from handctl.log.read.reader import RunLog
 from handctl.replay.execute import execute
 from handctl.runtime.lockstep import LockstepClock, load_peer
+from handctl.session.plan import Plan, fastest
+from handctl.session.run import make_controller, run_lockstep
 from handctl.tune.verify import Watch, scores
 
 CALM = Gains(motion=MotionGains(force_N=12.0, disturbance_rejection=0.5), tension=TensionGains(force_N=2.7))
@@ -23,7 +23,7 @@ WILD = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(force_N=300
 def _verified(new: Gains, log: Path) -> Watch:
     hand = load_hand("jamia")
     rate = fastest(bus_loads(hand))
-    plan = Plan(hand, CALM, rate, (0.5,), quiet=True)
+    plan = Plan(hand, CALM, rate, (0.5,))
     amplitudes = (0.2, 0.2)
     watch = Watch(hand, CALM, new, amplitudes=amplitudes, old_rounds=1)
     peer = load_peer("firmware_sim.rig:Rig", hand_path=str(hand_path("jamia")), period_ns=plan.period_ns, homed=True)

@@ -9,11 +9,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from handctl.cli.options import say
-from handctl.cli.plan import Plan
 from handctl.controller.calibration import Calibration
 from handctl.controller.gains import load_gains_file
 from handctl.errors import ConfigError
 from handctl.runtime.buses.open import real_buses
+from handctl.session.plan import Plan
 
 MINUTE_S, HOUR_S, DAY_S = 60.0, 3600.0, 86400.0
 

@@ -5,8 +5,6 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from handctl.cli.buses import named_buses
-from handctl.cli.exit_codes import Exit
 from handctl.cli.options import print_json
 from handctl.drives.discovery import Found
 from handctl.drives.registry import DISCOVERIES
@@ -20,6 +18,8 @@ from handctl.runtime.buses.open import open_bus
 from handctl.runtime.diagnostics.link_findings import WIRING, Finding, absent, findings
 from handctl.runtime.diagnostics.round_trip import RoundTrip, round_trip
 from handctl.runtime.diagnostics.scan import Scan, scan
+from handctl.session.buses import named_buses
+from handctl.session.exit_codes import Exit
 
 BUSY = "is the machine busy, or the adapter's latency timer long? handctl doctor tells priorities"
 SLOW_S = 0.005
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
 def _wanted(args: argparse.Namespace, hand: Hand | None) -> Sequence[tuple[str, BusSection]]:
     """Specification of each bus, and what it should be."""
     if hand is not None:
-        from handctl.cli.plan import bus_specs  # it brings the whole controller along
+        from handctl.session.plan import bus_specs
 
         return tuple(zip(bus_specs(hand, args.bus), hand.bus, strict=True))
     rates = {"bitrate": args.bitrate, "data_bitrate": args.data_bitrate}

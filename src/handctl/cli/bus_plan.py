@@ -4,15 +4,15 @@ import argparse
 import math
 from typing import Any
 
-from handctl.cli.exit_codes import Exit
 from handctl.cli.options import print_json
-from handctl.cli.plan import bus_specs, fastest
 from handctl.controller.bus_load import BusLoad, Row, bus_loads, split
 from handctl.drives.load import MOST
 from handctl.drives.load_table import TABLE, TABLE_RATES_HZ
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
+from handctl.session.exit_codes import Exit
+from handctl.session.plan import bus_specs, fastest
 
 
 def run(args: argparse.Namespace) -> int:

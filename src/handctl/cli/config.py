@@ -4,9 +4,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.gains_layers import LayeredGains, layered_gains
 from handctl.cli.options import gains_options, hand_option, json_option, print_json
-from handctl.cli.plan import TASKS, check_design, check_load_cells, fastest, find_calibration, find_task
+from handctl.cli.plan import find_calibration, layered_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gain_bounds import flat
 from handctl.controller.identified import UNITS
@@ -15,6 +14,9 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_path, load_hand, packaged_hands
 from handctl.hand.strength import strength_warnings
+from handctl.session.gains import LayeredGains
+from handctl.session.plan import check_design, check_load_cells, fastest
+from handctl.session.tasks import TASKS, find_task
 
 EXAMPLE = "handctl config show --hand jamia"
 

@@ -7,7 +7,6 @@ import sys
 from typing import Any
 
 from handctl.cli.begin import ask
-from handctl.cli.exit_codes import Exit
 from handctl.cli.options import bitrate_options, json_option, print_json
 from handctl.cli.scan import identified
 from handctl.drives.contract import Drive, Phase, Want
@@ -25,6 +24,7 @@ from handctl.runtime.diagnostics.conformance import PROMISES, Check, Subject, Ve
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 from handctl.runtime.diagnostics.scan import Scan, hear, scan
 from handctl.runtime.mailbox import held
+from handctl.session.exit_codes import Exit
 
 EXAMPLE = "handctl conformance --drive odrive --node 3 --bus socketcan:can0 --torque-limit-Nm 0.1 --dry-run"
 WATCHDOG_MS = 100

@@ -11,10 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.commission import Known, commission, identified_in, write_calibration
 from handctl.cli.dry_run import told
-from handctl.cli.exit_codes import Exit
-from handctl.cli.gains_layers import assignments
 from handctl.cli.options import (
     dry_run_option,
     hand_option,
@@ -27,16 +24,22 @@ from handctl.cli.options import (
     wire_words,
 )
 from handctl.cli.other_protocol import in_protocol
-from handctl.cli.plan import Plan, commission_log, default_log, find_task, make_plan
+from handctl.cli.plan import make_plan
 from handctl.cli.run import report
-from handctl.cli.session import Outcome, Runner, make_controller, refuse_blind_view, run_live, run_lockstep, slower
-from handctl.cli.verdict import judge
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.tick import Controller
 from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.load import hand_path, load_hand
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, Peer, load_peer
 from handctl.runtime.places import truth_path
+from handctl.session.calibration import Known, commission, identified_in, write_calibration
+from handctl.session.exit_codes import Exit
+from handctl.session.gains import assignments
+from handctl.session.pace import slower
+from handctl.session.plan import Plan, commission_log, default_log
+from handctl.session.run import Outcome, Runner, make_controller, refuse_blind_view, run_live, run_lockstep
+from handctl.session.tasks import find_task
+from handctl.session.verdict import judge
 
 EXAMPLE = "handctl demo --lockstep"
 SIMULATOR = "firmware_sim"
@@ -90,7 +93,7 @@ def _run(args: argparse.Namespace) -> int:
     if args.dry_run:
         _peer(args, plan, None).close()
         line = f"{plan.hand.name}: {task.name} on {args.scene}, {plan.rate_hz:g} Hz"
-        return told(plan, line, task=task.name, scene=args.scene)
+        return told(args, plan, line, task=task.name, scene=args.scene)
     log = args.log or default_log(plan.hand, "demo")
     plan.attachments["task.toml"] = text
     started = time.monotonic()

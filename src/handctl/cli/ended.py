@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType, TracebackType
 
-from handctl.cli.exit_codes import Exit
 from handctl.handlers import handling
 from handctl.printing import escaped_streams
+from handctl.session.exit_codes import Exit
 
 
 class Terminated(KeyboardInterrupt):

@@ -13,11 +13,8 @@ from handctl.campaign.page import lines, write_page
 from handctl.campaign.scenarios import ALL, MATRIX, scenarios
 from handctl.campaign.stage import hand_in
 from handctl.campaign.trial import Result
-from handctl.cli.exit_codes import Exit
 from handctl.cli.options import hand_option, json_option, print_json
-from handctl.cli.plan import Plan, fastest
 from handctl.cli.progress import progress
-from handctl.cli.run_header import run_header
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gains import Gains
 from handctl.errors import ConfigError
@@ -25,6 +22,9 @@ from handctl.hand.description import Hand
 from handctl.log.record import pack
 from handctl.log.write.recorder import Recorder
 from handctl.output import write_whole
+from handctl.session.exit_codes import Exit
+from handctl.session.header import run_header
+from handctl.session.plan import Plan, fastest
 
 QUICK_CALM_S, CALM_S = 4.0, 60.0
 """How long the undisturbed hand is watched for each protocol, in a sample and in full [s]."""

@@ -7,11 +7,11 @@ from typing import Any
 from handctl.campaign import sequences
 from handctl.campaign.scenarios import ALL
 from handctl.campaign.stage import hand_in
-from handctl.cli.exit_codes import Exit
 from handctl.cli.fault_campaign import FIRST, JOBS_MOST, keeper, rate_of, report_folder
 from handctl.cli.options import hand_option, json_option, print_json
 from handctl.cli.progress import progress
 from handctl.errors import ConfigError
+from handctl.session.exit_codes import Exit
 
 COUNT_MOST = 1_000_000
 

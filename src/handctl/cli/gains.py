@@ -6,16 +6,17 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.buses import controller_bus
-from handctl.cli.exit_codes import Exit
-from handctl.cli.gains_layers import assignments, gains_for, layered_gains
 from handctl.cli.options import bus_option, gains_options, hand_option, json_option, print_json, say
-from handctl.cli.plan import check_design
+from handctl.cli.plan import layered_gains, notice
 from handctl.controller.gain_bounds import bounds, flat, with_values
 from handctl.controller.gains import Gains, Provenance, load_gains_file
 from handctl.controller.requests import REFUSED
 from handctl.errors import ConfigError, UnconfirmedError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
+from handctl.session.exit_codes import Exit
+from handctl.session.gains import assignments, gains_for
+from handctl.session.plan import check_design
 from handctl.tune.gains_store import Entry, GainsStore
 
 EXAMPLE = "handctl gains show --hand jamia"
@@ -119,7 +120,7 @@ def _side(word: str, hand: Hand) -> Gains:
 
 def _apply(args: argparse.Namespace, hand: Hand) -> int:
     """Make gains the present ones."""
-    file = gains_for(hand, args.file)
+    file = gains_for(hand, args.file, notice)
     check_design(hand, file.gains)
     own = {"fit": args.fit, "study": args.study, "note": args.note, "log": tuple(map(str, args.log))}
     told = file.provenance.model_copy(update={key: value for key, value in own.items() if value})

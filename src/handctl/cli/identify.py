@@ -9,13 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.begin import announce
-from handctl.cli.commission import commission, ensure_calibration, kept, write_calibration
 from handctl.cli.dry_run import told
-from handctl.cli.exit_codes import Exit
-from handctl.cli.gains_layers import assignments, check_bus_only, check_perturb
 from handctl.cli.options import perturb_option, print_json, run_options, say
-from handctl.cli.plan import Plan, calibration_path, commission_log, default_log, find_calibration, make_plan
-from handctl.cli.session import Outcome, Runner, make_controller, run_live, run_lockstep
+from handctl.cli.plan import calibration_path, check_bus_only, check_perturb, find_calibration, make_plan, notice
 from handctl.controller.calibration import Calibration, load_calibration
 from handctl.controller.excite import ExciteProgram
 from handctl.controller.tick import Controller
@@ -25,6 +21,11 @@ from handctl.hand.load import hand_path, load_hand
 from handctl.log.read.reader import RunLog
 from handctl.replay.rebuild import logged_hand
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
+from handctl.session.calibration import commission, ensure_calibration, kept, write_calibration
+from handctl.session.exit_codes import Exit
+from handctl.session.gains import assignments
+from handctl.session.plan import Plan, commission_log, default_log
+from handctl.session.run import Outcome, Runner, make_controller, run_live, run_lockstep
 from handctl.tune.excitation import excitation
 from handctl.tune.identify import Found, identify, now, table
 from handctl.tune.identify_figure import draw
@@ -76,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         digits = list(dict.fromkeys(step.digit for step in program.steps))
         line = f"{plan.hand.name}: would move {len(digits)} digits for {total:.0f} s"
-        return told(plan, line, digits=digits, seconds=total, commissioning=why)
+        return told(args, plan, line, digits=digits, seconds=total, commissioning=why)
     log = args.log or default_log(plan.hand, "identify")
     about = f"exciting {plan.hand.name} for about {total:.0f} s, one digit at a time"
     if args.lockstep:
@@ -184,7 +185,7 @@ def _report(
 ) -> int:
     """The calibration, pictures, numbers."""
     made = now()
-    known = kept(path, hand, calibration.drive if calibration else {})
+    known = kept(path, hand, calibration.drive if calibration else {}, notice)
     spoilt = {one.data.digit: one.blocked for tendons in found.values() for one in tendons.values() if one.blocked}
     told_anything = False
     for log, tendons in found.items():

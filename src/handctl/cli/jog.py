@@ -3,15 +3,16 @@
 import argparse
 
 from handctl.cli.begin import announce
-from handctl.cli.commission import ensure_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.options import print_json, run_options
-from handctl.cli.plan import commission_log, default_log, find_calibration, make_plan
-from handctl.cli.session import make_controller, run_live
+from handctl.cli.plan import find_calibration, make_plan
 from handctl.controller.live import JogProgram
 from handctl.controller.requests import HoldTension, MoveDigits
 from handctl.document import validated
 from handctl.errors import ConfigError
+from handctl.session.calibration import ensure_calibration
+from handctl.session.plan import commission_log, default_log
+from handctl.session.run import make_controller, run_live
 
 EXAMPLE = "handctl jog index --tension 8 --hand jamia --bus local:demo --dry-run"
 
@@ -33,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     path, calibration, why = find_calibration(args, plan.hand)
     if args.dry_run:
         line = f"{plan.hand.name}: would jog {args.digit}" + (f", after commissioning: {why}" if why else "")
-        return told(plan, line, digit=args.digit, commissioning=why)
+        return told(args, plan, line, digit=args.digit, commissioning=why)
     announce(args, plan, path, calibration)
     log = args.log or default_log(plan.hand, "jog")
     if calibration is None:

@@ -5,12 +5,12 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from handctl.cli.exit_codes import Exit
 from handctl.cli.options import json_option, print_json, say, tell_lossy
 from handctl.cli.progress import progress
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.output import named_after, whole
+from handctl.session.exit_codes import Exit
 
 EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl log info run.mcap"
 

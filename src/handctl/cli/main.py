@@ -10,11 +10,11 @@ from contextlib import suppress
 from typing import Protocol
 
 from handctl.cli.ended import Terminated, ended_by_signals, give_bugs_a_code
-from handctl.cli.exit_codes import Exit
 from handctl.cli.parser import Parser, check_words
 from handctl.cli.streams import flush, give_up_output, make_usable
 from handctl.errors import ConfigError, HandctlError, IncomparableError, LogError, PowerError
 from handctl.printing import escaped_streams, message
+from handctl.session.exit_codes import Exit
 
 VERBS = {
     "demo": "close a simulated hand on an object and look at the run",

@@ -6,11 +6,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.exit_codes import Exit
 from handctl.hand.file.quantities import FASTEST_BUS, SLOWEST_BUS
 from handctl.printing import encodable, message
-
-DEFAULT_HAND = "jamia"
+from handctl.session.buses import DEFAULT_HAND
+from handctl.session.exit_codes import Exit
 
 
 class _Named(argparse.Action):

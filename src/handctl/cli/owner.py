@@ -12,7 +12,7 @@ AT_ONCE = 4096
 
 
 class Owner:
-    """An attendant of one run (see ``session.Attendant``) that asks to stop once standard input has ended."""
+    """An attendant of one run (see ``session.run.Attendant``) that asks to stop once standard input has ended."""
 
     def __init__(self) -> None:
         self.gone = False

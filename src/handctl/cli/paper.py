@@ -7,7 +7,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.exit_codes import Exit
 from handctl.cli.progress import progress
 from handctl.cli.screen import screen
 from handctl.errors import ConfigError
@@ -21,6 +20,7 @@ from handctl.paper.item import Verdict
 from handctl.paper.page import markdown, plain, report, value
 from handctl.paper.pool import pool
 from handctl.paper.sections import Section, sections, tally
+from handctl.session.exit_codes import Exit
 
 EXAMPLE = "handctl paper --quick"
 WORKERS = 2

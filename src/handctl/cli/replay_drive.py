@@ -4,16 +4,17 @@ import argparse
 from dataclasses import replace
 
 from handctl.cli.begin import announce
-from handctl.cli.commission import ensure_calibration
 from handctl.cli.dry_run import told
-from handctl.cli.exit_codes import Exit
 from handctl.cli.options import print_json, say, tell_lossy
-from handctl.cli.plan import commission_log, default_log, find_calibration, make_plan
-from handctl.cli.session import make_controller, run_live
+from handctl.cli.plan import find_calibration, make_plan
 from handctl.log.read.reader import RunLog
 from handctl.replay.compare import check_same_hand, difference_lines
 from handctl.replay.drive import bridged, difference, driven, playback, stretch
 from handctl.replay.rebuild import logged_hand
+from handctl.session.calibration import ensure_calibration
+from handctl.session.exit_codes import Exit
+from handctl.session.plan import commission_log, default_log
+from handctl.session.run import make_controller, run_live
 
 
 def run(args: argparse.Namespace) -> int:
@@ -30,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
             say(f"handctl: caution: {args.recorded}: {missing} ticks are missing; goals are joined there", error=True)
         if args.dry_run:
             line = f"{plan.hand.name}: would drive {end - begin:.2f} s of {args.recorded} at {plan.rate_hz:g} Hz"
-            told(plan, line, log=args.recorded, seconds=end - begin, commissioning=why)
+            told(args, plan, line, log=args.recorded, seconds=end - begin, commissioning=why)
             return lossy
         announce(args, plan, path, calibration)
         log = args.log or default_log(plan.hand, "replay")

@@ -6,11 +6,11 @@ This module and all that it imports know no bus.
 import argparse
 from typing import Any
 
-from handctl.cli.exit_codes import Exit
 from handctl.cli.options import print_json, say, tell_lossy
 from handctl.cli.progress import progress
 from handctl.errors import ConfigError, LogError
 from handctl.output import check_output, named_after
+from handctl.session.exit_codes import Exit
 
 
 def run(args: argparse.Namespace) -> int:

@@ -7,19 +7,23 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.begin import announce
-from handctl.cli.commission import ensure_calibration
 from handctl.cli.dry_run import told
 from handctl.cli.options import print_json, run_options
 from handctl.cli.owner import Owner
-from handctl.cli.plan import Plan, commission_log, default_log, find_calibration, find_task, find_trajectory, make_plan
-from handctl.cli.session import Outcome, make_controller, refuse_blind_view, remedy, run_live
-from handctl.cli.verdict import judge, print_summary
+from handctl.cli.plan import find_calibration, make_plan
+from handctl.cli.verdict import print_summary
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.live import LiveProgram
 from handctl.controller.program import Program
 from handctl.errors import DriveError
 from handctl.hand.file.toml_text import toml_text
 from handctl.runtime.places import truth_path
+from handctl.session.calibration import ensure_calibration
+from handctl.session.pace import remedy
+from handctl.session.plan import Plan, commission_log, default_log
+from handctl.session.run import Outcome, make_controller, refuse_blind_view, run_live
+from handctl.session.tasks import find_task, find_trajectory
+from handctl.session.verdict import judge
 
 EXAMPLE = "handctl run --hand jamia --bus local:demo --task grasp.toml --dry-run"
 
@@ -47,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
     if args.dry_run:
         good = f"{plan.hand.name}: all files are good; {plan.rate_hz:g} Hz, bus load {100 * max(plan.load):.0f} %"
         next_step = f"the hand would be commissioned first: {why}" if why else "the hand is commissioned"
-        return told(plan, good, next_step, commissioning=why)
+        return told(args, plan, good, next_step, commissioning=why)
     announce(args, plan, path, calibration)
     log = args.log or default_log(plan.hand)
     if calibration is None:

@@ -5,8 +5,6 @@ import dataclasses
 import sys
 from typing import Any
 
-from handctl.cli.buses import named_buses
-from handctl.cli.exit_codes import Exit
 from handctl.cli.fragment import fragment
 from handctl.cli.options import bitrate_options, bus_option, json_option, print_json
 from handctl.drives.cia402 import codec as cia402_codec
@@ -14,6 +12,8 @@ from handctl.drives.discovery import Found
 from handctl.drives.frame import REMOTE, Frame
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.diagnostics.scan import Scan, all_questions, scan
+from handctl.session.buses import named_buses
+from handctl.session.exit_codes import Exit
 
 EXAMPLE = "handctl scan --bus socketcan:can0 --dry-run"
 SHOWN = 8

@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 
-from handctl.cli.gains_layers import assignments
 from handctl.cli.options import (
     bus_option,
     hand_option,
@@ -20,6 +19,7 @@ from handctl.cli.options import (
 )
 from handctl.cli.other_protocol import in_protocol, path_in_protocol, write_in_protocol
 from handctl.hand.load import load_hand
+from handctl.session.gains import assignments
 
 EXAMPLE = "handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"
 
@@ -64,7 +64,7 @@ def _command(args: argparse.Namespace, hand: str) -> list[str]:
 
 def _check(args: argparse.Namespace) -> int:
     """Check what is given, and print the command."""
-    from handctl.cli.plan import bus_specs  # it brings the whole controller along
+    from handctl.session.plan import bus_specs
 
     command = _command(args, str(path_in_protocol(args)) if args.protocol else args.hand)
     with in_protocol(args):

@@ -6,15 +6,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.exit_codes import Exit
-from handctl.cli.gains_layers import layered_gains
 from handctl.cli.options import print_json, say
-from handctl.cli.plan import control_rate
+from handctl.cli.plan import layered_gains
 from handctl.cli.screen import screen
 from handctl.cli.tune_files import checked_count, output_files, subject, verify_command, write_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.model import HandModel
 from handctl.errors import ConfigError
+from handctl.session.exit_codes import Exit
+from handctl.session.plan import control_rate
 
 LOWEST_POLE_HZ, MOST_DAMPING = 0.01, 100.0
 

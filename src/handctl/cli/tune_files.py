@@ -5,13 +5,13 @@ import shlex
 from pathlib import Path
 from typing import NamedTuple
 
-from handctl.cli.commission import identified_in
 from handctl.controller.gains import Gains, Provenance, gains_text
 from handctl.controller.identified import identified_hand
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.output import check_output, named_after, write_whole
+from handctl.session.calibration import identified_in
 from handctl.tune.ensemble import widths
 
 

@@ -8,17 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.begin import announce
-from handctl.cli.commission import ensure_calibration, homed, identified_in
 from handctl.cli.dry_run import told
-from handctl.cli.exit_codes import Exit
-from handctl.cli.gains_layers import assignments, check_bus_only, check_perturb, gains_for
 from handctl.cli.options import print_json
-from handctl.cli.plan import Plan, check_design, commission_log, default_log, find_calibration, make_plan
+from handctl.cli.plan import check_bus_only, check_perturb, find_calibration, make_plan
 from handctl.cli.screen import screen
-from handctl.cli.session import Outcome, make_controller, run_live, run_lockstep
 from handctl.cli.tune_files import checked_count
 from handctl.errors import ConfigError
 from handctl.hand.load import hand_path
+from handctl.session.calibration import ensure_calibration, homed, identified_in
+from handctl.session.exit_codes import Exit
+from handctl.session.gains import assignments, gains_for
+from handctl.session.plan import Plan, check_design, commission_log, default_log
+from handctl.session.run import Outcome, make_controller, run_live, run_lockstep
 
 
 def run(args: argparse.Namespace) -> int:
@@ -32,7 +33,7 @@ def run(args: argparse.Namespace) -> int:
     if args.lockstep:
         check_bus_only(args)
     plan = make_plan(args, lockstep=args.lockstep)
-    new = gains_for(plan.hand, args.candidate)
+    new = gains_for(plan.hand, args.candidate, plan.tell)
     check_design(plan.hand, new.gains, plan.rate_hz)
     old = plan.gains
     base = old.model_copy(update={"filter": new.gains.filter})
@@ -40,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         print("the filter's gains cannot change in a run: both halves use the new ones", file=sys.stderr)
     if args.dry_run:
         line = f"{plan.hand.name}: would verify {args.candidate} in {len(AMPLITUDES)} rounds"
-        return told(plan, line, gains=args.candidate, amplitudes=AMPLITUDES)
+        return told(args, plan, line, gains=args.candidate, amplitudes=AMPLITUDES)
     log = args.log or default_log(plan.hand, "verify")
     plan = _with_gains(plan, base, args.candidate)
     first, runs = args.seed, []

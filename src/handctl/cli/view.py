@@ -6,11 +6,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.exit_codes import Exit
 from handctl.cli.options import json_option, print_json, say, tell_lossy
 from handctl.cli.progress import progress
 from handctl.errors import ConfigError
 from handctl.output import check_output, whole
+from handctl.session.exit_codes import Exit
 
 EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl view run.mcap --save run.rrd"
 

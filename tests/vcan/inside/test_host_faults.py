@@ -13,9 +13,6 @@ import numpy as np
 import pytest
 
 from firmware_sim.truth import Truth, read_truth
-from handctl.cli.exit_codes import Exit
-from handctl.cli.plan import Plan
-from handctl.cli.session import Outcome, make_controller, run_live
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gains import Gains
 from handctl.controller.live import JogProgram
@@ -24,6 +21,9 @@ from handctl.controller.types import Mode, TickIn, TickOut
 from handctl.errors import LogError
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
+from handctl.session.exit_codes import Exit
+from handctl.session.plan import Plan
+from handctl.session.run import Outcome, make_controller, run_live
 from tests.drives.protocol_bench import hand_file
 from tests.vcan.inside.conftest import STOOD_STILL
 from tests.vcan.inside.test_protocols import DIGITS, PULL_N, RATE_HZ, simulated
@@ -47,7 +47,7 @@ def set_up(interface: str, up: bool) -> None:
 
 
 class Hostile:
-    """An attendant of a run that does one thing after the other while it pulls; see ``session.Attendant``."""
+    """An attendant of a run that does one thing after the other while it pulls; see ``session.run.Attendant``."""
 
     def __init__(self, *acts: Callable[[], None]) -> None:
         self.acts = acts
@@ -73,7 +73,7 @@ def run(folder: Path, hostile: Hostile) -> tuple[Outcome, Truth]:
     path = hand_file(folder, ["mit"])
     hand = load_hand(str(path))
     load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
-    plan = Plan(hand, Gains(), RATE_HZ, load, ("socketcan:vcan0",), time_scale=TIME_SCALE, quiet=True)
+    plan = Plan(hand, Gains(), RATE_HZ, load, ("socketcan:vcan0",), time_scale=TIME_SCALE)
     program = JogProgram(HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), AT_S + AFTER_S)
     with simulated(path, plan.buses, TIME_SCALE, folder / "truth"):
         controller = make_controller(plan, program, None, arm_at_once=True)

@@ -18,9 +18,6 @@ import pytest
 
 from firmware_sim.__main__ import main as firmware_sim
 from firmware_sim.truth import Truth, read_truth
-from handctl.cli.exit_codes import Exit
-from handctl.cli.plan import Plan
-from handctl.cli.session import Outcome, make_controller, run_live
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gains import Gains
 from handctl.controller.live import JogProgram
@@ -31,6 +28,9 @@ from handctl.drives.registry import PROTOCOLS
 from handctl.hand.load import load_hand
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clock import RealClock
+from handctl.session.exit_codes import Exit
+from handctl.session.plan import Plan
+from handctl.session.run import Outcome, make_controller, run_live
 from tests.drives.protocol_bench import hand_file, on_two_buses
 
 RATE_HZ = 200.0
@@ -147,7 +147,7 @@ def pull(path: Path, buses: Sequence[str], folder: Path) -> tuple[Outcome, Truth
     """Arm, pull every tendon for a moment, relax, disarm; what the run came to, and what really happened."""
     hand, time_scale = load_hand(str(path)), 0.1
     load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
-    plan = Plan(hand, Gains(), RATE_HZ, load, tuple(buses), time_scale=time_scale, quiet=True)
+    plan = Plan(hand, Gains(), RATE_HZ, load, tuple(buses), time_scale=time_scale)
     program = JogProgram(HoldTension(do="hold", tension_N=dict.fromkeys(DIGITS, PULL_N)), PULL_S)
     with simulated(path, buses, time_scale, folder / "truth"):
         outcome = run_live(plan, make_controller(plan, program, None, arm_at_once=True), folder / "run.mcap")

@@ -5,13 +5,13 @@ import sys
 import time
 from importlib.metadata import distributions, version
 
-from handctl.cli.plan import Plan
 from handctl.controller import setup
 from handctl.controller.tick import Controller
 from handctl.hand.formats.urdf import urdf
 from handctl.log.code import code_identity
 from handctl.log.header import RunHeader
 from handctl.runtime.clock import Priority
+from handctl.session.plan import Plan
 
 VIRTUAL_START_S = 0.0
 """UNIX time at which every lockstep run starts: with the wall clock's no two logs would be equal [s]."""

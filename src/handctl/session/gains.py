@@ -1,15 +1,14 @@
 """Where each gain of a run comes from: packaged, the hand's gains file, and the command line, the later wins."""
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from handctl.cli.options import say
 from handctl.controller.gain_bounds import flat, with_values
 from handctl.controller.gains import Gains, GainsFile, Provenance, load_gains_file
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
+from handctl.session.notices import Tell, silent
 
 PACKAGED, COMMAND_LINE = "packaged", "command line"
 
@@ -31,27 +30,29 @@ class LayeredGains:
     origins: dict[str, str]
 
 
-def layered_gains(args: argparse.Namespace, hand: Hand) -> LayeredGains:
-    """The gains that a run with these arguments uses.
+def layered_gains(hand: Hand, file: Path | None, words: Sequence[str], tell: Tell = silent) -> LayeredGains:
+    """Return the gains that a run uses.
 
     Args:
-        args: with ``gains`` and ``gain``.
         hand: that they are for.
+        file: that is named; None: ``HAND.gains.toml`` if it is there.
+        words: KEY=VALUE, over every file.
+        tell: takes a notice for the operator.
 
     Raises:
         ConfigError: a file or a value that cannot be used, or gains of another hand.
     """
     default = Path(f"{hand.name}.gains.toml")
-    file: Path | None = args.gains or (default if default.exists() else None)
-    found = gains_for(hand, file) if file else GainsFile()
+    file = file or (default if default.exists() else None)
+    found = gains_for(hand, file, tell) if file else GainsFile()
     base = found.gains
-    values = assignments(getattr(args, "gain", None) or (), "--gain")
+    values = assignments(words, "--gain")
     gains = with_values(base, values, "--gain") if values else base
     origins = {key: _origin(base, key, file) for key in flat(base)} | dict.fromkeys(values, COMMAND_LINE)
     return LayeredGains(gains, file, found.provenance, origins)
 
 
-def gains_for(hand: Hand, path: Path) -> GainsFile:
+def gains_for(hand: Hand, path: Path, tell: Tell = silent) -> GainsFile:
     """Read gains that this hand may use; those of an earlier description of it may be, and that is said.
 
     Raises:
@@ -64,7 +65,7 @@ def gains_for(hand: Hand, path: Path) -> GainsFile:
     if made.identity not in ("", hand.identity):
         then, now = made.identity[:12], hand.identity[:12]
         which = f"{hand.name} as {then}, and it is {now} now"
-        say(f"handctl: {path} was made for {which}: handctl tune design shows its margins", error=True)
+        tell(f"handctl: {path} was made for {which}: handctl tune design shows its margins")
     return file
 
 
@@ -93,24 +94,3 @@ def assignments(words: Sequence[str], where: str) -> dict[str, float]:
         if not equals or not key or found[key] != found[key]:
             raise ConfigError(repr(word), where, "KEY=NUMBER, e.g. motion.force_N=25")
     return found
-
-
-def check_perturb(args: argparse.Namespace) -> None:
-    """Refuse what would not be obeyed, or be read only after a dry run has found all well.
-
-    Raises:
-        ConfigError: no KEY=NUMBER, or of a hand that is not simulated here.
-    """
-    if assignments(args.perturb, "--perturb") and not args.lockstep:
-        raise ConfigError("only with --lockstep", "--perturb", "a simulator with it: python -m firmware_sim --perturb")
-
-
-def check_bus_only(args: argparse.Namespace) -> None:
-    """Refuse what only a run on a bus obeys.
-
-    Raises:
-        ConfigError: it is asked for.
-    """
-    for option, given in (("--clear", args.clear), ("--time-scale", args.time_scale != 1.0)):
-        if given:
-            raise ConfigError("only with --bus", option, "a run in lockstep without it")

@@ -1,20 +1,13 @@
-"""A run from checked files to its log: the wiring that ``run``, ``demo``, ``commission`` and ``jog`` have in common."""
+"""A run from its plan to its log, on the clock or in lockstep: who is wired to whom."""
 
-import math
 import subprocess
-import sys
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, nullcontext, suppress
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Protocol
 
-from handctl.cli.display import Display
-from handctl.cli.exit_codes import Exit
-from handctl.cli.plan import Plan
-from handctl.cli.progress import progress
-from handctl.cli.run_header import run_header
 from handctl.compiled import prepare
 from handctl.controller import setup
 from handctl.controller.calibration import Calibration
@@ -23,18 +16,20 @@ from handctl.controller.program import Program
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.controller.types import IoEvent, TickIn, TickOut
-from handctl.errors import DriveError, HandctlError, PowerError
+from handctl.errors import DriveError, PowerError
 from handctl.log.header import TRUTH_OFFSET
 from handctl.log.record import pack
 from handctl.log.write.recorder import Recorder
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clock import Clock, Priority, RealClock, cores, give_back_priority, prepare_priority, urgent
+from handctl.runtime.clock import Clock, Priority, RealClock, give_back_priority, prepare_priority, urgent
 from handctl.runtime.lockstep import LockstepBus, LockstepClock
 from handctl.runtime.loop import Loop, LoopBus, LoopStats, Signals
 from handctl.runtime.mailbox import CLEAR, Mailbox, held
-from handctl.runtime.simulator import ask_simulator, find_simulator
 from handctl.runtime.status import status
 from handctl.runtime.suspend import SuspendWatch
+from handctl.session.exit_codes import Exit
+from handctl.session.header import run_header
+from handctl.session.plan import Display, Plan
 
 LATE = ("B02", "B03b", "B17", "N02", "N02b", "N08", "H03")
 """Rows of the fault table that latch if answers or ticks come too late."""
@@ -87,52 +82,13 @@ class Outcome:
             raise DriveError(self.state.failure or "stopped before the end", where, right)
 
 
-def remedy(plan: Plan, outcome: Outcome) -> str:
-    """What would be right where a simulated hand and its controller did not keep up with each other."""
-    if not (plan.simulated and outcome.late):
-        return ""
-    return f"a machine that keeps up with a simulated hand, or --time-scale {slower(plan, outcome):g} on both sides"
-
-
-LOAD = 0.7
-"""Fraction of its core up to which a machine keeps up."""
-NOT_KEPT = 0.7
-"""Largest advised pace as a fraction of one that was not kept."""
-
-
-def slower(plan: Plan, outcome: Outcome) -> float:
-    """Return the time scale that this machine keeps, by the computing times measured in a run that came too late.
-
-    Simulator and controller have a core each, or share the only one. The simulator is asked what it measured.
-
-    Args:
-        plan: of the run.
-        outcome: of the run; its simulator still runs.
-    """
-    own = outcome.stats.cpu_s / (outcome.state.k * plan.period_ns / 1e9) if outcome.state.k > 0 else 0.0
-    told: dict[str, float | None] = {}
-    with suppress(HandctlError):
-        told = ask_simulator(find_simulator(plan.buses[0]), {"pace": True}).get("pace", {})
-    capacity = told.get("plant_s_per_cpu_s") or math.inf
-    loads = (own, 1.0 / capacity)
-    load = sum(loads) if len(cores()) == 1 else max(loads)
-    limits = [NOT_KEPT * plan.time_scale, told.get("advice") or math.inf, LOAD / load if load > 0.0 else math.inf]
-    return one_digit(max(0.001, min(limits)))
-
-
-def one_digit(value: float) -> float:
-    """Return a positive number rounded down to one significant digit: 0.3 of 0.37."""
-    step = 10.0 ** math.floor(math.log10(value))
-    return float(f"{math.floor(value / step + 1e-9) * step:.6g}")
-
-
 Runner = Callable[["Plan", Controller, Path], Outcome]
 """How a run is run: ``run_live``, or its twin in lockstep."""
 
 
 def make_controller(plan: Plan, program: Program, calibration: Calibration | None, arm_at_once: bool) -> Controller:
     """Design the gains and put the controller together; a bar shows how far it is compiled where that takes a while."""
-    with progress("compiling the controller, once") as told:
+    with plan.progress("compiling the controller, once") as told:
         prepare(told)
     return setup.make_controller(plan.hand, plan.gains, plan.rate_hz, program, calibration, arm_at_once)
 
@@ -166,7 +122,7 @@ def run_live(
         LogError: the log cannot be written.
     """
     for text in setup.caveats(controller.drives):
-        print(f"handctl: caution: {text}", file=sys.stderr)
+        plan.tell(f"handctl: caution: {text}")
     clock = RealClock(plan.period_ns, plan.time_scale)
     with ExitStack() as stack:
         mailbox = Mailbox(plan.buses[0])
@@ -182,7 +138,7 @@ def run_live(
         stack.callback(give_back_priority)
         clock.spin = priority.realtime
         recorder = Recorder.start(log, run_header(plan, controller, priority, lockstep=False))
-        display = None if plan.quiet else Display.start(plan.hand, plan.rate_hz, max(plan.load, default=0.0))
+        display = plan.display(plan) if plan.display else None
         if live_view:
             stack.callback(_start_view(log))
         signals = Signals()
@@ -201,7 +157,7 @@ def run_lockstep(
     header = run_header(plan, controller, None, lockstep=True)
     began = {TRUTH_OFFSET: str(clock.offset_ns)}
     recorder = Recorder.start(log, replace(header, metadata=header.metadata | began))
-    display = None if plan.quiet else Display.start(plan.hand, plan.rate_hz, max(plan.load, default=0.0))
+    display = plan.display(plan) if plan.display else None
     asks, show = _asking(attendant, lambda: ()), _attended(attendant, display.show if display else _show_nothing)
     loop = _loop(plan, controller, clock, [LockstepBus(clock)], recorder, asks, show)
     return _finish(loop, controller, recorder, display, None, lambda: clock.offset_ns)

@@ -1,0 +1,258 @@
+"""Everything about a run that is known, and checked, before a bus is opened."""
+
+import math
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Protocol
+
+from handctl.controller.bus_load import BusLoad, bus_loads
+from handctl.controller.gains import Gains
+from handctl.controller.types import TickIn, TickOut
+from handctl.drives.load import MOST, highest_rate
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.load import load_hand
+from handctl.runtime.buses.open import check_spec, real_buses
+from handctl.session.gains import layered_gains
+from handctl.session.notices import Progress, Tell, silent, unseen
+
+TICKS_IN_WATCHDOG = 2
+"""Ticks in a drive's watchdog time, at least: one lost frame is no reason to let go."""
+
+
+class Display(Protocol):
+    """What an operator sees while a hand runs."""
+
+    def show(self, entry: TickIn, out: TickOut) -> None:
+        """A tick is over."""
+        ...
+
+    def close(self) -> None:
+        """The run is over."""
+        ...
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything about a run that is known, and checked, before a bus is opened.
+
+    Attributes:
+        hand: description.
+        gains: weights and noise assumptions.
+        rate_hz: control rate.
+        load: worst-case share of each bus, in the hand's order.
+        buses: specification of each bus; empty in lockstep.
+        attachments: files that go into the log.
+        time_scale: run time per wall time.
+        clear: an operator has ordered that what the drives have latched be cleared.
+        display: starts the display of a run; None for none.
+        tell: takes a notice for the operator.
+        progress: shows how far a preparation is.
+    """
+
+    hand: Hand
+    gains: Gains
+    rate_hz: float
+    load: tuple[float, ...]
+    buses: tuple[str, ...] = ()
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    time_scale: float = 1.0
+    clear: bool = False
+    display: "Callable[[Plan], Display] | None" = None
+    tell: Tell = silent
+    progress: Progress = unseen
+
+    @property
+    def period_ns(self) -> int:
+        """Control period [ns]."""
+        return round(1e9 / self.rate_hz)
+
+    @property
+    def simulated(self) -> bool:
+        """Whether it is for buses, and none of them can have real motors."""
+        return bool(self.buses) and not real_buses(self.buses)
+
+    def on(self, buses: tuple[str, ...]) -> "Plan":
+        """The same plan on other buses."""
+        return replace(self, buses=buses)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What an operator chooses of a run, before anything of it is checked.
+
+    Attributes:
+        hand: packaged name or file.
+        hand_named: whether the operator has named the hand.
+        bus: ``SPEC``, or ``NAME=SPEC`` for each bus; None in lockstep.
+        gains: file, or None for the hand's own.
+        gain: KEY=VALUE, over every file.
+        rate: control rate, or None for the highest usual one [Hz].
+        time_scale: run time per wall time.
+        log: file to write, or None.
+        clear: whether what the drives have latched is cleared.
+    """
+
+    hand: str | Path
+    hand_named: bool = False
+    bus: Sequence[str] | None = None
+    gains: Path | None = None
+    gain: Sequence[str] = ()
+    rate: float | None = None
+    time_scale: float = 1.0
+    log: Path | None = None
+    clear: bool = False
+
+
+def make_plan(choice: Choice, display: "Callable[[Plan], Display] | None" = None, tell: Tell = silent) -> Plan:
+    """Check hand, gains, buses and rate.
+
+    Args:
+        choice: of the operator.
+        display: starts the display of a run; None for none.
+        tell: takes a notice for the operator.
+
+    Raises:
+        ConfigError: anything that is wrong, in one line.
+    """
+    hand = load_hand(choice.hand)
+    check_load_cells(hand, str(choice.hand))
+    layers = layered_gains(hand, choice.gains, choice.gain, tell)
+    buses = () if choice.bus is None else bus_specs(hand, choice.bus)
+    _refuse_unnamed(choice, hand, buses)
+    loads = bus_loads(hand)
+    rate = control_rate(choice.rate, hand, loads)
+    load = tuple(one.at(rate) for one in loads)
+    if not 0.001 <= choice.time_scale <= 100:
+        raise ConfigError(f"{choice.time_scale:g}", "--time-scale", "0.001 to 100")
+    if choice.time_scale != 1 and (real := real_buses(buses)):
+        right = "1, or a bus of simulated ones: local:NAME, socketcan:vcan0"
+        raise ConfigError(f"{choice.time_scale:g}, and {real[0]} may have real motors", "--time-scale", right)
+    _check_log(choice.log)
+    attachments = {"gains.toml": layers.file.read_bytes()} if layers.file else {}
+    return Plan(hand, layers.gains, rate, load, buses, attachments, choice.time_scale, choice.clear, display, tell)
+
+
+def _refuse_unnamed(choice: Choice, hand: Hand, buses: Sequence[str]) -> None:
+    """Refuse the default hand on a real bus: its limits are those of other motors and tendons.
+
+    Raises:
+        ConfigError: no hand is named, and the bus may have real motors.
+    """
+    if not choice.hand_named and (real := real_buses(buses)):
+        right = f"--hand, the file of the hand that is there; the default {hand.name!r} is for simulated buses alone"
+        raise ConfigError(f"no hand is named, and {real[0]} may have real motors", "--hand", right)
+
+
+def check_load_cells(hand: Hand, where: str) -> None:
+    """Refuse a hand with a tendon that has no load cell: no controller arms it.
+
+    Args:
+        hand: to be armed.
+        where: its name or file, for the message.
+
+    Raises:
+        ConfigError: ``sensor_node.tendons`` leaves a tendon out.
+    """
+    if bare := [name for name in hand.tendon_names if name not in hand.sensor_node.tendons]:
+        what = f"no load cell of {', '.join(bare)}"
+        raise ConfigError(what, f"{where}: sensor_node.tendons", "every tendon: without its load cell no hand is armed")
+
+
+def control_rate(asked: float | None, hand: Hand, loads: Sequence[BusLoad]) -> float:
+    """The rate that was asked for [Hz], or the highest usual one.
+
+    Raises:
+        ConfigError: the drives' watchdogs do not allow a lost tick at it, or a bus cannot carry it.
+    """
+    best = fastest(loads)
+    rate = best if asked is None else asked
+    lowest = TICKS_IN_WATCHDOG * 1e3 / min(motor.watchdog_ms for motor in hand.motor)
+    if not lowest <= rate < math.inf:
+        what = f"{rate:g}" if asked is not None else f"the buses carry {rate:g}"
+        raise ConfigError(what, "--rate", f"at least {lowest:g}, for the drives' watchdogs")
+    for name, load in zip(hand.bus_names, loads, strict=True):
+        if load.at(rate) > MOST:
+            what = f"bus {name} would be {100 * load.at(rate):.0f} % full at {rate:g} Hz"
+            raise ConfigError(what, "--rate", f"at most {best:g}")
+    return rate
+
+
+def _check_log(log: Path | None) -> None:
+    """Refuse a log that could not be created, before anything is opened."""
+    if log is not None and (log.suffix != ".mcap" or os.path.lexists(log) or not log.parent.is_dir()):
+        raise ConfigError(str(log), "--log", "a new file ending in .mcap in a folder that exists")
+
+
+def fastest(loads: Sequence[BusLoad]) -> float:
+    """The highest usual control rate that all buses can carry [Hz]."""
+    return highest_rate((load.tick_s for load in loads), (load.share for load in loads))
+
+
+def check_design(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None:
+    """Refuse gains from which nothing can be designed, though each is within its bounds.
+
+    Args:
+        hand: that they are for.
+        gains: all of them.
+        rate_hz: at which they are used; that of the hand, if it is not given [Hz].
+
+    Raises:
+        ConfigError: no controller or no filter follows from them.
+    """
+    from handctl.controller.model import HandModel
+
+    HandModel.of(hand, gains, rate_hz or fastest(bus_loads(hand)))
+
+
+def bus_specs(hand: Hand, given: Sequence[str]) -> tuple[str, ...]:
+    """Specification of each bus of a hand, from ``--bus``.
+
+    Raises:
+        ConfigError: a bus is missing, given twice, not the hand's, or none.
+    """
+    specs = _specs(hand.bus_names, given)
+    for spec in specs:
+        check_spec(spec)
+    return specs
+
+
+def _specs(names: tuple[str, ...], given: Sequence[str]) -> tuple[str, ...]:
+    """What was given for each name."""
+    if len(names) == 1 and len(given) == 1 and "=" not in given[0].partition(":")[0]:
+        return (given[0],)
+    found: dict[str, str] = {}
+    for text in given:
+        name, _, spec = text.partition("=")
+        if name not in names or not spec or name in found:
+            raise ConfigError(repr(text), "--bus", " ".join(f"--bus {name}=SPEC" for name in names))
+        found[name] = spec
+    for name in names:
+        if name not in found:
+            raise ConfigError("missing", f"--bus {name}=SPEC", f"all of {', '.join(names)}")
+    return tuple(found[name] for name in names)
+
+
+def commission_log(log: Path) -> Path:
+    """Return a new name beside a run's log for the commissioning before it.
+
+    A run that a fault ended in its commissioning leaves that log and no other; the same command then goes on beside it.
+    """
+    number, path = 1, log.with_suffix(".commission.mcap")
+    while os.path.lexists(path):
+        number, path = number + 1, log.with_suffix(f".commission-{number + 1}.mcap")
+    return path
+
+
+def default_log(hand: Hand, kind: str = "") -> Path:
+    """logs/DATE-HAND.mcap, made unique."""
+    folder = Path("logs")
+    folder.mkdir(exist_ok=True)
+    stem = time.strftime("%Y%m%d-%H%M%S") + f"-{hand.name}" + (f"-{kind}" if kind else "")
+    number, path = 1, folder / f"{stem}.mcap"
+    while path.exists():
+        number, path = number + 1, folder / f"{stem}-{number}.mcap"
+    return path

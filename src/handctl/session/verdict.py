@@ -1,0 +1,104 @@
+"""Judging a finished run: its numbers and its picture."""
+
+import shutil
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from handctl.controller.setup import make_sensors
+from handctl.controller.task import Hold, Task
+from handctl.log.read.reader import RunLog
+from handctl.report.figure import draw_run
+from handctl.report.lift import judge_lift, lift_failure
+from handctl.report.summary import summarise
+from handctl.report.truth import Truth, read_truth
+from handctl.session.notices import Tell
+from handctl.session.plan import Plan
+from handctl.session.run import Outcome
+
+
+def judge(
+    plan: Plan,
+    outcome: Outcome,
+    log: Path,
+    truth_file: Path | None,
+    picture: bool = True,
+    task: Task | None = None,
+) -> dict[str, Any]:
+    """Numbers of a run, with its picture beside the log.
+
+    A disk that became full under the run costs the picture, said in a line, and nothing else.
+
+    Args:
+        plan: of the run.
+        outcome: of the run.
+        log: its file.
+        truth_file: of the simulator, copied beside the log; None on hardware.
+        picture: whether to draw.
+        task: that was carried out, if its grasp is to be judged: one that did not carry its object is a failure.
+    """
+    truth_file = _beside(log, truth_file, plan.tell) if truth_file else None
+    truth = read_truth(truth_file) if truth_file else None
+    with RunLog(log) as record:
+        result = summarise(record, plan.hand, truth, outcome.offset_ns)
+        result |= judge_lift(record, truth, outcome.offset_ns, _holds(task))
+        drawn = _picture(plan, outcome, record, truth, log) if picture else None
+    stats = outcome.stats
+    result |= {
+        "missed": stats.missed,
+        "time_scale": plan.time_scale,
+        "frames_tx": stats.frames_tx,
+        "frames_rx": stats.frames_rx,
+        "frames_late": outcome.state.sensors.stale,
+        "frames_lost": lost_frames(plan, outcome),
+        "bus_load": max(plan.load),
+        "log": str(log),
+        "log_bytes": int(str(outcome.log["bytes"])),
+        "log_complete": bool(outcome.log["complete"]),
+        "picture": str(drawn) if drawn else None,
+        "truth": str(truth_file) if truth_file else None,
+        "priority": str(outcome.priority) if outcome.priority else "lockstep",
+        "failure": outcome.state.failure or lift_failure(result),
+    }
+    return result
+
+
+def _holds(task: Task | None) -> set[str]:
+    """Return the names of the phases in which a task holds something."""
+    return {phase.name for phase in task.phase if isinstance(phase, Hold)} if task else set()
+
+
+def _beside(log: Path, truth: Path, tell: Tell) -> Path:
+    """The truth beside the log, or where it is if there is no room."""
+    beside = log.with_suffix(".truth")
+    if truth == beside:
+        return beside
+    try:
+        shutil.copyfile(truth, beside)
+    except OSError as error:
+        _left_out(beside, error, tell)
+        return truth
+    return beside
+
+
+def _picture(plan: Plan, outcome: Outcome, record: RunLog, truth: Truth | None, log: Path) -> Path | None:
+    """The picture of the run; None if there is no room."""
+    path = log.with_suffix(".png")
+    try:
+        draw_run(path, record, plan.hand, truth, outcome.offset_ns, f"{plan.hand.name}: {log.name}")
+    except OSError as error:
+        _left_out(path, error, plan.tell)
+        return None
+    return path
+
+
+def _left_out(path: Path, error: OSError, tell: Tell) -> None:
+    """Say that a file beside the log could not be written; half of one is worth nothing."""
+    with suppress(OSError):
+        path.unlink()
+    tell(f"handctl: {path} is left out: {error.strerror or error}")
+
+
+def lost_frames(plan: Plan, outcome: Outcome) -> int:
+    """Return how many frames a bus refused or the sensor node never sent; an answer after the next SYNC is late."""
+    return outcome.stats.refused + make_sensors(plan.hand).lost(outcome.state.sensors)
