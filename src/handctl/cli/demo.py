@@ -136,23 +136,38 @@ def _in_real_time(
     """On real clocks, in slower time if it must be; what it came to, and with which plan."""
     again = plan.time_scale > SLOWEST and not wire_words(args)  # a wire may be too slow by itself
     first, then = _live(view=False, refuse_late=again), _live(args.view, refuse_late=again)
+    commissioning = commission_log(log)
     try:
         with simulator(args, plan):
             return _commission_and_run(plan, program, log, (first, then), known), plan
     except _LateError as late:
         slower_plan = replace(plan, time_scale=max(late.scale, SLOWEST))
-        _set_aside(log, plan.time_scale)
+        _set_aside(log, commissioning, plan.time_scale)
         why = f"this machine does not keep up with a simulated hand ({late})"
         print(f"handctl: {why}; once more at {slower_plan.time_scale:g} of real time", file=sys.stderr)
     return _in_real_time(args, slower_plan, program, log, known)
 
 
-def _set_aside(log: Path, scale: float) -> None:
-    """Keep what a run that was too late has logged, under a name that says so."""
-    kept = log.with_stem(f"{log.stem}-at-{scale:g}")
-    for suffix in (".mcap", ".commission.mcap"):
-        if log.with_suffix(suffix).exists():
-            log.with_suffix(suffix).rename(kept.with_suffix(suffix))
+def _set_aside(log: Path, commissioning: Path, scale: float) -> None:
+    """Rename the logs of a run that was too late, so that the names are free for the next attempt.
+
+    Args:
+        log: of the run.
+        commissioning: log of its own commissioning; one that an earlier run has left keeps its name.
+        scale: of time, for the new names. No file that exists is replaced.
+    """
+    number, stem = 1, f"{log.stem}-at-{scale:g}"
+    while any(map(os.path.lexists, _names(log, stem))):
+        number, stem = number + 1, f"{log.stem}-at-{scale:g}-{number + 1}"
+    for before, after in zip((log, commissioning), _names(log, stem), strict=True):
+        if before.exists():
+            before.rename(after)
+
+
+def _names(log: Path, stem: str) -> tuple[Path, Path]:
+    """Return a run's log and that of its commissioning, with another stem."""
+    own = log.with_name(f"{stem}.mcap")
+    return own, log.with_name(f"{stem}.commission.mcap")
 
 
 def _live(view: bool, refuse_late: bool) -> Runner:
