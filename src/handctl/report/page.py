@@ -17,6 +17,7 @@ from handctl.log.topics.clock_pairs import steps
 from handctl.output import whole
 from handctl.printing import printable
 from handctl.report.figure import draw_run
+from handctl.report.frames import frame_counts
 from handctl.report.pictures import lateness, loads, poses
 from handctl.report.summary import angle_rows, summarise
 from handctl.report.truth import Truth
@@ -92,10 +93,12 @@ def _numbers(
     log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, load: "np.ndarray[tuple[int], np.dtype[np.float64]]"
 ) -> str:
     found = summarise(log, hand, truth, offset_ns)
-    late = found["late_us"]
+    late, frames = found["late_us"], frame_counts(log, hand)
     rows = [
         ("ticks", f"{found['ticks']} at {found['rate_hz']:g} Hz, {found['missed']} missed"),
         ("lateness p50 / p99.9 / max", " / ".join(f"{us:.0f}" for us in late.values()) + " us" if len(log) else ""),
+        ("frames late", f"{frames.late}"),
+        ("frames lost", f"{frames.lost}"),
         ("gaps in the log", f"{len(log.gaps)}"),
         ("faults", _faults(log)),
         ("contacts", _contacts(log)),

@@ -1,0 +1,66 @@
+"""Late and lost frames counted from a log: a golden run whose frames are held back or taken away."""
+
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from handctl.controller.setup import make_sensors
+from handctl.controller.types import IoEvent
+from handctl.hand.load import load_hand
+from handctl.log.read.reader import RunLog
+from handctl.log.record import TickRecord
+from handctl.report.frames import frame_counts
+
+GOLDEN = Path(__file__).parents[2] / "logs" / "golden"
+
+HAND = load_hand("jamia")
+TICKS = 600
+
+
+@pytest.fixture(scope="module")
+def ticks() -> list[TickRecord]:
+    with RunLog(GOLDEN / "jamia-grasp.mcap") as log:
+        return list(islice(log.ticks(), TICKS))
+
+
+def counted(ticks: list[TickRecord]) -> tuple[int, int]:
+    def read() -> Iterator[TickRecord]:
+        yield from ticks
+
+    return tuple(frame_counts(SimpleNamespace(ticks=read), HAND))  # type: ignore[arg-type]
+
+
+def without(ticks: list[TickRecord], at: int) -> tuple[list[TickRecord], object]:
+    """The ticks without the first tension frame of one of them, and that frame."""
+    wanted = make_sensors(HAND).ids[0]
+    entry = ticks[at].tick_in
+    [frame] = [one for one in entry.frames if one.can_id == wanted][:1]
+    rest = tuple(one for one in entry.frames if one is not frame)
+    changed = ticks[at]._replace(tick_in=entry._replace(frames=rest))
+    return [*ticks[:at], changed, *ticks[at + 1 :]], frame
+
+
+def test_a_sound_run_has_neither(ticks: list[TickRecord]) -> None:
+    assert counted(ticks) == (0, 0)
+
+
+def test_a_frame_that_never_comes_is_lost(ticks: list[TickRecord]) -> None:
+    for at in (300, 310, 320):
+        ticks, _ = without(ticks, at)
+    assert counted(ticks) == (0, 3)
+
+
+def test_a_frame_of_the_tick_before_is_late(ticks: list[TickRecord]) -> None:
+    ticks, frame = without(ticks, 300)
+    entry = ticks[301].tick_in
+    ticks[301] = ticks[301]._replace(tick_in=entry._replace(frames=(frame, *entry.frames)))
+    assert counted(ticks) == (1, 0)
+
+
+def test_a_refused_frame_is_lost(ticks: list[TickRecord]) -> None:
+    entry = ticks[300].tick_in
+    refused = ticks[300]._replace(tick_in=entry._replace(io_events=(IoEvent("enobufs", "can0", 2),)))
+    assert counted([*ticks[:300], refused, *ticks[301:]]) == (0, 2)
