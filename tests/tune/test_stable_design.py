@@ -13,7 +13,7 @@ from handctl.tune.design import Design, design, linear_factors, unlike_tendons
 from handctl.tune.ensemble import ensemble
 from handctl.tune.linear import LoopKind, System, _half_closed, controller, loop
 from handctl.tune.margins import MOST_DB, Margins, confirmed, is_stable, margins
-from handctl.tune.steps import Proof, swing
+from handctl.tune.steps import Proof, Swing, swing
 from tests.conftest import NIGHTLY
 
 HANDS = packaged_hands()
@@ -140,8 +140,7 @@ def test_what_a_design_writes_is_stable(hand: str, seed: int) -> None:
     except ValueError:
         return  # nothing is written
     after = judged_stable(model, found, seed)
-    for one in factors:
-        assert swing(model.hand, after, one, seed + 100).at_rest
+    assert Proof(model.hand, factors, plants, seed + 100)(after)
 
 
 def test_a_proof_that_fails_leaves_no_design(jamia: HandModel) -> None:
@@ -154,6 +153,53 @@ def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
     model = with_force(393.0)
     assert not margins(loop(model, 0, LoopKind.TENSION)).stable
     assert not swing(model.hand, model, {}, 0).at_rest
+
+
+def proof_of(model: HandModel) -> Proof:
+    """A proof on the hand's own plant and what belongs to it."""
+    factors = ensemble(2, 0)
+    return Proof(model.hand, factors, tuple(linear_factors(one) for one in factors), 0)
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: str) -> None:
+    """Chatter that the plant makes without feedback is not the loop's."""
+    model = HandModel.of(load_hand(hand), Gains(), RATES.get(hand, 200.0))
+    proof = proof_of(model)
+    assert proof(model), proof.told
+
+
+@pytest.mark.parametrize("hand", HANDS)
+@pytest.mark.parametrize(
+    ("loop_N", "own_N", "good"), [(0.2, 0.0, True), (2.5, 0.0, False), (5.0, 4.0, True), (9.3, 4.0, False)]
+)
+def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
+    monkeypatch: pytest.MonkeyPatch, hand: str, loop_N: float, own_N: float, good: bool
+) -> None:
+    """All other plants come to rest."""
+    model = HandModel.of(load_hand(hand), Gains(), RATES.get(hand, 200.0))
+
+    def fake(hand: object, tried: HandModel, factors: dict[str, float], seed: int) -> Swing:
+        least = factors == {"friction": 0.5}
+        held = own_N if tried.gains.tension.integral_per_s == 0.0 else loop_N
+        return Swing(0.0, 0.0, held if least else 0.0)
+
+    monkeypatch.setattr("handctl.tune.steps.swing", fake)
+    proof = proof_of(model)
+    assert proof(model) == good
+    assert ("0.5 of the friction swings" in proof.told) != good
+
+
+def test_what_fails_on_the_plant_with_the_least_friction_is_refused(
+    monkeypatch: pytest.MonkeyPatch, jamia: HandModel
+) -> None:
+    """Also where the same run without feedback fails: then nothing is known of the plant's own swing."""
+    lost = Swing(math.inf, math.inf, math.inf, "N14b")
+    still = Swing(0.0, 0.0, 0.0)
+    monkeypatch.setattr("handctl.tune.steps.swing", lambda hand, m, f, s: lost if f == {"friction": 0.5} else still)
+    proof = proof_of(jamia)
+    assert not proof(jamia)
+    assert "N14b" in proof.told
 
 
 COUPLED = [((1.0,), (0.5,), (0.25,)), ((0.2,), (1.0,), (1.0,)), ((1.0,), (-0.4,), (0.6,))]
