@@ -30,11 +30,11 @@ def perturbed(hand: Hand, factors: dict[str, float]) -> Hand:
     """
     for key, value in factors.items():
         if key not in KEYS:
-            raise SimulatorError(f"no such parameter to perturb: {key}; expected one of {', '.join(KEYS)}")
+            raise SimulatorError(f"--perturb: no such parameter: {key}; expected one of {', '.join(KEYS)}")
         if not math.isfinite(value) or (value < 0 and key != "bias"):
-            raise SimulatorError(f"perturb {key}={value}: expected a finite factor >= 0")
+            raise SimulatorError(f"--perturb: {key}={value:g}; expected a finite factor, 0 or more")
         if value == 0 and key in ("mass", "motor_inertia"):
-            raise SimulatorError(f"perturb {key}=0: expected a factor > 0")
+            raise SimulatorError(f"--perturb: {key}=0; expected a factor above 0")
     f = {key: factors.get(key, 1.0) for key in KEYS}
     try:
         return replace(

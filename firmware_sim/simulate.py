@@ -70,9 +70,11 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _factors(words: list[str]) -> dict[str, float]:
-    factors = {}
+    factors: dict[str, float] = {}
     for word in words:
         key, _, value = word.partition("=")
+        if key in factors:
+            raise SimulatorError(f"--perturb: {key} is there twice; expected one factor for each")
         try:
             factors[key] = float(value)
         except ValueError:

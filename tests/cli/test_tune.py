@@ -1,6 +1,7 @@
 """``handctl tune`` and ``handctl identify`` as a person or a program uses them; what they compute is stood in for."""
 
 import json
+import shlex
 from argparse import ArgumentParser, Namespace
 from contextlib import nullcontext
 from dataclasses import replace
@@ -222,3 +223,96 @@ def test_what_is_given_twice_is_taken_twice():
 )
 def test_what_is_given_empty_or_alone_is_not_passed_over(place, capsys, words, line):
     assert line in refused(capsys, *words)
+
+
+PERTURBING = [
+    ("identify", "--lockstep", "--dry-run"),
+    ("tune", "design", "--plants", "1"),
+    ("tune", "search", "--plants", "1", "--trials", "1"),
+    ("tune", "verify", "new.toml", "--lockstep", "--dry-run"),
+    ("demo", "--lockstep", "--dry-run"),
+]
+"""Every verb that simulates the hand itself; ``sim`` leaves it to the simulator, see test_simulate."""
+
+
+@pytest.mark.parametrize("verb", PERTURBING, ids=lambda words: "-".join(words[:2]))
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("luck=2",), "--perturb: no such parameter: luck; expected one of stiffness, damping, friction"),
+        (("mass=0",), "--perturb: mass=0; expected a factor above 0"),
+        (("friction=-1",), "--perturb: friction=-1; expected a finite factor, 0 or more"),
+        (("mass",), "--perturb: 'mass'; expected KEY=NUMBER, e.g. stiffness=0.8"),
+        (("mass=2", "mass=3"), "--perturb: mass is there twice; expected one value for each"),
+        (("mass=2", "--perturb", "mass=3"), "--perturb: mass is there twice; expected one value for each"),
+    ],
+)
+def test_a_wrong_perturbation_is_one_line_in_every_verb(place, capsys, verb, words, said):
+    (place / "new.toml").write_text("schema = 1\n")
+    assert said in refused(capsys, *verb, "--perturb", *words)
+    assert [path.name for path in place.iterdir()] == ["new.toml"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("luck=2", "--perturb: no such parameter: luck; expected one of"),
+        ("mass=2 mass=3", "--perturb: mass is there twice"),
+    ],
+)
+def test_the_simulator_refuses_the_same(capsys, words, said):
+    from firmware_sim.__main__ import main as simulate
+
+    assert simulate(["--hand", "jamia", "--bus", "local:nobody", "--dry-run", "--perturb", *words.split()]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert err.count("\n") == 1
+
+
+def next_words(out):
+    """The words of the command that a verb has printed to go on with."""
+    [line] = [line for line in out.splitlines() if line.startswith("next: handctl ")]
+    return shlex.split(line)[2:]
+
+
+def test_commands_to_go_on_with_repeat_the_options_of_the_same_hand(capsys):
+    from handctl.cli.identify import _search_command
+    from handctl.cli.tune_files import verify_command
+
+    given = {"hand": "my hand.toml", "gains": Path("a b.toml"), "gain": ["motion.force_N=16"], "rate": 250.0}
+    args = Namespace(**given, perturb=["stiffness=0.8", "friction=1.3"], fit=Path("x.calibration.toml"))
+    own = "--gains 'a b.toml' --gain motion.force_N=16 --rate 250 --perturb stiffness=0.8 friction=1.3"
+    head = "handctl tune search --hand 'my hand.toml' --calibration x.calibration.toml "
+    assert _search_command(args, Path("x.calibration.toml")) == head + own
+    head = "handctl tune verify new.toml --lockstep --hand 'my hand.toml' --calibration x.calibration.toml "
+    assert verify_command(args, Path("new.toml")) == head + own
+
+
+@pytest.mark.parametrize("fit", [None, Path("x.calibration.toml")])
+def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(fit):
+    from handctl.cli.tune_files import plants_of
+
+    args = Namespace(hand="jamia", perturb=["stiffness=0.5", "torque_constant=1.1"], plants=3, seed=0, fit=fit)
+    plain = plants_of(Namespace(**vars(args) | {"perturb": []}), {}, 8)
+    factors = {"stiffness": 0.5, "torque_constant": 1.1} if fit is None else {}
+    wanted = tuple(one | {key: one.get(key, 1.0) * x for key, x in factors.items()} for one in plain)
+    assert plants_of(args, {}, 8) == wanted
+
+
+@pytest.mark.nightly
+def test_what_was_identified_in_lockstep_is_tuned_verified_and_applied_in_lockstep(place, capsys):
+    """Each command is the one that the verb before it has printed, in short."""
+    words = "identify --lockstep --digits index --seed 7 --perturb stiffness=0.8 friction=1.2 --log id.mcap"
+    assert main(words.split()) == 0
+    words = next_words(capsys.readouterr().out)
+    assert words[:2] == ["tune", "search"]
+    assert words[-3:] == ["--perturb", "stiffness=0.8", "friction=1.2"]
+    assert main([*words, "--plants", "1", "--trials", "2"]) == 0
+    words = next_words(capsys.readouterr().out)
+    assert words[:4] == ["tune", "verify", "jamia.search.toml", "--lockstep"]
+    assert words[words.index("--calibration") + 1] == "jamia.lockstep.calibration.toml"
+    assert words[-3:] == ["--perturb", "stiffness=0.8", "friction=1.2"]
+    assert main([*words, "--seeds", "1", "--accept-worse", "--log", "verify.mcap"]) == 0
+    [line] = [line for line in capsys.readouterr().out.splitlines() if "gains apply" in line]
+    assert main(shlex.split(line.partition("handctl ")[2])) == 0
+    assert (place / "jamia.gains.toml").exists()

@@ -12,6 +12,7 @@ from handctl.cli.begin import announce
 from handctl.cli.dry_run import told
 from handctl.cli.options import perturb_option, print_json, run_options, say
 from handctl.cli.plan import calibration_path, check_bus_only, check_perturb, find_calibration, make_plan, notice
+from handctl.cli.tune_files import same_hand_words
 from handctl.controller.calibration import Calibration, load_calibration
 from handctl.controller.excite import ExciteProgram
 from handctl.controller.tick import Controller
@@ -59,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     given = sum(map(bool, (args.bus, args.lockstep, args.logs)))
     if given != 1:
         raise ConfigError(f"{given or 'none'} of them", "--bus, --lockstep, --from", "one of them")
-    check_perturb(args)
+    check_perturb(args, args.lockstep)
     if args.logs and args.digits:
         raise ConfigError("together with --from", "--digits", "logs of these digits, or a new motion")
     if args.seed < 0:
@@ -206,12 +207,17 @@ def _report(
         print("\n".join([f"from {log}:", *table(tendons)]))
     print("pictures: " + ", ".join(map(str, pictures)))
     if written:
-        search = shlex.join(["handctl", "tune", "search", "--hand", str(args.hand), "--calibration", str(path)])
-        print(f"calibration written to {path}\nnext: {search}")
+        print(f"calibration written to {path}\nnext: {_search_command(args, path)}")
         return ended
     why = "as asked" if args.no_write else f"there is no {path}: handctl commission first"
     print(f"no calibration written: {'every digit was blocked' if spoilt and calibration else why}")
     return ended
+
+
+def _search_command(args: argparse.Namespace, path: Path) -> str:
+    """Return the command that tunes the hand as identified, with the options that the same hand needs."""
+    words = ["handctl", "tune", "search", "--hand", str(args.hand), "--calibration", str(path)]
+    return shlex.join(words + same_hand_words(args))
 
 
 def _pictures(hand: Hand, found: dict[Path, dict[str, Found]], say: Callable[[str], None]) -> list[Path]:

@@ -9,7 +9,9 @@ from handctl.cli.progress import progress
 from handctl.controller.calibration import Calibration
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
+from handctl.hand.load import hand_path
 from handctl.output import check_output
+from handctl.runtime.lockstep import SIMULATED_HAND, load_peer
 from handctl.session import calibration, gains, plan
 
 
@@ -82,14 +84,27 @@ def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibr
     return path, *calibration.find_calibration(path, hand, named=bool(args.calibration))
 
 
-def check_perturb(args: argparse.Namespace) -> None:
-    """Refuse what would not be obeyed, or be read only after a dry run has found all well.
+def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]:
+    """Return the factors of ``--perturb``, refused before anything runs if the simulated hand would not take them.
+
+    Args:
+        args: with the hand and ``--perturb``.
+        simulated: whether this verb simulates the hand itself.
 
     Raises:
-        ConfigError: no KEY=NUMBER, or of a hand that is not simulated here.
+        ConfigError: no KEY=NUMBER, an unknown key, a factor that cannot be, or a hand that is not simulated here.
     """
-    if gains.assignments(args.perturb, "--perturb") and not args.lockstep:
+    factors = gains.assignments(args.perturb, "--perturb")
+    if factors and not simulated:
         raise ConfigError("only with --lockstep", "--perturb", "a simulator with it: python -m firmware_sim --perturb")
+    if factors:
+        peer = load_peer(SIMULATED_HAND, hand_path=str(hand_path(args.hand)), period_ns=CHECK_NS, perturb=factors)
+        peer.close()
+    return factors
+
+
+CHECK_NS = 2_000_000
+"""Period of a simulated hand that is made only to see whether it can be [ns]."""
 
 
 def check_bus_only(args: argparse.Namespace) -> None:

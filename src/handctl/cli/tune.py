@@ -57,6 +57,7 @@ def _plants(parser: argparse.ArgumentParser, default: int) -> None:
     parser.add_argument("--plants", type=int, default=default, metavar="N", help=text)
     text = "tune the hand as it was identified"
     parser.add_argument("--fit", "--calibration", dest="fit", type=Path, metavar="FILE", help=text)
+    perturb_option(parser)
     parser.add_argument("--out", type=Path, metavar="FILE", help="gains file to write (default: HAND.KIND.toml)")
 
 

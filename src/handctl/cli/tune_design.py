@@ -9,7 +9,7 @@ from typing import Any
 from handctl.cli.options import print_json, say
 from handctl.cli.plan import layered_gains
 from handctl.cli.screen import screen
-from handctl.cli.tune_files import checked_count, output_files, subject, verify_command, write_gains
+from handctl.cli.tune_files import output_files, plants_of, subject, verify_command, write_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.model import HandModel
 from handctl.errors import ConfigError
@@ -22,7 +22,6 @@ LOWEST_POLE_HZ, MOST_DAMPING = 0.01, 100.0
 def run(args: argparse.Namespace) -> int:
     """Design, draw, write."""
     from handctl.tune.design import Design, design, linear_factors, redesigned
-    from handctl.tune.ensemble import ensemble
     from handctl.tune.plots import draw_loops
     from handctl.tune.steps import Proof
 
@@ -32,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
     gains = layered_gains(args, hand).gains
     rate = control_rate(args.rate, hand, bus_loads(hand))
     out, picture = output_files(args, hand.name, "design")
-    factors = ensemble(checked_count(args.plants, "--plants", 1024), args.seed, spread)
+    factors = plants_of(args, spread, 1024)
     plants = tuple(linear_factors(one) for one in factors)
     model = HandModel.of(twin, gains, rate)
     proof = Proof(twin, factors, plants, args.seed)

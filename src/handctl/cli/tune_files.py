@@ -5,6 +5,8 @@ import shlex
 from pathlib import Path
 from typing import NamedTuple
 
+from handctl.cli.options import perturb_words
+from handctl.cli.plan import check_perturb
 from handctl.controller.gains import Gains, Provenance, gains_text
 from handctl.controller.identified import identified_hand
 from handctl.errors import ConfigError
@@ -12,7 +14,7 @@ from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.output import check_output, named_after, write_whole
 from handctl.session.calibration import identified_in
-from handctl.tune.ensemble import widths
+from handctl.tune.ensemble import ensemble, widths
 
 
 def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, Path]:
@@ -43,14 +45,35 @@ def checked_count(number: int, option: str, most: int) -> int:
     return number
 
 
+def plants_of(args: argparse.Namespace, spread: dict[str, float], most: int) -> tuple[dict[str, float], ...]:
+    """Return the factors of the plants to tune on: an ensemble around the hand as it is known.
+
+    Without a calibration it lies around the hand file with the factors of ``--perturb`` on it. An identification of
+    the perturbed hand has found these factors, so that they are not put on top of it.
+
+    Raises:
+        ConfigError: too few or too many plants, or ``--perturb`` is wrong.
+    """
+    perturb = check_perturb(args, simulated=True)
+    plants = ensemble(checked_count(args.plants, "--plants", most), args.seed, spread)
+    if args.fit:
+        return plants
+    return tuple(one | {key: one.get(key, 1.0) * factor for key, factor in perturb.items()} for one in plants)
+
+
 def verify_command(args: argparse.Namespace, out: Path) -> str:
     """Return the command that verifies new gains in simulation, with the options that the same hand needs."""
     words = ["handctl", "tune", "verify", str(out), "--lockstep", "--hand", str(args.hand)]
-    words += ["--gains", str(args.gains)] if args.gains else []
+    words += ["--calibration", str(args.fit)] if args.fit else []
+    return shlex.join(words + same_hand_words(args))
+
+
+def same_hand_words(args: argparse.Namespace) -> list[str]:
+    """Return the options of a verb that a verb after it needs for the same hand: gains, rate, simulated plant."""
+    words = ["--gains", str(args.gains)] if args.gains else []
     words += [word for gain in args.gain or () for word in ("--gain", gain)]
     words += ["--rate", f"{args.rate:g}"] if args.rate else []
-    words += ["--calibration", str(args.fit)] if args.fit else []
-    return shlex.join(words)
+    return words + perturb_words(args)
 
 
 def write_gains(path: Path, gains: Gains, hand: Hand, note: str, fit: Path | None = None, study: str = "") -> None:

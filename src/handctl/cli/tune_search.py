@@ -9,7 +9,7 @@ from typing import Any
 from handctl.cli.options import print_json
 from handctl.cli.plan import layered_gains
 from handctl.cli.screen import screen
-from handctl.cli.tune_files import checked_count, output_files, subject, verify_command, write_gains
+from handctl.cli.tune_files import checked_count, output_files, plants_of, subject, verify_command, write_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
@@ -21,7 +21,6 @@ from handctl.session.plan import control_rate
 
 def run(args: argparse.Namespace) -> int:
     """Search, draw, write."""
-    from handctl.tune.ensemble import ensemble
     from handctl.tune.plots import draw_search
     from handctl.tune.search import Plan, search
     from handctl.tune.workers import workers
@@ -30,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     gains = layered_gains(args, hand).gains
     rate = control_rate(args.rate, hand, bus_loads(hand))
     out, picture = output_files(args, hand.name, "search")
-    plants = ensemble(checked_count(args.plants, "--plants", 256), args.seed, spread)
+    plants = plants_of(args, spread, 256)
     trials = checked_count(args.trials, "--trials", 100_000)
     crew_size = checked_count(args.workers, "--workers", 64)
     storage = args.study or Path(f"{hand.name}.study")

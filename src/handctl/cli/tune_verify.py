@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
 
     if bool(args.bus) == args.lockstep:
         raise ConfigError("one of them is needed", "--bus or --lockstep", "--lockstep for a simulated hand")
-    check_perturb(args)
+    check_perturb(args, args.lockstep)
     if args.lockstep:
         check_bus_only(args)
     plan = make_plan(args, lockstep=args.lockstep)

@@ -92,5 +92,6 @@ def assignments(words: Sequence[str], where: str) -> dict[str, float]:
         except ValueError:
             equals = ""
         if not equals or not key or found[key] != found[key]:
-            raise ConfigError(repr(word), where, "KEY=NUMBER, e.g. motion.force_N=25")
+            example = "stiffness=0.8" if where == "--perturb" else "motion.force_N=25"
+            raise ConfigError(repr(word), where, f"KEY=NUMBER, e.g. {example}")
     return found
