@@ -22,6 +22,8 @@ def check_words(words: list[str]) -> None:
     for word in words:
         if "\0" in word:
             raise SimulatorError("a word with a NUL in it; expected names as files can have them")
+        if "\n" in word:
+            raise SimulatorError(f"a word with a line end in it: {word}; expected words without it")
         if match := re.fullmatch(r"(--?[^=]+)=--", word):
             raise SimulatorError(f"{match[1]}: -- is no value")
 

@@ -260,3 +260,55 @@ def test_what_the_simulator_refuses_is_told_without_its_class(place, capsys):
         assert "firmware_sim" not in line
         assert ":Rig" not in line
         assert line[:-1].isprintable()
+
+
+FORGED = "\nFORGED"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("gains", "show", "--gains", "g.toml"),
+        ("gains", "apply", "g.toml"),
+        ("gains", "log"),
+        ("gains", "show"),
+        ("config", "check", "--gains", "g.toml"),
+    ],
+)
+def test_a_line_end_in_a_file_makes_no_second_line(place, capsys, words):
+    told = "".join(f"{key} = {json.dumps(key + FORGED)}\n" for key in ("note", "made", "version", "fit", "study"))
+    text = f"schema = 1\n[motion]\nforce_N = 12.0\n[provenance]\nhand = 'jamia'\nlog = [{json.dumps(FORGED)}]\n{told}"
+    (place / "g.toml").write_text(text)
+    if words in (("gains", "log"), ("gains", "show")):
+        assert main(["gains", "apply", "g.toml"]) == 0
+    assert main(list(words)) == 0
+    out, err = capsys.readouterr()
+    assert not [line for line in (out + err).splitlines() if line.startswith("FORGED")]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("sim", "--bus", f"local:x{FORGED}", "--dry-run"),
+        ("bus", "doctor", "--bus", f"local:x{FORGED}"),
+        ("demo", "--lockstep", "--dry-run", "--log", f"a{FORGED}.mcap"),
+        ("gains", "apply", "g.toml", "--note", f"x{FORGED}"),
+        (f"x{FORGED}",),
+    ],
+)
+def test_a_line_end_in_an_argument_is_refused(capsys, words):
+    assert main(words) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1
+    assert "a word with a line end in it" in err
+    assert "\\nFORGED" in err
+
+
+def test_the_simulator_refuses_a_line_end_in_an_argument(capsys):
+    from firmware_sim.__main__ import main as simulate
+
+    assert simulate(["--hand", f"x{FORGED}", "--bus", "local:x"]) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert "\\nFORGED" in err

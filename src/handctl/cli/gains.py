@@ -67,7 +67,7 @@ def _show(args: argparse.Namespace, hand: Hand) -> int:
         }
         print_json({"hand": hand.name, "gains": rows, "provenance": told.model_dump()})
         return Exit.DONE
-    print(f"# gains of {hand.name}: {layers.file or 'packaged'}" + _told(told))
+    say(f"# gains of {hand.name}: {layers.file or 'packaged'}" + _told(told))
     for key, value in flat(layers.gains).items():
         print(f"{key:<38} {value:<10g} {layers.origins[key]:<14} {known[key]}{', live' if known[key].live else ''}")
     return Exit.DONE
@@ -150,7 +150,7 @@ def _done(args: argparse.Namespace, store: GainsStore, told: Provenance) -> int:
     if args.json:
         print_json({"file": str(store.path), "provenance": told.model_dump()})
     else:
-        print(f"{store.path}{_told(told)}")
+        say(f"{store.path}{_told(told)}")
     return Exit.DONE
 
 
@@ -168,7 +168,7 @@ def _log(args: argparse.Namespace, hand: Hand) -> int:
         return Exit.DONE
     for entry in entries:
         mark = "*" if entry.number == _number(present) else " "
-        print(f"{mark} {entry.number:>4}  {_line(entry, entries)}")
+        say(f"{mark} {entry.number:>4}  {_line(entry, entries)}")
     print(f"{len(entries)} applied; present: {_number(present) or 'packaged' if present is None else store.path}")
     return Exit.DONE
 

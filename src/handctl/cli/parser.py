@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NoReturn
 
 from handctl.errors import ConfigError
-from handctl.printing import message as one_line
+from handctl.printing import printable
 
 END_AS_VALUE = re.compile(r"(--?[^=]+)=--")
 """An option whose value is the word that ends the options: argparse removes it and fails without a word."""
@@ -16,18 +16,27 @@ class Parser(argparse.ArgumentParser):
     """A parser, and the kind of its subparsers."""
 
     def error(self, message: str) -> NoReturn:
-        """Print the usage and the error, and exit with 2."""
-        super().error(one_line(message))
+        """Refuse the command line in one line.
+
+        Raises:
+            ConfigError: always.
+        """
+        where = self.prog.removeprefix("handctl").strip() or "the command line"
+        told = "expected" in message or "choose from" in message
+        raise ConfigError(message, where, "" if told else f"what {self.prog} --help lists")
 
 
 def check_words(words: Sequence[str]) -> None:
     """Refuse words that no verb can use.
 
     Raises:
-        ConfigError: a word contains NUL, or the value of an option is ``--``.
+        ConfigError: a word contains NUL or a line end, or the value of an option is ``--``.
     """
-    if any("\0" in word for word in words):
-        raise ConfigError("a word with a NUL in it", "the command line", "names as files can have them")
+    for mark, name in (("\0", "a NUL"), ("\n", "a line end")):
+        for word in words:
+            if mark in word:
+                what = f"a word with {name} in it: {printable(word)}"
+                raise ConfigError(what, "the command line", "words without it")
     for word in words:
         if match := END_AS_VALUE.fullmatch(word):
             raise ConfigError("-- is no value", match[1], "a value")
