@@ -220,6 +220,27 @@ def test_a_row_is_in_the_matrix_or_tried_elsewhere():
     assert sum(counts.values()) + 3 * 66 >= 250, counts
 
 
+def test_quick_samples_of_consecutive_seeds_are_the_whole_campaign():
+    hand = hand_in("jamia11", "mit")
+    samples = [campaign.plan(hand, "mit", 200.0, quick=True, seed=seed) for seed in range(campaign.QUICK_EVERY)]
+    whole = campaign.plan(hand, "mit", 200.0, quick=False)
+    assert sorted(one.name for sample in samples for one in sample) == sorted(one.name for one in whole)
+
+
+@pytest.mark.nightly
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("hand", ["jamia", "jamia11", "jamia_bench"])
+def test_the_quick_sample_whatever_the_seed(hand: str, seed: int):
+    protocol = ALL[seed % len(ALL)]
+    report = campaign.run(
+        hand, [protocol], rate_of, jobs=2, quick=True, calm_s=4.0, seed=seed,
+        told=lambda protocol, done, most: None, keep=lambda course, result: None,
+    )  # fmt: skip
+    assert [(result.scenario, result.why) for result in report.all_results if not result.ok] == []
+    assert report.alarms == {protocol: []}
+
+
 @pytest.mark.nightly
 @pytest.mark.skipif("HANDCTL_NIGHTLY" not in os.environ, reason="runs with HANDCTL_NIGHTLY=1 (make nightly)")
 @pytest.mark.timeout(7200)

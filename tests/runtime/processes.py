@@ -18,7 +18,7 @@ from handctl.session.calibration import write_calibration
 
 READY_S, END_S = 60.0, 200.0
 BUS = "local:t"
-SCALE = 0.4
+SCALE = 0.25
 SERIAL = 0x4000
 """Serial numbers of the simulated drives begin here; each drive adds its number on the bus."""
 HOMED = ("--homed", "--serial", f"{SERIAL:#x}")

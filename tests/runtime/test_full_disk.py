@@ -15,7 +15,7 @@ from handctl.runtime.mailbox import Watcher
 from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, wait_for, write_homed
 
 pytestmark = pytest.mark.realtime
-SCALE = 0.6
+SCALE = 0.4
 ROOM = "96m"
 """More than the recorder wants to stay free, so that the run begins as usual."""
 

@@ -65,14 +65,16 @@ Told = Callable[[str, int, int], None]
 """Protocol, scenarios done, scenarios in all."""
 
 
-def plan(hand: Hand, protocol: str, rate_hz: float, quick: bool, only: Sequence[str] = ()) -> list[Scenario]:
-    """What is tried: everything, a sample, or some rows."""
+def plan(
+    hand: Hand, protocol: str, rate_hz: float, quick: bool, only: Sequence[str] = (), seed: int = 0
+) -> list[Scenario]:
+    """List what is tried: everything, a sample, which is another one for the next seed, or some rows."""
     period_ms = 1e3 / rate_hz
     found = scenarios(hand, protocol, period_ms)
     if only:
         return [one for one in found if one.row.id in only]
     found += pairs(hand, protocol, period_ms)
-    return found[::QUICK_EVERY] if quick else found
+    return found[seed % QUICK_EVERY :: QUICK_EVERY] if quick else found
 
 
 def run(
@@ -98,13 +100,14 @@ def run(
         calm_s: how long the undisturbed hand is watched, for each protocol [s].
         told: progress. keep: called where a scenario failed, with its course.
         only: rows to try; all if empty.
-        calm_only: nothing but the undisturbed hand. seed: of its first run; the next ones count on.
+        calm_only: nothing but the undisturbed hand.
+        seed: of the run that is disturbed, and of the undisturbed hand's first one; its next ones count on.
     """
     report = Report(name)
     for protocol in protocols:
         hand = hand_in(name, protocol)
         rate = report.rates[protocol] = rate_of(hand)
-        todo = [] if calm_only else plan(hand, protocol, rate, quick, only)
+        todo = [] if calm_only else plan(hand, protocol, rate, quick, only, seed)
         results = report.results[protocol] = []
 
         def done(
@@ -115,7 +118,7 @@ def run(
 
         if todo:
             attempt = partial(try_out, protocol=protocol)
-            try_all(hand, rate, todo, jobs, attempt, done, keep)
+            try_all(hand, rate, todo, jobs, attempt, done, keep, seed)
         report.alarms[protocol] = calm(hand, rate, calm_s, seed)
         report.simulated_s += calm_s
     return report

@@ -45,8 +45,6 @@ TASK: dict[str, Any] = {
 }
 STAGES = (ARMING, FREE, GRASP)
 """In the order in which a run comes to them."""
-SEED = 0
-"""Of the simulator from which all branches off."""
 FREE_S, STAGE_TIMEOUT_S = 0.2, 12.0
 """Time into the free motion at which it is disturbed; and the longest way to a stage [s]."""
 
@@ -140,9 +138,10 @@ def try_all(
     attempt: Callable[[Course, T], Result],
     told: Callable[[Result], None],
     keep: Callable[[Course, Result], None],
+    seed: int = 0,
 ) -> None:
-    """Bring one run to each stage, and let what is tried there branch off; see ``branch``."""
-    with started(hand, rate_hz, SEED) as course:
+    """Bring one run of a seed to each stage, and let what is tried there branch off; see ``branch``."""
+    with started(hand, rate_hz, seed) as course:
         for stage in STAGES:
             here = [one for one in todo if one.stage == stage]
             if here:

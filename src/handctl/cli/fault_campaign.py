@@ -45,7 +45,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
         "--calm", type=float, metavar="S", help="how long the undisturbed hand is watched (60; quick: 4)"
     )
     parser.add_argument("--calm-only", action="store_true", help="nothing but the undisturbed hand")
-    parser.add_argument("--seed", type=int, default=1, help="of its first run; the next ones count on (default: 1)")
+    parser.add_argument("--seed", type=int, default=1, help="of the simulated hand (default: 1)")
     parser.add_argument(
         "--report", type=Path, metavar="DIR", help="where report.html, report.json and the logs of failures go"
     )
@@ -53,6 +53,8 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Try everything, report, and say whether all is as it must be."""
+    if args.seed < 0:
+        raise ConfigError(f"{args.seed}", "--seed", "0 or more")
     if not 1 <= args.jobs <= JOBS_MOST:
         raise ConfigError(f"{args.jobs}", "--jobs", f"1 to {JOBS_MOST}")
     for id_ in set(args.row) - {row.id for row in MATRIX}:
