@@ -88,6 +88,7 @@ def load_results(path: Path) -> dict[str, Any]:
         if found != cases or not results["force_displacement"]["ropes"]:
             raise ValueError("results are missing")
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        why = f"no results of the experiments: {type(error).__name__}"
-        raise ConfigError(why, str(path), "a file that --results has written") from None
+        why = error.strerror if isinstance(error, OSError) else "not all experiments are in it"
+        what, right = f"no results of the experiments: {why}", "a file that --results has written"
+        raise ConfigError(what, str(path), right) from None
     return results

@@ -4,7 +4,7 @@ Intervals come from the spread of the residuals' scores in blocks of time, so th
 not from the assumption that every row is a new measurement.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -22,6 +22,11 @@ OUTLIER = 2.5
 """Residuals beyond so many standard deviations count less and less: contact that nobody expected."""
 BLOCK_S = 0.25
 """Blocks of time whose residuals are taken to be independent of one another."""
+MOST_ROWS = 500
+"""Rows of one block, whose cost grows with their third power. A run at 500 Hz has up to 375.
+
+A damaged log whose times stand still has all its rows in one block.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +67,14 @@ def solve(residuals: Callable[[Array], Array], start: Array, bounds: tuple[Array
     return Solution(found.x, covariance, jacobian, found.fun, freedom)
 
 
+def _blocks(times: Array) -> Iterator[NDArray[np.intp]]:
+    """Yield the rows of each block of time, in parts of at most ``MOST_ROWS``."""
+    order = np.floor((times - times.min()) / BLOCK_S).astype(int)
+    for block in np.unique(order):
+        rows = np.flatnonzero(order == block)
+        yield from np.array_split(rows, -(-len(rows) // MOST_ROWS))
+
+
 def _covariance(jacobian: Array, residual: Array, times: Array) -> tuple[Array, Array]:
     """Covariance of the parameters and its degrees of freedom, from blocks of time and the priors as given.
 
@@ -69,11 +82,9 @@ def _covariance(jacobian: Array, residual: Array, times: Array) -> tuple[Array, 
     Source: the jackknife over clusters in its linear form (Bell & McCaffrey 2002, CR3); Satterthwaite's freedom.
     """
     plain = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
-    order = np.floor((times - times.min()) / BLOCK_S).astype(int)
     middle = jacobian[len(times) :].T @ jacobian[len(times) :]
     squares = np.zeros(len(plain))
-    for block in np.unique(order):
-        rows = np.flatnonzero(order == block)
+    for rows in _blocks(times):
         part = jacobian[rows]
         alone = np.linalg.lstsq(np.eye(len(rows)) - part @ plain @ part.T, residual[rows], rcond=1e-9)[0]
         score = part.T @ alone
