@@ -14,12 +14,12 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
-from handctl.campaign.course import Course
 from handctl.campaign.stage import TASK, hand_in, started
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.types import Mode
 from handctl.safety.action import Action
 from handctl.session.plan import fastest
+from handctl.session.simulate import Simulation
 
 WATCHED_S, STOPPED_S = 2.0, 1.5
 """Time from the fault until the operator stops the run, and from there to the end [s]."""
@@ -71,7 +71,7 @@ def reached(stage: str, out: Any, first: int) -> bool:
     return bool(out.phase == "rise" and tension > (40.0 if stage == RISING else 0.95 * HOLD_N))
 
 
-def strike(course: Course, text: str) -> dict[str, Any]:
+def strike(course: Simulation, text: str) -> dict[str, Any]:
     """Inject a fault and go on to the end of the run; what was found, when [ms], and the largest true tension [N]."""
     course.peer.inject(text)
     begun, found, reacted, tension, stopped = course.k, [], -1.0, 0.0, 0.0

@@ -23,11 +23,11 @@ from handctl.controller.gain_bounds import with_values
 from handctl.controller.gains import Gains
 from handctl.controller.identified import DIGIT_KEYS
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_path, load_hand
+from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
 from handctl.session.plan import Plan, fastest
 from handctl.session.run import make_controller, run_lockstep
+from handctl.session.simulate import Simulator
 from handctl.tune.excitation import excitation
 from handctl.tune.identify import Found, identify
 
@@ -79,13 +79,11 @@ def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
     """Excite and fit one digit of one hand; error and coverage of every parameter, or why it failed."""
     hand, factors = load_hand(hand_name), plant(seed)
     plan = Plan(hand, detuned(seed), fastest(bus_loads(hand)), ())
-    options = {"hand_path": str(hand_path(hand_name)), "seed": seed, "homed": True, "perturb": factors}
-    peer = load_peer(SIMULATED_HAND, **options, period_ns=plan.period_ns)
     log = folder / f"{seed}.mcap"
     controller = make_controller(plan, ExciteProgram(excitation(hand, (digit,))), None, arm_at_once=True)
     began = time.process_time()
-    outcome = run_lockstep(plan, controller, log, LockstepClock(peer, plan.period_ns))
-    peer.close()
+    with Simulator(hand_name, None, seed, factors, homed=True).clock(plan.period_ns) as clock:
+        outcome = run_lockstep(plan, controller, log, clock)
     row: Row = {"seed": seed, "digit": digit, "simulated_s": outcome.state.k * 1e-9 * plan.period_ns}
     row["excite_cpu_s"] = time.process_time() - began
     if outcome.state.failure:

@@ -1,6 +1,7 @@
 """The whole stack without a recorder: controller, codec both ways, simulated drives, plant; for ``lockstep.py``."""
 
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -10,9 +11,8 @@ from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.setup import make_controller
 from handctl.controller.task import load_task
-from handctl.controller.types import TickIn
-from handctl.hand.load import hand_path, load_hand
-from handctl.runtime.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, load_peer
+from handctl.hand.load import load_hand
+from handctl.session.simulate import Simulator
 
 RATES = {"jamia": 500.0, "jamia11": 200.0}
 """Default rates on one classical bus [Hz]."""
@@ -50,37 +50,26 @@ class Stack:
 
     Attributes:
         engine: rigid bodies and contact.
-        tick: the controller's.
+        simulation: the run.
         peer: the other side of the wire.
     """
 
     def __init__(self, hand: str, rate_hz: float, scene: type[Free | Grasp]) -> None:
-        self.period_ns = round(1e9 / rate_hz)
-        self.peer = load_peer(
-            SIMULATED_HAND,
-            hand_path=str(hand_path(hand)),
-            scene=scene.scene,
-            homed=True,
-            period_ns=self.period_ns,
-        )
-        self.engine = self.peer.world.plant.engine
         with TemporaryDirectory() as folder:
             path = Path(folder) / "task.toml"
             path.write_text(HEAD + scene.task * scene.repeat)
             program = TaskProgram(load_task(path))
         controller = make_controller(load_hand(hand), Gains(), rate_hz, program, None, arm_at_once=True)
-        self.tick, self.state = controller.tick, controller.initial()
+        self._open = ExitStack()
+        self.simulation = self._open.enter_context(Simulator(hand, scene.scene, homed=True).against(controller))
+        self.simulation.keep, self.peer = False, self.simulation.peer
+        self.engine = self.peer.world.plant.engine
 
     def run(self, seconds: float) -> list[float]:
         """So much simulated time [s], from the first tick on; CPU time of each tick [s]."""
-        clock = LockstepClock(self.peer, self.period_ns)
-        bus, state, tick, period_ns = LockstepBus(clock), self.state, self.tick, self.period_ns
-        took, now = [], time.process_time
-        for k in range(round(seconds * 1e9) // period_ns):
+        tick, took, now = self.simulation.tick, [], time.process_time
+        for _ in range(round(seconds * 1e9) // self.simulation.period_ns):
             before = now()
-            late = clock.wait(k)
-            state, out = tick(state, TickIn(k, k * period_ns, late, tuple(bus.drain())))
-            bus.send(out.frames)
+            tick()
             took.append(now() - before)
-        self.state = state
         return took

@@ -17,11 +17,11 @@ from handctl.controller.grasp import TaskProgram
 from handctl.controller.setup import make_controller
 from handctl.controller.task import load_task
 from handctl.controller.types import TickIn, TickOut
-from handctl.hand.load import hand_path, load_hand
-from handctl.runtime.lockstep import LockstepClock, load_peer
+from handctl.hand.load import load_hand
 from handctl.runtime.mailbox import STOP
 from handctl.session.plan import Plan
 from handctl.session.run import run_lockstep
+from handctl.session.simulate import Simulator
 
 EVERY_S = 30.0
 WARM_S = 600.0
@@ -54,9 +54,8 @@ def main() -> int:
     args = parser.parse_args()
     hand = load_hand("jamia")
     plan = Plan(hand, Gains(), 500.0, ())
-    options = {"hand_path": str(hand_path("jamia")), "scene": "none", "seed": 1, "homed": True, "truth_path": None}
-    clock = LockstepClock(load_peer("firmware_sim.rig:Rig", **options, period_ns=plan.period_ns), plan.period_ns)
-    with tempfile.TemporaryDirectory() as folder:
+    simulator = Simulator("jamia", "none", 1, homed=True)
+    with tempfile.TemporaryDirectory() as folder, simulator.clock(plan.period_ns) as clock:
         task = Path(folder) / "long.toml"
         task.write_text(TASK)
         program, looks = TaskProgram(load_task(task)), Looks(args.hours * 3600)

@@ -1,6 +1,5 @@
 """One run of a task against the simulated hand, in lockstep, beside the plant's truth."""
 
-import tempfile
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -9,19 +8,16 @@ import numpy as np
 
 from firmware_sim.mjcf import STEP_S
 from firmware_sim.plant import Plant
-from firmware_sim.rig import Rig
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.model import HandModel
 from handctl.controller.program import Program
-from handctl.controller.setup import make_drives, make_sensors
 from handctl.controller.task import Hold
-from handctl.controller.tick import Controller
-from handctl.controller.types import Event, Mode, TickIn
-from handctl.drives.frame import Frame
-from handctl.hand.load import hand_path, load_hand
+from handctl.controller.types import Event, Mode
+from handctl.hand.load import load_hand
 from handctl.session.plan import fastest
+from handctl.session.simulate import Simulator, homed_controller
 from handctl.session.tasks import find_task
 
 TIMEOUT_S = 120.0
@@ -99,37 +95,25 @@ def simulate(
         give_up: or here, if the table still stands [s].
     """
     model, rate = hand_model(hand, gains)
-    n = model.tendon_count
-    zeros = np.zeros(n)
-    controller = Controller.of(
-        model, make_drives(model.hand), make_sensors(model.hand), program, zeros, zeros, arm_at_once=True
-    )
-    period_ns = round(1e9 / rate)
-    with tempfile.TemporaryDirectory() as folder:
-        if scene is not None and "\n" in scene:
-            file = Path(folder) / "scene.toml"
-            file.write_text(scene)
-            scene = str(file)
-        rig = Rig(str(hand_path(hand)), scene=scene, seed=seed, perturb=perturb, period_ns=period_ns, homed=True)
-    plant, state, frames = rig.world.plant, controller.initial(), ()
+    controller = homed_controller(model, program)
     rows, phases, events, stages = [], [], [], []
-    for k in range(round(timeout * rate)):
-        state, out = controller.tick(state, TickIn(k, k * period_ns, frames=frames))
-        force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
-        pose, numbers = plant.engine.object_pose(), out.telemetry
-        rows.append(
-            (k / rate, pose, force, numbers.contact, numbers.tension, numbers.external_tension, numbers.excursion,
-             state.filter.x, numbers.tip_force, plant.engine.q.copy(), plant.normal_forces())
-        )  # fmt: skip
-        phases.append(out.phase)
-        stages.append(plant.stage)
-        events += [(k, event) for event in out.events]
-        if state.mode in (Mode.DONE, Mode.RELAX) or (until and out.phase == until):
-            break
-        if _over(plant) or _gone(plant) or (k / rate > give_up and plant.table and plant.table.dropped_at is None):
-            break
-        frames = tuple(Frame(*reply) for reply in rig.step(k * period_ns, out.frames))
-    rig.close()
+    with Simulator(hand, scene, seed, perturb, homed=True).against(controller) as simulation:
+        plant, simulation.keep = simulation.peer.world.plant, False
+        for entry, out in simulation.ticks(timeout):
+            k, state = entry.k, simulation.state
+            force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
+            pose, numbers = plant.engine.object_pose(), out.telemetry
+            rows.append(
+                (k / rate, pose, force, numbers.contact, numbers.tension, numbers.external_tension, numbers.excursion,
+                 state.filter.x, numbers.tip_force, plant.engine.q.copy(), plant.normal_forces())
+            )  # fmt: skip
+            phases.append(out.phase)
+            stages.append(plant.stage)
+            events += [(k, event) for event in out.events]
+            if state.mode == Mode.RELAX or (until and out.phase == until):
+                break
+            if _over(plant) or _gone(plant) or (k / rate > give_up and plant.table and plant.table.dropped_at is None):
+                break
     columns = [np.array(column) for column in zip(*rows, strict=True)]
     return Run(
         columns[0], phases, np.array(stages), columns[1][:, :3], *columns[2:11], columns[1][:, 3:],

@@ -17,10 +17,9 @@ from handctl.controller.setup import make_controller
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.controller.types import TELEMETRY_FIELDS, Mode, TickIn, TickOut
-from handctl.drives.frame import Frame
 from handctl.hand.description import Hand
 from handctl.report.truth import Truth, read_truth
-from handctl.runtime.lockstep import SIMULATED_HAND, load_peer
+from handctl.session.simulate import Simulator
 from trials.hands import CLEAR, file_of, known
 
 RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
@@ -124,27 +123,18 @@ class Course:
 def run(trial: Trial) -> Course:
     """Run a trial; the same trial gives the same course, bit for bit."""
     hand, rate = known(trial.hand), trial.rate_hz or RATES_HZ[trial.hand.removesuffix(CLEAR)]
-    period_ns = round(1e9 / rate)
     controller = trial.change(make_controller(hand, trial.gains, rate, trial.program, None, arm_at_once=True))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "truth"
-        options: dict[str, object] = {"scene": trial.scene, "seed": trial.seed, "perturb": dict(trial.perturb or {})}
-        file = str(file_of(trial.hand, Path(folder)))
-        peer = load_peer(
-            SIMULATED_HAND, hand_path=file, truth_path=str(path), period_ns=period_ns, homed=True, **options
-        )
+        file = file_of(trial.hand, Path(folder))
+        twin = Simulator(file, trial.scene, trial.seed, dict(trial.perturb or {}), homed=True, truth=path)
         rows: list[Row] = []
-        state, waiting, end = controller.initial(), list[Frame](), round(trial.limit_s * rate)
-        for k in range(end):
-            entry = TickIn(k, k * period_ns, 0, tuple(Frame(*frame) for frame in waiting))
-            inputs = np.column_stack((state.law.force, state.law.rate))
-            state, out = controller.tick(state, entry)
-            rows.append((entry, out, inputs, state.filter))
-            if out.mode == Mode.DONE:
-                break
-            waiting = peer.step(entry.t_ns, list(out.frames))
-        peer.close()
-        return _course(hand, controller, rows, read_truth(path), state)
+        with twin.against(controller) as run:
+            law = run.state.law
+            for entry, out in run.ticks(trial.limit_s):
+                rows.append((entry, out, np.column_stack((law.force, law.rate)), run.state.filter))
+                law = run.state.law
+        return _course(hand, controller, rows, read_truth(path), run.state)
 
 
 def _filtered(design: FilterDesign, inputs: Array, after: FilterState) -> list[float]:

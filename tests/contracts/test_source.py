@@ -61,6 +61,16 @@ def test_only_the_loop_catches_everything_and_only_once() -> None:
         assert len(lines) <= allowed, f"{path.relative_to(ROOT)} catches everything in lines {lines}"
 
 
+def test_a_controller_meets_the_simulator_in_one_place() -> None:
+    """``session.simulate`` builds the simulated hand in lockstep; what else would do it puts the same together again."""
+    found = {
+        str(path.relative_to(ROOT))
+        for path in sources("src", "benchmarks", "fuzz")
+        if re.search(r"\b(load_peer|LockstepClock)\(", path.read_text(encoding="utf-8"))
+    }
+    assert found == {"src/handctl/runtime/lockstep.py", "src/handctl/session/simulate.py"}
+
+
 def test_no_rubbish_drawers_and_nothing_left_for_later() -> None:
     for path in sources("src", "firmware_sim"):
         assert path.stem not in {"utils", "util", "common", "helpers", "misc"}, path

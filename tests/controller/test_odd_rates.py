@@ -5,16 +5,15 @@ from functools import cache
 import numpy as np
 import pytest
 
-from firmware_sim.rig import Rig
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.setup import make_controller
 from handctl.controller.task import Task
 from handctl.controller.tick import Controller
-from handctl.controller.types import Event, Mode, TickIn
+from handctl.controller.types import Event, Mode
 from handctl.document import validated
-from handctl.drives.frame import Frame
-from handctl.hand.load import hand_path, load_hand
+from handctl.hand.load import load_hand
+from handctl.session.simulate import Simulator
 from tests.conftest import NIGHTLY
 
 RATES_HZ = (250.0, 300.0, 333.0, 400.0, 450.0, 500.0, 640.0, 1000.0)
@@ -40,17 +39,13 @@ def controller_at(hand: str, rate_hz: float) -> Controller:
 
 def innovations(hand: str, rate_hz: float, seed: int) -> tuple[float, list[Event]]:
     """NIS a degree of freedom of a free motion, mean over tendons and ticks, and what the estimate told."""
-    controller, period_ns = controller_at(hand, rate_hz), round(1e9 / rate_hz)
-    rig = Rig(str(hand_path(hand)), seed=seed, period_ns=period_ns, homed=True)
-    state, frames, nis, events = controller.initial(), (), [], []
-    for k in range(round(3.0 * rate_hz)):
-        state, out = controller.tick(state, TickIn(k, k * period_ns, frames=frames))
-        events += [event for event in out.events if event.name in ("estimate", "fault")]
-        if out.mode == Mode.DONE:
-            break
-        if out.mode == Mode.ACTIVE:
-            nis.append(out.telemetry.nis)
-        frames = tuple(Frame(*frame) for frame in rig.step(k * period_ns, out.frames))
+    nis: list[np.ndarray] = []
+    events: list[Event] = []
+    with Simulator(hand, seed=seed, homed=True).against(controller_at(hand, rate_hz)) as run:
+        for _, out in run.ticks(3.0):
+            events += [event for event in out.events if event.name in ("estimate", "fault")]
+            if out.mode == Mode.ACTIVE:
+                nis.append(out.telemetry.nis)
     assert len(nis) > rate_hz, events
     return float(np.nanmean(nis)) / 2.0, events
 

@@ -8,17 +8,14 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from firmware_sim.rig import Rig
 from handctl.controller import posture
 from handctl.controller.gains import Gains
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.model import HandModel
 from handctl.controller.posture import Angles, Posture, Readings
-from handctl.controller.setup import make_drives, make_sensors
-from handctl.controller.tick import Controller
-from handctl.controller.types import Mode, TickIn
-from handctl.drives.frame import Frame
+from handctl.controller.types import Mode
 from handctl.hand.load import load_hand
+from handctl.session.simulate import Simulator, homed_controller
 from handctl.session.tasks import find_task
 from tests.controller.synthetic import under
 
@@ -57,17 +54,15 @@ def grasped(path: Path, task: str, scene: str, seed: int) -> Iterator[Seen]:
     """A grasp in lockstep, tick by tick."""
     model = HandModel.of(load_hand(str(path)), Gains(), RATE_HZ)
     program = TaskProgram(find_task(Path(task), model.hand)[0])
-    zeros = np.zeros(model.tendon_count)
-    controller = Controller.of(model, make_drives(model.hand), make_sensors(model.hand), program, zeros, zeros)
-    rig = Rig(str(path), scene=scene, seed=seed, period_ns=PERIOD_NS, homed=True)
-    plant, state, frames, k = rig.world.plant, controller.initial(), (), 0
-    while state.mode not in (Mode.RELAX, Mode.DONE):
-        state, out = controller.tick(state, TickIn(k, k * PERIOD_NS, frames=frames))
-        numbers, real = out.telemetry, np.array(plant.engine.q)
-        force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
-        yield Seen(out.phase, real, numbers.q, numbers.q_sigma, model.excursion_to_joints @ numbers.excursion, force)
-        frames = tuple(Frame(*reply) for reply in rig.step(k * PERIOD_NS, out.frames))
-        k += 1
+    with Simulator(path, scene, seed, homed=True).against(homed_controller(model, program)) as run:
+        plant, run.keep = run.peer.world.plant, False
+        for _, out in run.ticks():
+            numbers, real = out.telemetry, np.array(plant.engine.q)
+            force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
+            free = model.excursion_to_joints @ numbers.excursion
+            yield Seen(out.phase, real, numbers.q, numbers.q_sigma, free, force)
+            if run.state.mode == Mode.RELAX:
+                break
 
 
 def rms(values: np.ndarray) -> float:

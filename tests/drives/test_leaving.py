@@ -4,24 +4,24 @@ from pathlib import Path
 
 import pytest
 
-from handctl.campaign.course import Course
 from handctl.campaign.stage import started
 from handctl.controller.types import Mode
 from handctl.hand.load import load_hand
+from handctl.session.simulate import Simulation
 from tests.drives.protocol_bench import OPTIONS, hand_file
 
 SILENCE_TICKS = 500
 
 
-def until(course: Course, mode: Mode) -> None:
+def until(course: Simulation, mode: Mode) -> None:
     assert course.until(lambda out: out.mode == mode, 3.0), course.state.failure
 
 
-def after_silence(course: Course) -> Course:
+def after_silence(course: Simulation) -> Simulation:
     """Another run on the same drives, a second after the first one ended."""
     for k in range(SILENCE_TICKS):
         course.peer.step((course.k + k) * course.period_ns, [])
-    return Course(course.controller, course.peer, course.period_ns, course.controller.initial(), course.k + k + 1)
+    return Simulation(course.controller, course.peer, course.period_ns, course.controller.initial(), course.k + k + 1)
 
 
 @pytest.mark.parametrize("protocol", sorted(OPTIONS))

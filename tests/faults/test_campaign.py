@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from handctl.campaign import campaign
-from handctl.campaign.course import Course
 from handctl.campaign.scenarios import ALL, ARMING, FREE, GRASP, LEFT_OUT, MATRIX, Row, Scenario, pairs, scenarios
 from handctl.campaign.stage import FREE_S, branch, bring, hand_in, started
 from handctl.campaign.trial import Result, try_out
@@ -17,6 +16,7 @@ from handctl.cli.fault_campaign import rate_of
 from handctl.controller.guard import RELAXED_S
 from handctl.controller.types import Event, Mode
 from handctl.safety.action import Action
+from handctl.session.simulate import Simulation
 
 RATE_HZ = 500.0
 SAMPLE = ("N08", "H13")
@@ -69,7 +69,7 @@ def undisturbed(phase, *texts):
 
     @contextlib.contextmanager
     def started(hand, rate_hz, seed, perturb):
-        course = Course(None, SimpleNamespace(inject=lambda text: None), 10**9, SimpleNamespace(failure=""))
+        course = Simulation(None, SimpleNamespace(inject=lambda text: None), 10**9, SimpleNamespace(failure=""))
 
         def tick():
             course.k, course.out = course.k + 1, out

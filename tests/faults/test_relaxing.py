@@ -8,11 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from handctl.campaign.course import Course
 from handctl.campaign.scenarios import FREE, GRASP
 from handctl.campaign.stage import TASK, bring, hand_in, started
 from handctl.controller.types import Mode
 from handctl.runtime.mailbox import STOP
+from handctl.session.simulate import Simulation
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SEEDS = range(20) if NIGHTLY else range(3)
@@ -39,7 +39,7 @@ class Instant(NamedTuple):
     speed: np.ndarray
 
 
-def look(course: Course) -> Instant:
+def look(course: Simulation) -> Instant:
     peer: Any = course.peer
     spool = course.controller.model.space.spool
     motors = [peer.world.plant.motors[motor.name] for motor in course.controller.model.hand.motor]
@@ -47,7 +47,7 @@ def look(course: Course) -> Instant:
     return Instant(torque / spool, np.array(peer.truth()["tension"]), np.array([m.omega for m in motors]) * spool)
 
 
-def explained(course: Course, decided: Instant, force: np.ndarray) -> np.ndarray:
+def explained(course: Simulation, decided: Instant, force: np.ndarray) -> np.ndarray:
     """Return (N,) largest tension that rotor and stretch explain [N].
 
     A rotor of mass m at the tendon, of speed v, under a force that is never above F, overshoots against the tendon's
@@ -81,7 +81,7 @@ def test_no_motor_is_commanded_to_pull_harder_and_no_tendon_bears_more(
         judge(course, stop_at, round(WINDOW_S * rate), fault)
 
 
-def judge(course: Course, stop_at: int, window: int, fault: str) -> None:
+def judge(course: Simulation, stop_at: int, window: int, fault: str) -> None:
     recent: list[Instant] = [look(course)]
     while course.state.mode == Mode.ACTIVE:
         course.tick(requests=(STOP,) if course.k == stop_at else ())

@@ -10,12 +10,12 @@ from handctl.controller.gains import Gains
 from handctl.controller.identified import Identified
 from handctl.controller.live import JogProgram
 from handctl.controller.requests import HoldTension
-from handctl.hand.load import hand_path, load_hand
+from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.replay.execute import execute
-from handctl.runtime.lockstep import LockstepClock, load_peer
 from handctl.session.plan import Plan
 from handctl.session.run import make_controller, run_lockstep
+from handctl.session.simulate import Simulator
 
 REQUEST = '{"do": "gains", "set": {"motion.force_N": 40.0, "tension.integral_per_s": 6.0}}'
 
@@ -47,10 +47,10 @@ def test_a_run_with_an_identified_hand_repeats_and_its_drives_are_told_what_they
         identified=dict.fromkeys(hand.tendon_names, known),
     )
     plan = Plan(hand, Gains(), 500.0, ())
-    options = {"hand_path": str(hand_path("jamia")), "homed": True, "perturb": {"torque_constant": 0.8}}
-    peer = load_peer("firmware_sim.rig:Rig", **options)
+    simulator = Simulator("jamia", perturb={"torque_constant": 0.8}, homed=True)
     program = JogProgram(HoldTension(do="hold", tension_N={"index": 8.0}), 0.5)
-    run_lockstep(plan, make_controller(plan, program, calibration, True), log, LockstepClock(peer, plan.period_ns))
+    with simulator.clock(plan.period_ns) as clock:
+        run_lockstep(plan, make_controller(plan, program, calibration, True), log, clock)
     with RunLog(log) as record:
         goal, told = record.field("motor_torque_goal")[:-1, 0], record.field("motor_torque")[1:, 0]
         strong = goal > 0.03

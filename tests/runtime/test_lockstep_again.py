@@ -10,9 +10,9 @@ from handctl.controller.grasp import TaskProgram
 from handctl.controller.task import load_task
 from handctl.drives.registry import PROTOCOLS
 from handctl.hand.load import load_hand
-from handctl.runtime.lockstep import LockstepClock, load_peer
 from handctl.session.plan import Plan, fastest
 from handctl.session.run import make_controller, run_lockstep
+from handctl.session.simulate import Simulator
 from tests.drives.protocol_bench import GUARDED, hand_file
 from tests.runtime.processes import GO, MOVE
 
@@ -35,13 +35,9 @@ def test_a_run_after_another_one_finds_drives_that_were_disarmed(
     hand = load_hand(path)
     rate = fastest(bus_loads(hand))
     plan = Plan(hand, Gains(), rate, (0.5,))
-    peer = load_peer("firmware_sim.rig:Rig", hand_path=str(path), period_ns=plan.period_ns, homed=True, wire=wire)
-    clock = LockstepClock(peer, plan.period_ns)
     failures = []
-    try:
+    with Simulator(path, homed=True, wire=wire).clock(plan.period_ns) as clock:
         for number in range(RUNS):
             controller = make_controller(plan, TaskProgram(load_task(task)), None, True)
             failures.append(run_lockstep(plan, controller, tmp_path / f"{number}.mcap", clock).state.failure)
-    finally:
-        peer.close()
     assert failures == [""] * RUNS

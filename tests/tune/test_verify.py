@@ -8,12 +8,12 @@ from handctl.cli.tune_verify import _who
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.exercise import Exercise
 from handctl.controller.gains import Gains, MotionGains, TensionGains
-from handctl.hand.load import hand_path, load_hand
+from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.replay.execute import execute
-from handctl.runtime.lockstep import LockstepClock, load_peer
 from handctl.session.plan import Plan, fastest
 from handctl.session.run import make_controller, run_lockstep
+from handctl.session.simulate import Simulator
 from handctl.tune.verify import Watch, scores
 
 CALM = Gains(motion=MotionGains(force_N=12.0, disturbance_rejection=0.5), tension=TensionGains(force_N=2.7))
@@ -26,12 +26,8 @@ def _verified(new: Gains, log: Path) -> Watch:
     plan = Plan(hand, CALM, rate, (0.5,))
     amplitudes = (0.2, 0.2)
     watch = Watch(hand, CALM, new, amplitudes=amplitudes, old_rounds=1)
-    peer = load_peer("firmware_sim.rig:Rig", hand_path=str(hand_path("jamia")), period_ns=plan.period_ns, homed=True)
-    try:
-        clock = LockstepClock(peer, plan.period_ns)
+    with Simulator(hand, homed=True).clock(plan.period_ns) as clock:
         run_lockstep(plan, make_controller(plan, Exercise(amplitudes), None, True), log, clock, watch)
-    finally:
-        peer.close()
     return watch
 
 

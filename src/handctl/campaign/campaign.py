@@ -5,13 +5,13 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from handctl.campaign.course import Course
 from handctl.campaign.scenarios import Scenario, pairs, scenarios
 from handctl.campaign.stage import hand_in, started, try_all
 from handctl.campaign.trial import Result, try_out
 from handctl.controller.types import Event, Mode
 from handctl.hand.description import Hand
 from handctl.safety.action import Action
+from handctl.session.simulate import Simulation
 
 QUICK_EVERY = 7
 """A sample takes every so-manieth scenario."""
@@ -86,7 +86,7 @@ def run(
     quick: bool,
     calm_s: float,
     told: Told,
-    keep: Callable[[Course, Result], None],
+    keep: Callable[[Simulation, Result], None],
     only: Sequence[str] = (),
     calm_only: bool = False,
     seed: int = 1,

@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from handctl.campaign.course import Course
 from handctl.campaign.scenarios import HOST, MATRIX, texts
 from handctl.campaign.stage import STAGES, try_all
 from handctl.campaign.trial import RUNS_AWAY, Host, Result, overshoot
@@ -24,6 +23,7 @@ from handctl.controller.state import State
 from handctl.controller.types import Mode
 from handctl.hand.description import Hand
 from handctl.runtime.mailbox import CLEAR, STOP
+from handctl.session.simulate import Simulation
 
 TICKS, FEWEST, MOST = 200, 2, 6
 """Length of a sequence, and how many faults it has."""
@@ -95,7 +95,7 @@ def run(
     *,
     jobs: int,
     told: Callable[[int], None],
-    keep: Callable[[Course, Result], None],
+    keep: Callable[[Simulation, Result], None],
 ) -> list[Result]:
     """Bring one run to each stage, and let the sequences that begin there branch off.
 
@@ -114,7 +114,7 @@ def run(
     return found
 
 
-def endure(course: Course, sequence: Sequence) -> Result:
+def endure(course: Simulation, sequence: Sequence) -> Result:
     """Let a sequence happen, stop the hand, and look which rules were not kept.
 
     Args:
@@ -142,7 +142,7 @@ def endure(course: Course, sequence: Sequence) -> Result:
     )
 
 
-def _ticks(course: Course, sequence: Sequence) -> Iterator[dict[str, Any]]:
+def _ticks(course: Simulation, sequence: Sequence) -> Iterator[dict[str, Any]]:
     """What each tick is given; the faults of the simulator begin on the way, and at the end a person stops the hand."""
     hosts: list[tuple[int, Host]] = []
     for i in range(TICKS + round(END_S * 1e9 / course.period_ns)):
@@ -173,7 +173,7 @@ def broken_in_step(before: State, after: State, cleared: bool) -> list[str]:
     return broken
 
 
-def _explained(course: Course, sequence: Sequence, taut: list[float]) -> float:
+def _explained(course: Simulation, sequence: Sequence, taut: list[float]) -> float:
     """Largest tension that may be [N]; of a drive that runs away from a slack rope, until its watchdog has fired."""
     limits, model = course.controller.limits, course.controller.model
     if not any(step.fault.startswith(RUNS_AWAY) for step in sequence.steps):
@@ -182,7 +182,7 @@ def _explained(course: Course, sequence: Sequence, taut: list[float]) -> float:
     return overshoot(model, still, still, WATCHDOG_S + REACTION_TICKS * course.period_ns * 1e-9)
 
 
-def broken_at_end(course: Course) -> list[str]:
+def broken_at_end(course: Simulation) -> list[str]:
     """Rules of the end that are broken."""
     state, names = course.state, course.controller.model.hand.tendon_names
     if state.mode != Mode.DONE:
@@ -191,7 +191,7 @@ def broken_at_end(course: Course) -> list[str]:
     return [f"torque is left: {', '.join(left)}"] if left and REMOVE_POWER not in state.failure else []
 
 
-def broken_again(course: Course, state: State, first: int) -> list[str]:
+def broken_again(course: Simulation, state: State, first: int) -> list[str]:
     """The first tick that does not come to the same from the same inputs."""
     for entry, out in course.kept[first:]:
         state, again = course.controller.tick(state, entry)

@@ -2,17 +2,13 @@
 
 import json
 import os
-import re
 import signal
-import tempfile
 import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 from typing import Any, Protocol, TypeVar, cast
 
-from handctl.campaign.course import Course, FaultyPeer
 from handctl.campaign.scenarios import ARMING, CIA402, FREE, GRASP, MIT, ODRIVE
 from handctl.campaign.trial import Result
 from handctl.controller.gains import Gains
@@ -23,7 +19,7 @@ from handctl.controller.types import Mode
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
-from handctl.runtime.lockstep import SIMULATED_HAND, load_peer
+from handctl.session.simulate import Simulation, Simulator
 
 FIRST_NODE = 0x10
 OPTIONS: dict[str, dict[str, Any]] = {
@@ -68,33 +64,18 @@ def started(
     seed: int,
     perturb: dict[str, float] | None = None,
     task: dict[str, Any] = TASK,
-) -> Iterator[Course]:
+) -> Iterator[Simulation]:
     """A run that begins, in a scene with a cylinder, with a hand that is homed; ``task``: its first phase is a move."""
     angles = dict.fromkeys(hand.digit_names, 25.0)
     phases = [dict(phase) for phase in cast(list[dict[str, Any]], task["phase"])]
     phases[0]["angle_deg"] = angles
     program = TaskProgram(Task.model_validate_json(json.dumps({**task, "phase": phases})))
     controller = make_controller(hand, Gains(), rate_hz, program, None, arm_at_once=True)
-    period_ns = round(1e9 / rate_hz)
-    with tempfile.TemporaryDirectory(prefix="handctl-campaign-") as folder:
-        path = Path(folder) / f"{re.sub('[^a-z0-9_]', '_', hand.name)}.toml"
-        path.write_text(hand.to_toml())
-        peer = load_peer(
-            SIMULATED_HAND,
-            hand_path=str(path),
-            scene="cylinder",
-            seed=seed,
-            homed=True,
-            period_ns=period_ns,
-            perturb=perturb,
-        )
-        try:
-            yield Course.of(controller, cast(FaultyPeer, peer), period_ns)
-        finally:
-            peer.close()
+    with Simulator(hand, "cylinder", seed, perturb, homed=True).against(controller) as run:
+        yield run
 
 
-def bring(course: Course, stage: str) -> None:
+def bring(course: Simulation, stage: str) -> None:
     """Go on to a stage.
 
     Raises:
@@ -135,9 +116,9 @@ def try_all(
     rate_hz: float,
     todo: Sequence[T],
     jobs: int,
-    attempt: Callable[[Course, T], Result],
+    attempt: Callable[[Simulation, T], Result],
     told: Callable[[Result], None],
-    keep: Callable[[Course, Result], None],
+    keep: Callable[[Simulation, Result], None],
     seed: int = 0,
 ) -> None:
     """Bring one run of a seed to each stage, and let what is tried there branch off; see ``branch``."""
@@ -150,12 +131,12 @@ def try_all(
 
 
 def branch(
-    course: Course,
+    course: Simulation,
     todo: Sequence[T],
     jobs: int,
-    attempt: Callable[[Course, T], Result],
+    attempt: Callable[[Simulation, T], Result],
     told: Callable[[Result], None],
-    keep: Callable[[Course, Result], None],
+    keep: Callable[[Simulation, Result], None],
 ) -> None:
     """Try things out from here, each in a copy of this process, so many at a time.
 

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from handctl.campaign.course import Course
 from handctl.campaign.scenarios import GRASP, HOST, Row, Scenario
 from handctl.controller.model import HandModel
 from handctl.controller.modes import REMOVE_POWER
 from handctl.controller.types import IoEvent, Mode, TickOut
 from handctl.runtime.mailbox import CUT
 from handctl.safety.action import Action
+from handctl.session.simulate import Simulation
 
 AFTER_S = 1.3
 """How much longer than its bound a scenario is watched: until no torque is left [s]."""
@@ -57,7 +57,7 @@ class Result:
         return asdict(self)
 
 
-def try_out(course: Course, scenario: Scenario, protocol: str) -> Result:
+def try_out(course: Simulation, scenario: Scenario, protocol: str) -> Result:
     """Run a scenario to its end.
 
     Args:
@@ -92,7 +92,7 @@ def try_out(course: Course, scenario: Scenario, protocol: str) -> Result:
     return _judged(result, row)
 
 
-def _speeds(course: Course) -> list[float]:
+def _speeds(course: Simulation) -> list[float]:
     """Speed of each cable as the controller knows it [m/s]; none before the first tick."""
     if course.out is None:
         return [0.0] * course.controller.model.tendon_count
@@ -100,7 +100,7 @@ def _speeds(course: Course) -> list[float]:
     return [float(v) for v in np.nan_to_num(np.abs(course.out.telemetry.motor_velocity * spool))]
 
 
-def explained(course: Course, scenario: Scenario, before: list[float], speed: list[float], seconds: float) -> float:
+def explained(course: Simulation, scenario: Scenario, before: list[float], speed: list[float], seconds: float) -> float:
     """Largest tension that drive and momentum explain [N].
 
     Of all faults but one nobody's drive needs to be feared: they must stay below the limit at which one sample means
@@ -135,14 +135,14 @@ def overshoot(model: HandModel, before: Sequence[float], speed: Sequence[float],
     return float(max(bounds))
 
 
-def _felt_ns(course: Course, host: "Host | None", begin_ns: int) -> int:
+def _felt_ns(course: Simulation, host: "Host | None", begin_ns: int) -> int:
     """When the disturbance was felt first [ns]; -1 as long as it was not."""
     if host is not None:
         return begin_ns
     return int(course.peer.told()[0]["first_ns"])
 
 
-def _look(result: Result, course: Course, scenario: Scenario, out: TickOut, felt_ns: int, t_ns: int) -> None:
+def _look(result: Result, course: Simulation, scenario: Scenario, out: TickOut, felt_ns: int, t_ns: int) -> None:
     """Take down what a tick shows."""
     row, truth = scenario.row, course.peer.truth()
     result.tension = max(result.tension, *truth["tension"])
@@ -189,7 +189,7 @@ class Host:
     def __init__(self, text: str) -> None:
         self.verb, *self.words = text.split()
 
-    def at(self, i: int, course: Course) -> dict[str, Any]:
+    def at(self, i: int, course: Simulation) -> dict[str, Any]:
         """Arguments of the i-th tick since."""
         first = i == 0
         if self.verb == "io":

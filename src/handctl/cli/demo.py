@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +30,7 @@ from handctl.cli.run import report
 from handctl.controller.grasp import TaskProgram
 from handctl.controller.tick import Controller
 from handctl.errors import BusError, ConfigError, DriveError
-from handctl.hand.load import hand_path, load_hand
-from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, Peer, load_peer
+from handctl.hand.load import load_hand
 from handctl.runtime.places import truth_path
 from handctl.session.calibration import Known, commission, identified_in, write_calibration
 from handctl.session.exit_codes import Exit
@@ -38,6 +38,7 @@ from handctl.session.gains import assignments
 from handctl.session.pace import slower
 from handctl.session.plan import Plan, commission_log, default_log
 from handctl.session.run import Outcome, Runner, make_controller, refuse_blind_view, run_live, run_lockstep
+from handctl.session.simulate import Simulator
 from handctl.session.tasks import find_task
 from handctl.session.verdict import judge
 
@@ -91,7 +92,8 @@ def _run(args: argparse.Namespace) -> int:
     assignments(args.perturb, "--perturb")
     known = identified_in(args.calibration, plan.hand)
     if args.dry_run:
-        _peer(args, plan, None).close()
+        with _simulator(args, None).peer(plan.period_ns):
+            pass
         line = f"{plan.hand.name}: {task.name} on {args.scene}, {plan.rate_hz:g} Hz"
         return told(args, plan, line, task=task.name, scene=args.scene)
     log = args.log or default_log(plan.hand, "demo")
@@ -200,30 +202,15 @@ def _in_lockstep(
 ) -> tuple[Outcome, Path]:
     """The same against the simulator's lockstep rig."""
     truth = log.with_suffix(".truth")
-    peer = _peer(args, plan, truth)
-    clock = LockstepClock(peer, plan.period_ns)
-
-    def runner(plan: Plan, controller: Controller, log: Path) -> Outcome:
-        return run_lockstep(plan, controller, log, clock)
-
-    try:
+    with _simulator(args, truth).clock(plan.period_ns) as clock:
+        runner = partial(run_lockstep, clock=clock)
         return _commission_and_run(plan, program, log, (runner, runner), known), truth
-    finally:
-        peer.close()
 
 
-def _peer(args: argparse.Namespace, plan: Plan, truth: Path | None) -> Peer:
-    """The simulator in this process, stepped by the loop."""
-    return load_peer(
-        SIMULATED_HAND,
-        hand_path=str(hand_path(args.hand)),
-        scene=args.scene,
-        seed=args.seed,
-        period_ns=plan.period_ns,
-        truth_path=str(truth) if truth else None,
-        wire=args.wire,
-        perturb=assignments(args.perturb, "--perturb"),
-    )
+def _simulator(args: argparse.Namespace, truth: Path | None) -> Simulator:
+    """The simulated hand in this process, stepped by the loop."""
+    perturb = assignments(args.perturb, "--perturb")
+    return Simulator(args.hand, args.scene, args.seed, perturb, truth=truth, wire=args.wire)
 
 
 def _speed(outcome: Outcome, plan: Plan, wall: float) -> dict[str, Any]:

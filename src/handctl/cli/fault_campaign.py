@@ -8,7 +8,6 @@ from pathlib import Path
 
 from handctl.campaign.campaign import Report
 from handctl.campaign.campaign import run as run_campaign
-from handctl.campaign.course import Course
 from handctl.campaign.page import lines, write_page
 from handctl.campaign.scenarios import ALL, MATRIX, scenarios
 from handctl.campaign.stage import hand_in
@@ -25,6 +24,7 @@ from handctl.output import write_whole
 from handctl.session.exit_codes import Exit
 from handctl.session.header import run_header
 from handctl.session.plan import Plan, fastest
+from handctl.session.simulate import Simulation
 
 QUICK_CALM_S, CALM_S = 4.0, 60.0
 """How long the undisturbed hand is watched for each protocol, in a sample and in full [s]."""
@@ -109,10 +109,10 @@ def _say(report: Report, folder: Path, as_json: bool) -> None:
     print(f"written: {folder / 'report.html'}")
 
 
-def keeper(folder: Path) -> Callable[[Course, Result], None]:
+def keeper(folder: Path) -> Callable[[Simulation, Result], None]:
     """Writes the log of a scenario that failed."""
 
-    def keep(course: Course, result: Result) -> None:
+    def keep(course: Simulation, result: Result) -> None:
         name = re.sub(r"[^A-Za-z0-9=.]+", "-", result.scenario)
         model = course.controller.model
         plan = Plan(model.hand, Gains(), 1.0 / model.period, ())

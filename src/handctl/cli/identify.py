@@ -5,6 +5,7 @@ import shlex
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +16,17 @@ from handctl.cli.plan import calibration_path, check_bus_only, check_perturb, fi
 from handctl.cli.tune_files import same_hand_words
 from handctl.controller.calibration import Calibration, load_calibration
 from handctl.controller.excite import ExciteProgram
-from handctl.controller.tick import Controller
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_path, load_hand
+from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.replay.rebuild import logged_hand
-from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
 from handctl.session.calibration import commission, ensure_calibration, kept, write_calibration
 from handctl.session.exit_codes import Exit
 from handctl.session.gains import assignments
 from handctl.session.plan import Plan, commission_log, default_log
 from handctl.session.run import Outcome, Runner, make_controller, run_live, run_lockstep
+from handctl.session.simulate import Simulator
 from handctl.tune.excitation import excitation
 from handctl.tune.identify import Found, identify, now, table
 from handctl.tune.identify_figure import draw
@@ -102,24 +102,11 @@ def _in_lockstep(
     args: argparse.Namespace, plan: Plan, program: ExciteProgram, log: Path, about: str
 ) -> tuple[Calibration, Outcome]:
     """Commission and excite the simulated hand in virtual time."""
-    peer = load_peer(
-        SIMULATED_HAND,
-        hand_path=str(hand_path(args.hand)),
-        seed=args.seed,
-        perturb=assignments(args.perturb, "--perturb"),
-        period_ns=plan.period_ns,
-        truth_path=str(log.with_suffix(".truth")),
-    )
-    clock = LockstepClock(peer, plan.period_ns)
-    _say(about)
-
-    def runner(plan: Plan, controller: Controller, log: Path) -> Outcome:
-        return run_lockstep(plan, controller, log, clock)
-
-    try:
-        return _commission_and_excite(plan, program, log, runner)
-    finally:
-        peer.close()
+    perturb = assignments(args.perturb, "--perturb")
+    simulator = Simulator(args.hand, seed=args.seed, perturb=perturb, truth=log.with_suffix(".truth"))
+    with simulator.clock(plan.period_ns) as clock:
+        _say(about)
+        return _commission_and_excite(plan, program, log, partial(run_lockstep, clock=clock))
 
 
 def _commission_and_excite(

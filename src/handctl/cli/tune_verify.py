@@ -14,12 +14,12 @@ from handctl.cli.plan import check_bus_only, check_perturb, find_calibration, ma
 from handctl.cli.screen import screen
 from handctl.cli.tune_files import checked_count
 from handctl.errors import ConfigError
-from handctl.hand.load import hand_path
 from handctl.session.calibration import ensure_calibration, homed, identified_in
 from handctl.session.exit_codes import Exit
 from handctl.session.gains import assignments, gains_for
 from handctl.session.plan import Plan, check_design, commission_log, default_log
 from handctl.session.run import Outcome, make_controller, run_live, run_lockstep
+from handctl.session.simulate import Simulator
 
 
 def run(args: argparse.Namespace) -> int:
@@ -70,24 +70,11 @@ def _run(args: argparse.Namespace, plan: Plan, program: Any, watch: Any, log: Pa
         if calibration is None:
             calibration = ensure_calibration(plan, path, why, run_live, commission_log(log))
         return run_live(plan, make_controller(plan, program, calibration, True), log, attendant=watch), None
-    from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
-
     calibration = homed(plan.hand, identified_in(args.calibration, plan.hand))
     truth = log.with_suffix(".truth")
-    peer = load_peer(
-        SIMULATED_HAND,
-        hand_path=str(hand_path(args.hand)),
-        seed=args.seed,
-        period_ns=plan.period_ns,
-        perturb=assignments(args.perturb, "--perturb"),
-        homed=True,
-        truth_path=str(truth),
-    )
-    try:
-        clock = LockstepClock(peer, plan.period_ns)
+    perturb = assignments(args.perturb, "--perturb")
+    with Simulator(args.hand, None, args.seed, perturb, homed=True, truth=truth).clock(plan.period_ns) as clock:
         return run_lockstep(plan, make_controller(plan, program, calibration, True), log, clock, watch), truth
-    finally:
-        peer.close()
 
 
 def _judged(plan: Plan, outcome: Outcome, watch: Any, log: Path, truth_file: Path | None) -> dict[str, Any]:

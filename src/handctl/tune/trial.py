@@ -14,15 +14,12 @@ from handctl.controller.exercise import Exercise
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
 from handctl.controller.program import Program
-from handctl.controller.setup import make_drives, make_sensors
-from handctl.controller.tick import Controller
 from handctl.controller.types import Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_from
 from handctl.report.summary import mean_angles, rms
 from handctl.report.truth import Truth, read_truth
-from handctl.runtime.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, load_peer
-from handctl.runtime.loop import Loop
+from handctl.session.simulate import Simulator, homed_controller, simulate
 from handctl.tune.design import linear_factors, worst_of
 
 Array = NDArray[np.float64]
@@ -125,44 +122,12 @@ def simulated(
     Returns:
         ticks, the simulator's truth, and why it ended early (empty if it did not).
     """
-    period_ns = round(model.period * 1e9)
     ticks: Ticks = []
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
-        truth_file, hand_file = Path(folder) / "truth", Path(folder) / "hand.toml"
-        hand_file.write_text(hand.to_toml(), "utf-8")
-        peer = load_peer(
-            SIMULATED_HAND,
-            hand_path=str(hand_file),
-            seed=seed,
-            period_ns=period_ns,
-            perturb=dict(factors),
-            homed=True,
-            truth_path=str(truth_file),
-        )
-        clock = LockstepClock(peer, period_ns)
-        controller = _controller(hand, model, program)
-        try:
-            loop = Loop(
-                clock,
-                period_ns,
-                [LockstepBus(clock)],
-                controller.tick,
-                controller.cut_frames(),
-                lambda: (),
-                list,
-                lambda entry, out: ticks.append((entry, out)),
-                lambda entry, out: None,
-            )
-            state = loop.run(controller.initial())
-        finally:
-            peer.close()
-        truth = read_truth(truth_file)
-    return ticks, truth, state.failure
-
-
-def _controller(hand: Hand, model: HandModel, program: Program) -> Controller:
-    nothing = np.zeros(model.tendon_count)
-    return Controller.of(model, make_drives(hand), make_sensors(hand), program, nothing, nothing, True)
+        file = Path(folder) / "truth"
+        twin = Simulator(hand, seed=seed, perturb=factors, homed=True, truth=file)
+        state = simulate(homed_controller(model, program, hand), twin, lambda entry, out: ticks.append((entry, out)))
+        return ticks, read_truth(file), state.failure
 
 
 def judge(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: Truth, failure: str) -> Score:
