@@ -20,7 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.tune_files import subject
+from handctl.cli.tuning.tune_files import subject
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.gain_bounds import flat, with_values
 from handctl.controller.gains import Gains

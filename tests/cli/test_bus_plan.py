@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.bus_plan import plan
+from handctl.cli.checks.bus_plan import plan
 from handctl.cli.main import main
 from handctl.controller.bus_load import bus_loads, split
 from handctl.controller.setup import make_drives

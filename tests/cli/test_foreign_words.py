@@ -8,9 +8,9 @@ import sys
 
 import pytest
 
+from handctl.cli.console.options import print_json, say
+from handctl.cli.console.screen import screen
 from handctl.cli.main import VERBS, main
-from handctl.cli.options import print_json, say
-from handctl.cli.screen import screen
 from handctl.errors import ConfigError
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import HANDS, parse_toml

@@ -9,7 +9,7 @@ import pytest
 
 from handctl.campaign.scenarios import ALL
 from handctl.cli.main import main
-from handctl.cli.other_protocol import in_protocol
+from handctl.cli.runs.other_protocol import in_protocol
 from handctl.hand.load import load_hand, packaged_hands
 from tests.cli.refused import refused
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.progress import progress
+from handctl.cli.console.progress import progress
 
 LOG = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-lost.mcap")
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import handctl as library
-from handctl.cli.begin import age
+from handctl.cli.console.begin import age
 from handctl.cli.main import main
 from handctl.hand.load import load_hand
 from handctl.runtime.buses.open import real_buses

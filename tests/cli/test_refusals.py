@@ -25,7 +25,7 @@ def no_bus(monkeypatch):
 
     monkeypatch.setattr("handctl.session.run.open_bus", opened)
     monkeypatch.setattr("handctl.session.run.Mailbox", opened)
-    monkeypatch.setattr("handctl.cli.demo.simulator", opened)
+    monkeypatch.setattr("handctl.cli.runs.demo.simulator", opened)
 
 
 def jamia():

@@ -2,8 +2,10 @@
 
 import pytest
 
-from handctl.cli import commission, conformance, identify
+from handctl.cli.checks import conformance
 from handctl.cli.main import main
+from handctl.cli.runs import commission
+from handctl.cli.tuning import identify
 from handctl.drives.discovery import Found
 from handctl.errors import PowerError
 from handctl.runtime.diagnostics.drive_rig import DriveRig

@@ -8,7 +8,7 @@ import pytest
 from firmware_sim.bench import Bench
 from firmware_sim.drive_types import drive_spec
 from firmware_sim.frame import Frame as SimFrame
-from handctl.cli.fragment import fragment
+from handctl.cli.checks.fragment import fragment
 from handctl.cli.main import main
 from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.registry import make_drive

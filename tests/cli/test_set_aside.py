@@ -2,8 +2,8 @@
 
 import pytest
 
-from handctl.cli import demo
-from handctl.cli.plan import commission_log
+from handctl.cli.console.plan import commission_log
+from handctl.cli.runs import demo
 
 FIRST, SECOND = "run.commission.mcap", "run.commission-2.mcap"
 

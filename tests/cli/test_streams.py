@@ -10,9 +10,9 @@ from contextlib import closing
 
 import pytest
 
-from handctl.cli.ended import Terminated, ended_by_signals
+from handctl.cli.console.ended import Terminated, ended_by_signals
+from handctl.cli.console.screen import screen
 from handctl.cli.main import main
-from handctl.cli.screen import screen
 from handctl.paper.pool import pool
 from handctl.tune.workers import Processes
 
@@ -92,7 +92,7 @@ def test_a_signal_ends_a_verb_with_a_line_and_its_code(capsys, monkeypatch, numb
         os.kill(os.getpid(), number)
         raise AssertionError("the signal was not felt")
 
-    monkeypatch.setattr("handctl.cli.config.run", interrupted)
+    monkeypatch.setattr("handctl.cli.checks.config.run", interrupted)
     assert main(["config", "list"]) == code
     out, err = capsys.readouterr()
     assert out == ""
@@ -131,7 +131,7 @@ def test_a_search_that_is_interrupted_says_how_it_goes_on(monkeypatch, capsys):
         os.kill(os.getpid(), signal.SIGTERM)
 
     monkeypatch.setattr("handctl.tune.search.search", interrupted)
-    monkeypatch.setattr("handctl.cli.tune_search._designed", lambda *words: ())
+    monkeypatch.setattr("handctl.cli.tuning.tune_search._designed", lambda *words: ())
     assert main(["tune", "search", "--plants", "1", "--json"]) == 143
     assert capsys.readouterr() == ("", "handctl: interrupted; the same command goes on with jamia.study\n")
 
@@ -164,9 +164,9 @@ def test_a_worker_of_the_paper_leaves_no_folder(place):
 
 BUGGY = """
 import atexit, sys
-import handctl.cli.doctor
+import handctl.cli.checks.doctor
 from handctl.cli.main import main
-handctl.cli.doctor.run = lambda args: atexit.register(print, "put away") and {}["nobody thought of this"]
+handctl.cli.checks.doctor.run = lambda args: atexit.register(print, "put away") and {}["nobody thought of this"]
 sys.argv = ["handctl", "doctor"]
 sys.exit(main())
 """

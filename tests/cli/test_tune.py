@@ -10,9 +10,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from handctl.cli.identify import configure
 from handctl.cli.main import main
-from handctl.cli.tune_verify import _print
+from handctl.cli.tuning.identify import configure
+from handctl.cli.tuning.tune_verify import _print
 from handctl.controller.calibration import Calibration, TendonCalibration
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
@@ -31,7 +31,7 @@ def searched(monkeypatch):
     """A search that is over at once, with the trials that are put into it."""
     trials = []
     monkeypatch.setattr("handctl.tune.search.search", lambda *words: Found.of(tuple(trials)))
-    monkeypatch.setattr("handctl.cli.tune_search._designed", lambda *words: ())
+    monkeypatch.setattr("handctl.cli.tuning.tune_search._designed", lambda *words: ())
     return trials
 
 
@@ -79,7 +79,7 @@ def test_a_column_is_worse_only_beyond_its_spread():
 
 @pytest.mark.parametrize(("accept", "code"), [(False, 1), (True, 0)])
 def test_gains_that_are_worse_are_verified_only_if_that_is_accepted(capsys, accept, code):
-    from handctl.cli.tune_verify import _report
+    from handctl.cli.tuning.tune_verify import _report
 
     rounds = [scored(1.0), scored(1.0), scored(3.0), scored(3.0), scored(3.0)]
     run = {"through": True, "returned": None, "failure": "", "rounds": rounds, "judged_by": "truth"}
@@ -163,9 +163,9 @@ def test_what_a_simulated_hand_is_made_of_is_not_kept_for_the_real_one(place, ca
     write_calibration(own, made)
     before, ended = own.read_bytes(), SimpleNamespace(failure="", progress=SimpleNamespace(finished=True))
     outcome = SimpleNamespace(state=ended, refuse_unfinished=lambda where: None)
-    monkeypatch.setattr("handctl.cli.identify._in_lockstep", lambda *words: (made, outcome))
-    monkeypatch.setattr("handctl.cli.identify.RunLog", lambda log: nullcontext())
-    monkeypatch.setattr("handctl.cli.identify.identify", lambda *words: {})
+    monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
+    monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
+    monkeypatch.setattr("handctl.cli.tuning.identify.identify", lambda *words: {})
     assert main(["identify", "--lockstep", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["calibration"] == "jamia.lockstep.calibration.toml"
     assert own.read_bytes() == before
@@ -276,8 +276,8 @@ def next_words(out):
 
 
 def test_commands_to_go_on_with_repeat_the_options_of_the_same_hand(capsys):
-    from handctl.cli.identify import _search_command
-    from handctl.cli.tune_files import verify_command
+    from handctl.cli.tuning.identify import _search_command
+    from handctl.cli.tuning.tune_files import verify_command
 
     given = {"hand": "my hand.toml", "gains": Path("a b.toml"), "gain": ["motion.force_N=16"], "rate": 250.0}
     args = Namespace(**given, perturb=["stiffness=0.8", "friction=1.3"], fit=Path("x.calibration.toml"))
@@ -290,7 +290,7 @@ def test_commands_to_go_on_with_repeat_the_options_of_the_same_hand(capsys):
 
 @pytest.mark.parametrize("fit", [None, Path("x.calibration.toml")])
 def test_plants_are_perturbed_unless_the_perturbed_hand_was_identified(fit):
-    from handctl.cli.tune_files import plants_of
+    from handctl.cli.tuning.tune_files import plants_of
 
     args = Namespace(hand="jamia", perturb=["stiffness=0.5", "torque_constant=1.1"], plants=3, seed=0, fit=fit)
     plain = plants_of(Namespace(**vars(args) | {"perturb": []}), {}, 8)

@@ -5,9 +5,9 @@ import tomllib
 
 import pytest
 
-from handctl.cli.begin import announce
+from handctl.cli.console.begin import announce
+from handctl.cli.console.plan import make_plan
 from handctl.cli.main import main
-from handctl.cli.plan import make_plan
 from handctl.controller.calibration import load_calibration
 from handctl.controller.live import JogProgram
 from handctl.controller.requests import MoveDigits
@@ -29,7 +29,7 @@ class Bench:
     def __init__(self, place, hand, serials=()):
         import argparse
 
-        from handctl.cli.options import run_options
+        from handctl.cli.console.options import run_options
 
         parser = argparse.ArgumentParser()
         run_options(parser, bus_required=False)

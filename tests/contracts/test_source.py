@@ -62,7 +62,7 @@ def test_only_the_loop_catches_everything_and_only_once() -> None:
 
 
 def test_a_controller_meets_the_simulator_in_one_place() -> None:
-    """``session.simulate`` builds the simulated hand in lockstep; what else would do it puts the same together again."""
+    """``session.simulate`` builds the simulated hand in lockstep, and nothing else does."""
     found = {
         str(path.relative_to(ROOT))
         for path in sources("src", "benchmarks", "fuzz")

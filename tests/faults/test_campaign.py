@@ -12,7 +12,7 @@ from handctl.campaign import campaign
 from handctl.campaign.scenarios import ALL, ARMING, FREE, GRASP, LEFT_OUT, MATRIX, Row, Scenario, pairs, scenarios
 from handctl.campaign.stage import FREE_S, branch, bring, hand_in, started
 from handctl.campaign.trial import Result, try_out
-from handctl.cli.fault_campaign import rate_of
+from handctl.cli.studies.fault_campaign import rate_of
 from handctl.controller.guard import RELAXED_S
 from handctl.controller.types import Event, Mode
 from handctl.safety.action import Action

@@ -22,7 +22,7 @@ from handctl.campaign.sequences import (
     run,
 )
 from handctl.campaign.stage import STAGES, branch, bring, hand_in, started
-from handctl.cli.fault_campaign import rate_of
+from handctl.cli.studies.fault_campaign import rate_of
 from handctl.controller.types import Mode
 from handctl.safety.judge import Latched, SafetyState
 

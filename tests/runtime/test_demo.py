@@ -4,7 +4,7 @@ import re
 
 import pytest
 
-from handctl.cli.demo import SLOWEST
+from handctl.cli.runs.demo import SLOWEST
 from handctl.log.read.reader import RunLog
 from tests.runtime.processes import ended_well, said, start_handctl
 

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from benchmarks.identify import WITHIN, one, summary
-from handctl.cli.tune_files import subject
+from handctl.cli.tuning.tune_files import subject
 from handctl.controller.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.controller.identified import UNITS, Identified, identified_hand, torque_gain
 from handctl.errors import ConfigError

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from handctl.cli.tune_verify import _who
+from handctl.cli.tuning.tune_verify import _who
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.exercise import Exercise
 from handctl.controller.gains import Gains, MotionGains, TensionGains

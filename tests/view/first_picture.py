@@ -20,7 +20,7 @@ SIZE = "1600x900"
 def main() -> None:
     """Open a log as the verb does, and end with the first picture."""
     os.environ.setdefault("RUST_LOG", "error")  # as the verb does
-    from handctl.cli import view  # noqa: F401 (what the verb imports counts)
+    from handctl.cli.logs import view  # noqa: F401 (what the verb imports counts)
     from handctl.log.read.reader import RunLog
     from handctl.view.browse import browse
     from handctl.view.scene.subject import Subject

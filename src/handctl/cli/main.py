@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Protocol
 
-from handctl.cli.ended import Terminated, ended_by_signals, give_bugs_a_code
-from handctl.cli.parser import Parser, check_words
-from handctl.cli.streams import flush, give_up_output, make_usable
+from handctl.cli.console.ended import Terminated, ended_by_signals, give_bugs_a_code
+from handctl.cli.console.parser import Parser, check_words
+from handctl.cli.console.streams import flush, give_up_output, make_usable
 from handctl.errors import ConfigError, HandctlError, IncomparableError, LogError, PowerError
 from handctl.printing import escaped_streams, message
 from handctl.session.exit_codes import Exit
@@ -40,6 +40,14 @@ VERBS = {
     "doctor": "check this machine: priority, buses, viewer",
 }
 """Each verb and what a person wants with it."""
+FOLDERS = {
+    "runs": ("demo", "run", "stop", "clear", "commission", "jog", "sim"),
+    "logs": ("view", "replay", "log", "report"),
+    "checks": ("config", "bus", "scan", "conformance", "doctor"),
+    "tuning": ("identify", "gains", "tune"),
+    "studies": ("fault", "paper"),
+}
+"""Where each verb has its module."""
 
 EPILOG = """exit codes: 0 done, 1 failed, 2 bad input, 3 lossy log, 4 not comparable, 70 internal error, 71 remove power
             130 interrupted, 143 terminated (where no hand ran)
@@ -129,9 +137,14 @@ def _done(words: list[str]) -> int:
     return Exit.DONE
 
 
+def _folder(name: str) -> str:
+    """Return the folder in which a verb has its module."""
+    return next(folder for folder, verbs in FOLDERS.items() if name in verbs)
+
+
 def _verb(name: str, words: list[str]) -> int:
     """Run one verb."""
-    module: Verb = importlib.import_module(f"handctl.cli.{name}")
+    module: Verb = importlib.import_module(f"handctl.cli.{_folder(name)}.{name}")
     parser = Parser(
         prog=f"handctl {name}",
         description=VERBS[name][0].upper() + VERBS[name][1:] + ".",

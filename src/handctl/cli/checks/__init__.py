@@ -1,0 +1,1 @@
+"""Verbs that look before a hand is run: files, machine, buses, drives."""

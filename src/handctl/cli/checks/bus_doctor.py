@@ -1,0 +1,144 @@
+"""``handctl bus doctor``: each bus from its interface to its nodes, with the command that mends what is wrong."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from handctl.cli.console.options import print_json
+from handctl.drives.discovery import Found
+from handctl.drives.registry import DISCOVERIES
+from handctl.errors import BusError, ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.file.sections import Bus as BusSection
+from handctl.hand.load import load_hand
+from handctl.runtime.buses.contract import Bus
+from handctl.runtime.buses.link import NoTool, read_link
+from handctl.runtime.buses.open import open_bus
+from handctl.runtime.diagnostics.link_findings import WIRING, Finding, absent, findings
+from handctl.runtime.diagnostics.round_trip import RoundTrip, round_trip
+from handctl.runtime.diagnostics.scan import Scan, scan
+from handctl.session.buses import named_buses
+from handctl.session.exit_codes import Exit
+
+BUSY = "is the machine busy, or the adapter's latency timer long? handctl doctor tells priorities"
+SLOW_S = 0.005
+"""A median answer later than this leaves no room in a tick of 200 Hz."""
+
+
+def run(args: argparse.Namespace) -> int:
+    """Look at the buses of the command line; 1 if something is to be mended.
+
+    Args:
+        args: hand (whose bit rates and motors are expected; None: any), bus, bitrate, data_bitrate, json.
+    """
+    hand = load_hand(args.hand) if args.hand else None
+    if not args.bus:
+        raise ConfigError("missing", "--bus", "the buses to look at, such as --bus socketcan:can0")
+    found = [_examined(spec, section, hand) for spec, section in _wanted(args, hand)]
+    if args.json:
+        print_json({"buses": found})
+    good = all(finding["good"] for bus in found for finding in bus["findings"])
+    if not args.json:
+        _print(found)
+    return Exit.DONE if good else Exit.FAILED
+
+
+def _wanted(args: argparse.Namespace, hand: Hand | None) -> Sequence[tuple[str, BusSection]]:
+    """Specification of each bus, and what it should be."""
+    if hand is not None:
+        from handctl.session.plan import bus_specs
+
+        return tuple(zip(bus_specs(hand, args.bus), hand.bus, strict=True))
+    rates = {"bitrate": args.bitrate, "data_bitrate": args.data_bitrate}
+    return tuple((spec, BusSection(name=name, **rates)) for name, spec in named_buses(args.bus).items())
+
+
+def _examined(spec: str, wanted: BusSection, hand: Hand | None) -> dict[str, Any]:
+    """One bus: interface, then nodes if it can be used."""
+    print(f"{spec}: looking", file=sys.stderr, flush=True)
+    kind, _, channel = spec.partition(":")
+    found = _interface(channel, wanted) if kind == "socketcan" else []
+    trips: list[tuple[Found, RoundTrip]] = []
+    if not any(finding.fatal for finding in found):
+        more, trips = _nodes(spec, wanted, hand)
+        found += more
+    return {
+        "bus": spec,
+        "name": wanted.name,
+        "findings": [{"what": one.what, "good": one.good, "fix": "" if one.good else one.fix} for one in found],
+        "nodes": [{"protocol": node.protocol, "node_id": node.node_id, **trip._asdict()} for node, trip in trips],
+    }
+
+
+def _interface(channel: str, wanted: BusSection) -> list[Finding]:
+    try:
+        link = read_link(channel)
+    except NoTool:
+        return [Finding("the interface's state is not known: no 'ip' here", False, "sudo apt-get install iproute2")]
+    if link is None:
+        return [absent(channel, wanted.bitrate, wanted.data_bitrate)]
+    return findings(channel, link, wanted.bitrate, wanted.data_bitrate)
+
+
+def _nodes(spec: str, wanted: BusSection, hand: Hand | None) -> tuple[list[Finding], list[tuple[Found, RoundTrip]]]:
+    """Open the bus, look for drives, and time their answers."""
+    try:
+        bus = open_bus(spec, 0, wanted.bitrate, wanted.data_bitrate)
+    except BusError as error:
+        return [Finding(f"cannot be opened: {error}", False, error.right or WIRING)], []
+    try:
+        result = scan(bus)
+        trips = [] if result.foreign else _timed(bus, result)
+    finally:
+        bus.close()
+    found = [Finding("can be opened", True), *_events(result), *map(_answers, trips)]
+    if result.foreign:
+        found.append(Finding("another host is at work: nodes were not asked", False, "end it, and look again"))
+    elif hand is not None:
+        found += _missing(hand, wanted.name, result)
+    elif not result.found:
+        found.append(Finding("no drive answers", False, WIRING))
+    return found, trips
+
+
+def _timed(bus: Bus, result: Scan) -> list[tuple[Found, RoundTrip]]:
+    return [(node, round_trip(bus, node)) for node in result.found if node.protocol in DISCOVERIES]
+
+
+def _events(result: Scan) -> list[Finding]:
+    """What happened to the bus meanwhile."""
+    return [Finding(f"while asking: {kind}, {number} times", False, WIRING) for kind, _, number in result.events]
+
+
+def _answers(timed: tuple[Found, RoundTrip]) -> Finding:
+    node, trip = timed
+    name = f"{node.protocol} {node.node_id}"
+    if not trip.answers:
+        return Finding(f"{name} was there, and answers no more", False, WIRING)
+    times = f"{trip.shortest * 1e3:.2f} / {trip.median * 1e3:.2f} / {trip.longest * 1e3:.2f} ms"
+    what = f"{name} answers {trip.answers} of {trip.asked}, shortest / median / longest {times}"
+    good = trip.answers == trip.asked and trip.median < SLOW_S
+    return Finding(what, good, BUSY)
+
+
+def _missing(hand: Hand, bus: str, result: Scan) -> list[Finding]:
+    """Motors of the hand file that did not answer."""
+    there = {(node.protocol, node.node_id) for node in result.found}
+    motors = [motor for motor in hand.motor if motor.bus == bus and (motor.protocol, motor.node_id) not in there]
+    names = [(f"{motor.name} ({motor.protocol} {motor.node_id})", motor.protocol in DISCOVERIES) for motor in motors]
+    return [
+        Finding(f"{name} does not answer", False, WIRING)
+        if asked
+        else Finding(f"{name} was not looked for: it answers orders only", True)
+        for name, asked in names
+    ]
+
+
+def _print(buses: list[dict[str, Any]]) -> None:
+    for bus in buses:
+        print(f"{bus['name']} ({bus['bus']}):")
+        for finding in bus["findings"]:
+            print(f"  {'ok ' if finding['good'] else '-- '} {finding['what']}")
+            if not finding["good"]:
+                print(f"        {finding['fix']}")

@@ -1,0 +1,114 @@
+"""``handctl bus plan``: how full each bus of a hand is in the worst case, and how to split it if it does not fit."""
+
+import argparse
+import math
+from typing import Any
+
+from handctl.cli.console.options import print_json
+from handctl.controller.bus_load import BusLoad, Row, bus_loads, split
+from handctl.drives.load import MOST
+from handctl.drives.load_table import TABLE, TABLE_RATES_HZ
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.load import load_hand
+from handctl.session.exit_codes import Exit
+from handctl.session.plan import bus_specs, fastest
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compute and print; 1 if the hand does not fit at the rate, or an interface is set to another bit rate."""
+    if args.table:
+        _print_table() if not args.json else print_json({"rows": [row.numbers() for row in TABLE]})
+        return Exit.DONE
+    hand = load_hand("jamia" if args.hand is None else args.hand)
+    loads = bus_loads(hand)
+    rate = fastest(loads) if args.rate is None else args.rate
+    if not 1 <= rate <= 10_000:
+        raise ConfigError(f"{rate:g}", "--rate", "1 to 10000 Hz")
+    wrong = wrong_rates(hand, bus_specs(hand, args.bus)) if args.bus else []
+    result = plan(hand, loads, rate) | {"wrong_bit_rates": wrong}
+    if args.json:
+        print_json(result)
+    else:
+        _print(result, args.detail)
+    return Exit.DONE if result["fits"] and not wrong else Exit.FAILED
+
+
+def plan(hand: Hand, loads: tuple[BusLoad, ...], rate: float) -> dict[str, Any]:
+    """Load of each bus, and what would fit.
+
+    Args:
+        hand: with its buses.
+        loads: of each bus.
+        rate: control rate [Hz].
+    """
+    fits = all(load.at(rate) <= MOST for load in loads)
+    buses = [_bus(load, rate) for load in loads]
+    return {"hand": hand.name, "rate_hz": rate, "most": MOST, "fits": fits, "buses": buses,
+            "split": [] if fits else split(hand, rate)}  # fmt: skip
+
+
+def wrong_rates(hand: Hand, specs: tuple[str, ...]) -> list[str]:
+    """A line for each interface that is set to another bit rate than the hand file says, with the command to type."""
+    from handctl.runtime.buses.interface import wrong_rate
+
+    found = [
+        wrong_rate(spec.removeprefix("socketcan:"), bus.bitrate, bus.data_bitrate)
+        for spec, bus in zip(specs, hand.bus, strict=True)
+        if spec.startswith("socketcan:")
+    ]
+    return [line for line in found if line]
+
+
+def _bus(load: BusLoad, rate: float) -> dict[str, Any]:
+    most = load.highest(MOST)
+    return {
+        "name": load.name,
+        "motors": load.motors,
+        "tick_us": load.tick_s * 1e6,
+        "by_time": load.share,
+        "load": load.at(rate),
+        "max_hz": most if math.isfinite(most) else None,
+        "frames": [_row(row) for row in load.rows],
+    }
+
+
+def _row(row: Row) -> dict[str, Any]:
+    return {"what": row.what, "bytes": row.size, "fd": row.fd, "per_tick": row.per_tick,
+            "per_second": row.per_second, "frame_us": row.frame_s * 1e6}  # fmt: skip
+
+
+def _print(result: dict[str, Any], detail: bool) -> None:
+    print(f"{result['hand']} at {result['rate_hz']:g} Hz, at most {result['most']:.0%} of a bus:")
+    for bus in result["buses"]:
+        most = "nothing on it" if bus["max_hz"] is None else f"{bus['max_hz']:.0f} Hz at most"
+        time = f"{bus['tick_us']:>7.0f} us a tick + {bus['by_time']:4.1%}"
+        print(f"  {bus['name']:<12}{bus['motors']:>3} motors {time} {bus['load']:>7.1%}  {most}")
+        for row in bus["frames"] if detail else ():
+            often = f"{row['per_tick']:g} a tick" if row["per_tick"] else f"{row['per_second']:.3g} a second"
+            kind = "FD" if row["fd"] else "classical"
+            print(f"      {row['what']:<16}{kind:<10}{row['bytes']:>2} bytes {row['frame_us']:>6.1f} us  {often}")
+    for line in result["wrong_bit_rates"]:
+        print(line)
+    if not result["fits"]:
+        _print_split(result["split"])
+
+
+def _print_split(buses: list[list[str]]) -> None:
+    if not buses:
+        print("does not fit, and no split would: one motor alone is too much at this rate")
+        return
+    print(f"does not fit; {len(buses)} buses of this kind would hold it:")
+    for i, names in enumerate(buses):
+        print(f"  bus {i + 1}: {', '.join(names)}" + (" and the sensor node" if i == 0 else ""))
+
+
+def _print_table() -> None:
+    rates = " / ".join(f"{rate:g}" for rate in TABLE_RATES_HZ)
+    print("worst case with stuff bits, frames of the tensions included, SYNC only where the protocol needs it")
+    print(f"{'protocol':<34}{'bus':<11}motors  us a tick   % at {rates} Hz   Hz at {MOST:.0%}")
+    for row in TABLE:
+        loads = " / ".join(f"{100 * rate * row.tick_s:.0f}" for rate in TABLE_RATES_HZ)
+        kind = "FD 1/5" if row.fd else "classical"
+        print(f"{row.protocol:<34}{kind:<11}{row.motors:>6}{row.tick_s * 1e6:>11.0f}   {loads:<22}"
+              f"{MOST / row.tick_s:>6.0f}")  # fmt: skip

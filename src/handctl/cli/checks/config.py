@@ -1,0 +1,126 @@
+"""``handctl config``: show a hand with everything that follows from it, or check files."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.console.options import gains_options, hand_option, json_option, print_json
+from handctl.cli.console.plan import find_calibration, layered_gains
+from handctl.controller.bus_load import bus_loads
+from handctl.controller.gain_bounds import flat
+from handctl.controller.identified import UNITS
+from handctl.controller.setup import caveats, make_drives
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_path, load_hand, packaged_hands
+from handctl.hand.strength import strength_warnings
+from handctl.session.gains import LayeredGains
+from handctl.session.plan import check_design, check_load_cells, fastest
+from handctl.session.tasks import TASKS, find_task
+
+EXAMPLE = "handctl config show --hand jamia"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    hand_option(parser)
+    json_option(parser)
+    parser.add_argument(
+        "what", choices=["show", "check", "list"], help="show the hand, check files, list what is packaged"
+    )
+    parser.add_argument("--task", type=Path, help="task file to check with the hand")
+    gains_options(parser)
+    parser.add_argument("--calibration", type=Path, help="calibration file to check (default: HAND.calibration.toml)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show or check."""
+    if args.what == "list":
+        return _list(args.json)
+    hand = load_hand(args.hand)
+    layers = layered_gains(args, hand)
+    if args.task:
+        find_task(args.task, hand)
+    if args.calibration and not args.calibration.exists():
+        raise ConfigError("no such file", str(args.calibration), "a calibration to check")
+    calibration = _calibration(args, hand)
+    loads = bus_loads(hand)
+    rate = fastest(loads)
+    load = {one.name: one.at(rate) for one in loads}
+    if args.what == "check":
+        check_load_cells(hand, str(args.hand))
+        check_design(hand, layers.gains, rate)
+    source = str(hand_path(args.hand).name)
+    if args.json:
+        print_json(
+            {
+                "file": source,
+                "identity": hand.identity,
+                "rate_hz": rate,
+                "bus_load": load,
+                "caveats": list(caveats(make_drives(hand))),
+                "warnings": list(strength_warnings(hand)),
+                "hand": hand.content,
+                "gains": layers.gains.model_dump(by_alias=True),
+                "gains_file": str(layers.file) if layers.file else "packaged",
+                "gains_origins": layers.origins,
+                "calibration": calibration,
+            }
+        )
+        return 0
+    if args.what == "show":
+        print(f"# from {source}, identity {hand.identity[:16]}")
+        print(hand.to_toml(), end="")
+        print("\n".join(_gains_with_sources(layers)))
+        print("\n".join(f"# {line}" for line in _calibration_lines(calibration)))
+    for text in caveats(make_drives(hand)):
+        print(f"# caution: {text}")
+    for text in strength_warnings(hand):
+        print(f"# warning: {text}")
+    told = ", ".join(f"bus {name} {100 * share:.0f} %" for name, share in load.items())
+    print(f"# default rate {rate:g} Hz: {told}; gains: {layers.file or 'packaged'}; all files are good")
+    return 0
+
+
+def _gains_with_sources(layers: LayeredGains) -> list[str]:
+    """Every gain with where it came from, as comments: they are a file of their own."""
+    values = flat(layers.gains)
+    return ["", "# gains", *(f"# {key} = {value}  ({layers.origins[key]})" for key, value in values.items())]
+
+
+def _calibration(args: argparse.Namespace, hand: Hand) -> dict[str, Any]:
+    """Which calibration a run would use, or why none, and what of it takes the place of the hand file."""
+    path, calibration, why = find_calibration(args, hand)
+    if calibration is None:
+        return {"file": str(path), "problem": why, "made": None, "identified": {}}
+    identified = {
+        tendon: {
+            name: {"value": value, "half_width": width, "unit": UNITS[name], "made": known.made}
+            for name, value, width in zip(known.names, known.values, known.half_widths, strict=True)
+        }
+        for tendon, known in calibration.identified.items()
+    }
+    return {"file": str(path), "problem": "", "made": calibration.made, "identified": identified}
+
+
+def _calibration_lines(found: dict[str, Any]) -> list[str]:
+    """The same for a person."""
+    if found["problem"]:
+        return [f"calibration: {found['problem']}"]
+    return [f"calibration: {found['file']}, made {found['made']}"] + [
+        f"{tendon}.{name} = {one['value']:.5g} +- {one['half_width']:.2g} {one['unit']}"
+        f"  ({found['file']}, identified {one['made']})"
+        for tendon, values in found["identified"].items()
+        for name, one in values.items()
+    ]
+
+
+def _list(as_json: bool) -> int:
+    """Packaged hands and tasks."""
+    tasks = sorted(path.name for path in TASKS.glob("*.toml"))
+    if as_json:
+        print_json({"hands": list(packaged_hands()), "tasks": tasks})
+    else:
+        print("hands: " + ", ".join(packaged_hands()))
+        print("tasks: " + ", ".join(tasks))
+    return 0

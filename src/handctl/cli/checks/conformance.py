@@ -1,0 +1,214 @@
+"""``handctl conformance``: a drive's contract, checked on the drive itself, below a torque that the person gives."""
+
+import argparse
+import dataclasses
+import math
+import sys
+from typing import Any
+
+from handctl.cli.checks.scan import identified
+from handctl.cli.console.begin import ask
+from handctl.cli.console.options import bitrate_options, json_option, print_json
+from handctl.drives.contract import Drive, Phase, Want
+from handctl.drives.discovery import LISTEN_S, Found
+from handctl.drives.frame import Frame
+from handctl.drives.mit.drive import MitDrive
+from handctl.drives.registry import PROTOCOLS, make_drive
+from handctl.errors import BusError, ConfigError, DriveError, PowerError
+from handctl.hand.file.sections import Motor
+from handctl.hand.load import parse_toml
+from handctl.runtime.buses.contract import Bus
+from handctl.runtime.buses.open import check_spec, open_bus
+from handctl.runtime.clock import RealClock, give_back_priority, take_priority
+from handctl.runtime.diagnostics.conformance import PROMISES, Check, Subject, Verdict, checks
+from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
+from handctl.runtime.diagnostics.scan import Scan, hear, scan
+from handctl.runtime.mailbox import held
+from handctl.session.exit_codes import Exit
+
+EXAMPLE = "handctl conformance --drive odrive --node 3 --bus socketcan:can0 --torque-limit-Nm 0.1 --dry-run"
+WATCHDOG_MS = 100
+"""Longer than what a desktop without real-time priority may keep this process waiting."""
+TORQUE_TOP = 50.0
+"""Largest torque that a hand file takes [N m]."""
+DEFAULTS: dict[str, dict[str, Any]] = {"odrive": {"torque_feedback": True}, "cia402": {"sync": True}}
+"""Options of a drive alone on a bench: nobody else sends SYNC."""
+NEEDED = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
+"""What a CiA 402 drive may not tell; a wrong rated torque is refused when it is read back."""
+LEFT_ON = "the drive does not say that it is off: REMOVE ITS POWER"
+MARKS = {Verdict.PASSED: "passed", Verdict.FAILED: "FAILED", Verdict.NOT_APPLICABLE: "n/a   "}
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    add = parser.add_argument
+    add("--drive", required=True, choices=sorted(PROTOCOLS), help="what it speaks")
+    add("--node", required=True, type=lambda word: int(word, 0), metavar="N", help="its number on the bus")
+    add("--bus", required=True, metavar="SPEC", help="local:NAME, socketcan:can0 or any python-can interface:channel")
+    add("--torque-limit-Nm", required=True, type=float, metavar="X", dest="limit",
+        help="largest torque to ask for, at the drive's shaft; it becomes the drive's own limit too")  # fmt: skip
+    add("--yes", action="store_true", help="the shaft may turn now: hands and cables are away from it")
+    add("--option", action="append", default=[], metavar="KEY=VALUE", help="as in [motor.options] of a hand file")
+    bitrate_options(parser, "of the bus", "of CAN FD's data phase")
+    json_option(parser)
+    parser.add_argument("--dry-run", action="store_true", help="print what would be checked, open no bus")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check; 1 if a promise was broken, 71 if the drive does not say in the end that it is off."""
+    options = DEFAULTS.get(args.drive, {}) | _options(args.option)
+    if not (math.isfinite(args.limit) and 1e-3 <= args.limit <= TORQUE_TOP):
+        raise ConfigError(f"{args.limit:g}", "--torque-limit-Nm", f"0.001 to {TORQUE_TOP:g}")
+    check_spec(args.bus)
+    _drive(args, options, None)
+    if args.dry_run:
+        return _dry_run(args)
+    warning = f"the shaft of {args.drive} {args.node} on {args.bus} turns, with at most {args.limit:g} N m"
+    ask(warning, args.yes)
+    _tell(f"{warning}. Ctrl-C lets go.")
+    with held(args.bus):
+        found = _found(args)
+        drive = _drive(args, options, found)
+        results, off = _checked(args, drive, _restoring(drive, found))
+    failed = sum(check.verdict is Verdict.FAILED for check in results)
+    if args.json:
+        print_json(_plain(args, found, results, off))
+    else:
+        passed = sum(check.verdict is Verdict.PASSED for check in results)
+        print("its watchdog and limits stay as they were set here until it is switched off")
+        print(f"{passed} passed, {failed} failed, {len(results) - passed - failed} not applicable")
+    if not off:
+        _tell(LEFT_ON)
+        return Exit.REMOVE_POWER
+    return Exit.FAILED if failed else Exit.DONE
+
+
+def _options(words: list[str]) -> dict[str, Any]:
+    """Options from KEY=VALUE, values as in TOML.
+
+    Raises:
+        ConfigError: not TOML.
+    """
+    try:
+        return parse_toml("\n".join(words), "--option")
+    except ConfigError as error:
+        raise ConfigError(f"{' '.join(words)}: {error.what}", "--option", "KEY=VALUE, as in gear_ratio=6.0") from None
+
+
+def _drive(args: argparse.Namespace, options: dict[str, Any], found: Found | None) -> Drive:
+    """The drive, of what it told of itself and of the command line, which wins.
+
+    Raises:
+        ConfigError: options that the protocol does not have, or a number that it cannot have.
+    """
+    told: dict[str, Any] = dict(found.options) if found else {}
+    if args.drive == "cia402":
+        told = NEEDED | told
+    settings = {"position_range_rad": 12.5, "velocity_range_rad_s": 30.0, **(found.settings if found else {})}
+    motor = {
+        "name": f"{args.drive}_{args.node}", "protocol": args.drive, "bus": "bench", "node_id": args.node,
+        "spool_radius_m": 0.005, "inertia_kg_m2": 1e-4, "viscous_N_m_s_per_rad": 0.0, "coulomb_N_m": 0.0,
+        "torque_constant_N_m_per_A": 0.1, "direction": 1, "zero_rad": 0.0, "watchdog_ms": WATCHDOG_MS,
+        **settings, "torque_max_N_m": args.limit, "torque_peak_N_m": args.limit, "options": told | options,
+    }  # fmt: skip
+    try:
+        return make_drive(Motor.model_validate(motor), 0)
+    except ValueError as error:
+        text = str(error).splitlines()[-1]
+        raise ConfigError(text, f"{args.drive} {args.node}", "a number of that protocol") from None
+
+
+def _dry_run(args: argparse.Namespace) -> int:
+    if args.json:
+        print_json({"checks": [name for name, _, _ in PROMISES], "torque_limit_N_m": args.limit})
+        return Exit.DONE
+    print(f"would check of {args.drive} {args.node}, with at most {args.limit:g} N m, that it")
+    for name, _, turns in PROMISES:
+        print(f"  {name}" + (" (the shaft turns)" if turns else ""))
+    return Exit.DONE
+
+
+def _found(args: argparse.Namespace) -> Found:
+    """The drive as a scan finds it.
+
+    Raises:
+        BusError: another host is at work on the bus.
+        DriveError: there is no such drive.
+    """
+    _tell(f"{args.bus}: looking for it")
+    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate)
+    try:
+        result = scan(bus) if PROTOCOLS[args.drive].discovery else _listened(args, bus)
+    finally:
+        bus.close()
+    if result.foreign:
+        raise BusError("another host is at work on this bus", args.bus, "this host alone: end the other one")
+    for node in identified(result.found, args.bus, args.bitrate):
+        if (node.protocol, node.node_id) == (args.drive, args.node):
+            return node
+    there = ", ".join(f"{node.protocol} {node.node_id}" for node in result.found) or "nothing"
+    right = "its power, bit rate and number to be right"
+    raise DriveError(f"no {args.drive} {args.node}; there is {there}", args.bus, right)
+
+
+def _listened(args: argparse.Namespace, bus: Bus) -> Scan:
+    """As a scan of a drive that answers orders only: what is heard on its identifier, another host has asked for.
+
+    Whether it is there at all, the first check tells.
+    """
+    seen: list[Frame] = []
+    hear(bus, LISTEN_S, seen)
+    foreign = tuple(frame for frame in seen if frame.can_id == args.node)
+    return Scan((Found(args.drive, args.node),), foreign, (), (), len(seen))
+
+
+def _restoring(drive: Drive, found: Found) -> Drive:
+    """The drive with the torque range that it had: to an MIT motor the limit is the scale of every torque."""
+    if isinstance(drive, MitDrive) and "torque_max_N_m" in found.settings:
+        ranges = drive.ranges._replace(torque=found.settings["torque_max_N_m"])
+        return dataclasses.replace(drive, ranges=ranges)
+    return drive
+
+
+def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[list[Check], bool]:
+    """Do the checks, let go, give the torque range back; whether the drive says that it is off."""
+    clock = RealClock(PERIOD_NS)
+    bus = open_bus(args.bus, 0, args.bitrate, args.data_bitrate, clock.of)
+    results: list[Check] = []
+    clock.spin = take_priority().realtime
+    try:
+        rig = DriveRig(drive, bus, clock)
+        try:
+            for check in checks(Subject(rig, args.limit, WATCHDOG_MS / 1e3)):
+                results.append(check)
+                if not args.json:
+                    print(f"{MARKS[check.verdict]}  {check.name}: {check.why}", flush=True)
+        finally:
+            bus.send(drive.cut())
+            off = rig.confirm_off(WATCHDOG_MS / 1e3)
+            if off and restoring is not drive:
+                rig.take(restoring)
+                rig.until(Want.POLL, lambda state: state.phase == Phase.READY, 3.0)
+            if not off and len(results) < len(PROMISES):  # a person or a bug has ended it, and nobody else will tell
+                raise PowerError(LEFT_ON)
+    finally:
+        give_back_priority()
+        bus.close()
+    return results, off
+
+
+def _plain(args: argparse.Namespace, found: Found, results: list[Check], off: bool) -> dict[str, Any]:
+    return {
+        "drive": args.drive,
+        "node": args.node,
+        "bus": args.bus,
+        "torque_limit_N_m": args.limit,
+        "firmware": found.firmware,
+        "serial": found.serial,
+        "confirmed_off": off,
+        "checks": [{"name": check.name, "verdict": check.verdict.value, "why": check.why} for check in results],
+    }
+
+
+def _tell(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

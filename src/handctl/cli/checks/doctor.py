@@ -1,0 +1,96 @@
+"""``handctl doctor``: what this machine grants, and the command that would fix what it does not."""
+
+import argparse
+import shutil
+import socket
+import sys
+from pathlib import Path
+
+from handctl.cli.console.options import json_option, print_json
+from handctl.errors import BusError
+from handctl.runtime.clock import Priority, give_back_priority, take_priority
+from handctl.runtime.places import run_dir
+
+EXAMPLE = "handctl doctor"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    json_option(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Check priority, CAN, viewer and space."""
+    findings = [_priority(), _memory(), _socketcan(), _interfaces(), _vulkan(), _space()]
+    if args.json:
+        print_json({"findings": [{"what": what, "good": good, "fix": fix} for what, good, fix in findings]})
+        return 0
+    for what, good, fix in findings:
+        print(f"{'ok ' if good else '-- '} {what}" + ("" if good else f"\n      {fix}"))
+    return 0
+
+
+Finding = tuple[str, bool, str]
+
+
+def _granted() -> Priority:
+    """What the system grants, tried and given back."""
+    granted = take_priority()
+    give_back_priority()
+    return granted
+
+
+def _priority() -> Finding:
+    granted = _granted().realtime
+    return (
+        "real-time priority (SCHED_FIFO)",
+        granted,
+        "allow it: ulimit -r 60, or a line 'USER - rtprio 60' in limits.conf",
+    )
+
+
+def _memory() -> Finding:
+    granted = _granted().locked
+    return (
+        "locked memory",
+        granted,
+        "allow it: ulimit -l unlimited, or a line 'USER - memlock unlimited' in limits.conf",
+    )
+
+
+def _socketcan() -> Finding:
+    fix = "the kernel has no CAN: use local:NAME, or load it with 'modprobe can can_raw vcan'"
+    if not hasattr(socket, "AF_CAN"):
+        return "SocketCAN", False, "only Linux has it: use local:NAME or a python-can interface"
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except OSError:
+        return "SocketCAN", False, fix
+    return "SocketCAN", True, ""
+
+
+def _interfaces() -> Finding:
+    net = Path("/sys/class/net")
+    names = [
+        path.name for path in net.glob("*") if (path / "type").exists() and (path / "type").read_text().strip() == "280"
+    ]
+    fix = "plug one in, or: ip link add vcan0 type vcan && ip link set vcan0 up"
+    return f"CAN interfaces: {', '.join(sorted(names)) or 'none'}", bool(names), fix
+
+
+def _vulkan() -> Finding:
+    found = bool(list(Path("/usr/share/vulkan/icd.d").glob("*.json"))) or sys.platform != "linux"
+    return "Vulkan driver for pictures of the viewer", found, "install libvulkan1 and mesa-vulkan-drivers"
+
+
+def _space() -> Finding:
+    try:
+        folder = run_dir()
+    except BusError as error:
+        return "sockets out of other users' reach", False, str(error)
+    free = shutil.disk_usage(Path.cwd()).free
+    return (
+        f"{free / 1e9:.1f} GB free for logs, sockets in {folder}",
+        free > 1e9,
+        "make room: a run takes about 1 MB a second",
+    )

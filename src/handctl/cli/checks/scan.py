@@ -1,0 +1,146 @@
+"""``handctl scan``: what is on a bus, found without moving anything, and a piece of a hand file for it."""
+
+import argparse
+import dataclasses
+import sys
+from typing import Any
+
+from handctl.cli.checks.fragment import fragment
+from handctl.cli.console.options import bitrate_options, bus_option, json_option, print_json
+from handctl.drives.cia402 import codec as cia402_codec
+from handctl.drives.discovery import Found
+from handctl.drives.frame import REMOTE, Frame
+from handctl.runtime.buses.open import open_bus
+from handctl.runtime.diagnostics.scan import Scan, all_questions, scan
+from handctl.session.buses import named_buses
+from handctl.session.exit_codes import Exit
+
+EXAMPLE = "handctl scan --bus socketcan:can0 --dry-run"
+SHOWN = 8
+"""Frames of another host that are named at most."""
+MILLI = 1e-3
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    bus_option(parser)
+    json_option(parser)
+    parser.add_argument("--dry-run", action="store_true", help="print every frame that may be sent, open no bus")
+    parser.add_argument("--force", action="store_true", help="ask although another host seems to control the bus")
+    bitrate_options(parser, "of the buses", "of CAN FD's data phase, for the fragment")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Scan each bus; 1 if nothing was found."""
+    buses = named_buses(args.bus)
+    if args.dry_run:
+        return _show_questions(args.json)
+    scans: dict[str, Scan] = {}
+    for name, spec in buses.items():
+        opened = open_bus(spec, 0, args.bitrate)
+        try:
+            scans[name] = scan(opened, args.force, lambda text, spec=spec: _tell(f"{spec}: {text}"))  # type: ignore[misc]
+        finally:
+            opened.close()
+        scans[name] = scans[name]._replace(found=identified(scans[name].found, spec, args.bitrate))
+    piece = fragment({name: result.found for name, result in scans.items()}, args.bitrate, args.data_bitrate)
+    if args.json:
+        print_json({"buses": [_plain(name, buses[name], result) for name, result in scans.items()], "fragment": piece})
+    else:
+        _print(buses, scans, piece)
+    return Exit.DONE if any(result.found for result in scans.values()) else Exit.FAILED
+
+
+def _tell(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def identified(found: tuple[Found, ...], spec: str, bitrate: int) -> tuple[Found, ...]:
+    """The same, with what CANopen nodes tell over SDO."""
+    nodes = [drive.node_id for drive in found if drive.protocol == "cia402"]
+    if not nodes:
+        return found
+    from handctl.runtime.diagnostics.canopen_identity import identify
+
+    _tell(f"{spec}: reading the identity of CANopen nodes {', '.join(map(str, nodes))}")
+    known = identify(spec, bitrate, nodes)
+    return tuple(
+        _with_identity(drive, known[drive.node_id].numbers, known[drive.node_id].texts)
+        if drive.protocol == "cia402" else drive
+        for drive in found
+    )  # fmt: skip
+
+
+def _with_identity(drive: Found, numbers: dict[str, int], texts: dict[str, str]) -> Found:
+    power = cia402_codec.state_of(numbers["status"]) if "status" in numbers else ""
+    notes = list(drive.notes)
+    if not numbers.get("modes", 0) >> 9 & 1:
+        notes.append("does not offer cyclic synchronous torque (0x6502 bit 9)")
+    options: dict[str, bool | int | float | str] = {}
+    if rated := numbers.get("rated_torque"):
+        options["rated_torque_N_m"] = rated * MILLI
+        notes.append(f"rated torque {rated} taken as mN m; EPOS4 counts in uN m: rated_torque_unit")
+    if counts := numbers.get("counts"):
+        options["counts_per_turn"] = counts
+    identity = [f"vendor {numbers['vendor']:#x}, product {numbers['product']:#x}"] if "product" in numbers else []
+    return dataclasses.replace(
+        drive,
+        firmware=texts.get("software") or (f"revision {numbers['revision']:#x}" if "revision" in numbers else ""),
+        serial=f"{numbers['serial']:#x}" if "serial" in numbers else "",
+        state=", ".join(filter(None, (drive.state, power))),
+        error=cia402_codec.error_text(numbers["error"]) if numbers.get("error") else "",
+        options=options,
+        notes=tuple(filter(None, (texts.get("name", ""), *identity, *notes))),
+    )
+
+
+def _plain(name: str, spec: str, result: Scan) -> dict[str, Any]:
+    return {
+        "name": name,
+        "bus": spec,
+        "frames_heard": result.frames,
+        "another_host": [_text(frame) for frame in result.foreign],
+        "not_asked": sorted({_text(frame) for frame in result.unasked}),
+        "events": [list(event) for event in result.events],
+        "nodes": [dataclasses.asdict(drive) for drive in result.found],
+    }
+
+
+def _text(frame: Frame) -> str:
+    """A frame as candump writes it."""
+    return f"{frame.can_id & 0x1FFFFFFF:03X}#" + ("R" if frame.can_id & REMOTE else frame.data.hex().upper())
+
+
+def _print(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> None:
+    for name, result in scans.items():
+        print(f"{name} ({buses[name]}): {len(result.found)} nodes, {result.frames} frames heard")
+        if result.foreign:
+            heard = ", ".join(_text(frame) for frame in result.foreign[:SHOWN])
+            print(f"  another host is at work here ({heard}): only listened; end it, or --force")
+        if result.unasked:
+            kinds = sorted({f"{frame.can_id:#05x}" for frame in result.unasked})
+            print(f"  not asked on {', '.join(kinds)}: a drive that is here would take it as an order;")
+            print("  for what answers on that, scan again with that drive off")
+        for drive in result.found:
+            _print_drive(drive)
+    if any(result.found for result in scans.values()):
+        print(f"\n{piece}", end="")
+
+
+def _print_drive(drive: Found) -> None:
+    known = (("firmware", drive.firmware), ("serial", drive.serial), ("", drive.state), ("ERROR", drive.error))
+    words = "  ".join(f"{key} {text}".strip() for key, text in known if text)
+    number = f"{drive.node_id:#x}" if drive.protocol == "sensor" else str(drive.node_id)
+    print(f"  {drive.protocol:<8}{number:>5}  {words}")
+    for note in drive.notes:
+        print(f"                {note}")
+
+
+def _show_questions(as_json: bool) -> int:
+    questions = [_text(frame) for frame in all_questions()]
+    if as_json:
+        print_json({"questions": questions})
+        return Exit.DONE
+    print("scan listens first, and asks only if no other host is heard; these are all frames that it may send:")
+    print("\n".join(questions))
+    return Exit.DONE

@@ -1,0 +1,1 @@
+"""What verbs have in common: options, output, the screen, and what an operator is asked."""

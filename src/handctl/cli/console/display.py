@@ -1,0 +1,154 @@
+"""What a person sees while a hand runs: a process of its own, fed with a line of JSON now and then.
+
+The controller writes a short line every tenth of a second to a pipe that never blocks; if this process is slow, lines
+are lost and nothing else happens. In a terminal the state is drawn in place; otherwise one plain line a second.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from typing import Any
+
+from handctl.cli.console.screen import screen
+from handctl.controller.types import Event, Mode, TickIn, TickOut
+from handctl.hand.description import Hand
+from handctl.printing import escaped_streams
+
+EVERY_S = 0.1
+STDERR = 2
+"""Descriptor: standard output is for results."""
+ONE_SECOND_NS = 1_000_000_000
+
+
+class Display:
+    """The controller's end of the pipe."""
+
+    def __init__(self, names: tuple[str, ...], ceiling: tuple[float, ...], rate_hz: float, load: float) -> None:
+        """Start the display process.
+
+        Args:
+            names: of the tendons.
+            ceiling: their tension limits [N].
+            rate_hz: control rate.
+            load: worst-case bus load, 0 to 1.
+        """
+        self.every = max(1, round(EVERY_S * rate_hz))
+        head = {"names": names, "ceiling": ceiling, "rate_hz": rate_hz, "load": load}
+        self.child = subprocess.Popen(
+            [sys.executable, "-m", "handctl.cli.console.display"],
+            stdin=subprocess.PIPE,
+            stdout=STDERR,
+            start_new_session=True,
+        )
+        assert self.child.stdin is not None
+        self.pipe = self.child.stdin.fileno()
+        self.worst_late_ns = 0
+        self.told: dict[str, int] = {}
+        self._write(head)
+        os.set_blocking(self.pipe, False)
+
+    @staticmethod
+    def start(hand: Hand, rate_hz: float, load: float) -> "Display":
+        """Display of a hand's run."""
+        return Display(hand.tendon_names, tuple(tendon.tension_max_N for tendon in hand.tendon), rate_hz, load)
+
+    def show(self, entry: TickIn, out: TickOut) -> None:
+        """Send a line when it is time, and every event at once."""
+        self.worst_late_ns = max(self.worst_late_ns, entry.late_ns)
+        if entry.k % self.every and not out.events:
+            return
+        line = {
+            "k": entry.k,
+            "t": entry.t_ns / 1e9,
+            "mode": Mode(out.mode).name,
+            "phase": out.phase,
+            "late_us": self.worst_late_ns / 1e3,
+            "tension": [round(float(f), 2) for f in out.telemetry.tension],
+            "goal": [None if f != f else round(float(f), 2) for f in out.telemetry.tension_goal],
+            "contact": [bool(c) for c in out.telemetry.contact],
+            "events": [[event.level, event.text] for event in out.events if self._tell(entry.t_ns, event)],
+        }
+        self.worst_late_ns = 0
+        self._write(line)
+
+    def _tell(self, t_ns: int, event: Event) -> bool:
+        """Whether to say it: errors and news always, a repeated warning once a second; the log has them all."""
+        if event.level == "error" or event.name != "fault":
+            return True
+        kind = event.text[:3]
+        news = t_ns - self.told.get(kind, -ONE_SECOND_NS) >= ONE_SECOND_NS
+        if news:
+            self.told[kind] = t_ns
+        return news
+
+    def _write(self, line: dict[str, Any]) -> None:
+        try:
+            os.write(self.pipe, json.dumps(line).encode() + b"\n")
+        except OSError:
+            return
+
+    def close(self) -> None:
+        """Let the display finish its last line."""
+        assert self.child.stdin is not None
+        self.child.stdin.close()
+        try:
+            self.child.wait(2.0)
+        except subprocess.TimeoutExpired:
+            self.child.kill()
+
+
+def _plain(head: dict[str, Any]) -> None:
+    """One line a second, and each event."""
+    last = -1.0
+    for text in sys.stdin:
+        line = json.loads(text)
+        for level, event in line["events"]:
+            print(f"{line['t']:8.3f} s  {level:<5}  {event}", flush=True)
+        if line["t"] - last >= 1.0:
+            last = line["t"]
+            tension = " ".join(f"{f:6.1f}" for f in line["tension"])
+            print(f"{line['t']:8.3f} s  {line['mode']:<9} {line['phase']:<10} tension {tension} N", flush=True)
+
+
+def _drawn(head: dict[str, Any]) -> None:
+    """The state in place, by rich."""
+    from rich.live import Live
+
+    console = screen()
+    with Live(console=console, refresh_per_second=10, transient=True) as live:
+        for text in sys.stdin:
+            line = json.loads(text)
+            for level, event in line["events"]:
+                live.console.print(f"{line['t']:8.3f} s  {level:<5}  {event}")
+            live.update(_panel(head, line))
+
+
+def _panel(head: dict[str, Any], line: dict[str, Any]) -> Any:
+    from rich.console import Group
+    from rich.progress_bar import ProgressBar
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(box=None, pad_edge=False)
+    for title in ("tendon", "tension", "goal", "of its limit"):
+        table.add_column(title, justify="left" if title == "tendon" else "right", min_width=8)
+    for name, f, goal, limit in zip(head["names"], line["tension"], line["goal"], head["ceiling"], strict=True):
+        bar = ProgressBar(total=limit, completed=min(f, limit), width=40)
+        table.add_row(name, f"{f:.1f} N", "-" if goal is None else f"{goal:.1f} N", bar)
+    headline = Text(f"{line['mode']}  {line['phase']}  {line['t']:.1f} s", style="bold")
+    foot = f"{head['rate_hz']:g} Hz, worst lateness {line['late_us']:.0f} us, bus load {100 * head['load']:.0f} %"
+    return Group(headline, table, Text(foot, style="dim"))
+
+
+def main() -> None:
+    """The display process: reads lines until the controller closes the pipe."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    head = json.loads(sys.stdin.readline())
+    with escaped_streams():
+        (_drawn if sys.stdout.isatty() else _plain)(head)
+
+
+if __name__ == "__main__":
+    main()

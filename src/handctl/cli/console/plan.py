@@ -1,0 +1,118 @@
+"""From the command line's arguments to what a session takes."""
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+
+from handctl.cli.console.options import say
+from handctl.cli.console.progress import progress
+from handctl.controller.calibration import Calibration
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_path
+from handctl.output import check_output
+from handctl.runtime.lockstep import SIMULATED_HAND, load_peer
+from handctl.session import calibration, gains, plan
+
+
+def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.Plan:
+    """Check hand, gains, buses and rate.
+
+    Raises:
+        ConfigError: anything that is wrong, in one line.
+    """
+    choice = plan.Choice(
+        hand=args.hand,
+        hand_named=args.hand_named,
+        bus=None if lockstep else args.bus,
+        gains=args.gains,
+        gain=getattr(args, "gain", None) or (),
+        rate=args.rate,
+        time_scale=args.time_scale,
+        log=args.log,
+        clear=args.clear,
+    )
+    return replace(plan.make_plan(choice, None if args.json else _display, notice), progress=progress)
+
+
+def notice(text: str) -> None:
+    """Print what a session has to tell on standard error."""
+    say(text, error=True)
+
+
+def _display(of: plan.Plan) -> plan.Display:
+    """Start the display of a run."""
+    from handctl.cli.console.display import Display
+
+    return Display.start(of.hand, of.rate_hz, max(of.load, default=0.0))
+
+
+def layered_gains(args: argparse.Namespace, hand: Hand) -> gains.LayeredGains:
+    """Return the gains that a run with these arguments uses.
+
+    Args:
+        args: with ``gains`` and ``gain``.
+        hand: that they are for.
+
+    Raises:
+        ConfigError: a file or a value that cannot be used, or gains of another hand.
+    """
+    return gains.layered_gains(hand, args.gains, getattr(args, "gain", None) or (), notice)
+
+
+def calibration_path(args: argparse.Namespace, hand: Hand) -> Path:
+    """Where the hand's calibration is or shall be.
+
+    Raises:
+        ConfigError: none could be written there: that is known before a hand moves for it.
+    """
+    path: Path = args.calibration or Path(f"{hand.name}.calibration.toml")
+    check_output(path, "--calibration", Path(args.hand), getattr(args, "gains", None), getattr(args, "task", None))
+    return path
+
+
+def find_calibration(args: argparse.Namespace, hand: Hand) -> tuple[Path, Calibration | None, str]:
+    """Find the hand's calibration file, if it is good enough to arm with.
+
+    Returns:
+        where it is or shall be, the calibration or None, and why it is None.
+
+    Raises:
+        ConfigError: the file named on the command line is there and cannot be used, or none could be written there.
+    """
+    path = calibration_path(args, hand)
+    return path, *calibration.find_calibration(path, hand, named=bool(args.calibration))
+
+
+def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]:
+    """Return the factors of ``--perturb``, refused before anything runs if the simulated hand would not take them.
+
+    Args:
+        args: with the hand and ``--perturb``.
+        simulated: whether this verb simulates the hand itself.
+
+    Raises:
+        ConfigError: no KEY=NUMBER, an unknown key, a factor that cannot be, or a hand that is not simulated here.
+    """
+    factors = gains.assignments(args.perturb, "--perturb")
+    if factors and not simulated:
+        raise ConfigError("only with --lockstep", "--perturb", "a simulator with it: python -m firmware_sim --perturb")
+    if factors:
+        peer = load_peer(SIMULATED_HAND, hand_path=str(hand_path(args.hand)), period_ns=CHECK_NS, perturb=factors)
+        peer.close()
+    return factors
+
+
+CHECK_NS = 2_000_000
+"""Period of a simulated hand that is made only to see whether it can be [ns]."""
+
+
+def check_bus_only(args: argparse.Namespace) -> None:
+    """Refuse what only a run on a bus obeys.
+
+    Raises:
+        ConfigError: it is asked for.
+    """
+    for option, given in (("--clear", args.clear), ("--time-scale", args.time_scale != 1.0)):
+        if given:
+            raise ConfigError("only with --bus", option, "a run in lockstep without it")

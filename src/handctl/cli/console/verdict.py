@@ -1,0 +1,67 @@
+"""The table that ends a run."""
+
+from typing import Any
+
+from handctl.cli.console.screen import screen
+from handctl.report.summary import angle_rows
+from handctl.session.plan import Plan
+
+
+def print_summary(result: dict[str, Any], plan: Plan) -> None:
+    """The table that ends a run."""
+    from rich.table import Table
+
+    late = result["late_us"]
+    rows = [
+        ("ticks", f"{result['ticks']} at {result['rate_hz']:g} Hz{_slowed(result['time_scale'])}"),
+        ("missed ticks", f"{result['missed']}"),
+        ("lateness p50 / p99.9 / max", f"{late['p50']:.0f} / {late['p99_9']:.0f} / {late['max']:.0f} us"),
+        ("tracking error, free motion", _with(result["tracking_rmse_rad"], 57.29578, "deg rms", 2)),
+        ("tension estimate against truth", _with(result["tension_rmse_n"], 1.0, "N rms", 2)),
+        ("raw load cell against truth", _with(result["tension_raw_rmse_n"], 1.0, "N rms", 2)),
+        ("tension while holding, error", _with(result["tension_hold_error_n"], 1.0, "N", 2)),
+        ("object moved while held", _with(result["object_motion_mm"], 1.0, "mm", 3)),
+        *_lift(result),
+        *angle_rows(result["joint_angles"]),
+        *_forces(result),
+        ("bus load, worst case", f"{100 * result['bus_load']:.0f} %"),
+        ("frames sent / received", f"{result['frames_tx']} / {result['frames_rx']}"),
+        ("frames late / lost", f"{result['frames_late']} / {result['frames_lost']}"),
+        ("log", f"{result['log']} ({result['log_bytes'] / 1e6:.1f} MB)"),
+        ("priority", result["priority"]),
+    ]
+    table = Table(title=f"{plan.hand.name}: {result['failure'] or 'done'}", show_header=False)
+    for name, value in rows:
+        table.add_row(name, value)
+    console = screen()
+    console.print(table)
+    if result["picture"]:
+        console.print(f"picture: {result['picture']}", soft_wrap=True)
+    console.print(f"look at it: handctl view {result['log']}", soft_wrap=True)
+
+
+def _slowed(scale: float) -> str:
+    return "" if scale == 1 else f", at {scale:g} of real time"
+
+
+def _with(value: float, scale: float, unit: str, digits: int) -> str:
+    return "-" if value != value else f"{value * scale:.{digits}f} {unit}"
+
+
+def _lift(result: dict[str, Any]) -> list[tuple[str, str]]:
+    """How far the table sank, and how far the object moved in the hand meanwhile; nothing without such a table."""
+    sunk, slid = result["table_sunk_mm"], result["object_slid_mm"]
+    if sunk != sunk:
+        return []
+    return [("table sank / object moved then", f"{sunk:.0f} mm / {_with(slid, 1.0, 'mm', 3)}")]
+
+
+def _forces(result: dict[str, Any]) -> list[tuple[str, str]]:
+    """Tip-equivalent estimate beside the plant's contact force, per digit."""
+    estimated, real = result["tip_equivalent_force_n"], result["contact_force_n"]
+    rows = []
+    for name, force in estimated.items():
+        if force == force:
+            beside = f", plant's contacts {real[name]:.1f} N" if name in real else ""
+            rows.append((f"{name} tip-equivalent force", f"{force:.1f} N{beside}"))
+    return rows

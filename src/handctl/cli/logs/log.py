@@ -1,0 +1,206 @@
+"""``handctl log``: what is in a log, whether it is sound, how two differ; export it, or repair a broken one."""
+
+import argparse
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from handctl.cli.console.options import json_option, print_json, say, tell_lossy
+from handctl.cli.console.progress import progress
+from handctl.errors import LogError
+from handctl.log.read.reader import RunLog
+from handctl.output import named_after, whole
+from handctl.session.exit_codes import Exit
+
+EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl log info run.mcap"
+
+FORMATS = {
+    "parquet": "one table, a row a tick",
+    "csv": "the same as text",
+    "candump": "all frames as can-utils' log text",
+    "rrd": "for the Rerun viewer",
+    "lerobot": "a LeRobot dataset (3.0) of one episode, in a folder",
+}
+
+UNITS = {"candump": "frames", "rrd": "bytes", "lerobot": "frames"}
+"""What is counted; rows otherwise."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    kinds = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
+
+    def kind(name: str, text: str) -> argparse.ArgumentParser:
+        one = kinds.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+        json_option(one)
+        one.add_argument("log", type=Path, help="the log")
+        return one
+
+    kind("info", "what is in it: when, which hand, gains, versions, loop, gaps")
+    kind("check", "counters, gaps, clock, hashes, every byte")
+    other = kind("diff", "compare it with another run of the same hand, phase by phase")
+    other.add_argument("other", type=Path, help="the other log")
+    rescue = kind("recover", "write a whole log from a broken one")
+    rescue.add_argument("--output", type=Path, metavar="FILE", help="default: LOG.recovered.mcap")
+    out = kind("export", "write it in a format that other tools read")
+    group = out.add_mutually_exclusive_group(required=True)
+    for name, text in FORMATS.items():
+        group.add_argument(f"--{name}", dest="format", action="store_const", const=name, help=text)
+    out.add_argument("--output", type=Path, metavar="FILE", help="a new file or folder (default: LOG.FORMAT)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do one of them."""
+    done: dict[str, Callable[[argparse.Namespace], int]] = {
+        "info": _info,
+        "check": _check,
+        "diff": _diff,
+        "recover": _recover,
+        "export": _export,
+    }
+    return done[args.what](args)
+
+
+def _info(args: argparse.Namespace) -> int:
+    from handctl.log.topics.clock_pairs import steps
+
+    with RunLog(args.log) as log:
+        header = log.header
+        result = {
+            "log": str(args.log),
+            "whole": not log.warning,
+            "problem": log.warning,
+            "ticks": len(log),
+            "seconds": float(log.times[-1]) if len(log) else 0.0,
+            "late_us": _lateness(log),
+            "clock_steps": [step._asdict() for step in steps(log.clock_pairs)],
+            "missing": sum(gap.after - gap.before - 1 for gap in log.gaps),
+            "gaps": [[gap.before, gap.after] for gap in log.gaps],
+            "phases": [change.name for change in log.phases],
+            "events": [f"{event.t_ns / 1e9:.3f} s {event.event.level}: {event.event.text}" for event in log.events],
+            "end": log.end,
+            **header.metadata,
+            **header.wall,
+            "attachments": sorted(header.attachments),
+            "gains": header.gains,
+        }
+    if args.json:
+        print_json(result)
+        return Exit.DONE if result["whole"] else Exit.LOSSY_LOG
+    for key, value in result.items():
+        table = [f"{name}: {_shown(one)}" for name, one in value.items()] if isinstance(value, dict) else [value]
+        first, *more = (value if isinstance(value, list) else table) or [""]
+        say(f"{key:<12} {_shown(first)}")
+        for line in more:
+            say(f"{'':<12} {_shown(line)}")
+    return Exit.DONE if result["whole"] else Exit.LOSSY_LOG
+
+
+def _shown(value: object) -> str:
+    """A value as a person reads it."""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.9g}" if isinstance(value, float) else str(value) or "-"
+
+
+def _lateness(log: RunLog) -> dict[str, float]:
+    """How late ticks began [us]."""
+    import numpy as np
+
+    late = log.late_ns / 1e3
+    if not len(late):
+        return {}
+    return {"p50": float(np.percentile(late, 50)), "p99_9": float(np.percentile(late, 99.9)), "max": float(late.max())}
+
+
+def _check(args: argparse.Namespace) -> int:
+    from handctl.replay.check import check
+    from handctl.replay.damage import first_damage
+
+    try:
+        with RunLog(args.log) as log, progress("checking", quiet=args.json):
+            found, ticks, lossy = check(log), len(log), bool(log.warning)
+    except LogError as error:
+        found, ticks, lossy = [str(error), *filter(None, [first_damage(args.log)])], 0, False
+    if args.json:
+        print_json({"log": str(args.log), "ticks": ticks, "sound": not found, "findings": found})
+    else:
+        for line in found or [f"{args.log}: {ticks} ticks, nothing wrong"]:
+            say(line)
+    return Exit.LOSSY_LOG if lossy else Exit.FAILED if found else Exit.DONE
+
+
+def _diff(args: argparse.Namespace) -> int:
+    from handctl.replay.compare import difference_lines
+    from handctl.replay.diff import diff
+
+    with RunLog(args.log) as a, RunLog(args.other) as b, progress("comparing", quiet=args.json):
+        result = diff(a, b, str(args.other))
+        code = max(tell_lossy(args.log, a.warning), tell_lossy(args.other, b.warning))
+    if args.json:
+        print_json({"logs": [str(args.log), str(args.other)], **result})
+        return code
+    for name, (one, two) in result["gains"].items():
+        say(f"gain {name}: {one} and {two}")
+    for which in ("only_in_first", "only_in_second"):
+        if result[which]:
+            say(f"phases {which.replace('_', ' ')}: {', '.join(result[which])}")
+    for name, phase in result["phases"].items():
+        first, second = phase.pop("duration_s")
+        lines = list(difference_lines(phase))
+        short = ", too short to compare" if phase and not lines else ""
+        say(f"{name}: {first:.3f} s and {second:.3f} s{short}")
+        for line in lines:
+            say(f"  {line}")
+    return code
+
+
+def _export(args: argparse.Namespace) -> int:
+    os.environ.setdefault("RUST_LOG", "error")  # Rerun's own notes; what matters is said by us
+    with RunLog(args.log) as log:
+        out = args.output or named_after(args.log, f".{args.format}")
+        with whole(out, new=True) as part, progress("writing", quiet=args.json):
+            count = _write(args, log, part)
+        code = tell_lossy(args.log, log.warning)
+    if args.json:
+        print_json({"log": str(args.log), "output": str(out), "count": count})
+    else:
+        say(f"{out}: {count} {UNITS.get(args.format, 'rows')}")
+    return code
+
+
+def _write(args: argparse.Namespace, log: RunLog, out: Path) -> int:
+    form = args.format
+    if form == "rrd":
+        from handctl.view.feed import write_rrd
+        from handctl.view.scene.subject import Subject
+
+        return write_rrd(args.log, Subject.of(log.header, args.log.stem), out)
+    if form == "parquet":
+        from handctl.log.export.parquet import export_parquet
+
+        return export_parquet(log, out)
+    if form == "lerobot":
+        from handctl.log.export.lerobot import export_lerobot
+
+        return export_lerobot(log, out)
+    from handctl.log.export.tables import export_candump, export_csv
+
+    return export_csv(log, out) if form == "csv" else export_candump(log, out)
+
+
+def _recover(args: argparse.Namespace) -> int:
+    from handctl.log.read.recover import recover
+
+    output = args.output or Path(str(args.log).removesuffix(".mcap") + ".recovered.mcap")
+    with progress("copying", quiet=args.json):
+        found = recover(args.log, output)
+    status = found.status.name.lower()
+    if args.json:
+        lost = [list(part) for part in found.lost]
+        result = {"status": status, "messages": found.messages, "lost": lost, "problem": found.problem}
+        print_json(result | {"output": str(output)})
+    else:
+        kept = "" if not found.messages else f", {found.messages} messages in {output}"
+        say(f"{args.log}: {status}{kept}" + (f" ({found.problem})" if found.problem else ""))
+    return int(found.status)

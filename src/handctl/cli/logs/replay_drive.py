@@ -1,0 +1,56 @@
+"""``handctl replay drive``: a recorded run on the hand again, and how the two differ."""
+
+import argparse
+from dataclasses import replace
+
+from handctl.cli.console.begin import announce
+from handctl.cli.console.dry_run import told
+from handctl.cli.console.options import print_json, say, tell_lossy
+from handctl.cli.console.plan import find_calibration, make_plan
+from handctl.log.read.reader import RunLog
+from handctl.replay.compare import check_same_hand, difference_lines
+from handctl.replay.drive import bridged, difference, driven, playback, stretch
+from handctl.replay.rebuild import logged_hand
+from handctl.session.calibration import ensure_calibration
+from handctl.session.exit_codes import Exit
+from handctl.session.plan import commission_log, default_log
+from handctl.session.run import make_controller, run_live
+
+
+def run(args: argparse.Namespace) -> int:
+    """Drive it again."""
+    with RunLog(args.recorded) as before:
+        plan = make_plan(args)
+        check_same_hand(before, plan.hand.name, plan.hand.identity, f"--hand {args.hand}")
+        logged_hand(before)  # its names are those of the columns
+        program = playback(before, plan.period_ns * 1e-9, args.raw)
+        path, calibration, why = find_calibration(args, plan.hand)
+        begin, end = stretch(before)
+        lossy = tell_lossy(args.recorded, before.warning)
+        if missing := bridged(before):
+            say(f"handctl: caution: {args.recorded}: {missing} ticks are missing; goals are joined there", error=True)
+        if args.dry_run:
+            line = f"{plan.hand.name}: would drive {end - begin:.2f} s of {args.recorded} at {plan.rate_hz:g} Hz"
+            told(args, plan, line, log=args.recorded, seconds=end - begin, commissioning=why)
+            return lossy
+        announce(args, plan, path, calibration)
+        log = args.log or default_log(plan.hand, "replay")
+        if calibration is None:
+            calibration = ensure_calibration(plan, path, why, run_live, commission_log(log))
+        plan = replace(plan, attachments=plan.attachments | {"calibration.toml": path.read_bytes()})
+        outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
+        with RunLog(log) as after:
+            result, seconds = difference(before, after), driven(before, after)
+    complete = outcome.state.progress.finished
+    what = {"seconds": end - begin, "driven_s": seconds, "complete": complete, "failure": outcome.state.failure}
+    if args.json:
+        print_json({"recorded": str(args.recorded), "log": str(log), "raw": args.raw, **what, **result})
+    else:
+        for line in (*difference_lines(result), f"new log: {log}"):
+            say(line)
+    if not complete:
+        why = outcome.state.failure or "stopped"
+        say(f"handctl: {why}: {seconds:.2f} of {end - begin:.2f} s were driven", error=True)
+    if outcome.exit != Exit.DONE:
+        return outcome.exit
+    return lossy if complete else Exit.FAILED

@@ -1,0 +1,122 @@
+"""``handctl replay execute``: what the controller decided is decided again, or what other gains would have commanded.
+
+This module and all that it imports know no bus.
+"""
+
+import argparse
+from typing import Any
+
+from handctl.cli.console.options import print_json, say, tell_lossy
+from handctl.cli.console.progress import progress
+from handctl.errors import ConfigError, LogError
+from handctl.output import check_output, named_after
+from handctl.session.exit_codes import Exit
+
+
+def run(args: argparse.Namespace) -> int:
+    """Execute the log again."""
+    from handctl.log.read.reader import RunLog
+
+    if args.within is not None and not args.within >= 0:
+        raise ConfigError(f"{args.within:g}", "--within", "0 or more")
+    if args.picture and not args.gains:
+        raise ConfigError("without --gains", "--picture", "--gains FILE")
+    if args.within is not None and args.gains:
+        raise ConfigError("together with --gains", "--within", "one of them")
+
+    with RunLog(args.recorded) as log:
+        lossy = tell_lossy(args.recorded, log.warning)
+        good = _other_gains(args, log) if args.gains else _same(args, log)
+    return lossy if good else Exit.FAILED
+
+
+def _same(args: argparse.Namespace, log: Any) -> bool:
+    """Execute it with its own gains; whether all is equal."""
+    from importlib.metadata import version
+
+    from handctl.log.code import code_identity
+    from handctl.replay.execute import acceptable, execute
+
+    with progress("executing", len(log), args.json) as told:
+        found = execute(log, told=told)
+    good = not found.differing if args.within is None else acceptable(found, args.within)
+    here, logged_by = (version("handctl"), code_identity()), _writer(log)
+    result = {
+        "log": str(args.recorded),
+        "ticks": found.ticks,
+        "differing": found.differing,
+        "undecided": found.undecided,
+        "missing": [[gap.before + 1, gap.after - 1] for gap in log.gaps],
+        "warning": log.warning,
+        "first": found.first._asdict() if found.first else None,
+        "largest": found.largest._asdict() if found.largest else None,
+        "same": good,
+        "version": here[0],
+        "version_logged": logged_by[0],
+        "code": here[1],
+        "code_logged": logged_by[1],
+        "wall_s": found.wall_s,
+        "cpu_s": found.cpu_s,
+        "times_real_time": found.times_real_time,
+    }
+    if args.json:
+        print_json(result)
+    else:
+        say(f"{found.ticks} ticks, {found.differing} differ, {found.undecided} decide something else")
+        for word, one in (("first", found.first), ("largest", found.largest)):
+            if one:
+                say(f"{word}: {_sentence(one)}")
+        say(f"{found.wall_s:.2f} s, {found.times_real_time:.1f} times real time")
+        if found.differing and log.gaps:
+            gap = log.gaps[0]
+            say(f"ticks {gap.before + 1} to {gap.after - 1} are missing in it: what follows cannot be the same")
+        if found.differing and logged_by != here:
+            say("the log was written by handctl {}, code {}; this is handctl {}, code {}".format(*logged_by, *here))
+        if not good and not found.undecided and args.within is None:
+            say("all decisions are equal; if another machine wrote the log, --within 1e-9 tells whether that is all")
+    return good
+
+
+def _writer(log: Any) -> tuple[str, str]:
+    """Version and code that wrote a log."""
+    from handctl.log.code import UNKNOWN
+
+    return log.header.metadata.get("version", UNKNOWN), log.header.metadata.get("code", UNKNOWN)
+
+
+def _sentence(one: Any) -> str:
+    """A difference for a person."""
+    place = f"{one.field} of {one.name}" if one.name else one.field
+    apart = f", {one.ulps} units in the last place" if one.ulps is not None else ""
+    return f"tick {one.k} ({one.t_s:.3f} s), {place}: logged {one.logged!r}, now {one.computed!r}{apart}"
+
+
+def _other_gains(args: argparse.Namespace, log: Any) -> bool:
+    """Execute it with other gains, and draw what they would have commanded; always good."""
+    from handctl.controller.gains import load_gains
+    from handctl.replay.counterfactual import Commands, draw, summary
+    from handctl.replay.execute import execute
+
+    commands = Commands()
+    picture = args.picture or named_after(args.recorded, ".gains.png")
+    check_output(picture, "--picture", args.recorded, args.gains)
+    gains = load_gains(args.gains)
+    with progress("executing", len(log), args.json) as told:
+        found = execute(log, gains, commands.add, told)
+    if not found.ticks:
+        raise LogError("not one tick in it", str(args.recorded), "a run that commanded something")
+    draw(picture, log, commands, f"{log.header.metadata.get('hand', '?')}: {args.recorded.name} with {args.gains.name}")
+    change = summary(log, commands)
+    if args.json:
+        first = found.first._asdict() if found.first else None
+        counts = {"ticks": found.ticks, "differing": found.differing, "first": first}
+        print_json(counts | {"gains": str(args.gains), "picture": str(picture), "change": change})
+        return True
+    say(f"{found.ticks} ticks, {found.differing} commanded or estimated otherwise")
+    if found.first:
+        say(f"first: {_sentence(found.first)}")
+    for unit, rows in change.items():
+        for name, size in rows.items():
+            say(f"{name:<18} {unit:<18} rms {size['rms']:.4g}, peak {size['peak']:.4g}")
+    say(f"picture: {picture}")
+    return True

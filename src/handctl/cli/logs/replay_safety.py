@@ -1,0 +1,27 @@
+"""``handctl replay safety``: what other limits would have stopped in a recorded run. This module knows no bus."""
+
+import argparse
+
+from handctl.cli.console.options import print_json, say, tell_lossy
+from handctl.cli.console.progress import progress
+from handctl.log.read.reader import RunLog
+from handctl.replay.limits import judge_again
+
+
+def run(args: argparse.Namespace) -> int:
+    """Judge again."""
+    with RunLog(args.recorded) as log:
+        with progress("judging", len(log), args.json) as told:
+            found = judge_again(log, args.limits, told)
+        code = tell_lossy(args.recorded, log.warning)
+    if args.json:
+        stops = [stop._asdict() for stop in found.stops]
+        counts = {"ticks": found.ticks, "stopped": found.stopped, "stopped_logged": found.stopped_logged}
+        print_json({"log": str(args.recorded), **counts, "by_fault": found.by_fault, "stops": stops})
+        return code
+    say(f"{found.ticks} ticks; these limits stop {found.stopped}, the run's own {found.stopped_logged}")
+    for stop in found.stops:
+        also = "as in the run" if stop.logged else "new"
+        place = f"tick {stop.k} ({stop.t_s:.3f} s)"
+        say(f"{place}: {stop.fault} {stop.title}: {stop.instance} {stop.value:g}: {stop.action}, {also}")
+    return code

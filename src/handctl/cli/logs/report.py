@@ -1,0 +1,45 @@
+"""``handctl report``: one self-contained HTML page of a run."""
+
+import argparse
+from pathlib import Path
+
+from handctl.cli.console.options import json_option, print_json, say, tell_lossy
+from handctl.cli.console.progress import progress
+from handctl.errors import LogError
+from handctl.output import check_output, named_after
+
+EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl report run.mcap"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    json_option(parser)
+    parser.add_argument("log", type=Path, help="the log")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="the page (default: LOG.html)")
+    parser.add_argument(
+        "--truth", type=Path, metavar="FILE", help="truth of a lockstep run, drawn beside the estimates"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write the page."""
+    from handctl.log.read.reader import RunLog
+    from handctl.replay.rebuild import logged_hand
+    from handctl.report.page import write_page
+    from handctl.report.truth import read_truth
+
+    out = args.output or named_after(args.log, ".html")
+    check_output(out, "--output", args.log, args.truth)
+    truth = read_truth(args.truth) if args.truth else None
+    with RunLog(args.log) as log:
+        offset = log.header.truth_offset_ns
+        if truth and not truth.covers(log.t_ns + offset):
+            raise LogError("is of another time than the log", str(args.truth), "the truth of this run, in lockstep")
+        with progress("drawing", quiet=args.json):
+            size = write_page(out, log, logged_hand(log), truth, offset, args.log.name)
+        code = tell_lossy(args.log, log.warning)
+    if args.json:
+        print_json({"log": str(args.log), "page": str(out), "bytes": size})
+    else:
+        say(f"{out}: {size / 1e6:.1f} MB")
+    return code

@@ -1,0 +1,132 @@
+"""``handctl view``: look at a log in Rerun, keep it as Rerun recording, or make a picture of it."""
+
+import argparse
+import os
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.console.options import json_option, print_json, say, tell_lossy
+from handctl.cli.console.progress import progress
+from handctl.errors import ConfigError
+from handctl.output import check_output, whole
+from handctl.session.exit_codes import Exit
+
+EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl view run.mcap --save run.rrd"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument("log", type=Path, metavar="LOG", help="log of a run")
+    parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a Rerun recording, open nothing")
+    parser.add_argument(
+        "--png", type=Path, metavar="FILE.png", help="draw the dashboard without a screen, open nothing"
+    )
+    parser.add_argument(
+        "--at", type=float, metavar="SECONDS", help="moment of the picture (default: in the middle of the hold phase)"
+    )
+    parser.add_argument("--follow", action="store_true", help="the log is still being written: show it as it grows")
+    json_option(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Show it, or write what was asked for."""
+    os.environ.setdefault("RUST_LOG", "error")  # Rerun's own notes; what matters is said by us
+    _check(args)
+    if args.follow:
+        from handctl.view.follow import follow
+
+        follow(args.log)
+        return Exit.DONE
+    from handctl.log.read.reader import RunLog
+    from handctl.view.scene.subject import Subject
+
+    with RunLog(args.log, checked=False) as log:
+        subject = Subject.of(log.header, args.log.stem)
+        at_s = _moment(args, log) if args.png else 0.0
+        warning, found = log.warning, log.found
+    code = tell_lossy(args.log, warning)
+    if args.save or args.png:
+        with progress("drawing" if args.png else "writing", quiet=args.json):
+            result = _write(args, subject, at_s)
+    else:
+        result = {}
+        _window(args.log, subject, found)
+    if args.json:
+        print_json(result | {"log": args.log, "warning": warning})
+    return code
+
+
+def _moment(args: argparse.Namespace, log: Any) -> float:
+    """Moment of the picture [s]."""
+    from handctl.view.moment import moment
+
+    end_s = float(log.times[-1]) if len(log) else 0.0
+    if args.at is None:
+        return moment(log)
+    if not 0 <= args.at <= end_s:
+        raise ConfigError(f"{args.at:g}", "--at", f"seconds of this run, 0 to {end_s:.3f}")
+    return float(args.at)
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Refuse what cannot be done before anything is read."""
+    from handctl.view.viewer import check_screen, software_vulkan
+
+    if args.follow and (args.save or args.png):
+        raise ConfigError("together with --save or --png", "--follow", "one of them")
+    if args.at is not None and not args.png:
+        raise ConfigError("without --png", "--at", "--png FILE.png")
+    for option, path, suffix in (("--save", args.save, ".rrd"), ("--png", args.png, ".png")):
+        if path and (path.suffix != suffix or not path.parent.is_dir()):
+            raise ConfigError(str(path), option, f"a file name ending in {suffix} in a folder that exists")
+        if path:
+            check_output(path, option, args.log)
+    if args.png:
+        software_vulkan()
+    elif not args.save:
+        check_screen()
+
+
+def _write(args: argparse.Namespace, subject: Any, at_s: float) -> dict[str, Any]:
+    """The recording, and the picture."""
+    from handctl.view.feed import write_rrd
+
+    result: dict[str, Any] = {}
+    if args.save:
+        with whole(args.save) as part:
+            result = {"rrd": args.save, "bytes": write_rrd(args.log, subject, part)}
+        _say(args, f"wrote {args.save}, {result['bytes'] / 1e6:.1f} MB; open it with: rerun {args.save}")
+    if not args.png:
+        return result
+    with tempfile.TemporaryDirectory(prefix="handctl-view-") as folder:
+        rrd = args.save or Path(folder) / f"{args.log.stem}.rrd"
+        if not args.save:
+            write_rrd(args.log, subject, rrd)
+        return _picture(args, rrd, at_s) | result
+
+
+def _picture(args: argparse.Namespace, rrd: Path, at_s: float) -> dict[str, Any]:
+    from handctl.view.picture import draw
+
+    reports = draw(rrd, at_s, args.png)
+    for report in reports:
+        say(f"handctl: {report}", error=True)
+    _say(args, f"wrote {args.png}: the hand at {at_s:.3f} s")
+    return {"png": args.png, "at_s": at_s, "reports": reports}
+
+
+def _window(log: Path, subject: Any, found: Any) -> None:
+    """Open the viewer, send it the log, and wait until it is closed."""
+    from handctl.view.browse import browse
+
+    with browse(log, subject, [], {}, found) as running:
+        try:
+            running.process.wait()
+        except KeyboardInterrupt:
+            return
+
+
+def _say(args: argparse.Namespace, text: str) -> None:
+    if not args.json:
+        say(text)

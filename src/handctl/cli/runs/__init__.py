@@ -1,0 +1,1 @@
+"""Verbs that run a hand, or a simulated one."""

@@ -1,0 +1,29 @@
+"""``handctl clear``: clear the latched faults of a running controller; it never arms a hand by itself.
+
+What a drive has latched after a controller died is cleared by ``handctl run --clear``, before anything is armed.
+"""
+
+import argparse
+
+from handctl.cli.console.buses import controller_bus
+from handctl.cli.console.options import bus_option, json_option, print_json
+from handctl.runtime.asking import ordered
+
+EXAMPLE = "handctl clear --help   # with a hand running on local:demo: handctl clear --bus local:demo"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    bus_option(parser)
+    json_option(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Ask the controller of the bus to clear; 71 if it does not say that it has."""
+    bus = controller_bus(args)
+    line = ordered(bus, "clear")
+    if args.json:
+        print_json({"asked": "clear", "bus": bus, "confirmed": True, "mode": line["mode"]})
+    else:
+        print(f"the controller on {bus} has cleared its faults; mode {line['mode']}")
+    return 0

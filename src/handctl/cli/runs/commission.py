@@ -1,0 +1,37 @@
+"""``handctl commission``: tare the load cells, zero the motors, prove each tendon's sign, write calibration.toml."""
+
+import argparse
+
+from handctl.cli.console.begin import announce
+from handctl.cli.console.dry_run import told
+from handctl.cli.console.options import print_json, run_options
+from handctl.cli.console.plan import calibration_path, make_plan
+from handctl.session.calibration import commission, kept, write_calibration
+from handctl.session.plan import default_log
+from handctl.session.run import run_live
+
+EXAMPLE = "handctl commission --hand jamia --bus local:demo --calibration /tmp/jamia.calibration.toml --dry-run"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    run_options(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Commission the hand; each tendon is pulled with 3 N."""
+    plan = make_plan(args)
+    path = calibration_path(args, plan.hand)
+    if args.dry_run:
+        line = f"{plan.hand.name}: ready to commission at {plan.rate_hz:g} Hz, would write {path}"
+        return told(args, plan, line, calibration=path)
+    announce(args, plan, path, None)
+    log = args.log or default_log(plan.hand, "commission")
+    calibration, outcome = commission(plan, log, run_live)
+    calibration = calibration.model_copy(update={"identified": kept(path, plan.hand, calibration.drive, plan.tell)})
+    write_calibration(path, calibration)
+    if args.json:
+        print_json({"calibration": str(path), "log": str(log), **calibration.model_dump(by_alias=True)})
+    else:
+        print(f"calibration written to {path}")
+    return outcome.exit

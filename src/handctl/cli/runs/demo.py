@@ -1,0 +1,248 @@
+"""``handctl demo``: the main job with nothing but this machine: a simulated hand grasps an object over a CAN bus."""
+
+import argparse
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.console.dry_run import told
+from handctl.cli.console.options import (
+    dry_run_option,
+    hand_option,
+    json_option,
+    perturb_option,
+    perturb_words,
+    protocol_option,
+    time_scale_option,
+    wire_option,
+    wire_words,
+)
+from handctl.cli.console.plan import make_plan
+from handctl.cli.runs.other_protocol import in_protocol
+from handctl.cli.runs.run import report
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.tick import Controller
+from handctl.errors import BusError, ConfigError, DriveError
+from handctl.hand.load import load_hand
+from handctl.runtime.places import truth_path
+from handctl.session.calibration import Known, commission, identified_in, write_calibration
+from handctl.session.exit_codes import Exit
+from handctl.session.gains import assignments
+from handctl.session.pace import slower
+from handctl.session.plan import Plan, commission_log, default_log
+from handctl.session.run import Outcome, Runner, make_controller, refuse_blind_view, run_live, run_lockstep
+from handctl.session.simulate import Simulator
+from handctl.session.tasks import find_task
+from handctl.session.verdict import judge
+
+EXAMPLE = "handctl demo --lockstep"
+SIMULATOR = "firmware_sim"
+START_S = 20.0
+SLOWEST = 0.1
+"""How far time is slowed where a machine cannot keep up with a hand that it simulates as well."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    hand_option(parser)
+    protocol_option(parser)
+    json_option(parser)
+    dry_run_option(parser)
+    parser.add_argument(
+        "--task", type=Path, default=Path("grasp.toml"), metavar="FILE", help="task (default: grasp.toml)"
+    )
+    parser.add_argument(
+        "--scene", default="cylinder", metavar="NAME|FILE", help="what the hand meets (default: cylinder)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
+    wire_option(parser)
+    parser.add_argument(
+        "--lockstep", action="store_true", help="virtual time: faster than real time, the same every time"
+    )
+    parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
+    parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
+    time_scale_option(parser, " (default: 1, and less if this machine cannot keep up)")
+    perturb_option(parser)
+    text = "take what it says was identified; the simulated hand is commissioned all the same"
+    parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
+    parser.set_defaults(gains=None, rate=None, clear=False)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate, commission, grasp, judge."""
+    refuse_blind_view(args.view and not args.lockstep)
+    with in_protocol(args):
+        return _run(args)
+
+
+def _run(args: argparse.Namespace) -> int:
+    """Run with the hand file that the simulator and the controller have in common."""
+    if args.lockstep and args.time_scale != 1:
+        raise ConfigError(f"{args.time_scale:g}", "--time-scale", "no --lockstep with it: that has a time of its own")
+    args.bus = _buses(load_hand(args.hand).bus_names)
+    plan = make_plan(args, lockstep=args.lockstep)
+    task, text = find_task(args.task, plan.hand)
+    assignments(args.perturb, "--perturb")
+    known = identified_in(args.calibration, plan.hand)
+    if args.dry_run:
+        with _simulator(args, None).peer(plan.period_ns):
+            pass
+        line = f"{plan.hand.name}: {task.name} on {args.scene}, {plan.rate_hz:g} Hz"
+        return told(args, plan, line, task=task.name, scene=args.scene)
+    log = args.log or default_log(plan.hand, "demo")
+    plan.attachments["task.toml"] = text
+    started = time.monotonic()
+    if args.lockstep:
+        outcome, truth = _in_lockstep(args, plan, TaskProgram(task), log, known)
+    else:
+        outcome, plan = _in_real_time(args, plan, TaskProgram(task), log, known)
+        truth = truth_path(plan.buses[0])
+    wall = time.monotonic() - started
+    result = judge(plan, outcome, log, truth, task=task)
+    result |= _speed(outcome, plan, wall) if args.lockstep else {}
+    code = report(result, outcome, plan, args.json)
+    if code == Exit.DONE and result["failure"]:
+        print(f"handctl: {DriveError(result['failure'], f'{task.name} on {args.scene}')}", file=sys.stderr)
+        return Exit.FAILED
+    return code
+
+
+def _buses(names: tuple[str, ...]) -> list[str]:
+    """Return ``--bus`` for every bus of a hand: a local bus of this process for each."""
+    spec = f"local:demo-{os.getpid()}"
+    return [spec] if len(names) == 1 else [f"{name}={spec}-{name}" for name in names]
+
+
+class _LateError(Exception):
+    """The simulated hand and its controller did not keep up with each other on this machine.
+
+    Attributes:
+        scale: of time that the machine keeps.
+    """
+
+    def __init__(self, failure: str, scale: float) -> None:
+        super().__init__(failure)
+        self.scale = scale
+
+
+def _in_real_time(
+    args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, known: Known
+) -> tuple[Outcome, Plan]:
+    """On real clocks, in slower time if it must be; what it came to, and with which plan."""
+    again = plan.time_scale > SLOWEST and not wire_words(args)  # a wire may be too slow by itself
+    first, then = _live(view=False, refuse_late=again), _live(args.view, refuse_late=again)
+    commissioning = commission_log(log)
+    try:
+        with simulator(args, plan):
+            return _commission_and_run(plan, program, log, (first, then), known), plan
+    except _LateError as late:
+        slower_plan = replace(plan, time_scale=max(late.scale, SLOWEST))
+        _set_aside(log, commissioning, plan.time_scale)
+        why = f"this machine does not keep up with a simulated hand ({late})"
+        print(f"handctl: {why}; once more at {slower_plan.time_scale:g} of real time", file=sys.stderr)
+    return _in_real_time(args, slower_plan, program, log, known)
+
+
+def _set_aside(log: Path, commissioning: Path, scale: float) -> None:
+    """Rename the logs of a run that was too late, so that the names are free for the next attempt.
+
+    Args:
+        log: of the run.
+        commissioning: log of its own commissioning; one that an earlier run has left keeps its name.
+        scale: of time, for the new names. No file that exists is replaced.
+    """
+    number, stem = 1, f"{log.stem}-at-{scale:g}"
+    while any(map(os.path.lexists, _names(log, stem))):
+        number, stem = number + 1, f"{log.stem}-at-{scale:g}-{number + 1}"
+    for before, after in zip((log, commissioning), _names(log, stem), strict=True):
+        if before.exists():
+            before.rename(after)
+
+
+def _names(log: Path, stem: str) -> tuple[Path, Path]:
+    """Return a run's log and that of its commissioning, with another stem."""
+    own = log.with_name(f"{stem}.mcap")
+    return own, log.with_name(f"{stem}.commission.mcap")
+
+
+def _live(view: bool, refuse_late: bool) -> Runner:
+    def runner(plan: Plan, controller: Controller, log: Path) -> Outcome:
+        outcome = run_live(plan, controller, log, live_view=view)
+        state = outcome.state
+        if refuse_late and state.failure and not state.progress.failure:  # nothing is wrong with this hand but its time
+            raise _LateError(state.failure, slower(plan, outcome))
+        return outcome
+
+    return runner
+
+
+def _commission_and_run(
+    plan: Plan, program: TaskProgram, log: Path, runners: tuple[Runner, Runner], known: Known
+) -> Outcome:
+    """A new hand is commissioned, then it works; with what was identified before."""
+    first, then = runners
+    print(f"commissioning {plan.hand.name}: tare, zero, and a 3 N pull of each tendon", file=sys.stderr)
+    calibration, _ = commission(plan, commission_log(log), first)
+    calibration = calibration.model_copy(update={"identified": known})
+    path = log.with_suffix(".calibration.toml")
+    write_calibration(path, calibration)
+    plan.attachments["calibration.toml"] = path.read_bytes()
+    return then(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
+
+
+def _in_lockstep(
+    args: argparse.Namespace, plan: Plan, program: TaskProgram, log: Path, known: Known
+) -> tuple[Outcome, Path]:
+    """The same against the simulator's lockstep rig."""
+    truth = log.with_suffix(".truth")
+    with _simulator(args, truth).clock(plan.period_ns) as clock:
+        runner = partial(run_lockstep, clock=clock)
+        return _commission_and_run(plan, program, log, (runner, runner), known), truth
+
+
+def _simulator(args: argparse.Namespace, truth: Path | None) -> Simulator:
+    """The simulated hand in this process, stepped by the loop."""
+    perturb = assignments(args.perturb, "--perturb")
+    return Simulator(args.hand, args.scene, args.seed, perturb, truth=truth, wire=args.wire)
+
+
+def _speed(outcome: Outcome, plan: Plan, wall: float) -> dict[str, Any]:
+    """How much faster than real time it went, commissioning included."""
+    simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
+    return {"lockstep": True, "simulated_s": simulated, "wall_s": wall, "times_real_time": simulated / wall}
+
+
+@contextmanager
+def simulator(args: argparse.Namespace, plan: Plan) -> Iterator[None]:
+    """The simulator as a process of its own, ready when the body begins.
+
+    Raises:
+        BusError: it does not start.
+    """
+    command = [sys.executable, "-m", SIMULATOR, "--hand", str(args.hand)]
+    command += ["--scene", str(args.scene), "--seed", str(args.seed), *wire_words(args)]
+    command += ["--time-scale", str(plan.time_scale), *perturb_words(args)]
+    for name, spec in zip(plan.hand.bus_names, plan.buses, strict=True):
+        command += ["--bus", f"{name}={spec}"]
+    child = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    try:
+        assert child.stdout is not None
+        line = child.stdout.readline()
+        if "ready" not in line:
+            if child.wait(START_S) == Exit.BAD_INPUT:
+                raise SystemExit(Exit.BAD_INPUT)  # it has said why
+            raise BusError("the simulator did not start", SIMULATOR, "a line that says ready")
+        yield
+    finally:
+        child.terminate()
+        try:
+            child.wait(START_S)
+        except subprocess.TimeoutExpired:
+            child.kill()

@@ -1,0 +1,62 @@
+"""``handctl jog``: move one digit by hand, by tension or by angle, for a while."""
+
+import argparse
+
+from handctl.cli.console.begin import announce
+from handctl.cli.console.dry_run import told
+from handctl.cli.console.options import print_json, run_options
+from handctl.cli.console.plan import find_calibration, make_plan
+from handctl.controller.live import JogProgram
+from handctl.controller.requests import HoldTension, MoveDigits
+from handctl.document import validated
+from handctl.errors import ConfigError
+from handctl.session.calibration import ensure_calibration
+from handctl.session.plan import commission_log, default_log
+from handctl.session.run import make_controller, run_live
+
+EXAMPLE = "handctl jog index --tension 8 --hand jamia --bus local:demo --dry-run"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    run_options(parser)
+    parser.add_argument("digit", help="the digit to move")
+    goal = parser.add_mutually_exclusive_group(required=True)
+    goal.add_argument("--tension", type=float, metavar="N", help="hold this tension in each tendon of the digit")
+    goal.add_argument("--angle", type=float, metavar="DEG", help="move to this joint angle")
+    parser.add_argument("--for", dest="duration", type=float, default=2.0, metavar="S", help="how long (default: 2)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Arm, move, relax, disarm."""
+    plan = make_plan(args)
+    program = _program(args, plan.hand.digit_names, min(tendon.tension_max_N for tendon in plan.hand.tendon))
+    path, calibration, why = find_calibration(args, plan.hand)
+    if args.dry_run:
+        line = f"{plan.hand.name}: would jog {args.digit}" + (f", after commissioning: {why}" if why else "")
+        return told(args, plan, line, digit=args.digit, commissioning=why)
+    announce(args, plan, path, calibration)
+    log = args.log or default_log(plan.hand, "jog")
+    if calibration is None:
+        calibration = ensure_calibration(plan, path, why, run_live, commission_log(log))
+    outcome = run_live(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
+    if args.json:
+        print_json({"digit": args.digit, "log": str(log), "failure": outcome.state.failure})
+    else:
+        print(f"{args.digit}: {outcome.state.failure or 'done'}; log {log}")
+    return outcome.exit
+
+
+def _program(args: argparse.Namespace, digits: tuple[str, ...], ceiling: float) -> JogProgram:
+    """The goal, checked before anything moves."""
+    if args.digit not in digits:
+        raise ConfigError(repr(args.digit), "digit", "one of " + ", ".join(digits))
+    if not 0 < args.duration <= 600:
+        raise ConfigError(f"{args.duration:g}", "--for", "more than 0, at most 600 s")
+    if args.tension is None:
+        asked = {"do": "move", "angle_deg": {args.digit: args.angle}, "duration_s": args.duration / 2}
+        return JogProgram(validated(asked, MoveDigits, "--angle"), args.duration)
+    if args.tension > ceiling:
+        raise ConfigError(f"{args.tension:g} N", "--tension", f"at most tension_max_N = {ceiling:g} N")
+    asked = {"do": "hold", "tension_N": {args.digit: args.tension}}
+    return JogProgram(validated(asked, HoldTension, "--tension"), args.duration)

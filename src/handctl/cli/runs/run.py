@@ -1,0 +1,88 @@
+"""``handctl run``: carry out a task on a hand, log it, and say how it went."""
+
+import argparse
+import sys
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.console.begin import announce
+from handctl.cli.console.dry_run import told
+from handctl.cli.console.options import print_json, run_options
+from handctl.cli.console.plan import find_calibration, make_plan
+from handctl.cli.console.verdict import print_summary
+from handctl.cli.runs.owner import Owner
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.live import LiveProgram
+from handctl.controller.program import Program
+from handctl.errors import DriveError
+from handctl.hand.file.toml_text import toml_text
+from handctl.runtime.places import truth_path
+from handctl.session.calibration import ensure_calibration
+from handctl.session.pace import remedy
+from handctl.session.plan import Plan, commission_log, default_log
+from handctl.session.run import Outcome, make_controller, refuse_blind_view, run_live
+from handctl.session.tasks import find_task, find_trajectory
+from handctl.session.verdict import judge
+
+EXAMPLE = "handctl run --hand jamia --bus local:demo --task grasp.toml --dry-run"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    run_options(parser)
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--trajectory", type=Path, metavar="FILE", help="trajectory file: angles over time")
+    what.add_argument("--task", type=Path, metavar="FILE", help="task file; without one the hand waits for requests")
+    parser.add_argument(
+        "--truth", type=Path, metavar="FILE", help="truth file of a simulator (default: found by the bus)"
+    )
+    parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
+    text = "stop when standard input ends: for a program that starts this one, and may die"
+    parser.add_argument("--until-eof", action="store_true", help=text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Carry out the task."""
+    refuse_blind_view(args.view)
+    plan = make_plan(args)
+    program, attached = _program(args, plan)
+    path, calibration, why = find_calibration(args, plan.hand)
+    if args.dry_run:
+        good = f"{plan.hand.name}: all files are good; {plan.rate_hz:g} Hz, bus load {100 * max(plan.load):.0f} %"
+        next_step = f"the hand would be commissioned first: {why}" if why else "the hand is commissioned"
+        return told(args, plan, good, next_step, commissioning=why)
+    announce(args, plan, path, calibration)
+    log = args.log or default_log(plan.hand)
+    if calibration is None:
+        runner = partial(run_live, attendant=Owner() if args.until_eof else None)
+        calibration = ensure_calibration(plan, path, why, runner, commission_log(log))
+    plan.attachments.update(attached | {"calibration.toml": path.read_bytes()})
+    controller = make_controller(plan, program, calibration, arm_at_once=True)
+    owner = Owner() if args.until_eof else None
+    outcome = run_live(plan, controller, log, live_view=args.view, attendant=owner)
+    truth = args.truth or truth_path(plan.buses[0])
+    result = judge(plan, outcome, log, truth if truth.exists() else None)
+    return report(result, outcome, plan, args.json)
+
+
+def _program(args: argparse.Namespace, plan: Plan) -> tuple[Program, dict[str, bytes]]:
+    """The task, or a program that waits for requests."""
+    if args.trajectory is not None:
+        task = find_trajectory(args.trajectory, plan.hand)
+        return TaskProgram(task), {"task.toml": toml_text(task.model_dump(by_alias=True)).encode()}
+    if args.task is None:
+        return LiveProgram(), {}
+    task, text = find_task(args.task, plan.hand)
+    return TaskProgram(task), {"task.toml": text}
+
+
+def report(result: dict[str, Any], outcome: Outcome, plan: Plan, as_json: bool) -> int:
+    """Print what came out; the exit code of the run."""
+    if as_json:
+        print_json(result)
+    else:
+        print_summary(result, plan)
+    if outcome.state.failure:
+        print(f"handctl: {DriveError(outcome.state.failure, right=remedy(plan, outcome))}", file=sys.stderr)
+    return outcome.exit

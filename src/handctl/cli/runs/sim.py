@@ -1,0 +1,79 @@
+"""``handctl sim``: start the simulated hand; the same as ``python -m firmware_sim``."""
+
+import argparse
+import os
+import subprocess
+import sys
+
+from handctl.cli.console.options import (
+    bus_option,
+    hand_option,
+    json_option,
+    perturb_option,
+    perturb_words,
+    print_json,
+    protocol_option,
+    time_scale_option,
+    wire_option,
+    wire_words,
+)
+from handctl.cli.runs.other_protocol import in_protocol, path_in_protocol, write_in_protocol
+from handctl.hand.load import load_hand
+from handctl.session.gains import assignments
+
+EXAMPLE = "handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    hand_option(parser)
+    protocol_option(parser, "; writes HAND-PROTOCOL.toml, for the --hand of its controller")
+    bus_option(parser)
+    json_option(parser)
+    parser.add_argument("--dry-run", action="store_true", help="check what is given, print the command and end")
+    parser.add_argument("--scene", default="cylinder", help="cylinder, sphere, box, none, or a scene file")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
+    perturb_option(parser)
+    text = "serial number of the simulated drives: each adds its number on the bus, or of one motor alone"
+    parser.add_argument("--serial", action="append", default=[], metavar="[MOTOR=]NUMBER", help=text)
+    wire_option(parser)
+    time_scale_option(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Become the simulator."""
+    if args.dry_run:
+        return _check(args)
+    if args.protocol:
+        args.hand = str(write_in_protocol(args))
+    else:
+        load_hand(args.hand)
+    return os.execv(sys.executable, _command(args, args.hand))
+
+
+def _command(args: argparse.Namespace, hand: str) -> list[str]:
+    """Words that start the simulator with a hand file."""
+    command = [sys.executable, "-m", "firmware_sim", "--hand", hand, "--scene", args.scene]
+    command += ["--seed", str(args.seed), "--time-scale", str(args.time_scale)]
+    for bus in args.bus:
+        command += ["--bus", bus]
+    assignments(args.perturb, "--perturb")
+    command += [word for serial in args.serial for word in ("--serial", serial)]
+    return command + wire_words(args) + perturb_words(args) + ["--json"] * args.json
+
+
+def _check(args: argparse.Namespace) -> int:
+    """Check what is given, and print the command."""
+    from handctl.session.plan import bus_specs
+
+    command = _command(args, str(path_in_protocol(args)) if args.protocol else args.hand)
+    with in_protocol(args):
+        bus_specs(load_hand(args.hand), args.bus)
+        checked = subprocess.run([*_command(args, args.hand), "--dry-run"], stdin=subprocess.DEVNULL, check=False)
+    if checked.returncode:
+        return checked.returncode
+    if args.json:
+        print_json({"command": ["python", *command[1:]]})
+    else:
+        print(" ".join(["python", *command[1:]]))
+    return 0

@@ -1,0 +1,28 @@
+"""``handctl stop``: relax and disarm a running hand from another terminal."""
+
+import argparse
+
+from handctl.cli.console.buses import controller_bus
+from handctl.cli.console.options import bus_option, json_option, print_json
+from handctl.runtime.asking import ordered
+
+EXAMPLE = "handctl stop --help   # with a hand running on local:demo: handctl stop --bus local:demo"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    bus_option(parser)
+    json_option(parser)
+    parser.add_argument("--cut", action="store_true", help="take the torque away at once, without a ramp")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Ask the controller of the bus to stop; 71 unless it says that the hand has let go."""
+    word = "cut" if args.cut else "stop"
+    bus = controller_bus(args)
+    line = ordered(bus, word)
+    if args.json:
+        print_json({"asked": word, "bus": bus, "confirmed": True, "mode": line["mode"]})
+    else:
+        print(f"the controller on {bus} has let go of the hand: every drive has said that it is off")
+    return 0

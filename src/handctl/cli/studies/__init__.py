@@ -1,0 +1,1 @@
+"""Verbs that try a simulated hand many times: faults, and the source paper."""

@@ -1,0 +1,126 @@
+"""``handctl fault campaign``: the whole fault matrix against a simulated hand in lockstep."""
+
+import argparse
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from handctl.campaign.campaign import Report
+from handctl.campaign.campaign import run as run_campaign
+from handctl.campaign.page import lines, write_page
+from handctl.campaign.scenarios import ALL, MATRIX, scenarios
+from handctl.campaign.stage import hand_in
+from handctl.campaign.trial import Result
+from handctl.cli.console.options import hand_option, json_option, print_json
+from handctl.cli.console.progress import progress
+from handctl.controller.bus_load import bus_loads
+from handctl.controller.gains import Gains
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.log.record import pack
+from handctl.log.write.recorder import Recorder
+from handctl.output import write_whole
+from handctl.session.exit_codes import Exit
+from handctl.session.header import run_header
+from handctl.session.plan import Plan, fastest
+from handctl.session.simulate import Simulation
+
+QUICK_CALM_S, CALM_S = 4.0, 60.0
+"""How long the undisturbed hand is watched for each protocol, in a sample and in full [s]."""
+JOBS_MOST = 64
+FIRST = "bringing the hand to its stages"
+CALM_MOST_S = 86_400.0
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    hand_option(parser)
+    json_option(parser)
+    parser.add_argument("--protocol", default="mit", choices=[*ALL, "all"], help="of the drives (default: mit)")
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="scenarios at a time (default: 2)")
+    parser.add_argument("--quick", action="store_true", help="a sample that takes less than a minute")
+    parser.add_argument("--row", action="append", default=[], metavar="ID", help="only this row; may be repeated")
+    parser.add_argument(
+        "--calm", type=float, metavar="S", help="how long the undisturbed hand is watched (60; quick: 4)"
+    )
+    parser.add_argument("--calm-only", action="store_true", help="nothing but the undisturbed hand")
+    parser.add_argument("--seed", type=int, default=1, help="of the simulated hand (default: 1)")
+    parser.add_argument(
+        "--report", type=Path, metavar="DIR", help="where report.html, report.json and the logs of failures go"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Try everything, report, and say whether all is as it must be."""
+    if args.seed < 0:
+        raise ConfigError(f"{args.seed}", "--seed", "0 or more")
+    if not 1 <= args.jobs <= JOBS_MOST:
+        raise ConfigError(f"{args.jobs}", "--jobs", f"1 to {JOBS_MOST}")
+    for id_ in set(args.row) - {row.id for row in MATRIX}:
+        raise ConfigError(repr(id_), "--row", "one of " + ", ".join(dict.fromkeys(row.id for row in MATRIX)))
+    if args.calm is not None and not 0 <= args.calm <= CALM_MOST_S:
+        raise ConfigError(f"{args.calm:g}", "--calm", f"0 to {CALM_MOST_S:g} s")
+    protocols = ALL if args.protocol == "all" else (args.protocol,)
+    tried = {one.row.id for name in protocols for one in scenarios(hand_in(args.hand, name), name, 1.0)}
+    for id_ in sorted(set(args.row) - tried):
+        raise ConfigError(repr(id_), "--row", f"a row that this hand can be tried with by {args.protocol}")
+    folder = report_folder(args)
+    calm_s = args.calm if args.calm is not None else QUICK_CALM_S if args.quick else CALM_S
+    with progress(FIRST, quiet=args.json) as told:
+        report = run_campaign(
+            args.hand,
+            protocols,
+            rate_of,
+            jobs=args.jobs,
+            quick=args.quick,
+            calm_s=calm_s,
+            told=lambda protocol, done, most: told(done, most, protocol),
+            keep=keeper(folder),
+            only=args.row,
+            calm_only=args.calm_only,
+            seed=args.seed,
+        )
+    write_page(folder / "report.html", report)
+    write_whole(folder / "report.json", json.dumps(report.plain(), indent=1))
+    _say(report, folder, args.json)
+    figures = report.plain()
+    return Exit.FAILED if figures["late"] or figures["false_alarms"] else Exit.DONE
+
+
+def report_folder(args: argparse.Namespace) -> Path:
+    """Where reports and the logs of failures go; it is there then."""
+    folder: Path = args.report or Path("logs") / "campaign"
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def rate_of(hand: Hand) -> float:
+    """The rate at which a hand runs by default [Hz]."""
+    return fastest(bus_loads(hand))
+
+
+def _say(report: Report, folder: Path, as_json: bool) -> None:
+    if as_json:
+        print_json(report.plain() | {"report": folder / "report.html"})
+        return
+    for line in lines(report):
+        print(line)
+    print(f"written: {folder / 'report.html'}")
+
+
+def keeper(folder: Path) -> Callable[[Simulation, Result], None]:
+    """Writes the log of a scenario that failed."""
+
+    def keep(course: Simulation, result: Result) -> None:
+        name = re.sub(r"[^A-Za-z0-9=.]+", "-", result.scenario)
+        model = course.controller.model
+        plan = Plan(model.hand, Gains(), 1.0 / model.period, ())
+        path = folder / f"{name}.mcap"
+        path.unlink(missing_ok=True)
+        recorder = Recorder.start(path, run_header(plan, course.controller, None, lockstep=True))
+        for entry, out in course.kept:
+            recorder.record(pack(entry, out))
+        recorder.close(result.why)
+
+    return keep

@@ -1,0 +1,70 @@
+"""``handctl fault sequences``: random sequences of faults against a simulated hand in lockstep."""
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+from handctl.campaign import sequences
+from handctl.campaign.scenarios import ALL
+from handctl.campaign.stage import hand_in
+from handctl.cli.console.options import hand_option, json_option, print_json
+from handctl.cli.console.progress import progress
+from handctl.cli.studies.fault_campaign import FIRST, JOBS_MOST, keeper, rate_of, report_folder
+from handctl.errors import ConfigError
+from handctl.session.exit_codes import Exit
+
+COUNT_MOST = 1_000_000
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    hand_option(parser)
+    json_option(parser)
+    parser.add_argument("--protocol", default="mit", choices=ALL, help="of the drives (default: mit)")
+    parser.add_argument("--count", type=int, default=30, metavar="N", help="how many (default: 30)")
+    parser.add_argument("--seed", type=int, default=1, help="of the first; the next ones count on (default: 1)")
+    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="sequences at a time (default: 2)")
+    parser.add_argument("--report", type=Path, metavar="DIR", help="where the logs of failures go")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Let them happen, and tell which rules were not kept."""
+    for name, value, most in (("--jobs", args.jobs, JOBS_MOST), ("--count", args.count, COUNT_MOST)):
+        if not 1 <= value <= most:
+            raise ConfigError(f"{value}", name, f"1 to {most}")
+    if args.seed < 0:
+        raise ConfigError(f"{args.seed}", "--seed", "0 or more")
+    hand = hand_in(args.hand, args.protocol)
+    folder = report_folder(args)
+    seeds = range(args.seed, args.seed + args.count)
+    with progress(FIRST, quiet=args.json) as told:
+        found = sequences.run(
+            hand,
+            args.protocol,
+            rate_of(hand),
+            seeds,
+            jobs=args.jobs,
+            told=lambda done: told(done, args.count, args.protocol),
+            keep=keeper(folder),
+        )
+    broken = [result for result in found if not result.ok]
+    figures: dict[str, Any] = {
+        "hand": args.hand,
+        "protocol": args.protocol,
+        "rate_hz": rate_of(hand),
+        "first_seed": args.seed,
+        "sequences": len(found),
+        "broken": len(broken),
+        "felt": sum(result.felt for result in found),
+        "worst_tension_N": max(result.tension for result in found),
+    }
+    if args.json:
+        print_json(figures | {"results": [result.plain() for result in broken]})
+    else:
+        print(f"{len(found)} sequences, {figures['felt']} faults felt; {len(broken)} broke a rule")
+        print(f"largest true tension {figures['worst_tension_N']:.0f} N")
+        for result in broken:
+            print(f"{result.scenario}: {result.why}")
+        if broken:
+            print(f"their logs: {folder}; one again: --seed SEED --count 1")
+    return Exit.FAILED if broken else Exit.DONE

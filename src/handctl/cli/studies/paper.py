@@ -1,0 +1,149 @@
+"""``handctl paper``: the source paper reproduced, with its misprints: table, JSON, Markdown, figures, one page."""
+
+import argparse
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.console.progress import progress
+from handctl.cli.console.screen import screen
+from handctl.errors import ConfigError
+from handctl.hand.formats.mjcf import mjcf
+from handctl.hand.formats.urdf import urdf
+from handctl.hand.load import load_hand
+from handctl.output import check_output, write_whole
+from handctl.paper.experiments import Job, count, load_results, measure, name, shortened
+from handctl.paper.figures.all import draw_all
+from handctl.paper.item import Verdict
+from handctl.paper.page import markdown, plain, report, value
+from handctl.paper.pool import pool
+from handctl.paper.sections import Section, sections, tally
+from handctl.session.exit_codes import Exit
+
+EXAMPLE = "handctl paper --quick"
+WORKERS = 2
+COLOURS = {
+    Verdict.EQUAL: "green",
+    Verdict.ROUNDED: "blue",
+    Verdict.TRUNCATED: "magenta",
+    Verdict.BOUND: "cyan",
+    Verdict.WRONG: "bold red",
+    Verdict.UNDECIDABLE: "yellow",
+}
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    kind = parser.add_mutually_exclusive_group()
+    kind.add_argument("--json", action="store_true", help="print the items as JSON on standard output")
+    kind.add_argument("--markdown", action="store_true", help="print the page as Markdown on standard output")
+    parser.add_argument("--figures", type=Path, metavar="DIR", help="write the figures there as PNG and SVG")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write all of it as one HTML page")
+    parser.add_argument("--export", type=Path, metavar="DIR", help="write the paper's hand there as URDF and MJCF")
+    parser.add_argument(
+        "--results", type=Path, metavar="FILE", help="take the experiments from there, or do them and write them there"
+    )
+    parser.add_argument("--quick", action="store_true", help="leave out the experiments, which take a minute or two")
+    parser.add_argument("--jobs", type=int, default=WORKERS, metavar="N", help="experiments at a time (default: 2)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compute everything, measure what is asked for, and print it."""
+    if not 1 <= args.jobs <= 64:
+        raise ConfigError(f"{args.jobs}", "--jobs", "1 to 64")
+    _writable(args.report, args.figures, args.export)
+    results = None if args.quick else _results(args.results, args.jobs)
+    parts = sections(results)
+    if args.export:
+        _export(args.export)
+    if args.figures or args.report:
+        with tempfile.TemporaryDirectory() as folder:
+            figures = draw_all(args.figures or Path(folder), results)
+            if args.report:
+                write_whole(args.report, report(parts, figures))
+    _print(args, parts)
+    return Exit.DONE
+
+
+def _results(path: Path | None, jobs: int) -> dict[str, Any]:
+    """Read the experiments' results, or do the experiments and keep them.
+
+    Raises:
+        ConfigError: the file has no results, or none could be written there.
+    """
+    if path is None:
+        return _measured(jobs)
+    if path.exists():
+        return load_results(path)
+    check_output(path, "--results")
+    write_whole(path, json.dumps(shortened(_measured(jobs))) + "\n")
+    return load_results(path)
+
+
+def _writable(report_file: Path | None, *folders: Path | None) -> None:
+    """Find out before the experiments whether their results can be written."""
+    if report_file:
+        check_output(report_file, "--report")
+    for folder in filter(None, folders):
+        if folder.exists() and not folder.is_dir():
+            raise ConfigError("not a folder", str(folder), "a folder, or a name for a new one")
+        folder.mkdir(parents=True, exist_ok=True)
+
+
+def _export(folder: Path) -> None:
+    hand = load_hand("jamia")
+    write_whole(folder / f"{hand.name}.urdf", urdf(hand))
+    write_whole(folder / f"{hand.name}.xml", mjcf(hand))
+
+
+def _print(args: argparse.Namespace, parts: tuple[Section, ...]) -> None:
+    if args.json:
+        json.dump(plain([item for part in parts for item in part.items]), sys.stdout, indent=2)
+        sys.stdout.write("\n")
+    elif args.markdown:
+        sys.stdout.write(markdown(parts))
+    else:
+        _table(parts)
+        for path in filter(None, (args.figures, args.report, args.export)):
+            print(f"written: {path}")
+
+
+def _measured(jobs: int) -> dict[str, Any]:
+    """All experiments, with progress on standard error."""
+    done = 0
+    with progress("starting the simulator", count()) as told:
+
+        def at(job: Job, finished: bool) -> None:
+            nonlocal done
+            done += finished
+            told(done, words=None if finished else name(job))
+
+        with pool(jobs, at) as workers:
+            return measure(workers)
+
+
+def _table(parts: tuple[Section, ...]) -> None:
+    """The items for a terminal."""
+    from rich.table import Table
+    from rich.text import Text
+
+    console = screen(least=80)
+    for part in parts:
+        if part.table:
+            numbers = Table(*part.table[0])
+            for row in part.table[1:]:
+                numbers.add_row(*row)
+            console.print(numbers)
+        table = Table(title=part.title, title_justify="left", title_style="bold", expand=True, show_lines=True)
+        table.add_column("id", no_wrap=True)
+        table.add_column("verdict", no_wrap=True)
+        table.add_column("printed → right, and why", ratio=1)
+        for item in part.items:
+            verdict = Text(item.verdict.value, COLOURS[item.verdict])
+            said = Text.assemble(item.printed, (" → ", "bold"), value(item), "\n", (item.why, "dim"))
+            table.add_row(item.id, verdict, said)
+        console.print(table)
+    counts = tally([item for part in parts for item in part.items])
+    console.print(", ".join(f"{number} {verdict}" for verdict, number in counts.items()))

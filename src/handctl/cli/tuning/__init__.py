@@ -1,0 +1,1 @@
+"""Verbs on gains and on what a hand is made of."""

@@ -1,0 +1,237 @@
+"""``handctl gains``: which gains a hand uses, where they come from, other ones, the way back; and live changes."""
+
+import argparse
+import itertools
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.console.buses import controller_bus
+from handctl.cli.console.options import bus_option, gains_options, hand_option, json_option, print_json, say
+from handctl.cli.console.plan import layered_gains, notice
+from handctl.controller.gain_bounds import bounds, flat, with_values
+from handctl.controller.gains import Gains, Provenance, load_gains_file
+from handctl.controller.requests import REFUSED
+from handctl.errors import ConfigError, UnconfirmedError
+from handctl.hand.description import Hand
+from handctl.hand.load import load_hand
+from handctl.session.exit_codes import Exit
+from handctl.session.gains import assignments, gains_for
+from handctl.session.plan import check_design
+from handctl.tune.gains_store import Entry, GainsStore
+
+EXAMPLE = "handctl gains show --hand jamia"
+TAKEN_OVER_S = 3.0
+"""How long a running controller may take to design and take over gains."""
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    what = parser.add_subparsers(dest="what", required=True, metavar="show|diff|apply|rollback|log|set")
+    show = what.add_parser("show", help="every gain, its bounds, and where it comes from")
+    gains_options(show)
+    diff = what.add_parser("diff", help="compare two: a file, a log, a number of the history, present, packaged")
+    diff.add_argument("sides", nargs="*", default=[], metavar="WHICH", help="one or two (default: packaged present)")
+    apply = what.add_parser("apply", help="make the gains of a file those that runs use")
+    apply.add_argument("file", type=Path, help="gains file")
+    for name, meaning in (("fit", "calibration they rest on"), ("study", "search that found them"), ("note", "why")):
+        apply.add_argument(f"--{name}", default="", help=meaning)
+    apply.add_argument("--from-log", dest="log", action="append", type=Path, default=[], help="run they rest on")
+    back = what.add_parser("rollback", help="bring back the gains from before")
+    back.add_argument("--to", type=int, metavar="N", help="number in the history; 0: the packaged gains")
+    log = what.add_parser("log", help="everything that was applied")
+    live = what.add_parser("set", help="change gains of a running controller, without a step in torque")
+    live.add_argument("values", nargs="+", metavar="KEY=VALUE")
+    bus_option(live)
+    for one in (show, diff, apply, back, log, live):
+        json_option(one)
+        if one is not live:  # a running controller knows its hand
+            hand_option(one)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Do what was asked."""
+    if args.what == "set":
+        return _set(args)
+    does = {"show": _show, "diff": _diff, "apply": _apply, "rollback": _rollback, "log": _log}
+    return does[args.what](args, load_hand(args.hand))
+
+
+def _show(args: argparse.Namespace, hand: Hand) -> int:
+    """Every gain with its origin."""
+    layers, known = layered_gains(args, hand), bounds()
+    told = layers.provenance
+    if args.json:
+        rows = {
+            key: {"value": value, "origin": layers.origins[key], "bounds": str(known[key]), "live": known[key].live}
+            for key, value in flat(layers.gains).items()
+        }
+        print_json({"hand": hand.name, "gains": rows, "provenance": told.model_dump()})
+        return Exit.DONE
+    say(f"# gains of {hand.name}: {layers.file or 'packaged'}" + _told(told))
+    for key, value in flat(layers.gains).items():
+        print(f"{key:<38} {value:<10g} {layers.origins[key]:<14} {known[key]}{', live' if known[key].live else ''}")
+    return Exit.DONE
+
+
+def _told(told: Provenance) -> str:
+    """Provenance in a few words."""
+    rests = [*told.log, *filter(None, (told.fit, told.study, told.note))]
+    number = f", number {told.number}" if told.number else ""
+    return number + (f", made {told.made}" if told.made else "") + (f", from {', '.join(rests)}" if rests else "")
+
+
+def _diff(args: argparse.Namespace, hand: Hand) -> int:
+    """Keys whose values are not the same."""
+    sides = {0: ["packaged", "present"], 1: ["present", *args.sides], 2: args.sides}.get(len(args.sides))
+    if sides is None:
+        raise ConfigError(f"{len(args.sides)} sides", "gains diff", "at most two")
+    one, other = (flat(_side(word, hand)) for word in sides)
+    changed = {key: (one[key], other[key]) for key in one if one[key] != other[key]}
+    if args.json:
+        print_json({"sides": sides, "changed": changed})
+        return Exit.DONE
+    for key, (was, now) in changed.items():
+        print(f"{key:<38} {was:g} -> {now:g}")
+    print(f"{len(changed)} of {len(one)} gains differ between {sides[0]} and {sides[1]}")
+    return Exit.DONE
+
+
+def _side(word: str, hand: Hand) -> Gains:
+    """Gains by what a person calls them."""
+    store = GainsStore(hand.name)
+    if word == "packaged":
+        return Gains()
+    if word == "present":
+        present = store.present()
+        return present.gains if present else Gains()
+    if word.isdecimal():
+        found = {str(entry.number): entry.file.gains for entry in store.entries()}
+        if word.lstrip("0") not in found:
+            raise ConfigError(f"no gains number {word}", str(store.history), "one that handctl gains log lists")
+        return found[word.lstrip("0")]
+    if word.endswith(".mcap"):
+        from handctl.log.read.reader import RunLog
+        from handctl.replay.rebuild import logged_gains
+
+        with RunLog(Path(word)) as log:
+            return logged_gains(log)
+    return load_gains_file(Path(word)).gains
+
+
+def _apply(args: argparse.Namespace, hand: Hand) -> int:
+    """Make gains the present ones."""
+    file = gains_for(hand, args.file, notice)
+    check_design(hand, file.gains)
+    own = {"fit": args.fit, "study": args.study, "note": args.note, "log": tuple(map(str, args.log))}
+    told = file.provenance.model_copy(update={key: value for key, value in own.items() if value})
+    store = GainsStore(hand.name, hand.identity)
+    _set_aside(store)
+    return _done(args, store, store.apply(file.gains, told).provenance)
+
+
+def _rollback(args: argparse.Namespace, hand: Hand) -> int:
+    """The way back."""
+    store = GainsStore(hand.name, hand.identity)
+    entries = store.entries()
+    newest = entries[-1].number if entries else 0
+    to = newest if _set_aside(store) and args.to is None else args.to
+    return _done(args, store, store.rollback(to).provenance)
+
+
+def _set_aside(store: GainsStore) -> bool:
+    """Move a present file that cannot be used out of the way, and say so; whether there was one."""
+    aside = store.set_aside()
+    if aside:
+        say(f"handctl: {store.path} cannot be used, and is {aside} now", error=True)
+    return bool(aside)
+
+
+def _done(args: argparse.Namespace, store: GainsStore, told: Provenance) -> int:
+    if args.json:
+        print_json({"file": str(store.path), "provenance": told.model_dump()})
+    else:
+        say(f"{store.path}{_told(told)}")
+    return Exit.DONE
+
+
+def _log(args: argparse.Namespace, hand: Hand) -> int:
+    """The history."""
+    store = GainsStore(hand.name)
+    entries = store.entries()
+    try:
+        present = store.present()
+    except ConfigError as error:
+        say(f"handctl: {error}; handctl gains rollback brings back number {entries[-1].number if entries else 0}", True)
+        present = None
+    if args.json:
+        print_json({"present": _number(present), "entries": [entry.file.provenance.model_dump() for entry in entries]})
+        return Exit.DONE
+    for entry in entries:
+        mark = "*" if entry.number == _number(present) else " "
+        say(f"{mark} {entry.number:>4}  {_line(entry, entries)}")
+    print(f"{len(entries)} applied; present: {_number(present) or 'packaged' if present is None else store.path}")
+    return Exit.DONE
+
+
+def _number(present: Any) -> int:
+    return present.provenance.number if present else 0
+
+
+def _line(entry: Entry, entries: list[Entry]) -> str:
+    """One entry for a person: when, from what, and how many gains it changed."""
+    before = {one.number: one.file.gains for one in entries}.get(entry.file.provenance.replaces, Gains())
+    old, new = flat(before), flat(entry.file.gains)
+    changed = [key for key in new if new[key] != old[key]]
+    few = ", ".join(changed[:3]) + (" .." if len(changed) > 3 else "")
+    return _told(entry.file.provenance).partition(", made ")[2] + (f"; changes {few}" if few else "; changes nothing")
+
+
+def _set(args: argparse.Namespace) -> int:
+    """Change gains of a running controller; what cannot be is refused before anything is sent."""
+    from handctl.runtime.asking import confirmed, watching
+
+    values = assignments(args.values, "gains set")
+    with_values(Gains(), values, "gains set", live=True)
+    bus = controller_bus(args)
+    watcher = watching(bus, "gains")
+    try:
+        watcher.next(TAKEN_OVER_S)
+        line, texts = confirmed(watcher, {"do": "gains", "set": values})
+        for text in texts:
+            _heed(text)
+        said = _answers(watcher, values, line)
+    finally:
+        watcher.close()
+    if args.json:
+        print_json({"bus": bus, "set": said})
+    else:
+        print("\n".join(f"{key} = {text}" for key, text in said.items()) or "no change: the gains are those already")
+    return Exit.DONE
+
+
+def _answers(watcher: Any, values: dict[str, float], taken: dict[str, Any]) -> dict[str, str]:
+    """What the controller says of the gains that were asked for in the tick ``taken``: those that have changed.
+
+    Raises:
+        ConfigError: it refuses.
+        UnconfirmedError: it says nothing.
+    """
+    said: dict[str, str] = {}
+    for line in itertools.chain((taken,), watcher.heard(TAKEN_OVER_S)):
+        for event in line["events"]:
+            if event["name"] == "gain" and event["where"] in values:
+                said[event["where"]] = event["text"]
+            if event["name"] == "gains":
+                _heed(event["text"])
+                return said
+    raise UnconfirmedError(watcher.name, "gains", "taken, but not taken over")
+
+
+def _heed(text: str) -> None:
+    """Raise what the controller refuses.
+
+    Raises:
+        ConfigError: it does.
+    """
+    if text.startswith(REFUSED):
+        raise ConfigError(text.removeprefix(REFUSED), "the controller")

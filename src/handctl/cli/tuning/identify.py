@@ -1,0 +1,230 @@
+"""``handctl identify``: find out what a hand is made of, by exciting it or from logs; keep it."""
+
+import argparse
+import shlex
+import sys
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.console.begin import announce
+from handctl.cli.console.dry_run import told
+from handctl.cli.console.options import perturb_option, print_json, run_options, say
+from handctl.cli.console.plan import (
+    calibration_path,
+    check_bus_only,
+    check_perturb,
+    find_calibration,
+    make_plan,
+    notice,
+)
+from handctl.cli.tuning.tune_files import same_hand_words
+from handctl.controller.calibration import Calibration, load_calibration
+from handctl.controller.excite import ExciteProgram
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.load import load_hand
+from handctl.log.read.reader import RunLog
+from handctl.replay.rebuild import logged_hand
+from handctl.session.calibration import commission, ensure_calibration, kept, write_calibration
+from handctl.session.exit_codes import Exit
+from handctl.session.gains import assignments
+from handctl.session.plan import Plan, commission_log, default_log
+from handctl.session.run import Outcome, Runner, make_controller, run_live, run_lockstep
+from handctl.session.simulate import Simulator
+from handctl.tune.excitation import excitation
+from handctl.tune.identify import Found, identify, now, table
+from handctl.tune.identify_figure import draw
+
+EXAMPLE = "handctl identify --hand jamia --lockstep --digits thumb --calibration /tmp/identified.calibration.toml"
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    run_options(parser, bus_required=False)
+    parser.add_argument(
+        "--digits", nargs="+", action="extend", metavar="DIGIT", help="which (default: all, one after the other)"
+    )
+    parser.add_argument(
+        "--from",
+        dest="logs",
+        nargs="+",
+        action="extend",
+        type=Path,
+        metavar="LOG",
+        help="use recorded runs instead of any new motion",
+    )
+    parser.add_argument("--lockstep", action="store_true", help="the simulated hand in virtual time, without a bus")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulated hand")
+    perturb_option(parser)
+    parser.add_argument("--no-write", action="store_true", help="leave the calibration file as it is")
+
+
+def run(args: argparse.Namespace) -> int:
+    """Excite or read, fit, report, keep."""
+    given = sum(map(bool, (args.bus, args.lockstep, args.logs)))
+    if given != 1:
+        raise ConfigError(f"{given or 'none'} of them", "--bus, --lockstep, --from", "one of them")
+    check_perturb(args, args.lockstep)
+    if args.logs and args.digits:
+        raise ConfigError("together with --from", "--digits", "logs of these digits, or a new motion")
+    if args.seed < 0:
+        raise ConfigError(str(args.seed), "--seed", "0 or more")
+    if not args.bus:
+        check_bus_only(args)
+    if args.logs:
+        return _from_logs(args)
+    plan = make_plan(args, lockstep=args.lockstep)
+    program = ExciteProgram(excitation(plan.hand, tuple(args.digits or plan.hand.digit_names)))
+    path, calibration, why = find_calibration(args, plan.hand)
+    if args.lockstep and not args.calibration:  # nothing of a simulated hand into what the real one is armed with
+        path = _of_simulated(plan.hand)
+    total = sum(step.duration_s for step in program.steps)
+    if args.dry_run:
+        digits = list(dict.fromkeys(step.digit for step in program.steps))
+        line = f"{plan.hand.name}: would move {len(digits)} digits for {total:.0f} s"
+        return told(args, plan, line, digits=digits, seconds=total, commissioning=why)
+    log = args.log or default_log(plan.hand, "identify")
+    about = f"exciting {plan.hand.name} for about {total:.0f} s, one digit at a time"
+    if args.lockstep:
+        calibration, outcome = _in_lockstep(args, plan, program, log, about)
+    else:
+        announce(args, plan, path, calibration)
+        _say(about)
+        known = calibration or ensure_calibration(plan, path, why, run_live, commission_log(log))
+        calibration, outcome = known, run_live(plan, make_controller(plan, program, known, arm_at_once=True), log)
+    outcome.refuse_unfinished(f"identifying {plan.hand.name}, log {log}")
+    with RunLog(log) as record:
+        found = identify(record, plan.hand, _say)
+    return _report(args, plan.hand, {log: found}, path, calibration)
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr)
+
+
+def _in_lockstep(
+    args: argparse.Namespace, plan: Plan, program: ExciteProgram, log: Path, about: str
+) -> tuple[Calibration, Outcome]:
+    """Commission and excite the simulated hand in virtual time."""
+    perturb = assignments(args.perturb, "--perturb")
+    simulator = Simulator(args.hand, seed=args.seed, perturb=perturb, truth=log.with_suffix(".truth"))
+    with simulator.clock(plan.period_ns) as clock:
+        _say(about)
+        return _commission_and_excite(plan, program, log, partial(run_lockstep, clock=clock))
+
+
+def _commission_and_excite(
+    plan: Plan, program: ExciteProgram, log: Path, runner: Runner
+) -> tuple[Calibration, Outcome]:
+    """A new hand is commissioned, then excited."""
+    started = time.monotonic()
+    calibration, _ = commission(plan, commission_log(log), runner)
+    outcome = runner(plan, make_controller(plan, program, calibration, arm_at_once=True), log)
+    simulated = (outcome.offset_ns + outcome.state.k * plan.period_ns) / 1e9
+    _say(f"{simulated:.0f} s of the simulated hand in {time.monotonic() - started:.0f} s")
+    return calibration, outcome
+
+
+def _from_logs(args: argparse.Namespace) -> int:
+    """Recorded runs, no motion; the last log that tells of a tendon counts."""
+    hand = load_hand(args.hand)
+    path = calibration_path(args, hand)
+    if _simulated(args.logs) and not args.calibration:
+        path = _of_simulated(hand)
+    calibration = load_calibration(path, hand) if path.exists() else None
+    found: dict[Path, dict[str, Found]] = {}
+    for log in args.logs:
+        _say(f"reading {log}")
+        with RunLog(log) as record:
+            if logged_hand(record).identity != hand.identity:
+                raise ConfigError("is of another hand", str(log), f"a log of {hand.name} {hand.identity[:12]}")
+            found[log] = {} if args.dry_run else identify(record, hand, _say)
+    if args.dry_run:
+        if args.json:
+            print_json({"hand": hand.name, "logs": list(map(str, found)), "calibration": str(path)})
+        else:
+            say(f"{hand.name}: would identify from {', '.join(map(str, found))}, and write {path}")
+        return Exit.DONE
+    return _report(args, hand, found, path, calibration)
+
+
+def _of_simulated(hand: Hand) -> Path:
+    """Where a simulated hand's calibration goes: not where the real one is armed with it."""
+    return Path(f"{hand.name}.lockstep.calibration.toml")
+
+
+def _simulated(logs: list[Path]) -> bool:
+    """Whether runs are of a simulated hand in lockstep.
+
+    Raises:
+        ConfigError: some are, and some are not.
+    """
+    kinds = {}
+    for log in logs:
+        with RunLog(log) as record:
+            kinds[record.header.deterministic] = log
+    if len(kinds) > 1:
+        raise ConfigError("is of a simulated hand", str(kinds[True]), f"runs of one hand, as {kinds[False]}")
+    return kinds.get(True) is not None
+
+
+def _report(
+    args: argparse.Namespace,
+    hand: Hand,
+    found: dict[Path, dict[str, Found]],
+    path: Path,
+    calibration: Calibration | None,
+) -> int:
+    """The calibration, pictures, numbers."""
+    made = now()
+    known = kept(path, hand, calibration.drive if calibration else {}, notice)
+    spoilt = {one.data.digit: one.blocked for tendons in found.values() for one in tendons.values() if one.blocked}
+    told_anything = False
+    for log, tendons in found.items():
+        new = {name: one.identified(log, made) for name, one in tendons.items()}
+        told_anything = told_anything or any(one is not None for one in new.values())
+        known |= {name: one.beside(known.get(name)) for name, one in new.items() if one is not None}
+    written = calibration is not None and not args.no_write and (told_anything or not spoilt)
+    if calibration is not None and written:
+        write_calibration(path, calibration.model_copy(update={"identified": known}))
+    pictures = _pictures(hand, found, _say)  # they go beside the logs: where they cannot, nothing else is lost
+    for digit, why in spoilt.items():
+        say(f"handctl: nothing of {digit} is kept: {why}; expected a digit that meets nothing", error=True)
+    ended = Exit.FAILED if spoilt else Exit.DONE
+    if args.json:
+        print_json(_told(found, pictures, path if written else None) | {"blocked": spoilt})
+        return ended
+    for log, tendons in found.items():
+        print("\n".join([f"from {log}:", *table(tendons)]))
+    print("pictures: " + ", ".join(map(str, pictures)))
+    if written:
+        print(f"calibration written to {path}\nnext: {_search_command(args, path)}")
+        return ended
+    why = "as asked" if args.no_write else f"there is no {path}: handctl commission first"
+    print(f"no calibration written: {'every digit was blocked' if spoilt and calibration else why}")
+    return ended
+
+
+def _search_command(args: argparse.Namespace, path: Path) -> str:
+    """Return the command that tunes the hand as identified, with the options that the same hand needs."""
+    words = ["handctl", "tune", "search", "--hand", str(args.hand), "--calibration", str(path)]
+    return shlex.join(words + same_hand_words(args))
+
+
+def _pictures(hand: Hand, found: dict[Path, dict[str, Found]], say: Callable[[str], None]) -> list[Path]:
+    pictures = []
+    for log, tendons in found.items():
+        for name, one in tendons.items():
+            picture = log.with_suffix(f".identify-{name}.png")
+            say(f"drawing {picture}")
+            draw(picture, one, f"{hand.name} {name}: {log.name}")
+            pictures.append(picture)
+    return pictures
+
+
+def _told(found: dict[Path, dict[str, Found]], pictures: list[Path], path: Path | None) -> dict[str, Any]:
+    logs = {str(log): {name: one.told() for name, one in tendons.items()} for log, tendons in found.items()}
+    return {"logs": logs, "pictures": pictures, "calibration": path}

@@ -1,0 +1,136 @@
+"""``handctl tune design``: margins before and after, and the gains that have them."""
+
+import argparse
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.console.options import print_json, say
+from handctl.cli.console.plan import layered_gains
+from handctl.cli.console.screen import screen
+from handctl.cli.tuning.tune_files import output_files, plants_of, subject, verify_command, write_gains
+from handctl.controller.bus_load import bus_loads
+from handctl.controller.model import HandModel
+from handctl.errors import ConfigError
+from handctl.session.exit_codes import Exit
+from handctl.session.plan import control_rate
+
+LOWEST_POLE_HZ, MOST_DAMPING = 0.01, 100.0
+
+
+def run(args: argparse.Namespace) -> int:
+    """Design, draw, write."""
+    from handctl.tune.design import Design, design, linear_factors, redesigned
+    from handctl.tune.plots import draw_loops
+    from handctl.tune.steps import Proof
+
+    if args.poles is None and args.damping != 1.0:
+        raise ConfigError(f"{args.damping:g}", "--damping", "only with --poles-Hz, whose poles it damps")
+    hand, twin, spread = subject(args.hand, args.fit)
+    gains = layered_gains(args, hand).gains
+    rate = control_rate(args.rate, hand, bus_loads(hand))
+    out, picture = output_files(args, hand.name, "design")
+    factors = plants_of(args, spread, 1024)
+    plants = tuple(linear_factors(one) for one in factors)
+    model = HandModel.of(twin, gains, rate)
+    proof = Proof(twin, factors, plants, args.seed)
+    with screen(error=True).status(f"keeping margins on {len(plants)} plants"):
+        try:
+            found: Design = (
+                _placed(args, model, plants, rate) if args.poles is not None else design(model, plants, proof)
+            )
+        except ValueError as error:
+            return _nothing(args, str(error))
+        if not found.worst_after.stable or not proof(redesigned(model, found.gains)):
+            return _nothing(args, f"these poles are not stable on every plant{proof.told}")
+        found = found if proof(model) else found.with_unproven_before()
+    after = HandModel.of(twin, found.gains, rate)
+    note = f"tune design at {rate:g} Hz on {len(plants)} plants, seed {args.seed}"
+    write_gains(out, found.gains, hand, note, fit=args.fit)
+    draw_loops(picture, model, after, f"{hand.name} at {rate:g} Hz")
+    good = found.worst_after.enough
+    if args.json:
+        print_json(_plain(found, out, picture, rate, len(plants)))
+    else:
+        _print(found, rate, len(plants))
+        print(f"gains: {out}\npicture: {picture}\nnext: {verify_command(args, out)}")
+    return Exit.DONE if good else Exit.FAILED
+
+
+def _nothing(args: argparse.Namespace, why: str) -> int:
+    """No gains are written."""
+    if args.json:
+        print_json({"gains": None, "picture": None, "enough": False, "why": why})
+    say(f"handctl: tune design: {why}; nothing is written", error=True)
+    return Exit.FAILED
+
+
+def _placed(args: argparse.Namespace, model: HandModel, plants: Any, rate: float) -> Any:
+    """Poles where the person wants them."""
+    from handctl.tune.design import placed
+
+    try:
+        motion, tension = (float(word) for word in args.poles.split(","))
+    except ValueError:
+        raise ConfigError(repr(args.poles), "--poles-Hz", "two numbers, e.g. 6,25") from None
+    if not (LOWEST_POLE_HZ <= motion < rate / 2 and LOWEST_POLE_HZ <= tension < rate / 2):
+        raise ConfigError(args.poles, "--poles-Hz", f"{LOWEST_POLE_HZ:g} to half of the rate, {rate / 2:g}")
+    if not 0 < args.damping <= MOST_DAMPING:
+        raise ConfigError(f"{args.damping:g}", "--damping", f"more than 0, at most {MOST_DAMPING:g}")
+    return placed(model, plants, motion, tension, args.damping)
+
+
+def _plain(found: Any, out: Path, picture: Path, rate: float, plants: int) -> dict[str, Any]:
+    return {
+        "gains": str(out),
+        "picture": str(picture),
+        "rate_hz": rate,
+        "plants": plants,
+        "before": {f"{name}/{kind}": asdict(one) for (name, kind), one in found.before.items()},
+        "after": {f"{name}/{kind}": asdict(one) for (name, kind), one in found.after.items()},
+        "worst_before": asdict(found.worst_before),
+        "worst_after": asdict(found.worst_after),
+        "enough": found.worst_after.enough,
+    }
+
+
+def _print(found: Any, rate: float, plants: int) -> None:
+    from rich import box
+    from rich.table import Table
+
+    title = f"loops at {rate:g} Hz, before \u2192 after; in the last row the least of {plants} plants"
+    table = Table(title=title, box=box.SIMPLE, pad_edge=False)
+    for heading in ("tendon", "loop", "gain dB", "phase deg", "disk", "delay ms", "cross Hz"):
+        table.add_column(heading, no_wrap=True)
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for (name, kind), after in found.after.items():
+        alike.setdefault((str(kind), *_cells(found.before[name, kind], after)), []).append(name)
+    for (kind, *cells), names in alike.items():
+        more = f" + {len(names) - 1}" if len(names) > 1 else ""
+        table.add_row(names[0].removesuffix("_tendon") + more, kind, *cells)
+    table.add_section()
+    table.add_row("worst", "", *_cells(found.worst_before, found.worst_after))
+    screen(least=80).print(table)
+
+
+def _cells(before: Any, after: Any) -> list[str]:
+    from handctl.tune.margins import MOST_DB, MOST_DELAY_S
+
+    def one(margins: Any, name: str, scale: float, digits: int) -> str:
+        most = {"gain_db": MOST_DB, "delay_s": MOST_DELAY_S}.get(name, math.inf)
+        value = getattr(margins, name)
+        if not margins.stable:
+            return "none"
+        return "-" if math.isnan(value) else f"{'>' if value >= most else ''}{value * scale:.{digits}f}"
+
+    def pair(name: str, scale: float = 1.0, digits: int = 1) -> str:
+        return f"{one(before, name, scale, digits)}\u2192{one(after, name, scale, digits)}"
+
+    return [
+        pair("gain_db"),
+        pair("phase_deg", 1.0, 0),
+        pair("disk", 1.0, 2),
+        pair("delay_s", 1e3),
+        pair("crossover_hz", 1.0, 0),
+    ]

@@ -1,0 +1,114 @@
+"""Files that the kinds of ``handctl tune`` read and write alike."""
+
+import argparse
+import shlex
+from pathlib import Path
+from typing import NamedTuple
+
+from handctl.cli.console.options import perturb_words
+from handctl.cli.console.plan import check_perturb
+from handctl.controller.gains import Gains, Provenance, gains_text
+from handctl.controller.identified import identified_hand
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.load import load_hand
+from handctl.output import check_output, named_after, write_whole
+from handctl.session.calibration import identified_in
+from handctl.tune.ensemble import ensemble, widths
+
+
+def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, Path]:
+    """Gains file and picture to write.
+
+    Raises:
+        ConfigError: their folder is not there, they are one, or they are another file of this hand.
+    """
+    out: Path = args.out or Path(f"{hand}.{kind}.toml")
+    own = [Path(f"{hand}.{what}") for what in ("calibration.toml", "gains.toml", "study")]
+    read = (*own, Path(args.hand), args.gains, args.fit, getattr(args, "study", None))
+    check_output(out, "--out", *read)
+    picture: Path = args.picture or named_after(out, ".png")
+    check_output(picture, "--picture", *read)
+    if picture.resolve() == out.resolve():
+        raise ConfigError("is the name of the picture, too", f"--out {out}", "another --out or --picture")
+    return out, picture
+
+
+def checked_count(number: int, option: str, most: int) -> int:
+    """A count from the command line.
+
+    Raises:
+        ConfigError: it is not between 1 and ``most``.
+    """
+    if not 1 <= number <= most:
+        raise ConfigError(str(number), option, f"1 to {most}")
+    return number
+
+
+def plants_of(args: argparse.Namespace, spread: dict[str, float], most: int) -> tuple[dict[str, float], ...]:
+    """Return the factors of the plants to tune on: an ensemble around the hand as it is known.
+
+    Without a calibration it lies around the hand file with the factors of ``--perturb`` on it. An identification of
+    the perturbed hand has found these factors, so that they are not put on top of it.
+
+    Raises:
+        ConfigError: too few or too many plants, or ``--perturb`` is wrong.
+    """
+    perturb = check_perturb(args, simulated=True)
+    plants = ensemble(checked_count(args.plants, "--plants", most), args.seed, spread)
+    if args.fit:
+        return plants
+    return tuple(one | {key: one.get(key, 1.0) * factor for key, factor in perturb.items()} for one in plants)
+
+
+def verify_command(args: argparse.Namespace, out: Path) -> str:
+    """Return the command that verifies new gains in simulation, with the options that the same hand needs."""
+    words = ["handctl", "tune", "verify", str(out), "--lockstep", "--hand", str(args.hand)]
+    words += ["--calibration", str(args.fit)] if args.fit else []
+    return shlex.join(words + same_hand_words(args))
+
+
+def same_hand_words(args: argparse.Namespace) -> list[str]:
+    """Return the options of a verb that a verb after it needs for the same hand: gains, rate, simulated plant."""
+    words = ["--gains", str(args.gains)] if args.gains else []
+    words += [word for gain in args.gain or () for word in ("--gain", gain)]
+    words += ["--rate", f"{args.rate:g}"] if args.rate else []
+    return words + perturb_words(args)
+
+
+def write_gains(path: Path, gains: Gains, hand: Hand, note: str, fit: Path | None = None, study: str = "") -> None:
+    """A gains file that says where it comes from."""
+    told = Provenance(hand=hand.name, identity=hand.identity, note=note, fit=str(fit or ""), study=study)
+    write_whole(path, gains_text(gains, told))
+
+
+class Subject(NamedTuple):
+    """What is tuned.
+
+    Attributes:
+        hand: as in its file, whose name and identity the gains carry.
+        twin: the same with what was identified in the place of what the file says: the controller's model, as with
+            this calibration in a run, and the middle of the ensemble.
+        spread: half widths of the ensemble that the identification asks for; see ``ensemble``.
+    """
+
+    hand: Hand
+    twin: Hand
+    spread: dict[str, float]
+
+
+def subject(name: str, fit: Path | None) -> Subject:
+    """The hand to tune.
+
+    Args:
+        name: of a packaged hand, or its file.
+        fit: calibration file with identified parameters, or None.
+
+    Raises:
+        ConfigError: a file cannot be read, is of another hand, or holds nothing identified.
+    """
+    hand = load_hand(name)
+    if fit is None:
+        return Subject(hand, hand, {})
+    found = identified_in(fit, hand)
+    return Subject(hand, identified_hand(hand, found), widths(found))

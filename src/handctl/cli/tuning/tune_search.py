@@ -1,0 +1,147 @@
+"""``handctl tune search``: the best gains on an ensemble of twins; goes on where it was interrupted."""
+
+import argparse
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.console.options import print_json
+from handctl.cli.console.plan import layered_gains
+from handctl.cli.console.screen import screen
+from handctl.cli.tuning.tune_files import checked_count, output_files, plants_of, subject, verify_command, write_gains
+from handctl.controller.bus_load import bus_loads
+from handctl.controller.gains import Gains
+from handctl.controller.model import HandModel
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.session.exit_codes import Exit
+from handctl.session.plan import control_rate
+
+
+def run(args: argparse.Namespace) -> int:
+    """Search, draw, write."""
+    from handctl.tune.plots import draw_search
+    from handctl.tune.search import Plan, search
+    from handctl.tune.workers import workers
+
+    hand, twin, spread = subject(args.hand, args.fit)
+    gains = layered_gains(args, hand).gains
+    rate = control_rate(args.rate, hand, bus_loads(hand))
+    out, picture = output_files(args, hand.name, "search")
+    plants = plants_of(args, spread, 256)
+    trials = checked_count(args.trials, "--trials", 100_000)
+    crew_size = checked_count(args.workers, "--workers", 64)
+    storage = args.study or Path(f"{hand.name}.study")
+    with _Progress(trials, args.json) as progress:
+        plan = Plan(twin.to_toml(), rate, gains, plants, args.seed, trials, _designed(twin, gains, rate, plants))
+        crew = workers(crew_size, args.scheduler)
+        try:
+            found = search(plan, storage, crew, progress.show)
+        except KeyboardInterrupt as error:
+            raise type(error)(f"interrupted; the same command goes on with {storage}") from None
+        finally:
+            crew.close()
+    draw_search(picture, found, f"{hand.name} at {rate:g} Hz: {len(found.trials)} trials on {len(plants)} plants")
+    if found.best is None:
+        return _nothing_good(args, found, storage, picture, trials)
+    best = plan.gains_of(found.best.number, found.best.values)
+    note = f"tune search, trial {found.best.number} of {len(found.trials)} on {len(plants)} plants, seed {args.seed}"
+    write_gains(out, best, hand, note, fit=args.fit, study=str(storage))
+    result = _result(found, storage, out, picture)
+    if args.json:
+        print_json(result)
+    else:
+        _print(found, result)
+        print(f"next: {verify_command(args, out)}")
+    return Exit.DONE
+
+
+def _nothing_good(args: argparse.Namespace, found: Any, storage: Path, picture: Path, trials: int) -> int:
+    """No gains are written."""
+    if args.json:
+        print_json(_result(found, storage, None, picture))
+    else:
+        print(f"no trial keeps the margins on every plant; look at {picture}, and try --trials {2 * trials}")
+    return Exit.FAILED
+
+
+def _designed(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]) -> tuple[Gains, ...]:
+    """The design for the same plants as a second point to begin from, if there is one."""
+    from handctl.tune.design import design, linear_factors
+
+    try:
+        found = design(HandModel.of(hand, gains, rate), tuple(linear_factors(one) for one in plants))
+    except (ValueError, ConfigError):
+        return ()
+    return (found.as_weights(),)
+
+
+class _Progress:
+    """How far a search is, what the best is, and how long it will take."""
+
+    def __init__(self, trials: int, quiet: bool) -> None:
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = (
+            TextColumn("search"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.description}"),
+        )
+        self._console = screen(error=True)
+        self._bar = Progress(*columns, console=self._console, disable=quiet or not self._console.is_terminal)
+        self._task = self._bar.add_task("designing", total=trials)
+        self._quiet, self._next = quiet, 0.0
+
+    def __enter__(self) -> "_Progress":
+        self._bar.start()
+        if not self._quiet and self._bar.disable:
+            self._console.print("designing the gains to begin with")
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._bar.stop()
+
+    def show(self, found: Any) -> None:
+        """After a trial; without a terminal, a line now and then."""
+        text = f"best {found.cost(found.best):.3f}, trial {found.best.number}" if found.best else "none good yet"
+        self._bar.update(self._task, completed=len(found.trials), description=text)
+        if not self._quiet and self._bar.disable and time.monotonic() >= self._next:
+            self._next = time.monotonic() + 5.0
+            self._console.print(f"trial {len(found.trials)}: {text}")
+
+
+def _result(found: Any, storage: Path, out: Path | None, picture: Path) -> dict[str, Any]:
+    best, first = found.best, found.trials[0]
+    chosen = best and {"trial": best.number, "values": best.values, "score": asdict(best.score)}
+    return {
+        "trials": len(found.trials),
+        "good": sum(one.good for one in found.trials),
+        "best": chosen and chosen | {"cost": found.cost(best)},
+        "first": asdict(first.score),
+        "front": list(found.front),
+        "study": str(storage),
+        "gains": out,
+        "picture": str(picture),
+    }
+
+
+def _print(found: Any, result: dict[str, Any]) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"{result['trials']} trials, {result['good']} good, {len(result['front'])} on the Pareto front")
+    for heading in ("", "where it began", f"trial {found.best.number}"):
+        table.add_column(heading)
+    rows = (
+        ("tracking error [deg rms]", "tracking_deg", 2),
+        ("tension error [N rms]", "tension_N", 2),
+        ("effort [N m/s]", "effort_Nm_per_s", 1),
+        ("peak tension [N]", "peak_tension_N", 0),
+        ("shortfall of margins", "shortfall", 2),
+    )
+    for name, key, digits in rows:
+        table.add_row(name, *(f"{getattr(one.score, key):.{digits}f}" for one in (found.trials[0], found.best)))
+    screen().print(table)
+    screen().print(f"gains: {result['gains']}\npicture: {result['picture']}\nstudy: {result['study']}", soft_wrap=True)

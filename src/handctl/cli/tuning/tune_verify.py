@@ -1,0 +1,175 @@
+"""``handctl tune verify``: new gains on the hand at rising amplitude, with the old ones to fall back on."""
+
+import argparse
+import sys
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from handctl.cli.console.begin import announce
+from handctl.cli.console.dry_run import told
+from handctl.cli.console.options import print_json
+from handctl.cli.console.plan import check_bus_only, check_perturb, find_calibration, make_plan
+from handctl.cli.console.screen import screen
+from handctl.cli.tuning.tune_files import checked_count
+from handctl.errors import ConfigError
+from handctl.session.calibration import ensure_calibration, homed, identified_in
+from handctl.session.exit_codes import Exit
+from handctl.session.gains import assignments, gains_for
+from handctl.session.plan import Plan, check_design, commission_log, default_log
+from handctl.session.run import Outcome, make_controller, run_live, run_lockstep
+from handctl.session.simulate import Simulator
+
+
+def run(args: argparse.Namespace) -> int:
+    """Verify; 0 only if the new gains went through at full amplitude."""
+    from handctl.controller.exercise import Exercise
+    from handctl.tune.verify import AMPLITUDES, Watch
+
+    if bool(args.bus) == args.lockstep:
+        raise ConfigError("one of them is needed", "--bus or --lockstep", "--lockstep for a simulated hand")
+    check_perturb(args, args.lockstep)
+    if args.lockstep:
+        check_bus_only(args)
+    plan = make_plan(args, lockstep=args.lockstep)
+    new = gains_for(plan.hand, args.candidate, plan.tell)
+    check_design(plan.hand, new.gains, plan.rate_hz)
+    old = plan.gains
+    base = old.model_copy(update={"filter": new.gains.filter})
+    if old.filter != new.gains.filter:
+        print("the filter's gains cannot change in a run: both halves use the new ones", file=sys.stderr)
+    if args.dry_run:
+        line = f"{plan.hand.name}: would verify {args.candidate} in {len(AMPLITUDES)} rounds"
+        return told(args, plan, line, gains=args.candidate, amplitudes=AMPLITUDES)
+    log = args.log or default_log(plan.hand, "verify")
+    plan = _with_gains(plan, base, args.candidate)
+    first, runs = args.seed, []
+    for seed in range(first, first + (checked_count(args.seeds, "--seeds", 100) if args.lockstep else 1)):
+        args.seed = seed
+        own = log if seed == first else log.with_stem(f"{log.stem}-seed{seed}")
+        watch = Watch(plan.hand, base, new.gains)
+        outcome, truth = _run(args, plan, Exercise(AMPLITUDES), watch, own)
+        runs.append(_judged(plan, outcome, watch, own, truth))
+        if not runs[-1]["through"]:
+            break
+    args.seed = first
+    return _report(args, runs, outcome)
+
+
+def _with_gains(plan: Plan, gains: Any, candidate: Path) -> Plan:
+    from dataclasses import replace
+
+    return replace(plan, gains=gains, attachments=plan.attachments | {"candidate.toml": candidate.read_bytes()})
+
+
+def _run(args: argparse.Namespace, plan: Plan, program: Any, watch: Any, log: Path) -> tuple[Outcome, Path | None]:
+    if not args.lockstep:
+        path, calibration, why = find_calibration(args, plan.hand)
+        announce(args, plan, path, calibration)
+        if calibration is None:
+            calibration = ensure_calibration(plan, path, why, run_live, commission_log(log))
+        return run_live(plan, make_controller(plan, program, calibration, True), log, attendant=watch), None
+    calibration = homed(plan.hand, identified_in(args.calibration, plan.hand))
+    truth = log.with_suffix(".truth")
+    perturb = assignments(args.perturb, "--perturb")
+    with Simulator(args.hand, None, args.seed, perturb, homed=True, truth=truth).clock(plan.period_ns) as clock:
+        return run_lockstep(plan, make_controller(plan, program, calibration, True), log, clock, watch), truth
+
+
+def _judged(plan: Plan, outcome: Outcome, watch: Any, log: Path, truth_file: Path | None) -> dict[str, Any]:
+    """What one run came to."""
+    from handctl.log.read.reader import RunLog
+    from handctl.report.truth import read_truth
+    from handctl.tune.plots import draw_verify
+    from handctl.tune.verify import AMPLITUDES, scores
+
+    truth = read_truth(truth_file) if truth_file else None
+    with RunLog(log) as record:
+        rounds = scores(record, plan.hand, truth, outcome.offset_ns)
+        picture = log.with_suffix(".png")
+        draw_verify(picture, record, plan.hand, truth, outcome.offset_ns, watch.returned)
+    return {
+        "through": watch.returned is None and not outcome.state.failure and len(rounds) == len(AMPLITUDES),
+        "returned": asdict(watch.returned) if watch.returned else None,
+        "failure": outcome.state.failure,
+        "rounds": rounds,
+        "judged_by": "truth" if truth else "estimates",
+        "log": str(log),
+        "picture": str(picture),
+    }
+
+
+def _report(args: argparse.Namespace, runs: list[dict[str, Any]], outcome: Outcome) -> int:
+    """Say what all runs came to; the table is that of the last one."""
+    from handctl.tune.verify import compare
+
+    last = runs[-1]
+    columns = compare([one["rounds"] for one in runs]) if last["through"] else []
+    worse = [column.name for column in columns if column.verdict == "worse"]
+    verified = last["through"] and (args.accept_worse or not worse)
+    result = {key: value for key, value in last.items() if key != "through"} | {
+        "verified": verified,
+        "columns": [asdict(column) for column in columns],
+        "worse": worse,
+        "rounds": [asdict(one) for one in last["rounds"]],
+        "runs": len(runs),
+        "logs": [one["log"] for one in runs],
+    }
+    if args.json:
+        print_json(result)
+    else:
+        _print(result, last["rounds"], args)
+    if outcome.exit != Exit.DONE:
+        return outcome.exit
+    return Exit.DONE if verified else Exit.FAILED
+
+
+def _print_columns(result: dict[str, Any]) -> None:
+    runs = result["runs"]
+    how = f"spread of {runs} seeds" if runs > 1 else "one run, spread assumed"
+    for one in result["columns"]:
+        change = f"{one['old']:.2f} -> {one['new']:.2f} {one['unit']}, difference +-{one['spread']:.2f} ({how})"
+        print(f"{one['name']}: {one['verdict']}, {change}")
+
+
+def _print(result: dict[str, Any], rounds: Iterable[Any], args: argparse.Namespace) -> None:
+    from rich.table import Table
+
+    from handctl.tune.verify import AMPLITUDES
+
+    table = Table(title=f"judged by the {result['judged_by']}")
+    for heading in ("gains", "amplitude", "tracking [deg]", "tension [N]", "effort [N m/s]", "peak tension [N]"):
+        table.add_column(heading)
+    for i, (one, amplitude) in enumerate(zip(rounds, AMPLITUDES, strict=False)):
+        numbers = (one.tracking_deg, one.tension_N, one.effort_Nm_per_s, one.peak_tension_N)
+        table.add_row(_who(i, result["returned"]), f"{amplitude:g}", *(f"{number:.2f}" for number in numbers))
+    console = screen()
+    console.print(table)
+    back = result["returned"]
+    if back:
+        console.print(
+            f"back to the old gains at {back['t_s']:.3f} s (tick {back['k']}), "
+            f"amplitude {back['amplitude']:g}: {back['why']}"
+        )
+    if result.get("columns"):
+        _print_columns(result)
+    if result.get("worse") and not result["verified"]:
+        print(f"not verified: {', '.join(result['worse'])} worse than with the old gains; --accept-worse takes that")
+    if result["verified"]:
+        console.print(f"verified; to use them: handctl gains apply {args.candidate} --hand {args.hand}", soft_wrap=True)
+    if result["failure"]:
+        console.print(f"the run failed: {result['failure']}")
+    console.print(f"log: {result['log']}\npicture: {result['picture']}", soft_wrap=True)
+
+
+def _who(number: int, back: dict[str, Any] | None) -> str:
+    """Whose gains a round of the exercise was done with."""
+    from handctl.tune.verify import AMPLITUDES, OLD_ROUNDS
+
+    if number < OLD_ROUNDS:
+        return "old"
+    if back is None:
+        return "new"
+    end = OLD_ROUNDS + AMPLITUDES[OLD_ROUNDS:].index(back["amplitude"])
+    return "new" if number < end else "new, then old" if number == end else "old again"
