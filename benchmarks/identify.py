@@ -28,8 +28,8 @@ from handctl.log.read.reader import RunLog
 from handctl.session.plan import Plan, fastest
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import Simulator
-from handctl.tune.excitation import excitation
-from handctl.tune.identify import Found, identify
+from handctl.tune.identify.excitation import excitation
+from handctl.tune.identify.identify import Found, identify
 
 Row = dict[str, Any]
 

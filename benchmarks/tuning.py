@@ -27,11 +27,11 @@ from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
 from handctl.hand.description import Hand
 from handctl.session.plan import fastest
-from handctl.tune.design import linear_factors, worst_of
-from handctl.tune.ensemble import ensemble
-from handctl.tune.search import Found, Plan, search
+from handctl.tune.loops.design import linear_factors, worst_of
+from handctl.tune.search.ensemble import ensemble
+from handctl.tune.search.search import Found, Plan, search
+from handctl.tune.search.workers import Workers, workers
 from handctl.tune.trial import Score, exercise
-from handctl.tune.workers import Workers, workers
 
 PLANT = {"stiffness": 0.7, "friction": 1.3, "mass": 1.3, "spring": 1.1, "motor_inertia": 0.7, "damping": 1.3}
 """The real plant, fixed before anything was tuned."""

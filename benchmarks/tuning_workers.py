@@ -17,8 +17,8 @@ from typing import Any
 from handctl.controller.gain_bounds import with_values
 from handctl.controller.gains import Gains
 from handctl.hand.load import load_hand
-from handctl.tune.ensemble import ensemble
-from handctl.tune.workers import Processes
+from handctl.tune.search.ensemble import ensemble
+from handctl.tune.search.workers import Processes
 
 Row = dict[str, Any]
 

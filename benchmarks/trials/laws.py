@@ -14,7 +14,7 @@ from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.hand.digit import DigitModel, Values
 from handctl.hand.dynamics import damping_torque, required_torque, spring_torque, static_torque
-from handctl.paper import equations
+from handctl.paper.model import equations
 
 NO_FORCE_LOOP = {"disturbance_rejection": 0.0, "tension_feedback": 0.0}
 

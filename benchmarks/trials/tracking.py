@@ -19,9 +19,9 @@ import numpy as np
 
 from handctl.controller.model import HandModel
 from handctl.report.summary import mean_angles
-from handctl.tune.design import keeps, linear_factors
-from handctl.tune.ensemble import ensemble
-from handctl.tune.linear import LoopKind
+from handctl.tune.loops.design import keeps, linear_factors
+from handctl.tune.loops.linear import LoopKind
+from handctl.tune.search.ensemble import ensemble
 from trials import force, force_page, page, tracking_page
 from trials.hands import CLEAR, known
 from trials.jobs import Plan, add_options, collect, plan_of

@@ -61,7 +61,7 @@ class EscapedStream:
 
     def __init__(self, stream: Any) -> None:
         self.rich_proxied_file = stream
-        """The stream itself: ``rich`` writes its own escapes there, see ``cli.console.screen`` for what is printed with it."""
+        """The stream itself: ``rich`` writes its own escapes there; see ``cli.console.screen``."""
 
     def write(self, text: str) -> int:
         """Write escaped text."""

@@ -13,8 +13,8 @@ import pytest
 from handctl.cli.console.ended import Terminated, ended_by_signals
 from handctl.cli.console.screen import screen
 from handctl.cli.main import main
-from handctl.paper.pool import pool
-from handctl.tune.workers import Processes
+from handctl.paper.bench.pool import pool
+from handctl.tune.search.workers import Processes
 
 VERSION = (sys.executable, "-m", "handctl.cli", "--version")
 BUFFERED = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
@@ -130,7 +130,7 @@ def test_a_search_that_is_interrupted_says_how_it_goes_on(monkeypatch, capsys):
     def interrupted(*words):
         os.kill(os.getpid(), signal.SIGTERM)
 
-    monkeypatch.setattr("handctl.tune.search.search", interrupted)
+    monkeypatch.setattr("handctl.tune.search.search.search", interrupted)
     monkeypatch.setattr("handctl.cli.tuning.tune_search._designed", lambda *words: ())
     assert main(["tune", "search", "--plants", "1", "--json"]) == 143
     assert capsys.readouterr() == ("", "handctl: interrupted; the same command goes on with jamia.study\n")
@@ -151,7 +151,7 @@ def test_the_ctrl_c_of_a_terminal_is_not_for_workers(monkeypatch, workers):
 
 
 def test_a_worker_of_the_paper_leaves_no_folder(place):
-    command = [sys.executable, "-m", "handctl.paper.worker"]
+    command = [sys.executable, "-m", "handctl.paper.bench.worker"]
     worker = subprocess.Popen(command, env=os.environ | {"TMPDIR": str(place)}, stdin=subprocess.PIPE, stderr=-1)
     while not list(place.glob("handctl-paper-*")):
         assert worker.poll() is None

@@ -18,7 +18,7 @@ from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.log.write.writer import LogWriter
 from handctl.session.calibration import write_calibration
-from handctl.tune.search import Found, Trial
+from handctl.tune.search.search import Found, Trial
 from handctl.tune.trial import Score
 from tests.cli.refused import refused
 
@@ -30,7 +30,7 @@ A = Namespace(candidate="new.toml", hand="jamia")
 def searched(monkeypatch):
     """A search that is over at once, with the trials that are put into it."""
     trials = []
-    monkeypatch.setattr("handctl.tune.search.search", lambda *words: Found.of(tuple(trials)))
+    monkeypatch.setattr("handctl.tune.search.search.search", lambda *words: Found.of(tuple(trials)))
     monkeypatch.setattr("handctl.cli.tuning.tune_search._designed", lambda *words: ())
     return trials
 
@@ -48,7 +48,7 @@ def test_a_design_without_stable_gains_writes_nothing(place, capsys, monkeypatch
     def refuses(*words):
         raise ValueError("no authority keeps the margins")
 
-    monkeypatch.setattr("handctl.tune.design.design", refuses)
+    monkeypatch.setattr("handctl.tune.loops.design.design", refuses)
     assert main(["tune", "design", "--plants", "1", *words]) == 1
     said = capsys.readouterr()
     assert said.err == "handctl: tune design: no authority keeps the margins; nothing is written\n"
@@ -57,7 +57,7 @@ def test_a_design_without_stable_gains_writes_nothing(place, capsys, monkeypatch
 
 
 def test_poles_that_are_not_stable_in_simulation_are_not_written(place, capsys, monkeypatch):
-    monkeypatch.setattr("handctl.tune.steps.Proof._ask", lambda self, model: ": plant 1 of 1 swings by 9 N")
+    monkeypatch.setattr("handctl.tune.loops.steps.Proof._ask", lambda self, model: ": plant 1 of 1 swings by 9 N")
     assert main(["tune", "design", "--plants", "1", "--poles-Hz", "5,25"]) == 1
     assert "not stable on every plant: plant 1 of 1 swings by 9 N; nothing is written" in capsys.readouterr().err
     assert not list(place.iterdir())
@@ -104,7 +104,7 @@ def test_a_commissioning_log_that_is_there_is_no_obstacle(place):
 def test_an_excited_digit_that_met_something_is_spoilt():
     from handctl.controller.types import Event
     from handctl.log.read.moments import LoggedEvent, PhaseChange
-    from handctl.tune.identify import blocked
+    from handctl.tune.identify.identify import blocked
 
     event = LoggedEvent(50, 10**9, Event("info", "blocked", "middle", "middle is blocked: 7.0 N"))
     phases = [PhaseChange(0, 0, "start"), PhaseChange(40, 0, "index sweep"), PhaseChange(60, 0, "ring sweep")]

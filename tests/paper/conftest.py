@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from handctl.hand.tendons import TendonLaw
-from handctl.paper import payload
 from handctl.paper import sources as src
+from handctl.paper.bench import payload
 from handctl.paper.figures.all import draw_all
 
 

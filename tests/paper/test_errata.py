@@ -8,9 +8,10 @@ import sympy as sp
 
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import gravity_torque, inverse_dynamics
-from handctl.paper import equations, kinematics, lagrange, motion, sections
+from handctl.paper import sections
 from handctl.paper import sources as src
 from handctl.paper.item import Item, Verdict
+from handctl.paper.model import equations, kinematics, lagrange, motion
 
 PARAMETERS = sp.symbols("I1:4 m1:4 L1:4 d1:4 g", positive=True)
 ANGLES = [sp.Function(f"f{i}")(sp.Symbol("t")) for i in (1, 2, 3)]

@@ -14,7 +14,8 @@ import pytest
 
 from handctl.errors import HandctlError
 from handctl.hand.load import load_hand
-from handctl.paper import experiments, force_displacement, payload, pool, sections
+from handctl.paper import sections
+from handctl.paper.bench import experiments, force_displacement, payload, pool
 from handctl.report.truth import Truth
 
 ROOT = Path(__file__).parents[2]

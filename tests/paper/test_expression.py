@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import sympy
 
-from handctl.paper import equations
-from handctl.paper.expression import DimensionError, Expression, pretty_name, shown
-from handctl.paper.lagrange import DIMENSIONS, JOULE, random_states
+from handctl.paper.model import equations
+from handctl.paper.model.expression import DimensionError, Expression, pretty_name, shown
+from handctl.paper.model.lagrange import DIMENSIONS, JOULE, random_states
 
 TERMS = [*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ())]
 FORMULAS = sorted({expression.text for term in TERMS for expression in (*term.readings, term.right)})

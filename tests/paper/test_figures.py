@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from handctl.paper import kinematics, page
+from handctl.paper import page
 from handctl.paper.figures.all import contents
+from handctl.paper.model import kinematics
 
 
 @pytest.fixture

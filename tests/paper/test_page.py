@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from handctl.cli.main import main
-from handctl.paper import experiments, page, payload, sections
+from handctl.paper import page, sections
+from handctl.paper.bench import experiments, payload
 from handctl.paper.item import Verdict
 
 ROOT = Path(__file__).parents[2]

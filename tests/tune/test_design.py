@@ -9,9 +9,9 @@ from scipy.signal import cont2discrete
 from handctl.controller.gains import Gains
 from handctl.controller.identified import Identified
 from handctl.controller.model import HandModel
-from handctl.tune.design import design, keeps, linear_factors, placed, redesigned, with_poles, worst_of
-from handctl.tune.ensemble import LEAST_SPREAD, ensemble, widths
-from handctl.tune.linear import LoopKind, PlantFactors
+from handctl.tune.loops.design import design, keeps, linear_factors, placed, redesigned, with_poles, worst_of
+from handctl.tune.loops.linear import LoopKind, PlantFactors
+from handctl.tune.search.ensemble import LEAST_SPREAD, ensemble, widths
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])

@@ -15,12 +15,12 @@ from handctl.errors import ConfigError
 from handctl.hand.dynamics import DigitModel
 from handctl.hand.load import load_hand
 from handctl.session.calibration import write_calibration
-from handctl.tune.excitation import excitation, lift_off
-from handctl.tune.fit import NAMES
-from handctl.tune.fit_load import Bins, DigitLoad, LoadParameters
-from handctl.tune.fit_motor import HALF_S, _bend, _cumulative, _slope, _window
-from handctl.tune.identifiability import _why
-from handctl.tune.identify_figure import _parameters
+from handctl.tune.identify.excitation import excitation, lift_off
+from handctl.tune.identify.figure import _parameters
+from handctl.tune.identify.fit import NAMES
+from handctl.tune.identify.fit_load import Bins, DigitLoad, LoadParameters
+from handctl.tune.identify.fit_motor import HALF_S, _bend, _cumulative, _slope, _window
+from handctl.tune.identify.identifiability import _why
 
 SEEDS = 100
 COVERED = 90

@@ -7,7 +7,7 @@ import numpy as np
 from handctl.controller.types import Mode
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.tune.identify_data import LATE_S, STOP_DEG, tendon_data
+from handctl.tune.identify.data import LATE_S, STOP_DEG, tendon_data
 
 GRASP = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 

@@ -7,9 +7,9 @@ import pytest
 from control import frd, stability_margins
 
 from handctl.controller.model import HandModel
-from handctl.tune import linear
-from handctl.tune.linear import LoopKind, PlantFactors, controller, loop, plant
-from handctl.tune.margins import grid, margins, step_response
+from handctl.tune.loops import linear
+from handctl.tune.loops.linear import LoopKind, PlantFactors, controller, loop, plant
+from handctl.tune.loops.margins import grid, margins, step_response
 
 KINDS = list(LoopKind)
 

@@ -13,11 +13,11 @@ import pytest
 from handctl.controller.gains import Gains, MotionGains
 from handctl.errors import ConfigError
 from handctl.hand.load import load_hand
-from handctl.tune.ensemble import ensemble
-from handctl.tune.search import RANDOM_BATCHES, Found, Plan, Trial, _sampler, _study, search
-from handctl.tune.space import SPACE, within
+from handctl.tune.search.ensemble import ensemble
+from handctl.tune.search.search import RANDOM_BATCHES, Found, Plan, Trial, _sampler, _study, search
+from handctl.tune.search.space import SPACE, within
+from handctl.tune.search.workers import Cluster, Here, Processes, Workers
 from handctl.tune.trial import Score, evaluate
-from handctl.tune.workers import Cluster, Here, Processes, Workers
 
 TRIALS = 3
 

@@ -9,11 +9,11 @@ import pytest
 from handctl.controller.gains import Gains
 from handctl.controller.model import HandModel
 from handctl.hand.load import hand_from, load_hand, packaged_hands
-from handctl.tune.design import Design, design, linear_factors, unlike_tendons
-from handctl.tune.ensemble import ensemble
-from handctl.tune.linear import LoopKind, System, _half_closed, controller, loop
-from handctl.tune.margins import MOST_DB, Margins, confirmed, is_stable, margins
-from handctl.tune.steps import Proof, Swing, swing
+from handctl.tune.loops.design import Design, design, linear_factors, unlike_tendons
+from handctl.tune.loops.linear import LoopKind, System, _half_closed, controller, loop
+from handctl.tune.loops.margins import MOST_DB, Margins, confirmed, is_stable, margins
+from handctl.tune.loops.steps import Proof, Swing, swing
+from handctl.tune.search.ensemble import ensemble
 from tests.conftest import NIGHTLY
 
 HANDS = packaged_hands()

@@ -4,8 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from handctl.paper import assumptions, force_displacement, kinematics, lagrange, motion, payload, statics, text
+from handctl.paper.bench import force_displacement, payload
 from handctl.paper.item import Item, Verdict
+from handctl.paper.model import assumptions, kinematics, lagrange, motion, statics, text
 
 TITLE = "The source paper, all of it"
 REFERENCE = (

@@ -11,9 +11,9 @@ from handctl.log.read.reader import RunLog
 from handctl.output import save_figure
 from handctl.report.summary import mean_angles
 from handctl.report.truth import Truth
-from handctl.tune.linear import LoopKind, loop
-from handctl.tune.margins import GAIN_MARGIN_DB, PHASE_MARGIN_DEG, grid, step_response
-from handctl.tune.search import Found
+from handctl.tune.loops.linear import LoopKind, loop
+from handctl.tune.loops.margins import GAIN_MARGIN_DB, PHASE_MARGIN_DEG, grid, step_response
+from handctl.tune.search.search import Found
 from handctl.tune.verify import OLD_ROUNDS, Return
 
 BEFORE, AFTER, GREY = "#d9822b", "#3b6fb6", "#9a9a9a"

@@ -20,7 +20,7 @@ from handctl.hand.load import hand_from
 from handctl.report.summary import mean_angles, rms
 from handctl.report.truth import Truth, read_truth
 from handctl.session.simulate import Simulator, homed_controller, simulate
-from handctl.tune.design import linear_factors, worst_of
+from handctl.tune.loops.design import linear_factors, worst_of
 
 Array = NDArray[np.float64]
 

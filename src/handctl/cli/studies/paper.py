@@ -14,11 +14,11 @@ from handctl.hand.formats.mjcf import mjcf
 from handctl.hand.formats.urdf import urdf
 from handctl.hand.load import load_hand
 from handctl.output import check_output, write_whole
-from handctl.paper.experiments import Job, count, load_results, measure, name, shortened
+from handctl.paper.bench.experiments import Job, count, load_results, measure, name, shortened
+from handctl.paper.bench.pool import pool
 from handctl.paper.figures.all import draw_all
 from handctl.paper.item import Verdict
 from handctl.paper.page import markdown, plain, report, value
-from handctl.paper.pool import pool
 from handctl.paper.sections import Section, sections, tally
 from handctl.session.exit_codes import Exit
 

@@ -34,9 +34,9 @@ from handctl.session.gains import assignments
 from handctl.session.plan import Plan, commission_log, default_log
 from handctl.session.run import Outcome, Runner, make_controller, run_live, run_lockstep
 from handctl.session.simulate import Simulator
-from handctl.tune.excitation import excitation
-from handctl.tune.identify import Found, identify, now, table
-from handctl.tune.identify_figure import draw
+from handctl.tune.identify.excitation import excitation
+from handctl.tune.identify.figure import draw
+from handctl.tune.identify.identify import Found, identify, now, table
 
 EXAMPLE = "handctl identify --hand jamia --lockstep --digits thumb --calibration /tmp/identified.calibration.toml"
 

@@ -21,9 +21,8 @@ LOWEST_POLE_HZ, MOST_DAMPING = 0.01, 100.0
 
 def run(args: argparse.Namespace) -> int:
     """Design, draw, write."""
-    from handctl.tune.design import Design, design, linear_factors, redesigned
+    from handctl.tune.loops.design import Design, design, linear_factors, redesigned
     from handctl.tune.plots import draw_loops
-    from handctl.tune.steps import Proof
 
     if args.poles is None and args.damping != 1.0:
         raise ConfigError(f"{args.damping:g}", "--damping", "only with --poles-Hz, whose poles it damps")
@@ -68,7 +67,7 @@ def _nothing(args: argparse.Namespace, why: str) -> int:
 
 def _placed(args: argparse.Namespace, model: HandModel, plants: Any, rate: float) -> Any:
     """Poles where the person wants them."""
-    from handctl.tune.design import placed
+    from handctl.tune.loops.design import placed
 
     try:
         motion, tension = (float(word) for word in args.poles.split(","))
@@ -115,7 +114,7 @@ def _print(found: Any, rate: float, plants: int) -> None:
 
 
 def _cells(before: Any, after: Any) -> list[str]:
-    from handctl.tune.margins import MOST_DB, MOST_DELAY_S
+    from handctl.tune.loops.margins import MOST_DB, MOST_DELAY_S
 
     def one(margins: Any, name: str, scale: float, digits: int) -> str:
         most = {"gain_db": MOST_DB, "delay_s": MOST_DELAY_S}.get(name, math.inf)

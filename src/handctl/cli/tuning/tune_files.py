@@ -14,7 +14,7 @@ from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.output import check_output, named_after, write_whole
 from handctl.session.calibration import identified_in
-from handctl.tune.ensemble import ensemble, widths
+from handctl.tune.search.ensemble import ensemble, widths
 
 
 def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, Path]:

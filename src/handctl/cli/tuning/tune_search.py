@@ -22,8 +22,8 @@ from handctl.session.plan import control_rate
 def run(args: argparse.Namespace) -> int:
     """Search, draw, write."""
     from handctl.tune.plots import draw_search
-    from handctl.tune.search import Plan, search
-    from handctl.tune.workers import workers
+    from handctl.tune.search.search import Plan, search
+    from handctl.tune.search.workers import workers
 
     hand, twin, spread = subject(args.hand, args.fit)
     gains = layered_gains(args, hand).gains
@@ -68,7 +68,7 @@ def _nothing_good(args: argparse.Namespace, found: Any, storage: Path, picture: 
 
 def _designed(hand: Hand, gains: Gains, rate: float, plants: tuple[dict[str, float], ...]) -> tuple[Gains, ...]:
     """The design for the same plants as a second point to begin from, if there is one."""
-    from handctl.tune.design import design, linear_factors
+    from handctl.tune.loops.design import design, linear_factors
 
     try:
         found = design(HandModel.of(hand, gains, rate), tuple(linear_factors(one) for one in plants))

@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from handctl.paper.bench.force_displacement import curves
 from handctl.paper.figures import hand, measured, model, path, statics, torques
 from handctl.paper.figures.style import draw
-from handctl.paper.force_displacement import curves
 
 Content = Callable[[Any], None]
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from handctl.paper import payload
 from handctl.paper import sources as src
+from handctl.paper.bench import payload
+from handctl.paper.bench.force_displacement import Curve
 from handctl.paper.figures.style import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
-from handctl.paper.force_displacement import Curve
 
 SIZE_FORCE = (7.6, 5.0)
 SIZE_PAYLOAD = (9.6, 6.4)

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 
 from handctl.hand.kinematics import points
-from handctl.paper import kinematics
 from handctl.paper import sources as src
 from handctl.paper.figures.style import BLUE, GREY, ORANGE
+from handctl.paper.model import kinematics
 
 SIZE = (9.6, 5.0)
 POSE_DEG = (25.0, 30.0, 35.0)

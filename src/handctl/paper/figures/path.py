@@ -8,8 +8,8 @@ from scipy.ndimage import binary_closing, gaussian_filter
 from handctl.hand.digit import Array
 from handctl.hand.inverse_kinematics import coordinate_limits
 from handctl.hand.kinematics import points
-from handctl.paper import kinematics
 from handctl.paper.figures.style import BLUE, GREY, RED
+from handctl.paper.model import kinematics
 
 SIZE = (9.6, 4.5)
 CELL_MM = 0.25

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from handctl.paper.figures.style import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
-from handctl.paper.motion import CLOSED_DEG, DURATIONS_S, PARTS, closing, first_torque
+from handctl.paper.model.motion import CLOSED_DEG, DURATIONS_S, PARTS, closing, first_torque
 
 SIZE = (9.6, 9.0)
 SIZE_EQ10 = (9.0, 3.6)

@@ -12,10 +12,10 @@ from scipy.stats import t as student
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.dynamics import DigitModel
-from handctl.tune.fit_load import Bins, DigitLoad, LoadParameters, bins
-from handctl.tune.fit_motor import MotorWindows, motor_windows
-from handctl.tune.identify_data import Array, TendonData
-from handctl.tune.solve import solve
+from handctl.tune.identify.data import Array, TendonData
+from handctl.tune.identify.fit_load import Bins, DigitLoad, LoadParameters, bins
+from handctl.tune.identify.fit_motor import MotorWindows, motor_windows
+from handctl.tune.identify.solve import solve
 
 NAMES = (
     "torque_gain", "motor_inertia", "motor_viscous", "motor_coulomb", "delay",

@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from typing import IO
 
 from handctl.errors import HandctlError
-from handctl.paper.experiments import Job, Result, Workers
+from handctl.paper.bench.experiments import Job, Result, Workers
 
-WORKER = "handctl.paper.worker"
+WORKER = "handctl.paper.bench.worker"
 Child = subprocess.Popen[str]
 Report = Callable[[Job, bool], None]
 """Told of each job when it begins (False) and when it is done (True)."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.controller.model import HandModel
-from handctl.tune.linear import NOMINAL, LoopKind, Matrix, PlantFactors, System, loop, plant
+from handctl.tune.loops.linear import NOMINAL, LoopKind, Matrix, PlantFactors, System, loop, plant
 
 GAIN_MARGIN_DB = 6.0
 PHASE_MARGIN_DEG = 45.0

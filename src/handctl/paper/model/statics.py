@@ -4,8 +4,8 @@ import math
 from fractions import Fraction
 
 from handctl.paper import sources as src
-from handctl.paper.expression import NONE, Dimension, DimensionError, Expression
 from handctl.paper.item import Item
+from handctl.paper.model.expression import NONE, Dimension, DimensionError, Expression
 from handctl.paper.verdict import interval, of_carried, of_contradiction, of_number, of_statement
 
 ARITHMETIC = ("arithmetic",)

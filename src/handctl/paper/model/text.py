@@ -5,11 +5,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from handctl.paper import equations
 from handctl.paper import sources as src
-from handctl.paper.equations import Term
 from handctl.paper.item import Item
-from handctl.paper.lagrange import DIMENSIONS, TOLERANCE, random_states
+from handctl.paper.model import equations
+from handctl.paper.model.equations import Term
+from handctl.paper.model.lagrange import DIMENSIONS, TOLERANCE, random_states
 from handctl.paper.verdict import of_number, of_readings, of_statement
 
 COUNT = ("count",)

@@ -7,7 +7,7 @@ import numpy as np
 from handctl.hand.digit import Array
 from handctl.paper import sources as src
 from handctl.paper.item import Item
-from handctl.paper.kinematics import digit
+from handctl.paper.model.kinematics import digit
 from handctl.paper.verdict import of_number, of_statement
 
 STATICS = ("statics",)

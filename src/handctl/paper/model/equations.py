@@ -6,7 +6,7 @@ entry where the print allows it: an operator is missing, or a bracket never clos
 
 from dataclasses import dataclass
 
-from handctl.paper.expression import Expression
+from handctl.paper.model.expression import Expression
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,9 +7,9 @@ import numpy as np
 
 from handctl.controller.identified import UNITS
 from handctl.output import save_figure
-from handctl.tune.fit import NAMES, on_stop
-from handctl.tune.fit_load import LoadParameters
-from handctl.tune.identify import BAND_HZ, Found
+from handctl.tune.identify.fit import NAMES, on_stop
+from handctl.tune.identify.fit_load import LoadParameters
+from handctl.tune.identify.identify import BAND_HZ, Found
 
 MEASURED, MODEL, WARN = "#3b6fb6", "#d9822b", "#999999"
 

@@ -16,9 +16,9 @@ from typing import Any
 from handctl.controller.gain_bounds import with_values
 from handctl.controller.gains import Gains
 from handctl.errors import ConfigError
-from handctl.tune.space import SPACE, within
+from handctl.tune.search.space import SPACE, within
+from handctl.tune.search.workers import Workers
 from handctl.tune.trial import Score
-from handctl.tune.workers import Workers
 
 BATCH = 8
 """Trials asked at once; more workers than this would wait."""

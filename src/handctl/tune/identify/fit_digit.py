@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import inverse_dynamics
-from handctl.tune.fit import LEAST, MOST, NAMES, PRIOR, VAGUE, Fit
-from handctl.tune.fit_load import FRICTION_MOST
-from handctl.tune.identify_data import Array, TendonData
-from handctl.tune.solve import Solution, solve
+from handctl.tune.identify.data import Array, TendonData
+from handctl.tune.identify.fit import LEAST, MOST, NAMES, PRIOR, VAGUE, Fit
+from handctl.tune.identify.fit_load import FRICTION_MOST
+from handctl.tune.identify.solve import Solution, solve
 
 SHARED = ("spring_stiffness", "spring_preload", "joint_damping", "link_mass")
 """Factors on the hand file for the whole digit; a capstan coefficient for every tendon follows."""

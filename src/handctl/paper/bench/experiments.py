@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.errors import ConfigError
-from handctl.paper import force_displacement, payload
+from handctl.paper.bench import force_displacement, payload
 
 Job = Mapping[str, Any]
 Result = Mapping[str, Any]

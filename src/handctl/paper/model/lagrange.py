@@ -13,10 +13,10 @@ import numpy as np
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.dynamics import inverse_dynamics
 from handctl.hand.load import load_hand
-from handctl.paper import equations
-from handctl.paper.equations import Term
-from handctl.paper.expression import Dimension, DimensionError
 from handctl.paper.item import Item, Verdict
+from handctl.paper.model import equations
+from handctl.paper.model.equations import Term
+from handctl.paper.model.expression import Dimension, DimensionError
 from handctl.paper.verdict import of_readings, of_statement
 
 STATES = 200

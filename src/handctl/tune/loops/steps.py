@@ -16,9 +16,9 @@ from handctl.controller.model import HandModel
 from handctl.controller.types import Mode
 from handctl.hand.description import Hand
 from handctl.report.truth import Truth
-from handctl.tune.design import weakest
-from handctl.tune.ensemble import LEAST_SPREAD
-from handctl.tune.linear import Matrix, PlantFactors
+from handctl.tune.loops.design import weakest
+from handctl.tune.loops.linear import Matrix, PlantFactors
+from handctl.tune.search.ensemble import LEAST_SPREAD
 from handctl.tune.trial import Reality, simulated
 
 STEP_RAD = 0.15

@@ -58,7 +58,7 @@ class Processes:
     def _start() -> "subprocess.Popen[bytes]":
         # One core each: numerical libraries that start threads of their own would fight over the cores.
         environment = os.environ | dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-        command = [sys.executable, "-m", "handctl.tune.worker"]
+        command = [sys.executable, "-m", "handctl.tune.search.worker"]
         # Out of reach of the terminal's Ctrl-C, also while it imports.
         return subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, start_new_session=True

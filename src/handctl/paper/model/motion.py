@@ -8,10 +8,10 @@ from handctl.controller.trajectory import MinimumJerk
 from handctl.hand import dynamics
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.tendons import reflected_inertia
-from handctl.paper import equations
 from handctl.paper import sources as src
 from handctl.paper.item import Item
-from handctl.paper.lagrange import finger_states, printed_sum
+from handctl.paper.model import equations
+from handctl.paper.model.lagrange import finger_states, printed_sum
 from handctl.paper.verdict import of_readings, of_statement
 
 CLOSED_DEG = 60.0

@@ -16,7 +16,7 @@ import numpy as np
 
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import gravity_torque, mass_matrix
-from handctl.tune.identify_data import Array, Mask, TendonData
+from handctl.tune.identify.data import Array, Mask, TendonData
 
 BIN_S = 0.01
 """Samples are averaged over this long: motion is slow beside it, and a fit has a fifth of the rows."""

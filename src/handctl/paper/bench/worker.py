@@ -7,7 +7,7 @@ import tempfile
 from pathlib import Path
 
 from handctl.errors import HandctlError
-from handctl.paper.experiments import do
+from handctl.paper.bench.experiments import do
 
 
 def main() -> None:

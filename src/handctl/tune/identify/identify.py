@@ -14,10 +14,10 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.log.read.moments import phase_of_each
 from handctl.log.read.reader import RunLog
-from handctl.tune.fit import NAMES, Fit, Problem, fit
-from handctl.tune.fit_digit import Balance, fit_digit, joined
-from handctl.tune.identifiability import Identifiability, excitation_coherence, identifiability
-from handctl.tune.identify_data import Array, TendonData, tendon_data
+from handctl.tune.identify.data import Array, TendonData, tendon_data
+from handctl.tune.identify.fit import NAMES, Fit, Problem, fit
+from handctl.tune.identify.fit_digit import Balance, fit_digit, joined
+from handctl.tune.identify.identifiability import Identifiability, excitation_coherence, identifiability
 
 BAND_HZ = (0.7, 6.0)
 """Band over which coherence is averaged: that of the swing."""

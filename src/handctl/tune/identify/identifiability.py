@@ -11,8 +11,8 @@ from scipy.signal import coherence
 
 from handctl.controller.identified import UNITS
 from handctl.hand.file.sections import Tendon
-from handctl.tune.fit import INFORMED, NAMES, SCALE_DELAY_S, Fit
-from handctl.tune.identify_data import Array, TendonData
+from handctl.tune.identify.data import Array, TendonData
+from handctl.tune.identify.fit import INFORMED, NAMES, SCALE_DELAY_S, Fit
 
 CORRELATED = 0.95
 SEGMENTS = 6

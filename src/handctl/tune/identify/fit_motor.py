@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handctl.tune.identify_data import Array, TendonData
+from handctl.tune.identify.data import Array, TendonData
 
 HALF_S, HALF_LEAST = 0.022, 6
 """Half the length of a window [s]: passes what a hand's motor does, and ten load-cell samples at 500 Hz; and its least

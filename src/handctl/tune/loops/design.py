@@ -19,8 +19,8 @@ from handctl.controller.model import HandModel
 from handctl.controller.motion_design import bearable, design_motion
 from handctl.document import validated
 from handctl.errors import ConfigError
-from handctl.tune.linear import LoopKind, PlantFactors, System, controller, joined, plant
-from handctl.tune.margins import Margins, all_margins, confirmed, margins, unproven, worse
+from handctl.tune.loops.linear import LoopKind, PlantFactors, System, controller, joined, plant
+from handctl.tune.loops.margins import Margins, all_margins, confirmed, margins, unproven, worse
 
 LEAST_FORCE_N, MOST_FORCE_N = 0.2, 400.0
 STRIDE, STEPS = math.log(1.7), 5

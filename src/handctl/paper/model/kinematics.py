@@ -8,9 +8,9 @@ from handctl.hand.digit import Array, DigitModel
 from handctl.hand.inverse_kinematics import inverse
 from handctl.hand.kinematics import forward, points, to_palm
 from handctl.paper import sources as src
-from handctl.paper.expression import Expression
 from handctl.paper.item import Item
-from handctl.paper.lagrange import TOLERANCE, deviation
+from handctl.paper.model.expression import Expression
+from handctl.paper.model.lagrange import TOLERANCE, deviation
 from handctl.paper.verdict import of_statement
 
 EQ1 = Expression("30*cos(theta) + 15*cos(2*theta) + 10*cos(3*theta)")

@@ -1,0 +1,1 @@
+"""The control loops as linear systems: designed, with their margins."""
