@@ -184,7 +184,7 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
         held = own_N if tried.gains.tension.integral_per_s == 0.0 else loop_N
         return Swing(0.0, 0.0, held if least else 0.0)
 
-    monkeypatch.setattr("handctl.tune.steps.swing", fake)
+    monkeypatch.setattr("handctl.tune.loops.steps.swing", fake)
     proof = proof_of(model)
     assert proof(model) == good
     assert ("0.5 of the friction swings" in proof.told) != good
@@ -196,7 +196,9 @@ def test_what_fails_on_the_plant_with_the_least_friction_is_refused(
     """Also where the same run without feedback fails: then nothing is known of the plant's own swing."""
     lost = Swing(math.inf, math.inf, math.inf, "N14b")
     still = Swing(0.0, 0.0, 0.0)
-    monkeypatch.setattr("handctl.tune.steps.swing", lambda hand, m, f, s: lost if f == {"friction": 0.5} else still)
+    monkeypatch.setattr(
+        "handctl.tune.loops.steps.swing", lambda hand, m, f, s: lost if f == {"friction": 0.5} else still
+    )
     proof = proof_of(jamia)
     assert not proof(jamia)
     assert "N14b" in proof.told

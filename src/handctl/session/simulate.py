@@ -24,6 +24,9 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_path
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, Peer, load_peer
 
+CHECK_NS = 2_000_000
+"""Period of a simulated hand that is built only to see whether it can be [ns]."""
+
 
 class SimulatedHand(Peer, Protocol):
     """The simulated hand as an object: the other side of the wire, which takes faults.
@@ -98,6 +101,11 @@ class Simulator:
             yield cast(SimulatedHand, peer)
         finally:
             peer.close()
+
+    def check(self) -> None:
+        """Build the simulated hand only to see whether it can be; see ``peer``."""
+        with self.peer(CHECK_NS):
+            pass
 
     @contextmanager
     def clock(self, period_ns: int) -> Iterator[LockstepClock]:

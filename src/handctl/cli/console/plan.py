@@ -9,10 +9,9 @@ from handctl.cli.console.progress import progress
 from handctl.controller.calibration import Calibration
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.hand.load import hand_path
 from handctl.output import check_output
-from handctl.runtime.lockstep import SIMULATED_HAND, load_peer
 from handctl.session import calibration, gains, plan
+from handctl.session.simulate import Simulator
 
 
 def make_plan(args: argparse.Namespace, lockstep: bool = False) -> plan.Plan:
@@ -98,13 +97,8 @@ def check_perturb(args: argparse.Namespace, simulated: bool) -> dict[str, float]
     if factors and not simulated:
         raise ConfigError("only with --lockstep", "--perturb", "a simulator with it: python -m firmware_sim --perturb")
     if factors:
-        peer = load_peer(SIMULATED_HAND, hand_path=str(hand_path(args.hand)), period_ns=CHECK_NS, perturb=factors)
-        peer.close()
+        Simulator(args.hand, perturb=factors).check()
     return factors
-
-
-CHECK_NS = 2_000_000
-"""Period of a simulated hand that is made only to see whether it can be [ns]."""
 
 
 def check_bus_only(args: argparse.Namespace) -> None:

@@ -92,8 +92,7 @@ def _run(args: argparse.Namespace) -> int:
     assignments(args.perturb, "--perturb")
     known = identified_in(args.calibration, plan.hand)
     if args.dry_run:
-        with _simulator(args, None).peer(plan.period_ns):
-            pass
+        _simulator(args, None).check()
         line = f"{plan.hand.name}: {task.name} on {args.scene}, {plan.rate_hz:g} Hz"
         return told(args, plan, line, task=task.name, scene=args.scene)
     log = args.log or default_log(plan.hand, "demo")

@@ -22,6 +22,7 @@ LOWEST_POLE_HZ, MOST_DAMPING = 0.01, 100.0
 def run(args: argparse.Namespace) -> int:
     """Design, draw, write."""
     from handctl.tune.loops.design import Design, design, linear_factors, redesigned
+    from handctl.tune.loops.steps import Proof
     from handctl.tune.plots import draw_loops
 
     if args.poles is None and args.damping != 1.0:
