@@ -29,6 +29,17 @@ def statics(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[floa
     return static_torque(digit, q)
 
 
+def springs(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
+    """Springs, without gravity."""
+    return spring_torque(digit, q)
+
+
+def weightless(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
+    """The whole inverse dynamics, without gravity."""
+    parts = zip(required_torque(digit, q, dq, ddq), static_torque(digit, q), spring_torque(digit, q), strict=True)
+    return tuple(whole - static + spring for whole, static, spring in parts)
+
+
 def misprinted(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
     """Eq. 10 to 12 as the paper prints them, in their first reading, instead of the links' dynamics.
 
@@ -112,6 +123,13 @@ def _changed(controller: Controller, inverse: Inverse, raw: bool) -> Controller:
 
 SPRINGS = {"inertia_share": 0.0, "friction_share": 0.0, **NO_FORCE_LOOP}
 MOTOR = {"friction_share": 0.0, **NO_FORCE_LOOP}
+GRAVITY_LAWS = {
+    "PD and springs": Law(springs, SPRINGS),
+    "PD and springs, + gravity": Law(statics, SPRINGS),
+    "computed torque without gravity": Law(weightless, NO_FORCE_LOOP),
+    "computed torque": Law(required_torque, NO_FORCE_LOOP),
+}
+"""Two pairs of laws that differ in gravity alone, for a hand that lies on its side."""
 LAWS = {
     "PD alone": Law(nothing, SPRINGS),
     "+ gravity and springs": Law(statics, SPRINGS),

@@ -20,7 +20,7 @@ from handctl.controller.types import TELEMETRY_FIELDS, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.report.truth import Truth, read_truth
 from handctl.session.simulate import Simulator
-from trials.hands import CLEAR, file_of, known
+from trials.hands import file_of, known, packaged
 
 RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
 """Default control rates: what one classical CAN bus carries."""
@@ -122,7 +122,7 @@ class Course:
 
 def run(trial: Trial) -> Course:
     """Run a trial; the same trial gives the same course, bit for bit."""
-    hand, rate = known(trial.hand), trial.rate_hz or RATES_HZ[trial.hand.removesuffix(CLEAR)]
+    hand, rate = known(trial.hand), trial.rate_hz or RATES_HZ[packaged(trial.hand)]
     controller = trial.change(make_controller(hand, trial.gains, rate, trial.program, None, arm_at_once=True))
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "truth"

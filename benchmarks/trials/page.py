@@ -10,7 +10,7 @@ Each section is written by the benchmark named in it, from runs of the real cont
 lockstep, against the plant's truth. The plant's effects and the objects are fixed in the benchmarks; its physics is
 never changed to suit a result. What is weak is said.
 """
-ORDER = ("estimation", "tracking", "force", "tip", "grasps")
+ORDER = ("estimation", "tracking", "gravity", "force", "tip", "grasps")
 
 
 def write(part: str, text: str) -> None:
