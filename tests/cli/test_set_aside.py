@@ -2,8 +2,8 @@
 
 import pytest
 
-from handctl.cli.console.plan import commission_log
 from handctl.cli.runs import demo
+from handctl.session.plan import commission_log
 
 FIRST, SECOND = "run.commission.mcap", "run.commission-2.mcap"
 

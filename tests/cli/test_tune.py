@@ -8,12 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from handctl.cli.main import main
 from handctl.cli.tuning.identify import configure
 from handctl.cli.tuning.tune_verify import _print
-from handctl.controller.calibration import Calibration, TendonCalibration
+from handctl.controller.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.log.write.writer import LogWriter
@@ -171,6 +172,48 @@ def test_what_a_simulated_hand_is_made_of_is_not_kept_for_the_real_one(place, ca
     assert own.read_bytes() == before
     assert main(["identify", "--lockstep", "--calibration", own.name, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["calibration"] == own.name
+
+
+def found_of(digit, stiffness, blocked=""):
+    """A fit of a digit's tendon: what it would keep, and what the digit met while it was excited."""
+    from handctl.tune.identify.fit import NAMES
+    from handctl.tune.identify.identify import Found
+
+    names = ("rope_stiffness",)
+    values = dict.fromkeys(NAMES, 1.0) | {"rope_stiffness": stiffness}
+    problem = SimpleNamespace(nominal=np.ones(len(NAMES)))
+    fit = SimpleNamespace(problem=problem, covariance=np.eye(len(NAMES)), values=values, half_widths=values)
+    judged = SimpleNamespace(names=names, missing=())
+    return Found(SimpleNamespace(digit=digit), fit, judged, 1.0, (np.zeros(1), np.zeros(1)), blocked=blocked)
+
+
+@pytest.mark.parametrize("others", [(), ("ring",), ("ring", "thumb")])
+def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, others):
+    """Springs of 3.05 were found for 1.2 where fingers touched each other, and were kept."""
+    hand, path = load_hand("jamia"), place / "own.toml"
+    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    rows = dict.fromkeys(hand.tendon_names, nothing)
+    made = Calibration(hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows)
+    before = made.model_copy(update={"identified": {"index_tendon": found_of("index", 9e4).identified(Path("a"), "t")}})
+    write_calibration(path, before)
+    known = path.read_bytes()
+    found = {f"{name}_tendon": found_of(name, 8e4) for name in others}
+    found["index_tendon"] = found_of("index", 3.05e5, "middle is blocked: 7.0 N at 3.1 s, in its sweep")
+    outcome = SimpleNamespace(refuse_unfinished=lambda where: None)
+    monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
+    monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
+    monkeypatch.setattr("handctl.cli.tuning.identify.identify", lambda *words: found)
+    monkeypatch.setattr("handctl.cli.tuning.identify._pictures", lambda *words: [])
+    monkeypatch.setattr("handctl.cli.tuning.identify.table", lambda tendons: [])
+    assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
+    said = capsys.readouterr()
+    assert "nothing of index is kept: middle is blocked" in said.err
+    kept = load_calibration(path, hand).identified
+    assert kept["index_tendon"].values == (9e4,)
+    assert {name: one.values for name, one in kept.items() if name != "index_tendon"} == {
+        f"{name}_tendon": (8e4,) for name in others
+    }
+    assert others or path.read_bytes() == known
 
 
 @pytest.mark.parametrize("words", [("--out", "x.png"), ("--out", "x.toml", "--picture", "./x.toml")])

@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from handctl.tune.solve import BLOCK_S, MOST_ROWS, _blocks, _covariance
+from handctl.tune.identify.solve import BLOCK_S, MOST_ROWS, _blocks, _covariance
 
 
 @pytest.mark.parametrize("seed", range(20))
