@@ -25,11 +25,11 @@ from trials.plants import PLANTS, TO_CONTACT
 from trials.script import Script, Step
 from trials.windows import REGIMES, windows
 
-from handctl.controller.gains import Gains
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.model import HandModel
-from handctl.controller.task import Task
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
 from handctl.document import validated
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Task
 
 HANDS = ("jamia", "jamia11")
 MOVES = Script(

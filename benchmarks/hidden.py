@@ -16,7 +16,7 @@ from typing import Any
 
 from handctl.campaign.stage import TASK, hand_in, started
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.safety.action import Action
 from handctl.session.plan import fastest
 from handctl.session.simulate import Simulation

@@ -18,13 +18,13 @@ from pathlib import Path
 from typing import Any
 
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.excite import ExciteProgram
-from handctl.controller.gain_bounds import with_values
-from handctl.controller.gains import Gains
-from handctl.controller.identified import DIGIT_KEYS
+from handctl.core.gains.bounds import with_values
+from handctl.core.gains.gains import Gains
+from handctl.core.identified import DIGIT_KEYS
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
+from handctl.programs.excite import ExciteProgram
 from handctl.session.plan import Plan, fastest
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import Simulator

@@ -7,11 +7,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import ClassVar
 
-from handctl.controller.gains import Gains
-from handctl.controller.grasp import TaskProgram
 from handctl.controller.setup import make_controller
-from handctl.controller.task import load_task
+from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import load_task
 from handctl.session.simulate import Simulator
 
 RATES = {"jamia": 500.0, "jamia11": 200.0}

@@ -22,9 +22,9 @@ from typing import Any
 
 from handctl.cli.tuning.tune_files import subject
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.gain_bounds import flat, with_values
-from handctl.controller.gains import Gains
-from handctl.controller.model import HandModel
+from handctl.core.gains.bounds import flat, with_values
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
 from handctl.hand.description import Hand
 from handctl.session.plan import fastest
 from handctl.tune.loops.design import linear_factors, worst_of

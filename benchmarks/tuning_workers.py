@@ -14,8 +14,8 @@ import time
 from pathlib import Path
 from typing import Any
 
-from handctl.controller.gain_bounds import with_values
-from handctl.controller.gains import Gains
+from handctl.core.gains.bounds import with_values
+from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
 from handctl.tune.search.ensemble import ensemble
 from handctl.tune.search.workers import Processes

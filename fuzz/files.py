@@ -8,10 +8,8 @@ from typing import Any
 
 from fuzz.mutate import Source, mutated, places
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.calibration import calibration_from
-from handctl.controller.gains import Gains, GainsFile, Provenance
-from handctl.controller.identified import identified_hand
-from handctl.controller.task import Task, trajectory_from
+from handctl.core.gains.gains import Gains, GainsFile, Provenance
+from handctl.core.identified import identified_hand
 from handctl.document import validated
 from handctl.drives.registry import make_drive
 from handctl.errors import HandctlError
@@ -19,6 +17,8 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import HANDS, hand_from, load_hand, packaged_hands, read_toml
+from handctl.programs.calibration import calibration_from
+from handctl.programs.task import Task, trajectory_from
 from handctl.session.tasks import check_suits
 
 Target = Callable[[bytes], bool]

@@ -12,12 +12,12 @@ import tempfile
 from pathlib import Path
 
 from fuzz.soak import SIZE_MIB_PER_H, TASK, Sample, sample, slope
-from handctl.controller.gains import Gains
-from handctl.controller.grasp import TaskProgram
 from handctl.controller.setup import make_controller
-from handctl.controller.task import load_task
-from handctl.controller.types import TickIn, TickOut
+from handctl.core.gains.gains import Gains
+from handctl.core.types import TickIn, TickOut
 from handctl.hand.load import load_hand
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import load_task
 from handctl.runtime.mailbox import STOP
 from handctl.session.plan import Plan
 from handctl.session.run import run_lockstep

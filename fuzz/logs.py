@@ -9,7 +9,7 @@ from mcap.opcode import Opcode
 
 from fuzz import files
 from fuzz.mutate import Source
-from handctl.controller.types import TELEMETRY_FIELDS
+from handctl.core.types import TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.read.logfile import LogFile
 from handctl.log.read.messages_in import definitions

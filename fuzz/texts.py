@@ -8,7 +8,7 @@ from firmware_sim.description import load_hand as load_simulated
 from firmware_sim.fault_text import KINDS, parse_fault
 from fuzz.files import one_line
 from fuzz.mutate import Source
-from handctl.controller.requests import parse_request
+from handctl.programs.requests import parse_request
 
 Target = Callable[[bytes], bool]
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from grasps.trial import Run, hand_model, simulate
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.task import Task
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Task
 
 CONTACT_N, WITHIN_S = 1.0, 0.020
 SPEED_DEG_S = (20.0, 100.0)

@@ -6,8 +6,8 @@ import numpy as np
 
 from grasps.objects import CASES
 from grasps.trial import simulate, task_program
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.task import Hold
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Hold
 
 PAPER_KG = 0.915
 """Source: the paper's section 5: 18 N at friction 0.5."""

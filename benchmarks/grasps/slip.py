@@ -6,8 +6,8 @@ import numpy as np
 
 from grasps.objects import CASES
 from grasps.trial import simulate, task_program
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.task import Hold
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Hold
 
 START_S, RATE_N_PER_S, LAST_S = 6.0, 2.0, 14.0
 SLIPPERY = {"jamia": 0.3, "jamia11": 0.2}

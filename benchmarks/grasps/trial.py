@@ -9,13 +9,13 @@ import numpy as np
 from firmware_sim.mjcf import STEP_S
 from firmware_sim.plant import Plant
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.gains import Gains
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.model import HandModel
-from handctl.controller.program import Program
-from handctl.controller.task import Hold
-from handctl.controller.types import Event, Mode
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Event, Mode
 from handctl.hand.load import load_hand
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.program import Program
+from handctl.programs.task import Hold
 from handctl.session.plan import fastest
 from handctl.session.simulate import Simulator, homed_controller
 from handctl.session.tasks import find_task

@@ -4,14 +4,14 @@ import select
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from handctl.controller.gains import Gains
-from handctl.controller.program import Progress, motion_to
-from handctl.controller.types import Mode
+from handctl.core.gains.gains import Gains
+from handctl.core.types import Mode
 from handctl.hand.formats.urdf import urdf
 from handctl.hand.load import load_hand
 from handctl.log.header import RunHeader
 from handctl.log.record import pack
 from handctl.log.write.recorder import Recorder
+from handctl.programs.program import Progress, motion_to
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clock import RealClock, take_priority
 from handctl.runtime.loop import Loop

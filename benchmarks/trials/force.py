@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from handctl.controller.gains import Gains, MotionGains, TensionGains
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.task import Task
+from handctl.core.gains.gains import Gains, MotionGains, TensionGains
 from handctl.document import validated
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Task
 from trials import plants
 from trials.jobs import Plan, collect
 from trials.laws import force_scale, on_raw_tension

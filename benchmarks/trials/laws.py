@@ -5,13 +5,13 @@ from functools import partial
 
 import numpy as np
 
-from handctl.controller.estimator import Estimate, Measured
-from handctl.controller.filter_state import FilterState
-from handctl.controller.gains import Gains, MotionGains
-from handctl.controller.model import Inverse
-from handctl.controller.motion_design import bearable
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
+from handctl.core.estimation.estimator import Estimate, Measured
+from handctl.core.estimation.filter_state import FilterState
+from handctl.core.gains.gains import Gains, MotionGains
+from handctl.core.gains.motion_design import bearable
+from handctl.core.model import Inverse
 from handctl.hand.digit import DigitModel, Values
 from handctl.hand.dynamics import damping_torque, required_torque, spring_torque, static_torque
 from handctl.paper.model import equations

@@ -8,7 +8,7 @@ springs, or presses on a stiff object. Solved by ``scipy``, beside the controlle
 import numpy as np
 from scipy.linalg import expm, solve_discrete_are
 
-from handctl.controller.model import HandModel
+from handctl.core.model import HandModel
 
 MOTOR_N_M, MOTOR_S = 10e-3, 0.05
 JOINT_N_M, JOINT_S = 5e-3, 0.02

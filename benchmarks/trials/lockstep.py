@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.filter_stack import FilterDesign
-from handctl.controller.filter_state import FilterState
-from handctl.controller.gains import Gains
-from handctl.controller.program import Program
 from handctl.controller.setup import make_controller
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
-from handctl.controller.types import TELEMETRY_FIELDS, Mode, TickIn, TickOut
+from handctl.core.estimation.filter_stack import FilterDesign
+from handctl.core.estimation.filter_state import FilterState
+from handctl.core.gains.gains import Gains
+from handctl.core.types import TELEMETRY_FIELDS, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
+from handctl.programs.program import Program
 from handctl.report.truth import Truth, read_truth
 from handctl.session.simulate import Simulator
 from trials.hands import file_of, known, packaged

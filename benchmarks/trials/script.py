@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handctl.controller.estimator import Estimate, Measured
-from handctl.controller.goal import DigitGoal, Kind
-from handctl.controller.live import LiveProgram
-from handctl.controller.model import HandModel
-from handctl.controller.program import Progress, motion_to
-from handctl.controller.types import Event
+from handctl.core.estimation.estimator import Estimate, Measured
+from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.model import HandModel
+from handctl.core.types import Event
+from handctl.programs.live import LiveProgram
+from handctl.programs.program import Progress, motion_to
 
 
 @dataclass(frozen=True)

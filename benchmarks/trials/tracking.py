@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handctl.controller.model import HandModel
+from handctl.core.model import HandModel
 from handctl.report.summary import mean_angles
 from handctl.tune.loops.design import keeps, linear_factors
 from handctl.tune.loops.linear import LoopKind

@@ -16,7 +16,7 @@ import numpy as np
 import psutil
 import synthetic
 
-from handctl.controller.types import IoEvent, Mode, TickIn, TickOut
+from handctl.core.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.log.read.reader import RunLog
 from handctl.log.record import pack

@@ -16,11 +16,11 @@ from numbers import Real
 from types import TracebackType
 from typing import Any, Self
 
-from handctl.controller.requests import REFUSED, HoldTension, MoveDigits
-from handctl.controller.types import LETTING_GO
+from handctl.core.types import LETTING_GO
 from handctl.document import validated
 from handctl.errors import BusError, ConfigError, DriveError, PowerError, UnconfirmedError
 from handctl.printing import escaped
+from handctl.programs.requests import REFUSED, HoldTension, MoveDigits
 from handctl.runtime.asking import ANSWER_S, confirmed, follow_to_the_end, is_off
 from handctl.runtime.buses.open import real_buses
 from handctl.runtime.mailbox import LARGEST, Watcher, answers

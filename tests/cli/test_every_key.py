@@ -9,7 +9,7 @@ import tomllib
 import pytest
 
 from handctl.cli.main import main
-from handctl.controller.gains import Gains
+from handctl.core.gains.gains import Gains
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import HANDS, load_hand
 from tests.hand.test_refusals import changed, is_number, leaves, said

@@ -9,10 +9,10 @@ import time
 import pytest
 
 from handctl.cli.main import main
-from handctl.controller.calibration import Calibration, TendonCalibration
-from handctl.controller.gains import Gains, Provenance, gains_text
+from handctl.core.gains.gains import Gains, Provenance, gains_text
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
+from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.session.calibration import write_calibration
 from tests.runtime.processes import scaled
 

@@ -6,8 +6,8 @@ from typing import cast
 import pytest
 
 from handctl.cli.main import main
-from handctl.controller.gains import Gains
 from handctl.controller.state import State
+from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
 from handctl.runtime.loop import LoopStats
 from handctl.session import pace

@@ -14,10 +14,10 @@ import pytest
 from handctl.cli.main import main
 from handctl.cli.tuning.identify import configure
 from handctl.cli.tuning.tune_verify import _print
-from handctl.controller.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.log.write.writer import LogWriter
+from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.session.calibration import write_calibration
 from handctl.tune.search.search import Found, Trial
 from handctl.tune.trial import Score
@@ -103,7 +103,7 @@ def test_a_commissioning_log_that_is_there_is_no_obstacle(place):
 
 
 def test_an_excited_digit_that_met_something_is_spoilt():
-    from handctl.controller.types import Event
+    from handctl.core.types import Event
     from handctl.log.read.moments import LoggedEvent, PhaseChange
     from handctl.tune.identify.identify import blocked
 

@@ -131,7 +131,7 @@ def test_a_dry_run_of_gains_tells_them(place, capsys):
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
     """A small log of a run that ended well."""
-    from handctl.controller.types import TELEMETRY_AXES, Mode, Telemetry, TickIn, TickOut
+    from handctl.core.types import TELEMETRY_AXES, Mode, Telemetry, TickIn, TickOut
     from handctl.hand.load import load_hand
     from handctl.log.header import RunHeader
     from handctl.log.record import pack

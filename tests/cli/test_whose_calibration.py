@@ -8,12 +8,12 @@ import pytest
 from handctl.cli.console.begin import announce
 from handctl.cli.console.plan import make_plan
 from handctl.cli.main import main
-from handctl.controller.calibration import load_calibration
-from handctl.controller.live import JogProgram
-from handctl.controller.requests import MoveDigits
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
+from handctl.programs.calibration import load_calibration
+from handctl.programs.live import JogProgram
+from handctl.programs.requests import MoveDigits
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepClock, load_peer
 from handctl.session.calibration import commission, kept, write_calibration
 from handctl.session.run import make_controller, run_lockstep

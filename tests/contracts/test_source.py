@@ -71,6 +71,12 @@ def test_a_controller_meets_the_simulator_in_one_place() -> None:
     assert found == {"src/handctl/runtime/lockstep.py", "src/handctl/session/simulate.py"}
 
 
+def test_no_folder_has_more_modules_than_one_look_takes_in() -> None:
+    for folder in {path.parent for path in sources("src")}:
+        modules = [path for path in folder.glob("*.py") if path.stem != "__init__"]
+        assert len(modules) <= 14, f"{folder.relative_to(ROOT)} has {len(modules)} modules"
+
+
 def test_no_rubbish_drawers_and_nothing_left_for_later() -> None:
     for path in sources("src", "firmware_sim"):
         assert path.stem not in {"utils", "util", "common", "helpers", "misc"}, path

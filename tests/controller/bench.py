@@ -10,15 +10,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from handctl.controller.model import HandModel
-from handctl.controller.program import Program
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
-from handctl.controller.types import Event, IoEvent, Mode, TickIn, TickOut
+from handctl.core.model import HandModel
+from handctl.core.types import Event, IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.sensors.node import SensorNode
 from handctl.hand.description import Hand
+from handctl.programs.program import Program
 from tests.drives.motor import ScriptedMotor
 
 SUBSTEPS = 4

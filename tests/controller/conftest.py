@@ -2,8 +2,8 @@
 
 import pytest
 
-from handctl.controller.gains import Gains
-from handctl.controller.model import HandModel
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
 from handctl.hand.load import load_hand
 
 DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}

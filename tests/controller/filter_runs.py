@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from handctl.controller import estimator
-from handctl.controller.estimator import Estimate, Measured
-from handctl.controller.filter_stack import STATES, Regime, S, X
-from handctl.controller.filter_state import FilterState
-from handctl.controller.model import HandModel
+from handctl.core.estimation import estimator
+from handctl.core.estimation.estimator import Estimate, Measured
+from handctl.core.estimation.filter_stack import STATES, Regime, S, X
+from handctl.core.estimation.filter_state import FilterState
+from handctl.core.model import HandModel
 from tests.controller.synthetic import nothing_read
 
 

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from handctl.controller.goal import DigitGoal, Kind
-from handctl.controller.model import HandModel
-from handctl.controller.trajectory import MinimumJerk
+from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.trajectory import MinimumJerk
+from handctl.core.model import HandModel
 
 
 def moving(

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from handctl.controller.filter_stack import STATES, Block, D, E, O, Regime, V, W
-from handctl.controller.model import HandModel
+from handctl.core.estimation.filter_stack import STATES, Block, D, E, O, Regime, V, W
+from handctl.core.model import HandModel
 
 SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
 """Units in which the states are of the order of one."""

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 
-from handctl.controller.gains import Gains
-from handctl.controller.model import HandModel
-from handctl.controller.program import Program
-from handctl.controller.types import Event, Mode
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Event, Mode
 from handctl.hand.load import load_hand
+from handctl.programs.program import Program
 from handctl.session.simulate import Simulator, homed_controller
 
 RATE_HZ = 250.0

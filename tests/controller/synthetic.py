@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from handctl.controller.estimator import Estimate, Measured
-from handctl.controller.filter_stack import STATES, S, V, W, X
-from handctl.controller.model import HandModel
-from handctl.controller.statics import load_statics
+from handctl.core.estimation.estimator import Estimate, Measured
+from handctl.core.estimation.filter_stack import STATES, S, V, W, X
+from handctl.core.estimation.statics import load_statics
+from handctl.core.model import HandModel
 
 
 def known(model: HandModel, x: np.ndarray) -> Estimate:

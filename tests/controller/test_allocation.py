@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from handctl.controller.allocation import REGULARISATION, allocate, bounded
+from handctl.core.law.allocation import REGULARISATION, allocate, bounded
 from handctl.hand.digit import DigitModel
 from handctl.hand.load import load_hand
 

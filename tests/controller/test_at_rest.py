@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from handctl.controller.computed_torque import Command
-from handctl.controller.live import LiveProgram
-from handctl.controller.model import HandModel
-from handctl.controller.types import Mode
+from handctl.core.law.computed_torque import Command
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
+from handctl.programs.live import LiveProgram
 from handctl.safety.watch import STUCK_GOAL_MM
 from tests.controller.bench import controller
 

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.controller.guard import RELAXED_S
-from handctl.controller.live import LiveProgram
-from handctl.controller.model import HandModel
-from handctl.controller.types import Mode
+from handctl.controller.watch.guard import RELAXED_S
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
+from handctl.programs.live import LiveProgram
 from tests.controller.bench import Bench, bench
 
 

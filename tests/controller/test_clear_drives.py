@@ -2,11 +2,11 @@
 
 import pytest
 
-from handctl.controller.gains import Gains
-from handctl.controller.live import LiveProgram
-from handctl.controller.model import HandModel
-from handctl.controller.types import Mode
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
 from handctl.hand.load import load_hand
+from handctl.programs.live import LiveProgram
 from tests.controller.bench import Bench, bench
 
 COMMUNICATION_LOST = 0xD

@@ -7,17 +7,17 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from handctl.controller.calibration import Calibration, load_calibration
-from handctl.controller.commission import CROSSTALK_SHARE, PULL_FORCE_LIMIT_N, PULL_N, CommissionProgram, result
-from handctl.controller.estimator import Measured
-from handctl.controller.gains import Gains
-from handctl.controller.goal import Kind
-from handctl.controller.model import HandModel
-from handctl.controller.program import Progress
-from handctl.controller.types import Mode
+from handctl.core.estimation.estimator import Measured
+from handctl.core.gains.gains import Gains
+from handctl.core.law.goal import Kind
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
 from handctl.drives.frame import Frame
 from handctl.errors import ConfigError
 from handctl.hand.load import hand_from, load_hand
+from handctl.programs.calibration import Calibration, load_calibration
+from handctl.programs.commission import CROSSTALK_SHARE, PULL_FORCE_LIMIT_N, PULL_N, CommissionProgram, result
+from handctl.programs.program import Progress
 from tests.controller.bench import Bench, bench
 from tests.controller.synthetic import nothing_read, slack, under
 from tests.hand.many import fifteen_motors

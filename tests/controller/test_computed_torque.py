@@ -8,15 +8,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.controller.computed_torque import INTEGRAL_LIMIT_N, LawState, step
-from handctl.controller.estimator import Estimate
-from handctl.controller.filter_stack import STATES, S, V, W, X
-from handctl.controller.gains import Gains, MotionGains
-from handctl.controller.goal import DigitGoal, Kind
-from handctl.controller.law_constants import UNWIND_SHARE
-from handctl.controller.model import HandModel, _torque_limit
-from handctl.controller.statics import load_statics, tendon_efficiency
-from handctl.controller.trajectory import MinimumJerk
+from handctl.core.estimation.estimator import Estimate
+from handctl.core.estimation.filter_stack import STATES, S, V, W, X
+from handctl.core.estimation.statics import load_statics, tendon_efficiency
+from handctl.core.gains.gains import Gains, MotionGains
+from handctl.core.law.computed_torque import INTEGRAL_LIMIT_N, LawState, step
+from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.law_constants import UNWIND_SHARE
+from handctl.core.law.trajectory import MinimumJerk
+from handctl.core.model import HandModel, _torque_limit
 from handctl.hand.load import load_hand
 from tests.controller.goals import holding, moving
 from tests.controller.synthetic import at_rest, known

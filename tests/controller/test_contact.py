@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from handctl.controller.contact import USUAL_S, averaged, grown
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.model import HandModel
-from handctl.controller.task import Task
+from handctl.core.model import HandModel
+from handctl.programs.contact import USUAL_S, averaged, grown
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Task
 from tests.controller.plant_run import model_of, run_on_plant
 
 WALL = """name = "wall"

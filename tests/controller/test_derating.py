@@ -7,10 +7,10 @@ import pytest
 
 from handctl.campaign.scenarios import GRASP
 from handctl.campaign.stage import bring, hand_in, started
-from handctl.controller.computed_torque import LawState, step
-from handctl.controller.derating import HELD_MARGIN_N, derated, restraints
-from handctl.controller.model import HandModel
-from handctl.controller.types import Mode
+from handctl.controller.watch.derating import HELD_MARGIN_N, derated, restraints
+from handctl.core.law.computed_torque import LawState, step
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
 from handctl.safety.action import Action
 from handctl.safety.signals import Limits
 from tests.controller.synthetic import under

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from handctl.controller import estimator
-from handctl.controller.estimator import Measured
-from handctl.controller.filter_stack import STATES, O, Regime, S, W, X
-from handctl.controller.filter_state import FilterState
-from handctl.controller.model import HandModel
-from handctl.controller.statics import load_statics
-from handctl.controller.take_up import SLACK_TICKS, TAUT_ABOVE_N
+from handctl.core.estimation import estimator
+from handctl.core.estimation.estimator import Measured
+from handctl.core.estimation.filter_stack import STATES, O, Regime, S, W, X
+from handctl.core.estimation.filter_state import FilterState
+from handctl.core.estimation.statics import load_statics
+from handctl.core.estimation.take_up import SLACK_TICKS, TAUT_ABOVE_N
+from handctl.core.model import HandModel
 from tests.controller.filter_runs import all_in, nowhere, readings, resting, step
 from tests.controller.oracle import SCALE
 from tests.controller.synthetic import nothing_read

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from handctl.controller import covariance, estimator
-from handctl.controller.estimator import Measured
-from handctl.controller.filter_stack import MEASUREMENTS, STATES, E, Regime, S, V, X
-from handctl.controller.gains import Gains
-from handctl.controller.model import HandModel
+from handctl.core.estimation import covariance, estimator
+from handctl.core.estimation.estimator import Measured
+from handctl.core.estimation.filter_stack import MEASUREMENTS, STATES, E, Regime, S, V, X
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
 from handctl.hand.load import hand_from, hand_path
 from tests.controller.filter_runs import all_in, nowhere, readings, resting, step
 from tests.controller.oracle import SCALE, assumed_measurements, measurement_noise, over_one_period

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from handctl.controller import estimator
-from handctl.controller.estimator import LOOSE_M, Estimate
-from handctl.controller.filter_stack import STATES, E, Regime, S, V, X
-from handctl.controller.filter_state import FilterState
-from handctl.controller.innovation import DOUBT_S, doubts
-from handctl.controller.model import HandModel
+from handctl.core.estimation import estimator
+from handctl.core.estimation.estimator import LOOSE_M, Estimate
+from handctl.core.estimation.filter_stack import STATES, E, Regime, S, V, X
+from handctl.core.estimation.filter_state import FilterState
+from handctl.core.estimation.innovation import DOUBT_S, doubts
+from handctl.core.model import HandModel
 from tests.controller.synthetic import nothing_read
 
 TENSION = 20.0

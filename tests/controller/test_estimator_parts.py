@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from handctl.controller.estimator import (
+from handctl.core.estimation.estimator import (
     LOOSE_M,
     STOP_BAND_M,
     STOP_PULL,
@@ -15,11 +15,11 @@ from handctl.controller.estimator import (
     _usable,
     step,
 )
-from handctl.controller.filter_stack import STATES, O, Regime, S, W, X
-from handctl.controller.filter_state import FilterState
-from handctl.controller.model import HandModel
-from handctl.controller.statics import load_statics
-from handctl.controller.take_up import EVIDENCE, NEAR_FACTOR, NEAR_M, TAUT_POINTS
+from handctl.core.estimation.filter_stack import STATES, O, Regime, S, W, X
+from handctl.core.estimation.filter_state import FilterState
+from handctl.core.estimation.statics import load_statics
+from handctl.core.estimation.take_up import EVIDENCE, NEAR_FACTOR, NEAR_M, TAUT_POINTS
+from handctl.core.model import HandModel
 
 
 @pytest.mark.parametrize("was", [False, True])

@@ -6,10 +6,10 @@ import weakref
 import numpy as np
 import pytest
 
-from handctl.controller.filter_design import design_filter
-from handctl.controller.filter_stack import MEASUREMENTS, MOST_KEPT, STATES, E, FilterDesign, O, Regime, S, X
-from handctl.controller.gains import FilterGains, Gains
-from handctl.controller.model import HandModel, _joint_period
+from handctl.core.estimation.filter_design import design_filter
+from handctl.core.estimation.filter_stack import MEASUREMENTS, MOST_KEPT, STATES, E, FilterDesign, O, Regime, S, X
+from handctl.core.gains.gains import FilterGains, Gains
+from handctl.core.model import HandModel, _joint_period
 from handctl.hand.load import load_hand
 from tests.controller.oracle import SCALE, assumed_measurements, by_doubling, measurement_noise, over_one_period
 

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.controller.task import Follow, load_trajectory
-from handctl.controller.trajectory import Curve
+from handctl.core.law.trajectory import Curve
 from handctl.errors import ConfigError
+from handctl.programs.task import Follow, load_trajectory
 
 GOOD = """schema = 1
 name = "wave"

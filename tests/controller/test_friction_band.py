@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.controller.friction_band import CREEP_SPEED, expected, look_ahead
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.model import HandModel
-from handctl.controller.task import Task
+from handctl.core.law.friction_band import CREEP_SPEED, expected, look_ahead
+from handctl.core.model import HandModel
 from handctl.document import validated
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Task
 from tests.controller.plant_run import RATE_HZ, run_on_plant
 from tests.controller.synthetic import under
 

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from handctl.controller.computed_torque import Command
-from handctl.controller.live import LiveProgram
-from handctl.controller.model import HandModel
-from handctl.controller.types import Mode, Vector
+from handctl.core.law.computed_torque import Command
+from handctl.core.model import HandModel
+from handctl.core.types import Mode, Vector
+from handctl.programs.live import LiveProgram
 from handctl.safety.watch import WatchState
 from tests.controller.bench import Bench, bench
 

@@ -6,16 +6,16 @@ import math
 import numpy as np
 import pytest
 
-from handctl.controller.contact import SMOOTH_S, felt
-from handctl.controller.estimator import Estimate
-from handctl.controller.goal import Kind
-from handctl.controller.grasp import RELEASE_TIMEOUT_S, RELEASED_WITHIN_N, SETTLE_AFTER_CLOSE_S, TaskProgram
-from handctl.controller.model import HandModel
-from handctl.controller.program import TIGHTEN_TIMEOUT_S, Progress
-from handctl.controller.task import Task
-from handctl.controller.tip import joint_lever, tip_force
-from handctl.controller.types import Event
+from handctl.core.estimation.estimator import Estimate
+from handctl.core.estimation.tip import joint_lever, tip_force
+from handctl.core.law.goal import Kind
+from handctl.core.model import HandModel
+from handctl.core.types import Event
 from handctl.hand.dynamics import static_torque
+from handctl.programs.contact import SMOOTH_S, felt
+from handctl.programs.grasp import RELEASE_TIMEOUT_S, RELEASED_WITHIN_N, SETTLE_AFTER_CLOSE_S, TaskProgram
+from handctl.programs.program import TIGHTEN_TIMEOUT_S, Progress
+from handctl.programs.task import Task
 from tests.controller.synthetic import nothing_read, slack, under
 
 TASK = {

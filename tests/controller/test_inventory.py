@@ -5,15 +5,15 @@ import tomllib
 
 import pytest
 
-from handctl.controller.gains import Gains
-from handctl.controller.live import LiveProgram
-from handctl.controller.model import HandModel
 from handctl.controller.modes import INVENTORY_TIMEOUT_S, Wishes, next_mode
 from handctl.controller.state import State
-from handctl.controller.types import Mode
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
 from handctl.drives.contract import Phase
 from handctl.drives.frame import Frame
 from handctl.hand.load import hand_from, hand_path
+from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
 from tests.controller.bench import Bench, bench
 

@@ -2,12 +2,12 @@
 
 import pytest
 
-from handctl.controller.gains import Gains
-from handctl.controller.live import LiveProgram
-from handctl.controller.model import HandModel
-from handctl.controller.types import Mode, TickOut
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Mode, TickOut
 from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
+from handctl.programs.live import LiveProgram
 from handctl.safety.detectors.counts import WINDOW
 from tests.controller.bench import Bench, bench
 

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.controller.computed_torque import Command, LawState, step
-from handctl.controller.estimator import Estimate
-from handctl.controller.goal import DigitGoal, Kind
-from handctl.controller.law_constants import MOTOR_FRICTION_SPEED
-from handctl.controller.model import HandModel
-from handctl.controller.trajectory import MinimumJerk
+from handctl.core.estimation.estimator import Estimate
+from handctl.core.law.computed_torque import Command, LawState, step
+from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.law_constants import MOTOR_FRICTION_SPEED
+from handctl.core.law.trajectory import MinimumJerk
+from handctl.core.model import HandModel
 from tests.controller.goals import holding, moving
 from tests.controller.synthetic import at_rest, known, slack, under
 

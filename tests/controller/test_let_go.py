@@ -6,7 +6,7 @@ import pytest
 
 from handctl.campaign.stage import started
 from handctl.controller.let_go import let_go
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
 from tests.drives.protocol_bench import OPTIONS, hand_file

@@ -6,12 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.controller.estimator import Estimate
-from handctl.controller.goal import Kind
-from handctl.controller.live import JogProgram, LiveProgram, apply_goal
-from handctl.controller.model import HandModel
-from handctl.controller.program import TIGHTEN_TIMEOUT_S, Progress
-from handctl.controller.requests import HoldTension, MoveDigits, parse_request
+from handctl.core.estimation.estimator import Estimate
+from handctl.core.law.goal import Kind
+from handctl.core.model import HandModel
+from handctl.programs.live import JogProgram, LiveProgram, apply_goal
+from handctl.programs.program import TIGHTEN_TIMEOUT_S, Progress
+from handctl.programs.requests import HoldTension, MoveDigits, parse_request
 from tests.controller.synthetic import nothing_read, slack, under
 
 

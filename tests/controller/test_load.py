@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.controller.allocation import allocate
-from handctl.controller.computed_torque import _load, _way
-from handctl.controller.goal import DigitGoal, Kind
-from handctl.controller.goal_table import GoalTable, goal_table
-from handctl.controller.model import HandModel
+from handctl.core.law.allocation import allocate
+from handctl.core.law.computed_torque import _load, _way
+from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goal_table import GoalTable, goal_table
+from handctl.core.model import HandModel
 from tests.controller.goals import moving
 
 

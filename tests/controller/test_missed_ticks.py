@@ -2,9 +2,9 @@
 
 import pytest
 
-from handctl.controller.live import LiveProgram
-from handctl.controller.model import HandModel
-from handctl.controller.types import Mode
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
+from handctl.programs.live import LiveProgram
 from tests.controller.bench import bench
 
 FAST_RAD_S = 28.0

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.controller.gains import Gains
-from handctl.controller.live import LiveProgram
-from handctl.controller.model import HandModel
 from handctl.controller.modes import ARMING_TIMEOUT_S, CUT_S, DISARM_TIMEOUT_S, INVENTORY_TIMEOUT_S, LISTEN_S, READY_S
-from handctl.controller.types import IoEvent, Mode
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import IoEvent, Mode
 from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
+from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
 from tests.controller.bench import Bench, bench
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from handctl.controller.gains import Gains, MotionGains, TensionGains
-from handctl.controller.model import HandModel
-from handctl.controller.motion_design import design_motion
+from handctl.core.gains.gains import Gains, MotionGains, TensionGains
+from handctl.core.gains.motion_design import design_motion
+from handctl.core.model import HandModel
 
 RATES = [200.0, 500.0, 1000.0]
 

@@ -5,14 +5,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from handctl.controller.gains import Gains
-from handctl.controller.grasp import TaskProgram
 from handctl.controller.setup import make_controller
-from handctl.controller.task import Task
 from handctl.controller.tick import Controller
-from handctl.controller.types import Event, Mode
+from handctl.core.gains.gains import Gains
+from handctl.core.types import Event, Mode
 from handctl.document import validated
 from handctl.hand.load import load_hand
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Task
 from handctl.session.simulate import Simulator
 from tests.conftest import NIGHTLY
 

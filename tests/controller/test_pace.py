@@ -4,9 +4,9 @@ from typing import Any
 
 import pytest
 
-from handctl.controller.pace import check_pace
-from handctl.controller.task import Task
 from handctl.errors import ConfigError
+from handctl.programs.pace import check_pace
+from handctl.programs.task import Task
 
 DIGITS = ("index", "thumb")
 

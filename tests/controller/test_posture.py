@@ -8,13 +8,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from handctl.controller import posture
-from handctl.controller.gains import Gains
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.model import HandModel
-from handctl.controller.posture import Angles, Posture, Readings
-from handctl.controller.types import Mode
-from handctl.hand.load import load_hand
+from handctl.core.estimation import posture
+from handctl.core.estimation.posture import Angles, Posture, Readings
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
+from handctl.hand.load import HANDS, load_hand
+from handctl.programs.grasp import TaskProgram
 from handctl.session.simulate import Simulator, homed_controller
 from handctl.session.tasks import find_task
 from tests.controller.synthetic import under
@@ -38,7 +38,7 @@ class Seen(NamedTuple):
 
 
 def packaged(name: str) -> Path:
-    return Path(posture.__file__).parents[1] / "hand" / "hands" / f"{name}.toml"
+    return HANDS / f"{name}.toml"
 
 
 def with_encoders(folder: Path) -> Path:

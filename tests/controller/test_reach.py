@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from handctl.cli.main import main
-from handctl.controller.reach import check_reach, check_tip_force
-from handctl.controller.task import Task
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel
 from handctl.hand.load import load_hand, packaged_hands
+from handctl.programs.reach import check_reach, check_tip_force
+from handctl.programs.task import Task
 
 JAMIA, ELEVEN = load_hand("jamia"), load_hand("jamia11")
 

@@ -7,16 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.controller.requests import (
-    Arm,
-    Clear,
-    Cut,
-    HoldTension,
-    MoveDigits,
-    Stop,
-    parse_request,
-    said_of,
-)
+from handctl.programs.requests import Arm, Clear, Cut, HoldTension, MoveDigits, Stop, parse_request, said_of
 from handctl.runtime.mailbox import LARGEST
 
 GOOD = [

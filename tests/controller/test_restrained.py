@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from handctl.controller.computed_torque import TRIM_LEAST_N, TRIM_TIME_S, LawState, step
-from handctl.controller.goal import DigitGoal, Kind
-from handctl.controller.model import HandModel
+from handctl.core.law.computed_torque import TRIM_LEAST_N, TRIM_TIME_S, LawState, step
+from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.model import HandModel
 from tests.controller.goals import holding, moving
 from tests.controller.synthetic import under
 

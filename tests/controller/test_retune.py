@@ -6,19 +6,20 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from handctl.controller import computed_torque, tick
-from handctl.controller.commission import CommissionProgram
-from handctl.controller.computed_torque import step
-from handctl.controller.gain_bounds import bounds, checked, flat, with_values
-from handctl.controller.gains import Gains, TensionGains
-from handctl.controller.live import LiveProgram
-from handctl.controller.model import HandModel
-from handctl.controller.motion_design import design_motion, pieces
-from handctl.controller.requests import parse_request
+from handctl.controller import tick
 from handctl.controller.retune import KEPT, Coming, Designs
-from handctl.controller.types import Mode
+from handctl.core.gains.bounds import bounds, checked, flat, with_values
+from handctl.core.gains.gains import Gains, TensionGains
+from handctl.core.gains.motion_design import design_motion, pieces
+from handctl.core.law import computed_torque
+from handctl.core.law.computed_torque import step
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
 from handctl.errors import ConfigError
 from handctl.hand.load import hand_path
+from handctl.programs.commission import CommissionProgram
+from handctl.programs.live import LiveProgram
+from handctl.programs.requests import parse_request
 from handctl.runtime.lockstep import load_peer
 from handctl.safety.action import Action
 from handctl.safety.judge import Verdict

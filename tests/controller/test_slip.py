@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.controller import grip
-from handctl.controller.estimator import Estimate
-from handctl.controller.goal import DigitGoal, Kind
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.grip import OPENING_M, Grip, GripPlan, hold
-from handctl.controller.model import HandModel
-from handctl.controller.task import Task
-from handctl.controller.types import Event
+from handctl.core.estimation.estimator import Estimate
+from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.model import HandModel
+from handctl.core.types import Event
+from handctl.programs import grip
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.grip import OPENING_M, Grip, GripPlan, hold
+from handctl.programs.task import Task
 from tests.controller.plant_run import run_on_plant
 from tests.controller.synthetic import under
 

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handctl.controller.gain_bounds import bounds, with_values
-from handctl.controller.gains import Gains
-from handctl.controller.model import HandModel
+from handctl.core.gains.bounds import bounds, with_values
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
 from handctl.errors import ConfigError
 from handctl.hand.load import load_hand
 

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from handctl.controller.filter_stack import STATES, S, V
-from handctl.controller.model import HandModel
-from handctl.controller.statics import load_statics, tendon_efficiency
-from handctl.controller.tip import tip_force, tip_forces, tip_lever
+from handctl.core.estimation.filter_stack import STATES, S, V
+from handctl.core.estimation.statics import load_statics, tendon_efficiency
+from handctl.core.estimation.tip import tip_force, tip_forces, tip_lever
+from handctl.core.model import HandModel
 from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
 from handctl.hand.kinematics import points, tip_jacobian
 from handctl.hand.tendons import ROPE_FRICTION_SPEED

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from handctl.controller.filter_stack import STATES, O, Regime, X
-from handctl.controller.take_up import NEAR_M, has_turned, near, turning
+from handctl.core.estimation.filter_stack import STATES, O, Regime, X
+from handctl.core.estimation.take_up import NEAR_M, has_turned, near, turning
 
 SLACK = int(Regime.SLACK)
 

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from handctl.controller.program import TARE_PHASE
-from handctl.controller.task import Close, Hold, Move, Release, Shape, check_task, for_digit, load_task, shapes
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_from, hand_path, load_hand, packaged_hands
+from handctl.programs.program import TARE_PHASE
+from handctl.programs.task import Close, Hold, Move, Release, Shape, check_task, for_digit, load_task, shapes
 from handctl.session.tasks import check_suits
 
 GOOD = """schema = 1

@@ -4,8 +4,8 @@ import re
 from pathlib import Path
 
 from firmware_sim.scene import load_scene
-from handctl.controller.task import Close, Follow, Hold, Move, Release
 from handctl.hand.load import load_hand, packaged_hands
+from handctl.programs.task import Close, Follow, Hold, Move, Release
 from handctl.session.tasks import find_task
 
 ROOT = Path(__file__).parents[2]

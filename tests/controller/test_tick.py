@@ -10,18 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handctl.controller.gain_bounds import with_values
-from handctl.controller.gains import Gains
-from handctl.controller.goal import DigitGoal, Kind
-from handctl.controller.live import LiveProgram
-from handctl.controller.model import HandModel
-from handctl.controller.posture import Posture
 from handctl.controller.retune import Coming
 from handctl.controller.state import State
-from handctl.controller.trajectory import MinimumJerk
-from handctl.controller.types import TELEMETRY_AXES, IoEvent, Mode, TickIn, TickOut
+from handctl.core.estimation.posture import Posture
+from handctl.core.gains.bounds import with_values
+from handctl.core.gains.gains import Gains
+from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.trajectory import MinimumJerk
+from handctl.core.model import HandModel
+from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.hand.load import hand_from, hand_path, load_hand
+from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
 from handctl.safety.detectors.counts import Counts
 from handctl.safety.detectors.ropes import Ropes

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from handctl.controller.estimator import Estimate
-from handctl.controller.live import JogProgram
-from handctl.controller.model import HandModel
-from handctl.controller.requests import MoveDigits
-from handctl.controller.touch import BLOCKED_N, FREED_N, PRESS_N, Touch, feel, gentle
+from handctl.core.estimation.estimator import Estimate
+from handctl.core.estimation.touch import BLOCKED_N, FREED_N, PRESS_N, Touch, feel, gentle
+from handctl.core.model import HandModel
+from handctl.programs.live import JogProgram
+from handctl.programs.requests import MoveDigits
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
 from tests.controller.synthetic import at_rest, known
 

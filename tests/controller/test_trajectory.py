@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.controller.trajectory import PEAK_SPEED, Curve, MinimumJerk, duration_for
+from handctl.core.law.trajectory import PEAK_SPEED, Curve, MinimumJerk, duration_for
 
 angles = st.lists(st.floats(-3.0, 3.0), min_size=2, max_size=2).map(np.array)
 durations = st.floats(0.01, 100.0)

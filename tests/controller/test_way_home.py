@@ -3,19 +3,19 @@
 import numpy as np
 import pytest
 
-from handctl.controller.commission import CommissionProgram
-from handctl.controller.gains import Gains
-from handctl.controller.live import LiveProgram
-from handctl.controller.model import HandModel
 from handctl.controller.relaxing import (
     AHEAD_N,
     OVER_TENSION_RATE_N_PER_S,
     RELAX_FLOOR_N,
     RELAX_RATE_N_PER_S,
 )
-from handctl.controller.types import Mode
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
 from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
+from handctl.programs.commission import CommissionProgram
+from handctl.programs.live import LiveProgram
 from tests.controller.bench import Bench, bench
 
 STOP, CUT = '{"do": "stop"}', '{"do": "cut"}'

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from handctl.campaign.stage import started
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from handctl.session.simulate import Simulation
 from tests.drives.protocol_bench import OPTIONS, hand_file

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.controller.tendon_space import tendon_space
+from handctl.core.tendon_space import tendon_space
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
 from handctl.hand.digit import DigitModel

@@ -8,7 +8,7 @@ import pytest
 from handctl.campaign.scenarios import ALL, FREE
 from handctl.campaign.stage import bring, hand_in, started
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.drives import recheck
 from handctl.drives.causes import Cause
 from handctl.drives.contract import Phase, Want

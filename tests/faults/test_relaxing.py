@@ -10,7 +10,7 @@ import pytest
 
 from handctl.campaign.scenarios import FREE, GRASP
 from handctl.campaign.stage import TASK, bring, hand_in, started
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.runtime.mailbox import STOP
 from handctl.session.simulate import Simulation
 

@@ -23,7 +23,7 @@ from handctl.campaign.sequences import (
 )
 from handctl.campaign.stage import STAGES, branch, bring, hand_in, started
 from handctl.cli.studies.fault_campaign import rate_of
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.safety.judge import Latched, SafetyState
 
 NOBODY = {"told": lambda done: None, "keep": lambda course, result: None}

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import synthetic
 
-from handctl.controller.types import TELEMETRY_AXES, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
+from handctl.core.types import TELEMETRY_AXES, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
 from handctl.drives.contract import Phase
 from handctl.drives.frame import BRS, ERROR, ESI, EXTENDED, FDF, REMOTE, Frame
 from handctl.log.header import RunHeader

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handctl.controller.types import TELEMETRY_AXES, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
+from handctl.core.types import TELEMETRY_AXES, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
 from handctl.drives.contract import Phase
 from handctl.drives.frame import Frame
 from handctl.hand.formats.urdf import urdf

@@ -11,8 +11,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from handctl.controller import types
-from handctl.controller.types import TELEMETRY_FIELDS
+from handctl.core import types
+from handctl.core.types import TELEMETRY_FIELDS
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
 from handctl.log.export.parquet import export_parquet
 from handctl.log.export.tables import HEADS, WORDS, _candump, columns, export_candump, export_csv, titled, unit

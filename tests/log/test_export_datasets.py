@@ -10,7 +10,7 @@ import pytest
 from rerun.chunk import RrdReader
 from rerun.experimental import LeRobotReader
 
-from handctl.controller.types import TELEMETRY_FIELDS, Mode
+from handctl.core.types import TELEMETRY_FIELDS, Mode
 from handctl.log.export.lerobot import export_lerobot
 from handctl.log.export.parquet import export_parquet
 from handctl.log.export.tables import columns, export_csv, titled

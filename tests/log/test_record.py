@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handctl.controller.types import TELEMETRY_AXES, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
+from handctl.core.types import TELEMETRY_AXES, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
 from handctl.drives.frame import FDF, Frame
 from handctl.log.record import FRAMING, layout, pack, pack_tick, unpack, unpack_tick
 from handctl.safety.action import Action

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 import synthetic
 
-from handctl.controller.types import IoEvent, TickIn
+from handctl.core.types import IoEvent, TickIn
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.record import FRAMING, pack

@@ -20,7 +20,7 @@ def fresh(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A grasp with a fault, an event of the bus and requests, made on this machine."""
     import runs
 
-    from handctl.controller.types import IoEvent
+    from handctl.core.types import IoEvent
 
     folder = tmp_path_factory.mktemp("fresh")
     told = {300: (IoEvent("enobufs", "main", 2),)}

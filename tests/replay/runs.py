@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from handctl.controller.gains import Gains
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.program import Program
 from handctl.controller.setup import make_controller
 from handctl.controller.state import State
-from handctl.controller.task import load_task
-from handctl.controller.types import IoEvent, TickIn, TickOut
+from handctl.core.gains.gains import Gains
+from handctl.core.types import IoEvent, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.hand.load import hand_path, load_hand
 from handctl.log.record import pack
 from handctl.log.write.recorder import Recorder
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.program import Program
+from handctl.programs.task import load_task
 from handctl.runtime.lockstep import LockstepBus, LockstepClock, Peer, load_peer
 from handctl.runtime.loop import Loop
 from handctl.session.header import run_header

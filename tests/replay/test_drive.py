@@ -8,10 +8,10 @@ import runs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.controller.playback import Recording
 from handctl.errors import IncomparableError
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
+from handctl.programs.playback import Recording
 from handctl.replay.compare import check_same_hand, compare, delay, resampled
 from handctl.replay.drive import difference, playback, recording, stretch
 from handctl.replay.execute import execute

@@ -12,18 +12,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.controller.calibration import Calibration, TendonCalibration
-from handctl.controller.commission import CommissionProgram
-from handctl.controller.gains import Gains
-from handctl.controller.live import JogProgram, LiveProgram
-from handctl.controller.program import Program
-from handctl.controller.requests import HoldTension, MoveDigits
 from handctl.controller.setup import Setup, make_controller
-from handctl.controller.types import TickIn, TickOut
+from handctl.core.gains.gains import Gains
+from handctl.core.types import TickIn, TickOut
 from handctl.errors import LogError
 from handctl.hand.load import load_hand
 from handctl.log.code import code_identity
 from handctl.log.read.reader import RunLog
+from handctl.programs.calibration import Calibration, TendonCalibration
+from handctl.programs.commission import CommissionProgram
+from handctl.programs.live import JogProgram, LiveProgram
+from handctl.programs.program import Program
+from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.replay import rebuild as rebuilding
 from handctl.replay.counterfactual import Commands, draw, summary
 from handctl.replay.difference import Columns, differences, same, ulps

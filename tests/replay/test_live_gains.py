@@ -5,13 +5,13 @@ from pathlib import Path
 import numpy as np
 import runs
 
-from handctl.controller.calibration import Calibration, TendonCalibration
-from handctl.controller.gains import Gains
-from handctl.controller.identified import Identified
-from handctl.controller.live import JogProgram
-from handctl.controller.requests import HoldTension
+from handctl.core.gains.gains import Gains
+from handctl.core.identified import Identified
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
+from handctl.programs.calibration import Calibration, TendonCalibration
+from handctl.programs.live import JogProgram
+from handctl.programs.requests import HoldTension
 from handctl.replay.execute import execute
 from handctl.session.plan import Plan
 from handctl.session.run import make_controller, run_lockstep

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 import runs
 
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.task import load_task
-from handctl.controller.types import IoEvent
+from handctl.core.types import IoEvent
 from handctl.log.read.reader import RunLog
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import load_task
 from handctl.replay.execute import execute
 from handctl.runtime.lockstep import Peer
 

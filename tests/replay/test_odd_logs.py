@@ -12,7 +12,7 @@ import pytest
 import runs
 
 from handctl.cli.main import main
-from handctl.controller.types import Event, TickIn, TickOut
+from handctl.core.types import Event, TickIn, TickOut
 from handctl.drives.frame import EXTENDED
 from handctl.errors import LogError
 from handctl.log.header import RunHeader

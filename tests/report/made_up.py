@@ -6,7 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from handctl.controller.types import TELEMETRY_AXES, Mode
+from handctl.core.types import TELEMETRY_AXES, Mode
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.log.read.moments import PhaseChange

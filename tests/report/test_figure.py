@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from handctl.report.figure import draw_run
 from handctl.report.truth import Truth

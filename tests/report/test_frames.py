@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 
 from handctl.controller.setup import make_sensors
-from handctl.controller.types import IoEvent
+from handctl.core.types import IoEvent
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.log.record import TickRecord

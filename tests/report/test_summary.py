@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.report.summary import hold_windows, mean_angles, measured_load, rms, summarise
 from tests.report.made_up import JAMIA, PERIOD_NS, MadeUpLog, set_column, truth_of
 

@@ -19,12 +19,12 @@ from typing import NamedTuple
 import numpy as np
 
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.calibration import load_calibration
-from handctl.controller.gains import Gains
-from handctl.controller.grasp import TaskProgram
 from handctl.controller.tick import Controller
+from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
+from handctl.programs.calibration import load_calibration
+from handctl.programs.grasp import TaskProgram
 from handctl.report.truth import Truth, read_truth
 from handctl.runtime.places import faults_path, local_bus_path, run_dir
 from handctl.session.plan import Plan, bus_specs

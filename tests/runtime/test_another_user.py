@@ -20,8 +20,8 @@ from firmware_sim import places as simulated
 from firmware_sim.description import SimulatorError
 from firmware_sim.hub import Hub
 from handctl.cli.main import main
-from handctl.controller.requests import parse_request, taken
 from handctl.errors import BusError, PowerError, UnconfirmedError
+from handctl.programs.requests import parse_request, taken
 from handctl.runtime.asking import confirmed, ordered
 from handctl.runtime.buses.local import connect
 from handctl.runtime.mailbox import Mailbox, Watcher

@@ -5,11 +5,11 @@ from pathlib import Path
 import pytest
 
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.gains import Gains
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.task import load_task
+from handctl.core.gains.gains import Gains
 from handctl.drives.registry import PROTOCOLS
 from handctl.hand.load import load_hand
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import load_task
 from handctl.session.plan import Plan, fastest
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import Simulator

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from handctl.controller.types import IoEvent, Mode, TickIn, TickOut
+from handctl.core.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.errors import PowerError
 from handctl.runtime import loop

@@ -9,7 +9,7 @@ import pytest
 from handctl.campaign.scenarios import GRASP
 from handctl.campaign.stage import bring, hand_in, started
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.safety.detectors import replays, swings
 from handctl.session.plan import fastest
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from handctl.controller.gains import Gains
-from handctl.controller.identified import Identified
-from handctl.controller.model import HandModel
+from handctl.core.gains.gains import Gains
+from handctl.core.identified import Identified
+from handctl.core.model import HandModel
 from handctl.tune.loops.design import design, keeps, linear_factors, placed, redesigned, with_poles, worst_of
 from handctl.tune.loops.linear import LoopKind, PlantFactors
 from handctl.tune.search.ensemble import LEAST_SPREAD, ensemble, widths

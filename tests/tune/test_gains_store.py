@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from handctl.controller.gain_bounds import with_values
-from handctl.controller.gains import Gains, Provenance, gains_text, load_gains, load_gains_file
+from handctl.core.gains.bounds import with_values
+from handctl.core.gains.gains import Gains, Provenance, gains_text, load_gains, load_gains_file
 from handctl.errors import ConfigError
 from handctl.tune.gains_store import BY_HAND, GainsStore
 

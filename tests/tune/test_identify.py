@@ -9,11 +9,11 @@ from matplotlib.figure import Figure
 
 from benchmarks.identify import WITHIN, one, summary
 from handctl.cli.tuning.tune_files import subject
-from handctl.controller.calibration import Calibration, TendonCalibration, load_calibration
-from handctl.controller.identified import UNITS, Identified, identified_hand, torque_gain
+from handctl.core.identified import UNITS, Identified, identified_hand, torque_gain
 from handctl.errors import ConfigError
 from handctl.hand.dynamics import DigitModel
 from handctl.hand.load import load_hand
+from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.session.calibration import write_calibration
 from handctl.tune.identify.excitation import excitation, lift_off
 from handctl.tune.identify.figure import _parameters

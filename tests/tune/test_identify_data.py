@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.tune.identify.data import LATE_S, STOP_DEG, tendon_data

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from control import frd, stability_margins
 
-from handctl.controller.model import HandModel
+from handctl.core.model import HandModel
 from handctl.tune.loops import linear
 from handctl.tune.loops.linear import LoopKind, PlantFactors, controller, loop, plant
 from handctl.tune.loops.margins import grid, margins, step_response

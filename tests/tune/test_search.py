@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from handctl.controller.gains import Gains, MotionGains
+from handctl.core.gains.gains import Gains, MotionGains
 from handctl.errors import ConfigError
 from handctl.hand.load import load_hand
 from handctl.tune.search.ensemble import ensemble

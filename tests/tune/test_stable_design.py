@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from handctl.controller.gains import Gains
-from handctl.controller.model import HandModel
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
 from handctl.hand.load import hand_from, load_hand, packaged_hands
 from handctl.tune.loops.design import Design, design, linear_factors, unlike_tendons
 from handctl.tune.loops.linear import LoopKind, System, _half_closed, controller, loop

@@ -3,7 +3,7 @@
 import pytest
 
 from benchmarks.tuning import PLANT, detuned_gains
-from handctl.controller.model import HandModel
+from handctl.core.model import HandModel
 from handctl.hand.load import load_hand
 from handctl.tune.trial import exercise
 

@@ -6,10 +6,10 @@ import pytest
 
 from handctl.cli.tuning.tune_verify import _who
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.exercise import Exercise
-from handctl.controller.gains import Gains, MotionGains, TensionGains
+from handctl.core.gains.gains import Gains, MotionGains, TensionGains
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
+from handctl.programs.exercise import Exercise
 from handctl.replay.execute import execute
 from handctl.session.plan import Plan, fastest
 from handctl.session.run import make_controller, run_lockstep

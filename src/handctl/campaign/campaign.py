@@ -8,7 +8,7 @@ from typing import Any
 from handctl.campaign.scenarios import Scenario, pairs, scenarios
 from handctl.campaign.stage import hand_in, started, try_all
 from handctl.campaign.trial import Result, try_out
-from handctl.controller.types import Event, Mode
+from handctl.core.types import Event, Mode
 from handctl.hand.description import Hand
 from handctl.safety.action import Action
 from handctl.session.simulate import Simulation

@@ -20,7 +20,7 @@ from handctl.campaign.stage import STAGES, try_all
 from handctl.campaign.trial import RUNS_AWAY, Host, Result, overshoot
 from handctl.controller.modes import REMOVE_POWER
 from handctl.controller.state import State
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.hand.description import Hand
 from handctl.runtime.mailbox import CLEAR, STOP
 from handctl.session.simulate import Simulation

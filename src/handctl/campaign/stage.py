@@ -11,14 +11,14 @@ from typing import Any, Protocol, TypeVar, cast
 
 from handctl.campaign.scenarios import ARMING, CIA402, FREE, GRASP, MIT, ODRIVE
 from handctl.campaign.trial import Result
-from handctl.controller.gains import Gains
-from handctl.controller.grasp import TaskProgram
 from handctl.controller.setup import make_controller
-from handctl.controller.task import Task
-from handctl.controller.types import Mode
+from handctl.core.gains.gains import Gains
+from handctl.core.types import Mode
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Task
 from handctl.session.simulate import Simulation, Simulator
 
 FIRST_NODE = 0x10

@@ -3,15 +3,15 @@
 from dataclasses import replace
 
 from handctl.controller import retune
-from handctl.controller.commission import CommissionProgram
-from handctl.controller.estimator import Estimate
-from handctl.controller.live import LiveProgram, apply_goal
-from handctl.controller.model import HandModel
 from handctl.controller.modes import Wishes
-from handctl.controller.program import Program
-from handctl.controller.requests import Arm, Clear, Cut, HoldTension, MoveDigits, SetGains, Stop, parse_request, taken
 from handctl.controller.state import State
-from handctl.controller.types import LETTING_GO, Event, Mode
+from handctl.core.estimation.estimator import Estimate
+from handctl.core.model import HandModel
+from handctl.core.types import LETTING_GO, Event, Mode
+from handctl.programs.commission import CommissionProgram
+from handctl.programs.live import LiveProgram, apply_goal
+from handctl.programs.program import Program
+from handctl.programs.requests import Arm, Clear, Cut, HoldTension, MoveDigits, SetGains, Stop, parse_request, taken
 from handctl.safety import judge as safety
 
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)

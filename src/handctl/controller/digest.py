@@ -3,17 +3,17 @@
 import hashlib
 import struct
 
-from handctl.controller.computed_torque import LawState
-from handctl.controller.filter_state import FilterState
-from handctl.controller.gains import Gains
-from handctl.controller.kept import Kept
-from handctl.controller.motors import Motors
-from handctl.controller.plain_bytes import plain_bytes
-from handctl.controller.posture import Posture
-from handctl.controller.program import Progress
 from handctl.controller.retune import Coming
-from handctl.controller.touch import Touch
+from handctl.controller.watch.motors import Motors
+from handctl.core.estimation.filter_state import FilterState
+from handctl.core.estimation.posture import Posture
+from handctl.core.estimation.touch import Touch
+from handctl.core.gains.gains import Gains
+from handctl.core.kept import Kept
+from handctl.core.law.computed_torque import LawState
+from handctl.core.plain_bytes import plain_bytes
 from handctl.drives.sensors.node import SensorState
+from handctl.programs.program import Progress
 from handctl.safety.watch import WatchState
 
 PLACE = struct.Struct("<qBdd??")

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.controller.model import HandModel
 from handctl.controller.relaxing import RELAX_FLOOR_N, RELAXED_WITHIN_N, hurried, let_go, relaxing, tension
 from handctl.controller.state import State
-from handctl.controller.types import ACTING, BEFORE_ARMING, Event, Mode
+from handctl.core.model import HandModel
+from handctl.core.types import ACTING, BEFORE_ARMING, Event, Mode
 from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.drives.frame import Frame
 from handctl.safety.action import Action

@@ -14,11 +14,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from handctl.controller.computed_torque import Envelope
-from handctl.controller.goal import DigitGoal, Kind
-from handctl.controller.model import HandModel
 from handctl.controller.state import State
-from handctl.controller.types import Mode, Vector
+from handctl.core.law.computed_torque import Envelope
+from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.model import HandModel
+from handctl.core.types import Mode, Vector
 from handctl.safety.action import Release
 from handctl.safety.faults.table import BY_ID
 

@@ -8,14 +8,14 @@ a trim and fades. Integrals are kept in newtons, not as an integral of the error
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from handctl.controller.computed_torque import LawState
-from handctl.controller.gain_bounds import flat, with_values
-from handctl.controller.gains import Gains
-from handctl.controller.model import HandModel
-from handctl.controller.motion_design import assembled, design_piece, pieces
-from handctl.controller.requests import REFUSED
-from handctl.controller.types import GAIN_EVENT, Event, Vector
+from handctl.core.gains.bounds import flat, with_values
+from handctl.core.gains.gains import Gains
+from handctl.core.gains.motion_design import assembled, design_piece, pieces
+from handctl.core.law.computed_torque import LawState
+from handctl.core.model import HandModel
+from handctl.core.types import GAIN_EVENT, Event, Vector
 from handctl.errors import ConfigError
+from handctl.programs.requests import REFUSED
 
 KEPT = 8
 """Gains whose designs are remembered: those of a run, those that are coming, and some to go back to."""

@@ -7,20 +7,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from handctl.controller.calibration import Calibration
-from handctl.controller.commission import CommissionProgram
-from handctl.controller.excite import ExciteProgram, ExciteStep
-from handctl.controller.exercise import Exercise
-from handctl.controller.gains import Gains
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.identified import identified_hand, torque_gain
-from handctl.controller.live import JogProgram, LiveProgram
-from handctl.controller.model import HandModel
-from handctl.controller.playback import PlaybackProgram, Recording
-from handctl.controller.program import Program
-from handctl.controller.requests import HoldTension, MoveDigits
-from handctl.controller.task import Task
 from handctl.controller.tick import Controller
+from handctl.core.gains.gains import Gains
+from handctl.core.identified import identified_hand, torque_gain
+from handctl.core.model import HandModel
 from handctl.document import Document
 from handctl.drives.contract import Drive
 from handctl.drives.identifiers import check_identifiers
@@ -28,6 +18,16 @@ from handctl.drives.registry import make_drive
 from handctl.drives.sensors.node import SensorNode
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_from, parse_toml
+from handctl.programs.calibration import Calibration
+from handctl.programs.commission import CommissionProgram
+from handctl.programs.excite import ExciteProgram, ExciteStep
+from handctl.programs.exercise import Exercise
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.live import JogProgram, LiveProgram
+from handctl.programs.playback import PlaybackProgram, Recording
+from handctl.programs.program import Program
+from handctl.programs.requests import HoldTension, MoveDigits
+from handctl.programs.task import Task
 
 ATTACHMENT = "setup.json"
 """Name under which a log keeps its ``Setup``."""

@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 
-from handctl.controller.computed_torque import Command
-from handctl.controller.estimator import Estimate, Measured
-from handctl.controller.model import HandModel
-from handctl.controller.motors import Motors
-from handctl.controller.posture import MODEL_ERROR, MODEL_ERROR_N
-from handctl.controller.tip import tip_forces
-from handctl.controller.types import Telemetry
+from handctl.controller.watch.motors import Motors
+from handctl.core.estimation.estimator import Estimate, Measured
+from handctl.core.estimation.posture import MODEL_ERROR, MODEL_ERROR_N
+from handctl.core.estimation.tip import tip_forces
+from handctl.core.law.computed_torque import Command
+from handctl.core.model import HandModel
+from handctl.core.types import Telemetry
 
 
 def telemetry(

@@ -15,29 +15,31 @@ import numpy as np
 
 from handctl.choose import nothing
 from handctl.compiled import prepare
-from handctl.controller import computed_torque, estimator, posture, retune, touch
+from handctl.controller import retune
 from handctl.controller.answers import answer
-from handctl.controller.computed_torque import Command, Envelope, LawState
-from handctl.controller.derating import restraints
-from handctl.controller.estimator import Estimate, Measured
-from handctl.controller.filter_state import FilterState
-from handctl.controller.goal import DigitGoal
-from handctl.controller.guard import Guard
-from handctl.controller.innovation import doubts
-from handctl.controller.model import HandModel
 from handctl.controller.modes import farewell, next_mode, wanted_of_drives
-from handctl.controller.motors import Motors
-from handctl.controller.posture import Posture, Readings
-from handctl.controller.program import Program, Progress
-from handctl.controller.received import Received
 from handctl.controller.relaxing import envelope
 from handctl.controller.state import State
 from handctl.controller.telemetry import telemetry
-from handctl.controller.touch import Touch
-from handctl.controller.types import ACTING, Event, Mode, TickIn, TickOut, Vector
+from handctl.controller.watch.derating import restraints
+from handctl.controller.watch.guard import Guard
+from handctl.controller.watch.motors import Motors
+from handctl.controller.watch.received import Received
+from handctl.core.estimation import estimator, posture, touch
+from handctl.core.estimation.estimator import Estimate, Measured
+from handctl.core.estimation.filter_state import FilterState
+from handctl.core.estimation.innovation import doubts
+from handctl.core.estimation.posture import Posture, Readings
+from handctl.core.estimation.touch import Touch
+from handctl.core.law import computed_torque
+from handctl.core.law.computed_torque import Command, Envelope, LawState
+from handctl.core.law.goal import DigitGoal
+from handctl.core.model import HandModel
+from handctl.core.types import ACTING, Event, Mode, TickIn, TickOut, Vector
 from handctl.drives.contract import Drive, DriveState, Phase
 from handctl.drives.frame import ERROR, Frame
 from handctl.drives.sensors.node import SensorNode, SensorState, saturated
+from handctl.programs.program import Program, Progress
 from handctl.safety import judge as safety
 from handctl.safety.action import Action
 from handctl.safety.signals import Limits, Signals

@@ -4,7 +4,7 @@ import functools
 import hashlib
 from pathlib import Path
 
-DECIDING = ("hand", "drives", "controller", "safety")
+DECIDING = ("hand", "drives", "safety", "core", "programs", "controller")
 """The rooms that a re-execution runs again."""
 UNKNOWN = "?"
 """In a log that does not say."""

@@ -4,7 +4,7 @@ Source: the fields are those of the ROS 2 interface packages (common_interfaces,
 can_msgs, ros2_socketcan_msgs, pal_statistics_msgs); ``handctl_msgs`` is ours.
 """
 
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.safety.action import Action
 
 PHASES = {

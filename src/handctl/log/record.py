@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.controller.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
+from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.log.cdr import ENCAPSULATION, CdrReader, CdrWriter
 from handctl.safety.action import Action

@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.errors import IncomparableError
 from handctl.log.read.moments import check_order
 from handctl.log.read.reader import RunLog

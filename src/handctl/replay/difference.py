@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Event, TickOut
+from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Event, TickOut
 from handctl.drives.frame import Frame
 from handctl.log.header import RunHeader
 from handctl.log.record import TickRecord

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.playback import PlaybackProgram, Recording
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.errors import LogError
 from handctl.log.read.moments import check_order
 from handctl.log.read.reader import RunLog
+from handctl.programs.playback import PlaybackProgram, Recording
 from handctl.replay.compare import both
 
 Array = NDArray[np.float64]

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from handctl.controller.gains import Gains
 from handctl.controller.tick import Controller
-from handctl.controller.types import TickIn, TickOut
+from handctl.core.gains.gains import Gains
+from handctl.core.types import TickIn, TickOut
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.replay.difference import Columns, Difference, differences, same, same_decisions

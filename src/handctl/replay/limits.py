@@ -8,11 +8,11 @@ from typing import Annotated, NamedTuple
 
 from pydantic import Field
 
-from handctl.controller.requests import Clear, parse_request
 from handctl.controller.tick import Controller
 from handctl.document import Document, load_document
 from handctl.errors import ConfigError
 from handctl.log.read.reader import RunLog
+from handctl.programs.requests import Clear, parse_request
 from handctl.replay.execute import TOLD, refusal, undisturbed
 from handctl.replay.rebuild import rebuild
 from handctl.safety import judge as safety

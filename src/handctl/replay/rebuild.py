@@ -5,9 +5,9 @@ from typing import TypeVar
 
 from pydantic import ValidationError
 
-from handctl.controller.gains import Gains
 from handctl.controller.setup import ATTACHMENT, Setup
 from handctl.controller.tick import Controller
+from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError, LogError
 from handctl.hand.description import Hand
 from handctl.log.code import UNKNOWN, code_identity

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.hand.description import Hand
 from handctl.log.read.reader import RunLog
 from handctl.output import save_figure

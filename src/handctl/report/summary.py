@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.drives.load import frame_time_s
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel

@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from typing import Any
 
 from handctl.controller.modes import REMOVE_POWER
-from handctl.controller.requests import said_of
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.errors import BusError, PowerError, UnconfirmedError
+from handctl.programs.requests import said_of
 from handctl.runtime.mailbox import NOT_THERE_S, WATCH, Watcher
 
 ANSWER_S = 2.0

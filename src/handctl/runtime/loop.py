@@ -16,7 +16,7 @@ from types import FrameType
 from typing import Generic, Protocol, TypeVar
 
 from handctl.controller.modes import REMOVE_POWER
-from handctl.controller.types import IoEvent, Mode, TickIn, TickOut
+from handctl.core.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.errors import PowerError
 from handctl.handlers import handling

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from handctl.controller.types import TickIn, TickOut
+from handctl.core.types import TickIn, TickOut
 
 
 def status(entry: TickIn, out: TickOut) -> dict[str, Any]:

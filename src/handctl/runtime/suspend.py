@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 
-from handctl.controller.types import IoEvent
+from handctl.core.types import IoEvent
 
 LEAST_NS = 20_000_000
 """Only more than this is a suspend [ns]."""

@@ -5,13 +5,13 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from handctl.controller.calibration import Calibration, TendonCalibration, load_calibration
-from handctl.controller.commission import CommissionProgram, result
-from handctl.controller.identified import Identified
+from handctl.core.identified import Identified
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.file.toml_text import toml_text
 from handctl.output import write_whole
+from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
+from handctl.programs.commission import CommissionProgram, result
 from handctl.session.notices import Tell, silent
 from handctl.session.pace import remedy
 from handctl.session.plan import Plan

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from handctl.controller.gain_bounds import flat, with_values
-from handctl.controller.gains import Gains, GainsFile, Provenance, load_gains_file
+from handctl.core.gains.bounds import flat, with_values
+from handctl.core.gains.gains import Gains, GainsFile, Provenance, load_gains_file
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.session.notices import Tell, silent

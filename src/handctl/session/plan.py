@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Protocol
 
 from handctl.controller.bus_load import BusLoad, bus_loads
-from handctl.controller.gains import Gains
-from handctl.controller.types import TickIn, TickOut
+from handctl.core.gains.gains import Gains
+from handctl.core.types import TickIn, TickOut
 from handctl.drives.load import MOST, highest_rate
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
@@ -203,7 +203,7 @@ def check_design(hand: Hand, gains: Gains, rate_hz: float | None = None) -> None
     Raises:
         ConfigError: no controller or no filter follows from them.
     """
-    from handctl.controller.model import HandModel
+    from handctl.core.model import HandModel
 
     HandModel.of(hand, gains, rate_hz or fastest(bus_loads(hand)))
 

@@ -10,16 +10,16 @@ from typing import Protocol
 
 from handctl.compiled import prepare
 from handctl.controller import setup
-from handctl.controller.calibration import Calibration
 from handctl.controller.let_go import let_go
-from handctl.controller.program import Program
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
-from handctl.controller.types import IoEvent, TickIn, TickOut
+from handctl.core.types import IoEvent, TickIn, TickOut
 from handctl.errors import DriveError, PowerError
 from handctl.log.header import TRUTH_OFFSET
 from handctl.log.record import pack
 from handctl.log.write.recorder import Recorder
+from handctl.programs.calibration import Calibration
+from handctl.programs.program import Program
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clock import Clock, Priority, RealClock, give_back_priority, prepare_priority, urgent
 from handctl.runtime.lockstep import LockstepBus, LockstepClock

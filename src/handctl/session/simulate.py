@@ -14,14 +14,14 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
-from handctl.controller.model import HandModel
-from handctl.controller.program import Program
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
-from handctl.controller.types import IoEvent, Mode, TickIn, TickOut
+from handctl.core.model import HandModel
+from handctl.core.types import IoEvent, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_path
+from handctl.programs.program import Program
 from handctl.runtime.lockstep import SIMULATED_HAND, LockstepBus, LockstepClock, Peer, load_peer
 
 CHECK_NS = 2_000_000

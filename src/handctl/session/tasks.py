@@ -2,11 +2,11 @@
 
 from pathlib import Path
 
-from handctl.controller.pace import check_pace
-from handctl.controller.reach import check_reach, check_tip_force
-from handctl.controller.task import Task, check_task, load_task, load_trajectory, shapes
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
+from handctl.programs.pace import check_pace
+from handctl.programs.reach import check_reach, check_tip_force
+from handctl.programs.task import Task, check_task, load_task, load_trajectory, shapes
 
 TASKS = Path(__file__).parents[1] / "tasks"
 

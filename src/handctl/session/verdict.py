@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from handctl.controller.setup import make_sensors
-from handctl.controller.task import Hold, Task
 from handctl.log.read.reader import RunLog
+from handctl.programs.task import Hold, Task
 from handctl.report.figure import draw_run
 from handctl.report.lift import judge_lift, lift_failure
 from handctl.report.summary import summarise

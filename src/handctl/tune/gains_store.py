@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 
-from handctl.controller.gains import Gains, GainsFile, Provenance, gains_text, load_gains_file
+from handctl.core.gains.gains import Gains, GainsFile, Provenance, gains_text, load_gains_file
 from handctl.errors import ConfigError
 from handctl.output import write_whole
 

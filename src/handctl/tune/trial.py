@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.exercise import Exercise
-from handctl.controller.gains import Gains
-from handctl.controller.model import HandModel
-from handctl.controller.program import Program
-from handctl.controller.types import Mode, TickIn, TickOut
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_from
+from handctl.programs.exercise import Exercise
+from handctl.programs.program import Program
 from handctl.report.summary import mean_angles, rms
 from handctl.report.truth import Truth, read_truth
 from handctl.session.simulate import Simulator, homed_controller, simulate

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.stats import t as student
 
-from handctl.controller.gain_bounds import LIVE, flat
-from handctl.controller.gains import Gains
-from handctl.controller.types import Mode, TickIn, TickOut
+from handctl.core.gains.bounds import LIVE, flat
+from handctl.core.gains.gains import Gains
+from handctl.core.types import Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.log.read.moments import phase_of_each
 from handctl.log.read.reader import RunLog

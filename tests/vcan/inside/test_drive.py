@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.controller.calibration import Calibration, TendonCalibration
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
+from handctl.programs.calibration import Calibration, TendonCalibration
 from handctl.session.calibration import write_calibration
 from tests.replay.repeat import mean_angles_apart, tensions_held
 from tests.replay.runs import SCENE

@@ -14,13 +14,13 @@ import pytest
 
 from firmware_sim.truth import Truth, read_truth
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.gains import Gains
-from handctl.controller.live import JogProgram
-from handctl.controller.requests import HoldTension
-from handctl.controller.types import Mode, TickIn, TickOut
+from handctl.core.gains.gains import Gains
+from handctl.core.types import Mode, TickIn, TickOut
 from handctl.errors import LogError
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
+from handctl.programs.live import JogProgram
+from handctl.programs.requests import HoldTension
 from handctl.session.exit_codes import Exit
 from handctl.session.plan import Plan
 from handctl.session.run import Outcome, make_controller, run_live

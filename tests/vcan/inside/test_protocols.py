@@ -19,13 +19,13 @@ import pytest
 from firmware_sim.__main__ import main as firmware_sim
 from firmware_sim.truth import Truth, read_truth
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.gains import Gains
-from handctl.controller.live import JogProgram
-from handctl.controller.requests import HoldTension
 from handctl.controller.setup import make_drives, make_sensors
+from handctl.core.gains.gains import Gains
 from handctl.drives.contract import Phase, Want
 from handctl.drives.registry import PROTOCOLS
 from handctl.hand.load import load_hand
+from handctl.programs.live import JogProgram
+from handctl.programs.requests import HoldTension
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.clock import RealClock
 from handctl.session.exit_codes import Exit

@@ -7,9 +7,9 @@ from typing import Any
 from handctl.cli.console.options import gains_options, hand_option, json_option, print_json
 from handctl.cli.console.plan import find_calibration, layered_gains
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.gain_bounds import flat
-from handctl.controller.identified import UNITS
 from handctl.controller.setup import caveats, make_drives
+from handctl.core.gains.bounds import flat
+from handctl.core.identified import UNITS
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_path, load_hand, packaged_hands

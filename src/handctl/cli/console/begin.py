@@ -9,9 +9,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from handctl.cli.console.options import say
-from handctl.controller.calibration import Calibration
-from handctl.controller.gains import load_gains_file
+from handctl.core.gains.gains import load_gains_file
 from handctl.errors import ConfigError
+from handctl.programs.calibration import Calibration
 from handctl.runtime.buses.open import real_buses
 from handctl.session.plan import Plan
 

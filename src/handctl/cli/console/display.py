@@ -12,7 +12,7 @@ import sys
 from typing import Any
 
 from handctl.cli.console.screen import screen
-from handctl.controller.types import Event, Mode, TickIn, TickOut
+from handctl.core.types import Event, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.printing import escaped_streams
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 from handctl.cli.console.options import say
 from handctl.cli.console.progress import progress
-from handctl.controller.calibration import Calibration
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.output import check_output
+from handctl.programs.calibration import Calibration
 from handctl.session import calibration, gains, plan
 from handctl.session.simulate import Simulator
 

@@ -93,7 +93,7 @@ def _sentence(one: Any) -> str:
 
 def _other_gains(args: argparse.Namespace, log: Any) -> bool:
     """Execute it with other gains, and draw what they would have commanded; always good."""
-    from handctl.controller.gains import load_gains
+    from handctl.core.gains.gains import load_gains
     from handctl.replay.counterfactual import Commands, draw, summary
     from handctl.replay.execute import execute
 

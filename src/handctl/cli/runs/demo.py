@@ -27,10 +27,10 @@ from handctl.cli.console.options import (
 from handctl.cli.console.plan import make_plan
 from handctl.cli.runs.other_protocol import in_protocol
 from handctl.cli.runs.run import report
-from handctl.controller.grasp import TaskProgram
 from handctl.controller.tick import Controller
 from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.load import load_hand
+from handctl.programs.grasp import TaskProgram
 from handctl.runtime.places import truth_path
 from handctl.session.calibration import Known, commission, identified_in, write_calibration
 from handctl.session.exit_codes import Exit

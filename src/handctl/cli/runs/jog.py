@@ -6,10 +6,10 @@ from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import told
 from handctl.cli.console.options import print_json, run_options
 from handctl.cli.console.plan import find_calibration, make_plan
-from handctl.controller.live import JogProgram
-from handctl.controller.requests import HoldTension, MoveDigits
 from handctl.document import validated
 from handctl.errors import ConfigError
+from handctl.programs.live import JogProgram
+from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.session.calibration import ensure_calibration
 from handctl.session.plan import commission_log, default_log
 from handctl.session.run import make_controller, run_live

@@ -3,7 +3,7 @@
 import os
 import select
 
-from handctl.controller.types import TickIn, TickOut
+from handctl.core.types import TickIn, TickOut
 from handctl.runtime.mailbox import STOP
 
 STDIN = 0

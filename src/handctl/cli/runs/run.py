@@ -12,11 +12,11 @@ from handctl.cli.console.options import print_json, run_options
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.cli.console.verdict import print_summary
 from handctl.cli.runs.owner import Owner
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.live import LiveProgram
-from handctl.controller.program import Program
 from handctl.errors import DriveError
 from handctl.hand.file.toml_text import toml_text
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.live import LiveProgram
+from handctl.programs.program import Program
 from handctl.runtime.places import truth_path
 from handctl.session.calibration import ensure_calibration
 from handctl.session.pace import remedy

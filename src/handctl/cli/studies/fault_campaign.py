@@ -15,7 +15,7 @@ from handctl.campaign.trial import Result
 from handctl.cli.console.options import hand_option, json_option, print_json
 from handctl.cli.console.progress import progress
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.gains import Gains
+from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.log.record import pack

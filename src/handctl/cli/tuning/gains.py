@@ -8,12 +8,12 @@ from typing import Any
 from handctl.cli.console.buses import controller_bus
 from handctl.cli.console.options import bus_option, gains_options, hand_option, json_option, print_json, say
 from handctl.cli.console.plan import layered_gains, notice
-from handctl.controller.gain_bounds import bounds, flat, with_values
-from handctl.controller.gains import Gains, Provenance, load_gains_file
-from handctl.controller.requests import REFUSED
+from handctl.core.gains.bounds import bounds, flat, with_values
+from handctl.core.gains.gains import Gains, Provenance, load_gains_file
 from handctl.errors import ConfigError, UnconfirmedError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
+from handctl.programs.requests import REFUSED
 from handctl.session.exit_codes import Exit
 from handctl.session.gains import assignments, gains_for
 from handctl.session.plan import check_design

@@ -21,12 +21,12 @@ from handctl.cli.console.plan import (
     notice,
 )
 from handctl.cli.tuning.tune_files import same_hand_words
-from handctl.controller.calibration import Calibration, load_calibration
-from handctl.controller.excite import ExciteProgram
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
+from handctl.programs.calibration import Calibration, load_calibration
+from handctl.programs.excite import ExciteProgram
 from handctl.replay.rebuild import logged_hand
 from handctl.session.calibration import commission, ensure_calibration, kept, write_calibration
 from handctl.session.exit_codes import Exit

@@ -11,7 +11,7 @@ from handctl.cli.console.plan import layered_gains
 from handctl.cli.console.screen import screen
 from handctl.cli.tuning.tune_files import output_files, plants_of, subject, verify_command, write_gains
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.model import HandModel
+from handctl.core.model import HandModel
 from handctl.errors import ConfigError
 from handctl.session.exit_codes import Exit
 from handctl.session.plan import control_rate

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 from handctl.cli.console.options import perturb_words
 from handctl.cli.console.plan import check_perturb
-from handctl.controller.gains import Gains, Provenance, gains_text
-from handctl.controller.identified import identified_hand
+from handctl.core.gains.gains import Gains, Provenance, gains_text
+from handctl.core.identified import identified_hand
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand

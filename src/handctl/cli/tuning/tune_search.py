@@ -11,8 +11,8 @@ from handctl.cli.console.plan import layered_gains
 from handctl.cli.console.screen import screen
 from handctl.cli.tuning.tune_files import checked_count, output_files, plants_of, subject, verify_command, write_gains
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.gains import Gains
-from handctl.controller.model import HandModel
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.session.exit_codes import Exit

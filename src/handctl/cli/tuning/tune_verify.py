@@ -24,7 +24,7 @@ from handctl.session.simulate import Simulator
 
 def run(args: argparse.Namespace) -> int:
     """Verify; 0 only if the new gains went through at full amplitude."""
-    from handctl.controller.exercise import Exercise
+    from handctl.programs.exercise import Exercise
     from handctl.tune.verify import AMPLITUDES, Watch
 
     if bool(args.bus) == args.lockstep:

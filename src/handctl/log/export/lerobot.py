@@ -17,7 +17,7 @@ import pyarrow as pa  # type: ignore[import-untyped]
 import pyarrow.parquet as pq  # type: ignore[import-untyped]
 from numpy.typing import NDArray
 
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.errors import ConfigError, LogError
 from handctl.hand.load import parse_toml
 from handctl.log.read.moments import check_order

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.types import TELEMETRY_AXES, Mode
+from handctl.core.types import TELEMETRY_AXES, Mode
 from handctl.drives.frame import ERROR, EXTENDED, FDF, REMOTE, Frame
 from handctl.log.read.reader import RunLog
 from handctl.safety.action import Action

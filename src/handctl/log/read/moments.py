@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.types import Event
+from handctl.core.types import Event
 from handctl.errors import LogError
 
 MOST_PERIODS, MOST_MISSING = 1_000_000, 10

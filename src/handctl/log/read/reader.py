@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.types import TELEMETRY_AXES, TELEMETRY_FIELDS
+from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.errors import LogError
 from handctl.log.batch import FIXED_DTYPE, columns, columns_of, layout_of
 from handctl.log.header import RunHeader
@@ -146,7 +146,7 @@ class RunLog:
 
     @property
     def mode(self) -> NDArray[np.uint8]:
-        """(ticks,) controller.types.Mode."""
+        """(ticks,) core.types.Mode."""
         return self._fixed["mode"]
 
     @property
@@ -164,7 +164,7 @@ class RunLog:
         """(ticks, n) one field of the telemetry, NaN where nothing was known, or in a log that lacks it.
 
         Args:
-            name: of ``controller.types.TELEMETRY_FIELDS``.
+            name: of ``core.types.TELEMETRY_FIELDS``.
 
         Raises:
             LogError: there is no such field, or the log is damaged.

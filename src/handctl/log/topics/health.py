@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.drives.contract import Phase
 from handctl.log.batch import Batch, columns
 from handctl.log.cdr import CdrWriter, Template, TemplateWriter

@@ -5,7 +5,7 @@ import tomllib
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.types import TELEMETRY_AXES, TELEMETRY_FIELDS
+from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS
 from handctl.log.batch import Batch, columns
 from handctl.log.cdr import CdrWriter, Template, TemplateWriter
 from handctl.log.container import Run

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Self
 
-from handctl.controller.types import IoEvent
+from handctl.core.types import IoEvent
 from handctl.errors import LogError
 from handctl.log.header import RunHeader
 from handctl.log.record import END, HEADER, framed

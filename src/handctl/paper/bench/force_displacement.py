@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from scipy.optimize import curve_fit
 
-from handctl.controller.task import Task
 from handctl.hand.description import Hand
 from handctl.hand.digit import Array
 from handctl.hand.load import hand_from, load_hand
@@ -18,6 +17,7 @@ from handctl.paper import sources as src
 from handctl.paper.bench.run import run
 from handctl.paper.item import Item
 from handctl.paper.verdict import of_contradiction
+from handctl.programs.task import Task
 
 HAND = "jamia_bench"
 BLOCKED_DEG = 0.01

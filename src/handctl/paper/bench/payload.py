@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from handctl.controller.task import Task
 from handctl.hand.digit import Array
 from handctl.paper import sources as src
 from handctl.paper.bench.run import Recording, run
 from handctl.paper.item import Item
 from handctl.paper.verdict import of_lower_bound
+from handctl.programs.task import Task
 from handctl.report.truth import Truth, read_truth
 
 HAND = "jamia"

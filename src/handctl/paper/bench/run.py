@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 
-from handctl.controller.gains import Gains
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.model import HandModel
-from handctl.controller.task import Task
-from handctl.controller.types import TickIn, TickOut, Vector
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import TickIn, TickOut, Vector
 from handctl.errors import DriveError
 from handctl.hand.load import load_hand
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Task
 from handctl.session.simulate import Simulator, homed_controller, simulate
 
 RATE_HZ = 500.0

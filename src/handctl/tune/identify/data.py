@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from handctl.controller.setup import ATTACHMENT
-from handctl.controller.types import Mode
+from handctl.core.types import Mode
 from handctl.hand.description import Hand
 from handctl.log.read.logfile import Reading
 from handctl.log.read.moments import phase_of_each

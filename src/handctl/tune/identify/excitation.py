@@ -2,9 +2,9 @@
 
 import math
 
-from handctl.controller.excite import ExciteStep
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
+from handctl.programs.excite import ExciteStep
 
 LOW_DEG, HIGH_DEG = 6.0, 32.0
 """Range of free sweeps: clear of the open stop, and short of where the packaged hands' fingers meet thumb or palm."""

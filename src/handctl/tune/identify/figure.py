@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.controller.identified import UNITS
+from handctl.core.identified import UNITS
 from handctl.output import save_figure
 from handctl.tune.identify.fit import NAMES, on_stop
 from handctl.tune.identify.fit_load import LoadParameters

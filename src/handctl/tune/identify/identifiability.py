@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import coherence
 
-from handctl.controller.identified import UNITS
+from handctl.core.identified import UNITS
 from handctl.hand.file.sections import Tendon
 from handctl.tune.identify.data import Array, TendonData
 from handctl.tune.identify.fit import INFORMED, NAMES, SCALE_DELAY_S, Fit

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from handctl.controller.identified import UNITS, Identified
+from handctl.core.identified import UNITS, Identified
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel

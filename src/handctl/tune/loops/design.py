@@ -14,9 +14,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import reduce
 
-from handctl.controller.gains import Gains
-from handctl.controller.model import HandModel
-from handctl.controller.motion_design import bearable, design_motion
+from handctl.core.gains.gains import Gains
+from handctl.core.gains.motion_design import bearable, design_motion
+from handctl.core.model import HandModel
 from handctl.document import validated
 from handctl.errors import ConfigError
 from handctl.tune.loops.linear import LoopKind, PlantFactors, System, controller, joined, plant

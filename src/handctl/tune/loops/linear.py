@@ -20,14 +20,15 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import linprog
 
-from handctl.controller import computed_torque, estimator
-from handctl.controller.computed_torque import LawState
-from handctl.controller.estimator import Measured
-from handctl.controller.filter_stack import STATES, Regime, S, V, W, X
-from handctl.controller.filter_state import FilterState
-from handctl.controller.goal import DigitGoal, Kind
-from handctl.controller.model import HandModel
-from handctl.controller.trajectory import Sample
+from handctl.core.estimation import estimator
+from handctl.core.estimation.estimator import Measured
+from handctl.core.estimation.filter_stack import STATES, Regime, S, V, W, X
+from handctl.core.estimation.filter_state import FilterState
+from handctl.core.law import computed_torque
+from handctl.core.law.computed_torque import LawState
+from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.trajectory import Sample
+from handctl.core.model import HandModel
 from handctl.hand.digit import DigitModel
 
 Matrix = NDArray[np.float64]

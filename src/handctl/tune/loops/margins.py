@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.model import HandModel
+from handctl.core.model import HandModel
 from handctl.tune.loops.linear import NOMINAL, LoopKind, Matrix, PlantFactors, System, loop, plant
 
 GAIN_MARGIN_DB = 6.0

@@ -10,11 +10,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from handctl.controller.exercise import HOME_RAD, Exercise, Stage
-from handctl.controller.gains import Gains
-from handctl.controller.model import HandModel
-from handctl.controller.types import Mode
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.types import Mode
 from handctl.hand.description import Hand
+from handctl.programs.exercise import HOME_RAD, Exercise, Stage
 from handctl.report.truth import Truth
 from handctl.tune.loops.design import weakest
 from handctl.tune.loops.linear import Matrix, PlantFactors

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy.stats import qmc
 
-from handctl.controller.identified import Identified
+from handctl.core.identified import Identified
 
 LEAST_SPREAD = {"stiffness": 0.2, "friction": 0.5, "mass": 0.2, "spring": 0.1, "motor_inertia": 0.1, "damping": 0.5}
 """Half width of each factor, at least: what an identification is never trusted beyond. The first two are those that a

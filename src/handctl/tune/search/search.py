@@ -13,8 +13,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from handctl.controller.gain_bounds import with_values
-from handctl.controller.gains import Gains
+from handctl.core.gains.bounds import with_values
+from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError
 from handctl.tune.search.space import SPACE, within
 from handctl.tune.search.workers import Workers

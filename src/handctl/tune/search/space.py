@@ -2,8 +2,8 @@
 
 from typing import NamedTuple
 
-from handctl.controller.gain_bounds import flat
-from handctl.controller.gains import Gains
+from handctl.core.gains.bounds import flat
+from handctl.core.gains.gains import Gains
 
 
 class Range(NamedTuple):

@@ -11,7 +11,7 @@ import numpy as np
 import rerun as rr
 from rerun.chunk import Chunk
 
-from handctl.controller.types import TELEMETRY_AXES
+from handctl.core.types import TELEMETRY_AXES
 from handctl.view.scene.arrow import Floats, message, numbers, retimed, run_times, timed
 from handctl.view.scene.geometry import solid
 from handctl.view.scene.load import BusLoad

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import rerun as rr
 from rerun.chunk import Chunk
 
-from handctl.controller.types import TELEMETRY_AXES
+from handctl.core.types import TELEMETRY_AXES
 from handctl.view.scene import palette
 from handctl.view.scene.arrow import static
 from handctl.view.scene.palette import Colour

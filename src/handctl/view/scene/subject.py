@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.controller.types import TELEMETRY_AXES
+from handctl.core.types import TELEMETRY_AXES
 from handctl.hand.description import Hand
 from handctl.log.batch import columns, layout_of
 from handctl.log.header import RunHeader

@@ -1,0 +1,1 @@
+"""What a tick computes: the hand's model, estimation, law."""

@@ -1,0 +1,1 @@
+"""From measurements to tensions, angles, contacts and forces, with their variances."""

@@ -1,0 +1,1 @@
+"""Gains: their bounds, and the designs that follow from them."""

@@ -1,0 +1,117 @@
+"""Feedback gains of the motion loop and of the tension loop, by LQR on the discrete model, once, before arming.
+
+Both loops act on the tension filter's prediction, which already holds the bus delay, so the delay needs no state here.
+What the prediction does not know costs phase, the more the longer it reaches: at rates below that for which the force
+weights are said, they count less.
+Source: Bryson's rule for the weights; the Riccati solution comes from ``control``.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import cont2discrete
+
+from handctl.core.gains.gains import Gains
+from handctl.core.gains.solvable import check_finite, solvable
+from handctl.core.tendon_space import TendonSpace
+from handctl.core.types import Vector
+
+
+@dataclass(frozen=True, slots=True)
+class MotionDesign:
+    """Gains of the two loops, each (N,).
+
+    Attributes:
+        stiffness: motion loop, acceleration per excursion error [1/s^2].
+        damping: motion loop, acceleration per speed error [1/s].
+        tension: tension loop, motor force per newton of tension error [1].
+        tension_speed: tension loop, motor force per m/s of cable speed [N s/m].
+    """
+
+    stiffness: Vector
+    damping: Vector
+    tension: Vector
+    tension_speed: Vector
+
+
+FULL_S = 2e-3
+"""Control period up to which the force weights count in full [s]."""
+
+
+def bearable(force: float, period: float) -> float:
+    """Force weight [N] at a control period [s]: a loop's stiffness goes with it, its bandwidth with their root."""
+    return force * min(1.0, math.sqrt(FULL_S / period))
+
+
+def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesign:
+    """LQR of both loops for every tendon.
+
+    Args:
+        space: the hand along its tendons.
+        gains: weights.
+        period: control period [s].
+
+    Raises:
+        ConfigError: no gains follow from these weights.
+    """
+    return assembled(space, [design_piece(space, gains, period, piece) for piece in range(pieces(space))])
+
+
+def pieces(space: TendonSpace) -> int:
+    """How many pieces the design falls into, each short enough for one tick of a running controller."""
+    return 2 * len(space.spool)
+
+
+def design_piece(space: TendonSpace, gains: Gains, period: float, piece: int) -> Vector:
+    """Gain (2,) of one loop of one tendon: the motion loop of every tendon, then the tension loop of every tendon.
+
+    Raises:
+        ConfigError: none follows from these weights.
+    """
+    n = len(space.spool)
+    if piece < n:
+        with solvable("motion"):
+            return _motion(float((space.motor_mass + space.load_mass)[piece]), gains, period)
+    with solvable("tension"):
+        return _tension(space, piece - n, gains, period)
+
+
+def assembled(space: TendonSpace, found: list[Vector]) -> MotionDesign:
+    """The design of all its pieces."""
+    n, mass = len(space.spool), space.motor_mass + space.load_mass
+    motion, tension = found[:n], found[n:]
+    return MotionDesign(
+        stiffness=np.array([K[0] for K in motion]) / mass,
+        damping=np.array([K[1] for K in motion]) / mass,
+        tension=np.array([K[0] for K in tension]),
+        tension_speed=np.array([K[1] for K in tension]),
+    )
+
+
+def _dlqr(A: NDArray[np.float64], B: NDArray[np.float64], state: list[float], force: float, period: float) -> Vector:
+    """Gain (2,) of x' = A x + B u sampled at the period, with Bryson weights."""
+    from control import dlqr
+
+    F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), period)
+    K, *_ = dlqr(F, G, np.diag([1.0 / x**2 for x in state]), np.array([[1.0 / force**2]]), method="scipy")
+    check_finite(K)
+    if not np.abs(np.linalg.eigvals(F - G @ K)).max() < 1.0:
+        raise ValueError("not stable")
+    return np.asarray(np.asarray(K)[0], dtype=np.float64)
+
+
+def _motion(mass: float, gains: Gains, period: float) -> Vector:
+    """Motor and digit as one mass on a rigid tendon, force per [m, m/s]."""
+    weights = gains.motion
+    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0 / mass]])
+    return _dlqr(A, B, [weights.position_error_m, weights.speed_error_m_s], bearable(weights.force_N, period), period)
+
+
+def _tension(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
+    """Rotor on the rope of a blocked digit, states tension error [N] and cable speed [m/s]."""
+    weights = gains.tension
+    mass, k, b = space.motor_mass[i], space.stiffness[i], space.motor_damping[i] + space.damping[i]
+    A, B = np.array([[0.0, k], [-1.0 / mass, -b / mass]]), np.array([[0.0], [1.0 / mass]])
+    return _dlqr(A, B, [weights.tension_error_N, weights.speed_error_m_s], bearable(weights.force_N, period), period)

@@ -1,0 +1,144 @@
+"""What identification found out about a hand, and the hand as it then is for the controller."""
+
+import copy
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from handctl.core.types import Vector
+from handctl.document import Document
+from handctl.errors import ConfigError
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_from
+
+TENDON_KEYS = {"rope_stiffness": "stiffness_N_per_m", "capstan": "friction_coefficient"}
+MOTOR_KEYS = {
+    "motor_inertia": "inertia_kg_m2",
+    "motor_viscous": "viscous_N_m_s_per_rad",
+    "motor_coulomb": "coulomb_N_m",
+}
+DIGIT_KEYS = {
+    "spring_stiffness": "spring_stiffness_N_m_per_rad",
+    "spring_preload": "spring_preload_rad",
+    "joint_damping": "joint_damping_N_m_s_per_rad",
+}
+"""Factors on what the hand file says of every joint of the digit; the rest replaces what it says."""
+UNITS = {
+    "torque_gain": "1", "motor_inertia": "kg m2", "motor_viscous": "N m s/rad", "motor_coulomb": "N m", "delay": "s",
+    "rope_stiffness": "N/m", "spring_stiffness": "x file", "spring_preload": "x file", "capstan": "1",
+    "joint_damping": "x file",
+}  # fmt: skip
+"""Everything that can be identified, with its unit; torque_gain is torque at the spool over what the drive was told."""
+
+
+class Identified(Document):
+    """One tendon with its motor and its digit."""
+
+    names: tuple[str, ...] = Field(min_length=1)
+    """Of what was identified, a part of ``UNITS``."""
+    values: tuple[float, ...]
+    half_widths: tuple[float, ...]
+    """Of the 95 % intervals."""
+    covariance: tuple[tuple[float, ...], ...]
+    """Of the values, in their units; rows and columns as ``names``."""
+    missing: tuple[str, ...] = ()
+    """What the data could not tell, each with the reason."""
+    log: tuple[str, ...] = ()
+    """Runs that it rests on."""
+    made: str = ""
+    """Date and time, ISO 8601, UTC."""
+
+    @model_validator(mode="after")
+    def _shapes(self) -> "Identified":
+        n = len(self.names)
+        unknown = set(self.names) - UNITS.keys()
+        if unknown:
+            raise ValueError(f"names from {', '.join(UNITS)}, not {', '.join(sorted(unknown))}")
+        if not n == len(self.values) == len(self.half_widths) == len(self.covariance):
+            raise ValueError("one value, half width and row of the covariance for every name")
+        if any(len(row) != n for row in self.covariance):
+            raise ValueError("a square covariance")
+        return self
+
+    def get(self, name: str, otherwise: float) -> float:
+        """A value by its name, if it was identified."""
+        return self.values[self.names.index(name)] if name in self.names else otherwise
+
+    def beside(self, older: "Identified | None") -> "Identified":
+        """This, and what only an older one tells: a run that excites little takes nothing away that is known.
+
+        The two are of different runs, so that nothing is correlated between them.
+        """
+        others = [i for i, name in enumerate(older.names) if name not in self.names] if older else []
+        if older is None or not others:
+            return self
+        n, m = len(self.names), len(others)
+        joined = np.zeros((n + m, n + m))
+        joined[:n, :n] = self.covariance
+        joined[n:, n:] = np.array(older.covariance)[np.ix_(others, others)]
+        return self.model_copy(
+            update={
+                "names": self.names + tuple(older.names[i] for i in others),
+                "values": self.values + tuple(older.values[i] for i in others),
+                "half_widths": self.half_widths + tuple(older.half_widths[i] for i in others),
+                "covariance": tuple(map(tuple, joined.tolist())),
+                "log": tuple(dict.fromkeys((*self.log, *older.log))),
+            }
+        )
+
+
+def identified_hand(hand: Hand, found: dict[str, Identified]) -> Hand:
+    """The hand with what was identified in the place of what its file says.
+
+    Args:
+        hand: as in its file.
+        found: by tendon.
+
+    Raises:
+        ConfigError: a value that no hand can have.
+    """
+    content = copy.deepcopy(hand.content)
+    for i, tendon in enumerate(hand.tendon):
+        if tendon.name not in found:
+            continue
+        known = found[tendon.name]
+        digit = next(d for d, name in enumerate(hand.digit_names) if _within(hand.digit_tendons[name], i))
+        _replace(content["tendon"][i], TENDON_KEYS, known)
+        _replace(content["motor"][hand.motor_index[i]], MOTOR_KEYS, known)
+        _scale(content["digit"][digit], known)
+    return hand_from(content, f"{hand.name} as identified")
+
+
+def torque_gain(hand: Hand, found: dict[str, Identified]) -> Vector:
+    """(N,) torque at the spool over what each drive is told."""
+    return np.array([found[t.name].get("torque_gain", 1.0) if t.name in found else 1.0 for t in hand.tendon])
+
+
+def check_identified(hand: Hand, found: dict[str, Identified], source: str) -> None:
+    """Refuse what is for tendons that the hand does not have.
+
+    Raises:
+        ConfigError: such a tendon, or a torque gain that is none.
+    """
+    for name, known in found.items():
+        if name not in hand.tendon_names:
+            raise ConfigError("no such tendon", f"{source}: identified.{name}", ", ".join(hand.tendon_names))
+        if not 0.2 <= known.get("torque_gain", 1.0) <= 5.0:
+            right = "from 0.2 to 5"
+            raise ConfigError(f"{known.get('torque_gain', 1.0):g}", f"{source}: identified.{name}.torque_gain", right)
+
+
+def _within(place: slice, i: int) -> bool:
+    return bool(place.start <= i < place.stop)
+
+
+def _replace(table: dict[str, object], keys: dict[str, str], known: Identified) -> None:
+    for name, key in keys.items():
+        if name in known.names:
+            table[key] = known.get(name, 0.0)
+
+
+def _scale(table: dict[str, tuple[float, ...]], known: Identified) -> None:
+    for name, key in DIGIT_KEYS.items():
+        factor = known.get(name, 1.0)
+        table[key] = tuple(value * factor for value in table[key])

@@ -1,0 +1,1 @@
+"""From goals and estimates to motor torques."""

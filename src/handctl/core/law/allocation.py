@@ -1,0 +1,87 @@
+"""Joint torque to tendon tension: the bounded least-squares problem of a tendon-driven digit.
+
+minimise |R^T f - tau|^2 / r^2 + regularisation |f - f_bias|^2 subject to f_min <= f <= f_max, with r the mean moment
+arm. Where the equations have a solution within the bounds it is taken as it is. If the bounds forbid the torque, the
+closest torque is taken, all coordinates weighted alike, and the shortfall is returned. Source: Lee & Tsai (1991).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from handctl.core.types import Vector
+
+REGULARISATION = 1e-6
+"""Weight of tension [N^2] against torque error as tension; small, so that it decides only among equals."""
+
+
+def allocate(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector) -> tuple[Vector, Vector]:
+    """Tensions that make a torque.
+
+    Args:
+        moment_arms: (n_t, n_c) reduced moment arms [m].
+        torque: (n_c,) torque in the digit's coordinates [N m].
+        floor, ceiling: (n_t,) bounds [N].
+
+    Returns:
+        tensions (n_t,) [N] and the torque that is missing (n_c,) [N m].
+    """
+    tension = _exact(moment_arms, torque)
+    if tension is None or (tension < floor).any() or (tension > ceiling).any():
+        tension = bounded(moment_arms, torque, floor, ceiling, floor if tension is None else tension)
+    return tension, torque - moment_arms.T @ tension
+
+
+def _exact(moment_arms: Vector, torque: Vector) -> Vector | None:
+    """The one solution without bounds; None if there are more tendons than coordinates."""
+    if moment_arms.shape[0] != moment_arms.shape[1]:
+        return None
+    if len(torque) == 1:
+        return np.asarray(torque / moment_arms[0])
+    return np.asarray(np.linalg.solve(moment_arms.T, torque))
+
+
+class _Problem(NamedTuple):
+    """What does not change in a digit's quadratic program: arms over their mean, that mean [m], and the weights."""
+
+    arms: Vector
+    mean: float
+    weight: Vector
+    unconstrained: Vector
+
+
+_problems: dict[int, tuple[Vector, _Problem]] = {}
+MOST = 64
+
+
+def _problem(moment_arms: Vector) -> _Problem:
+    """The program of moment arms, which are constant and told apart by identity."""
+    found = _problems.get(id(moment_arms))
+    if found is not None and found[0] is moment_arms:
+        return found[1]
+    if len(_problems) >= MOST:
+        _problems.clear()
+    n, mean = len(moment_arms), float(np.abs(moment_arms).mean())
+    arms = moment_arms / mean
+    weight = np.ascontiguousarray(arms @ arms.T + REGULARISATION * np.eye(n))
+    problem = _Problem(arms, mean, weight, np.zeros((0, n)))
+    if not moment_arms.flags.writeable:
+        _problems[id(moment_arms)] = moment_arms, problem
+    return problem
+
+
+def bounded(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector, near: Vector) -> Vector:
+    """The quadratic program, by daqp: tensions (n_t,) within the bounds; see ``allocate``.
+
+    Args:
+        moment_arms, torque, floor, ceiling: see ``allocate``.
+        near: (n_t,) tensions [N], the solution without bounds for one. Those that are not within the bounds make the
+            active set from which the solver starts, which halves its steps and leaves nothing to remember.
+    """
+    from daqp import solve
+
+    arms, mean, weight, unconstrained = _problem(moment_arms)
+    linear = -(arms.dot(torque / mean) + REGULARISATION * floor)
+    start = np.minimum(np.maximum(near, floor), ceiling)
+    found = solve(weight.copy(), linear, unconstrained, ceiling.copy(), floor.copy(), primal_start=start)
+    return np.minimum(np.maximum(np.asarray(found[0], dtype=np.float64), floor), ceiling)

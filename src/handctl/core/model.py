@@ -1,0 +1,146 @@
+"""Everything about one hand that a tick needs and that never changes during a run."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from handctl.choose import nothing
+from handctl.core.all_digits import AllDigits
+from handctl.core.estimation.filter_design import design_filter
+from handctl.core.estimation.filter_stack import FilterDesign
+from handctl.core.gains.gains import Gains
+from handctl.core.gains.motion_design import MotionDesign, design_motion
+from handctl.core.tendon_space import TendonSpace, tendon_space
+from handctl.core.types import Vector
+from handctl.hand.description import Hand
+from handctl.hand.digit import Values
+from handctl.hand.dynamics import DigitModel, required_torque
+
+Inverse = Callable[[DigitModel, Values, Values, Values], tuple[float, ...]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HandModel:
+    """A hand, its gains, and what is derived from both.
+
+    Attributes:
+        hand: description.
+        gains: as tuned.
+        period: control period [s].
+        digits: digit models, file order.
+        all_digits: the same, stacked.
+        digit_tendons: for each digit, the slice of its tendons in the hand's order.
+        space: the hand along its tendons.
+        filter: steady-state filter of each tendon.
+        motion: feedback gains of each tendon.
+        digit_of: for each tendon, the index of its digit.
+        excursion_to_joints: (J, N), joint angles that excursions stand for [rad/m].
+        torque_to_tension: (N, J), smallest tensions that make a torque [1/m].
+        pulleys: (N, J), 1 where a tendon passes a joint's pulley.
+        pulley_weights: (N, J), share of each pulley in a tendon's moment arms.
+        friction: (N,), capstan coefficient.
+        wrap: (N,), wrap angle before the first joint pulley [rad].
+        floor, ceiling: (N,) tension limits at the load cell [N].
+        torque_limit: (N,) largest motor torque the host may ask [N m].
+        torque_gain: (N,) torque at the spool over what the drive is told; None where that is not known.
+        inverse: joint torque of a motion, from digit, q, dq and ddq; another law of the digits for experiments.
+    """
+
+    hand: Hand
+    gains: Gains
+    period: float
+    digits: tuple[DigitModel, ...]
+    all_digits: AllDigits
+    digit_tendons: tuple[slice, ...]
+    digit_of: tuple[int, ...]
+    space: TendonSpace
+    filter: FilterDesign
+    motion: MotionDesign
+    excursion_to_joints: Vector
+    torque_to_tension: Vector
+    pulleys: Vector
+    pulley_weights: Vector
+    friction: Vector
+    wrap: Vector
+    floor: Vector
+    ceiling: Vector
+    torque_limit: Vector
+    torque_gain: Vector | None = None
+    inverse: Inverse = required_torque
+
+    @staticmethod
+    def of(hand: Hand, gains: Gains, rate_hz: float, torque_gain: Vector | None = None) -> "HandModel":
+        """Derive the model; designs all gains, which takes a second (``control`` is imported here).
+
+        Args:
+            hand: description.
+            gains: weights and noise assumptions.
+            rate_hz: control rate [Hz].
+            torque_gain: (N,) as identified.
+        """
+        digits = tuple(DigitModel.of(hand, digit.name) for digit in hand.digit)
+        space = tendon_space(hand, digits)
+        tendons = hand.tendon
+        arms = np.abs(hand.moment_arms)
+        return HandModel(
+            hand=hand,
+            gains=gains,
+            period=1.0 / rate_hz,
+            digits=digits,
+            all_digits=AllDigits.of(digits),
+            digit_tendons=tuple(digit.tendons for digit in digits),
+            digit_of=tuple(d for d, one in enumerate(digits) for _ in range(one.tendons.start, one.tendons.stop)),
+            space=space,
+            filter=design_filter(space, gains.filter, 1.0 / rate_hz, _joint_period(hand, 1.0 / rate_hz)),
+            motion=design_motion(space, gains, 1.0 / rate_hz),
+            excursion_to_joints=block_diag(*(digit.excursion_to_joints for digit in digits)),
+            torque_to_tension=block_diag(*(digit.torque_to_tension for digit in digits)),
+            pulleys=(arms > 0.0).astype(np.float64),
+            pulley_weights=arms / arms.sum(axis=1, keepdims=True),
+            friction=np.array([tendon.friction_coefficient for tendon in tendons]),
+            wrap=np.array([tendon.wrap_angle_rad for tendon in tendons]),
+            floor=np.array([tendon.tension_floor_N for tendon in tendons]),
+            ceiling=np.array([tendon.tension_max_N for tendon in tendons]),
+            torque_limit=_torque_limit(hand, torque_gain),
+            torque_gain=torque_gain,
+        )
+
+    def excursion_of(self, joints: Vector) -> Vector:
+        """(N,) excursion of joint readings (J,) [rad]; NaN where a joint of the tendon was not read."""
+        unread = np.isnan(joints)
+        missing = np.count_nonzero(unread)
+        if not missing:
+            return np.asarray(self.hand.moment_arms.dot(joints))
+        if missing == len(joints):
+            return nothing(self.tendon_count)
+        excursion = self.hand.moment_arms @ np.where(unread, 0.0, joints)
+        return np.where(self.pulleys @ unread > 0.0, np.nan, excursion)
+
+    def told(self, torque: Vector) -> Vector:
+        """(N,) what the drives are told for a torque at the spool (N,) [N m]."""
+        return torque if self.torque_gain is None else torque / self.torque_gain
+
+    @property
+    def tendon_count(self) -> int:
+        """N."""
+        return len(self.floor)
+
+
+def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
+    """(N,) torque that the host may ask, at the spool: what the hand file says, and no more than the drive can be told.
+
+    A drive that makes less than it is told has to be told more. A hair is left for what is divided by the spool and
+    the gain and multiplied again: a drive takes nothing beyond its limit, not by the last bit.
+    """
+    most = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (1.0 - 1e-12)
+    return most if gain is None else most * np.minimum(gain, 1.0)
+
+
+def _joint_period(hand: Hand, period: float) -> Vector:
+    """(N,) time from one reading of all joints of a tendon to the next [s]; inf if one of them has no encoder."""
+    sensors = hand.sensor_node
+    measured = np.array([joint in sensors.joints for joint in hand.joints])
+    covered = ~((hand.moment_arms != 0.0) & ~measured).any(axis=1)
+    return np.where(covered, sensors.joint_decimation * period, np.inf)

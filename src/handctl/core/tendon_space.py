@@ -1,0 +1,92 @@
+"""The hand seen along its tendons: one motor mass and one load mass joined by an elastic rope, per tendon.
+
+Along tendon i the motor is a mass J_m / r_a^2 at cable travel x = r_a theta_m, and the digit behind it a mass at
+excursion s = R q; between them the rope carries f = k (x - s - o) + c (x' - s'), with o the stretch offset.
+Source: MODEL of the one-tendon finger in reduced coordinates (Tsai, structure matrix); virtual work.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from handctl.core.types import Vector
+from handctl.drives.registry import make_drive
+from handctl.hand.description import Hand
+from handctl.hand.dynamics import DigitModel, mass_matrix
+from handctl.hand.file.sections import Motor
+
+
+@dataclass(frozen=True, slots=True)
+class TendonSpace:
+    """Constants of the N tendons of a hand, each array of shape (N,), SI units at the cable.
+
+    Attributes:
+        motor_mass: reflected rotor inertia J_m / r_a^2 [kg].
+        motor_damping: b_m / r_a^2 [N s/m].
+        coulomb: motor friction tau_c / r_a [N].
+        stiffness: of the rope [N/m].
+        damping: of the rope [N s/m].
+        load_mass: effective mass of the digit along the tendon at half closure [kg].
+        load_stiffness: effective return spring along the tendon [N/m].
+        load_damping: effective joint damping along the tendon [N s/m].
+        spool: radius [m].
+        encoder_step: the motor's position is not told any finer, along the cable [m].
+        tension_noise: standard deviation of a load-cell sample [N].
+    """
+
+    motor_mass: Vector
+    motor_damping: Vector
+    coulomb: Vector
+    stiffness: Vector
+    damping: Vector
+    load_mass: Vector
+    load_stiffness: Vector
+    load_damping: Vector
+    spool: Vector
+    encoder_step: Vector
+    tension_noise: Vector
+
+
+def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
+    """Collect the constants of every tendon.
+
+    Args:
+        hand: the hand's description.
+        digits: its digit models, in file order.
+    """
+    motors = {motor.name: motor for motor in hand.motor}
+    tendons = hand.tendon
+    spool = np.array([motors[tendon.motor].spool_radius_m for tendon in tendons])
+    inertia = np.array([motors[tendon.motor].inertia_kg_m2 for tendon in tendons])
+    load = np.concatenate([_load(digit) for digit in digits], axis=1)
+    return TendonSpace(
+        motor_mass=inertia / spool**2,
+        motor_damping=np.array([motors[tendon.motor].viscous_N_m_s_per_rad for tendon in tendons]) / spool**2,
+        coulomb=np.array([motors[tendon.motor].coulomb_N_m for tendon in tendons]) / spool,
+        stiffness=np.array([tendon.stiffness_N_per_m for tendon in tendons]),
+        damping=np.array([tendon.damping_N_s_per_m for tendon in tendons]),
+        load_mass=load[0],
+        load_stiffness=load[1],
+        load_damping=load[2],
+        spool=spool,
+        encoder_step=np.array([_position_step(motors[tendon.motor]) for tendon in tendons]) * spool,
+        tension_noise=np.full(len(tendons), hand.sensor_node.tension_noise_N),
+    )
+
+
+def _position_step(motor: Motor) -> float:
+    """Of a motor as its drive tells it [rad]; what is finer than 16 bit over its range is taken for noise."""
+    return max(2 * motor.position_range_rad / 0xFFFF, make_drive(motor, 0).position_step)
+
+
+def _load(digit: DigitModel) -> Vector:
+    """Effective mass, stiffness, damping along each of the digit's tendons, shape (3, n)."""
+    half = np.full(digit.joint_count, np.pi / 4)
+    coupling = digit.coupling
+    joint_space = (
+        mass_matrix(digit, half),
+        np.diag(digit.spring_stiffness),
+        np.diag(digit.joint_damping),
+    )
+    to_tendon = np.linalg.pinv(digit.reduced_moment_arms)
+    return np.array([np.diag(to_tendon.T @ coupling.T @ matrix @ coupling @ to_tendon) for matrix in joint_space])

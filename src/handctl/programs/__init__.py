@@ -1,0 +1,1 @@
+"""Programs decide the goals of all digits, tick after tick."""
