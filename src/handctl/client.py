@@ -24,7 +24,8 @@ from handctl.programs.requests import REFUSED, HoldTension, MoveDigits
 from handctl.runtime.asking import ANSWER_S, confirmed, follow_to_the_end, is_off
 from handctl.runtime.buses.open import real_buses
 from handctl.runtime.mailbox import LARGEST, Watcher, answers
-from handctl.session.buses import DEFAULT_HAND, named_buses
+from handctl.session.buses import named_buses
+from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import Exit
 
 START_S = 300.0

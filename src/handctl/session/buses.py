@@ -1,13 +1,10 @@
-"""Buses and the hand on them, where the words of an operator do not tell everything."""
+"""Buses as words where no hand tells their names."""
 
 from collections.abc import Sequence
 
 from handctl.errors import ConfigError
 from handctl.hand.file.quantities import NAME_PATTERN
 from handctl.runtime.buses.open import check_spec
-
-DEFAULT_HAND = "jamia"
-"""The hand on a simulated bus where none is named; on a real bus one must be."""
 
 
 def named_buses(given: Sequence[str]) -> dict[str, str]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from handctl.hand.file.quantities import FASTEST_BUS, SLOWEST_BUS
 from handctl.printing import encodable, message
-from handctl.session.buses import DEFAULT_HAND
+from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import Exit
 
 
