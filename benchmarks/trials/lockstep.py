@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from handctl.controller.setup import make_controller
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
-from handctl.core.estimation.filter_stack import FilterDesign
+from handctl.core.estimation.filter_stack import FilterDesign, kinds
 from handctl.core.estimation.filter_state import FilterState
 from handctl.core.gains.gains import Gains
 from handctl.core.types import TELEMETRY_FIELDS, Mode, TickIn, TickOut
@@ -144,8 +144,9 @@ def _filtered(design: FilterDesign, inputs: Array, after: FilterState) -> list[f
         design: of the filter. inputs: (N, 2) of the tick. after: the filter's state when it is done.
     """
     found = []
-    for i, (regime, x) in enumerate(zip(after.regimes, after.x.reshape(len(inputs), -1), strict=True)):
-        block = design.blocks[i][regime]
+    of_tendons = kinds(after.regimes, after.wary)
+    for i, (kind, x) in enumerate(zip(of_tendons, after.x.reshape(len(inputs), -1), strict=True)):
+        block = design.blocks[i][kind]
         found.append(max(float(block.tension_row @ np.linalg.solve(block.F, x - block.B @ inputs[i])), 0.0))
     return found
 

@@ -8,6 +8,7 @@ PLANTS: dict[str, dict[str, float]] = {
     "mass -20 %": {"mass": 0.8},
     "friction +50 %": {"friction": 1.5},
     "friction -50 %": {"friction": 0.5},
+    "friction +100 %": {"friction": 2.0},
     "bias 1 N": {"bias": 1.0},
 }
 TO_CONTACT = (

@@ -48,9 +48,9 @@ def words(texts: tuple[object, ...]) -> bytes:
 
 def filter_bytes(state: FilterState) -> bytes:
     """The filter's state."""
-    x, regimes, stopped, turning, measured, surprise, nis, doubtful, covariance, started = state
+    x, regimes, stopped, turning, measured, surprise, nis, doubtful, lately, wary, covariance, started = state
     plain = plain_bytes((regimes, stopped, turning, measured, doubtful, started))
-    told = plain + x.tobytes() + surprise.tobytes() + nis.tobytes()
+    told = plain + b"".join([array.tobytes() for array in (x, surprise, nis, lately, wary)])
     return told if covariance is None else told + covariance.tobytes()
 
 

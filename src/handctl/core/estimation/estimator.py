@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from handctl.choose import Array, known, nothing, zeros
 from handctl.core.estimation import covariance, take_up
-from handctl.core.estimation.filter_stack import MEASUREMENTS, STATES, D, E, O, Regime, S, Stacked, V, W, X
+from handctl.core.estimation.filter_stack import MEASUREMENTS, STATES, D, E, O, Regime, S, Stacked, V, W, X, kinds
 from handctl.core.estimation.filter_state import FilterState
-from handctl.core.estimation.innovation import gate, watch
+from handctl.core.estimation.innovation import caution, gate, watch
 from handctl.core.estimation.statics import LoadStatics, load_statics
 from handctl.core.model import HandModel
 from handctl.core.types import Vector
@@ -137,11 +137,12 @@ def step(
     if not state.started:
         unknown = nothing(model.tendon_count)
         return state, _estimate(model, state, state.x, unknown, unknown, zeros(model.tendon_count))
-    filters = model.filter.stacked(state.regimes)
+    before = kinds(state.regimes, state.wary)
+    filters = model.filter.stacked(before)
     z = _usable(state, filters, measured)
     worth, innovation = None, z - filters.H.dot(state.x)
     if missed or state.covariance is not None or covariance.missing(filters, z):
-        worth = covariance.update(model.filter.spread(state.regimes), state.covariance, z)
+        worth = covariance.update(model.filter.spread(before), state.covariance, z)
     sure: Stacked | covariance.Update = worth or filters
     innovation, surprise, believed = gate(filters, sure.cell_sigma, state.surprise, innovation)
     used = known(innovation.copy())
@@ -151,27 +152,33 @@ def step(
     tension = filters.tension.dot(x)
     statics = load_statics(model, x.reshape(-1, STATES), tension, friction_state)
     judged = _regimes(model, state, x, tension, statics, measured, contact)
-    nis = _nis(sure, innovation)
+    nis = _nis(sure.information, innovation)
+    usual = nis if worth is not None or not filters.doubted else _nis(filters.usual_information, innovation)
+    mean, doubtful = watch(model.period, state.nis, state.doubtful, usual)
+    lately, wary = caution(model.period, state.lately, state.wary, usual)
+    now = kinds(judged.regimes, wary)
+    filters = model.filter.stacked(now)
     if judged.x is not x:
-        x, filters = judged.x, model.filter.stacked(judged.regimes)
+        x = judged.x
         statics = load_statics(model, x.reshape(-1, STATES), filters.tension.dot(x), friction_state)
     external = _unexplained(model, judged, filters, statics)
     x = predict_steadystate(x, filters.F, _interleaved(force, rate), filters.B)
     skipped = min(missed, round(HELD_TORQUE_S / model.period))
     for _ in range(skipped):
         x = predict_steadystate(x, filters.F, _interleaved(force, zeros(len(force))), filters.B)
-    P = None if worth is None else _carried(model, state.regimes, judged.regimes, worth, 1 + skipped)
-    watched = watch(model.period, state.nis, state.doubtful, nis)
-    after = FilterState(x, judged.regimes, judged.stopped, judged.turning, judged.measured, surprise, *watched, P, True)
+    P = None if worth is None else _carried(model, before, now, worth, 1 + skipped)
+    after = judged._replace(
+        x=x, surprise=surprise, nis=mean, doubtful=doubtful, lately=lately, wary=wary, covariance=P, started=True
+    )
     return after, _estimate(model, after, x, innovation[1::MEASUREMENTS], nis, external)
 
 
 def _carried(
-    model: HandModel, before: tuple[int, ...], regimes: tuple[int, ...], worth: covariance.Update, periods: int
+    model: HandModel, before: tuple[int, ...], now: tuple[int, ...], worth: covariance.Update, periods: int
 ) -> Array | None:
     """The covariance of the next tick's prediction; None once it is the steady one."""
-    changed = [i for i, (was, now) in enumerate(zip(before, regimes, strict=True)) if was != now]
-    return covariance.carried(model.filter.spread(regimes), worth.after, changed, periods)
+    changed = [i for i, (was, kind) in enumerate(zip(before, now, strict=True)) if was != kind]
+    return covariance.carried(model.filter.spread(now), worth.after, changed, periods)
 
 
 def _usable(state: FilterState, filters: Stacked, measured: Measured) -> Vector:
@@ -235,7 +242,7 @@ def _regimes(
     vector = x if table is None else table.reshape(-1)
     if vector is x and judged != state.regimes:
         vector = x.copy()
-    kept = (state.surprise, state.nis, state.doubtful, state.covariance, state.started)
+    kept = (state.surprise, state.nis, state.doubtful, state.lately, state.wary, state.covariance, state.started)
     return FilterState(vector, judged, tuple(stopped), tuple(turning), ropes, *kept)
 
 
@@ -263,10 +270,10 @@ def _unexplained(model: HandModel, state: FilterState, filters: Stacked, statics
     return np.where(filters.slack | state.stopped, 0.0, external)
 
 
-def _nis(filters: Stacked | covariance.Update, innovation: Vector) -> Vector:
+def _nis(information: tuple[Array, ...], innovation: Vector) -> Vector:
     """(N,) normalised innovation squared of encoder and load cell; NaN where one is missing."""
     encoder, cell = innovation[0::MEASUREMENTS], innovation[1::MEASUREMENTS]
-    own, mixed, other = filters.information
+    own, mixed, other = information
     return np.asarray((own * encoder + mixed * cell) * encoder + other * (cell * cell))
 
 
@@ -274,12 +281,13 @@ def _estimate(
     model: HandModel, state: FilterState, x: Vector, innovation: Vector, nis: Vector, external: Vector
 ) -> Estimate:
     """Args: x: (7N,) prediction. innovation: (N,) of the load cells, NaN where missing. nis, external: (N,)."""
-    filters, P = model.filter.stacked(state.regimes), state.covariance
+    chosen, P = kinds(state.regimes, state.wary), state.covariance
+    filters = model.filter.stacked(chosen)
     table = x.reshape(-1, STATES)
     q, dq = joint_angles(model, table[:, S], table[:, W])
     return Estimate(
         np.maximum(filters.tension.dot(x), 0.0),
-        filters.sigma if P is None else covariance.sigma(model.filter.spread(state.regimes), P),
+        filters.sigma if P is None else covariance.sigma(model.filter.spread(chosen), P),
         table[:, X],
         table[:, V],
         table[:, S],

@@ -42,6 +42,13 @@ FORGET_S = 1e4
 """Stretch offset and a held digit's excursion are forgotten this slowly [s]: only so that the Riccati equation has a
 solution. What is forgotten within a run pulls the estimate: a millimetre of offset in a minute is 1.7 N a second."""
 
+DOUBTED_DISTURBANCE, DOUBTED_HELD_DISTURBANCE = 5.0, 2.0
+"""Factors on the motor's disturbance of a tendon in doubt: friction at the motor is not as the hand file tells."""
+DOUBTED_WALK, DOUBTED_HELD_WALK = 8.0, 3.0
+"""Random walk of the tension of a tendon in doubt [N/s^0.5]: friction at the joints is not either."""
+DOUBTED_PLAN = 0.25
+"""Fraction of the planned change of tension that is expected of a tendon in doubt."""
+
 
 def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_period: Matrix) -> FilterDesign:
     """Design the filter of each tendon in each regime; tendons that are alike share theirs.
@@ -61,7 +68,11 @@ def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_p
         kind = (joints, *(float(getattr(space, each.name)[i]) for each in fields(space)))
         if kind not in made:
             with solvable("filter"):
-                made[kind] = tuple(_block(space, i, regime, gains, period, joints) for regime in Regime)
+                made[kind] = tuple(
+                    _block(space, i, (regime, doubted), gains, period, joints)
+                    for doubted in (False, True)
+                    for regime in Regime
+                )
         found.append(made[kind])
     return FilterDesign(tuple(found))
 
@@ -113,6 +124,13 @@ def _intensity(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -
     return Q
 
 
+def _doubt(Q: Matrix, stiffness: float, regime: Regime) -> None:
+    """Add to the continuous process noise (7, 7) of a taut tendon what a model in doubt lacks; stiffness in [N/m]."""
+    free = regime == Regime.FREE
+    Q[D, D] *= (DOUBTED_DISTURBANCE if free else DOUBTED_HELD_DISTURBANCE) ** 2
+    Q[S, S] += ((DOUBTED_WALK if free else DOUBTED_HELD_WALK) / stiffness) ** 2
+
+
 def _discretise(A: Matrix, B: Matrix, Q: Matrix, period: float) -> tuple[Matrix, Matrix, Matrix]:
     """Zero-order hold of A, B and the discrete covariance of continuous noise Q. Source: van Loan (1978)."""
     n, m = B.shape
@@ -123,8 +141,10 @@ def _discretise(A: Matrix, B: Matrix, Q: Matrix, period: float) -> tuple[Matrix,
     return F, held[:n, n:], (noise + noise.T) / 2
 
 
-def _block(space: TendonSpace, i: int, regime: Regime, gains: FilterGains, period: float, joint_period: float) -> Block:
-    """One tendon in one regime.
+def _block(
+    space: TendonSpace, i: int, kind: tuple[Regime, bool], gains: FilterGains, period: float, joint_period: float
+) -> Block:
+    """One tendon in one regime, in doubt or not.
 
     The load cell's error is estimated only where tension is known, in slack; elsewhere nothing tells it from tension:
     it is kept as it is, its growth counts in the variance, and the gains are those of a filter that does not know it.
@@ -133,8 +153,13 @@ def _block(space: TendonSpace, i: int, regime: Regime, gains: FilterGains, perio
     Encoder and load cell know the sum of excursion and offset only; joint encoders, where there are any, part the two
     at their own pace and touch nothing else, so that the filter is the same with and without them.
     """
+    regime, doubted = kind
     A, B, tension = _continuous(space, i, regime, gains)
-    F, held, Q = _discretise(A, B, _intensity(space, i, regime, gains), period)
+    intensity = _intensity(space, i, regime, gains)
+    if doubted and regime != Regime.SLACK:
+        _doubt(intensity, float(space.stiffness[i]), regime)
+        B[:, 1] *= DOUBTED_PLAN
+    F, held, Q = _discretise(A, B, intensity, period)
     H = np.zeros((MEASUREMENTS, STATES))
     H[0, X] = 1.0
     H[1] = tension

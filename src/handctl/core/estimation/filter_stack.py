@@ -28,6 +28,18 @@ class Regime(enum.IntEnum):
     """No tension: the motor moves alone, springs hold the digit on its open stop, the load cell shows its own error."""
 
 
+def kinds(regimes: tuple[int, ...], wary: Matrix) -> tuple[int, ...]:
+    """Index the block of each tendon in ``FilterDesign.blocks``.
+
+    Args:
+        regimes: per tendon, a ``Regime``.
+        wary: (N,) time for which the filter still doubts its model [s].
+    """
+    if not np.count_nonzero(wary):
+        return regimes
+    return tuple([regime + len(Regime) * (left > 0.0) for regime, left in zip(regimes, wary.tolist(), strict=True)])
+
+
 @dataclass(frozen=True, slots=True)
 class Block:
     """One tendon's filter in one regime.
@@ -69,7 +81,7 @@ MOST_KEPT = 256
 
 @dataclass(frozen=True, slots=True)
 class FilterDesign:
-    """Blocks of every tendon and regime; ``blocks[tendon][regime]``.
+    """Blocks of every tendon and kind; ``blocks[tendon][kind]``. A kind is a regime, or 3 + a regime in doubt.
 
     Attributes:
         stacked: the N tendons as one filter, each in its regime; kept, since regimes change far more rarely than ticks.
@@ -85,14 +97,16 @@ class FilterDesign:
         object.__setattr__(self, "stacked", kept(self._stacked))
         object.__setattr__(self, "spread", kept(self._spread))
 
-    def _chosen(self, regimes: tuple[int, ...]) -> list[Block]:
-        return [tendon[regime] for tendon, regime in zip(self.blocks, regimes, strict=True)]
+    def _chosen(self, chosen: tuple[int, ...]) -> list[Block]:
+        return [tendon[kind] for tendon, kind in zip(self.blocks, chosen, strict=True)]
 
-    def _spread(self, regimes: tuple[int, ...]) -> "Spread":
-        return Spread.of(self._chosen(regimes))
+    def _spread(self, of_tendons: tuple[int, ...]) -> "Spread":
+        return Spread.of(self._chosen(of_tendons))
 
-    def _stacked(self, regimes: tuple[int, ...]) -> "Stacked":
-        chosen = self._chosen(regimes)
+    def _stacked(self, of_tendons: tuple[int, ...]) -> "Stacked":
+        chosen = self._chosen(of_tendons)
+        regimes = np.array(of_tendons) % len(Regime)
+        usual = self._chosen(tuple(regimes.tolist()))
         return Stacked(
             F=_diagonal([block.F for block in chosen]),
             B=_diagonal([block.B for block in chosen]),
@@ -100,14 +114,21 @@ class FilterDesign:
             K=_diagonal([block.K for block in chosen]),
             tension=_diagonal([block.tension_row[None] for block in chosen]),
             sigma=np.sqrt([block.tension_variance for block in chosen]),
-            information=tuple(
-                np.array([block.innovation_information.flat[at] * times for block in chosen])
-                for at, times in ((0, 1.0), (1, 2.0), (3, 1.0))
-            ),
-            free=np.array(regimes) == Regime.FREE,
-            slack=np.array(regimes) == Regime.SLACK,
+            information=_information(chosen),
+            usual_information=_information(usual),
+            doubted=max(of_tendons) >= len(Regime),
+            free=regimes == Regime.FREE,
+            slack=regimes == Regime.SLACK,
             cell_sigma=np.array([block.cell_sigma for block in chosen]),
         )
+
+
+def _information(blocks: list[Block]) -> tuple[Matrix, ...]:
+    """Inverse covariance of the innovations, (N,) each: of encoder squared, both, load cell squared."""
+    return tuple(
+        np.array([block.innovation_information.flat[at] * times for block in blocks])
+        for at, times in ((0, 1.0), (1, 2.0), (3, 1.0))
+    )
 
 
 def _diagonal(blocks: list[Matrix]) -> Matrix:
@@ -127,6 +148,8 @@ class Stacked:
         tension: (N, 7N), tension of a state.
         sigma: (N,), standard deviation of the predicted tension [N].
         information: (N,) each: the innovations' inverse covariance, of encoder squared, both, load cell squared.
+        usual_information: the same without any doubt.
+        doubted: whether any tendon is in doubt.
         free, slack: (N,) whether a tendon is in this regime.
         cell_sigma: (N,), standard deviation of the load-cell innovation [N].
     """
@@ -138,6 +161,8 @@ class Stacked:
     tension: Matrix
     sigma: Matrix
     information: tuple[Matrix, ...]
+    usual_information: tuple[Matrix, ...]
+    doubted: bool
     free: NDArray[np.bool_]
     slack: NDArray[np.bool_]
     cell_sigma: Matrix

@@ -21,6 +21,8 @@ class FilterState(NamedTuple):
         surprise: (N,) last load-cell innovation by its standard deviation; 0 if there was none.
         nis: (N,) normalised innovation squared, averaged over ``DOUBT_S``.
         doubtful: per tendon, whether that is too much.
+        lately: (N,) normalised innovation squared by the undoubted model, averaged over ``WARY_S``.
+        wary: (N,) time for which the filter still doubts its model [s]; 0 if it does not.
         covariance: (N, 7, 7) of x; None as long as it is the steady one.
         started: False until encoder and load cell of every tendon were read once, be it in different ticks.
     """
@@ -33,6 +35,8 @@ class FilterState(NamedTuple):
     surprise: Vector
     nis: Vector
     doubtful: tuple[bool, ...]
+    lately: Vector
+    wary: Vector
     covariance: Array | None
     started: bool = False
 
@@ -47,4 +51,6 @@ class FilterState(NamedTuple):
         n = len(x) // STATES
         no = (False,) * n
         usual = np.full(n, 2.0)
-        return FilterState(x, (int(regime),) * n, (stopped,) * n, (0,) * n, no, np.zeros(n), usual, no, None, started)
+        none = np.zeros(n)
+        judged = (none, usual, no, usual, none)
+        return FilterState(x, (int(regime),) * n, (stopped,) * n, (0,) * n, no, *judged, None, started)

@@ -14,6 +14,10 @@ BELIEVED = 0.8
 """Share of the second innovation that is believed at once."""
 DOUBT_S, DOUBT_ABOVE, DOUBT_BELOW = 1.0, 8.0, 4.0
 """Time over which NIS is averaged, mean from which on the model does not fit, and below which it does; 2 is right."""
+WARY_S, WARY_ABOVE, WARY_FOR_S = 0.25, 3.2, 20.0
+"""Time over which NIS is averaged to adapt the filter's noise, mean from which on it is adapted, and for how long."""
+WARY_HAND = 2.5
+"""The same mean of all tendons of the hand: friction that is wrong in all of them shows sooner than in one."""
 MOST_NIS = 100.0
 """More counts as this, so that one sample alone raises no doubt."""
 
@@ -64,6 +68,26 @@ def watch(period: float, mean: Vector, doubtful: tuple[bool, ...], nis: Vector) 
         return mean, doubtful
     limits = [DOUBT_BELOW if before else DOUBT_ABOVE for before in doubtful]
     return mean, tuple((mean > limits).tolist())
+
+
+def caution(period: float, lately: Vector, wary: Vector, nis: Vector) -> tuple[Vector, Vector]:
+    """Judge by the last innovations which tendons need more process noise.
+
+    The doubt outlasts its cause: friction that is wrong shows only while a tendon moves, and does most harm when it
+    turns next.
+
+    Args:
+        period: [s].
+        lately: (N,) average of NIS over ``WARY_S`` so far.
+        wary: (N,) time for which the filter still doubts its model [s].
+        nis: (N,) of this tick by the undoubted model; NaN where nothing was measured.
+    """
+    lately = lately + min(period / WARY_S, 1.0) * known(np.minimum(nis, MOST_NIS) - lately)
+    each = lately.tolist()
+    above = lately > (WARY_ABOVE if sum(each) < WARY_HAND * len(each) else 0.0)
+    if not np.count_nonzero(above) and not np.count_nonzero(wary):
+        return lately, wary
+    return lately, np.where(above, WARY_FOR_S, np.maximum(wary - period, 0.0))
 
 
 def doubts(names: tuple[str, ...], before: FilterState, after: FilterState) -> tuple[Event, ...]:

@@ -266,7 +266,7 @@ def _put(values: Matrix, index: int, value: float) -> Matrix:
     return changed
 
 
-_WATCHED = ("nis", "surprise")
+_WATCHED = ("nis", "surprise", "lately", "wary")
 """What the filter keeps of its innovations, only to judge them."""
 
 
