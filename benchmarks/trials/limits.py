@@ -1,4 +1,6 @@
-"""The least error that any linear filter can reach on a tendon, from a noise model that no gain can change.
+"""The error of a reference filter: optimal for a noise model that no gain can change.
+
+It is no bound on the error. A filter for a calmer plant, or one that is told more, can be below it.
 
 Per tendon the state is cable travel and speed, excursion and its rate, Gauss-Markov forces on motor and joint, and
 the stretch offset; load cell and encoder are measured. The disturbances are fixed here. The digit is free on its
@@ -21,7 +23,7 @@ SCALE = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 1.0, 1e-5])
 
 
 def limit(model: HandModel, i: int, held: bool, encoder: bool = True) -> tuple[float, float]:
-    """Standard deviation of the best estimate of tendon i's tension at the instant of the last sample, and now [N].
+    """Return the reference's standard deviation of tendon i's tension at the last sample's instant, and now [N].
 
     The controller's estimate is for the present, one period later; it is judged by the first all the same.
 

@@ -8,9 +8,14 @@ PLANTS: dict[str, dict[str, float]] = {
     "mass -20 %": {"mass": 0.8},
     "friction +50 %": {"friction": 1.5},
     "friction -50 %": {"friction": 0.5},
-    "friction +100 %": {"friction": 2.0},
     "bias 1 N": {"bias": 1.0},
 }
+FURTHER_OFF: dict[str, dict[str, float]] = {
+    "stiffness +50 %": {"stiffness": 1.5},
+    "stiffness -50 %": {"stiffness": 0.5},
+    "friction +100 %": {"friction": 2.0},
+}
+"""Plants that only the estimate is tried on."""
 TO_CONTACT = (
     {"kind": "move", "name": "preshape", "angle_deg": {"index": 18.0, "middle": 18.0, "ring": 18.0, "thumb": 3.0},
      "duration_s": 0.4},

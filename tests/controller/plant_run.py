@@ -43,16 +43,17 @@ class PlantRun:
 
 
 def run_on_plant(
-    hand: str, program: Program, scene: str | None, folder: Path, seconds: float, seed: int = 0
+    hand: str, program: Program, scene: str | None, folder: Path, seconds: float, seed: int = 0, **wrong: float
 ) -> PlantRun:
     """Let a program run on a homed hand.
 
     Args:
         hand: packaged name. program: what to do. scene: text of a scene file. folder: for that file.
         seconds: of simulated time; less if the object is gone. seed: of the simulator.
+        wrong: factors on the plant's parameters that the controller does not know.
     """
     result = PlantRun()
-    with Simulator(hand, scene, seed, homed=True).against(homed_controller(model_of(hand), program)) as run:
+    with Simulator(hand, scene, seed, wrong, homed=True).against(homed_controller(model_of(hand), program)) as run:
         plant, run.keep = run.peer.world.plant, False
         for entry, out in run.ticks(seconds):
             t = entry.k / RATE_HZ

@@ -1,0 +1,109 @@
+"""On a plant whose friction is not the hand file's the tension estimate is no worse than the raw load cell."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.controller.filter_stack import STATES, Regime, kinds
+from handctl.controller.grasp import TaskProgram
+from handctl.controller.innovation import WARY_ABOVE, WARY_FOR_S, WARY_HAND, WARY_S, caution
+from handctl.controller.task import Task
+from handctl.document import validated
+from tests.controller.filter_runs import all_in, nowhere, readings, resting, step
+from tests.controller.plant_run import PlantRun, model_of, run_on_plant
+
+HANDS = ("jamia", "jamia11", "jamia_bench")
+FRICTION = (0.5, 1.0, 1.5, 2.0)
+LATER_S = 1.2
+"""Slack is taken up and friction noticed by then."""
+TAUT_N = 0.5
+MOVES = {
+    "schema": 1,
+    "name": "back and forth",
+    "phase": [
+        {"kind": "move", "name": f"move {n}", "angle_deg": angle, "duration_s": 0.4}
+        for n, angle in enumerate((20.0, 50.0, 15.0, 55.0, 20.0, 50.0, 15.0))
+    ],
+}
+seeds = pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.nightly) for k in range(1, 20))])
+
+
+def moved(hand: str, friction: float, seed: int, folder: Path) -> PlantRun:
+    """A hand that closes and opens, with friction that is so many times the hand file's."""
+    program = TaskProgram(validated(MOVES, Task, "moves"))
+    return run_on_plant(hand, program, None, folder, 3.0, seed, friction=friction)
+
+
+def errors(run: PlantRun) -> tuple[float, float]:
+    """RMSE of the estimate and of the raw load cell [N] at present, taut tendons, once the hand moves."""
+    real, later = np.array(run.real), np.array(run.t) > LATER_S
+    raw = np.array(run.cell)
+    kept = later[:, None] & (real > TAUT_N) & np.isfinite(raw)
+    assert np.count_nonzero(kept) > 500
+    estimate, cell = (float(np.sqrt(np.mean(np.square(way - real)[kept]))) for way in (np.array(run.tension), raw))
+    return estimate, cell
+
+
+@seeds
+@pytest.mark.parametrize("friction", FRICTION)
+@pytest.mark.parametrize("hand", HANDS)
+def test_no_worse_than_the_raw_cell(hand: str, friction: float, seed: int, tmp_path: Path) -> None:
+    """Move freely, with reversals; plants as told (1.0) and not."""
+    estimate, cell = errors(moved(hand, friction, seed, tmp_path))
+    assert estimate < cell, f"{estimate:.3f} N, the cell {cell:.3f} N"
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_warning_keeps_to_the_undoubted_model(hand: str) -> None:
+    """A filter in doubt explains its innovations better; the averages that warn and raise doubt do not follow it."""
+    model = model_of(hand)
+    x, force = resting(model, 20.0, 0.5)
+    read = readings(model, x, np.full(model.tendon_count, 21.0))
+    sure = all_in(model, Regime.FREE, x)
+    doubting = sure._replace(wary=np.full(model.tendon_count, WARY_FOR_S))
+    (after, estimate), (after_doubt, estimate_doubt) = (
+        step(model, state, read, force, nowhere(model)) for state in (sure, doubting)
+    )
+    assert after.nis == pytest.approx(after_doubt.nis)
+    assert after.lately == pytest.approx(after_doubt.lately)
+    assert (estimate_doubt.nis < estimate.nis).all()
+    assert (estimate_doubt.sigma > estimate.sigma).all()
+    assert (estimate_doubt.tension > estimate.tension + 0.05).all(), "the load cell counts for more"
+
+
+def test_one_tendon_or_all_raise_doubt() -> None:
+    """One far off doubts itself; all a little off doubt each other; none does for a single sample."""
+    period, usual, none = 0.005, np.full(11, 2.0), np.zeros(11)
+    for odd, all_of_them in ((np.array([2 * WARY_ABOVE, *[1.5] * 10]), False), (np.full(11, WARY_HAND + 0.3), True)):
+        lately, wary = usual, none
+        for _ in range(round(5 * WARY_S / period)):
+            lately, wary = caution(period, lately, wary, odd)
+        assert wary[0] == WARY_FOR_S
+        assert bool(wary[1:].any()) == all_of_them
+    nis = np.array([1e6, *[2.0] * 10])
+    assert not caution(period, usual, none, nis)[1][1:].any()
+
+
+def test_doubt_ends_and_missing_samples_say_nothing() -> None:
+    """The time runs down tick by tick; NaN leaves the average as it is."""
+    lately, wary = caution(0.01, np.full(4, 2.0), np.full(4, 0.025), np.full(4, np.nan))
+    assert (lately == 2.0).all()
+    assert wary == pytest.approx(0.015)
+    for _ in range(2):
+        lately, wary = caution(0.01, lately, wary, np.full(4, 2.0))
+    assert not wary.any()
+    assert kinds((0, 1, 2, 0), wary) == (0, 1, 2, 0)
+
+
+@pytest.mark.parametrize("hand", HANDS)
+def test_the_filter_in_doubt_is_stable(hand: str) -> None:
+    """Every tendon, taut; the error of each state that is estimated decays."""
+    for blocks in model_of(hand).filter.blocks:
+        for regime in (Regime.FREE, Regime.HELD):
+            block = blocks[regime + len(Regime)]
+            own = np.delete(np.arange(STATES), 5)
+            H, K = block.H[:2, own], block.K[np.ix_(own, [0, 1])]
+            error = block.F[np.ix_(own, own)] @ (np.eye(len(own)) - K @ H)
+            assert np.abs(np.linalg.eigvals(error)).max() < 1.0
+            assert block.tension_variance > blocks[regime].tension_variance
