@@ -201,7 +201,7 @@ def active() -> Bench:
     return run
 
 
-FILTER_ARRAYS = ("x", "surprise", "nis")
+FILTER_ARRAYS = ("x", "surprise", "nis", "lately", "wary")
 FILTER_TUPLES = ("regimes", "stopped", "turning", "measured", "doubtful")
 
 
