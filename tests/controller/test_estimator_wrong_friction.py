@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.controller.filter_stack import STATES, Regime, kinds
-from handctl.controller.grasp import TaskProgram
-from handctl.controller.innovation import WARY_ABOVE, WARY_FOR_S, WARY_HAND, WARY_S, caution
-from handctl.controller.task import Task
+from handctl.core.estimation.filter_stack import STATES, Regime, kinds
+from handctl.core.estimation.innovation import WARY_ABOVE, WARY_FOR_S, WARY_HAND, WARY_S, caution
 from handctl.document import validated
+from handctl.programs.grasp import TaskProgram
+from handctl.programs.task import Task
 from tests.controller.filter_runs import all_in, nowhere, readings, resting, step
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
 
