@@ -84,7 +84,7 @@ def _conclusion(result: dict) -> str:
 WHY = (
     "Both the prediction and the raw cell come from the same sample, which is a period old, and both are judged at "
     "present: the loop would use the raw sample as it is. While NIS says that the model does not fit, the filter "
-    "trusts its model less (`core/estimation/innovation.py`, `caution`). Where a digit turns, friction takes the tension "
+    "trusts its model less (`innovation.py`, `caution`). Where a digit turns, friction takes the tension "
     "from one edge of its band to the other; the filter is told how, "
     "from the cable's own speed. At an impact the first two samples decide, and a filter that averages is late: that "
     "is where jamia11 gains least. While the rope is taut nothing can tell the cell's error from tension: a bias is in "
