@@ -14,7 +14,7 @@ PARTS = {
     "estimation": ("core/estimation/", "filterpy/"),
     "law: goals, inverse dynamics, allocation": ("core/law/", "core/all_digits", "handctl/hand/"),
     "program": ("handctl/programs/",),
-    "safety": ("handctl/safety/", "controller/watch/"),
+    "safety": ("handctl/safety/", "controller/monitor/"),
     "hash of the state": ("controller/digest", "controller/state", "core/kept"),
     "telemetry": ("controller/telemetry",),
     "tick and modes": ("handctl/controller/", "handctl/core/"),

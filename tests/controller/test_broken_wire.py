@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.controller.watch.guard import RELAXED_S
+from handctl.controller.monitor.guard import RELAXED_S
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.programs.live import LiveProgram

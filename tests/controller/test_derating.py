@@ -7,7 +7,7 @@ import pytest
 
 from handctl.campaign.scenarios import GRASP
 from handctl.campaign.stage import bring, hand_in, started
-from handctl.controller.watch.derating import HELD_MARGIN_N, derated, restraints
+from handctl.controller.monitor.derating import HELD_MARGIN_N, derated, restraints
 from handctl.core.law.computed_torque import LawState, step
 from handctl.core.model import HandModel
 from handctl.core.types import Mode

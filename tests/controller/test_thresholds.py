@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
+from handctl.controller.monitor.thresholds import frames_most
 from handctl.controller.setup import make_drives, make_sensors
-from handctl.controller.watch.thresholds import frames_most
 from handctl.hand.load import load_hand
 from tests.drives.protocol_bench import OPTIONS, hand_file
 

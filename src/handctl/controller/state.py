@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 from handctl.controller import digest as packing
+from handctl.controller.monitor.motors import Motors
 from handctl.controller.retune import Coming
-from handctl.controller.watch.motors import Motors
 from handctl.core.estimation.filter_state import FilterState
 from handctl.core.estimation.posture import Posture
 from handctl.core.estimation.touch import Touch

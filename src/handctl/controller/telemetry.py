@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from handctl.controller.watch.motors import Motors
+from handctl.controller.monitor.motors import Motors
 from handctl.core.estimation.estimator import Estimate, Measured
 from handctl.core.estimation.posture import MODEL_ERROR, MODEL_ERROR_N
 from handctl.core.estimation.tip import tip_forces

@@ -18,13 +18,13 @@ from handctl.compiled import prepare
 from handctl.controller import retune
 from handctl.controller.answers import answer
 from handctl.controller.modes import farewell, next_mode, wanted_of_drives
+from handctl.controller.monitor.derating import restraints
+from handctl.controller.monitor.guard import Guard
+from handctl.controller.monitor.motors import Motors
+from handctl.controller.monitor.received import Received
 from handctl.controller.relaxing import envelope
 from handctl.controller.state import State
 from handctl.controller.telemetry import telemetry
-from handctl.controller.watch.derating import restraints
-from handctl.controller.watch.guard import Guard
-from handctl.controller.watch.motors import Motors
-from handctl.controller.watch.received import Received
 from handctl.core.estimation import estimator, posture, touch
 from handctl.core.estimation.estimator import Estimate, Measured
 from handctl.core.estimation.filter_state import FilterState

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from handctl.choose import chosen, nothing, zeros
 from handctl.compiled import kernel
+from handctl.controller.monitor.motors import Motors
+from handctl.controller.monitor.received import Received
+from handctl.controller.monitor.surplus import surplus
+from handctl.controller.monitor.thresholds import make_watcher
 from handctl.controller.state import State
-from handctl.controller.watch.motors import Motors
-from handctl.controller.watch.received import Received
-from handctl.controller.watch.surplus import surplus
-from handctl.controller.watch.thresholds import make_watcher
 from handctl.core.estimation.estimator import Measured
 from handctl.core.law.computed_torque import Command
 from handctl.core.model import HandModel

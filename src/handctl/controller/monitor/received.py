@@ -2,7 +2,7 @@
 
 from typing import NamedTuple
 
-from handctl.controller.watch.motors import Motors
+from handctl.controller.monitor.motors import Motors
 from handctl.core.estimation.estimator import Estimate, Measured
 from handctl.drives.frame import Frame
 from handctl.safety.signals import Named
