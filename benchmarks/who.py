@@ -6,9 +6,9 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator
 
 PARTS = {
-    "mj_step": ("mj_step", "firmware_sim/drivetrain.py/steps"),
-    "plant around its steps": ("firmware_sim/plant", "firmware_sim/tendon", "firmware_sim/motor",
-        "firmware_sim/engine", "firmware_sim/table", "firmware_sim/drivetrain"),
+    "mj_step": ("mj_step", "firmware_sim/plant/drivetrain.py/steps"),
+    "plant around its steps": ("firmware_sim/plant/plant", "firmware_sim/plant/tendon", "firmware_sim/plant/motor",
+        "firmware_sim/plant/engine", "firmware_sim/scene/table", "firmware_sim/plant/drivetrain"),
     "simulated drives and sensors, their codec": ("firmware_sim/",),
     "host's codec and drive states": ("handctl/drives/",),
     "estimation": ("core/estimation/", "filterpy/"),

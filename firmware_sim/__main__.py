@@ -12,15 +12,15 @@ def main(words: list[str]) -> int:
     try:  # each imports what it needs: a bus needs neither MuJoCo nor a compiler
         check_words(words)
         if words[:1] == ["bus"]:
-            from firmware_sim import alone
+            from firmware_sim.programs import bus as alone
 
             alone.run(words[1:])
         elif words[:1] == ["drive"]:
-            from firmware_sim import bench
+            from firmware_sim.programs import drive as bench
 
             bench.run(words[1:])
         else:
-            from firmware_sim import simulate
+            from firmware_sim.programs import hand as simulate
 
             simulate.run(words)
     except SimulatorError as error:

@@ -5,14 +5,14 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
+from firmware_sim.bus.frame import FDF, Frame
+from firmware_sim.bus.wired_tick import WiredTick
 from firmware_sim.description import load_hand
-from firmware_sim.frame import FDF, Frame
-from firmware_sim.perturb import perturbed
-from firmware_sim.scene import load_scene
+from firmware_sim.plant.perturb import perturbed
+from firmware_sim.scene.scene import load_scene
 from firmware_sim.serials import numbered
 from firmware_sim.truth import TruthWriter
 from firmware_sim.wire.options import parse
-from firmware_sim.wired_tick import WiredTick
 from firmware_sim.world import make_world
 
 FRAME_NS = 135_000

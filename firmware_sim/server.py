@@ -7,12 +7,12 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Protocol
 
-from firmware_sim.fault_socket import FaultSocket
-from firmware_sim.frame import Frame
+from firmware_sim.bus.frame import Frame
+from firmware_sim.bus.ports import Port
+from firmware_sim.bus.wired import WiredPort
+from firmware_sim.faults.socket import FaultSocket
 from firmware_sim.pace import Pace
-from firmware_sim.ports import Port
 from firmware_sim.priority import Urgency
-from firmware_sim.wired import WiredPort
 
 TURN_NS = 1_000_000
 """The plant follows the clock at least this often [ns of plant time]."""

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from firmware_sim.plant import Plant
+from firmware_sim.plant.plant import Plant
 
 PERIOD_NS = 1_000_000
 _HEAD_SIZE = 8192

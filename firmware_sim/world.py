@@ -7,15 +7,16 @@ import random
 
 import numpy as np
 
+from firmware_sim.bus.frame import Frame
 from firmware_sim.compiled import use
 from firmware_sim.description import Hand, MotorSpec, SensorSpec, SimulatorError
-from firmware_sim.faults import Faults
-from firmware_sim.frame import Frame
-from firmware_sim.nodes import PROTOCOLS, mit_codec, sensors
+from firmware_sim.faults.active import Faults
+from firmware_sim.nodes import PROTOCOLS, sensors
 from firmware_sim.nodes.kind import Node
+from firmware_sim.nodes.mit import codec as mit_codec
 from firmware_sim.nodes.sensors import SensorNode
-from firmware_sim.plant import STEP_NS, Plant
-from firmware_sim.scene import Scene
+from firmware_sim.plant.plant import STEP_NS, Plant
+from firmware_sim.scene.scene import Scene
 from firmware_sim.truth import TruthWriter
 
 MAX_ENCODER_OFFSET_RAD = 0.5

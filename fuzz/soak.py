@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from firmware_sim.description import load_hand as load_simulated
-from firmware_sim.fault_text import KINDS, instances
+from firmware_sim.faults.text import KINDS, instances
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import Watcher

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from firmware_sim.description import SimulatorError
 from firmware_sim.description import load_hand as load_simulated
-from firmware_sim.fault_text import KINDS, parse_fault
+from firmware_sim.faults.text import KINDS, parse_fault
 from fuzz.files import one_line
 from fuzz.mutate import Source
 from handctl.programs.requests import parse_request

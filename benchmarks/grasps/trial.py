@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from firmware_sim.mjcf import STEP_S
-from firmware_sim.plant import Plant
+from firmware_sim.plant.mjcf import STEP_S
+from firmware_sim.plant.plant import Plant
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel

@@ -6,8 +6,8 @@
 import select
 import sys
 
-from firmware_sim.frame import Frame, pack_record
-from firmware_sim.local import HubPort
+from firmware_sim.bus.frame import Frame, pack_record
+from firmware_sim.bus.local import HubPort
 from firmware_sim.priority import take_priority
 from firmware_sim.rig import Rig
 

@@ -6,12 +6,12 @@ an error takes the torque away and goes when its cause does; unknown codes behin
 
 import enum
 
+from firmware_sim.bus.frame import Frame
 from firmware_sim.description import MotorSpec
-from firmware_sim.frame import Frame
-from firmware_sim.motor import Motor
 from firmware_sim.nodes.kind import Kind, Shaft
-from firmware_sim.nodes.mit_codec import Ranges, decode_command, to_code
+from firmware_sim.nodes.mit.codec import Ranges, decode_command, to_code
 from firmware_sim.nodes.thermal import Thermal
+from firmware_sim.plant.motor import Motor
 
 FULL_SCALE = {
     "ak60-6": (12.5, 50.0, 15.0),

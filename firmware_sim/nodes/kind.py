@@ -3,9 +3,9 @@
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
+from firmware_sim.bus.frame import EXTENDED, Frame
 from firmware_sim.description import MotorSpec
-from firmware_sim.frame import EXTENDED, Frame
-from firmware_sim.motor import Motor
+from firmware_sim.plant.motor import Motor
 
 
 class Node(Protocol):

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from firmware_sim.bus.frame import Frame
 from firmware_sim.compiled import compiled
 from firmware_sim.description import SensorSpec
-from firmware_sim.frame import Frame
 from firmware_sim.nodes.noise import Noise
 
 CHANNELS = 5

@@ -6,7 +6,7 @@ Source: ISO 11898-1:2015, frame formats and bit stuffing.
 from dataclasses import dataclass
 from functools import lru_cache
 
-from firmware_sim.frame import BRS, EXTENDED, FDF, REMOTE, Frame
+from firmware_sim.bus.frame import BRS, EXTENDED, FDF, REMOTE, Frame
 
 INTERFRAME_BITS = 3
 TAIL_BITS = 1 + 1 + 1 + 7 + INTERFRAME_BITS

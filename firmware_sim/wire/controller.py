@@ -7,7 +7,7 @@ import enum
 from collections import deque
 from collections.abc import Callable
 
-from firmware_sim.frame import ERROR, Frame
+from firmware_sim.bus.frame import ERROR, Frame
 from firmware_sim.wire.bits import priority
 
 WARNING_AT, PASSIVE_AT, BUS_OFF_AT = 96, 128, 256

@@ -7,7 +7,7 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from firmware_sim.frame import Frame
+from firmware_sim.bus.frame import Frame
 from firmware_sim.wire.bits import Rate
 from firmware_sim.wire.controller import Controller, State
 

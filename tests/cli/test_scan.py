@@ -5,9 +5,9 @@ import tomllib
 
 import pytest
 
-from firmware_sim.bench import Bench
-from firmware_sim.drive_types import drive_spec
-from firmware_sim.frame import Frame as SimFrame
+from firmware_sim.bus.frame import Frame as SimFrame
+from firmware_sim.programs.drive import Bench
+from firmware_sim.programs.drive_types import drive_spec
 from handctl.cli.checks.fragment import fragment
 from handctl.cli.main import main
 from handctl.drives.frame import REMOTE, Frame

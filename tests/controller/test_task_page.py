@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from firmware_sim.scene import load_scene
+from firmware_sim.scene.scene import load_scene
 from handctl.hand.load import load_hand, packaged_hands
 from handctl.programs.task import Close, Follow, Hold, Move, Release
 from handctl.session.tasks import find_task

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.bench import Bench as DriveBench
-from firmware_sim.drive_types import drive_spec
 from firmware_sim.nodes.cubemars import FULL_SCALE, CubemarsNode, Error
+from firmware_sim.programs.drive import Bench as DriveBench
+from firmware_sim.programs.drive_types import drive_spec
 from handctl.drives.causes import Cause
 from handctl.drives.contract import Phase, Want
 from handctl.drives.frame import Frame

@@ -8,10 +8,10 @@ import cantools.database
 import odrive_can
 import pytest
 
-from firmware_sim.bench import Bench
-from firmware_sim.drive_types import drive_spec
-from firmware_sim.frame import REMOTE, Frame
-from firmware_sim.nodes.cia402_dictionary import EDS, Dictionary
+from firmware_sim.bus.frame import REMOTE, Frame
+from firmware_sim.nodes.cia402.dictionary import EDS, Dictionary
+from firmware_sim.programs.drive import Bench
+from firmware_sim.programs.drive_types import drive_spec
 from handctl.drives.cia402 import settings as setup
 from handctl.drives.odrive import codec
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-from firmware_sim.nodes.cia402 import Cia402Node
-from firmware_sim.nodes.mit import MitNode
-from firmware_sim.nodes.odrive import OdriveNode
+from firmware_sim.nodes.cia402.node import Cia402Node
+from firmware_sim.nodes.mit.node import MitNode
+from firmware_sim.nodes.odrive.node import OdriveNode
 from handctl.cli.main import main
 from handctl.drives.contract import Phase, Want
 from tests.drives.protocol_bench import OPTIONS, hand_file

@@ -122,7 +122,7 @@ def test_direction_turns_every_sign(torque: float, direction: int) -> None:
 
 @given(st.integers(0, 15), st.integers(0, 0xFFFF), st.integers(0, 0xFFF), st.integers(0, 0xFFF))
 def test_feedback_of_the_simulated_firmware_reads_back(nibble: int, position: int, velocity: int, torque: int) -> None:
-    from firmware_sim.nodes import mit_codec as firmware
+    from firmware_sim.nodes.mit import codec as firmware
 
     ranges = firmware.Ranges(*RANGES)
     motion = (
@@ -140,7 +140,7 @@ def test_feedback_of_the_simulated_firmware_reads_back(nibble: int, position: in
 
 @given(TORQUES)
 def test_the_simulated_firmware_reads_commands(torque: float) -> None:
-    from firmware_sim.nodes import mit_codec as firmware
+    from firmware_sim.nodes.mit import codec as firmware
 
     told = firmware.decode_command(codec.encode_torque(torque, TMAX), firmware.Ranges(*RANGES))
     assert (told.kp, told.kd) == (0.0, 0.0)

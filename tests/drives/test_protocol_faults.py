@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from firmware_sim.frame import Frame as WireFrame
-from firmware_sim.nodes.cia402 import Cia402Node
-from firmware_sim.nodes.odrive import OdriveNode
+from firmware_sim.bus.frame import Frame as WireFrame
+from firmware_sim.nodes.cia402.node import Cia402Node
+from firmware_sim.nodes.odrive.node import OdriveNode
 from handctl.drives.cia402.drive import Cia402Drive
 from handctl.drives.contract import Phase, Want
 from handctl.drives.frame import Frame

@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-from firmware_sim.bench import Bench
-from firmware_sim.drive_types import drive_spec
-from firmware_sim.frame import Frame as SimFrame
-from firmware_sim.nodes.odrive_bench import ENDPOINTS
+from firmware_sim.bus.frame import Frame as SimFrame
+from firmware_sim.nodes.odrive.bench import ENDPOINTS
+from firmware_sim.programs.drive import Bench
+from firmware_sim.programs.drive_types import drive_spec
 from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig

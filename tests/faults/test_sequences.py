@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from firmware_sim.description import load_hand
-from firmware_sim.fault_text import parse_fault
+from firmware_sim.faults.text import parse_fault
 from handctl.campaign import sequences
 from handctl.campaign.scenarios import ALL, ARMING, HOST
 from handctl.campaign.sequences import (

@@ -6,10 +6,11 @@ import struct
 import pytest
 
 from firmware_sim.__main__ import main
-from firmware_sim.bench import Bench
-from firmware_sim.drive_types import drive_spec
-from firmware_sim.frame import BRS, FDF, Frame
-from firmware_sim.nodes import PROTOCOLS, mit_bench
+from firmware_sim.bus.frame import BRS, FDF, Frame
+from firmware_sim.nodes import PROTOCOLS
+from firmware_sim.nodes.mit import bench as mit_bench
+from firmware_sim.programs.drive import Bench
+from firmware_sim.programs.drive_types import drive_spec
 
 MS = 1_000_000
 ENABLE = b"\xff" * 7 + b"\xfc"

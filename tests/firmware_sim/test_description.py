@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_sim.bus.frame import BRS, ESI, EXTENDED, FDF, RECORD_SIZE, Frame, pack_record, unpack_record
 from firmware_sim.description import SimulatorError, find_hand, load_hand
-from firmware_sim.frame import BRS, ESI, EXTENDED, FDF, RECORD_SIZE, Frame, pack_record, unpack_record
-from firmware_sim.perturb import KEYS, perturbed
+from firmware_sim.plant.perturb import KEYS, perturbed
 from firmware_sim.rig import Rig
 
 

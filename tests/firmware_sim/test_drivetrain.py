@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from firmware_sim.bus.frame import Frame
 from firmware_sim.description import load_hand
-from firmware_sim.frame import Frame
-from firmware_sim.plant import STEP_NS, Plant
+from firmware_sim.plant.plant import STEP_NS, Plant
 from firmware_sim.rig import Rig
-from firmware_sim.scene import load_scene
+from firmware_sim.scene.scene import load_scene
 from firmware_sim.truth import read_truth
 from firmware_sim.world import World
 
@@ -72,7 +72,7 @@ def test_a_whole_hand_says_the_same_compiled_and_plain() -> None:
     assert said[0] == said[1]
 
 
-@pytest.mark.parametrize("module", ["server", "rig", "simulate", "bench", "alone"])
+@pytest.mark.parametrize("module", ["server", "rig", "programs.hand", "programs.drive", "programs.bus"])
 def test_who_does_not_step_in_lockstep_waits_for_no_compiler(module: str) -> None:
     code = f"import sys, firmware_sim.{module}; print('numba' in sys.modules)"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

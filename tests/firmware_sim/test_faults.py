@@ -4,9 +4,9 @@ import contextlib
 
 import pytest
 
+from firmware_sim.bus.frame import Frame
 from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.fault_text import KINDS, OF_DRIVES, OF_TWO, instances, parse_fault
-from firmware_sim.frame import Frame
+from firmware_sim.faults.text import KINDS, OF_DRIVES, OF_TWO, instances, parse_fault
 from firmware_sim.rig import Rig
 
 HAND = load_hand("jamia")

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from firmware_sim.bus.hub import Hub
 from firmware_sim.description import SimulatorError
-from firmware_sim.hub import Hub
 from firmware_sim.places import bus_path, run_dir, truth_path
 
 SIZE = 72
@@ -180,7 +180,7 @@ def test_a_second_hub_is_refused_and_the_first_goes_on(hub: Hub, client: Callabl
 
 
 def test_a_stale_socket_is_replaced() -> None:
-    code = "import os\nfrom firmware_sim.hub import Hub\nhub = Hub('stale')\nos._exit(0)"
+    code = "import os\nfrom firmware_sim.bus.hub import Hub\nhub = Hub('stale')\nos._exit(0)"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
     assert stat.S_ISSOCK(bus_path("stale").stat().st_mode)
     hub = Hub("stale")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.plant import Plant
+from firmware_sim.plant.plant import Plant
 from firmware_sim.rig import Rig
-from firmware_sim.scene import load_scene
+from firmware_sim.scene.scene import load_scene
 from firmware_sim.truth import read_truth
 
 SCENE = """

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_sim.compiled import machine_code
-from firmware_sim.nodes import mit_codec
-from firmware_sim.nodes.mit_codec import Ranges, decode_command, encode_feedback, from_code, to_code
+from firmware_sim.nodes.mit import codec as mit_codec
+from firmware_sim.nodes.mit.codec import Ranges, decode_command, encode_feedback, from_code, to_code
 
 RANGES = Ranges(12.5, 50.0, 0.8)
 
@@ -89,6 +89,6 @@ def test_compiled_laws_are_the_plain_ones(head: int, motion: tuple[float, ...], 
 
 
 def test_laws_compile_where_no_folder_can_be_written() -> None:
-    code = "from firmware_sim.compiled import use; from firmware_sim.nodes import mit_codec; use(mit_codec)"
+    code = "from firmware_sim.compiled import use; from firmware_sim.nodes.mit import codec; use(codec)"
     nowhere = os.environ | {"NUMBA_CACHE_LOCATOR_CLASSES": "ZipCacheLocator"}
     subprocess.run([sys.executable, "-c", code], env=nowhere, check=True)

@@ -4,10 +4,10 @@ import struct
 
 import pytest
 
+from firmware_sim.bus.frame import BRS, EXTENDED, FDF, Frame
 from firmware_sim.description import load_hand
-from firmware_sim.frame import BRS, EXTENDED, FDF, Frame
-from firmware_sim.motor import Motor
-from firmware_sim.nodes.mit import MitNode, State
+from firmware_sim.nodes.mit.node import MitNode, State
+from firmware_sim.plant.motor import Motor
 from firmware_sim.rig import Rig
 
 MS = 1_000_000

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from firmware_sim.description import load_hand
-from firmware_sim.drivetrain import COULOMB_SPEED, ENCODER_STEP
-from firmware_sim.motor import CURRENT_LAG_S, Motor
+from firmware_sim.plant.drivetrain import COULOMB_SPEED, ENCODER_STEP
+from firmware_sim.plant.motor import CURRENT_LAG_S, Motor
 
 SPEC = load_hand("jamia").motors[0]
 SMOOTH = replace(SPEC, coulomb=0.0, viscous=0.0)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from firmware_sim.description import Hand, SimulatorError, load_hand
-from firmware_sim.mjcf import STEP_S, model_text, opposed_digits
-from firmware_sim.perturb import perturbed
-from firmware_sim.plant import Plant
-from firmware_sim.scene import load_scene
+from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits
+from firmware_sim.plant.perturb import perturbed
+from firmware_sim.plant.plant import Plant
+from firmware_sim.scene.scene import load_scene
 
 JAMIA = load_hand("jamia")
 
@@ -176,9 +176,9 @@ def test_a_plant_that_diverges_says_so() -> None:
 
 def closing(monkeypatch: pytest.MonkeyPatch, step_s: float) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
     """Joint angles every 5 ms while the free hand closes to 12 N in 0.4 s, with a plant step [s]."""
-    monkeypatch.setattr("firmware_sim.plant.STEP_S", step_s)
+    monkeypatch.setattr("firmware_sim.plant.plant.STEP_S", step_s)
     monkeypatch.setattr(
-        "firmware_sim.plant.model_text",
+        "firmware_sim.plant.plant.model_text",
         lambda hand, scene: model_text(hand, scene).replace(f'timestep="{STEP_S}"', f'timestep="{step_s}"'),
     )
     plant, rows = free(), []

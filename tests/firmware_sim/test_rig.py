@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from firmware_sim.bus.frame import Frame
 from firmware_sim.description import SimulatorError
-from firmware_sim.frame import Frame
 from firmware_sim.rig import Rig
 from firmware_sim.truth import read_truth
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.plant import Plant
-from firmware_sim.scene import load_scene, packaged
+from firmware_sim.plant.plant import Plant
+from firmware_sim.scene.scene import load_scene, packaged
 
 GOOD = """
 name = "good"

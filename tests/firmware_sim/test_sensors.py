@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_sim.bus.frame import Frame
 from firmware_sim.description import SensorSpec, load_hand
-from firmware_sim.frame import Frame
 from firmware_sim.nodes.noise import BLOCK, Noise
 from firmware_sim.nodes.sensors import SensorNode, joint_code, pack, tension_code
 

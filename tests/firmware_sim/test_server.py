@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from firmware_sim.bus.frame import FDF, Frame, pack_record
+from firmware_sim.bus.local import HubPort, JoinedPort
+from firmware_sim.bus.ports import assign, open_port
 from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.frame import FDF, Frame, pack_record
-from firmware_sim.local import HubPort, JoinedPort
 from firmware_sim.pace import Pace, rounded_down
-from firmware_sim.ports import assign, open_port
 from firmware_sim.priority import ORDINARY_S, Urgency
-from firmware_sim.scene import load_scene
+from firmware_sim.scene.scene import load_scene
 from firmware_sim.server import LATE_NS, SLIP_NS, STRIDE_NS, ScaledClock, Server
 from firmware_sim.world import World
 

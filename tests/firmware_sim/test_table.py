@@ -2,8 +2,8 @@
 
 import pytest
 
-from firmware_sim.scene import Support
-from firmware_sim.table import Table
+from firmware_sim.scene.scene import Support
+from firmware_sim.scene.table import Table
 
 OPPOSED = [False, False, False, True]
 SUPPORT = Support(drop_when="grasped", drop_force=1.0, drop_hold=1.5, sink_speed=0.05, sink_depth=0.2)

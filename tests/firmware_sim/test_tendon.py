@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_sim.description import TendonSpec, load_hand
-from firmware_sim.drivetrain import drive, tensions
-from firmware_sim.motor import Motor
-from firmware_sim.tendon import Routing
+from firmware_sim.plant.drivetrain import drive, tensions
+from firmware_sim.plant.motor import Motor
+from firmware_sim.plant.tendon import Routing
 
 HAND = load_hand("jamia")
 SPEC = HAND.tendons[0]

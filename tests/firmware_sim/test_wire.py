@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_sim.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
+from firmware_sim.bus.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
 from firmware_sim.wire.bits import FD_LENGTHS, Rate, priority
 from firmware_sim.wire.controller import Controller, State
 from firmware_sim.wire.medium import NEVER, Options, Wire

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from firmware_sim.bus.ports import open_port
+from firmware_sim.bus.wired import ALONE_BITRATES, WiredPort, maker
 from firmware_sim.description import SimulatorError, load_hand
-from firmware_sim.ports import open_port
-from firmware_sim.scene import load_scene
+from firmware_sim.scene.scene import load_scene
 from firmware_sim.server import Server
-from firmware_sim.wired import ALONE_BITRATES, WiredPort, maker
 from firmware_sim.world import World
 from handctl.drives.frame import Frame
 from handctl.drives.load import frame_time_s

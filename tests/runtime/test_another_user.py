@@ -17,8 +17,8 @@ from pathlib import Path
 import pytest
 
 from firmware_sim import places as simulated
+from firmware_sim.bus.hub import Hub
 from firmware_sim.description import SimulatorError
-from firmware_sim.hub import Hub
 from handctl.cli.main import main
 from handctl.errors import BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import parse_request, taken

@@ -2,7 +2,7 @@
 
 import pytest
 
-from firmware_sim.broken import FAULTS
+from firmware_sim.faults.broken import FAULTS
 from handctl.runtime.diagnostics.conformance import Check, Subject, Verdict, checks
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import GUARDED

@@ -1,0 +1,1 @@
+"""Buses of the simulator: local hubs, Linux CAN interfaces, and wires whose frames take their time."""

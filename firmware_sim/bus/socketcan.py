@@ -1,0 +1,97 @@
+"""A port on a Linux CAN interface, real or virtual, classical and FD."""
+
+import errno
+import socket
+import struct
+from collections.abc import Collection
+
+from firmware_sim.bus.frame import FDF, Frame
+from firmware_sim.description import SimulatorError
+from firmware_sim.wire.medium import NEVER
+
+_CLASSICAL = struct.Struct("=IB3x8s")
+_FD = struct.Struct("=IBB2x64s")
+"""``struct can_frame`` and ``struct canfd_frame``. Source: Linux ``can.h``."""
+_AT_ONCE = 256
+"""Frames read at a time: a flood cannot keep the plant from moving."""
+
+
+class SocketCanPort:
+    """See ``ports.Port``."""
+
+    due_ns = NEVER
+
+    def __init__(self, interface: str, bus: int) -> None:
+        """Open the interface.
+
+        Args:
+            interface: such as vcan0.
+            bus: index in the hand's list.
+
+        Raises:
+            SimulatorError: this system or this kernel has no SocketCAN, or there is no such interface.
+        """
+        self._bus, self.lost = bus, 0
+        if not hasattr(socket, "CAN_RAW_FD_FRAMES"):
+            raise SimulatorError(f"socketcan:{interface}: this system has no SocketCAN; use local:NAME")
+        try:
+            self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        except OSError as error:
+            raise SimulatorError(f"socketcan:{interface}: {error.strerror}; modprobe can-raw, or local:NAME") from error
+        try:
+            self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
+            self._socket.bind((interface,))
+        except OSError as error:
+            self._socket.close()
+            hint = f"ip link add dev {interface} type vcan; ip link set {interface} mtu 72 up"
+            raise SimulatorError(f"socketcan:{interface}: {error.strerror}; for a virtual one: {hint}") from error
+        self._socket.setblocking(False)
+
+    def readers(self) -> list[socket.socket]:
+        """See ``ports.Port``."""
+        return [self._socket]
+
+    def writers(self) -> list[socket.socket]:
+        """See ``ports.Port``."""
+        return []
+
+    def receive(self, ready: Collection[socket.socket]) -> list[Frame]:
+        """See ``ports.Port``."""
+        frames: list[Frame] = []
+        if self._socket not in ready:
+            return frames
+        try:
+            while len(frames) < _AT_ONCE:
+                frames.append(self._frame(self._socket.recv(_FD.size)))
+        except BlockingIOError:
+            pass
+        except OSError as error:
+            if error.errno != errno.ENETDOWN:
+                raise
+            self.lost += 1  # the interface was taken down: the next read works again once it is up
+        return frames
+
+    def _frame(self, raw: bytes) -> Frame:
+        if len(raw) == _CLASSICAL.size:
+            can_id, length, data = _CLASSICAL.unpack(raw)
+            return Frame(can_id, data[: min(length, 8)], 0, self._bus)
+        can_id, length, flags, data = _FD.unpack(raw)
+        return Frame(can_id, data[:length], flags | FDF, self._bus)
+
+    def send(self, frames: list[Frame]) -> None:
+        """See ``ports.Port``."""
+        for frame in frames:
+            fd = frame.flags & FDF
+            raw = (
+                _FD.pack(frame.can_id, len(frame.data), frame.flags, frame.data)
+                if fd
+                else _CLASSICAL.pack(frame.can_id, len(frame.data), frame.data)
+            )
+            try:
+                self._socket.send(raw)
+            except OSError:  # queue full (ENOBUFS), interface down or without FD: on a wire the frame is lost too
+                self.lost += 1
+
+    def close(self) -> None:
+        """See ``ports.Port``."""
+        self._socket.close()

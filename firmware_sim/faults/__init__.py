@@ -1,0 +1,1 @@
+"""Faults of a simulated hand: as text, in the plant, on the wire."""

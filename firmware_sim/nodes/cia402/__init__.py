@@ -1,0 +1,1 @@
+"""Simulated drives of the CiA 402 profile."""

@@ -1,0 +1,141 @@
+"""``python -m firmware_sim``: a simulated hand on a bus, in real time."""
+
+import argparse
+import gc
+import json
+import sys
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from firmware_sim.bus.ports import Port, assign, open_port
+from firmware_sim.bus.wired import maker
+from firmware_sim.command import Parser, check_time_scale, until_signal
+from firmware_sim.description import SimulatorError, load_hand
+from firmware_sim.faults.socket import FaultSocket
+from firmware_sim.places import faults_path, truth_path
+from firmware_sim.plant.perturb import KEYS, perturbed
+from firmware_sim.printing import printable
+from firmware_sim.priority import Urgency
+from firmware_sim.scene.scene import load_scene, packaged
+from firmware_sim.serials import numbered
+from firmware_sim.server import ScaledClock, Server
+from firmware_sim.truth import TruthWriter
+from firmware_sim.wire.options import KEYS as WIRE_KEYS
+from firmware_sim.world import World, make_world
+
+_KEYS = "\n".join(f"  {key:16}{text}" for key, text in KEYS.items())
+_WIRE_KEYS = "\n".join(f"  {key:16}{text}" for key, text in WIRE_KEYS.items())
+_LOG = ".mcap"
+"""Suffix of what nothing is written over."""
+_EPILOG = f"""
+factors for --perturb:
+{_KEYS}
+
+values for --wire, and what holds without them:
+{_WIRE_KEYS}
+
+examples:
+  python -m firmware_sim --hand jamia --bus local:demo --scene cylinder
+  python -m firmware_sim --hand jamia --bus socketcan:vcan0 --perturb stiffness=1.2 friction=1.5
+  python -m firmware_sim drive mit --ids 1,2 --bus local:lab     drives with free shafts; "drive --help" tells more
+  python -m firmware_sim --hand jamia --bus local:demo --wire queue=10 stuffing=actual
+  python -m firmware_sim bus demo        a bus without a hand; a simulator joins it with --bus join:demo
+"""
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = Parser(
+        prog="python -m firmware_sim",
+        description="A simulated hand: drives, load cells, tendons, fingers, an object: the other side of a CAN bus.",
+        epilog=_EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("--hand", required=True, metavar="NAME|FILE", help="packaged hand or a .toml file")
+    add("--bus", required=True, action="append", metavar="[BUS=]SPEC",
+        help="local:NAME, join:NAME or socketcan:INTERFACE; repeat for a hand with several buses")  # fmt: skip
+    add("--scene", metavar="NAME|FILE", help=f"{', '.join(packaged())}, NAME:MILLIMETRES or a .toml file (free hand)")
+    add("--seed", type=int, default=0, help="of noise, initial slack and encoder offsets (0)")
+    add("--homed", action="store_true", help="start with taut ropes and encoders at zero")
+    add("--time-scale", type=float, default=1.0, metavar="X", help="plant time per wall time (1)")
+    add("--truth", type=Path, metavar="FILE", help="where to record what really happens (in the run directory)")
+    add("--json", action="store_true", help="print where it is ready as JSON, in one line")
+    add("--dry-run", action="store_true", help="check all of it and end; no bus is opened")
+    add("--wire", nargs="*", metavar="KEY=VALUE", help="frames take their time on a local bus (they take none)")
+    add("--perturb", nargs="+", action="extend", default=[], metavar="KEY=FACTOR", help="a plant unlike its hand file")
+    text = "serial number of the drives: each adds its number on the bus, or of one motor alone"
+    add("--serial", action="append", default=[], metavar="[MOTOR=]NUMBER", help=text)
+    return parser
+
+
+def _factors(words: list[str]) -> dict[str, float]:
+    factors: dict[str, float] = {}
+    for word in words:
+        key, _, value = word.partition("=")
+        if key in factors:
+            raise SimulatorError(f"--perturb: {key} is there twice; expected one factor for each")
+        try:
+            factors[key] = float(value)
+        except ValueError:
+            raise SimulatorError(f"--perturb {word}: expected KEY=FACTOR, as in stiffness=1.2") from None
+    return factors
+
+
+def run(words: list[str]) -> None:
+    """Serve a hand until SIGTERM or SIGINT.
+
+    Raises:
+        SimulatorError: arguments that cannot be served.
+    """
+    args = _parser().parse_args(words)
+    check_time_scale(args.time_scale)
+    if args.truth and args.truth.suffix == _LOG and args.truth.exists():
+        raise SimulatorError(f"--truth {args.truth}: is a log; expected another name")
+    factors = _factors(args.perturb)
+    hand, scene = perturbed(load_hand(args.hand), factors), load_scene(args.scene)
+    hand = numbered(hand, args.serial)
+    specs = assign(args.bus, hand.buses)
+    clock = ScaledClock(args.time_scale)
+    world = make_world(hand, scene, args.seed, args.homed, clock.now_ns(), compiled=False)
+    wired = maker(args.wire, hand.bitrates, clock.now_ns)
+    if args.dry_run:
+        return
+    ports: list[Port] = []
+    try:
+        for bus, spec in enumerate(specs):
+            ports.append(open_port(spec, bus, wired))
+        path = args.truth or truth_path(specs[0])
+        with closing(FaultSocket(faults_path(specs[0]), world.faults)) as faults:
+            header = {**world.header("monotonic"), "perturb": factors, "time_scale": args.time_scale}
+            ready = {"hand": world.hand.name, "scene": world.plant.scene.name, "bus": " ".join(args.bus)}
+            ready["truth"] = str(path)
+            pairs = " ".join(f"{key}={printable(value)}" for key, value in ready.items())
+            told = json.dumps({"ready": ready}) if args.json else f"firmware_sim: ready {pairs}"
+            _serve(Server(world, ports, clock, faults, Urgency()), world, path, header, told)
+    finally:
+        for port in ports:
+            port.close()
+
+
+def _serve(server: Server, world: World, path: Path, header: dict[str, Any], ready: str) -> None:
+    try:
+        truth = TruthWriter(path, world.plant, header)
+    except OSError as error:
+        raise SimulatorError(f"truth file {path}: {error.strerror}") from error
+    world.record(truth)
+
+    def stop() -> None:
+        server.running = False
+
+    until_signal(stop)
+    gc.collect()
+    gc.freeze()  # what is loaded by now lives on; the collector need not look at it in the loop
+    print(ready, flush=True)
+    try:
+        server.run()
+    finally:
+        summary = server.summary()
+        truth.close(summary)
+        counts = " ".join(f"{key}={value}" for key, value in summary.items())
+        print(f"firmware_sim: ended {counts}", file=sys.stderr)

@@ -1,0 +1,1 @@
+"""What lies in the hand's reach, and what happens to it."""

@@ -1,0 +1,186 @@
+"""What lies in the hand's reach: an object and what it stands on, as a small TOML file."""
+
+import importlib.resources
+import math
+import tomllib
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from firmware_sim.description import SimulatorError
+from firmware_sim.scene.stages import Stage, read_stage
+
+SHAPES = ("cylinder", "sphere", "box")
+
+
+@dataclass(frozen=True, slots=True)
+class Thing:
+    """The object to grasp.
+
+    Attributes:
+        shape: cylinder (axis z), sphere or box.
+        size: full extents along x, y, z [m].
+        mass: [kg]. friction: sliding coefficient on fingers, palm and table.
+        position: of its centre in the palm frame [m].
+    """
+
+    shape: str
+    size: tuple[float, float, float]
+    mass: float
+    friction: float
+    position: tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Support:
+    """The table under the object.
+
+    Attributes:
+        drop_when: ``grasped`` (the table sinks once the object is held) or ``never``.
+        drop_force: contact force that counts as holding [N].
+        drop_hold: how long digits must hold [s]. drop_digits: how many of them.
+        drop_opposed: whether one of them must close against the others, as the thumb does.
+        sink_speed: [m/s]. sink_depth: [m].
+    """
+
+    drop_when: str = "never"
+    drop_force: float = 1.0
+    drop_hold: float = 1.5
+    drop_digits: int = 3
+    drop_opposed: bool = True
+    sink_speed: float = 0.05
+    sink_depth: float = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """A force at the object's centre that grows until something gives.
+
+    Attributes:
+        direction: unit vector in the palm frame.
+        start: when it begins [s after power-up].
+        rate: [N/s].
+    """
+
+    direction: tuple[float, float, float]
+    start: float
+    rate: float
+
+    def at(self, time: float) -> float:
+        """Return the force [N] at a time [s]."""
+        return max(0.0, self.rate * (time - self.start))
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """An object, its support, its load and what happens to it once it is held; all absent in a free hand."""
+
+    name: str
+    thing: Thing | None = None
+    support: Support | None = None
+    load: Load | None = None
+    stages: tuple[Stage, ...] = ()
+
+
+def packaged() -> list[str]:
+    """Return the names of the scenes that come with the simulator."""
+    folder = importlib.resources.files("firmware_sim") / "scenes"
+    return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
+
+
+def load_scene(text: str | None) -> Scene:
+    """Return a scene by its packaged name, its file, or shorthand such as ``cylinder:40``.
+
+    Args:
+        text: name, path of a .toml file, or NAME:DIAMETER_mm; None for a free hand.
+
+    Raises:
+        SimulatorError: no such scene, or one that is not complete.
+    """
+    if text is None:
+        return Scene("none")
+    if text.endswith(".toml"):
+        return _read(Path(text), text)
+    name, _, diameter = text.partition(":")
+    if name not in packaged():
+        known = ", ".join(packaged())
+        raise SimulatorError(f"no such scene: {text}; expected {known}, NAME:MILLIMETRES or a .toml file")
+    scene = _read(importlib.resources.files("firmware_sim") / "scenes" / f"{name}.toml", name)
+    return _resized(scene, diameter, text) if diameter else scene
+
+
+def _resized(scene: Scene, millimetres: str, text: str) -> Scene:
+    try:
+        diameter = float(millimetres) * 1e-3
+    except ValueError:
+        diameter = math.nan
+    if scene.thing is None or not 0.0 < diameter < 1.0:
+        raise SimulatorError(f"scene {text}: expected a diameter in millimetres, as in cylinder:35")
+    old = scene.thing
+    height = diameter if old.shape == "sphere" else old.size[2]
+    gap = old.position[0] - old.size[0] / 2.0
+    position = (diameter / 2.0 + gap, old.position[1], old.position[2])
+    return replace(scene, name=text, thing=replace(old, size=(diameter, diameter, height), position=position))
+
+
+def _read(path: Any, where: str) -> Scene:
+    try:
+        if not path.is_file():
+            raise ValueError("no such file")
+        raw = tomllib.loads(path.read_text("utf-8"))
+        thing, support, load = _thing(raw.get("object")), _support(raw.get("support")), _load(raw.get("load"))
+        scene = Scene(raw["name"], thing, support, load, tuple(read_stage(stage) for stage in raw.get("stage", ())))
+    except KeyError as error:
+        raise SimulatorError(f"scene {where}: missing or unknown key {error}") from error
+    except (OSError, RecursionError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise SimulatorError(f"scene {where}: {error}") from error
+    if scene.support and not scene.thing:
+        raise SimulatorError(f"scene {where}: a support without an object")
+    if scene.load and not scene.thing:
+        raise SimulatorError(f"scene {where}: a load without an object")
+    if scene.stages and (scene.support is None or scene.support.drop_when != "grasped"):
+        raise SimulatorError(f"scene {where}: a stage without a support that sinks when the object is grasped")
+    if scene.stages and scene.load:
+        raise SimulatorError(f"scene {where}: stages push the object themselves; expected no load beside them")
+    return scene
+
+
+def _thing(raw: dict[str, Any] | None) -> Thing | None:
+    if raw is None:
+        return None
+    shape = raw["shape"]
+    if shape not in SHAPES:
+        raise ValueError(f"object.shape {shape!r}: expected {', '.join(SHAPES)}")
+    if shape == "box":
+        size = tuple(float(value) for value in raw["size_m"])
+    else:
+        diameter = float(raw["diameter_m"])
+        size = (diameter, diameter, diameter if shape == "sphere" else float(raw["length_m"]))
+    position = tuple(float(value) for value in raw["position_m"])
+    if len(size) != 3 or len(position) != 3 or not all(0 < value < 1 for value in (*size, raw["mass_kg"] / 100)):
+        raise ValueError("object: expected three positive extents, a positive mass and three coordinates")
+    friction = float(raw["friction"])
+    if not (0.0 <= friction <= 10.0 and all(map(math.isfinite, position))):
+        raise ValueError(f"object: friction {friction}, position {position}: expected finite, friction 0 to 10")
+    return Thing(shape, size, float(raw["mass_kg"]), friction, position)
+
+
+def _support(raw: dict[str, Any] | None) -> Support | None:
+    if raw is None:
+        return None
+    if raw["drop_when"] not in ("grasped", "never"):
+        raise ValueError(f"support.drop_when {raw['drop_when']!r}: expected grasped or never")
+    keys = {"drop_when": "drop_when", "drop_force_N": "drop_force", "drop_hold_s": "drop_hold",
+            "drop_digits": "drop_digits", "drop_opposed": "drop_opposed",
+            "sink_speed_m_s": "sink_speed", "sink_depth_m": "sink_depth"}  # fmt: skip
+    return Support(**{keys[key]: value for key, value in raw.items()})
+
+
+def _load(raw: dict[str, Any] | None) -> Load | None:
+    if raw is None:
+        return None
+    x, y, z = (float(value) for value in raw["direction"])
+    length, start, rate = math.hypot(x, y, z), float(raw["start_s"]), float(raw["rate_N_per_s"])
+    if not (0.0 < length < math.inf and 0.0 <= start < math.inf and 0.0 < rate < math.inf) or len(raw) != 3:
+        raise ValueError("load: expected direction (not zero), start_s and a positive rate_N_per_s")
+    return Load((x / length, y / length, z / length), start, rate)
