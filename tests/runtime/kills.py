@@ -100,7 +100,7 @@ class Range:
         task.write_text(LONG)
         write_homed(calibration, hand)
         load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
-        self.plan = Plan(hand, Gains(), RATE_HZ, load, bus_specs(hand, [BUS]), {}, scale, True, True)
+        self.plan = Plan(hand, Gains(), RATE_HZ, load, bus_specs(hand, [BUS]), time_scale=scale, clear=True)
         self.controller: Controller = make_controller(
             self.plan, TaskProgram(load_task(task)), load_calibration(calibration, hand), arm_at_once=True
         )

@@ -7,8 +7,8 @@ import pytest
 from tests.runtime.kills import batches, told
 
 pytestmark = pytest.mark.realtime
-TIMES = 500 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 5
-SCALE = 0.5
+TIMES = 500 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 8
+SCALE = 0.7
 
 
 @pytest.mark.timeout(300 + 15 * TIMES)
