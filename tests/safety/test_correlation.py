@@ -77,6 +77,14 @@ def test_one_outlier_is_not_a_fault() -> None:
     assert not unfollowed(after(commanded, made), LARGEST, PERIOD).any()
 
 
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("size", [0.02, 0.1, 1.0])
+def test_a_report_that_is_a_tick_late_is_not_a_fault(seed: int, size: float) -> None:
+    """A busy machine reads every answer one tick later: a demo in real time ended with N17."""
+    commanded = noisy(seed, size)
+    assert not doubted(commanded, reports(commanded, 2)).any()
+
+
 def stalled(seed: int) -> tuple[np.ndarray, np.ndarray]:
     """(TICKS, 2) commands, and the reports of drives that obey, on a bus that stands still for one to five ticks now
     and then: what was sent meanwhile is answered at once, before any of it is obeyed. The command moves on."""

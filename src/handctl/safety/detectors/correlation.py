@@ -11,7 +11,8 @@ Less than two fifths of the command come back, by four standard deviations of th
 the sample covariance has the variance S_aa S_bb / n. Source: Bartlett's formula for white noise.
 
 A pair counts only once a drive has answered in time for a few ticks. After a standstill it answers every
-command that waited before it obeys the last of them, so that its next report belongs to an older command.
+command that waited before it obeys the last of them, so that its next report belongs to an older command. And a
+report may be a tick late for as long as the bus is slow: then it follows the command before that, which counts as well.
 """
 
 import math
@@ -39,8 +40,9 @@ class Correlation(NamedTuple):
     """What the correlation carries from tick to tick.
 
     Attributes:
-        forces: (3, N) last command, the one before that, and last report [N], NaN where unknown.
-        moments: (4, N) low-passed S_aa, S_ab, S_bb [N^2], and the share of the low-pass that is filled.
+        forces: (4, N) last command, the two before that, and last report [N], NaN where unknown.
+        moments: (5, N) low-passed S_aa, S_ab, S_ab of a report that is a tick late, S_bb [N^2], and the share of the
+            low-pass that is filled.
         on_time: (N,) ticks in a row in which the motor answered in time.
     """
 
@@ -51,7 +53,7 @@ class Correlation(NamedTuple):
     @staticmethod
     def initial(n: int) -> "Correlation":
         """Return what is known of n motors at first: nothing."""
-        return Correlation(np.full((3, n), np.nan), np.zeros((4, n)), np.zeros(n))
+        return Correlation(np.full((4, n), np.nan), np.zeros((5, n)), np.zeros(n))
 
 
 def step(state: Correlation, commanded: Vector, reported: Vector, period: float, missed: int = 0) -> Correlation:
@@ -75,15 +77,17 @@ def _step(
     """Take in one tick, of which each moment takes a share; see ``step``."""
     moments, settled = moments.copy(), np.zeros(len(commanded))
     for n in range(len(commanded)):
-        a, b = forces[0, n] - forces[1, n], reported[n] - forces[2, n]
+        a, b = forces[0, n] - forces[1, n], reported[n] - forces[3, n]
+        before = forces[1, n] - forces[2, n]
         if missed == 0 and math.isfinite(reported[n]):
             settled[n] = on_time[n] + 1.0
-        if math.isfinite(a + b) and settled[n] > SETTLED_TICKS:
+        if math.isfinite(a + b + before) and settled[n] > SETTLED_TICKS:
             moments[0, n] += share * (a * a - moments[0, n])
             moments[1, n] += share * (a * b - moments[1, n])
-            moments[2, n] += share * (b * b - moments[2, n])
-            moments[3, n] += share * (1.0 - moments[3, n])
-    return np.stack((commanded, forces[0], reported)), moments, settled
+            moments[2, n] += share * (before * b - moments[2, n])
+            moments[3, n] += share * (b * b - moments[3, n])
+            moments[4, n] += share * (1.0 - moments[4, n])
+    return np.stack((commanded, forces[0], forces[1], reported)), moments, settled
 
 
 def unfollowed(state: Correlation, largest: Vector, period: float) -> NDArray[np.bool_]:
@@ -99,17 +103,17 @@ def unfollowed(state: Correlation, largest: Vector, period: float) -> NDArray[np
 
 @kernel("matrix", "vector", "real")
 def _unfollowed(moments: Vector, largest: Vector, period: float) -> NDArray[np.bool_]:
-    """Judge the moments (4, N); see ``unfollowed``."""
+    """Judge the moments (5, N); see ``unfollowed``."""
     found = np.zeros(len(largest), dtype=np.bool_)
     for n in range(len(largest)):
-        aa, ab, bb = moments[0, n], moments[1, n], moments[2, n]
+        aa, ab, bb = moments[0, n], max(moments[1, n], moments[2, n]), moments[3, n]
         # Both have to move by more than rounding: a command at rest says nothing, a report at rest is another fault.
-        if moments[3, n] > FILLED and min(aa, bb) > square(MOVED_SHARE * largest[n]):
+        if moments[4, n] > FILLED and min(aa, bb) > square(MOVED_SHARE * largest[n]):
             found[n] = ab + SIGMAS * math.sqrt(aa * bb * period / (2.0 * TIME_S)) < PART * aa
     return found
 
 
 def part(state: Correlation) -> Vector:
     """Return (N,) what part of the changes of the command is reported, 1 if it is obeyed."""
-    aa, ab, _, _ = state.moments
-    return np.asarray(ab / np.maximum(aa, np.finfo(float).tiny))
+    aa, ab, late, _, _ = state.moments
+    return np.asarray(np.maximum(ab, late) / np.maximum(aa, np.finfo(float).tiny))
