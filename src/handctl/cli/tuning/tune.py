@@ -19,7 +19,7 @@ from handctl.cli.console.options import (
 )
 from handctl.errors import ConfigError
 
-EXAMPLE = "handctl tune design --hand jamia --plants 4 --out tuned.toml"
+EXAMPLE = "handctl tune design --hand jamia --plants 2 --out tuned.toml"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
