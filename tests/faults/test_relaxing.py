@@ -27,6 +27,8 @@ FAULTS = (
 RATE_HZ = {"jamia": 500.0, "jamia11": 250.0}
 WINDOW_S = 0.06
 """Time for which a command may still be on its way to a motor that obeys late [s]."""
+ROUNDED_N = 0.05
+"""Half a step of a torque of twelve bits at the tendon, by which a drive may round a command up [N]."""
 MARGIN_N = 3.0
 """Capstan friction and contacts, which the bound does not have [N]."""
 
@@ -103,8 +105,7 @@ def judge(course: Simulation, stop_at: int, window: int, fault: str) -> None:
         last, now = asked, look(course)
         peak, force = np.maximum(peak, now.tension), np.maximum(force, now.force)
     # A drive that is told its share makes no more than before; one that exaggerates, no more than it did before.
-    # A command is encoded as a float of 32 bits.
-    assert (force <= np.maximum(before, 0.0) * (1.0 + 1e-6) + 1e-6).all(), f"{fault}: {force} after {before}"
+    assert (force <= np.maximum(before, 0.0) + ROUNDED_N).all(), f"{fault}: {force} after {before}"
     most = explained(course, decided, before)
     assert (peak <= most).all(), f"{fault}: {peak} N, at most {most} N are explained, from {decided}"
     assert course.state.mode == Mode.DONE
