@@ -1,21 +1,32 @@
 """Compiles the functions that run for every tendon, motor or joint in every tick.
 
-Such a kernel is a plain function of arrays and numbers. It is written with loops and ``math``, as a reader would write
-it, and exists once. ``NUMBA_DISABLE_JIT=1`` runs the same function interpreted. Operations keep their order and their
+A kernel is a plain function of arrays and numbers. It is written with loops and ``math``, as a reader would write it,
+and exists once. ``NUMBA_DISABLE_JIT=1`` runs the same function interpreted. Operations keep their order and their
 rounding (no ``fastmath``), so that both give the same numbers to the last bit.
 
-``prepare`` compiles all kernels before a hand is armed. The code is kept in numba's cache, beside the source or in the
-user's own folder, and the next process loads it from there. Where no folder can be written, each process compiles anew.
-One compilation serves every hand: a kernel's arguments have fixed types, whatever their sizes. The cache notices a
-change of a kernel's own file only. So a kernel reads no constant that another file decides: it takes it as an argument.
+``prepare`` compiles all kernels before a hand is armed. One compilation serves every hand: a kernel's arguments have
+fixed types, whatever their sizes. The code is kept in a folder that is named after the content of all source files that
+kernels are made of. A change of one of them, a constant included, makes a new folder, so that no process can run code
+of another version. Where no folder can be written, each process compiles anew.
 """
 
-from collections.abc import Callable
+import contextlib
+import hashlib
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import numba
 from numba import njit, types
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+SOURCES = ("compiled.py", "core", "drives", "hand", "safety")
+"""Files and folders of this package whose functions and constants kernels are made of."""
+KEPT_FOLDERS = 4
+"""Versions whose code is kept; older ones are removed."""
 
 _KERNELS: dict[str, tuple[Any, tuple[Any, ...]]] = {}
 """Name of each kernel to its dispatcher and the types of its arguments."""
@@ -24,13 +35,17 @@ MARKED: list[Callable[..., Any]] = []
 _TYPES = {
     "real": types.float64,
     "count": types.int64,
-    "flag": types.boolean,
+    "block": types.Array(types.float64, 1, "C"),
+    "constants": types.Array(types.float64, 1, "C", readonly=True),
+    "layout": types.Array(types.int64, 1, "C"),
+    "records": types.Array(types.uint8, 2, "C"),
     "vector": types.Array(types.float64, 1, "A", readonly=True),
     "matrix": types.Array(types.float64, 2, "A", readonly=True),
     "cube": types.Array(types.float64, 3, "A", readonly=True),
     "flags": types.Array(types.boolean, 1, "A", readonly=True),
     "counts": types.Array(types.int64, 1, "A", readonly=True),
-    "shorts": types.Array(types.int16, 2, "A", readonly=True),
+    "matrix_int": types.Array(types.int64, 2, "A", readonly=True),
+    "bytes": types.Array(types.uint8, 1, "C", readonly=True),
 }
 
 
@@ -38,8 +53,9 @@ def kernel(*arguments: str) -> Callable[[F], F]:
     """Mark a function as a kernel.
 
     Args:
-        arguments: the type of each: real, count, flag; vector, matrix, cube (of reals), flags, counts (one axis each),
-            shorts (two axes). A kernel may read its arguments and returns new arrays.
+        arguments: the type of each. real and count are numbers. vector, matrix, cube, flags and counts are arrays that
+            it reads; block (float64), layout (int64) and records (rows of bytes) are contiguous arrays that it may
+            write into.
     """
 
     def mark(function: F) -> F:
@@ -53,11 +69,59 @@ def kernel(*arguments: str) -> Callable[[F], F]:
 def inner(function: F) -> F:
     """Mark a function that only kernels call."""
     MARKED.append(function)
-    try:
-        dispatcher: Any = njit(cache=True, error_model="numpy")(function)
-    except RuntimeError:  # numba finds no folder that can be written, neither beside the source nor the user's own
-        dispatcher = njit(error_model="numpy")(function)
+    with _cached_in(_FOLDER):
+        try:
+            dispatcher: Any = njit(cache=_FOLDER is not None, error_model="numpy")(function)
+        except RuntimeError:  # numba cannot write into the folder
+            dispatcher = njit(error_model="numpy")(function)
     return cast(F, dispatcher)
+
+
+@contextlib.contextmanager
+def _cached_in(folder: Path | None) -> Iterator[None]:
+    """Let numba keep the code of what is marked meanwhile in a folder; other packages keep theirs where they do."""
+    before = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(folder or "")
+    try:
+        yield
+    finally:
+        numba.config.CACHE_DIR = before
+
+
+def _folder() -> Path | None:
+    """Return the folder of this version's code, made if need be; None where none can be written."""
+    root = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser())
+    folder = root / "handctl" / f"kernels-{_content()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        os.utime(folder)
+    except (OSError, RuntimeError):
+        return None
+    if not os.access(folder, os.W_OK):
+        return None
+    _remove_old(folder.parent)
+    return folder
+
+
+def _content() -> str:
+    """Return a hash of all source files that kernels are made of."""
+    here, found = Path(__file__).parent, hashlib.blake2b(digest_size=8)
+    for name in SOURCES:
+        top = here / name
+        for path in [top] if top.is_file() else sorted(top.rglob("*.py")):
+            found.update(path.read_bytes())
+    return found.hexdigest()
+
+
+def _remove_old(root: Path) -> None:
+    """Remove the code of versions that were not used lately."""
+    with contextlib.suppress(OSError):
+        folders = sorted(root.glob("kernels-*"), key=lambda path: path.stat().st_mtime, reverse=True)
+        for path in folders[KEPT_FOLDERS:]:
+            shutil.rmtree(path, ignore_errors=True)
+
+
+_FOLDER = None if numba.config.DISABLE_JIT else _folder()
 
 
 @inner
@@ -66,15 +130,15 @@ def square(value: float) -> float:
     return value * value
 
 
-def prepare(told: Callable[[int, int], None] | None = None) -> None:
+def prepare(progress: Callable[[int, int], None] | None = None) -> None:
     """Compile every kernel that has been imported, or load its code; afterwards none compiles in a tick.
 
     Args:
-        told: called before each with the number that are ready and the number of all.
+        progress: called before each with the number that are ready and the number of all.
     """
     waiting = [(code, types_) for code, types_ in _KERNELS.values() if not getattr(code, "signatures", True)]
     for done, (code, types_) in enumerate(waiting):
-        if told:
-            told(done, len(waiting))
+        if progress:
+            progress(done, len(waiting))
         code.compile(types_)
         code.disable_compile()

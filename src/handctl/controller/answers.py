@@ -5,32 +5,29 @@ from dataclasses import replace
 from handctl.controller import retune
 from handctl.controller.modes import Wishes
 from handctl.controller.state import State
-from handctl.core.estimation.estimator import Estimate
 from handctl.core.model import HandModel
 from handctl.core.types import LETTING_GO, Event, Mode
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.live import LiveProgram, apply_goal
 from handctl.programs.program import Program
 from handctl.programs.requests import Arm, Clear, Cut, HoldTension, MoveDigits, SetGains, Stop, parse_request, taken
-from handctl.safety import judge as safety
 
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
 """Modes in which an order to clear also clears the drives."""
 
 
 def answer(
-    model: HandModel, program: Program, state: State, estimate: Estimate, requests: tuple[str, ...]
-) -> tuple[State, Wishes, tuple[Event, ...]]:
+    model: HandModel, program: Program, state: State, requests: tuple[str, ...]
+) -> tuple[Wishes, tuple[Event, ...]]:
     """Take in the requests of one tick, in order; what is no request becomes a line in the log.
 
     Args:
         model: the hand.
         program: that decides the goals.
-        state: of this tick.
-        estimate: of this instant.
+        state: of this tick, in which they are carried out.
         requests: JSON text each.
     """
-    wishes, events = Wishes(), []
+    wishes, events = Wishes(), list[Event]()
     for text in requests:
         request = parse_request(text)
         if isinstance(request, str):
@@ -42,30 +39,32 @@ def answer(
         elif isinstance(request, Cut):
             wishes = replace(wishes, cut=True)
         elif isinstance(request, Arm):
-            state = state._replace(armed=True)
+            state.armed = True
         elif isinstance(request, Clear):
-            state = state._replace(safety=safety.clear(state.safety), clearing=state.mode in BEFORE_READY)
+            state.decide(latched=())
+            state.clearing = state.mode in BEFORE_READY
         elif isinstance(request, SetGains) and isinstance(program, CommissionProgram):
             events.append(Event("warn", "request", "", "refused: the hand is being commissioned"))
         elif isinstance(request, SetGains):
-            coming, refused = retune.asked(state.coming.gains if state.coming else model.gains, request.set)
-            state = state._replace(coming=coming or state.coming)
+            coming = state.decisions.coming
+            designed, refused = retune.asked(coming.gains if coming else model.gains, request.set)
+            state.decide(coming=designed or coming)
             events += refused
         elif isinstance(request, MoveDigits | HoldTension):
-            state, told = _set_goal(model, program, state, estimate, request)
-            events += told
-    return state, wishes, tuple(events)
+            events += _set_goal(model, program, state, request)
+    return wishes, tuple(events)
 
 
 def _set_goal(
-    model: HandModel, program: Program, state: State, estimate: Estimate, request: MoveDigits | HoldTension
-) -> tuple[State, tuple[Event, ...]]:
-    """A live goal, if the run waits for one: a hand that lets go must not pull again, nor one that is commissioned."""
+    model: HandModel, program: Program, state: State, request: MoveDigits | HoldTension
+) -> tuple[Event, ...]:
+    """Set a live goal if the run waits for one; a hand that lets go or is commissioned must not pull."""
     if state.mode in LETTING_GO:
-        return state, (Event("info", "request", "", "refused: the hand is letting go"),)
+        return (Event("info", "request", "", "refused: the hand is letting go"),)
     if not isinstance(program, LiveProgram):
-        return state, (Event("warn", "request", "", "refused: this run has goals of its own"),)
+        return (Event("warn", "request", "", "refused: this run has goals of its own"),)
     if state.mode != Mode.ACTIVE:
-        return state, (Event("warn", "request", "", "refused: the hand is not ready yet"),)
-    progress, told = apply_goal(model, state.progress, request, estimate, state.goal_time)
-    return state._replace(progress=progress), told
+        return (Event("warn", "request", "", "refused: the hand is not ready yet"),)
+    progress, told = apply_goal(model, state.progress, request, state.estimate, state.goal_time)
+    state.decide(progress=progress)
+    return told

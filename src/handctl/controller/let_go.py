@@ -1,9 +1,11 @@
 """After an error inside a tick: every drive is told to disable until it has said that it is off."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
+from handctl.core import block as s
 from handctl.drives.contract import Phase, Want
 from handctl.drives.frame import Frame
 
@@ -22,7 +24,7 @@ class LettingGo(NamedTuple):
     enabled: tuple[str, ...]
 
 
-def let_go(controller: Controller, state: State, t_ns: int, heard: list[Frame]) -> LettingGo:
+def let_go(controller: Controller, state: State, t_ns: int, heard: Sequence[Frame]) -> LettingGo:
     """Take in what was heard, and tell every drive to disable; SYNC goes on, at which some of them speak.
 
     Args:
@@ -31,16 +33,16 @@ def let_go(controller: Controller, state: State, t_ns: int, heard: list[Frame]) 
         t_ns: time of the step [ns].
         heard: frames since the step before.
     """
-    k = state.k + 1
-    sensors, sync = controller.sensors.sync(state.sensors, k)
-    drives, frames, enabled = [], [sync], []
-    for drive, known in zip(controller.drives, state.drives, strict=True):
+    after, enabled = state.copy(), []
+    after.set_whole(s.K, state.k + 1)
+    frames = [controller.sensors.sync(after.k)]
+    for n, drive in enumerate(controller.drives):
+        known = after.drive(n)
         for frame in heard:
             known = drive.receive(known, frame)
         known, told = drive.advance(known, t_ns, Want.DISABLE, 0.0)
-        drives.append(known)
+        controller.keep(after, n, known)
         frames += told
         if known.phase == Phase.ENABLED:
             enabled.append(drive.name)
-    after = state._replace(k=k, drives=tuple(drives), sensors=sensors)
     return LettingGo(after, tuple(frames), tuple(enabled))

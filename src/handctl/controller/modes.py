@@ -9,9 +9,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numpy as np
-
-from handctl.controller.relaxing import RELAX_FLOOR_N, RELAXED_WITHIN_N, hurried, let_go, relaxing, tension
+from handctl.controller.relaxing import begin_relaxing, hurry, let_go, settled
 from handctl.controller.state import State
 from handctl.core.model import HandModel
 from handctl.core.types import ACTING, BEFORE_ARMING, Event, Mode
@@ -100,7 +98,7 @@ _WANTED = {
 
 
 def farewell(drives: tuple[Drive, ...], state: State) -> tuple[Frame, ...]:
-    """What drives are sent at the end of a run; nothing after a failure, when they stay as they are for a person."""
+    """Return what drives are sent at the end of a run; nothing after a failure, when they stay as they are."""
     if state.mode != Mode.DONE or state.failure:
         return ()
     return tuple(frame for drive, known in zip(drives, state.drives, strict=True) for frame in drive.leave(known))
@@ -115,34 +113,40 @@ def next_mode(
     foreign: tuple[str, ...],
     t: float,
     identities: tuple[str, ...] = (),
-) -> tuple[State, tuple[Event, ...]]:
-    """Decide the mode of this tick.
+) -> tuple[Event, ...]:
+    """Decide the mode of this tick, and set it.
 
     Args:
         model: the hand.
         drives: one per motor.
         state: with this tick's drive and filter states.
         action: what safety demands.
-        wishes: what people asked.
+        wishes: what the operator asked.
         foreign: signs of a second controller, as text.
         t: time of the tick [s].
         identities: of the drives that the calibration names; empty if it names none.
     """
     seen = Circumstances(model, drives, t - state.mode_since, action, wishes, foreign, identities)
+    before = state.mode
     demanded = None if seen.nothing_special else _demanded(state, seen)
-    mode, failure = demanded or _MODES[state.mode](state, seen)
-    if mode == state.mode:
-        return (hurried(state) if mode == Mode.RELAX else state), ()
+    mode, failure = demanded or _MODES[before](state, seen)
+    if mode == before:
+        if mode == Mode.RELAX:
+            hurry(state)
+        return ()
     failure = failure or ("" if state.failure else _latched(state))  # of a fault on the way home, too
     names = seen.names
     level = "error" if failure else "info"
     unconfirmed = _may_pull(model, state, names) if mode == Mode.DONE else ()
-    text = f"{state.mode.name} -> {mode.name}" + (f": {failure}" if failure else "")
+    text = f"{before.name} -> {mode.name}" + (f": {failure}" if failure else "")
     if unconfirmed and REMOVE_POWER not in text:  # whoever has ordered the stop reads nothing but this line
         text += f"; {REMOVE_POWER}: not confirmed disabled: {', '.join(unconfirmed)}"
     told = f"{state.failure}; {failure}" if state.failure and unconfirmed else state.failure or failure
-    entered = state._replace(mode=mode, mode_since=t, failure=told, unconfirmed=unconfirmed)
-    return relaxing(model, entered) if mode == Mode.RELAX else entered, (Event(level, "mode", "", text),)
+    state.decide(failure=told, unconfirmed=unconfirmed)
+    state.mode, state.mode_since = mode, t
+    if mode == Mode.RELAX:
+        begin_relaxing(model, state)
+    return (Event(level, "mode", "", text),)
 
 
 def _demanded(state: State, seen: Circumstances) -> Next | None:
@@ -172,9 +176,9 @@ _AWAY = {Mode.ARMING: Mode.DISARM, Mode.ACTIVE: Mode.RELAX}
 
 def _latched(state: State) -> str:
     """The faults that only a person ends, as a reason; empty if there are none."""
-    if not state.safety.latched:
+    if not state.latched:
         return ""
-    return "fault " + ", ".join(f"{mark.id} {mark.instance}" for mark in state.safety.latched)
+    return "fault " + ", ".join(f"{mark.id} {mark.instance}" for mark in state.latched)
 
 
 def _silent(state: State, seen: Circumstances) -> Next:
@@ -185,8 +189,8 @@ def _inventory(state: State, seen: Circumstances) -> Next:
     wrong = [f"{name}: {drive.error_text}" for name, drive in _named(state, seen) if drive.phase == Phase.FAULT]
     if wrong and not (state.clearing and seen.elapsed < INVENTORY_TIMEOUT_S):
         return Mode.DONE, "; ".join(wrong) + LOOK_FIRST
-    unheard = not all(group.frames for group in state.sensors.groups)
-    if all(drive.phase == Phase.READY for drive in state.drives) and state.filter.started and not unheard:
+    unheard = not state.view("group_frames").all()
+    if all(drive.phase == Phase.READY for drive in state.drives) and state.started and not unheard:
         return Mode.READY, ""
     if seen.elapsed < INVENTORY_TIMEOUT_S:
         return Mode.INVENTORY, ""
@@ -222,7 +226,7 @@ def _strange(state: State, seen: Circumstances) -> str:
 
 
 def _arming(state: State, seen: Circumstances) -> Next:
-    if all(drive.phase == Phase.ENABLED for drive in state.drives):
+    if all(phase == Phase.ENABLED for phase in state.phases):
         return Mode.ACTIVE, ""
     if seen.elapsed < ARMING_TIMEOUT_S:
         return Mode.ARMING, ""
@@ -236,8 +240,8 @@ def _active(state: State, seen: Circumstances) -> Next:
 
 def _relax(state: State, seen: Circumstances) -> Next:
     # A load cell that reads too little must not cut a taut tendon: the command has to have fallen, too.
-    settled = np.max(tension(seen.model, state)) < RELAX_FLOOR_N + RELAXED_WITHIN_N and let_go(state)
-    return (Mode.DISARM if settled or seen.elapsed >= RELAX_TIMEOUT_S else Mode.RELAX), ""
+    relaxed = settled(state) and let_go(state)
+    return (Mode.DISARM if relaxed or seen.elapsed >= RELAX_TIMEOUT_S else Mode.RELAX), ""
 
 
 def _disarm(state: State, seen: Circumstances) -> Next:
@@ -285,7 +289,7 @@ def _enabled(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
 
 def _pulling(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
     """Motors whose tendon still bears tension after the torque was cut (N16)."""
-    tendons = {mark.instance for mark in state.safety.latched if mark.id == "N16"}
+    tendons = {mark.instance for mark in state.latched if mark.id == "N16"}
     return tuple(name for name, tendon in zip(names, model.hand.tendon_names, strict=True) if tendon in tendons)
 
 

@@ -6,32 +6,22 @@ a trim and fades. Integrals are kept in newtons, not as an integral of the error
 """
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
+from handctl.controller.coming import Coming
 from handctl.core.gains.bounds import flat, with_values
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.motion_design import assembled, design_piece, pieces
-from handctl.core.law.computed_torque import LawState
 from handctl.core.model import HandModel
 from handctl.core.types import GAIN_EVENT, Event, Vector
 from handctl.errors import ConfigError
 from handctl.programs.requests import REFUSED
 
+if TYPE_CHECKING:
+    from handctl.controller.tick import Controller
+
 KEPT = 8
 """Gains whose designs are remembered: those of a run, those that are coming, and some to go back to."""
-
-
-@dataclass(frozen=True, slots=True)
-class Coming:
-    """Gains that somebody has asked for.
-
-    Attributes:
-        gains: all of them, with those that change.
-        step: pieces of the design that are done.
-    """
-
-    gains: Gains
-    step: int = 0
 
 
 class Unfinished(NamedTuple):
@@ -52,12 +42,12 @@ class Designs:
 
     Attributes:
         found: pieces so far, of the ``KEPT`` gains that were asked for last.
-        models: whole ones.
-        used: gains whose model was asked for last.
+        controllers: with whole designs.
+        used: gains whose controller was asked for last.
     """
 
     found: dict[Gains, list[Vector]] = field(default_factory=dict)
-    models: dict[Gains, HandModel] = field(default_factory=dict)
+    controllers: "dict[Gains, Controller]" = field(default_factory=dict)
     used: Gains | None = None
 
     def advance(self, model: HandModel, coming: Coming) -> Unfinished | None:
@@ -68,19 +58,21 @@ class Designs:
             return Unfinished(None, (Event("warn", "gains", "", f"{REFUSED}{error}"),))
         return None if len(done) >= pieces(model.space) else Unfinished(replace(coming, step=coming.step + 1))
 
-    def model(self, model: HandModel, gains: Gains) -> HandModel:
-        """The model with other gains; those that a run uses are not forgotten."""
+    def controller(self, controller: "Controller", gains: Gains) -> "Controller":
+        """Return the controller with other gains; those that a run uses are not forgotten."""
         self.used = gains
-        if gains not in self.models:
+        if gains not in self.controllers:
+            model = controller.model
             found = self._up_to(model, gains, pieces(model.space))
-            self.models[gains] = replace(model, gains=gains, motion=assembled(model.space, found))
-        return self.models[gains]
+            designed = replace(model, gains=gains, motion=assembled(model.space, found))
+            self.controllers[gains] = replace(controller, model=designed)
+        return self.controllers[gains]
 
     def _up_to(self, model: HandModel, gains: Gains, count: int) -> list[Vector]:
         found = self.found.setdefault(gains, [])
         if len(self.found) > KEPT:
             oldest = next(one for one in self.found if one != self.used)
-            self.models.pop(oldest, None)
+            self.controllers.pop(oldest, None)
             del self.found[oldest]
         while len(found) < count:
             found.append(design_piece(model.space, gains, model.period, len(found)))
@@ -98,11 +90,6 @@ def asked(present: Gains, values: dict[str, float]) -> tuple[Coming | None, tupl
         return Coming(with_values(present, values, "gains", live=True)), ()
     except ConfigError as error:
         return None, (Event("warn", "request", "", f"{REFUSED}{error}"),)
-
-
-def trimmed(law: LawState, step: Vector) -> LawState:
-    """The law with a step (N,) in force made up for [N], besides what is still left of one before."""
-    return law._replace(trim=step if law.trim is None else law.trim + step)
 
 
 def changes(before: Gains, after: Gains) -> tuple[Event, ...]:

@@ -1,82 +1,255 @@
-"""The whole state of a controller: small, frozen, and hashed into the log each tick."""
+"""The whole state of a controller: a block of numbers, and the decisions that are no numbers."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from handctl.controller import digest as packing
-from handctl.controller.monitor.motors import Motors
-from handctl.controller.retune import Coming
-from handctl.core.estimation.filter_state import FilterState
-from handctl.core.estimation.posture import Posture
-from handctl.core.estimation.touch import Touch
+import numpy as np
+import xxhash
+from numpy.typing import NDArray
+
+from handctl.core import block as s
+from handctl.core.block import STATE
+from handctl.core.estimate import Estimate, Measured
 from handctl.core.gains.gains import Gains
-from handctl.core.law.computed_torque import LawState
+from handctl.core.kept import Kept
+from handctl.core.model import HandModel
+from handctl.core.plain import plain_bytes
+from handctl.core.schema import Block, Layout
 from handctl.core.types import Mode
-from handctl.drives.contract import DriveState
-from handctl.drives.sensors.node import SensorState
+from handctl.controller.coming import Coming
+from handctl.drives.contract import DriveState, Phase
 from handctl.programs.program import Progress
-from handctl.safety.judge import SafetyState
-from handctl.safety.watch import WatchState
+from handctl.safety.judge import Counting, Latched
 
 
-class State(NamedTuple):
-    """Everything that one tick hands to the next.
+class Decisions(NamedTuple):
+    """What a tick hands to the next beside the block. It changes when something happens, not in every tick.
 
     Attributes:
-        k: number of the last tick; -1 before the first.
-        mode: of the hand.
-        mode_since: when it began [s].
-        goal_time: time that the program has been given [s]; stands still while safety holds.
-        armed: a person (or the run's own task) has asked to arm.
-        clearing: a person has ordered that what the drives have latched be cleared, before they are armed.
-        drives: per motor.
-        sensors: the sensor node.
-        filter: the tension filter.
-        law: the controller.
+        drives: set-up of each drive; its values are in the block, NaN and 0 here.
         progress: of the program.
-        safety: debounce and latches.
-        watch: what safety remembers besides.
-        touch: what is felt of each digit, planned or not.
-        posture: joint angles beside those of the free digit.
+        latched: faults that only an operator clears.
+        counting: faults that are reported by buses and host, and for how many ticks in a row.
+        refusals: ticks of the last second in which a live goal was refused.
         failure: why the run ends early, one line; empty if it does not.
         unconfirmed: motors that have not confirmed that they are disabled.
-        gains: that a person has set since the start; None before.
-        coming: gains that are asked for and being designed.
+        gains: set since the start; None before.
+        coming: gains that are requested and being designed.
     """
 
-    k: int
-    mode: Mode
-    mode_since: float
-    goal_time: float
-    armed: bool
     drives: tuple[DriveState, ...]
-    sensors: SensorState
-    filter: FilterState
-    law: LawState
     progress: Progress
-    safety: SafetyState
-    watch: WatchState
-    touch: Touch
-    posture: Posture
+    latched: tuple[Latched, ...] = ()
+    counting: tuple[Counting, ...] = ()
+    refusals: tuple[int, ...] = ()
     failure: str = ""
     unconfirmed: tuple[str, ...] = ()
-    clearing: bool = False
     gains: Gains | None = None
     coming: Coming | None = None
 
-    def digest(self, motors: Motors | None = None) -> bytes:
-        """8 bytes that change with every part of the state; ``motors``: the drives as columns, if they are at hand."""
-        place = (self.k, self.mode, self.mode_since, self.goal_time, self.armed, self.clearing)
-        return packing.digest(
-            packing.PLACE.pack(*place),
-            packing.words((self.failure, self.unconfirmed, self.safety.counting, self.safety.latched)),
-            packing.filter_bytes(self.filter),
-            packing.law_bytes(self.law),
-            packing.sensor_bytes(self.sensors),
-            packing.progress_bytes(self.progress),
-            packing.watch_bytes(self.watch),
-            packing.touch_bytes(self.touch),
-            packing.posture_bytes(self.posture),
-            packing.gains_bytes(self.gains),
-            packing.gains_bytes(self.coming),
-            packing.motor_bytes(motors or Motors.of(self.drives)),
+
+_parts = Kept[Any](plain_bytes)
+
+
+def _decided(decisions: Decisions) -> bytes:
+    """Return 8 bytes that change with every decision; parts that are the same objects are not written again."""
+    drives = b"".join([_parts(drive) for drive in decisions.drives])
+    goals = b"".join([_parts(goal) for goal in decisions.progress.goals])
+    rest = [_parts(part) for part in decisions[1:]]
+    return xxhash.xxh3_64_digest(b"".join([drives, goals, *rest]))
+
+
+_decisions = Kept[Decisions](_decided)
+
+
+def layout_of(model: HandModel, groups: int) -> Layout:
+    """Return the layout of a hand's state; ``groups``: frame groups of its sensor node."""
+    n, joints = model.tendon_count, len(model.hand.joints)
+    return Layout(STATE, {
+        "tendon": n,
+        "joint": joints,
+        "digit": len(model.digits),
+        "coordinate": model.coordinate_count,
+        "node": n + 1,
+        "group": groups,
+        "instance": max(n + 1, joints),
+        "run": 1,
+    })  # fmt: skip
+
+
+class State:
+    """Everything that one tick hands to the next.
+
+    A tick works on a copy: the block is copied as a whole, decisions are immutable and shared.
+
+    Attributes:
+        layout: of the block. block: see ``core.block``.
+        decisions: see there.
+    """
+
+    __slots__ = ("_run", "_run_int", "block", "decisions", "layout")
+
+    def __init__(self, layout: Layout, block: Block, decisions: Decisions) -> None:
+        self.layout, self.block, self.decisions = layout, block, decisions
+        self._run = layout.start("run")
+        self._run_int = layout.start("run_int")
+
+    def copy(self) -> "State":
+        """Return a state that can be changed without changing this one."""
+        return State(self.layout, self.block.copy(), self.decisions)
+
+    def decide(self, **changes: Any) -> None:
+        """Change decisions."""
+        self.decisions = self.decisions._replace(**changes)
+
+    def digest(self) -> bytes:
+        """Return 8 bytes that change with every part of the state."""
+        return xxhash.xxh3_64_digest(self.block, int.from_bytes(_decisions(self.decisions), "little"))
+
+    # Tables and single numbers of the block.
+
+    @property
+    def tendon(self) -> NDArray[np.float64]:
+        """(rows, N)."""
+        return self.layout.table(self.block, "tendon")
+
+    @property
+    def tendon_int(self) -> NDArray[np.int64]:
+        """(rows, N)."""
+        return self.layout.table(self.block, "tendon_int").view(np.int64)
+
+    def view(self, name: str) -> NDArray[Any]:
+        """Return a field of the block by its name."""
+        return self.layout.view(self.block, name)
+
+    def number(self, row: int) -> float:
+        """Return a real number of the run."""
+        return float(self.block[self._run + row])
+
+    def set_number(self, row: int, value: float) -> None:
+        """Set a real number of the run."""
+        self.block[self._run + row] = value
+
+    def whole(self, row: int) -> int:
+        """Return a whole number of the run."""
+        return int(self.block[self._run_int + row : self._run_int + row + 1].view(np.int64)[0])
+
+    def set_whole(self, row: int, value: int) -> None:
+        """Set a whole number of the run."""
+        self.block[self._run_int + row : self._run_int + row + 1].view(np.int64)[0] = value
+
+    @property
+    def k(self) -> int:
+        """Number of the last tick; -1 before the first."""
+        return self.whole(s.K)
+
+    @property
+    def mode(self) -> Mode:
+        """Of the hand."""
+        return _MODES[self.whole(s.MODE)]
+
+    @mode.setter
+    def mode(self, mode: Mode) -> None:
+        self.set_whole(s.MODE, mode)
+
+    @property
+    def mode_since(self) -> float:
+        """When the mode began [s]."""
+        return self.number(s.MODE_SINCE)
+
+    @mode_since.setter
+    def mode_since(self, t: float) -> None:
+        self.set_number(s.MODE_SINCE, t)
+
+    @property
+    def goal_time(self) -> float:
+        """Time that the program was given [s]; stands still while safety holds."""
+        return self.number(s.GOAL_TIME)
+
+    @goal_time.setter
+    def goal_time(self, t: float) -> None:
+        self.set_number(s.GOAL_TIME, t)
+
+    @property
+    def armed(self) -> bool:
+        """Whether arming is requested."""
+        return bool(self.whole(s.ARMED))
+
+    @armed.setter
+    def armed(self, armed: bool) -> None:
+        self.set_whole(s.ARMED, armed)
+
+    @property
+    def clearing(self) -> bool:
+        """Whether what the drives have latched is being cleared, before they are armed."""
+        return bool(self.whole(s.CLEARING))
+
+    @clearing.setter
+    def clearing(self, clearing: bool) -> None:
+        self.set_whole(s.CLEARING, clearing)
+
+    @property
+    def started(self) -> bool:
+        """Whether encoder and load cell of every tendon were read once."""
+        return bool(self.whole(s.STARTED))
+
+    @property
+    def estimate(self) -> Estimate:
+        """What programs read of the present instant."""
+        layout, block = self.layout, self.block
+        regimes = self.tendon_int[s.REGIME]
+        return Estimate(self.tendon, layout.table(block, "joint"), layout.table(block, "digit"), regimes)
+
+    @property
+    def measured(self) -> Measured:
+        """Measurements of the present tick."""
+        return Measured(self.tendon, self.layout.table(self.block, "joint"))
+
+    # Decisions by their names.
+
+    @property
+    def progress(self) -> Progress:
+        """Of the program."""
+        return self.decisions.progress
+
+    @property
+    def latched(self) -> tuple[Latched, ...]:
+        """Faults that only an operator clears."""
+        return self.decisions.latched
+
+    @property
+    def failure(self) -> str:
+        """Why the run ends early, one line; empty if it does not."""
+        return self.decisions.failure
+
+    @property
+    def unconfirmed(self) -> tuple[str, ...]:
+        """Motors that have not confirmed that they are disabled."""
+        return self.decisions.unconfirmed
+
+    # Drives: set-up from the decisions, values from the block.
+
+    def drive(self, n: int) -> DriveState:
+        """Return what is known of a drive."""
+        table, whole = self.tendon, self.tendon_int
+        position, velocity, torque, temperature = table[s.POSITION : s.POSITION + 4, n].tolist()
+        return self.decisions.drives[n]._replace(
+            position=position,
+            velocity=velocity,
+            torque=torque,
+            temperature=temperature,
+            feedback_t_ns=int(whole[s.FEEDBACK_NS, n]),
+            feedback_count=int(whole[s.FEEDBACKS, n]),
         )
+
+    @property
+    def drives(self) -> tuple[DriveState, ...]:
+        """What is known of all drives."""
+        return tuple([self.drive(n) for n in range(len(self.decisions.drives))])
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """Where each drive stands."""
+        return tuple([drive.phase for drive in self.decisions.drives])
+
+
+_MODES = {int(mode): mode for mode in Mode}

@@ -1,73 +1,34 @@
-"""The numbers of one tick, gathered for the log from what the tick knows anyway."""
-
-import math
+"""The numbers of one tick for the log: which fields of the block they are, in which order."""
 
 import numpy as np
 
-from handctl.controller.monitor.motors import Motors
-from handctl.core.estimation.estimator import Estimate, Measured
-from handctl.core.estimation.posture import MODEL_ERROR, MODEL_ERROR_N
-from handctl.core.estimation.tip import tip_forces
-from handctl.core.law.computed_torque import Command
-from handctl.core.model import HandModel
-from handctl.core.types import Telemetry
+from handctl.core.schema import Block, Layout
+from handctl.core.types import TELEMETRY_FIELDS, PackedTelemetry
+
+FIELD_OF = {
+    "joint_encoder": "measured_joint",
+    "tension_sigma": "sigma",
+    "tension_raw": "measured_tension",
+    "external_tension": "external",
+    "motor_position": "measured_position",
+    "motor_torque_goal": "torque",
+    "motor_temperature": "temperature",
+}
+"""Fields of the block for those of the telemetry that have another name there."""
 
 
-def telemetry(
-    model: HandModel,
-    motors: Motors,
-    contact: tuple[bool, ...],
-    measured: Measured,
-    estimate: Estimate,
-    command: Command,
-    t_ns: int,
-) -> Telemetry:
-    """Gather one tick's numbers.
+class Gather:
+    """Takes the telemetry of a hand out of its block."""
 
-    Args:
-        model: the hand.
-        motors: after the tick.
-        contact: of each digit, after the tick.
-        measured: new measurements, NaN where missing.
-        estimate: of this instant.
-        command: what was commanded, NaN where nothing was.
-        t_ns: time of the tick [ns].
-    """
-    age = [(t_ns - heard) / 1e9 if heard >= 0 else math.nan for heard in motors.feedback_t_ns]
-    told = np.array((motors.velocity, motors.torque, motors.temperature, age, motors.phase), dtype=np.float64)
-    velocity, torque, temperature, ages, phase = told
-    digits, error = model.all_digits, (MODEL_ERROR_N, MODEL_ERROR)
-    uncertain = estimate.q, estimate.q_sigma, estimate.external, estimate.sigma
-    force, force_sigma = tip_forces(*uncertain, digits.ahead, digits.reach, digits.members, digits.arms, *error)
-    missing = measured.travel != measured.travel
-    if np.count_nonzero(missing):
-        velocity[missing] = torque[missing] = np.nan
-    return Telemetry(
-        estimate.q,
-        estimate.dq,
-        command.q,
-        command.dq,
-        command.joint_torque,
-        measured.joints,
-        estimate.excursion,
-        estimate.rate,
-        estimate.tension,
-        estimate.sigma,
-        measured.tension,
-        command.tension,
-        estimate.offset,
-        estimate.innovation,
-        estimate.nis,
-        estimate.external,
-        measured.position,
-        velocity,
-        torque,
-        command.torque,
-        temperature,
-        ages,
-        phase,
-        force,
-        np.array(contact, dtype=np.float64),
-        estimate.q_sigma,
-        force_sigma,
-    )
+    def __init__(self, layout: Layout) -> None:
+        numbered = np.arange(layout.size, dtype=np.float64)
+        parts = [layout.view(numbered, FIELD_OF.get(name, name)) for name in TELEMETRY_FIELDS]
+        ends = np.cumsum([0, *map(len, parts)]).tolist()
+        self._index = np.concatenate(parts).astype(np.intp)
+        self._places = {
+            name: slice(first, end) for name, first, end in zip(TELEMETRY_FIELDS, ends[:-1], ends[1:], strict=True)
+        }
+
+    def __call__(self, block: Block) -> PackedTelemetry:
+        """Return the numbers of a block."""
+        return PackedTelemetry(block.take(self._index), self._places)

@@ -1,54 +1,54 @@
 """One tick: frames in, frames out, and nothing else. Every fact that can change a decision enters by ``TickIn``.
 
-receive   frames -> drive and sensor states
-measure   what is new in this tick
-estimate  measurements -> tension, excursion, contact
+receive   frames -> values of drives and sensors
+estimate  values -> tension, excursion, contact
+judge     faults -> what safety demands
 decide    requests, safety, mode, program -> goals
 command   goals -> tension -> motor torque
-encode    what each drive shall do -> frames
+encode    motor torque -> frames
+
+The numbers are computed by compiled stages (``core.stages``) on the block of the state; what is here decides, and calls
+them in order. A tick works on a copy of the state, so that it is a pure function.
 """
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from filterpy.kalman import predict_steadystate
 
-from handctl.choose import nothing
 from handctl.compiled import prepare
-from handctl.controller import retune
+from handctl.controller import modes, retune
 from handctl.controller.answers import answer
-from handctl.controller.modes import farewell, next_mode, wanted_of_drives
-from handctl.controller.monitor.derating import restraints
-from handctl.controller.monitor.guard import Guard
-from handctl.controller.monitor.motors import Motors
-from handctl.controller.monitor.received import Received
-from handctl.controller.relaxing import envelope
-from handctl.controller.state import State
-from handctl.controller.telemetry import telemetry
-from handctl.core.estimation import estimator, posture, touch
-from handctl.core.estimation.estimator import Estimate, Measured
-from handctl.core.estimation.filter_state import FilterState
-from handctl.core.estimation.innovation import doubts
-from handctl.core.estimation.posture import Posture, Readings
-from handctl.core.estimation.touch import Touch
-from handctl.core.law import computed_torque
-from handctl.core.law.computed_torque import Command, Envelope, LawState
-from handctl.core.law.goal import DigitGoal
+from handctl.controller.monitor.surplus import unsolicited
+from handctl.controller.monitor.thresholds import constants_of, limits_of
+from handctl.controller.relaxing import open_loop, relax_rate
+from handctl.controller.state import Decisions, State, layout_of
+from handctl.controller.telemetry import Gather
+from handctl.core import block as s
+from handctl.core import stages, wire
+from handctl.core.estimation.covariance import HELD_TORQUE_S
+from handctl.core.estimation.doubts import notes
+from handctl.core.hand_constants import HandConstants
+from handctl.core.law.allocation import bounded
+from handctl.core.law.goals import sample, write_goals
 from handctl.core.model import HandModel
-from handctl.core.types import ACTING, Event, Mode, TickIn, TickOut, Vector
-from handctl.drives.contract import Drive, DriveState, Phase
+from handctl.core.schema import Layout
+from handctl.core.types import Event, Mode, TickIn, TickOut, Vector
+from handctl.core.wire import Wire
+from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.sensors.node import SensorNode, SensorState, saturated
-from handctl.programs.program import Program, Progress
-from handctl.safety import judge as safety
+from handctl.drives.records import SIZE, Frames, frames_of, joined
+from handctl.drives.sensors.node import SensorNode
+from handctl.hand.dynamics import required_torque
+from handctl.programs.program import TARE_PHASE, Program
 from handctl.safety.action import Action
-from handctl.safety.signals import Limits, Signals
+from handctl.safety.judge import Finding, alone, begun, foreign, judge
+from handctl.safety.limits import Limits
 
 ACTIVE, CUT, DONE, RELAX, SILENT = Mode.ACTIVE, Mode.CUT, Mode.DONE, Mode.RELAX, Mode.SILENT
-FAULT, HOLD = Phase.FAULT, Action.HOLD
-"""As names of this module: looking a member up in its enumeration costs more than comparing it."""
-SENSORS = -1
-"""Owner of the sensor node's frames, where drives are owners by index."""
+STRIPPED = DriveState()
+"""Values of a drive among the decisions: they are in the block."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,276 +60,366 @@ class Controller:
         drives: the motor of each tendon, in the order of the tendons.
         sensors: the sensor node.
         program: what decides the goals.
-        guard: what shows each tick to safety.
         tare: (N,) load-cell tare [N].
         zero: (N,) motor zero [rad].
-        owners: (bus, identifier) to the index of the drive that sends it, or SENSORS.
-        ours: (bus, identifier) of frames that only this host may send.
         arm_at_once: arm as soon as everything has answered, without a request.
         identities: of the drives that tare and zero were found with; empty if unknown.
+        other_limits: to be judged by instead of the hand's own; None for these.
         designs: of gains that were set in a run.
+        limits: thresholds of the monitor.
+        layout, constants, wire, gather: what follows from all that.
     """
 
     model: HandModel
     drives: tuple[Drive, ...]
     sensors: SensorNode
     program: Program
-    guard: Guard
     tare: Vector
     zero: Vector
-    owners: dict[tuple[int, int], int]
-    ours: frozenset[tuple[int, int]]
     arm_at_once: bool = True
     identities: tuple[str, ...] = ()
+    other_limits: Limits | None = None
     designs: retune.Designs = field(default_factory=retune.Designs, compare=False, repr=False)
+    limits: Limits = field(init=False)
+    layout: Layout = field(init=False, compare=False, repr=False)
+    constants: HandConstants = field(init=False, compare=False, repr=False)
+    wire: Wire = field(init=False, compare=False, repr=False)
+    gather: Gather = field(init=False, compare=False, repr=False)
+    owners: dict[tuple[int, int], int] = field(init=False, compare=False, repr=False)
+    sync_record: Frames = field(init=False, compare=False, repr=False)
 
-    @staticmethod
-    def of(
-        model: HandModel,
-        drives: tuple[Drive, ...],
-        sensors: SensorNode,
-        program: Program,
-        tare: Vector,
-        zero: Vector,
-        arm_at_once: bool = True,
-    ) -> "Controller":
-        """Put a controller together, with its kernels compiled; see the attributes."""
+    def __post_init__(self) -> None:
         prepare()
-        owners = {(drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids}
-        owners |= {(sensors.bus, can_id): SENSORS for can_id in sensors.node_ids}
-        ours = {(drive.bus, can_id) for drive in drives for can_id in drive.host_ids}
-        ours |= {(sensors.bus, can_id) for can_id in sensors.host_ids}
-        guard = Guard.of(model, drives, sensors)
-        return Controller(model, drives, sensors, program, guard, tare, zero, owners, frozenset(ours), arm_at_once)
-
-    @property
-    def limits(self) -> Limits:
-        """Thresholds of safety."""
-        return self.guard.watcher.limits
+        limits = self.other_limits or limits_of(self.model, self.drives, self.sensors)
+        layout = layout_of(self.model, len(self.sensors.ids))
+        owners = {(drive.bus, can_id): n for n, drive in enumerate(self.drives) for can_id in drive.node_ids}
+        made = {
+            "limits": limits,
+            "layout": layout,
+            "constants": constants_of(self.model, self.drives, self.sensors, limits, self.tare, self.zero),
+            "wire": Wire(self.drives, self.sensors),
+            "gather": Gather(layout),
+            "owners": owners,
+            "sync_record": frames_of([self.sensors.sync(0)]),
+        }
+        for name, value in made.items():
+            object.__setattr__(self, name, value)
 
     def initial(self) -> State:
-        """State before the first tick; the same for the same configuration, so that a log can be executed again."""
-        n = self.model.tendon_count
-        return State(
-            k=-1,
-            mode=Mode.SILENT,
-            mode_since=0.0,
-            goal_time=0.0,
-            armed=self.arm_at_once,
-            drives=tuple(drive.initial() for drive in self.drives),
-            sensors=self.sensors.initial(),
-            filter=FilterState.initial(n),
-            law=LawState.initial(n),
-            progress=self.program.begin(self.model),
-            safety=safety.SafetyState(),
-            watch=self.guard.watcher.initial(),
-            touch=Touch.none(len(self.model.digits)),
-            posture=Posture.initial(self.model),
-        )
+        """Return the state before the first tick, the same for the same configuration."""
+        drives = tuple(drive.initial() for drive in self.drives)
+        decisions = Decisions(tuple(map(_stripped, drives)), self.program.begin(self.model))
+        state = State(self.layout, self.layout.initial.copy(), decisions)
+        state.armed = self.arm_at_once
+        state.view("turn_sigma")[...] = self.constants.layout.view(self.constants.block, "range_sigma")
+        for n, known in enumerate(drives):
+            self.keep(state, n, known)
+        self._write_progress(state, None)
+        return state
 
     def cut_frames(self) -> tuple[Frame, ...]:
-        """Frames that take the torque of every motor away."""
+        """Return the frames that take the torque of every motor away."""
         return tuple(frame for drive in self.drives for frame in drive.cut())
 
-    def tick(self, state: State, entry: TickIn) -> tuple[State, TickOut]:
-        """One tick.
+    def tick(self, before: State, entry: TickIn) -> tuple[State, TickOut]:
+        """Run one tick.
 
         Args:
-            state: from the tick before.
+            before: from the tick before.
             entry: everything that is new.
 
         Raises:
             ValueError: a command that cannot be encoded; it never reaches a wire.
         """
-        if state.gains is None or state.gains is self.model.gains:
-            return self._tick(state, entry)
-        return replace(self, model=self.designs.model(self.model, state.gains))._tick(state, entry)
+        gains = before.decisions.gains
+        if gains is None or gains is self.model.gains:
+            return self._tick(before, entry)
+        return self.designs.controller(self, gains)._tick(before, entry)
 
-    def _tick(self, state: State, entry: TickIn) -> tuple[State, TickOut]:
-        """One tick with the gains that are this controller's."""
-        before = state
-        state, received = self._take_in(state, entry)
-        state, wishes, asked = answer(self.model, self.program, state, received.estimate, entry.requests)
-        told = doubts(self.model.hand.tendon_names, before.filter, state.filter)
-        told += touch.told(self.model.hand.digit_names, before.touch, state.touch, state.progress.contact)
-        watch, signals = self.guard.look(before, state, entry, received, asked)
-        measured, estimate = received.measured, received.estimate
-        judged, verdict = safety.judge(state.safety, self.limits, signals)
-        state = state if judged is state.safety else state._replace(safety=judged)
-        t, foreign = entry.t_ns / 1e9, signals.foreign
-        state, moved = next_mode(self.model, self.drives, state, verdict.action, wishes, foreign, t, self.identities)
-        progress, goal_time, stepped = self._program(state, verdict.action, estimate, measured)
-        bounds = envelope(self.model, state, entry.k - before.k)
-        law, command = self._command(state, verdict.action, estimate, progress.goals, goal_time, bounds)
-        drives, sensors, frames = self._encode(state, entry, command)
-        old_law = state.law
-        watch = self.guard.commanded(watch, state.mode, command, before.drives, entry.k, estimate.excursion)
-        state = state._replace(
-            progress=progress, goal_time=goal_time, law=law, drives=drives, sensors=sensors, watch=watch
+    def _tick(self, before: State, entry: TickIn) -> tuple[State, TickOut]:
+        state = before.copy()
+        frames = frames_of(entry.frames)
+        signs = self._take_in(before, state, entry, frames)
+        wishes, asked = answer(self.model, self.program, state, entry.requests)
+        events = notes(self.model, before, state) + asked if state.whole(s.STARTED) else asked
+        self._count_refusals(state, asked)
+        action, findings = self._judge(before, state, entry, signs)
+        identities = self.identities
+        moved = modes.next_mode(
+            self.model, self.drives, state, action, wishes, signs, entry.t_ns / 1e9, identities
         )
-        state, retuned = self._retune(state, old_law, verdict.action, estimate, command, bounds)
-        events = told + asked + tuple(_told(finding) for finding in verdict.findings) + moved + stepped + retuned
-        motors = Motors.of(state.drives)
-        contact = tuple(map(max, state.progress.contact, state.touch.blocked))
-        numbers = telemetry(self.model, motors, contact, measured, estimate, command, entry.t_ns)
-        phase = state.progress.phase if state.mode == Mode.ACTIVE else state.mode.name.lower()
-        return state, TickOut(frames, state.mode, phase, verdict.action, numbers, events, state.digest(motors))
+        stepped = self._program(state, action)
+        self._write_progress(state, before)
+        unchanged = state.copy() if state.decisions.coming else None
+        self._command(state, action, entry.k - before.k)
+        sent = self._encode(state, entry.t_ns)
+        retuned = self._retune(unchanged, state, action, entry.k - before.k) if unchanged else ()
+        stages.remember(state.block, self.layout.places, *self._constants)
+        events += tuple(map(_told, findings)) + moved + stepped + retuned
+        mode = state.mode
+        phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
+        return state, TickOut(sent, mode, phase, action, self.gather(state.block), events, state.digest())
 
-    def signals(self, state: State, entry: TickIn) -> Signals:
-        """What safety judges in a tick, from the state before it; for judging a recorded run by other limits."""
-        after, received = self._take_in(state, entry)
-        after, _, asked = answer(self.model, self.program, after, received.estimate, entry.requests)
-        return self.guard.look(state, after, entry, received, asked)[1]
+    @property
+    def _constants(self) -> tuple[Vector, np.ndarray]:
+        return self.constants.block, self.constants.layout.places
 
-    def _take_in(self, state: State, entry: TickIn) -> tuple[State, Received]:
-        """Frames to drive states, measurements and the estimate."""
-        drives, sensors, foreign, strange = self._receive(state, entry)
-        motors, counts_before = Motors.of(drives), tuple([drive.feedback_count for drive in state.drives])
-        measured, missed = self._measured(state, motors, counts_before, sensors), entry.k - state.k - 1
-        watch, measured, jumped = self.guard.screen(state, measured, missed)
-        if not state.filter.started and self.sensors.all_read(sensors):  # though perhaps in different ticks
-            travel = (np.array(motors.position) - self.zero) * self.model.space.spool
-            state = state._replace(filter=estimator.start(self.model, state.filter, travel))
-        filters, estimate = self._estimate(state, measured, missed)
-        commanded = state.mode in (ACTIVE, RELAX)
-        felt = touch.feel(self.model, state.touch, estimate) if commanded else Touch.none(len(self.model.digits))
-        state = state._replace(k=entry.k, drives=drives, sensors=sensors, filter=filters, watch=watch, touch=felt)
-        if filters.started:
-            state, estimate = self._angles(state, estimate, entry)
-        return state, Received(motors, counts_before, measured, estimate, foreign, strange, jumped)
+    # receive, estimate
 
-    def _receive(
-        self, state: State, entry: TickIn
-    ) -> tuple[tuple[DriveState, ...], SensorState, tuple[str, ...], tuple[Frame, ...]]:
-        """Give each frame to its drive or sensor; identifiers that only we may send are foreign, others strange."""
-        drives, sensors, foreign, strange = list(state.drives), state.sensors, list[str](), list[Frame]()
-        owner_of = self.owners.get
-        for frame in entry.frames:
-            can_id, _, _, bus, _ = frame
-            owner = owner_of((bus, can_id & ~ERROR))
-            if owner is None:
-                if (bus, can_id) in self.ours:
-                    foreign.append(f"{can_id:#05x}")
-                else:
-                    strange.append(frame)
-            elif owner == SENSORS:
-                sensors = self.sensors.receive(sensors, frame)
-            else:
-                drives[owner] = self.drives[owner].receive(drives[owner], frame)
-        return tuple(drives), sensors, tuple(dict.fromkeys(foreign)), tuple(strange)
+    def _take_in(self, before: State, state: State, entry: TickIn, frames: Frames) -> tuple[str, ...]:
+        """Take in frames, correct and predict the filter; return the signs of a second controller."""
+        block, places, missed = state.block, self.layout.places, entry.k - before.k - 1
+        wire.begin(block, places)
+        for row, value in (
+            (s.K, entry.k),
+            (s.T_NS, entry.t_ns),
+            (s.LATE_NS, entry.late_ns),
+            (s.MISSED, missed),
+            (s.FRAMES, len(frames)),
+        ):
+            state.set_whole(row, value)
+        signs = self._receive(state, frames)
+        stages.observe(block, places, *self._constants)
+        if state.started:
+            self._predict(state, missed)
+        if stages.conclude(block, places, *self._constants):
+            signs += unsolicited(self.drives, self.sensors, before, state, entry.frames)
+        return signs
 
-    def _measured(self, state: State, motors: Motors, counts: tuple[int, ...], sensors: SensorState) -> Measured:
-        """Measurements that are new in this tick; NaN for the rest."""
-        position = np.array(motors.position)
-        if True in [now == was for now, was in zip(motors.feedback_count, counts, strict=True)]:
-            np.putmask(position, np.array(motors.feedback_count) == counts, math.nan)
-        angle = position - self.zero
-        tension, cells = [math.nan] * self.model.tendon_count, self.sensors.new_tensions(state.sensors, sensors)
-        for index, value in cells:
-            tension[index] = value
-        taken_off = self.tare + state.progress.tare if state.progress.tare else self.tare
-        read = self.sensors.new_joints(state.sensors, sensors)
-        joints, excursion = self._joints(read)
-        travel, railed = angle * self.model.space.spool, saturated(cells)
-        return Measured(travel, np.array(tension) - taken_off, excursion, joints, railed, bool(read), angle)
-
-    def _joints(self, read: list[tuple[int, float]]) -> tuple[Vector, Vector]:
-        """Joint encoders that are new [rad], and the excursions that follow from them [m]; NaN for the rest."""
-        count = len(self.guard.watcher.joints)
-        if not read:
-            return nothing(count), nothing(self.model.tendon_count)
-        joints = nothing(count).copy()
-        for index, value in read:
-            joints[index] = value
-        return joints, self.model.excursion_of(joints)
-
-    def _estimate(self, state: State, measured: Measured, missed: int) -> tuple[FilterState, Estimate]:
-        law, felt = state.law, zip(state.progress.contact, state.touch.blocked, strict=True)
-        held = tuple([(touches and state.mode in ACTING) or blocked for touches, blocked in felt])
-        return estimator.step(self.model, state.filter, measured, law.force, law.rate, held, law.friction_state, missed)
-
-    def _angles(self, state: State, estimate: Estimate, entry: TickIn) -> tuple[State, Estimate]:
-        """Estimate joint angles from the excursions, from contact and from joint encoders."""
-        readings = None
-        if posture.places(self.model).reads:
-            readings = Readings.of(len(estimate.q), self.sensors.latest_joints(state.sensors), entry.t_ns)
-        after, angles = posture.step(self.model, state.posture, estimate, state.touch.tension, entry.k, readings)
-        if after is not state.posture:
-            state = state._replace(posture=after)
-        return state, estimate._replace(q=angles.q, q_sigma=angles.sigma)
-
-    def _program(
-        self, state: State, action: Action, estimate: Estimate, measured: Measured
-    ) -> tuple[Progress, float, tuple[Event, ...]]:
-        """Let the program go on while the hand is active; when safety holds, its time stands still."""
-        if state.mode != ACTIVE or action >= HOLD:
-            return state.progress, state.goal_time, ()
-        t = state.goal_time + self.model.period
-        progress, events = self.program.advance(self.model, state.progress, estimate, measured, t)
-        return progress, t, events
-
-    def _command(
-        self,
-        state: State,
-        action: Action,
-        estimate: Estimate,
-        goals: tuple[DigitGoal, ...],
-        t: float,
-        bounds: Envelope | None,
-    ) -> tuple[LawState, Command]:
-        """Motor torques of this tick; none unless active or relaxing, and then from the tension that is there."""
-        if state.mode not in (ACTIVE, RELAX):
-            return LawState.idle(estimate.tension), Command.idle(self.model)
-        most, kept = restraints(self.model, self.limits, state, action, estimate.tension)
-        return computed_torque.step(self.model, state.law, estimate, goals, t, most, kept, bounds)
-
-    def _retune(
-        self,
-        state: State,
-        before: LawState,
-        action: Action,
-        estimate: Estimate,
-        command: Command,
-        bounds: Envelope | None,
-    ) -> tuple[State, tuple[Event, ...]]:
-        """Design a piece of the gains that are coming; take them over from the next tick on when all is designed."""
-        if state.coming is None:
-            return state, ()
-        if (unfinished := self.designs.advance(self.model, state.coming)) is not None:
-            return state._replace(coming=unfinished.coming), unfinished.told
-        gains, law = state.coming.gains, state.law
-        if state.mode in (Mode.ACTIVE, Mode.RELAX):
-            other = self.designs.model(self.model, gains)
-            limited = restraints(self.model, self.limits, state._replace(law=before), action, estimate.tension)
-            _, changed = computed_torque.step(
-                other, before, estimate, state.progress.goals, state.goal_time, *limited, bounds
+    def _receive(self, state: State, frames: Frames) -> tuple[str, ...]:
+        """Take in frames; return the identifiers that only this host may send, each once."""
+        tables, signs, at, rows = self.wire, list[str](), 0, frames.rows
+        while True:
+            at = wire.receive(
+                state.block, self.layout.places, rows, tables.keys, tables.entries, tables.wholes, tables.reals, at
             )
-            law = retune.trimmed(law, (command.torque - changed.torque) / self.model.space.spool)
-        return state._replace(gains=gains, coming=None, law=law), retune.changes(self.model.gains, gains)
-
-    def _encode(
-        self, state: State, entry: TickIn, command: Command
-    ) -> tuple[tuple[DriveState, ...], SensorState, tuple[Frame, ...]]:
-        """SYNC for the sensors, then what each drive shall do; a cut goes before everything else, every tick anew."""
-        if state.mode in (SILENT, DONE):
-            return state.drives, state.sensors, farewell(self.drives, state)
-        sensors, sync = self.sensors.sync(state.sensors, entry.k)
-        frames = [sync]
-        want, drives, t_ns = wanted_of_drives(state.mode), [], entry.t_ns
-        clearing = state.clearing and state.mode == Mode.INVENTORY
-        told = self.model.told(command.torque)
-        for drive, known, torque in zip(self.drives, state.drives, told.tolist(), strict=True):
-            if clearing and known.phase == FAULT:
-                known, sent = drive.clear(known)
+            if at >= len(rows):
+                return tuple(dict.fromkeys(signs))
+            frame = frames[at]
+            owner = self.owners.get((frame.bus, frame.can_id & ~ERROR))
+            if owner is None:
+                signs.append(f"{frame.can_id:#05x}")
             else:
-                known, sent = drive.advance(known, t_ns, want, torque)
-            drives.append(known)
-            frames += sent
-        sent_now = (*self.cut_frames(), sync) if state.mode == CUT else tuple(frames)
-        return tuple(drives), sensors, sent_now
+                self.keep(state, owner, self.drives[owner].receive(state.drive(owner), frame))
+            at += 1
+
+    def keep(self, state: State, n: int, known: DriveState) -> None:
+        """Write what is known of a drive after its state machine has acted."""
+        table, whole = state.tendon, state.tendon_int
+        table[s.POSITION : s.POSITION + 4, n] = known[1:5]
+        came = known.feedback_count - whole[s.FEEDBACKS, n]
+        whole[s.ANSWERED, n] += came
+        whole[s.FEEDBACKS, n], whole[s.FEEDBACK_NS, n] = known.feedback_count, known.feedback_t_ns
+        before = state.decisions.drives[n]
+        if known.misread != before.misread:
+            state.view("misread_now")[n] = 1
+        drive = self.drives[n]
+        whole[s.PHASE, n], whole[s.FAULT_CODE, n] = known.phase, known.error
+        whole[s.FAULT_CAUSE, n] = drive.cause(known.error) if known.phase == Phase.FAULT else -1
+        whole[s.STATUS_EXPECTED, n], whole[s.DUE_NS, n] = drive.steady_status(known), drive.due_ns(known)
+        stripped = _stripped(known)
+        if stripped != before:
+            drives = state.decisions.drives
+            state.decide(drives=(*drives[:n], stripped, *drives[n + 1 :]))
+
+    def _predict(self, state: State, missed: int) -> None:
+        """Predict the filter's states to the present; of ticks that were skipped nothing was planned."""
+        block, n, first = state.block, self.model.tendon_count, self.layout.start("tendon")
+        states, inputs = block[first : first + 7 * n], block[first + 7 * n : first + 9 * n]
+        kinds = state.tendon_int[s.KIND].tobytes()
+        F, B = self.model.filter.transition(kinds)
+        x = predict_steadystate(states, F, inputs, B)
+        if missed:
+            held = np.concatenate((inputs[:n], np.zeros(n)))
+            for _ in range(min(missed, round(HELD_TORQUE_S / self.model.period))):
+                x = predict_steadystate(x, F, held, B)
+        states[:] = x
+
+    # judge, decide
+
+    def _count_refusals(self, state: State, asked: tuple[Event, ...]) -> None:
+        """Count the live goals that were refused within a second."""
+        refused = sum(event.level == "warn" for event in asked)
+        lately = state.decisions.refusals
+        if refused or lately:
+            k, rate = state.k, 1.0 / self.model.period
+            lately = tuple(then for then in (*lately, *(k,) * refused) if k - then < rate)
+            state.decide(refusals=lately)
+            state.set_whole(s.REFUSED, len(lately))
+            state.set_whole(s.REFUSED_NOW, refused)
+
+    def _judge(
+        self, before: State, state: State, entry: TickIn, signs: tuple[str, ...]
+    ) -> tuple[Action, tuple[Finding, ...]]:
+        """Find faults, latch them, and choose the reaction."""
+        state.set_whole(s.TARED, state.progress.phase != TARE_PHASE)  # until then a load cell may read anything
+        demanded, found = stages.judged(
+            state.block, self.layout.places, *self._constants, self.layout.initial
+        )
+        fresh = begun(self.limits, found, state.view("fault_ticks")) if state.whole(s.FOUND_NOW) else []
+        decisions = state.decisions
+        if not (fresh or entry.io_events or signs or decisions.latched or decisions.counting):
+            return _ACTIONS[demanded], ()
+        reports = [(event.kind, event.where, float(event.number)) for event in entry.io_events]
+        reports = alone(reports, self._heard(state)) + foreign(signs)
+        verdict = judge(decisions.latched, decisions.counting, fresh, demanded, reports)
+        if verdict.latched != decisions.latched or verdict.counting != decisions.counting:
+            state.decide(latched=verdict.latched, counting=verdict.counting)
+        return verdict.action, verdict.findings
+
+    def _heard(self, state: State) -> bool:
+        """Return whether any node has ever answered, or torque may act."""
+        heard = any(phase != Phase.SILENT for phase in state.phases) or bool(state.view("group_frames").any())
+        return heard or Mode.ARMING <= state.mode <= RELAX
+
+    def _program(self, state: State, action: Action) -> tuple[Event, ...]:
+        """Let the program go on while the hand is active; when safety holds, its time stands still."""
+        if state.mode != ACTIVE or action >= Action.HOLD:
+            return ()
+        t = state.goal_time + self.model.period
+        progress, events = self.program.advance(self.model, state.progress, state.estimate, state.measured, t)
+        if progress is not state.progress:
+            state.decide(progress=progress)
+        state.goal_time = t
+        return events
+
+    def _write_progress(self, state: State, before: State | None) -> None:
+        """Write what the program wants into the block, where it has changed."""
+        progress, old = state.progress, before.progress if before else None
+        if progress is old:
+            return
+        if old is None or progress.goals is not old.goals:
+            write_goals(self.model, self.layout, state.block, progress.goals)
+        state.view("planned_contact")[...] = progress.contact
+        state.view("closing")[...] = progress.closing or 0
+        state.set_whole(s.GRIPPING, progress.grip is not None)
+        state.set_number(s.GRIP_READY, progress.grip.ready if progress.grip else 0.0)
+        if progress.tare:
+            state.view("program_tare")[...] = progress.tare
+
+    # command
+
+    def _command(self, state: State, action: Action, ticks: int) -> None:
+        """Command the motor torques of this tick; none unless active or relaxing."""
+        block, places, mode = state.block, self.layout.places, state.mode
+        if mode in (ACTIVE, RELAX):
+            sample(self.model, self.layout, block, state.progress.goals, state.goal_time)
+            undecided = stages.refer(block, places, *self._constants, action)
+            if self.model.inverse is not required_torque:
+                undecided = self._refer_otherwise(state)
+            if undecided:
+                self._allocate(state, undecided)
+        relaxing = mode == RELAX
+        rate, opened = (relax_rate(state), open_loop(state)) if relaxing else (0.0, False)
+        stages.act(block, places, *self._constants, rate, int(opened), ticks)
+
+    def _refer_otherwise(self, state: State) -> int:
+        """Evaluate the goals with another law of the digits than their equations of motion, for experiments."""
+        way = stages.on_joints(state.block, self.layout.places, *self._constants)
+        required = state.view("joint_required")
+        for digit in self.model.digits:
+            required[digit.joints] = self.model.inverse(digit, *(row[digit.joints].tolist() for row in way))
+        return stages.load(state.block, self.layout.places, *self._constants)
+
+    def _allocate(self, state: State, undecided: int) -> None:
+        """Solve the bounded least-squares problem of digits whose tensions leave their bounds or are not unique."""
+        load, required = state.view("load"), state.view("joint_required")
+        for d, digit in enumerate(self.model.digits):
+            if undecided >> d & 1:
+                tendons = digit.tendons
+                wanted = required[digit.joints] @ digit.coupling
+                low, high = self.model.floor[tendons], self.model.ceiling[tendons]
+                load[tendons] = bounded(digit.reduced_moment_arms, wanted, low, high, load[tendons])
+
+    def _retune(self, unchanged: State, state: State, action: Action, ticks: int) -> tuple[Event, ...]:
+        """Design a piece of the gains that are coming; take them over from the next tick on when all is designed.
+
+        Args:
+            unchanged: the state before it was commanded. state: after that. action: what safety demands.
+            ticks: periods since the last tick.
+        """
+        coming = state.decisions.coming
+        assert coming is not None
+        if (unfinished := self.designs.advance(self.model, coming)) is not None:
+            state.decide(coming=unfinished.coming)
+            return unfinished.told
+        if state.mode in (ACTIVE, RELAX):
+            other = self.designs.controller(self, coming.gains)
+            other._command(unchanged, action, ticks)
+            step = (state.tendon[s.TORQUE] - unchanged.tendon[s.TORQUE]) / self.model.space.spool
+            state.tendon[s.TRIM] += step
+            state.set_whole(s.TRIMMED, 1)
+        state.decide(gains=coming.gains, coming=None)
+        return retune.changes(self.model.gains, coming.gains)
+
+    # encode
+
+    def _encode(self, state: State, t_ns: int) -> Frames:
+        """Return SYNC for the sensors, then what each drive shall do; a cut goes before everything else."""
+        mode = state.mode
+        if mode in (SILENT, DONE):
+            return frames_of(modes.farewell(self.drives, state))
+        out = np.empty((1 + len(self.wire.templates), SIZE), dtype=np.uint8)
+        counter = self.sensors.counter(state.k)
+        out[0] = self.sync_record.rows[0]
+        out[0, wire.DATA_AT] = counter
+        state.set_whole(s.SYNC_ASKED, counter & 0xF)
+        state.set_whole(s.SYNCS, state.whole(s.SYNCS) + 1)
+        torque = state.tendon[s.TORQUE]
+        if self.model.torque_gain is not None:
+            torque = torque / self.model.torque_gain
+        want = modes.wanted_of_drives(mode)
+        sent = self._send(state, out, want, torque, t_ns)
+        return joined([frames_of(self.cut_frames()), _frames(out[:1])]) if mode == CUT else sent
+
+    def _send(self, state: State, out: np.ndarray, want: Want, torque: Vector, t_ns: int) -> Frames:
+        """Write commands behind the SYNC in ``out``, through the state machines of drives that are not steady."""
+        tables, parts, first, begun_at, count = self.wire, list[Frames](), 0, 0, 1
+        clearing = state.clearing and state.mode == Mode.INVENTORY
+        n = len(self.drives)
+        while True:
+            if want == Want.ENABLE:
+                first, count = wire.send(
+                    state.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
+                    tables.templates, torque, first, count,
+                )  # fmt: skip
+            if first >= n:
+                break
+            known, drive = state.drive(first), self.drives[first]
+            if clearing and known.phase == Phase.FAULT:
+                known, frames = drive.clear(known)
+            else:
+                known, frames = drive.advance(known, t_ns, want, float(torque[first]))
+            self.keep(state, first, known)
+            if frames:
+                parts += [_frames(out[begun_at:count]), frames_of(frames)]
+                begun_at = count
+            first += 1
+        rest = _frames(out[begun_at:count])
+        return joined([*parts, rest]) if parts else rest
 
 
-def _told(finding: safety.Finding) -> Event:
+def _frames(rows: np.ndarray) -> Frames:
+    """Return records as frames; ``rows``: (n, SIZE) contiguous bytes."""
+    return Frames.of_rows(rows)
+
+
+def _stripped(known: DriveState) -> DriveState:
+    """Return the set-up of a drive without the values that are in the block."""
+    return known._replace(
+        position=STRIPPED.position,
+        velocity=STRIPPED.velocity,
+        torque=STRIPPED.torque,
+        temperature=STRIPPED.temperature,
+        feedback_t_ns=STRIPPED.feedback_t_ns,
+        feedback_count=STRIPPED.feedback_count,
+    )
+
+
+_ACTIONS = {int(action): action for action in Action}
+
+
+def _told(finding: Finding) -> Event:
     fault = finding.fault
     level = "error" if fault.action >= Action.RELAX else "warn"
     text = f"{fault.id} {fault.title}: {finding.instance} ({finding.value:g}): {fault.action.name}"

@@ -6,8 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import block_diag
 
-from handctl.choose import nothing
-from handctl.core.all_digits import AllDigits
 from handctl.core.estimation.filter_design import design_filter
 from handctl.core.estimation.filter_stack import FilterDesign
 from handctl.core.gains.gains import Gains
@@ -30,7 +28,7 @@ class HandModel:
         gains: as tuned.
         period: control period [s].
         digits: digit models, file order.
-        all_digits: the same, stacked.
+        coupling: (J, C) joint angles of the digits' coordinates.
         digit_tendons: for each digit, the slice of its tendons in the hand's order.
         space: the hand along its tendons.
         filter: steady-state filter of each tendon.
@@ -52,7 +50,7 @@ class HandModel:
     gains: Gains
     period: float
     digits: tuple[DigitModel, ...]
-    all_digits: AllDigits
+    coupling: Vector
     digit_tendons: tuple[slice, ...]
     digit_of: tuple[int, ...]
     space: TendonSpace
@@ -89,7 +87,7 @@ class HandModel:
             gains=gains,
             period=1.0 / rate_hz,
             digits=digits,
-            all_digits=AllDigits.of(digits),
+            coupling=block_diag(*(digit.coupling for digit in digits)),
             digit_tendons=tuple(digit.tendons for digit in digits),
             digit_of=tuple(d for d, one in enumerate(digits) for _ in range(one.tendons.start, one.tendons.stop)),
             space=space,
@@ -107,25 +105,15 @@ class HandModel:
             torque_gain=torque_gain,
         )
 
-    def excursion_of(self, joints: Vector) -> Vector:
-        """(N,) excursion of joint readings (J,) [rad]; NaN where a joint of the tendon was not read."""
-        unread = np.isnan(joints)
-        missing = np.count_nonzero(unread)
-        if not missing:
-            return np.asarray(self.hand.moment_arms.dot(joints))
-        if missing == len(joints):
-            return nothing(self.tendon_count)
-        excursion = self.hand.moment_arms @ np.where(unread, 0.0, joints)
-        return np.where(self.pulleys @ unread > 0.0, np.nan, excursion)
-
-    def told(self, torque: Vector) -> Vector:
-        """(N,) what the drives are told for a torque at the spool (N,) [N m]."""
-        return torque if self.torque_gain is None else torque / self.torque_gain
-
     @property
     def tendon_count(self) -> int:
         """N."""
         return len(self.floor)
+
+    @property
+    def coordinate_count(self) -> int:
+        """C: reduced coordinates of all digits."""
+        return int(self.coupling.shape[1])
 
 
 def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:

@@ -1,6 +1,7 @@
 """One tick as data: everything that can change a decision comes in by TickIn, everything decided leaves by TickOut."""
 
 import enum
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -65,7 +66,7 @@ class TickIn(NamedTuple):
     k: int
     t_ns: int
     late_ns: int = 0
-    frames: tuple[Frame, ...] = ()
+    frames: Sequence[Frame] = ()
     io_events: tuple[IoEvent, ...] = ()
     requests: tuple[str, ...] = ()
 
@@ -156,6 +157,32 @@ class Telemetry(NamedTuple):
         return b"".join([array.tobytes() for array in self])
 
 
+class PackedTelemetry:
+    """The numbers of one tick as they go into the log; a field is taken out when it is looked at.
+
+    Attributes:
+        numbers: all fields in order. places: of each field in it.
+    """
+
+    __slots__ = ("numbers", "places")
+
+    def __init__(self, numbers: Vector, places: dict[str, slice]) -> None:
+        self.numbers, self.places = numbers, places
+
+    def __getattr__(self, name: str) -> Vector:
+        try:
+            return self.numbers[self.places[name]]
+        except KeyError:
+            raise AttributeError(name) from None
+
+    def __iter__(self) -> Iterator[Vector]:
+        return iter([self.numbers[place] for place in self.places.values()])
+
+    def packed(self) -> bytes:
+        """Return all fields in order as little-endian float64."""
+        return self.numbers.tobytes()
+
+
 TELEMETRY_FIELDS = Telemetry._fields
 """Field names in the order of ``Telemetry.packed``."""
 
@@ -186,10 +213,10 @@ class TickOut(NamedTuple):
         state_hash: 8 bytes, hash of the controller's whole state after this tick.
     """
 
-    frames: tuple[Frame, ...]
+    frames: Sequence[Frame]
     mode: Mode
     phase: str
     action: Action
-    telemetry: Telemetry
+    telemetry: Telemetry | PackedTelemetry
     events: tuple[Event, ...]
     state_hash: bytes

@@ -2,7 +2,9 @@
 
 A protocol is one class; the object is the immutable description of one motor on one bus, and all that changes lives in
 an immutable ``DriveState``. The tick calls, for each motor and in this order: ``receive`` for every frame that arrived,
-then ``advance`` once with what it wants of the drive. Nothing here reads a clock or a socket.
+then ``advance`` once with what it wants of the drive. While a drive is enabled and nothing changes, compiled code does
+both from the tables of ``cyclic`` (``core.wire``); ``steady_status`` and ``due_ns`` say for how long. Nothing here
+reads a clock or a socket.
 """
 
 import enum
@@ -11,6 +13,12 @@ from typing import Any, NamedTuple, Protocol
 
 from handctl.drives.causes import Cause
 from handctl.drives.frame import Frame
+from handctl.drives.signals import Cyclic
+
+UNSTEADY = -1
+"""Status of a drive whose state machine must look at every frame."""
+NEVER_NS = (1 << 63) - 1
+"""Time that does not come [ns]."""
 
 
 class Want(enum.IntEnum):
@@ -84,6 +92,7 @@ class Drive(Protocol):
         caveats: guards that cannot be verified with this configuration, for a person to read before arming.
         answers_once: whether every command has exactly one feedback: then one more is a duplicate, or a second node.
         position_step: smallest difference of two positions that it can tell [rad at the spool]; 0: not known.
+        cyclic: frames of a tick while the drive is enabled.
         feedback_period_s: how often feedback comes by itself [s]; 0 if every tick asks for it.
     """
 
@@ -109,6 +118,16 @@ class Drive(Protocol):
     def position_step(self) -> float: ...
     @property
     def feedback_period_s(self) -> float: ...
+    @property
+    def cyclic(self) -> Cyclic: ...
+
+    def steady_status(self, state: DriveState) -> int:
+        """Return the status with which feedback changes nothing but values, and commands may go on; else UNSTEADY."""
+        ...
+
+    def due_ns(self, state: DriveState) -> int:
+        """Return the time at which ``advance`` must be called next although the drive is steady [ns]."""
+        ...
 
     def initial(self) -> DriveState:
         """State before anything was heard."""

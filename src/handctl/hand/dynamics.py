@@ -16,6 +16,7 @@ from math import cos, sin
 
 import numpy as np
 
+from handctl.compiled import kernel
 from handctl.hand.digit import Array, DigitModel, Values
 
 __all__ = [
@@ -181,31 +182,59 @@ Three = tuple[float, float, float]
 
 
 def _newton(digit: DigitModel, gravity: tuple[float, float], q: Three, dq: Three, ddq: Three) -> Torque:
-    """The module's equations, by sums and differences of angles; three links of which some may be absent."""
-    j1, j2, j3, a, b, e, w1, w2, w3, r1, r2, r3 = digit.links
-    gx, gy = gravity
-    t1, q2, q3 = q
-    t2 = t1 + q2
+    """Evaluate the module's equations for a digit; three links of which some may be absent."""
+    return _own(digit, newton(*digit.links, *gravity, *q, *dq, *ddq))
+
+
+@kernel(*["real"] * 23)
+def newton(  # noqa: PLR0913 - flat numbers, so that kernels of the tick call it as well
+    j1: float,
+    j2: float,
+    j3: float,
+    a: float,
+    b: float,
+    e: float,
+    w1: float,
+    w2: float,
+    w3: float,
+    r1: float,
+    r2: float,
+    r3: float,
+    gx: float,
+    gy: float,
+    q1: float,
+    q2: float,
+    q3: float,
+    dq1: float,
+    dq2: float,
+    dq3: float,
+    ddq1: float,
+    ddq2: float,
+    ddq3: float,
+) -> Three:
+    """Return the joint torques of three links [N m], by sums and differences of angles; see the module's equations.
+
+    Args:
+        j1 to r3: see ``LinkConstants``; 0 for links that are absent.
+        gx, gy: gravity in the digit's plane [m/s2].
+        q1 to ddq3: joint angles [rad], rates [rad/s] and accelerations [rad/s2].
+    """
+    t2, q23 = q1 + q2, q2 + q3
     t3 = t2 + q3
-    v1, v2, v3 = dq
-    v2 += v1
-    v3 += v2
-    a1, ddq2, ddq3 = ddq
-    a2 = a1 + ddq2
+    v2 = dq2 + dq1
+    v3 = dq3 + v2
+    a2 = ddq1 + ddq2
     a3 = a2 + ddq3
-    q23 = q2 + q3
     a_c, b_c, e_c = a * cos(q2), b * cos(q23), e * cos(q3)
     a_s, b_s, e_s = a * sin(q2), b * sin(q23), e * sin(q3)
-    v1 *= v1
-    v2 *= v2
-    v3 *= v3
-    g1 = w1 * (gx * sin(t1) - gy * cos(t1))
+    s1, s2, s3 = dq1 * dq1, v2 * v2, v3 * v3
+    g1 = w1 * (gx * sin(q1) - gy * cos(q1))
     g2 = w2 * (gx * sin(t2) - gy * cos(t2))
     g3 = w3 * (gx * sin(t3) - gy * cos(t3))
-    tau3 = j3 * a3 + b_c * a1 + e_c * a2 + b_s * v1 + e_s * v2 + g3
-    tau2 = j2 * a2 + a_c * a1 + e_c * a3 + a_s * v1 - e_s * v3 + g2 + tau3
-    tau1 = j1 * a1 + a_c * a2 + b_c * a3 - a_s * v2 - b_s * v3 + g1 + tau2
-    return _own(digit, (tau1 + r1 * a1, tau2 + r2 * ddq2, tau3 + r3 * ddq3))
+    tau3 = j3 * a3 + b_c * ddq1 + e_c * a2 + b_s * s1 + e_s * s2 + g3
+    tau2 = j2 * a2 + a_c * ddq1 + e_c * a3 + a_s * s1 - e_s * s3 + g2 + tau3
+    tau1 = j1 * ddq1 + a_c * a2 + b_c * a3 - a_s * s2 - b_s * s3 + g1 + tau2
+    return tau1 + r1 * ddq1, tau2 + r2 * ddq2, tau3 + r3 * ddq3
 
 
 def _three(digit: DigitModel, values: Values) -> Three:

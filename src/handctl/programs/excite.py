@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from handctl.core.estimation.estimator import Estimate, Measured
+from handctl.core.estimate import Estimate, Measured
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import Chirp, MinimumJerk
 from handctl.core.model import HandModel

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handctl.core.estimation.estimator import Estimate, Measured
+from handctl.core.estimate import Estimate, Measured
 from handctl.core.estimation.tip import tip_lever
 from handctl.core.law.allocation import allocate
 from handctl.core.law.goal import DigitGoal, Kind
@@ -13,7 +13,7 @@ from handctl.core.law.trajectory import Curve, duration_for
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Vector
 from handctl.hand.dynamics import static_torque
-from handctl.programs.contact import DRIFT_S, USUAL_S, averaged, feel, grown, needed
+from handctl.programs.contact import needed
 from handctl.programs.grip import Grip, GripPlan, hold
 from handctl.programs.program import TIGHTEN_S, TIGHTEN_TIMEOUT_S, Progress, coordinates, loose, motion_to, tighten
 from handctl.programs.task import SHORTEST_MOVE_S, Close, Follow, Hold, Move, Release, Task, for_digit
@@ -90,8 +90,8 @@ class TaskProgram:
             events.append(Event("warn", "phase", "", f"{phase.name}: no digit is in contact"))
         grip = Grip.of(model, goals, estimate, t) if isinstance(phase, Hold) and any(contact) else None
         untouched = (0,) * len(names)
-        progress = replace(progress, goals=goals, touching=untouched, felt=(), usual=(), grip=grip)
-        return progress, tuple(events)
+        progress = replace(progress, goals=goals, touching=untouched, grip=grip)
+        return replace(progress, closing=_closing(phase, progress)), tuple(events)
 
     def _goal(self, model: HandModel, progress: Progress, d: int, name: str, estimate: Estimate, t: float) -> DigitGoal:
         """Goal of one digit at the beginning of the present phase."""
@@ -142,6 +142,8 @@ class TaskProgram:
         if progress.grip is None or not isinstance(phase, Hold):
             return progress, ()
         grip, goals, events = hold(model, progress.grip, _plan(model, phase), progress.goals, estimate, t)
+        if grip is progress.grip and goals is progress.goals:
+            return progress, events
         return replace(progress, grip=grip, goals=goals), events
 
     def _watch_contact(
@@ -152,17 +154,12 @@ class TaskProgram:
         if not isinstance(phase, Close):
             return progress, ()
         gains = model.gains.contact
-        closing = [
-            goal.kind == Kind.MOTION and not known for goal, known in zip(progress.goals, progress.contact, strict=True)
-        ]
-        felt = feel(model, progress.felt, estimate, closing)
-        forces = grown(felt, progress.usual, progress.drift)
+        forces = estimate.grown.tolist()
         goals, contact, touching = list(progress.goals), list(progress.contact), list(progress.touching)
         events: list[Event] = []
         for d, tendons in enumerate(model.digit_tendons):
-            enough = closing[d] and forces[d] > needed(
-                progress.goals[d], model.digits[d].joint_count, gains.threshold_N, t
-            )
+            closing = goals[d].kind == Kind.MOTION and not contact[d]
+            enough = closing and forces[d] > needed(goals[d], model.digits[d].joint_count, gains.threshold_N, t)
             touching[d] = touching[d] + 1 if enough else 0
             if touching[d] >= gains.ticks:
                 contact[d] = True
@@ -170,10 +167,10 @@ class TaskProgram:
                 goals[d] = DigitGoal(Kind.TENSION, tension=start, rate=model.gains.tension.rate_N_per_s)
                 name = model.hand.digit_names[d]
                 events.append(Event("info", "contact", name, f"{name} touches, {forces[d]:.2f} N at its tip"))
+        if not events and tuple(touching) == progress.touching:
+            return progress, ()
         changed = replace(progress, goals=tuple(goals), contact=tuple(contact), touching=tuple(touching))
-        lately = averaged(model, progress.usual or felt, felt, closing, USUAL_S)
-        always = averaged(model, progress.drift or (0.0,) * len(felt), felt, closing, DRIFT_S)
-        return replace(changed, felt=felt, usual=lately, drift=always), tuple(events)
+        return replace(changed, closing=_closing(phase, changed)), tuple(events)
 
     def _phase_over(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> bool:
         phase, elapsed = self.task.phase[progress.step - 1], t - progress.since
@@ -196,6 +193,14 @@ class TaskProgram:
         waited = max(phase.settle_s, RELEASE_TIMEOUT_S)
         text = f"{phase.name}: above {phase.tension_N:g} N after {waited:g} s, and going on"
         return tuple([Event("warn", "phase", name, text) for name in _pulling(model, progress, phase, estimate)])
+
+
+def _closing(phase: Move | Follow | Close | Hold | Release, progress: Progress) -> tuple[bool, ...]:
+    """Return per digit whether it closes until it touches; empty in other phases."""
+    if not isinstance(phase, Close):
+        return ()
+    rows = zip(progress.goals, progress.contact, strict=True)
+    return tuple([goal.kind == Kind.MOTION and not known for goal, known in rows])
 
 
 def _pulling(model: HandModel, progress: Progress, phase: Release, estimate: Estimate) -> list[str]:

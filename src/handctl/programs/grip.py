@@ -12,15 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from handctl.choose import known
-from handctl.core.estimation.estimator import Estimate
+from handctl.core.estimate import Estimate
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.model import HandModel
-from handctl.core.plain_bytes import plain_bytes
 from handctl.core.types import Event, Vector
 
-FAST_S, SLOW_S = 0.02, 0.2
-"""Time constants of the two averages of excursion whose difference is the motion of a digit."""
 OPENING_M = 20e-6
 """Difference that counts as slip: six standard deviations of the excursion in a quiet hold (3.5 um), about 0.1 mm/s
 of tendon, 0.3 to 1 mm/s of object."""
@@ -40,7 +36,6 @@ class Grip(NamedTuple):
     Attributes:
         tension: that was asked at the beginning [N].
         anchor: excursion at which a stiff grip pulls exactly that [m]; NaN until the grip has settled.
-        fast, slow: averages of excursion [m].
         ready: from when on slip is judged [s].
         raised: factor on the tensions by now.
         limited: whether it has been said that no more is allowed.
@@ -48,8 +43,6 @@ class Grip(NamedTuple):
 
     tension: Vector
     anchor: Vector
-    fast: Vector
-    slow: Vector
     ready: float
     raised: float = 1.0
     limited: bool = False
@@ -62,13 +55,7 @@ class Grip(NamedTuple):
             if goal.kind == Kind.TENSION and goal.tension is not None:
                 tension[tendons] = goal.tension
                 lasts = max(lasts, float(np.abs(goal.tension - estimate.tension[tendons]).max()) / goal.rate)
-        here = excursion(model, estimate)
-        return Grip(tension, np.full_like(tension, np.nan), here, here, t + lasts + QUIET_S)
-
-    def key(self) -> bytes:
-        """Everything in it as bytes, for the state's hash."""
-        arrays = b"".join(array.tobytes() for array in (self.tension, self.anchor, self.fast, self.slow))
-        return arrays + plain_bytes((self.ready, self.raised, self.limited))
+        return Grip(tension, np.full_like(tension, np.nan), t + lasts + QUIET_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,20 +92,17 @@ def hold(
     Returns:
         the grip, the goals, and what is to be told.
     """
-    here = excursion(model, estimate)
-    fast = grip.fast + (here - grip.fast) * -math.expm1(-model.period / FAST_S)
-    slow = grip.slow + (here - grip.slow) * -math.expm1(-model.period / SLOW_S)
     events: tuple[Event, ...] = ()
     judged, settled = t >= grip.ready, not math.isnan(grip.anchor[0])
-    anchor = slow if judged and not settled else grip.anchor
-    grip = Grip(grip.tension, anchor, fast, slow if judged else fast, grip.ready, grip.raised, grip.limited)
+    if judged and not settled:
+        grip = grip._replace(anchor=estimate.grip.copy())
     if judged:
-        opening = known(slow - fast + 0.0 * grip.tension)
-        if np.count_nonzero(opening > OPENING_M):
+        opening = np.where(np.isnan(grip.tension), 0.0, estimate.opening)
+        if opening.max() > OPENING_M:
             grip, events = _answer(model, grip, plan, opening, t)
     if not (judged or settled) or not (events or plan.stiffness):
         return grip, goals, events
-    return grip, _goals(model, grip, plan, goals, here), events
+    return grip, _goals(model, grip, plan, goals, excursion(model, estimate)), events
 
 
 def _answer(model: HandModel, grip: Grip, plan: GripPlan, opening: Vector, t: float) -> tuple[Grip, tuple[Event, ...]]:
@@ -129,7 +113,7 @@ def _answer(model: HandModel, grip: Grip, plan: GripPlan, opening: Vector, t: fl
         for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True)
         if tendons.start <= worst < tendons.stop
     )
-    grip = grip._replace(slow=grip.fast, ready=t + PAUSE_S)
+    grip = grip._replace(ready=t + PAUSE_S)
     moved = f"{digit} is pushed open, {1e6 * opening[worst]:.0f} um of tendon"
     most = float(np.nanmax(np.append(plan.limit / grip.tension, 1.0)))
     if grip.raised < most:

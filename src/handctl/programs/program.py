@@ -5,12 +5,10 @@ from typing import Protocol
 
 import numpy as np
 
-from handctl.core.estimation.estimator import Estimate, Measured
-from handctl.core.kept import Kept
+from handctl.core.estimate import Estimate, Measured
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
-from handctl.core.plain_bytes import plain_bytes
 from handctl.core.types import Event, Vector
 from handctl.hand.dynamics import DigitModel
 from handctl.programs.grip import Grip
@@ -30,9 +28,7 @@ class Progress:
         finished: True when nothing more is to come.
         failure: why the program gave up; empty if it did not.
         record: numbers that the program keeps for its result.
-        felt: per digit, smoothed force at the tip while it closes [N]; empty otherwise.
-        usual: per digit, the mean of that over a longer time [N]; empty otherwise.
-        drift: per digit, the same over all its closing so far, which is the load cells' error [N]; empty before.
+        closing: per digit, whether it closes until it touches; empty otherwise.
         grip: of a hold; None otherwise.
         tare: what every load cell is to read less from now on [N]; empty for what the controller knows anyway.
     """
@@ -47,24 +43,13 @@ class Progress:
     failure: str = ""
     record: tuple[float, ...] = ()
     tare: tuple[float, ...] = ()
-    felt: tuple[float, ...] = ()
-    usual: tuple[float, ...] = ()
-    drift: tuple[float, ...] = ()
+    closing: tuple[bool, ...] = ()
     grip: Grip | None = None
 
     @staticmethod
     def begin(digits: int, phase: str) -> "Progress":
         """Limp and untouched."""
         return Progress(0, 0.0, (DigitGoal(),) * digits, (False,) * digits, (0,) * digits, phase)
-
-    def key(self) -> bytes:
-        """Everything in it as bytes, for the state's hash."""
-        place = (self.step, self.since, self.phase, self.finished, self.failure, self.record, self.tare)
-        goals = b"".join(map(_goal, self.goals)) + (self.grip.key() if self.grip else b"")
-        return plain_bytes((place, self.felt, self.usual, self.drift, self.contact, self.touching)) + goals
-
-
-_goal = Kept[DigitGoal](DigitGoal.key)
 
 
 class Program(Protocol):

@@ -1,21 +1,40 @@
-"""Debounce, latch, and the largest action wins: the last word before encoding."""
+"""Latches, reports of buses and host, and the largest action wins: the last word before encoding.
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+What detectors find is debounced by compiled code (``core.detectors.judge``). Here the faults that begin to count get their
+names, what latches stays until an operator clears it, and reports are counted.
+"""
+
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from handctl.safety.action import Action
-from handctl.safety.calm import calm
-from handctl.safety.faults.fault import Fault, Reading
-from handctl.safety.faults.table import TABLE
-from handctl.safety.signals import Limits, Signals
+from handctl.safety.faults.bus import UNANSWERED
+from handctl.safety.faults.fault import JOINT, MOTOR, NODE, TENDON, Fault
+from handctl.safety.faults.host import FOREIGN
+from handctl.safety.faults.table import BY_ID, DEBOUNCE, FOUND, REPORTS
+from handctl.safety.limits import Limits
+
+Report = tuple[str, str, float]
+"""Kind of event, where, and its number."""
+ALONE = BY_ID["B18"]
 
 
 class Latched(NamedTuple):
-    """A fault that counts now: present (and debounced), or latched since."""
+    """A fault that has counted, and counts until an operator clears it."""
 
     id: str
     instance: str
+
+
+class Counting(NamedTuple):
+    """A reported fault that is present, and for how many ticks in a row."""
+
+    id: str
+    instance: str
+    ticks: int
 
 
 class Finding(NamedTuple):
@@ -26,83 +45,104 @@ class Finding(NamedTuple):
     value: float
 
 
-@dataclass(frozen=True, slots=True)
-class SafetyState:
-    """What safety carries from tick to tick.
-
-    Attributes:
-        counting: (id, instance, consecutive ticks) of every condition present.
-        latched: faults that only a person clears.
-    """
-
-    counting: tuple[tuple[str, str, int], ...] = ()
-    latched: tuple[Latched, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(NamedTuple):
     """The judgement of one tick.
 
     Attributes:
         action: the largest action demanded.
         findings: faults that began to count in this tick.
+        latched: faults that only an operator clears, after this tick.
+        counting: reported faults that are present.
     """
 
     action: Action
     findings: tuple[Finding, ...]
+    latched: tuple[Latched, ...]
+    counting: tuple[Counting, ...]
 
 
-CALM, NOTHING = SafetyState(), Verdict(Action.PASS, ())
+_ACTIONS = {int(action): action for action in Action}
 
 
 def judge(
-    state: SafetyState, limits: Limits, signals: Signals, table: tuple[Fault, ...] = TABLE
-) -> tuple[SafetyState, Verdict]:
+    latched: tuple[Latched, ...],
+    counting: tuple[Counting, ...],
+    found: Sequence[Finding],
+    demanded: int,
+    reports: Iterable[Report],
+) -> Verdict:
     """Judge one tick.
 
     Args:
-        state: from the last tick.
-        limits: thresholds of the hand.
-        signals: facts of this tick.
-        table: the fault table.
+        latched, counting: from the last tick.
+        found: faults of the detectors that begin to count; see ``begun``.
+        demanded: largest action of those that count.
+        reports: of buses, host and recorder in this tick; see ``reported``.
     """
-    if calm(limits, signals):
-        return _count(state, [], table) if state.latched else (CALM, NOTHING)
-    present = []
-    for fault in table:
-        readings = fault.detect(limits, signals)
-        if readings:
-            present.append((fault, readings))
-    if not present and not state.latched:
-        return CALM, NOTHING
-    return _count(state, present, table)
+    action, findings, still = demanded, list(found), []
+    before = {(one.id, one.instance): one.ticks for one in counting}
+    for fault, where, value in reported(reports):
+        ticks = before.get((fault.id, where), 0) + 1
+        still.append(Counting(fault.id, where, ticks))
+        if ticks >= fault.debounce:
+            action = max(action, fault.action)
+        if ticks == fault.debounce:
+            findings.append(Finding(fault, where, value))
+    fresh = [one for one in findings if Latched(one.fault.id, one.instance) not in latched]
+    latched += tuple(dict.fromkeys(Latched(one.fault.id, one.instance) for one in fresh if one.fault.latched))
+    action = max([action, *(BY_ID[mark.id].action for mark in latched)])
+    fresh.sort(key=lambda one: _ORDER[one.fault.id])
+    return Verdict(_ACTIONS[action], tuple(fresh), latched, tuple(still))
 
 
-def _count(
-    state: SafetyState, present: list[tuple[Fault, Sequence[Reading]]], table: tuple[Fault, ...]
-) -> tuple[SafetyState, Verdict]:
-    """Count what is present, latch what has been there for long enough, and take the largest action."""
-    before = {(id_, instance): ticks for id_, instance, ticks in state.counting}
-    counting: list[tuple[str, str, int]] = []
-    latched = list(state.latched)
-    findings: list[Finding] = []
-    action = Action.PASS
-    for fault, instance, value in [(fault, *reading) for fault, readings in present for reading in readings]:
-        ticks = before.get((fault.id, instance), 0) + 1
-        counting.append((fault.id, instance, ticks))
-        if ticks < fault.debounce:
-            continue
-        action = max(action, fault.action)
-        mark = Latched(fault.id, instance)
-        if ticks == fault.debounce and mark not in latched:
-            findings.append(Finding(fault, instance, value))
-        if fault.latched and mark not in latched:
-            latched.append(mark)
-    actions = {fault.id: fault.action for fault in table}
-    action = max([action, *(actions[mark.id] for mark in latched)])
-    return SafetyState(tuple(counting), tuple(latched)), Verdict(action, tuple(findings))
+def begun(limits: Limits, found: NDArray[np.float64], ticks: NDArray[np.int64]) -> list[Finding]:
+    """Return the faults that begin to count in this tick, in the order of the table.
+
+    Args:
+        limits: names of the hand.
+        found: (rows, instances) values that show faults, NaN where there is none.
+        ticks: (rows, instances) for how long each is present.
+    """
+    rows, instances = np.nonzero((ticks[: len(DEBOUNCE)] == DEBOUNCE[:, None]) & ~np.isnan(found))
+    pairs = zip(rows.tolist(), instances.tolist(), strict=True)
+    return [Finding(FOUND[row][0], _name(limits, *FOUND[row], i), float(found[row, i])) for row, i in pairs]
 
 
-def clear(state: SafetyState) -> SafetyState:
-    """Drop all latches on a person's order; what is still present will latch again in the next tick."""
-    return SafetyState(state.counting, ())
+def _name(limits: Limits, fault: Fault, kind: str, i: int) -> str:
+    """Return the name of an instance."""
+    names = {TENDON: limits.tendons, MOTOR: limits.motors, JOINT: limits.joints, NODE: limits.nodes}
+    return names[kind][i] if kind in names else fault.name
+
+
+def reported(reports: Iterable[Report]) -> list[tuple[Fault, str, float]]:
+    """Return the faults that reports mean, each with where and its value; those of one kind and place once."""
+    found: dict[tuple[str, str], tuple[Fault, str, float]] = {}
+    for kind, where, value in reports:
+        key = f"{kind}:{where}" if kind == "recorder" else kind
+        for fault in REPORTS.get(key, ()):
+            name = where or kind
+            found[fault.id, name] = (fault, name, value)
+    return sorted(found.values(), key=lambda one: _ORDER[one[0].id])
+
+
+_ORDER = {id_: place for place, id_ in enumerate(BY_ID)}
+
+
+def alone(reports: Iterable[Report], heard: bool) -> list[Report]:
+    """Return the reports without error frames, but for the first that says that nobody hears this host (B18).
+
+    Args:
+        reports: of this tick. heard: whether any node has ever answered, or torque may act.
+    """
+    kept, error = [], None
+    for one in reports:
+        if one[0] != "error_frame":
+            kept.append(one)
+        elif error is None and not heard and any(word in one[1] for word in UNANSWERED):
+            error = one
+    return [*kept, error] if error else kept
+
+
+def foreign(signs: Iterable[str]) -> list[Report]:
+    """Return the reports of a second controller (H13), one for each sign of it."""
+    return [(FOREIGN, sign, 1.0) for sign in signs]

@@ -1,64 +1,104 @@
-"""Thresholds of safety for one hand: what its drives, its sensors and its model allow."""
+"""Thresholds of the monitor for one hand: what its drives, its sensors and its model allow."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
+from handctl.core.hand_constants import HandConstants, low_pass_fractions
 from handctl.core.model import HandModel
+from handctl.core.types import Vector
 from handctl.drives.contract import Drive
 from handctl.drives.sensors.node import SensorNode
-from handctl.safety.detectors.residuals import Rotor
-from handctl.safety.signals import LEAST_FRAMES, LEAST_SILENT, LEAST_STALLED, SILENT_S, STALLED_S, Limits, ticks_for
-from handctl.safety.watch import JUMP_MARGIN, Watcher
+from handctl.safety.faults.node import NOISE_FACTOR
+from handctl.safety.limits import (
+    FRAMES_LEAST,
+    SILENT_S,
+    SILENT_TICKS_LEAST,
+    STALLED_S,
+    STALLED_TICKS_LEAST,
+    Limits,
+    ticks_for,
+)
 
+JUMP_MARGIN = 1.5
+"""A position may step by so many times what the drive's top speed allows in a period."""
 JOINT_RATE_RAD_S = 60.0
 """Faster than any joint of a hand. Source: spool speed of the packaged hands over their smallest moment arm."""
-NOISE_TIMES, NOISE_STEPS = 9.0, 6.0
-"""A noise burst has so many times the variance of: drive torque on the bare rotor, and so many counts of rounding."""
+NOISE_STEPS = 6.0
+"""Counts of rounding in a jerk."""
 
 
-def make_watcher(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) -> Watcher:
-    """The watcher of a hand."""
-    hand, space = model.hand, model.space
-    rates = [hand.motor_of(name).velocity_range_rad_s for name in hand.tendon_names]
-    arms = np.abs(hand.moment_arms)
-    limits = Limits(
+def limits_of(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) -> Limits:
+    """Return the limits of a hand."""
+    hand = model.hand
+    return Limits(
         tendons=hand.tendon_names,
+        motors=tuple(drive.name for drive in drives),
+        joints=hand.joints,
         tension_trip=tuple(tendon.tension_trip_N for tendon in hand.tendon),
+        drive_limit=tuple(tendon.drive_limit_N for tendon in hand.tendon),
         tension_rail=sensors.tension_rail,
         tension_low=sensors.tension_low,
-        drive_limit=tuple(tendon.drive_limit_N for tendon in hand.tendon),
-        motors=tuple(drive.name for drive in drives),
-        silent_ticks=ticks_for(SILENT_S, model.period, LEAST_SILENT),
-        stalled_ticks=ticks_for(STALLED_S, model.period, LEAST_STALLED),
-        noise_most=_noise_most(model),
-        frames_most=frames_most(drives, sensors),
-    )
-    motor_period = np.array([max(model.period, drive.feedback_period_s) for drive in drives])
-    joint_period = hand.sensor_node.joint_decimation * model.period
-    return Watcher(
-        limits=limits,
-        joints=hand.joints,
-        rotor=Rotor(space.motor_mass, space.motor_damping, space.coulomb, model.period, motor_period, joint_period),
-        stiffness=space.stiffness,
-        spool=space.spool,
-        arms=arms.sum(axis=1),
-        spool_to_joints=model.excursion_to_joints,
-        step_most=(
-            JUMP_MARGIN * model.period * np.array(rates),
-            np.full(len(hand.joints), JUMP_MARGIN * model.period * JOINT_RATE_RAD_S),
-        ),
+        silent_ticks=ticks_for(SILENT_S, model.period, SILENT_TICKS_LEAST),
+        stalled_ticks=ticks_for(STALLED_S, model.period, STALLED_TICKS_LEAST),
+        noise=_noise_limit(model),
+        frames=frames_limit(drives, sensors),
     )
 
 
-def frames_most(drives: Sequence[Drive], sensors: SensorNode) -> int:
-    """Frames in one tick that are more than these nodes can have sent: twice what they answer, but never few."""
-    return max(LEAST_FRAMES, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids))
+def constants_of(
+    model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode, limits: Limits, tare: Vector, zero: Vector
+) -> HandConstants:
+    """Return the constants that the kernels read.
+
+    Args:
+        model: the hand. drives, sensors: of it. limits: thresholds.
+        tare: (N,) load-cell tare [N]. zero: (N,) motor zero [rad].
+    """
+    hand, period = model.hand, model.period
+    motor_period = np.array([max(period, drive.feedback_period_s) for drive in drives])
+    joint_period = hand.sensor_node.joint_decimation * period
+    mute = ticks_for(SILENT_S, joint_period, SILENT_TICKS_LEAST) * joint_period
+    rates = np.array([hand.motor_of(name).velocity_range_rad_s for name in hand.tendon_names])
+    return HandConstants(model, {
+        "tare": tare,
+        "zero": zero,
+        "step_limit": JUMP_MARGIN * period * rates,
+        "joint_step_limit": JUMP_MARGIN * period * JOINT_RATE_RAD_S,
+        "residual_fraction": low_pass_fractions(model, motor_period, joint_period),
+        "motor_period": motor_period,
+        "joint_period": joint_period,
+        "tension_trip": limits.tension_trip,
+        "drive_limit": limits.drive_limit,
+        "noise_limit": limits.noise,
+        "temperature_soft": limits.temperature_soft,
+        "temperature_hard": limits.temperature_hard,
+        "tension_rail": limits.tension_rail,
+        "tension_low": limits.tension_low,
+        "cyclic_ns": [round(drive.feedback_period_s * 1e9) for drive in drives],
+        "answers_once": [drive.answers_once for drive in drives],
+        "cell_group": [sensors.group_of_tendon(n) for n in range(model.tendon_count)],
+        "joint_group": [sensors.group_of_joint(j) for j in range(len(hand.joints))],
+        "mute_ns": round(mute * 1e9),
+        "silent_ticks": limits.silent_ticks,
+        "one_silent_ticks": limits.one_silent_ticks,
+        "stalled_ticks": limits.stalled_ticks,
+        "frames_limit": limits.frames,
+        "tension_groups": sensors.tension_frames,
+    })  # fmt: skip
 
 
-def _noise_most(model: HandModel) -> float:
-    """Mean squared jerk of a motor's position that only noise makes [rad^2]: the drive's torque both ways, rounding."""
+def frames_limit(drives: Sequence[Drive], sensors: SensorNode) -> int:
+    """Return how many frames in one tick are more than these nodes can have sent: twice what they answer."""
+    return max(FRAMES_LEAST, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids))
+
+
+def _noise_limit(model: HandModel) -> float:
+    """Return the mean squared jerk of a motor's position that only noise makes [rad^2].
+
+    The drive's torque both ways on the bare rotor, and rounding.
+    """
     space, period = model.space, model.period
     torque = float((model.torque_limit / space.spool / space.motor_mass / space.spool).max())
     rounding = NOISE_STEPS * float((space.encoder_step / space.spool).max()) ** 2
-    return NOISE_TIMES * ((0.1 * torque * period**2) ** 2 + rounding)
+    return NOISE_FACTOR * ((0.1 * torque * period**2) ** 2 + rounding)

@@ -5,104 +5,173 @@ speed to be wrong by twice as much as it is, and correct it for longer than they
 worse. So once something is missing every tendon's covariance is carried along, until it is the steady one again.
 """
 
-from typing import NamedTuple
+import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from handctl.choose import Array
-from handctl.core.estimation.filter_stack import MEASUREMENTS, STATES, Spread, Stacked, variance_of_tension, variances
+from handctl.compiled import inner
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
 
-UNIT = np.eye(STATES)
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+STATES = 7
+ERROR = 5
+"""Index of the load cell's error among the states."""
 MISSING = 1e12
-"""Times its noise variance, a measurement that is not there says as much as none."""
-STEADY_SHARE = 0.02
+"""Variance factor of a missing measurement. It makes the Kalman gain zero."""
+STEADY_FRACTION = 0.02
 """A covariance is steady if none of its variances, nor that of the tension, is further from the steady one."""
+HELD_TORQUE_S = 0.05
+"""Longest time without a command that is predicted [s]; then the drives' watchdogs have let go."""
 
 
-class Update(NamedTuple):
-    """What the measurements of one tick are worth.
-
-    Attributes:
-        gain: (N, 7, 2) of encoder and load cell.
-        after: (N, 7, 7) covariance once they were used.
-        information: (N,) each: the innovations' inverse covariance, of encoder squared, both, load cell squared.
-        cell_sigma: (N,) standard deviation of the load-cell innovation [N].
-    """
-
-    gain: Array
-    after: Array
-    information: tuple[Array, Array, Array]
-    cell_sigma: Array
-
-    def corrected(self, x: Array, steady: Stacked, innovation: Array) -> Array:
-        """The state (7N,) with innovations (3N,) taken in, 0 for what is missing; joint encoders have steady gains."""
-        table = innovation.reshape(-1, MEASUREMENTS)
-        own = np.matmul(self.gain, table[:, :2, None]).reshape(-1)
-        joints = table.copy()
-        joints[:, :2] = 0.0
-        return np.asarray(x + own + steady.K.dot(joints.reshape(-1)))
-
-
-def missing(steady: Stacked, z: Array) -> bool:
-    """Whether a measurement of this tick is missing that the steady gains count on; in slack a load cell is none.
+@inner
+def update(
+    x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after: Matrix, information: Vector
+) -> float:
+    """Take in encoder and load cell of one tendon; joint encoders keep their steady gain.
 
     Args:
-        steady: the filter of this tick.
-        z: (3N,) measurements, NaN where missing.
+        x: tables. c: constants. n: index of the tendon.
+        z: (3,) measurements, NaN where missing.
+        gain: (7, 3) steady gains, of which the first two columns are replaced.
+        after: (7, 7) result: covariance once the measurements were used.
+        information: (3,) result: inverse covariance of the innovations, see ``constants.INFORMATION_AT``.
+
+    Returns:
+        standard deviation of the load-cell innovation [N].
     """
-    encoder, cell = z[0::MEASUREMENTS], z[1::MEASUREMENTS]
-    if np.count_nonzero(encoder != encoder):
-        return True
-    lost = cell != cell
-    return bool(np.count_nonzero(lost)) and bool(np.count_nonzero(lost & ~steady.slack))
+    kind = x.tendon_int[s.KIND, n]
+    H = np.zeros((2, STATES))
+    for m in range(2):
+        for i in range(STATES):
+            H[m, i] = c.design[n, kind, h.H_AT + STATES * m + i]
+    known = c.design[n, kind, h.KNOWN_AT]
+    H[1, ERROR] = known
+    P = _present(x, c, n, kind)
+    crossed = _times_transposed(P, H)
+    size = _times(H, crossed)
+    R = np.zeros(2)
+    for m in range(2):
+        R[m] = c.design[n, kind, h.R_AT + m] * (MISSING if math.isnan(z[m]) else 1.0)
+    a, b, d = size[0, 0] + R[0], size[0, 1], size[1, 1] + R[1]
+    determinant = a * d - b * b
+    information[0], information[1], information[2] = d / determinant, -2.0 * b / determinant, a / determinant
+    for i in range(STATES):
+        # What cannot be told from tension is not corrected, and its growth counts in the variance.
+        told = known if i == ERROR else 1.0
+        gain[i, 0] = told * (crossed[i, 0] * d - crossed[i, 1] * b) / determinant
+        gain[i, 1] = told * (crossed[i, 1] * a - crossed[i, 0] * b) / determinant
+    rest = np.eye(STATES)
+    for i in range(STATES):
+        for j in range(STATES):
+            rest[i, j] -= gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j]
+    joseph = _times_transposed(_times(rest, P), rest)
+    for i in range(STATES):
+        for j in range(STATES):
+            after[i, j] = joseph[i, j] + gain[i, 0] * R[0] * gain[j, 0] + gain[i, 1] * R[1] * gain[j, 1]
+    return math.sqrt(d)
 
 
-def update(spread: Spread, P: Array | None, z: Array) -> Update:
-    """Gains of this tick.
+@inner
+def predict(x: Tables, c: ConstantTables, after: Matrix, missed: int) -> None:
+    """Predict all covariances (N, 7, 7) to the next tick; end that once all of them are the steady ones.
 
-    Args:
-        spread: noise of each tendon in its regime.
-        P: (N, 7, 7) covariance of the prediction; None for the steady one.
-        z: (3N,) measurements, NaN where missing.
+    A tendon whose kind has just changed begins with the steady one.
     """
-    P = spread.P if P is None else P
-    table = z.reshape(-1, MEASUREMENTS)[:, :2]
-    noise = spread.R * np.where(table != table, MISSING, 1.0)
-    crossed = np.matmul(P, spread.H.transpose(0, 2, 1))
-    innovation = np.matmul(spread.H, crossed)
-    a, b, d = innovation[:, 0, 0] + noise[:, 0], innovation[:, 0, 1], innovation[:, 1, 1] + noise[:, 1]
-    size = a * d - b * b
-    own, mixed, other = d / size, -b / size, a / size
-    inverse = np.array([[own, mixed], [mixed, other]]).transpose(2, 0, 1)
-    gain = np.matmul(crossed, inverse) * spread.told[:, :, None]
-    rest = UNIT - np.matmul(gain, spread.H)
-    after = np.matmul(np.matmul(rest, P), rest.transpose(0, 2, 1))
-    after += np.matmul(gain * noise[:, None, :], gain.transpose(0, 2, 1))
-    return Update(gain, after, (own, 2.0 * mixed, other), np.sqrt(d))
+    periods = 1 + skipped(c, missed)
+    steady = True
+    for n in range(len(after)):
+        kind = x.tendon_int[s.KIND, n]
+        F, Q = _square(c, n, kind, h.F_AT), _square(c, n, kind, h.Q_AT)
+        P = after[n].copy()
+        for _ in range(periods):
+            P = _times_transposed(_times(F, P), F) + Q
+        if kind != x.tendon_int[s.KIND_BEFORE, n]:
+            P = _square(c, n, kind, h.P_AT)
+        for i in range(STATES):
+            for j in range(STATES):
+                x.tendon[s.COVARIANCE + STATES * i + j, n] = P[i, j]
+        steady &= _is_steady(c, n, kind, P)
+    x.run_int[s.CARRIED] = not steady
 
 
-def predicted(spread: Spread, P: Array) -> Array:
-    """The covariance (N, 7, 7) one period later."""
-    return np.asarray(np.matmul(np.matmul(spread.F, P), spread.F.transpose(0, 2, 1)) + spread.Q)
+@inner
+def skipped(c: ConstantTables, missed: int) -> int:
+    """Return how many of the missed ticks are predicted one by one."""
+    return min(missed, round(HELD_TORQUE_S / c.run[h.PERIOD]))
 
 
-def carried(spread: Spread, after: Array, changed: list[int], periods: int) -> Array | None:
-    """The covariance of the next tick's prediction; None once it is the steady one.
-
-    Args:
-        spread: noise of each tendon in the regime that it is in now.
-        after: (N, 7, 7) once the measurements were used.
-        changed: tendons whose regime has just changed, which begin with the steady one.
-        periods: from this tick to the next.
-    """
-    P = after
-    for _ in range(periods):
-        P = predicted(spread, P)
-    P[changed] = spread.P[changed]
-    far = np.abs(variances(P, spread.told, spread.tension) - spread.steady) > STEADY_SHARE * spread.steady
-    return P if np.count_nonzero(far) else None
+@inner
+def sigma(x: Tables, c: ConstantTables, n: int) -> float:
+    """Return the standard deviation of a predicted tension [N]."""
+    kind = x.tendon_int[s.KIND, n]
+    P = np.empty((STATES, STATES))
+    for i in range(STATES):
+        for j in range(STATES):
+            P[i, j] = x.tendon[s.COVARIANCE + STATES * i + j, n]
+    return math.sqrt(_tension_variance(c, n, kind, P) + c.design[n, kind, h.DRIFT_AT])
 
 
-def sigma(spread: Spread, P: Array) -> Array:
-    """(N,) standard deviation of the predicted tension [N]."""
-    return np.asarray(np.sqrt(variance_of_tension(P, spread.tension) + spread.drift))
+@inner
+def _present(x: Tables, c: ConstantTables, n: int, kind: int) -> Matrix:
+    """Return the covariance (7, 7) of a tendon's prediction: the one that is carried, or the steady one."""
+    P = _square(c, n, kind, h.P_AT)
+    if x.run_int[s.CARRIED]:
+        for i in range(STATES):
+            for j in range(STATES):
+                P[i, j] = x.tendon[s.COVARIANCE + STATES * i + j, n]
+    return P
+
+
+@inner
+def _is_steady(c: ConstantTables, n: int, kind: int, P: Matrix) -> bool:
+    steady = _square(c, n, kind, h.P_AT)
+    for i in range(STATES):
+        told = c.design[n, kind, h.KNOWN_AT] if i == ERROR else 1.0
+        if abs(P[i, i] - steady[i, i]) * told > STEADY_FRACTION * steady[i, i] * told:
+            return False
+    variance = _tension_variance(c, n, kind, steady)
+    return abs(_tension_variance(c, n, kind, P) - variance) <= STEADY_FRACTION * variance
+
+
+@inner
+def _tension_variance(c: ConstantTables, n: int, kind: int, P: Matrix) -> float:
+    variance = 0.0
+    for i in range(STATES):
+        for j in range(STATES):
+            variance += c.design[n, kind, h.TENSION_AT + i] * P[i, j] * c.design[n, kind, h.TENSION_AT + j]
+    return variance
+
+
+@inner
+def _square(c: ConstantTables, n: int, kind: int, at: int) -> Matrix:
+    """Return a copy of a (7, 7) matrix of the design."""
+    return c.design[n, kind, at : at + STATES * STATES].copy().reshape((STATES, STATES))
+
+
+@inner
+def _times(left: Matrix, right: Matrix) -> Matrix:
+    """Return the product of two matrices, by sums in a fixed order."""
+    found = np.zeros((left.shape[0], right.shape[1]))
+    for i in range(left.shape[0]):
+        for j in range(right.shape[1]):
+            for k in range(left.shape[1]):
+                found[i, j] += left[i, k] * right[k, j]
+    return found
+
+
+@inner
+def _times_transposed(left: Matrix, right: Matrix) -> Matrix:
+    """Return the product of a matrix and the transpose of another one."""
+    found = np.zeros((left.shape[0], right.shape[0]))
+    for i in range(left.shape[0]):
+        for j in range(right.shape[0]):
+            for k in range(left.shape[1]):
+                found[i, j] += left[i, k] * right[j, k]
+    return found

@@ -13,7 +13,7 @@ Matrix = NDArray[np.float64]
 
 STATES, INPUTS, MEASUREMENTS = 7, 2, 3
 X, V, S, W, D, E, O = range(STATES)  # noqa: E741 - the names of the states, as below
-"""Cable travel [m] and speed [m/s] at the spool, excursion [m] and its rate [m/s], disturbance force on the motor [N],
+"""Tendon travel [m] and speed [m/s] at the spool, excursion [m] and its rate [m/s], disturbance force on the motor [N],
 load-cell error [N], stretch offset [m]."""
 
 
@@ -21,23 +21,11 @@ class Regime(enum.IntEnum):
     """How a tendon's model is coupled."""
 
     FREE = 0
-    """Taut, the digit moves freely: it follows its rope, and the tension changes no faster than friction turns."""
+    """Taut, the digit moves freely: it follows its tendon, and the tension changes no faster than friction turns."""
     HELD = 1
     """Taut, the digit rests on an object or on its open stop, of unknown stiffness: it moves little, that is all."""
     SLACK = 2
     """No tension: the motor moves alone, springs hold the digit on its open stop, the load cell shows its own error."""
-
-
-def kinds(regimes: tuple[int, ...], wary: Matrix) -> tuple[int, ...]:
-    """Index the block of each tendon in ``FilterDesign.blocks``.
-
-    Args:
-        regimes: per tendon, a ``Regime``.
-        wary: (N,) time for which the filter still doubts its model [s].
-    """
-    if not np.count_nonzero(wary):
-        return regimes
-    return tuple([regime + len(Regime) * (left > 0.0) for regime, left in zip(regimes, wary.tolist(), strict=True)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +63,19 @@ class Block:
     cell_sigma: float
 
 
-MOST_KEPT = 256
-"""Combinations of regimes that are kept at a time: one of eleven tendons takes 110 kB, and there are 3^11."""
+class Transition(NamedTuple):
+    """All tendons as one filter of 7 N states, state after state: the travels of all tendons, then the speeds, ...
+
+    Attributes:
+        F: (7N, 7N). B: (7N, 2N).
+    """
+
+    F: Matrix
+    B: Matrix
+
+
+KEPT = 256
+"""Combinations of kinds whose matrices are kept: one of eleven tendons takes 60 kB, and there are 6^11."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,128 +83,23 @@ class FilterDesign:
     """Blocks of every tendon and kind; ``blocks[tendon][kind]``. A kind is a regime, or 3 + a regime in doubt.
 
     Attributes:
-        stacked: the N tendons as one filter, each in its regime; kept, since regimes change far more rarely than ticks.
-        spread: the N tendons' noise, likewise.
+        transition: matrices of N kinds, as bytes of int64; kept, since kinds change far more rarely than ticks.
     """
 
     blocks: tuple[tuple[Block, ...], ...]
-    stacked: "Callable[[tuple[int, ...]], Stacked]" = field(init=False, compare=False, repr=False)
-    spread: "Callable[[tuple[int, ...]], Spread]" = field(init=False, compare=False, repr=False)
+    transition: "Callable[[bytes], Transition]" = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        kept = functools.lru_cache(MOST_KEPT)
-        object.__setattr__(self, "stacked", kept(self._stacked))
-        object.__setattr__(self, "spread", kept(self._spread))
+        object.__setattr__(self, "transition", functools.lru_cache(KEPT)(self._transition))
 
-    def _chosen(self, chosen: tuple[int, ...]) -> list[Block]:
-        return [tendon[kind] for tendon, kind in zip(self.blocks, chosen, strict=True)]
-
-    def _spread(self, of_tendons: tuple[int, ...]) -> "Spread":
-        return Spread.of(self._chosen(of_tendons))
-
-    def _stacked(self, of_tendons: tuple[int, ...]) -> "Stacked":
-        chosen = self._chosen(of_tendons)
-        regimes = np.array(of_tendons) % len(Regime)
-        usual = self._chosen(tuple(regimes.tolist()))
-        return Stacked(
-            F=_diagonal([block.F for block in chosen]),
-            B=_diagonal([block.B for block in chosen]),
-            H=_diagonal([block.H for block in chosen]),
-            K=_diagonal([block.K for block in chosen]),
-            tension=_diagonal([block.tension_row[None] for block in chosen]),
-            sigma=np.sqrt([block.tension_variance for block in chosen]),
-            information=_information(chosen),
-            usual_information=_information(usual),
-            doubted=max(of_tendons) >= len(Regime),
-            free=regimes == Regime.FREE,
-            slack=regimes == Regime.SLACK,
-            cell_sigma=np.array([block.cell_sigma for block in chosen]),
-        )
+    def _transition(self, kinds: bytes) -> Transition:
+        chosen = [tendon[kind] for tendon, kind in zip(self.blocks, np.frombuffer(kinds, np.int64), strict=True)]
+        return Transition(_stacked([block.F for block in chosen]), _stacked([block.B for block in chosen]))
 
 
-def _information(blocks: list[Block]) -> tuple[Matrix, ...]:
-    """Inverse covariance of the innovations, (N,) each: of encoder squared, both, load cell squared."""
-    return tuple(
-        np.array([block.innovation_information.flat[at] * times for block in blocks])
-        for at, times in ((0, 1.0), (1, 2.0), (3, 1.0))
-    )
-
-
-def _diagonal(blocks: list[Matrix]) -> Matrix:
-    """Blocks of one shape along the diagonal: scipy's takes ten times as long, and the tick of a touch pays for it."""
+def _stacked(blocks: list[Matrix]) -> Matrix:
+    """Return blocks (rows, columns) of N tendons as one matrix, in which the tendons are the inner index of both."""
     n, (rows, columns), each = len(blocks), blocks[0].shape, np.arange(len(blocks))
-    found = np.zeros((n, rows, n, columns))
-    found[each, :, each] = blocks
-    return found.reshape(n * rows, n * columns)
-
-
-@dataclass(frozen=True, slots=True)
-class Stacked:
-    """All tendons as one filter of 7 N states; matrices block diagonal.
-
-    Attributes:
-        F: (7N, 7N). B: (7N, 2N). H: (3N, 7N). K: (7N, 3N).
-        tension: (N, 7N), tension of a state.
-        sigma: (N,), standard deviation of the predicted tension [N].
-        information: (N,) each: the innovations' inverse covariance, of encoder squared, both, load cell squared.
-        usual_information: the same without any doubt.
-        doubted: whether any tendon is in doubt.
-        free, slack: (N,) whether a tendon is in this regime.
-        cell_sigma: (N,), standard deviation of the load-cell innovation [N].
-    """
-
-    F: Matrix
-    B: Matrix
-    H: Matrix
-    K: Matrix
-    tension: Matrix
-    sigma: Matrix
-    information: tuple[Matrix, ...]
-    usual_information: tuple[Matrix, ...]
-    doubted: bool
-    free: NDArray[np.bool_]
-    slack: NDArray[np.bool_]
-    cell_sigma: Matrix
-
-
-class Spread(NamedTuple):
-    """What the covariance of N tendons needs, each in its regime; see ``covariance``.
-
-    Attributes:
-        F, Q, P: (N, 7, 7), see ``Block``. H: (N, 2, 7) encoder and load cell. R: (N, 2).
-        told: (N, 7) 1, or 0 for a load cell's error that cannot be told from tension.
-        tension: (N, 7) of a state. drift: (N,) what that error adds to the variance of the tension [N^2].
-        steady: (N, 8) variances of the states, 0 for what is not told, and of the tension, in steady state.
-    """
-
-    F: Matrix
-    Q: Matrix
-    P: Matrix
-    H: Matrix
-    R: Matrix
-    told: Matrix
-    tension: Matrix
-    drift: Matrix
-    steady: Matrix
-
-    @staticmethod
-    def of(blocks: list[Block]) -> "Spread":
-        """Of a block for each tendon."""
-        H, told = np.array([block.H[:2] for block in blocks]), np.ones((len(blocks), STATES))
-        told[:, E] = [block.known for block in blocks]
-        H[:, 1, E] = told[:, E]
-        F, Q, P, R, tension, drift = (
-            np.array([getattr(block, name) for block in blocks])
-            for name in ("F", "Q", "P", "R", "tension_row", "drift")
-        )
-        return Spread(F, Q, P, H, R, told, tension, drift, variances(P, told, tension))
-
-
-def variances(P: Matrix, told: Matrix, tension: Matrix) -> Matrix:
-    """(N, 8) of the states, 0 for what is not told, and of the tension [N^2]; see ``Spread``."""
-    return np.column_stack((np.diagonal(P, axis1=1, axis2=2) * told, variance_of_tension(P, tension)))
-
-
-def variance_of_tension(P: Matrix, tension: Matrix) -> Matrix:
-    """(N,) [N^2], of covariances (N, 7, 7) and tension rows (N, 7)."""
-    return np.asarray(np.matmul(np.matmul(tension[:, None, :], P), tension[:, :, None])[:, 0, 0])
+    found = np.zeros((rows, n, columns, n))
+    found[:, each, :, each] = blocks
+    return found.reshape(rows * n, columns * n)

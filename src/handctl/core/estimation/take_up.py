@@ -1,24 +1,29 @@
-"""When a rope goes slack and when it is taut again, by what its load cell says tick after tick."""
+"""When a tendon goes slack and when it is taut again, by what its load cell says tick after tick."""
 
-from handctl.core.estimation.filter_stack import D, E, O, Regime, S, W, X
-from handctl.core.types import Vector
+import math
 
-SLACK = int(Regime.SLACK)
+from handctl.compiled import inner
+from handctl.core import block as s
+from handctl.core.block import Tables
+
+SLACK = 2
 SLACK_BELOW_N, SLACK_TICKS = 1.0, 3
 """Estimated and measured tension below this (two standard deviations of the load cell) for so many ticks is slack."""
-TAUT_ABOVE_N = 2.5
-"""A load-cell sample above this ends slack at once (five standard deviations)."""
-EVIDENCE = ((TAUT_ABOVE_N, 6), (1.5, 2), (1.0, 1))
-"""Points that a sample above a tension [N] counts for a taut rope; one below all of them takes ``AGAINST`` away."""
+TAUT_ABOVE_N, TAUT_AT_ONCE = 2.5, 6
+LIKELY_ABOVE_N, LIKELY = 1.5, 2
+POSSIBLE_ABOVE_N, POSSIBLE = 1.0, 1
+"""Points that a load-cell sample above a tension counts for a taut tendon; below all of them it takes ``AGAINST`` away.
+A sample above the first (five standard deviations) ends slack at once."""
 AGAINST, TAUT_POINTS = 2, 6
 """Noise of 0.5 N alone hardly ever comes to so many points, nor does a cell that has drifted by less than 1 N."""
 NEAR_M, NEAR_FACTOR = 5e-5, 3
-"""A rope that by its encoder hangs no looser than this is about to become taut, and every point counts threefold: a
+"""A tendon that by its encoder hangs no looser than this is about to become taut, and every point counts threefold: a
 sample of three standard deviations ends slack at once. Stops and friction leave its length open by about as much."""
 
 
-def turning(regime: int, points: int, tension: float, cell: float, error: float, near: bool = False) -> int:
-    """What speaks for becoming taut (if slack: points) or slack (if taut: consecutive ticks).
+@inner
+def turning(regime: int, points: int, tension: float, cell: float, error: float, near: bool) -> int:
+    """Return the evidence for becoming taut (in slack: points) or slack (taut: consecutive ticks).
 
     A missing sample ends a count of ticks and leaves points as they are.
 
@@ -29,32 +34,41 @@ def turning(regime: int, points: int, tension: float, cell: float, error: float,
     """
     if regime != SLACK:
         return points + 1 if tension < SLACK_BELOW_N and cell < SLACK_BELOW_N else 0
-    if cell != cell:
+    if math.isnan(cell):
         return points
-    for above, worth in EVIDENCE:
-        if cell - error > above:
-            return points + worth * (NEAR_FACTOR if near else 1)
-    return max(points - AGAINST, 0)
+    worth = -AGAINST
+    if cell - error > TAUT_ABOVE_N:
+        worth = TAUT_AT_ONCE
+    elif cell - error > LIKELY_ABOVE_N:
+        worth = LIKELY
+    elif cell - error > POSSIBLE_ABOVE_N:
+        worth = POSSIBLE
+    if worth > 0 and near:
+        worth *= NEAR_FACTOR
+    return max(points + worth, 0)
 
 
-def near(x: Vector) -> bool:
-    """Whether a rope of known length, slack and in the state (7,), is about to become taut by its encoder."""
-    return bool(x[X] - x[S] - x[O] > -NEAR_M)
+@inner
+def near_taut(x: Tables, n: int) -> bool:
+    """Return whether a slack tendon of known length is about to become taut by its encoder."""
+    return x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n] > -NEAR_M
 
 
+@inner
 def has_turned(regime: int, points: int) -> bool:
-    """Whether that is enough to end a regime."""
+    """Return whether that is enough to end a regime."""
     return points >= (TAUT_POINTS if regime == SLACK else SLACK_TICKS)
 
 
-def take_up(x: Vector, stiffness: float, cell: float, stopped: bool) -> None:
-    """The rope has become taut: the offset is what makes stretch and load cell agree.
+@inner
+def take_up(x: Tables, n: int, stiffness: float, cell: float) -> None:
+    """Set the offset of a tendon that has become taut, so that stretch and load cell agree.
 
     Args:
-        x: (7,) state of the tendon, changed in place. stiffness: [N/m]. cell: load cell [N].
-        stopped: whether the digit is on its open stop.
+        x: tables. n: index of the tendon. stiffness: [N/m]. cell: load cell [N].
     """
-    if stopped:
-        x[S] = 0.0
-    x[O] = x[X] - x[S] - (cell - x[E]) / stiffness
-    x[W] = x[D] = 0.0
+    if x.tendon_int[s.STOPPED, n]:
+        x.tendon[s.EXCURSION, n] = 0.0
+    stretch = (cell - x.tendon[s.CELL_ERROR, n]) / stiffness
+    x.tendon[s.STRETCH_OFFSET, n] = x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - stretch
+    x.tendon[s.EXCURSION_RATE, n] = x.tendon[s.DISTURBANCE, n] = 0.0

@@ -39,12 +39,3 @@ class DigitGoal:
     tension: Vector | None = None
     rate: float = 200.0
     force_limit: float = math.inf
-
-    def key(self) -> bytes:
-        """Everything in it as bytes, for the state's hash."""
-        parts = [bytes([self.kind]), repr((self.since, self.rate, self.force_limit)).encode()]
-        if self.trajectory is not None:
-            parts += [self.trajectory.key()]
-        if self.tension is not None:
-            parts += [self.tension.tobytes()]
-        return b"|".join(parts)

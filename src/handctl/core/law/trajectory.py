@@ -21,9 +21,6 @@ class Trajectory(Protocol):
         """(3, n): position [rad], velocity [rad/s] and acceleration [rad/s^2] at t [s]; the end holds after it."""
         ...
 
-    def key(self) -> bytes:
-        """Everything in it as bytes, for the state's hash."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +49,6 @@ class MinimumJerk:
         way[0] += self.start
         return way
 
-    def key(self) -> bytes:
-        """See ``Trajectory``."""
-        return self.start.tobytes() + self.end.tobytes() + repr(self.duration).encode()
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,9 +88,6 @@ class Curve:
         values = (d + s * (c + s * (b + s * a)), moving * (c + s * (2 * b + s * 3 * a)), moving * (2 * b + 6 * a * s))
         return _alike(values, self.coordinates)
 
-    def key(self) -> bytes:
-        """See ``Trajectory``."""
-        return self.times.tobytes() + self.coefficients.tobytes() + bytes([self.coordinates])
 
     def peak_speed(self) -> float:
         """Largest speed on the way [rad/s]: at the ends of a piece or where its acceleration vanishes."""
@@ -128,9 +119,6 @@ class Sample:
         """See ``Trajectory``; the same at any time."""
         return np.array((self.position, self.velocity, self.acceleration))
 
-    def key(self) -> bytes:
-        """See ``Trajectory``."""
-        return self.position.tobytes() + self.velocity.tobytes() + self.acceleration.tobytes()
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,9 +165,6 @@ class Chirp:
         sign = 1.0 if t <= self.duration - t else -1.0
         return 0.5 - 0.5 * math.cos(w * left), sign * 0.5 * w * math.sin(w * left), 0.5 * w * w * math.cos(w * left)
 
-    def key(self) -> bytes:
-        """See ``Trajectory``."""
-        return repr((self.centre, self.amplitude, self.low, self.high, self.duration, self.coordinates)).encode()
 
 
 def _alike(values: tuple[float, float, float], coordinates: int) -> Vector:

@@ -1,10 +1,17 @@
 """CANopen frames that CiA 402 needs: identifiers, SDO of up to four bytes, PDO of torque mode, states and errors.
 
+    RPDO1  control 16 | target torque 16
+    TPDO1  status 16 | position 32 | torque 16
+    SDO    specifier 8 | index 16 | sub-index 8 | value 32
+
 Source: facts, cia402; CiA 301, CiA 402-2.
 """
 
+import math
 import struct
 from typing import NamedTuple
+
+from handctl.drives.signals import Coding, Message, Quantity, Signal
 
 NMT, SYNC, EMERGENCY, TPDO, RPDO, SDO_REPLY, SDO_REQUEST, HEARTBEAT = (
     0x000,
@@ -60,12 +67,8 @@ ABORTS = {
 }  # fmt: skip
 
 
-class Feedback(NamedTuple):
-    """TPDO1: status word, position [count], torque [1/1000 of rated]."""
-
-    status: int
-    position: int
-    torque: int
+ENABLED_STATUS = 0x07 << 2 | 0x01
+"""State and stop bits of a status word that says operation enabled, as ``feedback_message`` puts them together."""
 
 
 def state_of(status: int) -> str:
@@ -73,24 +76,32 @@ def state_of(status: int) -> str:
     return next((state for mask, value, state in _STATES if status & mask == value), "")
 
 
-def feedback(data: bytes) -> Feedback:
-    """Values of 8 bytes of TPDO1."""
-    return Feedback(*struct.unpack("<Hih", data))
-
-
-def command(control: int, torque: float) -> bytes:
-    """Payload of RPDO1.
+def feedback_message(node_id: int, counts: int, ratio: float, rated: float, zero: float) -> Message:
+    """Return TPDO1: status word, position [count], torque [1/1000 of rated], all at the shaft.
 
     Args:
-        control: word.
-        torque: target [1/1000 of rated].
-
-    Raises:
-        ValueError: not finite, or beyond what the type can hold.
+        node_id: of the drive. counts: per turn of the shaft. rated: torque at the shaft [N m].
+        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
+        zero: angle at the shaft of the spool's zero [rad].
     """
-    if not abs(torque) <= TORQUE_TOP:
-        raise ValueError(f"torque of {torque} thousandths of the rated one, expected at most {TORQUE_TOP}")
-    return struct.pack("<Hh", control, round(torque))
+    count = math.tau / counts / ratio
+    torque = rated / 1000 * ratio
+    return Message("tpdo1", TPDO + node_id, 8, (
+        Signal("state", Quantity.STATUS, 0, 4),
+        Signal("voltage", Quantity.UNUSED, 4, 1),
+        Signal("stop", Quantity.STATUS, 5, 2),
+        Signal("status", Quantity.UNUSED, 7, 9),
+        Signal("position", Quantity.POSITION, 16, 32, False, Coding.SIGNED, count, -zero / ratio, "rad"),
+        Signal("torque", Quantity.TORQUE, 48, 16, False, Coding.SIGNED, torque, 0.0, "N m"),
+    ))  # fmt: skip
+
+
+def command_message(node_id: int, ratio: float, rated: float, limit: float) -> Message:
+    """Return RPDO1 while enabled: control word, target torque [1/1000 of rated]; ``limit``: at the spool [N m]."""
+    torque = Signal("torque", Quantity.TORQUE, 16, 16, False, Coding.SIGNED, rated / 1000 * ratio, 0.0, "N m")
+    control = Signal("control", Quantity.UNUSED, 0, 16)
+    base = struct.pack("<Hh", ENABLE_OPERATION, 0)
+    return Message("rpdo1", RPDO + node_id, 4, (control, torque), 0, base, False, limit)
 
 
 def error_text(code: int) -> str:

@@ -6,7 +6,8 @@ SYNC. SYNC is the sensor node's, which has the same identifier 0x080; on a bus w
 """
 
 import math
-from dataclasses import dataclass
+import struct
+from dataclasses import dataclass, field
 
 from handctl.drives import recheck
 from handctl.drives.causes import Cause
@@ -24,10 +25,11 @@ from handctl.drives.cia402.progress import (
     progress_of,
     take_heartbeat,
 )
-from handctl.drives.contract import DriveState, Phase, Want
+from handctl.drives.contract import UNSTEADY, DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
 from handctl.drives.frame import Frame
 from handctl.drives.options import positive, switch, whole
+from handctl.drives.signals import Cyclic, Message, Table
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = Want
@@ -55,6 +57,7 @@ class Cia402Drive:
         sync: whether SYNC goes out with its command.
         beat_every_ns: period of this host's heartbeat [ns].
         patience_ns: longest time without a sign of life [ns].
+        command, feedback: tables of its cyclic frames; follow from the others.
     """
 
     name: str
@@ -69,6 +72,14 @@ class Cia402Drive:
     sync: bool
     beat_every_ns: int
     patience_ns: int
+    command: Table = field(init=False, repr=False, compare=False)
+    feedback: Table = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        sent = codec.command_message(self.node_id, self.ratio, self.rated, self.torque_limit)
+        heard = codec.feedback_message(self.node_id, self.counts, self.ratio, self.rated, self.zero)
+        object.__setattr__(self, "command", Table(sent))
+        object.__setattr__(self, "feedback", Table(heard))
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "Cia402Drive":
@@ -154,6 +165,23 @@ class Cia402Drive:
         return 0.0
 
     @property
+    def cyclic(self) -> Cyclic:
+        """RPDO, TPDO, perhaps SYNC."""
+        sync = (Message("sync", codec.SYNC, 0, answers=False),) if self.sync else ()
+        return Cyclic((self.feedback.message,), (self.command.message, *sync), self.patience_ns)
+
+    def steady_status(self, state: DriveState) -> int:
+        """Return the status of a drive that is enabled as it was told to."""
+        progress = progress_of(state)
+        steady = state.phase == ENABLED and progress.asked and progress.disabling_ns < 0
+        return codec.ENABLED_STATUS if steady else UNSTEADY
+
+    def due_ns(self, state: DriveState) -> int:
+        """Return when this host's heartbeat or an object that is read again is due [ns]."""
+        progress = progress_of(state)
+        return min(progress.check.due_ns, progress.beat_ns + self.beat_every_ns)
+
+    @property
     def guards(self) -> tuple[setup.Step, ...]:
         """Objects that are read again while it is enabled."""
         return tuple(step for step in self.steps if (step.number, step.sub) in setup.GUARDS)
@@ -205,21 +233,22 @@ class Cia402Drive:
         progress = progress_of(state)
         if progress.walk.step < len(self.steps):
             return state
-        seen = codec.feedback(frame.data)
+        _, _, position, torque = self.feedback.unpack(frame.data)
         known = state._replace(
-            position=(seen.position / self.counts * math.tau - self.zero) / self.ratio,
-            torque=seen.torque * self.rated / 1000 * self.ratio,
+            position=position,
+            torque=torque,
             feedback_t_ns=frame.t_ns,
             feedback_count=state.feedback_count + 1,
         )
-        power = codec.state_of(seen.status)
+        power = codec.state_of(int.from_bytes(frame.data[:2], "little"))
         return judge(known, progress._replace(power=power or "unknown", heard_ns=frame.t_ns))
 
     def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
         """See ``contract.Drive``."""
         if want == LISTEN:
             return state, ()
-        if 0 <= progress_of(state).heard_ns < t_ns - self.patience_ns:
+        # A status word is a sign of life as well; compiled code may have read the last ones.
+        if 0 <= max(progress_of(state).heard_ns, state.feedback_t_ns) < t_ns - self.patience_ns:
             state = lose(state)
         state, frames = self._command(state, t_ns, want, torque)
         progress = progress_of(state)
@@ -291,9 +320,10 @@ class Cia402Drive:
         return state._replace(error_text=text, private=told), (self._nmt(codec.START),)
 
     def _rpdo(self, control: int, torque: float) -> Frame:
-        if not abs(torque) <= self.torque_limit:
-            raise ValueError(f"{self.name}: torque {torque} N m, expected at most {self.torque_limit:g}")
-        data = codec.command(control, torque / self.ratio / self.rated * 1000)
+        try:
+            data = struct.pack("<H", control) + self.command.pack(torque)[2:]
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from None
         return Frame(codec.RPDO + self.node_id, data, 0, self.bus)
 
     def _nmt(self, order: int) -> Frame:

@@ -1,13 +1,17 @@
 """MIT mode on the wire: bytes <-> values at the output shaft, as Damiao motors speak it.
 
-Commands and feedback have 8 bytes, packed big-endian with the first field in the highest bits; registers are
-little-endian. Register replies come on the identifier of the feedback and are told apart here by their first four
+    command   position 16 | velocity 12 | kp 12 | kd 12 | torque 12
+    feedback  state 4, node 4 | position 16 | velocity 12 | torque 12 | temperatures 8, 8
+
+Both have 8 bytes, big-endian, the first field in the highest bits. Registers are little-endian. Register replies come on the identifier of the feedback and are told apart here by their first four
 bytes: as feedback these would mean a position within 0.3 % of -PMAX, where no hand works.
 Source: Damiao DM-J4310-2EC manual; public clients for what the manual leaves open.
 """
 
 import struct
 from typing import NamedTuple
+
+from handctl.drives.signals import Message, Quantity, Signal, Table
 
 BROADCAST_ID = 0x7FF
 ENABLE, DISABLE, CLEAR = 0xFC, 0xFD, 0xFB
@@ -36,7 +40,6 @@ ERRORS = {
 }
 """State nibbles of the feedback that mean an error, and no torque."""
 
-_unpack_feedback = struct.Struct(">BH5B").unpack
 _REPLY = struct.Struct("<HBB")
 POSITION_TOP, TOP = 2**16 - 1, 2**12 - 1
 _NO_MOTION = POSITION_TOP // 2 << 48 | TOP // 2 << 36
@@ -56,60 +59,58 @@ class Ranges(NamedTuple):
         return 2 * self.position / 0xFFFF
 
 
-Lines = tuple[float, float, float, float, float, float]
-"""Slope and offset by which a code of position, of velocity and of torque becomes a value."""
 Feedback = tuple[int, float, float, float, float]
 """State nibble, position [rad], velocity [rad/s], torque [N m], hotter of two temperatures [degC]."""
 
 
-def encode_torque(torque: float, limit: float) -> bytes:
-    """Payload of a command with kp = kd = 0.
+def command_message(can_id: int, ranges: Ranges, sign: int = 1, flags: int = 0) -> Message:
+    """Return the command with kp = kd = 0.
 
-    Zero has no code in this format: 0 N m is sent as the code next to it, half a step (limit / 4095) away.
-
-    Args:
-        torque: at the output shaft [N m].
-        limit: TMAX [N m].
-
-    Raises:
-        ValueError: not finite, or beyond the limit.
-    """
-    if not abs(torque) <= limit:
-        raise ValueError(f"torque {torque} N m, expected at most {limit:g}")
-    code = round((torque + limit) * TOP / (2 * limit))
-    return (_NO_MOTION | code).to_bytes(8, "big")
-
-
-def lines(ranges: Ranges, sign: int = 1, zero: float = 0.0) -> Lines:
-    """What makes values of the codes of a feedback.
+    Zero has no code in this format: 0 N m is sent as the code next to it, half a step (TMAX / 4095) away.
 
     Args:
-        ranges: of the motor.
-        sign: of all three values.
-        zero: position that is to read 0 [rad].
+        can_id: of the motor. ranges: of the motor; their torque, TMAX, is the limit. sign: of the torque.
+        flags: of the frame.
     """
-    position, velocity, torque = (sign * most for most in ranges)
-    return (
-        2 * position / POSITION_TOP,
-        -position - sign * zero,
-        2 * velocity / TOP,
-        -velocity,
-        2 * torque / TOP,
-        -torque,
+    unused = Quantity.UNUSED
+    signals = (
+        Signal("position", unused, 7, 16, True, unit="rad", **_span(ranges.position, POSITION_TOP)),
+        Signal("velocity", unused, 23, 12, True, unit="rad/s", **_span(ranges.velocity, TOP)),
+        Signal("kp", unused, 27, 12, True, scale=500.0 / TOP, unit="N m/rad"),
+        Signal("kd", unused, 39, 12, True, scale=5.0 / TOP, unit="N m s/rad"),
+        Signal("torque", Quantity.TORQUE, 51, 12, True, unit="N m", **_span(ranges.torque, TOP, sign)),
     )
+    return Message("command", can_id, 8, signals, flags, _NO_MOTION.to_bytes(8, "big"), False, ranges.torque)
 
 
-def decode_feedback(data: bytes, lines: Lines) -> Feedback:
-    """Values of 8 bytes of feedback; ``lines`` are constant, and computed once."""
-    head, position, high, middle, low, mosfet, winding = _unpack_feedback(data)
-    position_slope, position_0, velocity_slope, velocity_0, torque_slope, torque_0 = lines
-    return (
-        head >> 4,
-        position * position_slope + position_0,
-        (high << 4 | middle >> 4) * velocity_slope + velocity_0,
-        ((middle & 0xF) << 8 | low) * torque_slope + torque_0,
-        float(mosfet if mosfet > winding else winding),
-    )
+def feedback_message(can_id: int, ranges: Ranges, sign: int = 1, zero: float = 0.0) -> Message:
+    """Return the feedback.
+
+    Args:
+        can_id: of the answer. ranges: of the motor.
+        sign: of position, velocity and torque. zero: position that is to read 0 [rad].
+    """
+    position = _span(ranges.position, POSITION_TOP, sign)
+    position["offset"] -= sign * zero
+    return Message("feedback", can_id, 8, (
+        Signal("state", Quantity.STATUS, 7, 8, True),
+        Signal("position", Quantity.POSITION, 15, 16, True, unit="rad", **position),
+        Signal("velocity", Quantity.VELOCITY, 31, 12, True, unit="rad/s", **_span(ranges.velocity, TOP, sign)),
+        Signal("torque", Quantity.TORQUE, 35, 12, True, unit="N m", **_span(ranges.torque, TOP, sign)),
+        Signal("mosfet", Quantity.TEMPERATURE, 55, 8, True, unit="degC"),
+        Signal("winding", Quantity.TEMPERATURE, 63, 8, True, unit="degC"),
+    ))  # fmt: skip
+
+
+def _span(largest: float, top: int, sign: int = 1) -> dict[str, float]:
+    """Return scale and offset of a code from 0 to ``top`` that spans -largest to largest."""
+    return {"scale": sign * 2 * largest / top, "offset": -sign * largest}
+
+
+def decode_feedback(data: bytes, table: Table) -> Feedback:
+    """Return the values of 8 bytes of feedback; ``table``: of its message."""
+    state, position, velocity, torque, mosfet, winding = table.unpack(data)
+    return int(state) >> 4, position, velocity, torque, max(mosfet, winding)
 
 
 def special(code: int) -> bytes:

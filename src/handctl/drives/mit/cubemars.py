@@ -12,10 +12,11 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 from handctl.drives.causes import Cause
-from handctl.drives.contract import DriveState, Phase, Want
+from handctl.drives.contract import NEVER_NS, UNSTEADY, DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
-from handctl.drives.frame import Frame, make
+from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
+from handctl.drives.signals import Cyclic, Quantity, Signal, Table
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = Want
@@ -88,7 +89,7 @@ class CubemarsDrive:
         direction: 1 if positive torque of the motor winds.
         zero: motor angle of the spool's zero [rad].
         coldest: what byte 6 of the feedback counts from [degC].
-        lines: by which feedback is decoded; follow from the others.
+        sent, heard: tables of its cyclic frames; follow from the others.
     """
 
     name: str
@@ -99,10 +100,23 @@ class CubemarsDrive:
     direction: int
     zero: float
     coldest: float
-    lines: codec.Lines = field(init=False, repr=False, compare=False)
+    sent: Table = field(init=False, repr=False, compare=False)
+    heard: Table = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "lines", codec.lines(self.ranges, self.direction, self.zero))
+        sent = codec.command_message(self.node_id, self.ranges, self.direction)
+        heard = codec.feedback_message(self.node_id, self.ranges, self.direction, self.zero)
+        state, position, velocity, torque, _, _ = heard.signals
+        own = (
+            state._replace(name="node"),
+            position,
+            velocity,
+            torque,
+            Signal("temperature", Quantity.TEMPERATURE, 55, 8, True, offset=self.coldest, unit="degC"),
+            Signal("error", Quantity.STATUS, 63, 8, True),
+        )
+        object.__setattr__(self, "sent", Table(sent._replace(limit=self.torque_limit)))
+        object.__setattr__(self, "heard", Table(heard._replace(signals=own)))
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "CubemarsDrive":
@@ -168,6 +182,21 @@ class CubemarsDrive:
         """Every command asks for it."""
         return 0.0
 
+    @property
+    def cyclic(self) -> Cyclic:
+        """Command and answer."""
+        return Cyclic((self.heard.message,), (self.sent.message,))
+
+    def steady_status(self, state: DriveState) -> int:
+        """Return number and error of the usual feedback."""
+        progress: Progress = state.private
+        enabled = state.phase == ENABLED and progress.order == ENABLE and progress.answers >= ANSWERS
+        return (self.node_id & 0xFF) << 8 if enabled else UNSTEADY
+
+    def due_ns(self, state: DriveState) -> int:
+        """Return never: nothing can be read from it."""
+        return NEVER_NS
+
     def initial(self) -> DriveState:
         """Silent."""
         return DriveState(private=Progress())
@@ -179,11 +208,19 @@ class CubemarsDrive:
             return state
         if len(data) not in SIZES or data[0] != self.node_id & 0xFF:
             return state._replace(misread=state.misread + 1)
-        temperature, error = (data[6] + self.coldest, data[7]) if len(data) == 8 else (math.nan, 0)
-        _, position, velocity, torque, _ = codec.decode_feedback(data[:6] + bytes(2), self.lines)
-        phase, _, _, _, _, _, count, before, text, misread, private = state
-        values = (phase, position, velocity, torque, temperature, t_ns, count + 1, before, text, misread, private)
-        known = self._answered(make(DriveState, values), private)
+        _, position, velocity, torque, temperature, byte = self.heard.unpack(data)
+        if len(data) < 8:
+            temperature, byte = math.nan, 0.0
+        error = int(byte)
+        heard = state._replace(
+            position=position,
+            velocity=velocity,
+            torque=torque,
+            temperature=temperature,
+            feedback_t_ns=t_ns,
+            feedback_count=state.feedback_count + 1,
+        )
+        known = self._answered(heard, state.private)
         if not error:
             return known
         disabling = known.phase == ENABLED and private.order == DISABLE
@@ -195,6 +232,8 @@ class CubemarsDrive:
         if state.feedback_t_ns < progress.since_ns:
             return state
         if progress.order == ENABLE:
+            if progress.answers >= ANSWERS:
+                return state  # as before: more answers say nothing new
             done = state.phase != FAULT and progress.answers + 1 >= ANSWERS
             return state._replace(
                 phase=ENABLED if done else state.phase, private=progress._replace(answers=progress.answers + 1)
@@ -210,8 +249,8 @@ class CubemarsDrive:
     def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
         """See ``contract.Drive``."""
         progress: Progress = state.private
-        if state.phase is ENABLED and want is ENABLE and progress.order is ENABLE:
-            return state, (make(Frame, (self.node_id, self.command(torque), 0, self.bus, 0)),)
+        if state.phase == ENABLED and want == ENABLE and progress.order == ENABLE:
+            return state, (self._frame(self._torque(torque)),)
         if want == LISTEN:
             return state, ()
         if state.phase == READY and t_ns - state.feedback_t_ns > GONE_NS and not progress.asked:
@@ -229,8 +268,8 @@ class CubemarsDrive:
         asked = progress.asked or order == ENABLE
         return state._replace(private=Progress(order, t_ns, 0, asked))
 
-    def command(self, torque: float) -> bytes:
-        """Payload of a pure torque command.
+    def _torque(self, torque: float) -> bytes:
+        """Return the payload of a pure torque command.
 
         Args:
             torque: at the spool [N m].
@@ -238,9 +277,10 @@ class CubemarsDrive:
         Raises:
             ValueError: not finite, or beyond the limit.
         """
-        if not abs(torque) <= self.torque_limit:
-            raise ValueError(f"{self.name}: torque {torque} N m, expected at most {self.torque_limit:g}")
-        return codec.encode_torque(self.direction * torque, self.ranges.torque)
+        try:
+            return self.sent.pack(torque)
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from None
 
     def cut(self) -> tuple[Frame, ...]:
         """Disable at once."""

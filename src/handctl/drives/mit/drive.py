@@ -10,14 +10,15 @@ from dataclasses import dataclass, field
 
 from handctl.drives import recheck
 from handctl.drives.causes import Cause
-from handctl.drives.contract import DriveState, Phase, Want
+from handctl.drives.contract import UNSTEADY, DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
-from handctl.drives.frame import BRS, FDF, Frame, make
+from handctl.drives.frame import BRS, FDF, Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit import settings as registers
 from handctl.drives.mit.progress import CAUSES, CLEAR_TRIES, GONE_NS, MISMATCH, Progress, fault, judge, progress_of
 from handctl.drives.mit.settings import Walk
 from handctl.drives.options import switch
+from handctl.drives.signals import Cyclic, Table
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = Want
@@ -39,7 +40,7 @@ class MitDrive:
         zero: motor angle of the spool's zero [rad].
         timeout: watchdog [50 us].
         flags: of the frames it is sent, 0 for classical CAN.
-        lines: by which feedback is decoded, head: first byte of the usual feedback; both follow from the others.
+        command, feedback: tables of its cyclic frames; follow from the others.
     """
 
     name: str
@@ -51,12 +52,14 @@ class MitDrive:
     zero: float
     timeout: int
     flags: int = 0
-    lines: codec.Lines = field(init=False, repr=False, compare=False)
-    head: int = field(init=False, repr=False, compare=False)
+    command: Table = field(init=False, repr=False, compare=False)
+    feedback: Table = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "lines", codec.lines(self.ranges, self.direction, self.zero))
-        object.__setattr__(self, "head", codec.ENABLED << 4 | self.node_id & 0xF)
+        sent = codec.command_message(self.node_id, self.ranges, self.direction, self.flags)
+        heard = codec.feedback_message(self.reply_id, self.ranges, self.direction, self.zero)
+        object.__setattr__(self, "command", Table(sent))
+        object.__setattr__(self, "feedback", Table(heard))
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "MitDrive":
@@ -139,6 +142,22 @@ class MitDrive:
         """(register, value) that make it the first guard, which are read again while it is enabled."""
         return ((codec.TIMEOUT, self.timeout), (codec.TMAX, self.ranges.torque))
 
+    @property
+    def cyclic(self) -> Cyclic:
+        """Command and answer."""
+        return Cyclic((self.feedback.message,), (self.command.message,))
+
+    def steady_status(self, state: DriveState) -> int:
+        """Return the first byte of the usual feedback: enabled as it was told to, and its number."""
+        progress = progress_of(state)
+        if state.phase != ENABLED or not progress.asked or progress.disabling or progress.check.waiting:
+            return UNSTEADY
+        return codec.ENABLED << 4 | self.node_id & 0xF
+
+    def due_ns(self, state: DriveState) -> int:
+        """Return when a register is to be read again [ns]."""
+        return progress_of(state).check.due_ns
+
     def initial(self) -> DriveState:
         """Silent."""
         return DriveState(private=Progress())
@@ -150,16 +169,12 @@ class MitDrive:
             return state
         if len(data) != 8:
             return state._replace(misread=state.misread + 1)
-        phase, _, _, _, _, _, count, error, text, misread, private = state
-        if phase is ENABLED and private.check.waiting:
+        progress = progress_of(state)
+        if state.phase == ENABLED and progress.check.waiting:
             reply = codec.register_reply(data, self.node_id)
-            if reply is not None and reply[:2] == (codec.READ, self.guards[private.check.step][0]):
-                return self._take_guard(state, private, reply)
-        if phase is ENABLED and data[0] == self.head and private.asked:  # as in nearly every tick
-            _, position, velocity, torque, hot = codec.decode_feedback(data, self.lines)
-            values = (ENABLED, position, velocity, torque, hot, t_ns, count + 1, error, text, misread, private)
-            return make(DriveState, values)
-        if phase != ENABLED or self.node_id >> 4 != codec.ENABLED:
+            if reply is not None and reply[:2] == (codec.READ, self.guards[progress.check.step][0]):
+                return self._take_guard(state, progress, reply)
+        if state.phase != ENABLED or self.node_id >> 4 != codec.ENABLED:
             reply = codec.register_reply(data, self.node_id)
             if reply is not None:
                 return self._take_register(state, reply, t_ns)
@@ -189,7 +204,7 @@ class MitDrive:
 
     def _take_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
         """Values of a feedback frame, and what its state nibble means."""
-        nibble, position, velocity, torque, hot = codec.decode_feedback(data, self.lines)
+        nibble, position, velocity, torque, hot = codec.decode_feedback(data, self.feedback)
         if not progress_of(state).configured:
             position = velocity = torque = math.nan
         known = state._replace(
@@ -205,8 +220,8 @@ class MitDrive:
     def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
         """See ``contract.Drive``."""
         progress: Progress = state.private
-        if want is ENABLE and state.phase is ENABLED and not progress.disabling:
-            command = make(Frame, (self.node_id, self.command(torque), self.flags, self.bus, 0))
+        if want == ENABLE and state.phase == ENABLED and not progress.disabling:
+            command = self._frame(self._torque(torque))
             if t_ns < progress.check.due_ns:
                 return state, (command,)
             state, question = self._ask_guard(state, progress, t_ns)
@@ -259,8 +274,8 @@ class MitDrive:
         known = state._replace(error_text="", private=progress._replace(walk=walk))
         return known, (self._broadcast(data),) if data else ()
 
-    def command(self, torque: float) -> bytes:
-        """Payload of a pure torque command.
+    def _torque(self, torque: float) -> bytes:
+        """Return the payload of a pure torque command.
 
         Args:
             torque: at the spool [N m].
@@ -269,7 +284,7 @@ class MitDrive:
             ValueError: not finite, or beyond TMAX.
         """
         try:
-            return codec.encode_torque(self.direction * torque, self.ranges.torque)
+            return self.command.pack(torque)
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
 

@@ -1,11 +1,17 @@
 """Frames of ODrive CANSimple, firmware 0.6.x: identifiers, bytes <-> values, errors in words.
 
+    identifier  node 6 | command 5
+    payload     little-endian, float32 and integers from byte 0 on
+
 Source: facts, odrive_cansimple; the vendor's DBC ``odrive-cansimple`` 0.6.10.
 """
 
 import math
 import struct
 from typing import NamedTuple
+
+from handctl.drives.frame import REMOTE
+from handctl.drives.signals import Coding, Message, Quantity, Signal
 
 GET_VERSION, HEARTBEAT, ESTOP, RX_SDO, TX_SDO = 0x00, 0x01, 0x02, 0x04, 0x05
 ADDRESS, SET_AXIS_STATE, ENCODER, SET_MODE, SET_TORQUE, SET_LIMITS = 0x06, 0x07, 0x09, 0x0B, 0x0E, 0x0F
@@ -63,6 +69,44 @@ def error_text(errors: int) -> str:
 def result_text(result: int) -> str:
     """The result of a procedure in words."""
     return RESULTS.get(result, f"unknown result {result}")
+
+
+def _float(name: str, quantity: Quantity, first: int, scale: float, offset: float = 0.0, unit: str = "") -> Signal:
+    """Return a float32 that begins with a byte."""
+    return Signal(name, quantity, 8 * first, 32, False, Coding.FLOAT, scale, offset, unit)
+
+
+def encoder_message(node_id: int, ratio: float, zero: float) -> Message:
+    """Return Get_Encoder_Estimates: position [turn] and velocity [turn/s] of the shaft.
+
+    Args:
+        node_id: of the drive. ratio: turns of the shaft per turn of the spool, with the sign of the hand.
+        zero: angle at the shaft of the spool's zero [rad].
+    """
+    turn = math.tau / ratio
+    return Message("encoder_estimates", can_id(node_id, ENCODER), 8, (
+        _float("position", Quantity.POSITION, 0, turn, -zero / ratio, "rad"),
+        _float("velocity", Quantity.VELOCITY, 4, turn, 0.0, "rad/s"),
+    ))  # fmt: skip
+
+
+def torques_message(node_id: int, ratio: float) -> Message:
+    """Return Get_Torques: target and estimate [N m] at the shaft; the estimate counts."""
+    return Message("torques", can_id(node_id, TORQUES), 8, (
+        _float("target", Quantity.UNUSED, 0, ratio, 0.0, "N m"),
+        _float("torque", Quantity.TORQUE, 4, ratio, 0.0, "N m"),
+    ), answers=False)  # fmt: skip
+
+
+def torque_message(node_id: int, ratio: float, limit: float) -> Message:
+    """Return Set_Input_Torque [N m] at the shaft; ``limit``: at the spool [N m]."""
+    signal = _float("torque", Quantity.TORQUE, 0, ratio, 0.0, "N m")
+    return Message("input_torque", can_id(node_id, SET_TORQUE), 4, (signal,), limit=limit)
+
+
+def question(node_id: int, command: int) -> Message:
+    """Return the remote frame that asks for a message."""
+    return Message(f"ask_{command:#04x}", can_id(node_id, command) | REMOTE, 0, answers=False)
 
 
 def heartbeat(data: bytes) -> Heartbeat:

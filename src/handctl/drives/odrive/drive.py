@@ -6,11 +6,11 @@ even be set: with the endpoints of ``settings`` they are, by SDO. Only a heartbe
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from handctl.drives import recheck
 from handctl.drives.causes import Cause
-from handctl.drives.contract import DriveState, Phase, Want
+from handctl.drives.contract import NEVER_NS, UNSTEADY, DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
 from handctl.drives.frame import REMOTE, Frame
 from handctl.drives.odrive import codec
@@ -32,6 +32,7 @@ from handctl.drives.odrive.progress import (
     progress_of,
     take_heartbeat,
 )
+from handctl.drives.signals import Cyclic, Table
 from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = Want
@@ -55,6 +56,7 @@ class OdriveDrive:
         torque_feedback: whether torque is asked for in every tick.
         patience_ns: longest time without a heartbeat [ns].
         old: firmware 0.5, see ``firmware_05``.
+        command, encoder, torques: tables of its cyclic frames; follow from the others.
     """
 
     name: str
@@ -69,6 +71,14 @@ class OdriveDrive:
     torque_feedback: bool
     patience_ns: int
     old: bool = False
+    command: Table = field(init=False, repr=False, compare=False)
+    encoder: Table = field(init=False, repr=False, compare=False)
+    torques: Table = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "command", Table(codec.torque_message(self.node_id, self.ratio, self.torque_limit)))
+        object.__setattr__(self, "encoder", Table(codec.encoder_message(self.node_id, self.ratio, self.zero)))
+        object.__setattr__(self, "torques", Table(codec.torques_message(self.node_id, self.ratio)))
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "OdriveDrive":
@@ -144,6 +154,24 @@ class OdriveDrive:
         """With ``encoder_period_ms`` position is not asked for."""
         return self.cyclic_s
 
+    @property
+    def cyclic(self) -> Cyclic:
+        """Torque, and what is asked for by remote frames."""
+        asked = [codec.ENCODER] * (not self.cyclic_s) + [codec.TORQUES] * self.torque_feedback
+        questions = [codec.question(self.node_id, command) for command in asked]
+        return Cyclic((self.encoder.message, self.torques.message), (self.command.message, *questions))
+
+    def steady_status(self, state: DriveState) -> int:
+        """Return 0: values come without a status, only a heartbeat tells what the drive does."""
+        return 0 if state.phase == ENABLED and progress_of(state).disabling_ns < 0 else UNSTEADY
+
+    def due_ns(self, state: DriveState) -> int:
+        """Return when a heartbeat is overdue, or temperature or a setting is to be asked for [ns]."""
+        progress = progress_of(state)
+        warm = NEVER_NS if self.old else progress.warmed_ns + TEMPERATURE_NS
+        again = progress.check.due_ns if self.settings else NEVER_NS
+        return min(warm, again, progress.heard_ns + self.patience_ns + 1 if progress.heard_ns >= 0 else NEVER_NS)
+
     def initial(self) -> DriveState:
         """Silent."""
         return DriveState(private=Progress(version=self.old))
@@ -170,14 +198,15 @@ class OdriveDrive:
         """Position and velocity, torque, or temperatures."""
         if command == codec.TEMPERATURE and (hottest := codec.hottest(frame.data)) is not None:
             return state._replace(temperature=hottest)
-        values = codec.pair(frame.data)
-        if values is None:
+        table = self.torques if command == codec.TORQUES else self.encoder
+        values = table.unpack(frame.data)
+        if command == codec.TEMPERATURE or any(map(math.isnan, values)):
             return state._replace(misread=state.misread + 1)
         if command == codec.TORQUES:
-            return state._replace(torque=values[1] * self.ratio)
+            return state._replace(torque=values[0])
         return state._replace(
-            position=(values[0] * math.tau - self.zero) / self.ratio,
-            velocity=values[1] * math.tau / self.ratio,
+            position=values[0],
+            velocity=values[1],
             feedback_t_ns=frame.t_ns,
             feedback_count=state.feedback_count + 1,
         )
@@ -321,9 +350,10 @@ class OdriveDrive:
         return state, (self._frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),)
 
     def _torque(self, torque: float) -> Frame:
-        if not abs(torque) <= self.torque_limit:
-            raise ValueError(f"{self.name}: torque {torque} N m, expected at most {self.torque_limit:g}")
-        return self._frame(codec.SET_TORQUE, codec.floats(torque / self.ratio))
+        try:
+            return self._frame(codec.SET_TORQUE, self.command.pack(torque))
+        except ValueError as error:
+            raise ValueError(f"{self.name}: {error}") from None
 
     def leave(self, state: DriveState) -> tuple[Frame, ...]:
         """Disabled, its watchdog watches nothing."""

@@ -1,5 +1,8 @@
 """The sensor node: load cells and joint encoders, in frames of our own (``sensor_node.dbc``).
 
+    SYNC   counter 8
+    frame  counter 4 | channel 12 | channel 12 | channel 12 | channel 12 | channel 12
+
 The host sends SYNC with a counter byte; the node samples at once and answers with the low four bits of that byte in
 every frame, so that a stale frame cannot pass for a fresh one. Successive counters do not repeat with period 16: see
 ``counters``. Up to five channels of 12 bits a frame,
@@ -9,11 +12,11 @@ turn a count from -180 degrees; joint frames come on every SYNC whose counter is
 
 import functools
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, Self
+from typing import Protocol, Self
 
 from handctl.drives.frame import Frame
+from handctl.drives.signals import Message, Quantity, Signal
 
 CHANNELS = 5
 CHANNEL_BITS = 12
@@ -51,40 +54,6 @@ class SensorDescription(Protocol):
     def joints(self) -> tuple[str, ...]: ...
     @property
     def joint_decimation(self) -> int: ...
-
-
-class Group(NamedTuple):
-    """The latest frame of one identifier.
-
-    Attributes:
-        counter: its four bits; -1 before the first.
-        t_ns: reception [ns]; -1 before the first.
-        frames: accepted so far.
-        raw: channel values.
-    """
-
-    counter: int = -1
-    t_ns: int = -1
-    frames: int = 0
-    raw: tuple[int, ...] = ()
-
-
-class SensorState(NamedTuple):
-    """What is known of the node.
-
-    Attributes:
-        groups: one per frame identifier, tension frames first.
-        asked: low four bits of the last SYNC; -1 before the first.
-        stale: frames whose counter was not the one asked for.
-        misread: frames of a wrong shape on the node's identifiers.
-        syncs: SYNCs so far.
-    """
-
-    groups: tuple[Group, ...]
-    asked: int = -1
-    stale: int = 0
-    misread: int = 0
-    syncs: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,85 +136,43 @@ class SensorNode:
         rates = [1.0] * self.tension_frames + [1.0 / self.decimation] * (len(self.ids) - self.tension_frames)
         return ((1, 1.0), *zip(self.lengths, rates, strict=True))
 
-    def initial(self) -> SensorState:
-        """State before anything was heard."""
-        return SensorState((Group(),) * len(self.ids))
+    @property
+    def messages(self) -> tuple[Message, ...]:
+        """Its frames as tables of signals, in the order of ``ids``; a channel is the index of its tendon or joint."""
+        found = []
+        for g, (can_id, channels, length) in enumerate(zip(self.ids, self.channels, self.lengths, strict=True)):
+            tensions = g < self.tension_frames
+            signals = [Signal("counter", Quantity.COUNTER, 0, COUNTER_BITS)]
+            signals += [_channel(place, index, tensions) for place, index in enumerate(channels)]
+            name = f"tensions_{g}" if tensions else f"joints_{g - self.tension_frames}"
+            found.append(Message(name, can_id, length, tuple(signals)))
+        return tuple(found)
 
-    def sync(self, state: SensorState, k: int) -> tuple[SensorState, Frame]:
-        """SYNC of tick k; answers to it will carry its counter."""
-        counter = self.counters[k % len(self.counters)]
-        return state._replace(asked=counter & 0xF, syncs=state.syncs + 1), Frame(
-            self.sync_id, bytes((counter,)), bus=self.bus
-        )
+    def counter(self, k: int) -> int:
+        """Return the counter byte of the SYNC of tick k; answers carry its low four bits."""
+        return self.counters[k % len(self.counters)]
 
-    def receive(self, state: SensorState, frame: Frame) -> SensorState:
-        """Take in a frame; what is not the node's leaves the state as it is. Never raises on wire data."""
-        can_id, data, _, bus, t_ns = frame
-        if bus != self.bus or can_id not in self.ids:
-            return state
-        index = self.ids.index(can_id)
-        if len(data) != self.lengths[index]:
-            return state._replace(misread=state.misread + 1)
-        bits = int.from_bytes(data, "little")
-        if bits & 0xF != state.asked:
-            return state._replace(stale=state.stale + 1)
-        groups, asked, *counts = state
-        raw = tuple([bits >> shift & FULL for shift in SHIFTS[: len(self.channels[index])]])
-        new = Group(asked, t_ns, groups[index].frames + 1, raw)
-        return SensorState((*groups[:index], new, *groups[index + 1 :]), asked, *counts)
+    def sync(self, k: int) -> Frame:
+        """Return the SYNC of tick k."""
+        return Frame(self.sync_id, bytes((self.counter(k),)), bus=self.bus)
 
-    def new_tensions(self, before: SensorState, now: SensorState) -> list[tuple[int, float]]:
-        """(tendon index, tension [N]) of every channel that was read since ``before``."""
-        fresh = self._fresh(before, now, slice(self.tension_frames))
-        return [(i, TENSION_ZERO_N + raw * TENSION_STEP_N) for i, raw in fresh]
+    def group_of_tendon(self, index: int) -> int:
+        """Return the frame that carries a tendon's load cell; -1 without one."""
+        return self.frame_of[index]
 
-    def new_joints(self, before: SensorState, now: SensorState) -> list[tuple[int, float]]:
-        """(joint index, angle [rad]) of every channel that was read since ``before``."""
-        fresh = self._fresh(before, now, slice(self.tension_frames, None))
-        return [(i, (raw - JOINT_ZERO) * JOINT_STEP_RAD) for i, raw in fresh]
+    def group_of_joint(self, index: int) -> int:
+        """Return the frame that carries a joint's encoder; -1 without one."""
+        groups = range(self.tension_frames, len(self.ids))
+        return next((g for g in groups if index in self.channels[g]), -1)
 
-    def lost(self, state: SensorState) -> int:
-        """Return how many tension frames never came, those of the last SYNC aside, which may be on their way."""
-        came = sum(group.frames for group in state.groups[: self.tension_frames])
-        return max(0, (state.syncs - 1) * self.tension_frames - came - state.stale)
 
-    def latest_joints(self, state: SensorState) -> list[tuple[int, float, int]]:
-        """Return joint index, angle [rad] and time of reception [ns] of the latest reading of each joint."""
-        frames = zip(self.channels[self.tension_frames :], state.groups[self.tension_frames :], strict=True)
-        return [
-            (index, (raw - JOINT_ZERO) * JOINT_STEP_RAD, group.t_ns)
-            for channels, group in frames
-            for index, raw in zip(channels, group.raw, strict=False)
-        ]
-
-    def all_read(self, state: SensorState) -> bool:
-        """Whether the load cell of every tendon was read at least once."""
-        return all(frame >= 0 and state.groups[frame].frames > 0 for frame in self.frame_of)
-
-    def tension_times(self, state: SensorState) -> tuple[int, ...]:
-        """Reception of each tendon's latest reading [ns], -1 before the first; (N,) in the hand's order.
-
-        A tendon without a load cell has the node's latest one, so that it is never missed alone.
-        """
-        times = [group.t_ns for group in state.groups[: self.tension_frames]]
-        times.append(max(times, default=-1))
-        return tuple([times[frame] for frame in self.frame_of])
-
-    def joint_times(self, state: SensorState) -> list[tuple[int, int]]:
-        """Of each joint frame its first joint, and the reception of its latest reading [ns], -1 before the first."""
-        frames = slice(self.tension_frames, None)
-        rows = zip(self.channels[frames], state.groups[frames], strict=True)
-        return [(channels[0], group.t_ns) for channels, group in rows]
-
-    def _fresh(self, before: SensorState, now: SensorState, which: slice) -> list[tuple[int, int]]:
-        """Tendon or joint, and raw value, of each channel of the frames that came since."""
-        rows = zip(before.groups[which], now.groups[which], self.channels[which], strict=True)
-        return [
-            pair
-            for old, new, channels in rows
-            if new.frames != old.frames
-            for pair in zip(channels, new.raw, strict=True)
-        ]
+def _channel(place: int, index: int, tension: bool) -> Signal:
+    """Return one channel of a frame, at its place after the counter."""
+    if tension:
+        return Signal(f"tension_{place}", Quantity.TENSION, SHIFTS[place], CHANNEL_BITS, scale=TENSION_STEP_N,
+                      offset=TENSION_ZERO_N, unit="N", channel=index)  # fmt: skip
+    return Signal(f"angle_{place}", Quantity.ANGLE, SHIFTS[place], CHANNEL_BITS, scale=JOINT_STEP_RAD,
+                  offset=-JOINT_ZERO * JOINT_STEP_RAD, unit="rad", channel=index)  # fmt: skip
 
 
 @functools.lru_cache(maxsize=16)
@@ -270,11 +197,6 @@ def counters(decimation: int) -> bytes:
         made.append(by_nibble[k % decimation][nibble])
         recent = [*recent[2 - DISTINCT :], nibble]
     return bytes(made)
-
-
-def saturated(cells: Iterable[tuple[int, float]]) -> tuple[int, ...]:
-    """Those of (tendon index, tension [N]) whose channel is empty or full."""
-    return tuple([index for index, value in cells if not TENSION_ZERO_N < value < TENSION_TOP_N])
 
 
 def _groups(channels: list[int]) -> list[tuple[int, ...]]:

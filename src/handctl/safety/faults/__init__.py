@@ -1,1 +1,3 @@
-"""The fault table: every fault declared, by where it comes from."""
+"""The fault declarations, imported in the order of the catalogue, which gives each fault its index."""
+
+from handctl.safety.faults import bus, node, tendon, host  # noqa: F401, I001 - their order is that of the catalogue

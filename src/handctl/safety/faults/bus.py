@@ -1,115 +1,112 @@
 """Rows B01 to B18: what goes wrong on the way."""
 
-from collections.abc import Sequence
-
 from handctl.safety.action import Action, Release
-from handctl.safety.faults.fault import ITSELF, NOTHING, PERSON, Fault, Reading, above, io
-from handctl.safety.signals import Limits, Signals
+from handctl.safety.faults.fault import (
+    ARMING,
+    DETECTED,
+    HAND,
+    ITSELF,
+    LOST,
+    MOTOR,
+    NODE,
+    OPERATOR,
+    REPLACED,
+    TICK,
+    fault,
+    row,
+)
+from handctl.safety.limits import LOAD_CELLS, SILENT_S, SILENT_TICKS_LEAST
 
-WINDOW = 100
-"""Ticks over which losses are counted."""
-SOME, MANY = 20, 40
-"""Losses of the last 100 that hold the hand, and that relax it."""
-MISSHAPEN_MOST, UNKNOWN_MOST = 3, 50.0
-"""Misshapen frames of a node in 20 ticks; frames a second with identifiers that nobody has."""
+WINDOW, SHORT = 100, 20
+"""Ticks over which losses, and misshapen frames, are counted."""
+LOST_SOME, LOST_MANY = 20, 40
+"""Losses of the last ``WINDOW`` ticks that hold the hand, and that relax it."""
+MISSHAPEN_LIMIT = 3
+"""Misshapen frames of a node in ``SHORT`` ticks."""
+UNKNOWN_LIMIT = 50.0
+"""Frames with unknown identifiers a second."""
 UNANSWERED = ("no acknowledge", "bus error", "protocol")
 """Error frames of a bus on which nobody hears this host."""
 
+_COUNTER = f"{REPLACED}: load cells by their counter; a drive's answer has none, N14"
+_ORDER = f"{REPLACED}: load cells by their counter; drives have none"
+_CRC = f"{REPLACED}: no checksum of its own; wrong length, numbers that are none, and jumps (N05) are noticed"
+_BESIDE = f"{LOST}: cyclic messages come beside the answers"
+SILENT_WHY = "30 ms of silence: a busy host is late now and then; while other motors answer, it is 4 ticks (B17)"
+_SILENCE = f"for {SILENT_S * 1e3:g} ms, at least {SILENT_TICKS_LEAST} ticks in a row"
 
-def _motor_late(limits: Limits, s: Signals) -> Sequence[Reading]:
-    """In ticks that this host missed it asked for nothing."""
-    return above(limits.motors, s.motor_age, s.missed) if s.armed else NOTHING
+row("B01", "one frame lost", ticks=2, asked=2)
+B01 = fault("B01", "a reply is missing", "feedback older than one tick", Action.WARN, ITSELF, MOTOR)
 
+row("B02", "several in a row lost", ticks=1, ms=30, asked=5, why=SILENT_WHY)
+B02 = fault("B02", "a motor has gone silent", f"no reply {_SILENCE}", Action.RELAX, OPERATOR, MOTOR)
 
-def _motor_silent(limits: Limits, s: Signals) -> Sequence[Reading]:
-    return above(limits.motors, s.motor_age, limits.silent_ticks - 1) if s.armed else NOTHING
+row("B03", "intermittent loss", ticks=102, asked=102)
+B03A = fault("B03a", "replies get lost", f"more than {LOST_SOME} of the last {WINDOW} missing", Action.HOLD, ITSELF,
+             NODE)  # fmt: skip
+B03B = fault("B03b", "many replies get lost", f"more than {LOST_MANY} of the last {WINDOW} missing", Action.RELAX,
+             OPERATOR, NODE)  # fmt: skip
 
+row("B04", "delay", TICK, _COUNTER, _COUNTER, _COUNTER, ticks=4, asked=4)
+B04 = fault("B04", "a delayed frame", "an answer of the load cells to an older SYNC", Action.WARN, ITSELF, HAND,
+            name=LOAD_CELLS)  # fmt: skip
 
-def _one_silent(limits: Limits, s: Signals) -> Sequence[Reading]:
-    """Some nodes are silent while others answer."""
-    late = above(limits.motors, s.motor_age, limits.one_silent_ticks - 1) if s.armed else NOTHING
-    return late if late and min(s.motor_age) == 0 else NOTHING
+row("B05", "duplicate, same bytes", odrive=_BESIDE, ticks=2, asked=2)
+B05 = fault("B05", "a duplicate frame", "more answers than questions, of the same bytes", Action.WARN, ITSELF, NODE)
 
+row("B06", "duplicate, other bytes", odrive=_BESIDE, ticks=2, asked=2)
+B06 = fault("B06", "a masquerade", "more answers than questions, of other bytes", Action.RELAX, OPERATOR, NODE,
+            release=Release.OPEN)  # fmt: skip
 
-def _lost_some(limits: Limits, s: Signals) -> Sequence[Reading]:
-    return above(limits.nodes, s.lost, SOME) if s.armed and s.lost and max(s.lost) > SOME else NOTHING
+row("B07", "reordering", TICK, _ORDER, _ORDER, _ORDER, ticks=2, asked=2)
+B07 = fault("B07", "frames overtake", "a stale load-cell frame arrives after the fresh one", Action.WARN, ITSELF, HAND,
+            name=LOAD_CELLS)  # fmt: skip
 
+row("B08", "corruption above the CAN CRC", TICK, _CRC, _CRC, _CRC, ticks=4, asked=4)
+B08 = fault("B08", "corrupt payloads", f"{MISSHAPEN_LIMIT} frames of a node in {SHORT} ticks cannot be read",
+            Action.RELAX, OPERATOR, NODE)  # fmt: skip
 
-def _lost_many(limits: Limits, s: Signals) -> Sequence[Reading]:
-    return above(limits.nodes, s.lost, MANY) if s.armed and s.lost and max(s.lost) > MANY else NOTHING
+row("B09", "wrong length, RTR, 29 bit, FD", ticks=2, asked=2)
+B09 = fault("B09", "a frame of a wrong shape", "length, RTR, 29 bit or non-numeric values", Action.WARN, ITSELF, NODE)
 
+row("B10", "unknown identifiers", ticks=2, ms=51, asked=2,
+    why="counted from the first strange frame, one a millisecond; 51 of them within a second are too many")  # fmt: skip
+B10 = fault("B10", "unknown identifiers", f"more than {UNKNOWN_LIMIT:g} frames a second with unassigned identifiers",
+            Action.WARN, ITSELF, HAND, name="bus")  # fmt: skip
 
-def _delayed(limits: Limits, s: Signals) -> Sequence[Reading]:
-    return [(name, late) for name, late in s.stale if not late] if s.armed and s.stale else NOTHING
+row("B11", "babbling idiot", ticks=3, asked=3)
+B11A = fault("B11a", "a flooded bus", "more frames than all nodes can send, two ticks", Action.RELAX, OPERATOR, HAND,
+             debounce=2, name="bus")  # fmt: skip
+B11B = fault("B11b", "a flood that lasts", "the same for ten ticks", Action.CUT, OPERATOR, HAND, debounce=10,
+             name="bus")  # fmt: skip
 
+row("B12", "bus off", ticks=1, asked=1)
+fault("B12", "bus off", "the interface reports bus-off", Action.CUT, OPERATOR, reports=("bus_off",))
 
-def _overtaken(limits: Limits, s: Signals) -> Sequence[Reading]:
-    return [(name, late) for name, late in s.stale if late] if s.armed and s.stale else NOTHING
+row("B13", "error-warning, error-passive", ticks=21, asked=21)
+fault("B13a", "bus errors", "the interface reports error-warning or -passive", Action.WARN, ITSELF,
+      reports=("error_warning", "error_passive"))  # fmt: skip
+fault("B13b", "bus error-passive", "interface error-passive, 20 ticks", Action.RELAX, OPERATOR, debounce=20,
+      reports=("error_passive",))  # fmt: skip
 
+row("B14", "interface down", ticks=1, asked=1)
+fault("B14", "bus lost", "the interface is down", Action.CUT, OPERATOR, reports=("enetdown",))
 
-def _same_twice(limits: Limits, s: Signals) -> Sequence[Reading]:
-    return [(name, other) for name, other in s.twice if not other] if s.armed and s.twice else NOTHING
+row("B15", "send queue full", ticks=3, asked=3)
+fault("B15", "send queue full", "the interface refuses frames, two ticks", Action.RELAX, OPERATOR, debounce=2,
+      reports=("enobufs",))  # fmt: skip
 
+row("B16", "adapter unplugged", ticks=1, asked=1)
+fault("B16", "adapter unplugged", "the interface has gone", Action.CUT, OPERATOR, reports=("enodev", "ebadf"))
 
-def _other_twice(limits: Limits, s: Signals) -> Sequence[Reading]:
-    return [(name, other) for name, other in s.twice if other] if s.armed and s.twice else NOTHING
+row("B17", "some nodes do not hear", TICK, f"{REPLACED}: no answer for four ticks while others answer",
+    f"{REPLACED}: its cyclic messages go on; counted losses (B03), or its watchdog (N08) by the heartbeat",
+    f"{REPLACED}: RPDOs are not confirmed; the drive's time-out of the master (N08)",
+    ticks=4, odrive_ms=160, asked=4)  # fmt: skip
+B17 = fault("B17", "some nodes do not hear",
+            f"a motor misses {SILENT_TICKS_LEAST} ticks in a row while others answer", Action.RELAX, OPERATOR,
+            MOTOR)  # fmt: skip
 
-
-def _misshapen_often(limits: Limits, s: Signals) -> Sequence[Reading]:
-    if not s.armed or not s.misshapen:
-        return NOTHING
-    return [(name, count) for name, count in s.misshapen if count >= MISSHAPEN_MOST]
-
-
-def _misshapen(limits: Limits, s: Signals) -> Sequence[Reading]:
-    return s.misshapen if s.armed else NOTHING
-
-
-def _unknown(limits: Limits, s: Signals) -> Sequence[Reading]:
-    return (("bus", s.unknown),) if s.unknown > UNKNOWN_MOST else NOTHING
-
-
-def _flooded(limits: Limits, s: Signals) -> Sequence[Reading]:
-    return (("bus", float(s.frames)),) if s.armed and s.frames > limits.frames_most * (1 + s.missed) else NOTHING
-
-
-def _alone(limits: Limits, s: Signals) -> Sequence[Reading]:
-    if s.armed or s.heard or not s.io:
-        return NOTHING
-    found = [(w, n) for kind, w, n in s.io if kind == "error_frame" and any(word in w for word in UNANSWERED)]
-    return [(where, float(number)) for where, number in found[:1]]
-
-
-BUS_FAULTS: tuple[Fault, ...] = (
-    Fault("B01", "a reply is missing", "feedback older than one tick", 1, Action.WARN, ITSELF, _motor_late),
-    Fault("B02", "a motor has gone silent", "no reply for 30 ms, at least four in a row", 1, Action.RELAX, PERSON,
-          _motor_silent),
-    Fault("B03a", "replies get lost", "more than 20 of the last 100 missing", 1, Action.HOLD, ITSELF, _lost_some),
-    Fault("B03b", "many replies get lost", "more than 40 of the last 100 missing", 1, Action.RELAX, PERSON, _lost_many),
-    Fault("B04", "a delayed frame", "an answer of the load cells to an older SYNC", 1, Action.WARN, ITSELF, _delayed),
-    Fault("B05", "a frame came twice", "more answers than questions, of the same bytes", 1, Action.WARN, ITSELF,
-          _same_twice),
-    Fault("B06", "a masquerade", "more answers than questions, of other bytes", 1, Action.RELAX, PERSON, _other_twice,
-          Release.OPEN),
-    Fault("B07", "frames overtake", "a stale load-cell frame arrives after the fresh one", 1, Action.WARN, ITSELF,
-          _overtaken),
-    Fault("B08", "corrupt payloads", "three frames of a node in 20 ticks cannot be read", 1, Action.RELAX, PERSON,
-          _misshapen_often),
-    Fault("B09", "a frame of a wrong shape", "length, RTR, 29 bit or non-numeric values", 1, Action.WARN,
-          ITSELF, _misshapen),
-    Fault("B10", "unknown identifiers", "more than 50 frames a second with unassigned identifiers", 1, Action.WARN,
-          ITSELF, _unknown),
-    Fault("B11a", "a flooded bus", "more frames than all nodes can send, two ticks", 2, Action.RELAX, PERSON, _flooded),
-    Fault("B11b", "a flood that lasts", "the same for ten ticks", 10, Action.CUT, PERSON, _flooded),
-    Fault("B12", "bus off", "the interface reports bus-off", 1, Action.CUT, PERSON, io("bus_off")),
-    Fault("B13a", "bus errors", "the interface reports error-warning or -passive", 1, Action.WARN, ITSELF,
-          io("error_warning", "error_passive")),
-    Fault("B13b", "bus error-passive", "interface error-passive, 20 ticks", 20, Action.RELAX, PERSON,
-          io("error_passive")),
-    Fault("B14", "bus lost", "the interface is down", 1, Action.CUT, PERSON, io("enetdown")),
-    Fault("B15", "send queue full", "the interface refuses frames, two ticks", 2, Action.RELAX, PERSON, io("enobufs")),
-    Fault("B16", "adapter unplugged", "the interface has gone", 1, Action.CUT, PERSON, io("enodev", "ebadf")),
-    Fault("B17", "some nodes do not hear", "a motor misses four ticks in a row while others answer", 1, Action.RELAX,
-          PERSON, _one_silent),
-    Fault("B18", "alone on the bus", "error frames and no answer, before arming", 20, Action.RELAX, PERSON, _alone),
-)  # fmt: skip
+row("B18", "alone on the bus", ARMING, tried="tests/safety/test_reported.py")
+fault("B18", "alone on the bus", "error frames and no answer, before arming", Action.RELAX, OPERATOR, debounce=20,
+      reports=("error_frame",))  # fmt: skip

@@ -1,16 +1,24 @@
-"""The fault table: what is detected, how long it may last, what is done, and who may clear it.
+"""The fault table as it was declared, and what the compiled judgement needs of it."""
 
-One row a fault (or a stage of one); the identifiers are those of the project's fault catalogue. A detector is a pure
-function of one tick's ``Signals``. Debounce, latch and the choice of the action are in ``judge``; what a row needs to
-know of the past is counted and filtered in ``watch``.
-"""
+import numpy as np
 
-from handctl.safety.faults.bus import BUS_FAULTS
-from handctl.safety.faults.fault import Fault
-from handctl.safety.faults.host import HOST_FAULTS
-from handctl.safety.faults.node import NODE_FAULTS
-from handctl.safety.faults.tendon import TENDON_FAULTS
+from handctl.safety.faults import fault as declared
+from handctl.safety.faults.fault import Fault, Row
 
-TABLE: tuple[Fault, ...] = (*BUS_FAULTS, *NODE_FAULTS, *TENDON_FAULTS, *HOST_FAULTS)
-"""All rows, in the order of the catalogue."""
+TABLE: tuple[Fault, ...] = tuple(declared.TABLE)
+"""All faults, in the order of the catalogue."""
 BY_ID = {fault.id: fault for fault in TABLE}
+CATALOGUE: tuple[Row, ...] = tuple(declared.CATALOGUE)
+"""All rows of the catalogue."""
+
+FOUND: tuple[tuple[Fault, str], ...] = tuple(declared.FOUND)
+"""Fault and kind of instance of each row of what the detectors find."""
+DEBOUNCE = np.array([fault.debounce for fault, _ in FOUND], dtype=np.int64)
+ACTIONS = np.array([int(fault.action) for fault, _ in FOUND], dtype=np.int64)
+"""(rows,) consecutive ticks before each counts, and what it demands."""
+
+REPORTS: dict[str, tuple[Fault, ...]] = {
+    kind: tuple(fault for fault in TABLE if kind in fault.reports)
+    for kind in dict.fromkeys(kind for fault in TABLE for kind in fault.reports)
+}
+"""Faults that a report of a bus, the host or the recorder means."""

@@ -1,0 +1,196 @@
+"""Everything about one hand that the kernels read and no tick changes, as one block beside the block of the state.
+
+``HandConstants`` fills it from a ``HandModel`` and the drives' and sensors' constants; ``constant_tables`` gives kernels
+the tables by name. New gains make a new block.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import inner
+from handctl.core.schema import Block, Places, Schema
+
+AXES = ("tendon", "joint", "digit", "coordinate", "kind", "element", "place", "run")
+TABLES = (
+    "tendon", "joint", "digit", "run", "joint*tendon", "tendon*joint", "joint*joint", "joint*coordinate",
+    "tendon*coordinate", "place*joint*joint", "place*joint", "tendon*kind*element",
+    "tendon_int", "joint_int", "digit_int", "run_int",
+)  # fmt: skip
+
+HAND = Schema(*TABLES)
+_real, _whole = HAND.real, HAND.whole
+
+# Tendons and motors, at the spool.
+MOTOR_MASS = _real("motor_mass", "tendon", "kg", "reflected rotor inertia")
+MOTOR_DAMPING = _real("motor_damping", "tendon", "N s/m", "of the motor")
+COULOMB = _real("coulomb", "tendon", "N", "motor friction")
+STIFFNESS = _real("stiffness", "tendon", "N/m", "of the tendon")
+LOAD_STIFFNESS = _real("load_stiffness", "tendon", "N/m", "return springs along the tendon")
+LOAD_DAMPING = _real("load_damping", "tendon", "N s/m", "joint damping along the tendon")
+SPOOL = _real("spool", "tendon", "m", "radius")
+TARE = _real("tare", "tendon", "N", "load-cell tare")
+ZERO = _real("zero", "tendon", "rad", "motor zero")
+CAPSTAN = _real("capstan", "tendon", "", "friction coefficient of the pulleys")
+WRAP = _real("wrap", "tendon", "rad", "wrap angle before the first joint pulley")
+FLOOR = _real("floor", "tendon", "N", "smallest tension")
+CEILING = _real("ceiling", "tendon", "N", "largest tension")
+TORQUE_GAIN = _real("torque_gain", "tendon", "", "torque at the spool over what the drive is told")
+DIGIT = _whole("digit", "tendon", "", "index of the tendon's digit")
+
+# Control law.
+LIMIT = _real("limit", "tendon", "N", "largest motor force")
+UNWIND = _real("unwind", "tendon", "N", "smallest motor force")
+MASS = _real("mass", "tendon", "kg", "mass that the feedback accelerates")
+INERTIA = _real("inertia", "tendon", "kg", "mass that the trajectory's acceleration moves")
+ERROR_GAIN = _real("error_gain", "tendon", "1/s2", "motion loop: acceleration per excursion error")
+SPEED_GAIN = _real("speed_gain", "tendon", "1/s", "motion loop: acceleration per speed error")
+TENSION_GAIN = _real("tension_gain", "tendon", "", "tension loop: force per newton of error")
+TENSION_SPEED_GAIN = _real("tension_speed_gain", "tendon", "N s/m", "tension loop: force per speed")
+HALF = _real("half", "tendon", "m/(N s)", "speed that a force makes in half a period")
+STOPPING = _real("stopping", "tendon", "m/s", "scale of speeds that motor friction stops within a period")
+EXACT = _whole("exact", "tendon", "", "a joint torque asks one tension and no other")
+REJECTION = _real("rejection", "run", "", "fraction of the disturbance that is cancelled")
+FRICTION_FRACTION = _real("friction_fraction", "run", "", "fraction of pulley friction that is made up for")
+TENSION_FEEDBACK = _real("tension_feedback", "run", "", "inner tension loop of a moving digit")
+INTEGRAL_GAIN = _real("integral_gain", "run", "", "tension loop: integral gain times the period")
+PERIOD = _real("period", "run", "s", "control period")
+TRIM_KEPT = _real("trim_kept", "run", "", "fraction of a trim that is left after a tick")
+
+# Joints and links.
+SPRING = _real("spring", "joint", "N m/rad", "return spring")
+PRELOAD = _real("preload", "joint", "rad", "of the spring")
+JOINT_DAMPING = _real("joint_damping", "joint", "N m s/rad", "viscous")
+WEIGHT_X = _real("weight_x", "joint", "N m", "first moment of mass that turns with a link times gravity in its plane")
+WEIGHT_Y = _real("weight_y", "joint", "N m", "the same, across")
+LOW = _real("low", "joint", "rad", "smallest angle")
+HIGH = _real("high", "joint", "rad", "largest angle")
+RANGE_SIGMA = _real("range_sigma", "joint", "rad", "standard deviation of an angle anywhere in the range")
+ENCODER_VARIANCE = _real("encoder_variance", "joint", "rad2", "of a joint encoder's reading")
+LOOSE = _whole("loose", "joint", "", "the joint has an encoder and its digit a null space")
+LINKS = _real("links", "digit", "", "constants of the equations of motion, see LinkConstants", rows=12)
+GRAVITY = _real("gravity", "digit", "m/s2", "gravity in the digit's plane", rows=2)
+JOINTS_FIRST = _whole("joints_first", "digit", "", "first joint")
+JOINTS_END = _whole("joints_end", "digit", "", "joint after the last")
+TENDONS_FIRST = _whole("tendons_first", "digit", "", "first tendon")
+TENDONS_END = _whole("tendons_end", "digit", "", "tendon after the last")
+COORDINATES_FIRST = _whole("coordinates_first", "digit", "", "first coordinate")
+COORDINATES_END = _whole("coordinates_end", "digit", "", "coordinate after the last")
+
+# Structure.
+EXCURSION_TO_JOINTS = _real("excursion_to_joints", "joint*tendon", "rad/m", "joint angles of an excursion")
+POSTURE_TORQUE = _real("posture_torque", "joint*tendon", "m", "joint torque of tensions in the digits' coordinates")
+MOVES = _real("moves", "joint*tendon", "", "1 where a joint angle follows from a tendon's excursion")
+MOMENT_ARMS = _real("moment_arms", "tendon*joint", "m", "moment arms R")
+TORQUE_TO_TENSION = _real("torque_to_tension", "tendon*joint", "1/m", "smallest tensions that make a torque")
+PULLEY_WEIGHT = _real("pulley_weight", "tendon*joint", "", "fraction of each pulley in a tendon's moment arms")
+COUPLING = _real("coupling", "joint*coordinate", "", "joint angles of coordinates")
+TIP_REACH = _real("tip_reach", "joint*coordinate", "m", "lever of a link along the last one about each coordinate")
+REDUCED_ARMS = _real("reduced_arms", "tendon*coordinate", "m", "moment arms about coordinates")
+TIP_AHEAD = _real("tip_ahead", "joint*joint", "", "angles from a link to the last one of its digit")
+TIP_BEYOND = _real("tip_beyond", "joint*joint", "m", "lever of a link along the last one about each joint")
+
+# Posture in the null space.
+COMPLIANCE = _real("compliance", "joint*joint", "rad/(N m)", "joint angles per torque at constant excursion")
+SPREAD = _real("spread", "joint*joint", "", "joint torques in the digits' coordinates and back")
+SAME_DIGIT = _real("same_digit", "joint*joint", "", "1 where two joints are of one digit")
+PLACE_AHEAD = _real("place_ahead", "place*joint*joint", "", "angles from each link to the one that is touched")
+PLACE_REACH = _real("place_reach", "place*joint*joint", "m", "distance along each link that a force acts over")
+PLACE_WEIGHT = _real("place_weight", "place*joint", "", "probability of each place")
+EXCURSION_VARIANCE = _real("excursion_variance", "tendon", "m2", "of an excursion, that of the stretch aside")
+TURN_FRACTION = _real("turn_fraction", "run", "", "fraction of a new turn in the smoothed one")
+PRESSED_KEPT = _real("pressed_kept", "run", "", "fraction of a contact that is left after a tick")
+NULL_SPACE = _whole("null_space", "run", "", "a digit has a null space")
+JOINTS_FUSED = _whole("joints_fused", "run", "", "a joint of such a digit has an encoder")
+POSTURE_TICKS = _whole("posture_ticks", "run", "", "ticks from one estimate in the null space to the next")
+
+# Tension filter: blocks of a tendon in one kind (a regime, or 3 and a regime in doubt), element by element.
+DESIGN = _real("design", "tendon*kind*element", "", "blocks of the filter, see the elements below")
+F_AT, B_AT, K_AT, Q_AT, R_AT, P_AT, H_AT = 0, 49, 63, 84, 133, 135, 184
+TENSION_AT, INFORMATION_AT, VARIANCE_AT, CELL_SIGMA_AT, DRIFT_AT, KNOWN_AT = 205, 212, 215, 216, 217, 218
+ELEMENTS = 219
+"""First element of F (7, 7), B (7, 2), K (7, 3), Q (7, 7), R (2), P (7, 7), H (3, 7), of the tension row (7), of the
+innovations' inverse covariance (encoder squared, twice the product, load cell squared), and single numbers."""
+KINDS = 6
+
+# Contact and grip: fractions of what is new that averages take in a tick.
+FELT_FRACTION = _real("felt_fraction", "run", "", "of the force felt")
+USUAL_FRACTION = _real("usual_fraction", "run", "", "of its mean")
+DRIFT_FRACTION = _real("drift_fraction", "run", "", "of its long mean")
+FAST_FRACTION = _real("fast_fraction", "run", "", "of a grip's quick average")
+SLOW_FRACTION = _real("slow_fraction", "run", "", "of its slow average")
+
+# Touch and monitor.
+TOUCH_KEPT = _real("touch_kept", "run", "", "fraction of the smoothed unexplained tension that is kept in a tick")
+STEP_LIMIT = _real("step_limit", "tendon", "rad", "largest step of a motor position in a period")
+JOINT_STEP_LIMIT = _real("joint_step_limit", "joint", "rad", "largest step of a joint angle in a period")
+RESIDUAL_FRACTION = _real("residual_fraction", "tendon", "", "fraction of what is new in each low-passed residual",
+                          rows=8)  # fmt: skip
+ARMS_SUM = _real("arms_sum", "tendon", "m", "sum of a tendon's moment arms")
+MOTOR_PERIOD = _real("motor_period", "tendon", "s", "how often the motor tells its position")
+JOINT_PERIOD = _real("joint_period", "run", "s", "how often joints are read")
+TENSION_TRIP = _real("tension_trip", "tendon", "N", "tension of one sample that means relax")
+DRIVE_LIMIT = _real("drive_limit", "tendon", "N", "tension that the drive's own torque limit can make")
+NOISE_LIMIT = _real("noise_limit", "run", "rad2", "mean squared jerk of a motor's position that means noise")
+TEMPERATURE_SOFT = _real("temperature_soft", "run", "degC", "from here on a tendon's limit falls")
+TEMPERATURE_HARD = _real("temperature_hard", "run", "degC", "here it has fallen to the floor")
+TENSION_RAIL = _real("tension_rail", "run", "N", "reading at which a load cell may be saturated")
+TENSION_LOW = _real("tension_low", "run", "N", "reading, after any tare, that no tendon can make")
+CYCLIC_NS = _whole("cyclic_ns", "tendon", "ns", "how often feedback comes by itself; 0 if every tick asks for it")
+ANSWERS_ONCE = _whole("answers_once", "tendon", "", "every command has exactly one answer")
+CELL_GROUP = _whole("cell_group", "tendon", "", "frame group of the load cell; -1 without one")
+JOINT_GROUP = _whole("joint_group", "joint", "", "frame group of the joint encoder; -1 without one")
+PERIOD_NS = _whole("period_ns", "run", "ns", "control period")
+MUTE_NS = _whole("mute_ns", "run", "ns", "silence after which joint encoders count as silent")
+SILENT_TICKS = _whole("silent_ticks", "run", "", "replies in a row that may be missing before a node counts as silent")
+ONE_SILENT_TICKS = _whole("one_silent_ticks", "run", "", "the same for a motor while another one answers")
+STALLED_TICKS = _whole("stalled_ticks", "run", "", "ticks in a row that may be missed before the host stood still")
+FRAMES_LIMIT = _whole("frames_limit", "run", "", "frames in one tick that are more than all nodes can have sent")
+TENSION_GROUPS = _whole("tension_groups", "run", "", "frame groups that carry tensions")
+
+
+class ConstantTables(NamedTuple):
+    """The tables of a block of ``HAND``, each (rows, lengths of its axes); the design (N, kind, element)."""
+
+    tendon: NDArray[np.float64]
+    joint: NDArray[np.float64]
+    digit: NDArray[np.float64]
+    run: NDArray[np.float64]
+    joint_tendon: NDArray[np.float64]
+    tendon_joint: NDArray[np.float64]
+    joint_joint: NDArray[np.float64]
+    joint_coordinate: NDArray[np.float64]
+    tendon_coordinate: NDArray[np.float64]
+    place_joint_joint: NDArray[np.float64]
+    place_joint: NDArray[np.float64]
+    design: NDArray[np.float64]
+    tendon_int: NDArray[np.int64]
+    joint_int: NDArray[np.int64]
+    digit_int: NDArray[np.int64]
+    run_int: NDArray[np.int64]
+
+
+@inner
+def constant_tables(block: Block, at: Places) -> ConstantTables:
+    """Return the tables of a hand's constants; ``at``: ``Layout.places``."""
+    n, j, d, c, kinds, elements, places = at[0], at[1], at[2], at[3], at[4], at[5], at[6]
+    whole = block.view(np.int64)
+    return ConstantTables(
+        block[at[8] : at[9]].reshape((-1, n)),
+        block[at[9] : at[10]].reshape((-1, j)),
+        block[at[10] : at[11]].reshape((-1, d)),
+        block[at[11] : at[12]],
+        block[at[12] : at[13]].reshape((-1, j, n)),
+        block[at[13] : at[14]].reshape((-1, n, j)),
+        block[at[14] : at[15]].reshape((-1, j, j)),
+        block[at[15] : at[16]].reshape((-1, j, c)),
+        block[at[16] : at[17]].reshape((-1, n, c)),
+        block[at[17] : at[18]].reshape((-1, places, j, j)),
+        block[at[18] : at[19]].reshape((-1, places, j)),
+        block[at[19] : at[20]].reshape((n, kinds, elements)),
+        whole[at[20] : at[21]].reshape((-1, n)),
+        whole[at[21] : at[22]].reshape((-1, j)),
+        whole[at[22] : at[23]].reshape((-1, d)),
+        whole[at[23] : at[24]],
+    )

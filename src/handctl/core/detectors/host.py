@@ -1,0 +1,25 @@
+"""Detectors of the rows H01 to H03 and I07; see ``safety.faults.host``."""
+
+from handctl.compiled import inner
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
+from handctl.core.detectors.bus import Found
+from handctl.safety.faults.host import H01, H02, H03, I07A, I07B, LATE_FRACTION, REFUSED_LIMIT
+
+
+@inner
+def detect(x: Tables, c: ConstantTables, armed: bool, found: Found) -> None:
+    """Write what is found of the rows of this file."""
+    late, missed = x.run_int[s.LATE_NS] / c.run_int[h.PERIOD_NS], x.run_int[s.MISSED]
+    if late > LATE_FRACTION:
+        found[H01, 0] = late
+    if missed >= 1:
+        found[H02, 0] = missed
+    if armed and missed >= c.run_int[h.STALLED_TICKS]:
+        found[H03, 0] = missed
+    if armed and x.run_int[s.REFUSED_NOW]:
+        found[I07A, 0] = x.run_int[s.REFUSED]
+        if x.run_int[s.REFUSED] >= REFUSED_LIMIT:
+            found[I07B, 0] = x.run_int[s.REFUSED]

@@ -1,0 +1,95 @@
+"""Judge one tick: bring what the detectors remember up to date, find faults, debounce them.
+
+Latches, reports of buses and host, and the choice of the reaction are in ``safety.judge``.
+"""
+
+import math
+
+import numpy as np
+
+from handctl.compiled import inner
+from handctl.core import block as s
+from handctl.core.block import Tables, reset_monitor
+from handctl.core.constants import ConstantTables
+from handctl.core.detectors import (
+    bus,
+    correlation,
+    host,
+    losses,
+    node,
+    replays,
+    residuals,
+    slack,
+    slip,
+    stuck,
+    swings,
+    tendon,
+)
+from handctl.core.detectors.bus import Found
+from handctl.safety.faults.table import ACTIONS, DEBOUNCE
+
+ROWS = len(ACTIONS)
+ARMING, RELAX, DISARM, CUT = 3, 5, 6, 7
+"""Of ``core.types.Mode``: torque may act from ARMING to RELAX, and must not in DISARM and CUT."""
+
+
+@inner
+def judge(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Found]:
+    """Judge one tick.
+
+    Args:
+        x: tables. c: constants. initial: tables before the first tick.
+
+    Returns:
+        the largest action that faults demand which count now, and (faults, instances) the value that shows each fault,
+        NaN where there is none. ``FOUND_NOW`` is the number of those that have just begun to count.
+    """
+    mode = x.run_int[s.MODE]
+    armed, cut = ARMING <= mode <= RELAX, mode == CUT or mode == DISARM
+    found = np.full((ROWS, x.instance_int.shape[1]), math.nan)
+    losses.count(x, c, x.run_int[s.T_NS], x.run_int[s.STRANGE], armed and x.run_int[s.MISSED] == 0)
+    bus.detect(x, c, armed, found)
+    node.detect(x, c, armed, found)
+    tendon.detect(x, c, armed, found)
+    host.detect(x, c, armed, found)
+    if armed:
+        remember(x, c)
+        node.detect_under_torque(x, c, found)
+        tendon.detect_under_torque(x, c, found)
+    elif cut:
+        slack.after_cut(x, c, x.run_int[s.TARED] == 1)
+        node.detect_after_cut(x, c, found)
+    else:
+        reset_monitor(x, initial)
+    return debounce(x, found), found
+
+
+@inner
+def remember(x: Tables, c: ConstantTables) -> None:
+    """Bring what is remembered of a hand under torque up to date."""
+    missed, tared = x.run_int[s.MISSED], x.run_int[s.TARED] == 1
+    slip.update(x, c, tared)
+    residuals.update(x, c, missed, tared)
+    slack.update(x)
+    stuck.update(x, c, tared)
+    correlation.update(x, c, missed)
+    replays.update(x, tared)
+    swings.update(x, c, tared)
+
+
+@inner
+def debounce(x: Tables, found: Found) -> int:
+    """Count for how many ticks each fault is present; return the largest action of those that count."""
+    action, fresh = 0, 0
+    for row in range(found.shape[0]):
+        for i in range(found.shape[1]):
+            if math.isnan(found[row, i]):
+                x.instance_int[s.FAULT_TICKS + row, i] = 0
+                continue
+            ticks = x.instance_int[s.FAULT_TICKS + row, i] + 1
+            x.instance_int[s.FAULT_TICKS + row, i] = ticks
+            if ticks >= DEBOUNCE[row]:
+                action = max(action, ACTIONS[row])
+                fresh += ticks == DEBOUNCE[row]
+    x.run_int[s.FOUND_NOW] = fresh
+    return action

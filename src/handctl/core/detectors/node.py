@@ -1,0 +1,163 @@
+"""Detectors of the rows N01 to N17; see ``safety.faults.node``."""
+
+import math
+
+from handctl.compiled import inner
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
+from handctl.core.detectors import correlation, residuals, stuck
+from handctl.core.detectors.bus import Found
+from handctl.core.detectors.losses import cell_age, halved
+from handctl.core.detectors.slip import DEG
+from handctl.safety.faults.node import (
+    DISOBEYED_N,
+    LIMP_AFTER_S,
+    LIMP_FRACTION,
+    LIMP_N,
+    N01,
+    N02,
+    N02B,
+    N04,
+    N05A,
+    N05B,
+    N06A,
+    N06B,
+    N07,
+    N08,
+    N09A,
+    N09B,
+    N10,
+    N11,
+    N11B,
+    N12,
+    N13,
+    N14,
+    N14B,
+    N15,
+    N16,
+    N17,
+    SLIP_TRIP_DEG,
+    SLIP_WARN_DEG,
+    STUCK_GOAL_M,
+    STUCK_JOINT_DEG,
+    STUCK_S,
+    STUCK_TENSION_N,
+    SWING_S,
+)
+
+ROW_OF_CAUSE = (N11, N01, N08, N10, N11, N12, N11, N11B)
+"""Fault of each ``drives.causes.Cause``."""
+FAULT = 4
+"""``drives.contract.Phase.FAULT``."""
+
+
+@inner
+def detect(x: Tables, c: ConstantTables, armed: bool, found: Found) -> None:
+    """Write what is found of the rows of this file, whether or not torque acts."""
+    for n in range(x.tendon.shape[1]):
+        if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]:
+            found[N09A, n] = x.tendon[s.TEMPERATURE, n]
+        if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_HARD]:
+            found[N09B, n] = x.tendon[s.TEMPERATURE, n]
+    _jumps(x, found)
+    if not armed:
+        return
+    _errors(x, found)
+    _silence(x, c, found)
+    for node in range(x.node_int.shape[1]):
+        if halved(x, node):
+            found[N15, node] = 0.5
+        if x.node_int[s.TWICE, node]:
+            found[N13, node] = x.node_int[s.TWICE, node] - 1.0
+
+
+@inner
+def _errors(x: Tables, found: Found) -> None:
+    """What drives report of themselves, by the cause behind it."""
+    for n in range(x.tendon.shape[1]):
+        if x.tendon_int[s.PHASE, n] == FAULT:
+            found[ROW_OF_CAUSE[x.tendon_int[s.FAULT_CAUSE, n]], n] = x.tendon_int[s.FAULT_CODE, n]
+
+
+@inner
+def _silence(x: Tables, c: ConstantTables, found: Found) -> None:
+    """Load cells and joint encoders of which nothing is heard."""
+    now_ns = x.run_int[s.T_NS]
+    for n in range(x.tendon.shape[1]):
+        age = cell_age(x, c, n, now_ns)
+        if age >= c.run_int[h.SILENT_TICKS]:
+            found[N02, n] = age
+    last = -1
+    for j in range(x.joint.shape[1]):
+        group = c.joint_int[h.JOINT_GROUP, j]
+        if group > last:  # the first joint of a frame stands for it
+            last = group
+            heard_ns = x.group_int[s.GROUP_NS, group]
+            if heard_ns < now_ns - c.run_int[h.MUTE_NS]:
+                found[N02B, j] = (now_ns - heard_ns) * 1e-9
+
+
+@inner
+def _jumps(x: Tables, found: Found) -> None:
+    """Positions that were dropped, those of motors in one row and those of joints in the next."""
+    for n in range(x.tendon.shape[1]):
+        if x.tendon[s.JUMP, n] > 0.0:
+            found[N05A, n] = x.tendon[s.JUMP, n]
+            if x.tendon[s.DROPPED, n] > 1.0:
+                found[N05B, n] = x.tendon[s.JUMP, n]
+    for j in range(x.joint.shape[1]):
+        if x.joint[s.JOINT_JUMP, j] > 0.0:
+            found[N05A + 1, j] = x.joint[s.JOINT_JUMP, j]
+            if x.joint[s.JOINT_DROPPED, j] > 1.0:
+                found[N05B + 1, j] = x.joint[s.JOINT_JUMP, j]
+
+
+@inner
+def detect_under_torque(x: Tables, c: ConstantTables, found: Found) -> None:
+    """Write what is found of the rows that need a hand under torque."""
+    for n in range(x.tendon.shape[1]):
+        slip = abs(x.tendon[s.RESIDUAL + residuals.SLIP, n])
+        if slip > SLIP_WARN_DEG:
+            found[N06A, n] = slip
+        if slip > SLIP_TRIP_DEG:
+            found[N06B, n] = slip
+        jerk = abs(x.tendon[s.RESIDUAL + residuals.JERK, n])
+        if jerk > c.run[h.NOISE_LIMIT]:
+            found[N07, n] = jerk
+        disobeyed = abs(x.tendon[s.RESIDUAL + residuals.ASKED, n])
+        if disobeyed > DISOBEYED_N:
+            found[N14, n] = disobeyed
+        if x.tendon[s.SWING_S, n] > SWING_S:
+            found[N14B, n] = math.sqrt(x.tendon[s.SWING_SQUARE, n])
+        if correlation.unfollowed(x, c, n):
+            found[N17, n] = correlation.part(x, n)
+    _stuck(x, c, found)
+
+
+@inner
+def _stuck(x: Tables, c: ConstantTables, found: Found) -> None:
+    """Encoders that are constant although they must move; of motors in one row, of joints in the next."""
+    for n in range(x.tendon.shape[1]):
+        if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_S:
+            goal = stuck.away(x.tendon[s.FOLLOWED, n], x.tendon[s.MOTOR_ANCHOR, n])
+            tension = stuck.away(x.tendon[s.RESIDUAL + residuals.TENSION, n], x.tendon[s.MOTOR_ANCHOR + 1, n])
+            if goal > STUCK_GOAL_M or tension > STUCK_TENSION_N:
+                found[N04, n] = max(goal * 1e3, tension)
+    for j in range(x.joint.shape[1]):
+        if x.joint_int[s.JOINT_STUCK, j] * c.run[h.JOINT_PERIOD] > STUCK_S:
+            turned = stuck.away(stuck.turned(x, c, j), x.joint[s.JOINT_ANCHOR, j]) * DEG
+            if turned > STUCK_JOINT_DEG:
+                found[N04 + 1, j] = turned
+
+
+@inner
+def detect_after_cut(x: Tables, c: ConstantTables, found: Found) -> None:
+    """Write tendons that somebody still pulls after the torque was cut."""
+    if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < LIMP_AFTER_S:
+        return
+    for n in range(x.tendon.shape[1]):
+        tension = x.tendon[s.CUT_BEARS, n]
+        if tension > LIMP_N and tension > LIMP_FRACTION * x.tendon[s.CUT_FROM, n]:
+            found[N16, n] = tension

@@ -1,0 +1,76 @@
+"""What remains when motor torque, inertia and friction are taken off a tendon's tension, and the like, filtered.
+
+A rotor at the spool: m a = F - T - b v - c sign(v). What the load cell says besides, over a fifth of a second, is the
+cell's, the motor's or the friction's fault. Thresholds are so far from the noise that it raises none of them in ten
+thousand hours.
+"""
+
+import math
+
+import numpy as np
+
+from handctl.compiled import inner, square
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
+
+BALANCE, MADE, ASKED, TENSION, QUICK_FORCE, SLIP, JERK, RUB = range(8)
+"""Rows of ``block.RESIDUAL``."""
+TIMES_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
+"""Time constant of each row [s]."""
+GAIN_FRACTION = 0.1
+"""Fraction of the motor's force that its torque constant may be wrong by. Source: usual tolerance of K_t."""
+RUB_SPEED = 5e-3
+"""Tendon speed above which friction is fully developed [m/s]."""
+
+
+@inner
+def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
+    """Filter one tick.
+
+    Args:
+        x: tables. c: constants. missed: ticks that were skipped before this one: over how long something moved, nobody
+            knows then.
+        tared: whether the load cells' zero is known.
+    """
+    now = np.empty(8)
+    begun = x.run_int[s.FILTERED] == 1
+    x.run_int[s.FILTERED] = 1
+    for n in range(x.tendon.shape[1]):
+        position = x.tendon[s.MEASURED_POSITION, n] if missed == 0 else math.nan
+        speed = x.tendon[s.SPEED, n] if missed == 0 else math.nan
+        tension = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+        force, asked = x.tendon[s.MEASURED_FORCE, n], x.tendon[s.ASKED, n]
+        made = asked if math.isnan(force) else force
+        if not begun:
+            # What is filtered quickly begins at what is there.
+            x.tendon[s.RESIDUAL + TENSION, n] = 0.0 if math.isnan(tension) else tension
+            x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(made) else made
+        turned = position - x.tendon[s.LAST_POSITION, n]
+        drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[h.COULOMB, n] * math.tanh(speed * 1e3)
+        inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.PERIOD]
+        balance = made - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
+        now[BALANCE], now[MADE], now[ASKED] = balance, made, asked - force
+        now[TENSION], now[QUICK_FORCE], now[SLIP] = tension, made, x.tendon[s.SLIP, n]
+        now[JERK] = square(turned - x.tendon[s.LAST_TURNED, n])
+        # Against the motion: what rubs has the sign of the speed.
+        now[RUB] = math.copysign(1.0, speed) * balance if abs(speed) > RUB_SPEED else math.nan
+        for row in range(8):
+            low = x.tendon[s.RESIDUAL + row, n]
+            if not math.isnan(now[row] - low):
+                x.tendon[s.RESIDUAL + row, n] = low + c.tendon[h.RESIDUAL_FRACTION + row, n] * (now[row] - low)
+        x.tendon[s.LAST_SPEED, n], x.tendon[s.LAST_POSITION, n], x.tendon[s.LAST_TURNED, n] = speed, position, turned
+
+
+@inner
+def unexplained(x: Tables, c: ConstantTables, n: int) -> float:
+    """Return the tension that neither friction nor the tolerance of the torque constant explains [N], 0 or more."""
+    known = c.tendon[h.COULOMB, n] + GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MADE, n])
+    return max(abs(x.tendon[s.RESIDUAL + BALANCE, n]) - known, 0.0)
+
+
+@inner
+def friction(x: Tables, n: int) -> float:
+    """Return the friction of a moving rotor beyond the modelled [N]."""
+    return max(x.tendon[s.RESIDUAL + RUB, n] - GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MADE, n]), 0.0)

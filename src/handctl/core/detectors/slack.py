@@ -1,0 +1,56 @@
+"""What a tendon has been through: when it was taut, since when it is slack, what it bore when the torque was cut."""
+
+import math
+
+from handctl.compiled import inner
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
+from handctl.core.detectors.residuals import TENSION
+from handctl.safety.faults.tendon import SLACK_N, TAUT_N
+
+LIMP_SEEN_S = 0.08
+"""From so long after the cut on a load cell's last reading counts, if the latest one is missing."""
+
+
+@inner
+def update(x: Tables) -> None:
+    """Take in one tick under torque."""
+    x.run_int[s.CUT_TICKS] = -1
+    for n in range(x.tendon.shape[1]):
+        tension, wanted = x.tendon[s.RESIDUAL + TENSION, n], x.tendon[s.WANTED, n]
+        if math.isnan(wanted):
+            x.tendon_int[s.TAUT_AGO, n], x.tendon_int[s.SLACK_TICKS, n] = -1, 0
+        elif tension > TAUT_N:
+            x.tendon_int[s.TAUT_AGO, n], x.tendon_int[s.SLACK_TICKS, n] = 0, 0
+        elif x.tendon_int[s.TAUT_AGO, n] >= 0:
+            x.tendon_int[s.TAUT_AGO, n] += 1
+            loose = tension < SLACK_N and wanted > TAUT_N
+            x.tendon_int[s.SLACK_TICKS, n] = x.tendon_int[s.SLACK_TICKS, n] + 1 if loose else 0
+        bears = tension > TAUT_N or (x.tendon_int[s.BEARS, n] == 1 and tension > SLACK_N)
+        x.tendon_int[s.BEARS, n] = bears
+
+
+@inner
+def after_cut(x: Tables, c: ConstantTables, tared: bool) -> None:
+    """Take in one tick after the torque was cut.
+
+    The tension back then is the first reading after the cut, or the last one before it if that is missing, as many a
+    frame is where a cut was needed, or the first that comes.
+
+    Args:
+        x: tables. c: constants. tared: whether the load cells' zero is known.
+    """
+    ticks = x.run_int[s.CUT_TICKS] + 1
+    for n in range(x.tendon.shape[1]):
+        tension = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+        if ticks == 0:
+            x.tendon[s.CUT_FROM, n] = x.tendon[s.CELL_VALUE, n] if math.isnan(tension) else tension
+        elif math.isnan(x.tendon[s.CUT_FROM, n]):
+            x.tendon[s.CUT_FROM, n] = tension
+        if ticks * c.run[h.PERIOD] < LIMP_SEEN_S:
+            x.tendon[s.CUT_BEARS, n] = math.nan
+        elif not math.isnan(tension):
+            x.tendon[s.CUT_BEARS, n] = tension
+    x.run_int[s.CUT_TICKS] = ticks

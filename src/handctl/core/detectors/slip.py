@@ -1,0 +1,41 @@
+"""Joint encoders against the spool: how far they have come apart since the tendon became taut."""
+
+import math
+
+from handctl.compiled import inner
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
+from handctl.safety.faults.tendon import DERAILED_DEG, SLACK_N, TAUT_N
+
+SETTLE_S = 0.1
+"""Time after a tendon has become taut before joint and spool are compared with how they stood then."""
+DEG = 180.0 / math.pi
+
+
+@inner
+def update(x: Tables, c: ConstantTables, tared: bool) -> None:
+    """Take in one tick.
+
+    Args:
+        x: tables. c: constants. tared: whether the load cells' zero is known.
+    """
+    read = x.run_int[s.JOINTS_READ] == 1
+    for n in range(x.tendon.shape[1]):
+        tension = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+        if tension < SLACK_N:
+            x.tendon[s.TAUT_S, n] = 0.0
+        elif tension > TAUT_N:
+            x.tendon[s.TAUT_S, n] += c.run[h.PERIOD]
+        stretch = tension / c.tendon[h.STIFFNESS, n]
+        apart = x.tendon[s.MEASURED_TRAVEL, n] - stretch - x.tendon[s.MEASURED_EXCURSION, n]
+        if read and math.isnan(x.tendon[s.SLIP_FROM, n]):
+            x.tendon[s.SLIP_FROM, n] = apart
+        if x.tendon[s.TAUT_S, n] <= SETTLE_S:
+            x.tendon[s.SLIP_FROM, n] = math.nan
+        x.tendon[s.SLIP, n] = math.nan
+        if read:
+            x.tendon[s.SLIP, n] = (apart - x.tendon[s.SLIP_FROM, n]) / c.tendon[h.ARMS_SUM, n] * DEG
+            far = abs(x.tendon[s.SLIP, n]) > DERAILED_DEG
+            x.tendon[s.DERAILED, n] = x.tendon[s.DERAILED, n] + 1.0 if far else 0.0

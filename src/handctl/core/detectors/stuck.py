@@ -1,0 +1,118 @@
+"""Detect stuck readings: a reading is stuck if it is constant while a correlated signal, its witness, moves.
+
+A sensor at rest is healthy. The witnesses of a motor's encoder are the goal of its tendon and the tension, that of a
+load cell is the motor's force, that of a joint encoder the joint angle that follows from the spools.
+"""
+
+import math
+
+from handctl.compiled import inner
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
+from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
+
+FOLLOW_S = 0.1
+"""Time in which a motor follows a goal that jumps, several times over [s]."""
+SLOW_M_S = 2e-3
+"""A goal that moves no faster is followed at once [m/s]."""
+ARRIVED_M = 0.2e-3
+"""A motor that is this close to its goal has arrived [m]."""
+LEAP_M = 2.0 * ARRIVED_M
+"""In one tick: further than what is already there goes along with a digit that arrives."""
+
+
+@inner
+def update(x: Tables, c: ConstantTables, tared: bool) -> None:
+    """Take in one tick. A missing reading is neither the same nor another one.
+
+    Args:
+        x: tables. c: constants. tared: whether the load cells' zero is known.
+    """
+    for n in range(x.tendon.shape[1]):
+        value, last = x.tendon[s.MEASURED_TRAVEL, n], x.tendon[s.MOTOR_VALUE, n]
+        moved = not math.isnan(value) and value != last
+        goal, tension = x.tendon[s.FOLLOWED, n], x.tendon[s.RESIDUAL + TENSION, n]
+        if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR, n]):
+            x.tendon[s.MOTOR_ANCHOR, n] = goal
+        if moved or math.isnan(x.tendon[s.MOTOR_ANCHOR + 1, n]):
+            x.tendon[s.MOTOR_ANCHOR + 1, n] = tension
+        if not math.isnan(value):
+            x.tendon_int[s.MOTOR_STUCK, n] = 0 if moved else x.tendon_int[s.MOTOR_STUCK, n] + 1
+            x.tendon[s.MOTOR_VALUE, n] = value
+        cell, last = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan, x.tendon[s.CELL_VALUE, n]
+        moved = not math.isnan(cell) and cell != last
+        if moved or math.isnan(x.tendon[s.CELL_ANCHOR, n]):
+            x.tendon[s.CELL_ANCHOR, n] = x.tendon[s.RESIDUAL + QUICK_FORCE, n]
+        if not math.isnan(cell):
+            x.tendon_int[s.CELL_STUCK, n] = 0 if moved else x.tendon_int[s.CELL_STUCK, n] + 1
+            x.tendon[s.CELL_VALUE, n] = cell
+    for j in range(x.joint.shape[1]):
+        value, last = x.joint[s.MEASURED_JOINT, j], x.joint[s.JOINT_VALUE, j]
+        moved = not math.isnan(value) and value != last
+        witness = turned(x, c, j)
+        if not bears(x, c, j):
+            x.joint[s.JOINT_ANCHOR, j] = math.nan
+        if moved or math.isnan(x.joint[s.JOINT_ANCHOR, j]):
+            x.joint[s.JOINT_ANCHOR, j] = witness
+        if not math.isnan(value):
+            x.joint_int[s.JOINT_STUCK, j] = 0 if moved else x.joint_int[s.JOINT_STUCK, j] + 1
+            x.joint[s.JOINT_VALUE, j] = value
+
+
+@inner
+def bears(x: Tables, c: ConstantTables, j: int) -> bool:
+    """Return whether all tendons that move a joint bear tension: while one is slack its spool turns without it."""
+    for n in range(x.tendon.shape[1]):
+        if c.joint_tendon[h.MOVES, j, n] != 0.0 and not x.tendon_int[s.BEARS, n]:
+            return False
+    return True
+
+
+@inner
+def turned(x: Tables, c: ConstantTables, j: int) -> float:
+    """Return the joint angle that follows from the spools [rad]; NaN where that says nothing."""
+    if not bears(x, c, j):
+        return math.nan
+    angle = 0.0
+    for n in range(x.tendon.shape[1]):
+        if c.joint_tendon[h.MOVES, j, n] != 0.0:
+            stretch = x.tendon[s.RESIDUAL + TENSION, n] / c.tendon[h.STIFFNESS, n]
+            angle += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * (x.tendon[s.MEASURED_TRAVEL, n] - stretch)
+    return angle
+
+
+@inner
+def away(witness: float, anchor: float) -> float:
+    """Return how far a witness has moved since the reading is constant; 0 where it says nothing."""
+    apart = abs(witness - anchor)
+    return 0.0 if math.isnan(apart) else apart
+
+
+@inner
+def follow(x: Tables, c: ConstantTables) -> None:
+    """Lead each motor to the goal of this tick as it can follow: where a goal jumps, a motor at rest is not stuck.
+
+    While a reading moves this is the goal itself, so that what counts is how far the goal has gone since it is
+    constant: friction may have stopped the motor short of it. A motor that rests at its goal is not stuck either while
+    the filtered goal still moves towards it: from there on the filtered goal is where the digit is.
+    """
+    fraction, least = 1.0 - math.exp(-c.run[h.PERIOD] / FOLLOW_S), SLOW_M_S * c.run[h.PERIOD]
+    for n in range(x.tendon.shape[1]):
+        goal, d = 0.0, c.tendon_int[h.DIGIT, n]
+        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
+                goal += c.tendon_joint[h.MOMENT_ARMS, n, j] * x.joint[s.Q_GOAL, j]
+        before, present = x.tendon[s.FOLLOWED, n], x.tendon[s.EXCURSION, n]
+        x.tendon[s.FOLLOWED, n] = goal
+        if math.isnan(before):
+            continue
+        way = goal - before
+        if abs(way) > least and x.tendon_int[s.MOTOR_STUCK, n] != 0:
+            x.tendon[s.FOLLOWED, n] = before + math.copysign(max(fraction * abs(way), least), way)
+        if abs(goal - present) < ARRIVED_M:
+            x.tendon[s.FOLLOWED, n] = present
+            if abs(present - before) > LEAP_M:
+                # It leaps to where the digit is: no motor had to follow that.
+                x.tendon[s.MOTOR_ANCHOR, n] += present - before

@@ -1,0 +1,34 @@
+"""Detect a tension that swings about its command, whatever makes it swing: torque ripple, a loop that rings.
+
+A motor whose torque ripples by a tenth of a newton metre near the resonance of rotor and tendon (about 20 Hz) swings a
+tendon by tens of newtons, below every other threshold. The current does not show cogging, so that N14 is blind to it.
+"""
+
+import math
+
+from handctl.compiled import inner, square
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
+from handctl.safety.faults.node import SWING_N
+
+SLOW_S, MEAN_S = 0.02, 0.025
+"""Time constants [s]: of the slow part of the deviation, which is taken off (corner at ``SWING_HZ``), and of the mean
+square."""
+
+
+@inner
+def update(x: Tables, c: ConstantTables, tared: bool) -> None:
+    """Take in measured less commanded tension."""
+    period = c.run[h.PERIOD]
+    slow, mean = 1.0 - math.exp(-period / SLOW_S), 1.0 - math.exp(-period / MEAN_S)
+    for n in range(x.tendon.shape[1]):
+        quick = 0.0
+        deviation = x.tendon[s.MEASURED_TENSION, n] - x.tendon[s.WANTED, n]
+        if tared and not math.isnan(deviation):
+            x.tendon[s.SWING_SLOW, n] += slow * (deviation - x.tendon[s.SWING_SLOW, n])
+            quick = deviation - x.tendon[s.SWING_SLOW, n]
+        x.tendon[s.SWING_SQUARE, n] += mean * (quick * quick - x.tendon[s.SWING_SQUARE, n])
+        large = x.tendon[s.SWING_SQUARE, n] > square(SWING_N)
+        x.tendon[s.SWING_S, n] = x.tendon[s.SWING_S, n] + period if large else 0.0

@@ -1,0 +1,103 @@
+"""Detectors of the rows T01 to T09; see ``safety.faults.tendon``."""
+
+import math
+
+from handctl.compiled import inner
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
+from handctl.core.detectors import residuals, stuck
+from handctl.core.detectors.bus import Found
+from handctl.core.detectors.replays import replayed
+from handctl.safety.faults.tendon import (
+    CELL_FORCE_N,
+    CELL_TICKS,
+    DERAILED_DEG,
+    DERAILED_READINGS,
+    FRICTION_WARN_N,
+    RELAXED_S,
+    RESIDUAL_TRIP_N,
+    RESIDUAL_WARN_N,
+    SLACK_TRIP_S,
+    SLACK_WARN_S,
+    SNAP_FRACTION,
+    SNAP_MEMORY_S,
+    SNAP_N,
+    SNAP_SPEED,
+    T01,
+    T02A,
+    T02B,
+    T03,
+    T03B,
+    T03C,
+    T04A,
+    T04B,
+    T05,
+    T05B,
+    T06,
+    T08,
+    T09,
+    TAUT_N,
+)
+
+RELAX = 5
+"""``core.types.Mode.RELAX``."""
+
+
+@inner
+def detect(x: Tables, c: ConstantTables, armed: bool, found: Found) -> None:
+    """Write what is found of the rows of this file, whether or not torque acts."""
+    rail, low = c.run[h.TENSION_RAIL], c.run[h.TENSION_LOW]
+    relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
+    relaxed = x.run_int[s.MODE] == RELAX and relaxing_s > RELAXED_S
+    for n in range(x.tendon.shape[1]):
+        tension = x.tendon[s.MEASURED_TENSION, n]
+        if c.tendon[h.TENSION_TRIP, n] < tension < rail:
+            found[T03, n] = tension
+        if c.tendon[h.DRIVE_LIMIT, n] < tension < rail:
+            found[T03B, n] = tension
+        if relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
+            found[T03C, n] = tension
+        # At an end of the range, or tared and beyond what a tendon can make: a tare may hide the one or the other.
+        if armed and (tension >= rail or tension <= low or x.tendon_int[s.SATURATED, n]):
+            found[T06, n] = tension
+
+
+@inner
+def detect_under_torque(x: Tables, c: ConstantTables, found: Found) -> None:
+    """Write what is found of the rows that need a hand under torque."""
+    for n in range(x.tendon.shape[1]):
+        _slack(x, c, n, found)
+        unexplained, rubs = residuals.unexplained(x, c, n), residuals.friction(x, n)
+        if unexplained > RESIDUAL_WARN_N:
+            found[T04A, n] = unexplained
+        if unexplained > RESIDUAL_TRIP_N:
+            found[T04B, n] = unexplained
+        if rubs > FRICTION_WARN_N:
+            found[T09, n] = rubs
+        pushed = stuck.away(x.tendon[s.RESIDUAL + residuals.QUICK_FORCE, n], x.tendon[s.CELL_ANCHOR, n])
+        same = x.tendon_int[s.CELL_STUCK, n] >= CELL_TICKS
+        if same and pushed > CELL_FORCE_N and x.tendon[s.CELL_VALUE, n] > TAUT_N:
+            found[T05, n] = pushed
+        age = replayed(x, n)
+        if age > 0:
+            found[T05B, n] = age
+        slip = abs(x.tendon[s.SLIP, n])
+        if x.tendon[s.DERAILED, n] >= DERAILED_READINGS and slip > DERAILED_DEG:
+            found[T08, n] = slip
+
+
+@inner
+def _slack(x: Tables, c: ConstantTables, n: int, found: Found) -> None:
+    """A tendon without tension: snapped if its spool runs, slack if tension is commanded."""
+    period, wanted, speed = c.run[h.PERIOD], x.tendon[s.WANTED, n], x.tendon[s.SPEED, n]
+    since = x.tendon_int[s.SLACK_TICKS, n] * period
+    if since > SLACK_WARN_S:
+        found[T02A, n] = since
+    if since > SLACK_TRIP_S:
+        found[T02B, n] = since
+    tension = x.tendon[s.MEASURED_TENSION, n] if x.run_int[s.TARED] else math.nan
+    was_taut = 0.0 <= x.tendon_int[s.TAUT_AGO, n] * period < SNAP_MEMORY_S
+    if speed > SNAP_SPEED and wanted > SNAP_N and tension < SNAP_FRACTION * wanted and was_taut:
+        found[T01, n] = speed

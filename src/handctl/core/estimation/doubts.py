@@ -1,0 +1,42 @@
+"""Lines for the log where the filter's model ceases to fit a tendon, or a digit is found blocked."""
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.core.estimation.kalman import DOUBT_S
+from handctl.core.model import HandModel
+from handctl.core.types import Event
+
+
+class Viewed(Protocol):
+    """A state whose fields have names."""
+
+    def view(self, name: str) -> NDArray[Any]:
+        """Return a field."""
+        ...
+
+
+def notes(model: HandModel, before: Viewed, after: Viewed) -> tuple[Event, ...]:
+    """Return the lines of one tick.
+
+    Args:
+        model: the hand. before, after: states of the last tick and of this one.
+    """
+    events: list[Event] = []
+    doubtful, was = after.view("doubtful"), before.view("doubtful")
+    if (doubtful != was).any():
+        for n in np.flatnonzero(doubtful != was).tolist():
+            name, nis = model.hand.tendon_names[n], after.view("nis_mean")[n]
+            verdict = "the estimate is not to be trusted" if doubtful[n] else "the estimate is good again"
+            text = f"{name}: NIS {nis:.1f} over {DOUBT_S:g} s, 2 is right: {verdict}"
+            events.append(Event("warn" if doubtful[n] else "info", "estimate", name, text))
+    blocked, was = after.view("blocked"), before.view("blocked")
+    if (blocked != was).any():
+        planned = after.view("planned_contact")
+        for d in np.flatnonzero((blocked != was) & (planned == 0)).tolist():
+            name, tension = model.hand.digit_names[d], after.view("touch")[d]
+            text = f"{name} is blocked: {tension:.1f} N of unexplained tension"
+            events.append(Event("info", "blocked", name, text if blocked[d] else f"{name} is free again"))
+    return tuple(events)

@@ -1,0 +1,361 @@
+"""The tension filter: load cell and encoder (and joint encoders) to tension, excursion and contact force.
+
+All tendons are one linear filter. ``correct`` takes the measurements in, ``filterpy`` predicts all states to the present
+(in ``controller.estimate``), and ``conclude`` reads the estimate off. A missing measurement has no innovation, and
+neither has a saturated one: from then on the covariance is carried along until it is steady again. A single sample that
+is too far off to be true is left out. The measurements of a tick were taken one period earlier, just before the
+previous command acted.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import inner
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
+from handctl.core.estimation import covariance as carried
+from handctl.core.estimation.statics import pull, static_torque, torque_to_tension
+from handctl.core.estimation.take_up import has_turned, near_taut, take_up, turning
+from handctl.hand.tendons import ROPE_FRICTION_SPEED
+
+Vector = NDArray[np.float64]
+Matrix = NDArray[np.float64]
+
+STATES = 7
+FREE, HELD, SLACK = 0, 1, 2
+STOP_BAND_REST_M, STOP_BAND_STAY_M = 2e-5, 1e-4
+"""Excursion below which a digit may be on its open stop: to come to rest there, and to stay [m]."""
+STOP_PULL_REST, STOP_PULL_STAY = 0.8, 1.05
+"""Pull, as a fraction of what the springs require, below which it is: to come to rest, so little that friction cannot
+hold it just above the stop, and to stay."""
+LOOSE_M = 2e-4
+"""Length that must hang loose for a load cell to show nothing but its error."""
+GATE, STRANGE = 5.0, 2.5
+"""Standard deviations of its innovation beyond which a load-cell sample is left out if it is alone; and beyond which
+two in a row on the same side are believed, and not smoothed."""
+BELIEVED = 0.8
+"""Fraction of the second innovation that is believed at once."""
+DOUBT_S, DOUBT_ABOVE, DOUBT_BELOW = 1.0, 8.0, 4.0
+"""Time over which NIS is averaged, mean from which on the model does not fit, and below which it does; 2 is right."""
+WARY_S, WARY_ABOVE, WARY_FOR_S = 0.25, 3.2, 20.0
+"""Time over which NIS is averaged to adapt the filter's noise, mean from which on it is adapted, and for how long."""
+WARY_PERIOD_S = 5e-3
+"""Longest control period at which noise is adapted [s]. At 100 Hz the quicker filter hands an encoder's noise on to the
+torque: jamia11 with ODrives swung up to 234 N instead of 147, and took it for a snapped tendon."""
+WARY_HAND = 2.5
+"""The same mean of all tendons of the hand: friction that is wrong in all of them shows sooner than in one."""
+NIS_LIMIT = 100.0
+"""A larger NIS counts as this, so that one sample alone raises no doubt."""
+
+
+@inner
+def kind_of(x: Tables, n: int) -> int:
+    """Return the block of the design that a tendon uses: its regime, or 3 more while the filter doubts its model."""
+    regime = x.tendon_int[s.REGIME, n]
+    return regime + 3 if x.tendon[s.WARY, n] > 0.0 else regime
+
+
+@inner
+def correct(x: Tables, c: ConstantTables, missed: int) -> None:
+    """Take in the measurements of one tick, and judge slack, stops and contact.
+
+    A digit counts as held where the block says so: by ``PLANNED_CONTACT`` or ``BLOCKED``, see ``held``.
+
+    Args:
+        x: tables. c: constants. missed: ticks that were skipped since the last one.
+    """
+    count = x.tendon.shape[1]
+    for n in range(count):
+        x.tendon_int[s.KIND, n] = x.tendon_int[s.KIND_BEFORE, n] = kind_of(x, n)
+    z = _usable(x)
+    innovation = _innovation(x, c, z)
+    full = missed > 0 or x.run_int[s.CARRIED] == 1 or _missing(x, z)
+    gain, information, cell_sigma = np.zeros((count, STATES, 3)), np.zeros((count, 3)), np.zeros(count)
+    after = np.zeros((count, STATES, STATES) if full else (0, 0, 0))
+    for n in range(count):
+        kind = x.tendon_int[s.KIND, n]
+        _steady_gain(c, n, kind, gain[n], information[n])
+        cell_sigma[n] = c.design[n, kind, h.CELL_SIGMA_AT]
+        if full:
+            cell_sigma[n] = carried.update(x, c, n, z[n], gain[n], after[n], information[n])
+    _gate_and_correct(x, c, innovation, gain, cell_sigma)
+    _judge_innovation(x, c, innovation, information, full)
+    force = _judge_regimes(x, c)
+    _adapt(x)
+    _unexplained(x, c, force)
+    if full:
+        carried.predict(x, c, after, missed)
+
+
+@inner
+def _usable(x: Tables) -> Matrix:
+    """Return measurements (N, 3) of encoder, load cell and joint encoders, NaN where none.
+
+    None is one that is lost, at an end of its range, or of a tendon that is neither taut nor hangs loose for sure.
+    """
+    z = np.empty((x.tendon.shape[1], 3))
+    for n in range(len(z)):
+        z[n, 0], z[n, 1] = x.tendon[s.MEASURED_TRAVEL, n], x.tendon[s.MEASURED_TENSION, n]
+        z[n, 2] = x.tendon[s.MEASURED_EXCURSION, n]
+        if x.tendon_int[s.SATURATED, n]:
+            z[n, 1] = math.nan
+        if x.tendon_int[s.REGIME, n] == SLACK:
+            stretch = x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n]
+            if not (stretch < -LOOSE_M and x.tendon_int[s.LENGTH_KNOWN, n]):
+                z[n, 1] = math.nan
+    return z
+
+
+@inner
+def _innovation(x: Tables, c: ConstantTables, z: Matrix) -> Matrix:
+    """Return measurements less what the filter expects, (N, 3); NaN where missing."""
+    innovation = np.empty_like(z)
+    for n in range(len(z)):
+        for m in range(3):
+            expected = 0.0
+            for i in range(STATES):
+                expected += c.design[n, x.tendon_int[s.KIND, n], h.H_AT + STATES * m + i] * x.tendon[s.TRAVEL + i, n]
+            innovation[n, m] = z[n, m] - expected
+    return innovation
+
+
+@inner
+def _missing(x: Tables, z: Matrix) -> bool:
+    """Return whether a measurement is missing that the steady gains count on; in slack a load cell is none."""
+    for n in range(len(z)):
+        if math.isnan(z[n, 0]) or (math.isnan(z[n, 1]) and x.tendon_int[s.REGIME, n] != SLACK):
+            return True
+    return False
+
+
+@inner
+def _steady_gain(c: ConstantTables, n: int, kind: int, gain: Matrix, information: Vector) -> None:
+    """Write the steady gain (7, 3) of a tendon and the inverse covariance (3,) of its innovations."""
+    for i in range(STATES):
+        for m in range(3):
+            gain[i, m] = c.design[n, kind, h.K_AT + 3 * i + m]
+    for i in range(3):
+        information[i] = c.design[n, kind, h.INFORMATION_AT + i]
+
+
+@inner
+def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Matrix, cell_sigma: Vector) -> None:
+    """Correct the states; leave out a load-cell sample that is alone in being far off, believe two in a row.
+
+    Args:
+        x: tables. c: constants. innovation: (N, 3), NaN where missing; those left out become NaN.
+        gain: (N, 7, 3). cell_sigma: (N,) standard deviation of the load-cell innovation [N].
+    """
+    for n in range(len(innovation)):
+        cell = innovation[n, 1]
+        surprise = 0.0 if math.isnan(cell) else cell / cell_sigma[n]
+        before = x.tendon[s.SURPRISE, n]
+        again = abs(surprise) > STRANGE and before * surprise > 0.0 and abs(before) > STRANGE
+        jump = 0.0
+        if again and x.tendon_int[s.REGIME, n] != SLACK:
+            steady = 0.0
+            kind = x.tendon_int[s.KIND, n]
+            for i in range(STATES):
+                steady += c.design[n, kind, h.TENSION_AT + i] * c.design[n, kind, h.K_AT + 3 * i + 1]
+            jump = max(BELIEVED - steady, 0.0) * cell
+        if abs(surprise) > GATE and not again:
+            innovation[n, 1] = math.nan
+        x.tendon[s.SURPRISE, n] = surprise
+        for i in range(STATES):
+            for m in range(3):
+                if not math.isnan(innovation[n, m]):
+                    x.tendon[s.TRAVEL + i, n] += gain[n, i, m] * innovation[n, m]
+        # More tension is a shorter excursion at the same travel.
+        x.tendon[s.EXCURSION, n] -= jump / c.tendon[h.STIFFNESS, n]
+
+
+@inner
+def _nis(innovation: Vector, information: Vector) -> float:
+    """Return the normalised innovation squared of encoder and load cell; NaN where one is missing."""
+    encoder, cell = innovation[0], innovation[1]
+    return (information[0] * encoder + information[1] * cell) * encoder + information[2] * (cell * cell)
+
+
+@inner
+def _judge_innovation(x: Tables, c: ConstantTables, innovation: Matrix, information: Matrix, full: bool) -> None:
+    """Average NIS and judge whether the model still fits.
+
+    Two averages are kept. The slow one tells the operator. The quick one adapts the filter's noise; it is of the model
+    without any doubt, so that more noise does not hide what raised it.
+    """
+    usual = np.empty(3)
+    for n in range(len(innovation)):
+        nis = _nis(innovation[n], information[n])
+        x.tendon[s.NIS, n], x.tendon[s.INNOVATION, n] = nis, innovation[n, 1]
+        kind = x.tendon_int[s.KIND, n]
+        if kind >= 3 and not full:
+            for i in range(3):
+                usual[i] = c.design[n, kind - 3, h.INFORMATION_AT + i]
+            nis = _nis(innovation[n], usual)
+        if math.isnan(nis):
+            continue
+        nis, period = min(nis, NIS_LIMIT), c.run[h.PERIOD]
+        x.tendon[s.NIS_MEAN, n] += period / DOUBT_S * (nis - x.tendon[s.NIS_MEAN, n])
+        if period <= WARY_PERIOD_S:
+            x.tendon[s.NIS_LATELY, n] += period / WARY_S * (nis - x.tendon[s.NIS_LATELY, n])
+    for n in range(len(innovation)):
+        limit = DOUBT_BELOW if x.tendon_int[s.DOUBTFUL, n] else DOUBT_ABOVE
+        x.tendon_int[s.DOUBTFUL, n] = x.tendon[s.NIS_MEAN, n] > limit
+    _judge_noise(x, c)
+
+
+@inner
+def _judge_noise(x: Tables, c: ConstantTables) -> None:
+    """Judge by the last innovations which tendons need more process noise.
+
+    The doubt outlasts its cause: friction that is wrong shows only while a tendon moves, and does most harm when it
+    turns next.
+    """
+    if c.run[h.PERIOD] > WARY_PERIOD_S:
+        return
+    total, count = 0.0, x.tendon.shape[1]
+    for n in range(count):
+        total += x.tendon[s.NIS_LATELY, n]
+    limit = WARY_ABOVE if total < WARY_HAND * count else 0.0
+    for n in range(count):
+        left = max(x.tendon[s.WARY, n] - c.run[h.PERIOD], 0.0)
+        x.tendon[s.WARY, n] = WARY_FOR_S if x.tendon[s.NIS_LATELY, n] > limit else left
+
+
+@inner
+def tension_of(x: Tables, c: ConstantTables, n: int) -> float:
+    """Return the tension of a tendon's filter state at the load cell [N], negative values included."""
+    tension, kind = 0.0, x.tendon_int[s.KIND, n]
+    for i in range(STATES):
+        tension += c.design[n, kind, h.TENSION_AT + i] * x.tendon[s.TRAVEL + i, n]
+    return tension
+
+
+@inner
+def free_angles(x: Tables, c: ConstantTables, row: int, found: Vector) -> None:
+    """Write the joint angles (or rates) (J,) of excursions (or their rates) in a row, q = B R_r^+ s."""
+    for j in range(len(found)):
+        found[j] = 0.0
+        for n in range(x.tendon.shape[1]):
+            found[j] += c.joint_tendon[h.EXCURSION_TO_JOINTS, j, n] * x.tendon[row, n]
+
+
+@inner
+def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
+    """Return resistance, eager pull and pull of all tendons, (3, N) [N].
+
+    Resistance is the tension that springs and gravity balance. Where nothing better is known, friction takes its
+    direction from the tendon's speed at the spool: the digit's own, a light mass on a spring, is estimated so roughly
+    that its sign would chatter. The eager pull takes it from there always: it is the first to tell that a digit leaves
+    a stop.
+    """
+    count, joints = x.tendon.shape[1], x.joint.shape[1]
+    force, q, torque = np.zeros((3, count)), np.zeros(joints), np.zeros(joints)
+    free_angles(x, c, s.EXCURSION, q)
+    static_torque(c, q, torque)
+    torque_to_tension(c, torque, force[0])
+    tension, quick, developed = np.empty(count), np.empty(count), np.empty(count)
+    better = False
+    for n in range(count):
+        tension[n] = tension_of(x, c, n)
+        quick[n] = math.tanh(x.tendon[s.SPEED, n] / ROPE_FRICTION_SPEED)
+        known = x.tendon[s.FRICTION_STATE, n]
+        developed[n] = quick[n] if math.isnan(known) else known
+        better |= developed[n] != quick[n]
+    pull(c, q, tension, quick, force[1])
+    if better:
+        pull(c, q, tension, developed, force[2])
+    else:
+        force[2] = force[1]
+    return force
+
+
+@inner
+def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
+    """Judge slack, stops and contact, set the offset when a tendon becomes taut; return ``_load_forces`` after that."""
+    force, changed = _load_forces(x, c), False
+    for n in range(x.tendon.shape[1]):
+        regime, cell = x.tendon_int[s.REGIME, n], x.tendon[s.MEASURED_TENSION, n]
+        near = regime == SLACK and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and near_taut(x, n)
+        points = turning(regime, x.tendon_int[s.TURNING, n], tension_of(x, c, n), cell, x.tendon[s.CELL_ERROR, n], near)
+        if has_turned(regime, points):
+            points = 0
+            if regime == SLACK:
+                take_up(x, n, c.tendon[h.STIFFNESS, n], cell)
+                x.tendon_int[s.LENGTH_KNOWN, n] = 1
+            regime = FREE if regime == SLACK else SLACK
+        x.tendon_int[s.TURNING, n] = points
+        was = x.tendon_int[s.STOPPED, n] == 1
+        stopped = _at_stop(was, x.tendon[s.EXCURSION, n], force[1, n], force[0, n])
+        x.tendon_int[s.STOPPED, n] = stopped
+        if regime != SLACK:
+            if stopped and not was:
+                # It has come to rest on its open stop: its excursion is known to be zero, the rest was offset.
+                x.tendon[s.STRETCH_OFFSET, n] += x.tendon[s.EXCURSION, n]
+                x.tendon[s.EXCURSION, n] = x.tendon[s.EXCURSION_RATE, n] = 0.0
+                changed = True
+            regime = HELD if stopped or held(x, c.tendon_int[h.DIGIT, n]) else FREE
+        changed |= regime != x.tendon_int[s.REGIME, n]
+        x.tendon_int[s.REGIME, n] = regime
+    if changed:
+        for n in range(x.tendon.shape[1]):
+            x.tendon_int[s.KIND, n] = kind_of(x, n)
+        force = _load_forces(x, c)
+    return force
+
+
+@inner
+def held(x: Tables, d: int) -> bool:
+    """Return whether a digit is known to touch: by its program under torque, or because it is blocked."""
+    acting = 3 <= x.run_int[s.MODE] <= 5  # ARMING, ACTIVE, RELAX
+    return (acting and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[s.BLOCKED, d] == 1
+
+
+@inner
+def _at_stop(was: bool, excursion: float, force: float, resistance: float) -> bool:
+    """Return whether springs hold the digit on its open stop against the tendon."""
+    if was:
+        return excursion < STOP_BAND_STAY_M and force < resistance * STOP_PULL_STAY
+    return excursion < STOP_BAND_REST_M and force < resistance * STOP_PULL_REST
+
+
+@inner
+def _adapt(x: Tables) -> None:
+    """Choose the blocks for the prediction, now that regimes and doubts are judged."""
+    for n in range(x.tendon.shape[1]):
+        x.tendon_int[s.KIND, n] = kind_of(x, n)
+
+
+@inner
+def _unexplained(x: Tables, c: ConstantTables, force: Matrix) -> None:
+    """Write the load force that the model lacks, positive against closing; none in slack and on the open stop."""
+    for n in range(x.tendon.shape[1]):
+        x.tendon[s.EXTERNAL, n] = 0.0
+        if x.tendon_int[s.REGIME, n] != SLACK and not x.tendon_int[s.STOPPED, n]:
+            damping = c.tendon[h.LOAD_DAMPING, n] * x.tendon[s.EXCURSION_RATE, n]
+            x.tendon[s.EXTERNAL, n] = force[2, n] - force[0, n] - damping
+
+
+@inner
+def not_started(x: Tables) -> None:
+    """Write what is known before every sensor was read: nothing."""
+    for n in range(x.tendon.shape[1]):
+        x.tendon[s.EXTERNAL, n] = 0.0
+        x.tendon[s.INNOVATION, n] = x.tendon[s.NIS, n] = math.nan
+        x.tendon_int[s.KIND, n] = kind_of(x, n)
+
+
+@inner
+def conclude(x: Tables, c: ConstantTables) -> None:
+    """Read the estimate off the predicted states: tensions, their standard deviations, angles of the free digits."""
+    for n in range(x.tendon.shape[1]):
+        x.tendon[s.TENSION, n] = max(tension_of(x, c, n), 0.0)
+        x.tendon[s.SIGMA, n] = math.sqrt(c.design[n, x.tendon_int[s.KIND, n], h.VARIANCE_AT])
+        if x.run_int[s.CARRIED]:
+            x.tendon[s.SIGMA, n] = carried.sigma(x, c, n)
+    free_angles(x, c, s.EXCURSION, x.joint[s.Q])
+    free_angles(x, c, s.EXCURSION_RATE, x.joint[s.DQ])

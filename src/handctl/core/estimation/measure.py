@@ -1,0 +1,104 @@
+"""Measurements of one tick from what drives and sensors sent, with positions dropped that no rotor can have reached."""
+
+import math
+
+from handctl.compiled import inner
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
+from handctl.drives.sensors.node import TENSION_TOP_N, TENSION_ZERO_N
+
+
+@inner
+def measure(x: Tables, c: ConstantTables) -> None:
+    """Write what is new in this tick, NaN for the rest."""
+    for n in range(x.tendon.shape[1]):
+        x.tendon[s.MEASURED_POSITION, n] = math.nan
+        if x.tendon_int[s.ANSWERED, n] > 0:
+            x.tendon[s.MEASURED_POSITION, n] = x.tendon[s.POSITION, n] - c.tendon[h.ZERO, n]
+        x.tendon[s.MEASURED_TENSION, n] = math.nan
+        x.tendon_int[s.SATURATED, n] = 0
+        if x.tendon_int[s.CELL_FRESH, n]:
+            cell = x.tendon[s.CELL, n]
+            x.tendon[s.MEASURED_TENSION, n] = cell - (c.tendon[h.TARE, n] + x.tendon[s.PROGRAM_TARE, n])
+            x.tendon_int[s.SATURATED, n] = not TENSION_ZERO_N < cell < TENSION_TOP_N
+    x.run_int[s.JOINTS_READ] = 0
+    for j in range(x.joint.shape[1]):
+        x.joint[s.MEASURED_JOINT, j] = math.nan
+        if x.joint_int[s.JOINT_FRESH, j]:
+            x.run_int[s.JOINTS_READ] = 1
+            x.joint[s.MEASURED_JOINT, j] = x.joint[s.JOINT_ANGLE, j]
+
+
+@inner
+def screen(x: Tables, c: ConstantTables, missed: int) -> None:
+    """Drop positions that no rotor and no joint can have reached since the last one that was accepted.
+
+    Args:
+        x: tables. c: constants.
+        missed: ticks that were skipped before this one: what moves went on meanwhile, and the reading may answer a
+            question of before them.
+    """
+    for n in range(x.tendon.shape[1]):
+        value = x.tendon[s.MEASURED_POSITION, n]
+        step, gap = abs(value - x.tendon[s.ACCEPTED, n]), x.tendon[s.ACCEPTED_GAP, n] + 1.0 + missed
+        x.tendon[s.JUMP, n] = 0.0
+        if step > c.tendon[h.STEP_LIMIT, n] * gap:
+            x.tendon[s.JUMP, n] = step
+            x.tendon[s.DROPPED, n] += 1.0
+            x.tendon[s.MEASURED_POSITION, n] = math.nan
+        elif not math.isnan(value):
+            x.tendon[s.ACCEPTED, n], x.tendon[s.DROPPED, n] = value, 0.0
+            gap = float(missed)
+        x.tendon[s.ACCEPTED_GAP, n] = gap
+    for j in range(x.joint.shape[1]):
+        value = x.joint[s.MEASURED_JOINT, j]
+        step, gap = abs(value - x.joint[s.JOINT_ACCEPTED, j]), x.joint[s.JOINT_GAP, j] + 1.0 + missed
+        x.joint[s.JOINT_JUMP, j] = 0.0
+        if step > c.joint[h.JOINT_STEP_LIMIT, j] * gap:
+            x.joint[s.JOINT_JUMP, j] = step
+            x.joint[s.JOINT_DROPPED, j] += 1.0
+            x.joint[s.MEASURED_JOINT, j] = math.nan
+        elif not math.isnan(value):
+            x.joint[s.JOINT_ACCEPTED, j], x.joint[s.JOINT_DROPPED, j] = value, 0.0
+            gap = float(missed)
+        x.joint[s.JOINT_GAP, j] = gap
+
+
+@inner
+def unscreened(x: Tables) -> None:
+    """Note that no position was judged in this tick, because no torque acts."""
+    for n in range(x.tendon.shape[1]):
+        x.tendon[s.JUMP, n] = 0.0
+    for j in range(x.joint.shape[1]):
+        x.joint[s.JOINT_JUMP, j] = 0.0
+
+
+@inner
+def convert(x: Tables, c: ConstantTables) -> None:
+    """Write travel, motor force and excursion that follow from the positions that are left."""
+    for n in range(x.tendon.shape[1]):
+        spool = c.tendon[h.SPOOL, n]
+        x.tendon[s.MEASURED_TRAVEL, n] = x.tendon[s.MEASURED_POSITION, n] * spool
+        known = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
+        x.tendon[s.MEASURED_FORCE, n] = x.tendon[s.REPORTED, n] / spool if known else math.nan
+        d, excursion = c.tendon_int[h.DIGIT, n], 0.0
+        for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+            if c.tendon_joint[h.MOMENT_ARMS, n, j] != 0.0:
+                excursion += c.tendon_joint[h.MOMENT_ARMS, n, j] * x.joint[s.MEASURED_JOINT, j]
+        x.tendon[s.MEASURED_EXCURSION, n] = excursion
+
+
+@inner
+def start(x: Tables, c: ConstantTables) -> None:
+    """Start the tension filter once every encoder and load cell was read: hand open, tendons slack."""
+    for n in range(x.tendon.shape[1]):
+        group = c.tendon_int[h.CELL_GROUP, n]
+        if group < 0 or x.group_int[s.GROUP_FRAMES, group] == 0 or math.isnan(x.tendon[s.POSITION, n]):
+            return
+    for n in range(x.tendon.shape[1]):
+        for state in range(7):
+            x.tendon[s.TRAVEL + state, n] = 0.0
+        x.tendon[s.TRAVEL, n] = (x.tendon[s.POSITION, n] - c.tendon[h.ZERO, n]) * c.tendon[h.SPOOL, n]
+    x.run_int[s.STARTED] = 1

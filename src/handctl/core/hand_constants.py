@@ -1,0 +1,256 @@
+"""The block of a hand's constants, filled from its model, its drives and sensors, and its limits."""
+
+import functools
+import math
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag, null_space
+
+from handctl.core import constants as h
+from handctl.core.constants import ELEMENTS, HAND, KINDS
+from handctl.core.detectors.residuals import TIMES_S
+from handctl.core.estimation import contact, posture, touch
+from handctl.core.estimation.filter_stack import Block as FilterBlock
+from handctl.core.law.computed_torque import MOTOR_FRICTION_SPEED, TRIM_TIME_S, UNWIND_FRACTION
+from handctl.core.model import HandModel
+from handctl.core.schema import Block, Layout
+from handctl.core.types import Vector
+from handctl.drives.sensors.node import JOINT_STEP_RAD
+from handctl.hand.digit import DigitModel
+
+SPRING_LEAST = 1e-3
+"""Smallest spring stiffness in the null space [N m/rad]; beyond it the joints' ranges limit the deviation anyway."""
+MOVES_LEAST = 1e-9
+"""A tendon that moves a joint by a smaller fraction than this of the largest does not move it: rounding."""
+
+
+def layout_of(model: HandModel) -> Layout:
+    """Return the layout of a hand's constants."""
+    return Layout(HAND, {
+        "tendon": model.tendon_count,
+        "joint": len(model.hand.joints),
+        "digit": len(model.digits),
+        "coordinate": model.coordinate_count,
+        "kind": KINDS,
+        "element": ELEMENTS,
+        "place": max(digit.joint_count for digit in model.digits) + 2,
+        "run": 1,
+    })  # fmt: skip
+
+
+class HandConstants:
+    """The constants of one hand with its gains.
+
+    Attributes:
+        layout: of the block. block: read-only.
+    """
+
+    def __init__(self, model: HandModel, more: Mapping[str, object]) -> None:
+        """Fill the block.
+
+        Args:
+            model: the hand.
+            more: by field, what the model does not know: tare, zero, thresholds, drives and sensors.
+        """
+        self.layout = layout_of(model)
+        self.block: Block = self.layout.initial.copy()
+        for part in (_motors(model), _law(model), _links(model), _structure(model), _posture(model), more):
+            for name, value in part.items():
+                self.layout.view(self.block, name)[...] = value
+        self.layout.view(self.block, "design")[...] = design_of(model)
+        self.block.flags.writeable = False
+
+
+def _motors(model: HandModel) -> dict[str, object]:
+    space = model.space
+    return {
+        "motor_mass": space.motor_mass,
+        "motor_damping": space.motor_damping,
+        "coulomb": space.coulomb,
+        "stiffness": space.stiffness,
+        "load_stiffness": space.load_stiffness,
+        "load_damping": space.load_damping,
+        "spool": space.spool,
+        "capstan": model.friction,
+        "wrap": model.wrap,
+        "floor": model.floor,
+        "ceiling": model.ceiling,
+        "torque_gain": 1.0 if model.torque_gain is None else model.torque_gain,
+        "digit": model.digit_of,
+        "period": model.period,
+        "period_ns": round(model.period * 1e9),
+        "touch_kept": math.exp(-model.period / touch.SMOOTH_S),
+        "felt_fraction": -math.expm1(-model.period / contact.SMOOTH_S),
+        "usual_fraction": -math.expm1(-model.period / contact.USUAL_S),
+        "drift_fraction": -math.expm1(-model.period / contact.DRIFT_S),
+        "fast_fraction": -math.expm1(-model.period / contact.FAST_S),
+        "slow_fraction": -math.expm1(-model.period / contact.SLOW_S),
+        "arms_sum": np.abs(model.hand.moment_arms).sum(axis=1),
+    }
+
+
+def _law(model: HandModel) -> dict[str, object]:
+    space, motion, tension = model.space, model.gains.motion, model.gains.tension
+    limit, half = model.torque_limit / space.spool, 0.5 * model.period / space.motor_mass
+    return {
+        "limit": limit,
+        "unwind": -UNWIND_FRACTION * limit,
+        "mass": space.motor_mass + space.load_mass,
+        "inertia": motion.inertia_share * space.motor_mass,
+        "error_gain": model.motion.stiffness,
+        "speed_gain": model.motion.damping,
+        "tension_gain": model.motion.tension,
+        "tension_speed_gain": model.motion.tension_speed,
+        "half": half,
+        "stopping": MOTOR_FRICTION_SPEED + half * space.coulomb,
+        "exact": [exact for digit in model.digits for exact in _exact(digit)],
+        "rejection": motion.disturbance_rejection,
+        "friction_fraction": motion.friction_share,
+        "tension_feedback": motion.tension_feedback,
+        "integral_gain": tension.integral_per_s * model.period,
+        "trim_kept": math.exp(-model.period / TRIM_TIME_S),
+    }
+
+
+def _exact(digit: DigitModel) -> list[bool]:
+    """Return for each tendon of a digit whether a joint torque asks one tension and no other."""
+    tendons, coordinates = digit.reduced_moment_arms.shape
+    return [tendons == coordinates] * tendons
+
+
+def _links(model: HandModel) -> dict[str, object]:
+    digits, coordinates = model.digits, np.cumsum([0, *(digit.coupling.shape[1] for digit in model.digits)])
+    moments = [np.array(digit.links[6 : 6 + digit.joint_count]) for digit in digits]
+    span = np.concatenate([digit.joint_max - digit.joint_min for digit in digits])
+    return {
+        "spring": np.concatenate([digit.spring_stiffness for digit in digits]),
+        "preload": np.concatenate([digit.spring_preload for digit in digits]),
+        "joint_damping": np.concatenate([digit.joint_damping for digit in digits]),
+        "weight_x": np.concatenate([w * digit.gravity[0] for w, digit in zip(moments, digits, strict=True)]),
+        "weight_y": np.concatenate([w * digit.gravity[1] for w, digit in zip(moments, digits, strict=True)]),
+        "low": np.concatenate([digit.joint_min for digit in digits]),
+        "high": np.concatenate([digit.joint_max for digit in digits]),
+        "range_sigma": span / math.sqrt(12.0),
+        "links": np.array([digit.links for digit in digits]).T,
+        "gravity": np.array([digit.gravity for digit in digits]).T,
+        "joints_first": [digit.joints.start for digit in digits],
+        "joints_end": [digit.joints.stop for digit in digits],
+        "tendons_first": [digit.tendons.start for digit in digits],
+        "tendons_end": [digit.tendons.stop for digit in digits],
+        "coordinates_first": coordinates[:-1],
+        "coordinates_end": coordinates[1:],
+    }
+
+
+def _structure(model: HandModel) -> dict[str, object]:
+    digits, size = model.digits, np.abs(model.excursion_to_joints)
+    lengths = np.diag(np.concatenate([digit.lengths for digit in digits]))
+    inward, coupling = block_diag(*(np.tri(digit.joint_count) for digit in digits)), model.coupling
+    last = np.repeat([digit.joints.stop - 1 for digit in digits], [digit.joint_count for digit in digits])
+    return {
+        "excursion_to_joints": model.excursion_to_joints,
+        "moves": size > MOVES_LEAST * size.max(initial=0.0),
+        "moment_arms": model.hand.moment_arms,
+        "torque_to_tension": model.torque_to_tension,
+        "pulley_weight": model.pulley_weights,
+        "coupling": coupling,
+        "tip_reach": lengths @ inward @ coupling,
+        "reduced_arms": block_diag(*(digit.reduced_moment_arms for digit in digits)),
+        "tip_ahead": inward[last] - inward,
+        "tip_beyond": lengths @ inward,
+    }
+
+
+def _posture(model: HandModel) -> dict[str, object]:
+    digits, hand, arms = model.digits, model.hand, model.hand.moment_arms
+    sizes = [digit.joint_count for digit in digits]
+    compliance = block_diag(*(_compliance(digit) for digit in digits))
+    spread = block_diag(*(digit.coupling @ digit.coupling.T for digit in digits))
+    ahead, reach, weight = (np.stack(parts) for parts in zip(*_every_place(digits), strict=True))
+    read = np.array([joint in hand.sensor_node.joints for joint in hand.joints])
+    covered = ~((arms != 0.0) & ~read).any(axis=1)
+    fused = bool((compliance.any(axis=1) & read).any())
+    every = 1 if fused else max(1, round(posture.UPDATE_S / model.period))
+    noise = hand.sensor_node.joint_noise_rad**2 + JOINT_STEP_RAD**2 / 12.0
+    return {
+        "compliance": compliance,
+        "spread": spread,
+        "posture_torque": spread @ arms.T,
+        "same_digit": block_diag(*(np.ones((size, size)) for size in sizes)),
+        "place_ahead": ahead,
+        "place_reach": reach,
+        "place_weight": weight,
+        "encoder_variance": noise,
+        "loose": compliance.any(axis=1) & read,
+        "excursion_variance": np.where(
+            covered, noise * (arms**2).sum(axis=1), (2.0 * model.gains.filter.offset_m) ** 2
+        ),
+        "turn_fraction": -math.expm1(-every * model.period / posture.SMOOTH_S),
+        "pressed_kept": math.exp(-model.period / posture.RELEASE_S),
+        "null_space": bool(compliance.any()),
+        "joints_fused": fused,
+        "posture_ticks": every,
+    }
+
+
+def _compliance(digit: DigitModel) -> Vector:
+    """Return joint angles per joint torque at constant excursion, N (N^T K N)^-1 N^T, (n, n) [rad/(N m)]."""
+    free = null_space(digit.moment_arms)
+    if not free.shape[1]:
+        return np.zeros((digit.joint_count, digit.joint_count))
+    stiffness = np.diag(np.maximum(digit.spring_stiffness, SPRING_LEAST))
+    return np.asarray(free @ np.linalg.solve(free.T @ stiffness @ free, free.T))
+
+
+def _every_place(digits: tuple[DigitModel, ...]) -> list[tuple[Vector, Vector, Vector]]:
+    """Return for each place (J, J) angles ahead, (J, J) distances [m] and (J,) probability; the last place is none."""
+    most = max(digit.joint_count for digit in digits)
+    found = []
+    for place in range(most + 2):
+        parts = [_place(digit, place, place == most + 1) for digit in digits]
+        ahead, reach = (block_diag(*(part[i] for part in parts)) for i in (0, 1))
+        found.append((ahead, reach, np.concatenate([part[2] for part in parts])))
+    return found
+
+
+def _place(digit: DigitModel, place: int, alike: bool) -> tuple[Vector, Vector, Vector]:
+    """Return one place on a digit: the middle of a link, the tip after the last one, or all joints alike."""
+    n = digit.joint_count
+    ahead, reach = np.zeros((n, n)), np.zeros((n, n))
+    if place > n and not alike:
+        return ahead, reach, np.zeros(n)
+    if not alike:
+        touched = min(place, n - 1)
+        lengths = np.array(digit.lengths)
+        lengths[touched] *= 1.0 if place == n else 0.5
+        for link in range(touched + 1):
+            ahead[link, link + 1 : touched + 1] = 1.0
+            reach[: link + 1, link] = lengths[link]
+    return ahead, reach, np.full(n, 1.0 / (n + 2))
+
+
+@functools.lru_cache(maxsize=16)
+def design_of(model: HandModel) -> NDArray[np.float64]:
+    """Return the filter's blocks (N, KINDS, ELEMENTS), element by element."""
+    return np.array([[_elements(block) for block in tendon] for tendon in model.filter.blocks])
+
+
+def _elements(block: FilterBlock) -> Vector:
+    information = block.innovation_information
+    return np.concatenate((
+        block.F.ravel(), block.B.ravel(), block.K.ravel(), block.Q.ravel(), block.R, block.P.ravel(), block.H.ravel(),
+        block.tension_row, [information[0, 0], 2.0 * information[0, 1], information[1, 1]],
+        [block.tension_variance, block.cell_sigma, block.drift, float(block.known)],
+    ))  # fmt: skip
+
+
+def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: float) -> Vector:
+    """Return the fraction (8, N) of what is new in each low-passed residual; see ``detectors.residuals``."""
+    every = np.full((len(TIMES_S), model.tendon_count), model.period)
+    every[2], every[5] = motor_period, joint_period  # commanded against reported torque, and slip
+    return np.asarray(1.0 - np.exp(-every / np.array(TIMES_S)[:, None]))
+
+
+assert h.KNOWN_AT == ELEMENTS - 1

@@ -1,0 +1,60 @@
+"""The goals of all digits, written into the block: they change far more rarely than ticks."""
+
+import functools
+
+import numpy as np
+
+from handctl.core import block as s
+from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.reference import MINIMUM_JERK, NO_WAY, SAMPLED
+from handctl.core.law.trajectory import MinimumJerk, Trajectory
+from handctl.core.model import HandModel
+from handctl.core.schema import Block, Layout
+
+
+def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[DigitGoal, ...]) -> None:
+    """Write goals into a block.
+
+    Args:
+        model: the hand. layout: of the block. block: to be changed.
+        goals: per digit.
+    """
+    tendon, digit = layout.table(block, "tendon"), layout.table(block, "digit")
+    kinds = layout.table(block, "tendon_int")[s.GOAL_KIND]
+    ways = layout.table(block, "digit_int")[s.WAY_KIND]
+    way = layout.table(block, "coordinate")
+    for d, (goal, tendons, places) in enumerate(zip(goals, model.digit_tendons, _coordinates(model), strict=True)):
+        kinds[tendons] = int(goal.kind)
+        if goal.kind == Kind.TENSION and goal.tension is not None:
+            tendon[s.TARGET, tendons] = np.clip(goal.tension, 0.0, model.ceiling[tendons])
+            tendon[s.TARGET_STEP, tendons] = goal.rate * model.period
+            tendon[s.FORCE_LIMIT, tendons] = goal.force_limit
+        ways[d] = NO_WAY if goal.trajectory is None else SAMPLED
+        if isinstance(goal.trajectory, MinimumJerk):
+            ways[d] = MINIMUM_JERK
+            way[s.WAY_START, places], way[s.WAY_END, places] = goal.trajectory.start, goal.trajectory.end
+            digit[s.WAY_SINCE, d], digit[s.WAY_DURATION, d] = goal.since, goal.trajectory.duration
+
+
+def sample(model: HandModel, layout: Layout, block: Block, goals: tuple[DigitGoal, ...], t: float) -> None:
+    """Write position, rate and acceleration of the trajectories that compiled code does not know, at time t [s]."""
+    for trajectory, since, places in sampled(model, goals):
+        layout.table(block, "coordinate")[s.WAY : s.WAY + 3, places] = trajectory.at(t - since)
+
+
+@functools.lru_cache(maxsize=16)
+def sampled(model: HandModel, goals: tuple[DigitGoal, ...]) -> tuple[tuple[Trajectory, float, slice], ...]:
+    """Return trajectory, beginning [s] and coordinates of the goals that are sampled."""
+    rows = zip(goals, _coordinates(model), strict=True)
+    return tuple(
+        (goal.trajectory, goal.since, places)
+        for goal, places in rows
+        if goal.trajectory is not None and not isinstance(goal.trajectory, MinimumJerk)
+    )
+
+
+@functools.lru_cache(maxsize=16)
+def _coordinates(model: HandModel) -> tuple[slice, ...]:
+    """Return where each digit's coordinates are among those of all digits."""
+    ends = np.cumsum([digit.coupling.shape[1] for digit in model.digits]).tolist()
+    return tuple(slice(end - digit.coupling.shape[1], end) for end, digit in zip(ends, model.digits, strict=True))

@@ -1,0 +1,125 @@
+"""Where the goals want each digit at this instant, and the joint torque that the motion needs."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import inner
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import Tables
+from handctl.core.constants import ConstantTables
+from handctl.hand.dynamics import newton
+
+Matrix = NDArray[np.float64]
+
+LIMP, MOTION, TENSION = 0, 1, 2
+"""Of ``goal.Kind``, and of ``block.GOAL_KIND``."""
+NO_WAY, MINIMUM_JERK, SAMPLED = 0, 1, 2
+"""Of ``block.WAY_KIND``."""
+
+
+@inner
+def follow(x: Tables, c: ConstantTables, frozen: bool) -> None:
+    """Write position, rate and acceleration of every coordinate that is on a trajectory, 0 for the others.
+
+    Args:
+        x: tables. c: constants. frozen: safety holds: the place on the way is the goal, its speed is not.
+
+    Source: Flash & Hogan (1985): position 10 s^3 - 15 s^4 + 6 s^5 of normalised time s.
+    """
+    t = x.run[s.GOAL_TIME]
+    for d in range(x.digit.shape[1]):
+        first, end = c.digit_int[h.COORDINATES_FIRST, d], c.digit_int[h.COORDINATES_END, d]
+        if x.digit_int[s.WAY_KIND, d] == NO_WAY:
+            for k in range(first, end):
+                x.coordinate[s.WAY, k] = x.coordinate[s.WAY + 1, k] = x.coordinate[s.WAY + 2, k] = 0.0
+        if x.digit_int[s.WAY_KIND, d] == MINIMUM_JERK:
+            duration = x.digit[s.WAY_DURATION, d]
+            u = min(max((t - x.digit[s.WAY_SINCE, d]) / duration, 0.0), 1.0)
+            position = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u)
+            rate = 30.0 * u * u * (1.0 - u) * (1.0 - u) / duration
+            acceleration = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / (duration * duration)
+            for k in range(first, end):
+                length = x.coordinate[s.WAY_END, k] - x.coordinate[s.WAY_START, k]
+                x.coordinate[s.WAY, k] = x.coordinate[s.WAY_START, k] + position * length
+                x.coordinate[s.WAY + 1, k] = rate * length
+                x.coordinate[s.WAY + 2, k] = acceleration * length
+        if frozen and moves(x, c, d):
+            for k in range(first, end):
+                x.coordinate[s.WAY + 1, k] = x.coordinate[s.WAY + 2, k] = 0.0
+
+
+@inner
+def on_joints(x: Tables, c: ConstantTables) -> Matrix:
+    """Return angles, rates and accelerations (3, J) of all joints on their trajectories."""
+    joints = x.joint.shape[1]
+    way = np.zeros((3, joints))
+    for j in range(joints):
+        for k in range(x.coordinate.shape[1]):
+            coupled = c.joint_coordinate[h.COUPLING, j, k]
+            if coupled != 0.0:
+                for order in range(3):
+                    way[order, j] += coupled * x.coordinate[s.WAY + order, k]
+    return way
+
+
+@inner
+def moves(x: Tables, c: ConstantTables, d: int) -> bool:
+    """Return whether a digit is driven along a trajectory."""
+    return x.tendon_int[s.GOAL_KIND, c.digit_int[h.TENDONS_FIRST, d]] == MOTION
+
+
+@inner
+def require(x: Tables, c: ConstantTables, way: Matrix) -> None:
+    """Write the joint torques of the motion: inverse dynamics, springs and damping.
+
+    Args:
+        x: tables. c: constants. way: (3, J) angles [rad], rates [rad/s] and accelerations [rad/s2].
+    """
+    q, dq, ddq = np.zeros(3), np.zeros(3), np.zeros(3)
+    for d in range(x.digit.shape[1]):
+        if not moves(x, c, d):
+            continue
+        first, end = c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]
+        for i in range(3):
+            there = first + i < end
+            q[i], dq[i] = (way[0, first + i], way[1, first + i]) if there else (0.0, 0.0)
+            ddq[i] = way[2, first + i] if there else 0.0
+        k, g = c.digit[h.LINKS : h.LINKS + 12, d], c.digit[h.GRAVITY : h.GRAVITY + 2, d]
+        torque = newton(
+            k[0], k[1], k[2], k[3], k[4], k[5], k[6], k[7], k[8], k[9], k[10], k[11], g[0], g[1],
+            q[0], q[1], q[2], dq[0], dq[1], dq[2], ddq[0], ddq[1], ddq[2],
+        )  # fmt: skip
+        for i in range(end - first):
+            j = first + i
+            spring = c.joint[h.SPRING, j] * (q[i] + c.joint[h.PRELOAD, j])
+            rigid = torque[0] if i == 0 else torque[1] if i == 1 else torque[2]
+            x.joint[s.JOINT_REQUIRED, j] = rigid + spring + c.joint[h.JOINT_DAMPING, j] * dq[i]
+
+
+@inner
+def load(x: Tables, c: ConstantTables) -> int:
+    """Write the tensions at the joints that make the required joint torques.
+
+    Returns:
+        bits of the digits whose tensions would leave their bounds, or are not the only ones that make the torque: for
+        them the bounded least-squares problem decides (``allocation``). A single tendon is as near as it can be at
+        its bound.
+    """
+    undecided = 0
+    for d in range(x.digit.shape[1]):
+        first, end = c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]
+        good = True
+        for n in range(first, end):
+            x.tendon[s.LOAD, n] = 0.0
+            if not moves(x, c, d):
+                continue
+            for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
+                x.tendon[s.LOAD, n] += c.tendon_joint[h.TORQUE_TO_TENSION, n, j] * x.joint[s.JOINT_REQUIRED, j]
+            low, high = c.tendon[h.FLOOR, n], c.tendon[h.CEILING, n]
+            good &= c.tendon_int[h.EXACT, n] == 1 and low <= x.tendon[s.LOAD, n] <= high
+            if end - first == 1:
+                x.tendon[s.LOAD, n] = min(max(x.tendon[s.LOAD, n], low), high)
+        if not good and end - first > 1:
+            undecided |= 1 << d
+    return undecided

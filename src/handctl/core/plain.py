@@ -1,0 +1,88 @@
+"""Decisions as plain values, for the hash of the state and for snapshots: nothing but numbers, texts, bytes and tuples.
+
+A named tuple or dataclass becomes a tuple that begins with its type's name. Equal values are written alike, whoever else
+refers to them. ``restored`` makes the objects again, of types that were registered, so that nothing in a log can name
+others.
+"""
+
+import enum
+import marshal
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+FORMAT = 2
+"""Of ``marshal``: the last one that does not tell values that are shared from values that are equal."""
+ARRAY, MODEL = ":array", ":model"
+"""Marks of what is no named tuple or dataclass."""
+_TYPES: dict[str, type] = {}
+
+
+def name_of(type_: type) -> str:
+    """Return the name under which a type is written: its module and its own."""
+    return f":{type_.__module__.removeprefix('handctl.')}.{type_.__qualname__}"
+
+
+def register(*types: type) -> None:
+    """Let ``restored`` make objects of these types."""
+    _TYPES.update({name_of(type_): type_ for type_ in types})
+
+
+def plain(value: Any) -> Any:
+    """Return a value as plain ones.
+
+    Raises:
+        TypeError: it holds something that is neither plain nor a named tuple, dataclass, array, enumeration or model.
+    """
+    if value is None or type(value) in (bool, int, float, str, bytes):
+        return value
+    if isinstance(value, enum.IntEnum):
+        return (name_of(type(value)), int(value))
+    if isinstance(value, tuple):
+        items = tuple([plain(item) for item in value])
+        return (name_of(type(value)), *items) if hasattr(value, "_fields") else items
+    if isinstance(value, np.ndarray):
+        return (ARRAY, value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes())
+    if isinstance(value, BaseModel):
+        return (MODEL, name_of(type(value)), value.model_dump_json(by_alias=True))
+    if is_dataclass(value) and not isinstance(value, type):
+        own = tuple([plain(getattr(value, field.name)) for field in fields(value) if field.init])
+        return (name_of(type(value)), *own)
+    raise TypeError(f"{type(value).__name__} is no plain value")
+
+
+def plain_bytes(value: Any) -> bytes:
+    """Return the bytes of a value's plain form."""
+    return marshal.dumps(plain(value), FORMAT)
+
+
+def restored(value: Any) -> Any:
+    """Return the objects of a plain value.
+
+    Raises:
+        ValueError: it names a type that is not registered, or does not fit it.
+    """
+    if not isinstance(value, tuple):
+        return value
+    if not value or not isinstance(value[0], str) or not value[0].startswith(":"):
+        return tuple([restored(item) for item in value])
+    mark, *rest = value
+    if mark == ARRAY:
+        kind, shape, data = rest
+        return np.frombuffer(data, np.dtype(kind)).reshape(shape).copy()
+    if mark == MODEL:
+        model: Any = _type(rest[0])
+        return model.model_validate_json(rest[1])
+    made: Any = _type(mark)
+    try:
+        return made(*[restored(item) for item in rest])
+    except TypeError as error:
+        raise ValueError(f"{mark[1:]} cannot be restored: {error}") from None
+
+
+def _type(name: str) -> type:
+    if name not in _TYPES:
+        raise ValueError(f"a snapshot names the type {name[1:]!r}, which none may hold")
+    return _TYPES[name]

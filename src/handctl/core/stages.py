@@ -1,0 +1,148 @@
+"""The compiled stages of a tick, in their order; between them the controller decides (``controller.tick``).
+
+receive    frames -> values of drives and sensors                 ``wire``
+observe    values -> measurements, and their correction of the filter
+predict    the filter's states to the present                     ``filterpy``, by the controller
+conclude   filter -> tensions, touch, joint angles
+judge      everything so far -> faults
+refer      goals -> joint torques of the motion
+act        joint torques, goals, estimate -> motor torques
+remember   what the next tick's judgement needs of this one, and the numbers for the log
+send       motor torques -> frames                                ``wire``
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import kernel
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import tables
+from handctl.core.constants import constant_tables
+from handctl.core.detectors import answers, judge, stuck
+from handctl.core.detectors.bus import Found
+from handctl.core.estimation import contact, kalman, measure, posture, touch
+from handctl.core.law import computed_torque, reference
+from handctl.core.schema import Block, Places
+
+SILENT, ARMING, ACTIVE, RELAX, DONE = 0, 3, 4, 5, 8
+"""Of ``core.types.Mode``."""
+HOLD = 2
+"""``safety.action.Action.HOLD``."""
+
+
+@kernel("block", "layout", "constants", "layout")
+def observe(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
+    """Turn what came into measurements, and take them into the filter."""
+    x, c = tables(block, at), constant_tables(constants, constants_at)
+    measure.measure(x, c)
+    if ARMING <= x.run_int[s.MODE] <= RELAX:
+        measure.screen(x, c, x.run_int[s.MISSED])
+    else:
+        measure.unscreened(x)
+    measure.convert(x, c)
+    if not x.run_int[s.STARTED]:
+        measure.start(x, c)
+    if x.run_int[s.STARTED]:
+        kalman.correct(x, c, x.run_int[s.MISSED])
+    else:
+        kalman.not_started(x)
+
+
+@kernel("block", "layout", "constants", "layout")
+def conclude(block: Block, at: Places, constants: Block, constants_at: Places) -> bool:
+    """Read the estimate off the predicted filter; return whether a node answered more often than it was asked."""
+    x, c = tables(block, at), constant_tables(constants, constants_at)
+    kalman.conclude(x, c)
+    if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
+        touch.feel(x, c)
+    else:
+        touch.forget(x)
+    for j in range(x.joint.shape[1]):
+        x.joint[s.Q_SIGMA, j] = math.nan
+    if x.run_int[s.STARTED]:
+        posture.joint_angles(x, c, x.run_int[s.K], x.run_int[s.T_NS])
+    contact.feel(x, c)
+    contact.watch_grip(x, c)
+    return answers.answered(x, c)
+
+
+@kernel("block", "layout", "constants", "layout", "constants")
+def judged(block: Block, at: Places, constants: Block, constants_at: Places, initial: Block) -> tuple[int, Found]:
+    """Find and debounce faults; see ``detectors.judge``."""
+    x, c = tables(block, at), constant_tables(constants, constants_at)
+    return judge.judge(x, c, tables(initial, at))
+
+
+@kernel("block", "layout", "constants", "layout", "count")
+def refer(block: Block, at: Places, constants: Block, constants_at: Places, action: int) -> int:
+    """Evaluate the goals; return the bits of digits whose tensions the bounded least-squares problem decides."""
+    x, c = tables(block, at), constant_tables(constants, constants_at)
+    computed_torque.restrain(x, c, action == HOLD and x.run_int[s.MODE] == ACTIVE)
+    reference.follow(x, c, x.run_int[s.HOLDING] == 1)
+    reference.require(x, c, reference.on_joints(x, c))
+    return reference.load(x, c)
+
+
+@kernel("block", "layout", "constants", "layout")
+def on_joints(block: Block, at: Places, constants: Block, constants_at: Places) -> NDArray[np.float64]:
+    """Return angles, rates and accelerations (3, J) of all joints on their trajectories."""
+    return reference.on_joints(tables(block, at), constant_tables(constants, constants_at))
+
+
+@kernel("block", "layout", "constants", "layout")
+def load(block: Block, at: Places, constants: Block, constants_at: Places) -> int:
+    """Turn required joint torques into tensions; see ``reference.load``."""
+    return reference.load(tables(block, at), constant_tables(constants, constants_at))
+
+
+@kernel("block", "layout", "constants", "layout", "real", "count", "count")
+def act(
+    block: Block,
+    at: Places,
+    constants: Block,
+    constants_at: Places,
+    relax_rate: float,
+    open_loop: int,
+    ticks: int,
+) -> None:
+    """Command the motor torques; none unless the hand is active or relaxes. See ``computed_torque.command``."""
+    x, c = tables(block, at), constant_tables(constants, constants_at)
+    if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
+        computed_torque.command(x, c, reference.on_joints(x, c), relax_rate, open_loop == 1, ticks)
+    else:
+        computed_torque.idle(x)
+
+
+@kernel("block", "layout", "constants", "layout")
+def remember(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
+    """Keep what this tick asked and commanded, for what the next one hears; complete the numbers for the log."""
+    x, c = tables(block, at), constant_tables(constants, constants_at)
+    mode = x.run_int[s.MODE]
+    for n in range(x.tendon.shape[1]):
+        x.tendon[s.ASKED, n] = x.tendon[s.WANTED, n] = math.nan
+        if mode == ACTIVE or mode == RELAX:
+            x.tendon[s.ASKED, n] = x.tendon[s.TORQUE, n] / c.tendon[h.SPOOL, n]
+        if mode == ACTIVE:
+            x.tendon[s.WANTED, n] = x.tendon[s.TENSION_GOAL, n]
+    if mode == ACTIVE:
+        stuck.follow(x, c)
+    else:
+        for n in range(x.tendon.shape[1]):
+            x.tendon[s.FOLLOWED, n] = math.nan
+    if mode != SILENT and mode != DONE:
+        answers.ask(x, x.run_int[s.K])
+    posture.tip_forces(x, c)
+    for d in range(x.digit.shape[1]):
+        touches = x.digit_int[s.PLANNED_CONTACT, d] == 1 or x.digit_int[s.BLOCKED, d] == 1
+        x.digit[s.CONTACT, d] = 1.0 if touches else 0.0
+    now_ns = x.run_int[s.T_NS]
+    for n in range(x.tendon.shape[1]):
+        heard_ns = x.tendon_int[s.FEEDBACK_NS, n]
+        x.tendon[s.MOTOR_AGE, n] = (now_ns - heard_ns) / 1e9 if heard_ns >= 0 else math.nan
+        x.tendon[s.DRIVE_PHASE, n] = x.tendon_int[s.PHASE, n]
+        fresh = not math.isnan(x.tendon[s.MEASURED_TRAVEL, n])
+        x.tendon[s.MOTOR_VELOCITY, n] = x.tendon[s.VELOCITY, n] if fresh else math.nan
+        x.tendon[s.MOTOR_TORQUE, n] = x.tendon[s.REPORTED, n] if fresh else math.nan

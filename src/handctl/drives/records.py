@@ -1,0 +1,110 @@
+"""Frames as rows of bytes: what buses give and take, kernels read and write, and the log keeps.
+
+    t_ns 64 | can_id 32 | flags 16 | bus 8 | length 8 | data 64 x 8
+
+A ``Frame`` object exists where a frame is looked at by itself: in python-can interfaces, tests, tools, and the state
+machines of drives. ``Frames`` is a sequence of them over the rows, made as they are looked at.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.drives.frame import Frame
+
+RECORD = np.dtype(
+    [("t_ns", "<i8"), ("can_id", "<u4"), ("flags", "<u2"), ("bus", "u1"), ("length", "u1"), ("data", "u1", (64,))]
+)
+"""One frame: time of reception [ns], identifier with the flag bits of ``frame``, flags, bus, payload."""
+SIZE = RECORD.itemsize
+SHORT = 24
+"""Bytes of a record that hold a frame with at most eight bytes of payload [bytes]."""
+Records = NDArray[np.void]
+Rows = NDArray[np.uint8]
+
+
+class Frames(Sequence[Frame]):
+    """Frames over their records; equal to any sequence of equal frames.
+
+    Attributes:
+        records: (n,) of ``RECORD``.
+    """
+
+    __slots__ = ("records",)
+
+    def __init__(self, records: Records) -> None:
+        self.records = records
+
+    @staticmethod
+    def of_rows(rows: Rows) -> "Frames":
+        """Return the frames of (n, SIZE) contiguous bytes."""
+        return Frames(rows.reshape(-1).view(RECORD))
+
+    @property
+    def rows(self) -> Rows:
+        """(n, SIZE) the same as bytes, for kernels."""
+        return self.records.view(np.uint8).reshape(-1, SIZE)
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> "Frames": ...
+    def __getitem__(self, index: int | slice) -> "Frame | Frames":
+        if isinstance(index, slice):
+            return Frames(self.records[index])
+        t_ns, can_id, flags, bus, length, data = self.records[index].item()
+        return Frame(can_id, data.tobytes()[:length], flags, bus, t_ns)
+
+    def __iter__(self) -> Iterator[Frame]:
+        data = self.records["data"].tobytes()
+        columns = [self.records[name].tolist() for name in ("can_id", "length", "flags", "bus", "t_ns")]
+        for i, (can_id, length, flags, bus, t_ns) in enumerate(zip(*columns, strict=True)):
+            yield Frame(can_id, data[64 * i : 64 * i + length], flags, bus, t_ns)
+
+    def __eq__(self, other: object) -> bool:
+        if isinstance(other, Frames):
+            return bool(np.array_equal(self.rows, other.rows))
+        return isinstance(other, Sequence) and tuple(self) == tuple(other)
+
+    def __hash__(self) -> int:
+        return hash(self.rows.tobytes())
+
+    def __repr__(self) -> str:
+        return f"Frames({list(self)!r})"
+
+
+EMPTY = Frames(np.empty(0, RECORD))
+"""No frames."""
+
+
+def frames_of(frames: Iterable[Frame]) -> Frames:
+    """Return frames as records.
+
+    Raises:
+        ValueError: a payload of more than 64 bytes.
+    """
+    if isinstance(frames, Frames):
+        return frames
+    listed = list(frames)
+    if not listed:
+        return EMPTY
+    records = np.zeros(len(listed), RECORD)
+    data = records["data"]
+    for i, (can_id, payload, flags, bus, t_ns) in enumerate(listed):
+        if len(payload) > 64:
+            raise ValueError(f"payload of {len(payload)} bytes in frame {can_id:#x}, expected at most 64")
+        records[i] = t_ns, can_id, flags, bus, len(payload), 0
+        data[i, : len(payload)] = np.frombuffer(payload, np.uint8)
+    return Frames(records)
+
+
+def joined(parts: Sequence[Frames]) -> Frames:
+    """Return the frames of several sequences, one after the other."""
+    if len(parts) == 1:
+        return parts[0]
+    return Frames(np.concatenate([part.records for part in parts])) if parts else EMPTY

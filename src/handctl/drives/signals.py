@@ -1,0 +1,235 @@
+"""Cyclic frames as tables of signals: where a value is in a frame, how it is coded, what a count is worth.
+
+One packer and one unpacker, compiled, serve all protocols. The same tables write a DBC (``dbc``), with which other tools
+decode the bus. Bit positions are those of a DBC: bit 0 is the lowest bit of the first byte. A little-endian signal
+begins at its lowest bit, a big-endian one at its highest.
+"""
+
+import enum
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.compiled import inner, kernel
+
+Bytes = NDArray[np.uint8]
+Real = NDArray[np.float64]
+Whole = NDArray[np.int64]
+
+
+class Quantity(enum.IntEnum):
+    """What a signal carries."""
+
+    POSITION = 0
+    VELOCITY = 1
+    TORQUE = 2
+    TEMPERATURE = 3
+    """Of several in a frame the hottest counts."""
+    STATUS = 4
+    """Several in a frame are one number, the first in its highest bits."""
+    TENSION = 5
+    ANGLE = 6
+    COUNTER = 7
+    UNUSED = 8
+    """Constant in commands, and not read in feedback."""
+
+
+class Coding(enum.IntEnum):
+    """How a number is written."""
+
+    UNSIGNED = 0
+    SIGNED = 1
+    FLOAT = 2
+    """IEEE 754, 32 bits."""
+
+
+class Signal(NamedTuple):
+    """A value in a frame: value = count * scale + offset.
+
+    Attributes:
+        name: of the signal. quantity: what it carries.
+        start: bit, as in a DBC. length: bits. big_endian: byte order. coding: of the count.
+        scale, offset: see above. unit: of the value.
+        channel: index of the tendon or joint, of a frame that carries several.
+    """
+
+    name: str
+    quantity: Quantity
+    start: int
+    length: int
+    big_endian: bool = False
+    coding: Coding = Coding.UNSIGNED
+    scale: float = 1.0
+    offset: float = 0.0
+    unit: str = ""
+    channel: int = 0
+
+
+class Message(NamedTuple):
+    """A cyclic frame.
+
+    Attributes:
+        name: of the message. can_id: with the flag bits of ``frame``. length: of the payload [bytes].
+        signals: in it.
+        flags: of the frame, see ``frame``.
+        base: payload with all signals 0, of a command.
+        answers: whether it is the feedback that answers a command.
+        limit: largest absolute value of its torque, of a command [N m].
+    """
+
+    name: str
+    can_id: int
+    length: int
+    signals: tuple[Signal, ...] = ()
+    flags: int = 0
+    base: bytes = b""
+    answers: bool = True
+    limit: float = math.inf
+
+
+class Cyclic(NamedTuple):
+    """The frames that one drive exchanges in every tick while it is enabled.
+
+    Attributes:
+        feedback: it sends. commands: it is sent, in this order; the torque is in one of them.
+        patience_ns: longest time without feedback after which its state machine must look [ns]; 0: it need not.
+    """
+
+    feedback: tuple[Message, ...]
+    commands: tuple[Message, ...]
+    patience_ns: int = 0
+
+
+START, LENGTH, ORDER, CODING, QUANTITY, CHANNEL = range(6)
+WHOLE_COLUMNS = 6
+SCALE, OFFSET = range(2)
+"""Columns of the two arrays that describe signals to the packer and the unpacker."""
+
+
+def whole_columns(signal: Signal) -> tuple[int, ...]:
+    """Return the whole numbers of a signal as the unpacker reads them: the start is its lowest bit in a word."""
+    start = signal.start
+    if signal.big_endian:
+        # In a word that was read with the first byte highest, the position of the signal's lowest bit.
+        start = 64 - 8 * (start // 8) - (7 - start % 8) - signal.length
+    return start, signal.length, int(signal.big_endian), int(signal.coding), int(signal.quantity), signal.channel
+
+
+@inner
+def word(data: Bytes, big_endian: int) -> int:
+    """Return the first eight bytes as a number, the first byte lowest, or highest for big-endian signals."""
+    value = np.uint64(0)
+    for i in range(8):
+        byte = np.uint64(data[i] if i < len(data) else 0)
+        value |= byte << np.uint64(56 - 8 * i if big_endian else 8 * i)
+    return value
+
+
+@inner
+def unpacked(value: int, row: Whole, real: Real) -> float:
+    """Return the value of one signal of a word; NaN if it is a float that is not finite."""
+    mask = (np.uint64(1) << np.uint64(row[LENGTH])) - np.uint64(1)
+    count = np.int64((value >> np.uint64(row[START])) & mask)
+    if row[CODING] == 2:
+        number = np.array([count], dtype=np.int64).view(np.float32)[0]
+        return number * real[SCALE] + real[OFFSET] if math.isfinite(number) else math.nan
+    if row[CODING] == 1 and count >> (row[LENGTH] - 1):
+        count -= np.int64(1) << row[LENGTH]
+    return count * real[SCALE] + real[OFFSET]
+
+
+@inner
+def packed(value: float, row: Whole, real: Real) -> int:
+    """Return the bits of one signal, at their place in a word.
+
+    The caller has made sure that the value is finite and fits. Half a count is rounded up.
+    """
+    if row[CODING] == 2:
+        number = np.zeros(2, dtype=np.float32)
+        number[0] = (value - real[OFFSET]) / real[SCALE]
+        count = number.view(np.int64)[0]
+    else:
+        count = np.int64(math.floor((value - real[OFFSET]) / real[SCALE] + 0.5))
+    mask = (np.uint64(1) << np.uint64(row[LENGTH])) - np.uint64(1)
+    return (np.uint64(count) & mask) << np.uint64(row[START])
+
+
+@inner
+def insert(data: Bytes, bits: int, big_endian: int) -> None:
+    """Add the bits of a signal to a payload of at most eight bytes that has zeros there."""
+    for i in range(min(len(data), 8)):
+        shift = np.uint64(56 - 8 * i if big_endian else 8 * i)
+        data[i] |= np.uint8((bits >> shift) & np.uint64(0xFF))
+
+
+@kernel("records", "matrix_int", "matrix")
+def unpack_rows(data: Bytes, rows: Whole, reals: Real) -> Real:
+    """Return the values (signals,) of a payload (1, bytes); the arrays have a row for each signal."""
+    found = np.empty(len(rows))
+    for i in range(len(rows)):
+        found[i] = unpacked(word(data[0], rows[i, ORDER]), rows[i], reals[i])
+    return found
+
+
+@kernel("records", "matrix_int", "matrix", "vector")
+def pack_rows(data: Bytes, rows: Whole, reals: Real, values: Real) -> None:
+    """Write values (signals,) into a payload (1, bytes) that has zeros at their places."""
+    for i in range(len(rows)):
+        insert(data[0], packed(values[i], rows[i], reals[i]), rows[i, ORDER])
+
+
+class Table:
+    """The signals of a message as arrays for the packer and the unpacker.
+
+    Attributes:
+        message: whose. wholes: (signals, 6). reals: (signals, 2).
+    """
+
+    def __init__(self, message: Message) -> None:
+        self.message = message
+        signals = [signal for signal in message.signals if signal.quantity != Quantity.UNUSED]
+        self.wholes: Whole = np.array([whole_columns(signal) for signal in signals], dtype=np.int64).reshape(-1, 6)
+        self.reals: Real = np.array([(one.scale, one.offset) for one in signals], dtype=np.float64).reshape(-1, 2)
+
+    def unpack(self, data: bytes) -> list[float]:
+        """Return the value of each signal; NaN for a float that is not finite."""
+        padded = np.frombuffer(data.ljust(8, b"\0"), np.uint8).reshape(1, -1).copy()
+        values: list[float] = unpack_rows(padded, self.wholes, self.reals).tolist()
+        return values
+
+    def pack(self, *values: float) -> bytes:
+        """Return the payload with a value for each signal.
+
+        Raises:
+            ValueError: a value is not finite, or its torque is beyond the limit.
+        """
+        for value in values:
+            if not abs(value) <= self.message.limit:
+                raise ValueError(f"torque {value} N m, expected at most {self.message.limit:g}")
+        data = np.frombuffer(self.message.base.ljust(self.message.length, b"\0"), np.uint8).reshape(1, -1).copy()
+        pack_rows(data, self.wholes, self.reals, np.array(values, dtype=np.float64))
+        return data.tobytes()
+
+
+def dbc(messages: tuple[Message, ...], node: str = "drive") -> str:
+    """Write a DBC of messages, for other tools.
+
+    Args:
+        messages: with distinct names. node: name of who sends them.
+    """
+    lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", f"BU_: {node} host", ""]
+    floats = []
+    for message in messages:
+        frame_id = message.can_id & 0x1FFFFFFF | (0x80000000 if message.can_id & 0x80000000 else 0)
+        lines.append(f"BO_ {frame_id} {message.name}: {message.length} {node}")
+        for signal in message.signals:
+            order, sign = (0 if signal.big_endian else 1), ("+" if signal.coding == Coding.UNSIGNED else "-")
+            place = f"{signal.start}|{signal.length}@{order}{sign}"
+            value = f"({signal.scale!r},{signal.offset!r}) [0|0]"
+            lines.append(f' SG_ {signal.name} : {place} {value} "{signal.unit}" host')
+            if signal.coding == Coding.FLOAT:
+                floats.append(f"SIG_VALTYPE_ {frame_id} {signal.name} : 1;")
+        lines.append("")
+    return "\n".join([*lines, *floats, ""])

@@ -1,1 +1,0 @@
-"""What is kept and computed over many ticks, so that a row of the fault table can be judged."""
