@@ -38,7 +38,7 @@ _TYPES = {
     "block": types.Array(types.float64, 1, "C"),
     "constants": types.Array(types.float64, 1, "C", readonly=True),
     "layout": types.Array(types.int64, 1, "C"),
-    "records": types.Array(types.uint8, 2, "C"),
+    "words": types.Array(types.uint64, 2, "C"),
     "vector": types.Array(types.float64, 1, "A", readonly=True),
     "matrix": types.Array(types.float64, 2, "A", readonly=True),
     "cube": types.Array(types.float64, 3, "A", readonly=True),
@@ -54,7 +54,7 @@ def kernel(*arguments: str) -> Callable[[F], F]:
 
     Args:
         arguments: the type of each. real and count are numbers. vector, matrix, cube, flags and counts are arrays that
-            it reads; block (float64), layout (int64) and records (rows of bytes) are contiguous arrays that it may
+            it reads; block (float64), layout (int64) and words (rows of uint64) are contiguous arrays that it may
             write into.
     """
 

@@ -84,14 +84,17 @@ class State:
     Attributes:
         layout: of the block. block: see ``core.block``.
         decisions: see there.
+        tendon, tendon_int: (rows, N) tables of the block.
     """
 
-    __slots__ = ("_run", "_run_int", "block", "decisions", "layout")
+    __slots__ = ("_run", "_run_int", "block", "decisions", "layout", "tendon", "tendon_int")
 
     def __init__(self, layout: Layout, block: Block, decisions: Decisions) -> None:
         self.layout, self.block, self.decisions = layout, block, decisions
-        self._run = layout.start("run")
-        self._run_int = layout.start("run_int")
+        self.tendon: NDArray[np.float64] = layout.table(block, "tendon")
+        self.tendon_int: NDArray[np.int64] = layout.table(block, "tendon_int")
+        self._run = block[layout.start("run") :]
+        self._run_int = block[layout.start("run_int") :].view(np.int64)
 
     def copy(self) -> "State":
         """Return a state that can be changed without changing this one."""
@@ -107,35 +110,25 @@ class State:
 
     # Tables and single numbers of the block.
 
-    @property
-    def tendon(self) -> NDArray[np.float64]:
-        """(rows, N)."""
-        return self.layout.table(self.block, "tendon")
-
-    @property
-    def tendon_int(self) -> NDArray[np.int64]:
-        """(rows, N)."""
-        return self.layout.table(self.block, "tendon_int").view(np.int64)
-
     def view(self, name: str) -> NDArray[Any]:
         """Return a field of the block by its name."""
         return self.layout.view(self.block, name)
 
     def number(self, row: int) -> float:
         """Return a real number of the run."""
-        return float(self.block[self._run + row])
+        return float(self._run[row])
 
     def set_number(self, row: int, value: float) -> None:
         """Set a real number of the run."""
-        self.block[self._run + row] = value
+        self._run[row] = value
 
     def whole(self, row: int) -> int:
         """Return a whole number of the run."""
-        return int(self.block[self._run_int + row : self._run_int + row + 1].view(np.int64)[0])
+        return int(self._run_int[row])
 
     def set_whole(self, row: int, value: int) -> None:
         """Set a whole number of the run."""
-        self.block[self._run_int + row : self._run_int + row + 1].view(np.int64)[0] = value
+        self._run_int[row] = value
 
     @property
     def k(self) -> int:
@@ -196,8 +189,8 @@ class State:
     def estimate(self) -> Estimate:
         """What programs read of the present instant."""
         layout, block = self.layout, self.block
-        regimes = self.tendon_int[s.REGIME]
-        return Estimate(self.tendon, layout.table(block, "joint"), layout.table(block, "digit"), regimes)
+        joint, digit = layout.table(block, "joint"), layout.table(block, "digit")
+        return Estimate(self.tendon, joint, digit, self.tendon_int[s.REGIME])
 
     @property
     def measured(self) -> Measured:

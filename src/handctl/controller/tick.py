@@ -33,12 +33,12 @@ from handctl.core.hand_constants import HandConstants
 from handctl.core.law.allocation import bounded
 from handctl.core.law.goals import sample, write_goals
 from handctl.core.model import HandModel
-from handctl.core.schema import Layout
+from handctl.core.schema import Layout, Places
 from handctl.core.types import Event, Mode, TickIn, TickOut, Vector
 from handctl.core.wire import Wire
 from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import SIZE, Frames, frames_of, joined
+from handctl.drives.records import PAYLOAD, WORDS, Frames, Rows, frames_of, joined
 from handctl.drives.sensors.node import SensorNode
 from handctl.hand.dynamics import required_torque
 from handctl.programs.program import TARE_PHASE, Program
@@ -85,22 +85,25 @@ class Controller:
     constants: HandConstants = field(init=False, compare=False, repr=False)
     wire: Wire = field(init=False, compare=False, repr=False)
     gather: Gather = field(init=False, compare=False, repr=False)
+    _constants: tuple[Vector, Places] = field(init=False, compare=False, repr=False)
     owners: dict[tuple[int, int], int] = field(init=False, compare=False, repr=False)
-    sync_record: Frames = field(init=False, compare=False, repr=False)
+    sync_row: Rows = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
         prepare()
         limits = self.other_limits or limits_of(self.model, self.drives, self.sensors)
         layout = layout_of(self.model, len(self.sensors.ids))
         owners = {(drive.bus, can_id): n for n, drive in enumerate(self.drives) for can_id in drive.node_ids}
+        constants = constants_of(self.model, self.drives, self.sensors, limits, self.tare, self.zero)
         made = {
             "limits": limits,
             "layout": layout,
-            "constants": constants_of(self.model, self.drives, self.sensors, limits, self.tare, self.zero),
+            "constants": constants,
+            "_constants": (constants.block, constants.layout.places),
             "wire": Wire(self.drives, self.sensors),
             "gather": Gather(layout),
             "owners": owners,
-            "sync_record": frames_of([self.sensors.sync(0)]),
+            "sync_row": frames_of([self.sensors.sync(0)]).rows[0],
         }
         for name, value in made.items():
             object.__setattr__(self, name, value)
@@ -141,7 +144,7 @@ class Controller:
         frames = frames_of(entry.frames)
         signs = self._take_in(before, state, entry, frames)
         wishes, asked = answer(self.model, self.program, state, entry.requests)
-        events = notes(self.model, before, state) + asked if state.whole(s.STARTED) else asked
+        events = notes(self.model, before, state) + asked if state.whole(s.CHANGED) else asked
         self._count_refusals(state, asked)
         action, findings = self._judge(before, state, entry, signs)
         identities = self.identities
@@ -160,24 +163,17 @@ class Controller:
         phase = state.progress.phase if mode == ACTIVE else mode.name.lower()
         return state, TickOut(sent, mode, phase, action, self.gather(state.block), events, state.digest())
 
-    @property
-    def _constants(self) -> tuple[Vector, np.ndarray]:
-        return self.constants.block, self.constants.layout.places
-
     # receive, estimate
 
     def _take_in(self, before: State, state: State, entry: TickIn, frames: Frames) -> tuple[str, ...]:
         """Take in frames, correct and predict the filter; return the signs of a second controller."""
         block, places, missed = state.block, self.layout.places, entry.k - before.k - 1
         wire.begin(block, places)
-        for row, value in (
-            (s.K, entry.k),
-            (s.T_NS, entry.t_ns),
-            (s.LATE_NS, entry.late_ns),
-            (s.MISSED, missed),
-            (s.FRAMES, len(frames)),
-        ):
-            state.set_whole(row, value)
+        state.set_whole(s.K, entry.k)
+        state.set_whole(s.T_NS, entry.t_ns)
+        state.set_whole(s.LATE_NS, entry.late_ns)
+        state.set_whole(s.MISSED, missed)
+        state.set_whole(s.FRAMES, len(frames))
         signs = self._receive(state, frames)
         stages.observe(block, places, *self._constants)
         if state.started:
@@ -304,7 +300,7 @@ class Controller:
         block, places, mode = state.block, self.layout.places, state.mode
         if mode in (ACTIVE, RELAX):
             sample(self.model, self.layout, block, state.progress.goals, state.goal_time)
-            undecided = stages.refer(block, places, *self._constants, action)
+            undecided = stages.refer(block, places, *self._constants, int(action))
             if self.model.inverse is not required_torque:
                 undecided = self._refer_otherwise(state)
             if undecided:
@@ -359,10 +355,10 @@ class Controller:
         mode = state.mode
         if mode in (SILENT, DONE):
             return frames_of(modes.farewell(self.drives, state))
-        out = np.empty((1 + len(self.wire.templates), SIZE), dtype=np.uint8)
+        out = np.empty((1 + len(self.wire.templates), WORDS), dtype=np.uint64)
         counter = self.sensors.counter(state.k)
-        out[0] = self.sync_record.rows[0]
-        out[0, wire.DATA_AT] = counter
+        out[0] = self.sync_row
+        out[0, PAYLOAD] = counter
         state.set_whole(s.SYNC_ASKED, counter & 0xF)
         state.set_whole(s.SYNCS, state.whole(s.SYNCS) + 1)
         torque = state.tendon[s.TORQUE]
@@ -372,7 +368,7 @@ class Controller:
         sent = self._send(state, out, want, torque, t_ns)
         return joined([frames_of(self.cut_frames()), _frames(out[:1])]) if mode == CUT else sent
 
-    def _send(self, state: State, out: np.ndarray, want: Want, torque: Vector, t_ns: int) -> Frames:
+    def _send(self, state: State, out: Rows, want: Want, torque: Vector, t_ns: int) -> Frames:
         """Write commands behind the SYNC in ``out``, through the state machines of drives that are not steady."""
         tables, parts, first, begun_at, count = self.wire, list[Frames](), 0, 0, 1
         clearing = state.clearing and state.mode == Mode.INVENTORY
@@ -399,8 +395,8 @@ class Controller:
         return joined([*parts, rest]) if parts else rest
 
 
-def _frames(rows: np.ndarray) -> Frames:
-    """Return records as frames; ``rows``: (n, SIZE) contiguous bytes."""
+def _frames(rows: Rows) -> Frames:
+    """Return records as frames; ``rows``: (n, WORDS)."""
     return Frames.of_rows(rows)
 
 

@@ -13,7 +13,7 @@ bytes are its snapshot, and comparing two blocks names the first field that diff
 """
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,42 +95,43 @@ class Layout:
 
     def __init__(self, schema: Schema, axes: Mapping[str, int]) -> None:
         self.schema, self.axes = schema, dict(axes)
-        ends = np.cumsum([0, *(schema.rows(table) * self._width(table) for table in schema.tables)])
+        widths = {table: self._width(table) for table in schema.tables}
+        ends = np.cumsum([0, *(schema.rows(table) * widths[table] for table in schema.tables)])
         self.size = int(ends[-1])
         self.places: Places = np.concatenate((list(self.axes.values()), ends)).astype(np.int64)
-        self._start = dict(zip(schema.tables, ends[:-1].tolist(), strict=True))
-        self._by_name = {field.name: field for field in schema.fields}
+        spans = zip(schema.tables, ends[:-1].tolist(), ends[1:].tolist(), strict=True)
+        self._tables = {table: (first, end, widths[table], table.endswith(INT)) for table, first, end in spans}
+        self._fields = {field.name: self._span(field) for field in schema.fields}
         self.initial: Block = np.zeros(self.size)
         for field in schema.fields:
-            self._rows_of(self.initial, field)[...] = field.initial
+            self.view(self.initial, field.name)[...] = field.initial
         self.initial.flags.writeable = False
 
     def _width(self, table: str) -> int:
-        return int(np.prod([self.axes[axis] for axis in table.removesuffix(INT).split("*")], dtype=np.int64))
+        return int(np.prod([self.axes[axis] for axis in _axes(table)], dtype=np.int64))
 
-    def _rows_of(self, block: Block, field: Field) -> NDArray[np.float64]:
-        width = self._width(field.table)
-        start = self._start[field.table] + field.first * width
-        rows = block[start : start + field.rows * width]
-        return (rows.view(np.int64) if field.table.endswith(INT) else rows).reshape(field.rows, width)
+    def _span(self, field: Field) -> tuple[int, int, tuple[int, ...], bool]:
+        """Return first and last element of a field in a block, its shape, and whether it is of whole numbers."""
+        start, _, width, whole = self._tables[field.table]
+        shape = tuple(self.axes[axis] for axis in _axes(field.table))
+        first = start + field.first * width
+        return first, first + field.rows * width, shape if field.rows == 1 else (field.rows, *shape), whole
 
-    def view(self, block: Block, name: str) -> NDArray[np.float64]:
+    def view(self, block: Block, name: str) -> NDArray[Any]:
         """Return a field of a block: (rows, ...) or, of a single row, its axes alone; changes go into the block."""
-        field = self._by_name[name]
-        shape = tuple(self.axes[axis] for axis in field.table.removesuffix(INT).split("*"))
-        rows = self._rows_of(block, field)
-        return rows.reshape(shape) if field.rows == 1 else rows.reshape(field.rows, *shape)
+        first, end, shape, whole = self._fields[name]
+        part = block[first:end]
+        return (part.view(np.int64) if whole else part).reshape(shape)
 
     def start(self, table: str) -> int:
         """Return the first element of a table in a block."""
-        return self._start[table]
+        return self._tables[table][0]
 
-    def table(self, block: Block, name: str) -> NDArray[np.float64]:
+    def table(self, block: Block, name: str) -> NDArray[Any]:
         """Return a table of a block, (rows, length of its axis); changes go into the block."""
-        width = self._width(name)
-        start = self._start[name]
-        part = block[start : start + self.schema.rows(name) * width]
-        return (part.view(np.int64) if name.endswith(INT) else part).reshape(-1, width)
+        first, end, width, whole = self._tables[name]
+        part = block[first:end]
+        return (part.view(np.int64) if whole else part).reshape(-1, width)
 
     def difference(self, one: Block, other: Block) -> tuple[str, int, float, float] | None:
         """Return the first difference of two blocks in the order of the schema: field, element, and both values.
@@ -140,13 +141,15 @@ class Layout:
         apart = np.flatnonzero(one.view(np.int64) != other.view(np.int64))
         if not len(apart):
             return None
-        changed = set(apart.tolist())
         for field in self.schema.fields:
-            width = self._width(field.table)
-            start = self._start[field.table] + field.first * width
-            inside = sorted(at for at in range(start, start + field.rows * width) if at in changed)
-            if inside:
-                kind = np.int64 if field.table.endswith(INT) else np.float64
-                at = inside[0]
-                return field.name, at - start, one.view(kind)[at].item(), other.view(kind)[at].item()
+            first, end, _, whole = self._fields[field.name]
+            inside = apart[(apart >= first) & (apart < end)]
+            if len(inside):
+                kind, at = np.int64 if whole else np.float64, int(inside[0])
+                return field.name, at - first, one.view(kind)[at].item(), other.view(kind)[at].item()
         raise AssertionError("a difference outside of all fields")
+
+
+def _axes(table: str) -> list[str]:
+    """Return the names of a table's axes."""
+    return table.removesuffix(INT).split("*")

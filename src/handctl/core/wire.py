@@ -18,9 +18,20 @@ from handctl.core.block import Tables, tables
 from handctl.core.schema import Block, Places
 from handctl.drives.contract import Drive
 from handctl.drives.frame import ERROR, EXTENDED, REMOTE
-from handctl.drives.records import SIZE, Rows
+from handctl.drives.frame import Frame
+from handctl.drives.records import (
+    BUS_BIT,
+    HEAD,
+    LENGTH_BIT,
+    PAYLOAD,
+    T_NS,
+    WORDS,
+    Rows,
+    frames_of,
+)
 from handctl.drives.sensors.node import SensorNode
-from handctl.drives.signals import QUANTITY, Message, Quantity, Table, insert, packed, unpacked, word
+from handctl.drives.signals import CHANNEL, ORDER, QUANTITY, Message, Quantity, Table, packed, swapped, unpacked
+from handctl.drives.signals import LENGTH as LENGTH_BITS
 
 Whole = NDArray[np.int64]
 Real = NDArray[np.float64]
@@ -37,17 +48,9 @@ ENABLED = 3
 """``drives.contract.Phase.ENABLED``."""
 UNKNOWN = -1
 """No entry."""
-T_NS_AT, ID_AT, FLAGS_AT, BUS_AT, LENGTH_AT, DATA_AT = 0, 8, 12, 14, 15, 16
-"""Bytes of a record; see ``drives.records``."""
-
-
-@inner
-def number(row: Rows, at: int, size: int) -> int:
-    """Return a little-endian number of so many bytes."""
-    value = 0
-    for i in range(size):
-        value |= np.int64(row[at + i]) << (8 * i)
-    return value
+POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(int, tuple(Quantity)[:8])
+"""Quantities as numbers of this module, as compiled code wants them."""
+ID_MASK, BYTE_MASK = 0xFFFFFFFF, 0xFF
 
 
 @inner
@@ -76,17 +79,17 @@ def begin(block: Block, at: Places) -> None:
         x.group_int[s.GROUP_ANSWERED, g] = 0
     for node in range(x.node_int.shape[1]):
         x.node_int[s.MISREAD_NOW, node] = x.node_int[s.TWICE, node] = 0
-    x.run_int[s.STALE_NOW] = x.run_int[s.STRANGE] = x.run_int[s.REFUSED_NOW] = 0
+    x.run_int[s.STALE_NOW] = x.run_int[s.STRANGE] = x.run_int[s.REFUSED_NOW] = x.run_int[s.CHANGED] = 0
 
 
-@kernel("block", "layout", "records", "counts", "matrix_int", "matrix_int", "matrix", "count")
+@kernel("block", "layout", "words", "counts", "matrix_int", "matrix_int", "matrix", "count")
 def receive(
     block: Block, at: Places, rows: Rows, keys: Whole, entries: Whole, wholes: Whole, reals: Real, first: int
 ) -> int:
     """Take in frames from the first one on.
 
     Args:
-        block, at: the state. rows: (n, SIZE) records. keys, entries, wholes, reals: see ``Wire``.
+        block, at: the state. rows: (n, WORDS) records. keys, entries, wholes, reals: see ``Wire``.
         first: index of the first frame.
 
     Returns:
@@ -94,90 +97,114 @@ def receive(
     """
     x = tables(block, at)
     for r in range(first, len(rows)):
-        row = rows[r]
-        can_id = number(row, ID_AT, 4) & ~ERROR
-        entry = find(keys, np.int64(row[BUS_AT]) << 32 | can_id)
+        head = np.int64(rows[r, HEAD])
+        can_id, bus, length = head & ID_MASK & ~ERROR, head >> BUS_BIT & BYTE_MASK, head >> LENGTH_BIT & BYTE_MASK
+        entry = find(keys, bus << 32 | can_id)
         if entry == UNKNOWN:
-            _strange(x, keys, entries, row, can_id)
+            _strange(x, keys, entries, bus, can_id)
             continue
-        kind = entries[entry, KIND]
+        kind, t_ns, payload = entries[entry, KIND], np.int64(rows[r, T_NS]), rows[r, PAYLOAD]
+        fits = length == entries[entry, LENGTH]
         if kind == SENSORS:
-            _sensors(x, row, entries[entry], wholes, reals)
-        elif kind in (LOOK, HOST) or not _values(x, row, entries[entry], wholes, reals):
+            _sensors(x, t_ns, payload, fits, entries[entry], wholes, reals)
+        elif kind == LOOK or kind == HOST or not fits or not _values(x, t_ns, payload, entries[entry], wholes, reals):
             return r
     return len(rows)
 
 
 @inner
-def _strange(x: Tables, keys: Whole, entries: Whole, row: Rows, can_id: int) -> None:
+def _strange(x: Tables, keys: Whole, entries: Whole, bus: int, can_id: int) -> None:
     """Count a frame of nobody's; one with a node's number as a remote or 29-bit frame is misshapen."""
     x.run_int[s.STRANGE] += 1
     if can_id & (EXTENDED | REMOTE):
-        entry = find(keys, np.int64(row[BUS_AT]) << 32 | can_id & 0x7FF)
+        entry = find(keys, bus << 32 | can_id & 0x7FF)
         if entry != UNKNOWN and entries[entry, KIND] != HOST:
             owner = entries[entry, OWNER]
             x.node_int[s.MISREAD_NOW, owner if owner != NODE else x.node_int.shape[1] - 1] = 1
 
 
 @inner
-def _sensors(x: Tables, row: Rows, entry: Whole, wholes: Whole, reals: Real) -> None:
-    """Take in a frame of load cells or joint encoders; one with another counter than that of SYNC is stale."""
-    if row[LENGTH_AT] != entry[LENGTH]:
+def _sensors(
+    x: Tables, t_ns: int, payload: int, fits: bool, entry: Whole, wholes: Whole, reals: Real
+) -> None:
+    """Take in a frame of load cells or joint encoders; one with another counter than that of SYNC is stale.
+
+    Args:
+        x: tables. t_ns: reception [ns]. payload: its first eight bytes. fits: whether its length is right.
+        entry, wholes, reals: see ``Wire``.
+    """
+    if not fits:
         x.node_int[s.MISREAD_NOW, x.node_int.shape[1] - 1] = 1
         return
-    group, value = entry[GROUP], word(row[DATA_AT:], 0)
+    group = entry[GROUP]
     for i in range(entry[FIRST], entry[END]):
-        number_, signal = unpacked(value, wholes[i], reals[i]), wholes[i]
-        if signal[QUANTITY] == 7 and number_ != x.run_int[s.SYNC_ASKED]:
+        value, quantity, channel = unpacked(payload, wholes[i], reals[i]), wholes[i, QUANTITY], wholes[i, CHANNEL]
+        if quantity == COUNTER and value != x.run_int[s.SYNC_ASKED]:
             x.run_int[s.STALE] += 1
             x.run_int[s.STALE_NOW] = max(x.run_int[s.STALE_NOW], 2 if x.group_int[s.GROUP_ANSWERED, group] else 1)
             return
-        if signal[QUANTITY] == 5:
-            x.tendon[s.CELL, signal[5]] = number_
-            x.tendon_int[s.CELL_FRESH, signal[5]] = 1
-        if signal[QUANTITY] == 6:
-            x.joint[s.JOINT_ANGLE, signal[5]] = number_
-            x.joint_int[s.JOINT_FRESH, signal[5]] = 1
-    x.group_int[s.GROUP_NS, group] = number(row, T_NS_AT, 8)
+        if quantity == CELL:
+            x.tendon[s.CELL, channel] = value
+            x.tendon_int[s.CELL_FRESH, channel] = 1
+        if quantity == ANGLE:
+            x.joint[s.JOINT_ANGLE, channel] = value
+            x.joint_int[s.JOINT_FRESH, channel] = 1
+    x.group_int[s.GROUP_NS, group] = t_ns
     x.group_int[s.GROUP_FRAMES, group] += 1
     x.group_int[s.GROUP_ANSWERED, group] += 1
 
 
 @inner
-def _values(x: Tables, row: Rows, entry: Whole, wholes: Whole, reals: Real) -> bool:
-    """Take in a frame of a drive; return False, and take nothing, if its state machine must see it."""
+def _values(x: Tables, t_ns: int, payload: int, entry: Whole, wholes: Whole, reals: Real) -> bool:
+    """Take in a frame of a drive; return False, and take nothing, if its state machine must see it.
+
+    Args:
+        x: tables. t_ns: reception [ns]. payload: its first eight bytes. entry, wholes, reals: see ``Wire``.
+    """
     n = entry[OWNER]
     expected = x.tendon_int[s.STATUS_EXPECTED, n]
-    if x.tendon_int[s.PHASE, n] != ENABLED or expected < 0 or row[LENGTH_AT] != entry[LENGTH]:
+    if x.tendon_int[s.PHASE, n] != ENABLED or expected < 0:
         return False
-    found, status = np.full(4, math.nan), 0
-    little, big = word(row[DATA_AT:], 0), word(row[DATA_AT:], 1)
+    position = velocity = torque = temperature = math.nan
+    status = 0
+    opposite = swapped(payload)
     for i in range(entry[FIRST], entry[END]):
-        signal = wholes[i]
-        value = unpacked(big if signal[2] else little, signal, reals[i])
+        value = unpacked(opposite if wholes[i, ORDER] else payload, wholes[i], reals[i])
         if math.isnan(value):
             return False
-        quantity = signal[QUANTITY]
-        if quantity == 4:
-            status = status << signal[1] | np.int64(value)
-        elif quantity == 3:
-            found[3] = value if math.isnan(found[3]) else max(found[3], value)
-        elif quantity < 3:
-            found[quantity] = value
+        quantity = wholes[i, QUANTITY]
+        if quantity == STATUS:
+            status = status << wholes[i, LENGTH_BITS] | np.int64(value)
+        elif quantity == POSITION:
+            position = value
+        elif quantity == VELOCITY:
+            velocity = value
+        elif quantity == TORQUE:
+            torque = value
+        elif quantity == TEMPERATURE:
+            temperature = value if math.isnan(temperature) else max(temperature, value)
     feedback = entry[KIND] == FEEDBACK
     if feedback and status != expected:
         return False
-    for quantity in range(4):
-        if not math.isnan(found[quantity]):
-            x.tendon[s.POSITION + quantity, n] = found[quantity]
+    _put(x, s.POSITION, n, position)
+    _put(x, s.VELOCITY, n, velocity)
+    _put(x, s.REPORTED, n, torque)
+    _put(x, s.TEMPERATURE, n, temperature)
     if feedback:
-        x.tendon_int[s.FEEDBACK_NS, n] = number(row, T_NS_AT, 8)
+        x.tendon_int[s.FEEDBACK_NS, n] = t_ns
         x.tendon_int[s.FEEDBACKS, n] += 1
         x.tendon_int[s.ANSWERED, n] += 1
     return True
 
 
-@kernel("block", "layout", "records", "matrix_int", "matrix_int", "matrix", "records", "vector", "count", "count")
+@inner
+def _put(x: Tables, row: int, n: int, value: float) -> None:
+    """Write a value that was in a frame."""
+    if not math.isnan(value):
+        x.tendon[row, n] = value
+
+
+@kernel("block", "layout", "words", "matrix_int", "matrix_int", "matrix", "words", "vector", "count", "count")
 def send(
     block: Block,
     at: Places,
@@ -193,10 +220,10 @@ def send(
     """Write the commands of drives that are steady.
 
     Args:
-        block, at: the state. out: (frames, SIZE) records.
+        block, at: the state. out: (frames, WORDS) records.
         commands: (frames, 3) drive, signal (-1 for none) and patience [ns]; see ``Wire``.
         wholes, reals: of the signals; a third column of ``reals`` is the limit [N m].
-        templates: (frames, SIZE) records without their torque.
+        templates: (frames, WORDS) records without their torque.
         torque: (N,) what each drive is told [N m].
         first: drive to begin with. count: records in ``out`` so far.
 
@@ -218,11 +245,11 @@ def send(
         signal = commands[i, 1]
         if signal >= 0 and not abs(torque[n]) <= reals[signal, 2]:
             return n, count
-        for b in range(SIZE):
-            out[count, b] = templates[i, b]
+        for word in range(WORDS):
+            out[count, word] = templates[i, word]
         if signal >= 0:
             bits = packed(torque[n], wholes[signal], reals[signal])
-            insert(out[count, DATA_AT : DATA_AT + 8], bits, wholes[signal, 2])
+            out[count, PAYLOAD] |= swapped(bits) if wholes[signal, ORDER] else bits
         count += 1
     return len(torque), count
 
@@ -235,7 +262,7 @@ class Wire:
         wholes, reals: (s, 6) and (s, 2) signals that are read.
         commands: (f, 3) drive, index of its torque among ``sent_wholes`` or -1, and patience [ns] of each command.
         sent_wholes, sent_reals: (t, 6) and (t, 3) torques that are sent; the third column is the limit [N m].
-        templates: (f, SIZE) commands without their torque.
+        templates: (f, WORDS) commands without their torque.
     """
 
     def __init__(self, drives: Sequence[Drive], sensors: SensorNode) -> None:
@@ -278,7 +305,7 @@ class Wire:
         self.commands: Whole = np.array(rows, dtype=np.int64).reshape(-1, 3)
         self.sent_wholes: Whole = np.array(wholes, dtype=np.int64).reshape(-1, 6)
         self.sent_reals: Real = np.array(reals, dtype=np.float64).reshape(-1, 3)
-        self.templates: Rows = np.array(templates, dtype=np.uint8).reshape(-1, SIZE)
+        self.templates: Rows = np.array(templates, dtype=np.uint64).reshape(-1, WORDS)
 
 
 def _key(bus: int, can_id: int) -> int:
@@ -286,11 +313,6 @@ def _key(bus: int, can_id: int) -> int:
 
 
 def _template(message: Message, bus: int) -> Rows:
-    from handctl.drives.frame import Frame
-    from handctl.drives.records import frames_of
-
     payload = message.base.ljust(message.length, b"\0")
     return frames_of([Frame(message.can_id, payload, message.flags, bus)]).rows[0]
 
-
-assert (Quantity.POSITION, Quantity.VELOCITY, Quantity.TORQUE, Quantity.TEMPERATURE) == (0, 1, 2, 3)

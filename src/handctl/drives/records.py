@@ -22,7 +22,12 @@ SIZE = RECORD.itemsize
 SHORT = 24
 """Bytes of a record that hold a frame with at most eight bytes of payload [bytes]."""
 Records = NDArray[np.void]
-Rows = NDArray[np.uint8]
+Rows = NDArray[np.uint64]
+WORDS = SIZE // 8
+T_NS, HEAD, PAYLOAD = 0, 1, 2
+"""Words of a record: time, then identifier, flags, bus and length from the lowest bit on, then the payload."""
+FLAGS_BIT, BUS_BIT, LENGTH_BIT = 32, 48, 56
+"""Bits of the head."""
 
 
 class Frames(Sequence[Frame]):
@@ -39,13 +44,13 @@ class Frames(Sequence[Frame]):
 
     @staticmethod
     def of_rows(rows: Rows) -> "Frames":
-        """Return the frames of (n, SIZE) contiguous bytes."""
+        """Return the frames of (n, WORDS) contiguous numbers."""
         return Frames(rows.reshape(-1).view(RECORD))
 
     @property
     def rows(self) -> Rows:
-        """(n, SIZE) the same as bytes, for kernels."""
-        return self.records.view(np.uint8).reshape(-1, SIZE)
+        """(n, WORDS) the same as numbers of eight bytes, for kernels."""
+        return self.records.view(np.uint64).reshape(-1, WORDS)
 
     def __len__(self) -> int:
         return len(self.records)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from handctl.compiled import inner, kernel
 
-Bytes = NDArray[np.uint8]
+Words = NDArray[np.uint64]
+"""Payloads as numbers of eight bytes, the first byte lowest."""
 Real = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
@@ -118,13 +119,13 @@ def whole_columns(signal: Signal) -> tuple[int, ...]:
 
 
 @inner
-def word(data: Bytes, big_endian: int) -> int:
-    """Return the first eight bytes as a number, the first byte lowest, or highest for big-endian signals."""
-    value = np.uint64(0)
-    for i in range(8):
-        byte = np.uint64(data[i] if i < len(data) else 0)
-        value |= byte << np.uint64(56 - 8 * i if big_endian else 8 * i)
-    return value
+def swapped(value: int) -> int:
+    """Return a number of eight bytes with its bytes in the opposite order."""
+    found = np.uint64(0)
+    for _ in range(8):
+        found = found << np.uint64(8) | value & np.uint64(0xFF)
+        value = value >> np.uint64(8)
+    return found
 
 
 @inner
@@ -156,28 +157,21 @@ def packed(value: float, row: Whole, real: Real) -> int:
     return (np.uint64(count) & mask) << np.uint64(row[START])
 
 
-@inner
-def insert(data: Bytes, bits: int, big_endian: int) -> None:
-    """Add the bits of a signal to a payload of at most eight bytes that has zeros there."""
-    for i in range(min(len(data), 8)):
-        shift = np.uint64(56 - 8 * i if big_endian else 8 * i)
-        data[i] |= np.uint8((bits >> shift) & np.uint64(0xFF))
-
-
-@kernel("records", "matrix_int", "matrix")
-def unpack_rows(data: Bytes, rows: Whole, reals: Real) -> Real:
-    """Return the values (signals,) of a payload (1, bytes); the arrays have a row for each signal."""
+@kernel("words", "matrix_int", "matrix")
+def unpack_rows(data: Words, rows: Whole, reals: Real) -> Real:
+    """Return the values (signals,) of a payload (1, 1); the arrays have a row for each signal."""
     found = np.empty(len(rows))
     for i in range(len(rows)):
-        found[i] = unpacked(word(data[0], rows[i, ORDER]), rows[i], reals[i])
+        found[i] = unpacked(swapped(data[0, 0]) if rows[i, ORDER] else data[0, 0], rows[i], reals[i])
     return found
 
 
-@kernel("records", "matrix_int", "matrix", "vector")
-def pack_rows(data: Bytes, rows: Whole, reals: Real, values: Real) -> None:
-    """Write values (signals,) into a payload (1, bytes) that has zeros at their places."""
+@kernel("words", "matrix_int", "matrix", "vector")
+def pack_rows(data: Words, rows: Whole, reals: Real, values: Real) -> None:
+    """Write values (signals,) into a payload (1, 1) that has zeros at their places."""
     for i in range(len(rows)):
-        insert(data[0], packed(values[i], rows[i], reals[i]), rows[i, ORDER])
+        bits = packed(values[i], rows[i], reals[i])
+        data[0, 0] |= swapped(bits) if rows[i, ORDER] else bits
 
 
 class Table:
@@ -195,7 +189,7 @@ class Table:
 
     def unpack(self, data: bytes) -> list[float]:
         """Return the value of each signal; NaN for a float that is not finite."""
-        padded = np.frombuffer(data.ljust(8, b"\0"), np.uint8).reshape(1, -1).copy()
+        padded = np.frombuffer(data.ljust(8, b"\0"), np.uint64, 1).reshape(1, 1).copy()
         values: list[float] = unpack_rows(padded, self.wholes, self.reals).tolist()
         return values
 
@@ -208,9 +202,9 @@ class Table:
         for value in values:
             if not abs(value) <= self.message.limit:
                 raise ValueError(f"torque {value} N m, expected at most {self.message.limit:g}")
-        data = np.frombuffer(self.message.base.ljust(self.message.length, b"\0"), np.uint8).reshape(1, -1).copy()
+        data = np.frombuffer(self.message.base.ljust(8, b"\0"), np.uint64, 1).reshape(1, 1).copy()
         pack_rows(data, self.wholes, self.reals, np.array(values, dtype=np.float64))
-        return data.tobytes()
+        return data.tobytes()[: self.message.length]
 
 
 def dbc(messages: tuple[Message, ...], node: str = "drive") -> str:

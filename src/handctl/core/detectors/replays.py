@@ -24,26 +24,33 @@ and 12 in a row are enough; with noise of 1.5 counts it takes 22."""
 @inner
 def update(x: Tables, tared: bool) -> None:
     """Compare the readings with those of the last ``AGE`` ticks."""
-    for n in range(x.tendon.shape[1]):
-        reading = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
-        for age in range(AGE):
-            run = x.tendon_int[s.SAME + age, n]
-            x.tendon_int[s.SAME + age, n] = min(run + 1, AGE) if x.tendon[s.PAST + age, n] == reading else 0
-        for age in range(AGE - 1, 0, -1):
+    count = x.tendon.shape[1]
+    for n in range(count):
+        x.tendon[s.READING, n] = x.tendon[s.MEASURED_TENSION, n] if tared else math.nan
+        x.tendon_int[s.LONGEST, n] = 0
+    for age in range(AGE):
+        for n in range(count):
+            same = x.tendon[s.PAST + age, n] == x.tendon[s.READING, n]
+            run = min(x.tendon_int[s.SAME + age, n] + 1, AGE) if same else 0
+            x.tendon_int[s.SAME + age, n] = run
+            x.tendon_int[s.LONGEST, n] = max(x.tendon_int[s.LONGEST, n], run)
+    for age in range(AGE - 1, 0, -1):
+        for n in range(count):
             x.tendon[s.PAST + age, n] = x.tendon[s.PAST + age - 1, n]
-        x.tendon[s.PAST, n] = reading
+    for n in range(count):
+        x.tendon[s.PAST, n] = x.tendon[s.READING, n]
 
 
 @inner
 def replayed(x: Tables, n: int) -> int:
     """Return the age [ticks] of what a channel repeats; 0 if it does not."""
-    longest, age = 0, 0
-    for candidate in range(AGE):
-        if x.tendon_int[s.SAME + candidate, n] > longest:
-            longest, age = x.tendon_int[s.SAME + candidate, n], candidate + 1
+    longest = x.tendon_int[s.LONGEST, n]
     if longest < SAME_LEAST or -longest * math.log(_chance(x, n)) < UNLIKELY:
         return 0
-    return age
+    for age in range(AGE):
+        if x.tendon_int[s.SAME + age, n] == longest:
+            return age + 1
+    return 0
 
 
 @inner

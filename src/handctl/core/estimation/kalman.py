@@ -204,7 +204,10 @@ def _judge_innovation(x: Tables, c: ConstantTables, innovation: Matrix, informat
             x.tendon[s.NIS_LATELY, n] += period / WARY_S * (nis - x.tendon[s.NIS_LATELY, n])
     for n in range(len(innovation)):
         limit = DOUBT_BELOW if x.tendon_int[s.DOUBTFUL, n] else DOUBT_ABOVE
-        x.tendon_int[s.DOUBTFUL, n] = x.tendon[s.NIS_MEAN, n] > limit
+        doubtful = x.tendon[s.NIS_MEAN, n] > limit
+        if doubtful != x.tendon_int[s.DOUBTFUL, n]:
+            x.run_int[s.CHANGED] = 1
+        x.tendon_int[s.DOUBTFUL, n] = doubtful
     _judge_noise(x, c)
 
 

@@ -33,7 +33,10 @@ def feel(x: Tables, c: ConstantTables) -> None:
         kept = c.run[h.TOUCH_KEPT]
         x.digit[s.TOUCH, d] = kept * x.digit[s.TOUCH, d] + (1.0 - kept) * mean
         limit = FREED_N if x.digit_int[s.BLOCKED, d] else BLOCKED_N
-        x.digit_int[s.BLOCKED, d] = x.digit[s.TOUCH, d] > limit
+        blocked = x.digit[s.TOUCH, d] > limit
+        if blocked != x.digit_int[s.BLOCKED, d]:
+            x.run_int[s.CHANGED] = 1
+        x.digit_int[s.BLOCKED, d] = blocked
 
 
 @inner
@@ -41,4 +44,6 @@ def forget(x: Tables) -> None:
     """Begin anew: no torque acts, so that nothing can be felt."""
     for d in range(x.digit.shape[1]):
         x.digit[s.TOUCH, d] = 0.0
+        if x.digit_int[s.BLOCKED, d]:
+            x.run_int[s.CHANGED] = 1
         x.digit_int[s.BLOCKED, d] = 0
