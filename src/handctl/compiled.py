@@ -59,7 +59,7 @@ def kernel(*arguments: str) -> Callable[[F], F]:
     """
 
     def mark(function: F) -> F:
-        dispatcher = inner(function)
+        dispatcher = _marked(function)
         _KERNELS[f"{function.__module__}.{function.__name__}"] = dispatcher, tuple(_TYPES[name] for name in arguments)
         return dispatcher
 
@@ -67,13 +67,17 @@ def kernel(*arguments: str) -> Callable[[F], F]:
 
 
 def inner(function: F) -> F:
-    """Mark a function that only kernels call."""
+    """Mark a function that only kernels call. It becomes a part of them, and Python cannot call its compiled form."""
+    return _marked(function, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
+def _marked(function: F, **options: bool) -> F:
     MARKED.append(function)
     with _cached_in(_FOLDER):
         try:
-            dispatcher: Any = njit(cache=_FOLDER is not None, error_model="numpy")(function)
+            dispatcher: Any = njit(cache=_FOLDER is not None, error_model="numpy", **options)(function)
         except RuntimeError:  # numba cannot write into the folder
-            dispatcher = njit(error_model="numpy")(function)
+            dispatcher = njit(error_model="numpy", **options)(function)
     return cast(F, dispatcher)
 
 
@@ -124,7 +128,7 @@ def _remove_old(root: Path) -> None:
 _FOLDER = None if numba.config.DISABLE_JIT else _folder()
 
 
-@inner
+@kernel("real")
 def square(value: float) -> float:
     """Return the square of a number, by a product: ``**`` is a power for the interpreter, which rounds otherwise."""
     return value * value

@@ -293,8 +293,15 @@ RUN_INT_FIRST, RUN_INT_END = _MONITOR_FIRST["run_int"], _MONITOR_END["run_int"]
 @inner
 def reset_monitor(x: Tables, initial: Tables) -> None:
     """Let everything begin anew that the monitor remembers of an armed hand."""
-    x.tendon[TENDON_FIRST:TENDON_END] = initial.tendon[TENDON_FIRST:TENDON_END]
-    x.tendon_int[TENDON_INT_FIRST:TENDON_INT_END] = initial.tendon_int[TENDON_INT_FIRST:TENDON_INT_END]
-    x.joint[JOINT_FIRST:JOINT_END] = initial.joint[JOINT_FIRST:JOINT_END]
-    x.joint_int[JOINT_INT_FIRST:JOINT_INT_END] = initial.joint_int[JOINT_INT_FIRST:JOINT_INT_END]
-    x.run_int[RUN_INT_FIRST:RUN_INT_END] = initial.run_int[RUN_INT_FIRST:RUN_INT_END]
+    for n in range(x.tendon.shape[1]):
+        for row in range(TENDON_FIRST, TENDON_END):
+            x.tendon[row, n] = initial.tendon[row, n]
+        for row in range(TENDON_INT_FIRST, TENDON_INT_END):
+            x.tendon_int[row, n] = initial.tendon_int[row, n]
+    for j in range(x.joint.shape[1]):
+        for row in range(JOINT_FIRST, JOINT_END):
+            x.joint[row, j] = initial.joint[row, j]
+        for row in range(JOINT_INT_FIRST, JOINT_INT_END):
+            x.joint_int[row, j] = initial.joint_int[row, j]
+    for row in range(RUN_INT_FIRST, RUN_INT_END):
+        x.run_int[row] = initial.run_int[row]

@@ -106,8 +106,8 @@ def receive(
         kind, t_ns, payload = entries[entry, KIND], np.int64(rows[r, T_NS]), rows[r, PAYLOAD]
         fits = length == entries[entry, LENGTH]
         if kind == SENSORS:
-            _sensors(x, t_ns, payload, fits, entries[entry], wholes, reals)
-        elif kind == LOOK or kind == HOST or not fits or not _values(x, t_ns, payload, entries[entry], wholes, reals):
+            _sensors(x, t_ns, payload, fits, entries, entry, wholes, reals)
+        elif kind == LOOK or kind == HOST or not fits or not _values(x, t_ns, payload, entries, entry, wholes, reals):
             return r
     return len(rows)
 
@@ -125,20 +125,20 @@ def _strange(x: Tables, keys: Whole, entries: Whole, bus: int, can_id: int) -> N
 
 @inner
 def _sensors(
-    x: Tables, t_ns: int, payload: int, fits: bool, entry: Whole, wholes: Whole, reals: Real
+    x: Tables, t_ns: int, payload: int, fits: bool, entries: Whole, entry: int, wholes: Whole, reals: Real
 ) -> None:
     """Take in a frame of load cells or joint encoders; one with another counter than that of SYNC is stale.
 
     Args:
         x: tables. t_ns: reception [ns]. payload: its first eight bytes. fits: whether its length is right.
-        entry, wholes, reals: see ``Wire``.
+        entries, entry, wholes, reals: see ``Wire``.
     """
     if not fits:
         x.node_int[s.MISREAD_NOW, x.node_int.shape[1] - 1] = 1
         return
-    group = entry[GROUP]
-    for i in range(entry[FIRST], entry[END]):
-        value, quantity, channel = unpacked(payload, wholes[i], reals[i]), wholes[i, QUANTITY], wholes[i, CHANNEL]
+    group = entries[entry, GROUP]
+    for i in range(entries[entry, FIRST], entries[entry, END]):
+        value, quantity, channel = unpacked(payload, wholes, reals, i), wholes[i, QUANTITY], wholes[i, CHANNEL]
         if quantity == COUNTER and value != x.run_int[s.SYNC_ASKED]:
             x.run_int[s.STALE] += 1
             x.run_int[s.STALE_NOW] = max(x.run_int[s.STALE_NOW], 2 if x.group_int[s.GROUP_ANSWERED, group] else 1)
@@ -155,21 +155,23 @@ def _sensors(
 
 
 @inner
-def _values(x: Tables, t_ns: int, payload: int, entry: Whole, wholes: Whole, reals: Real) -> bool:
+def _values(
+    x: Tables, t_ns: int, payload: int, entries: Whole, entry: int, wholes: Whole, reals: Real
+) -> bool:
     """Take in a frame of a drive; return False, and take nothing, if its state machine must see it.
 
     Args:
-        x: tables. t_ns: reception [ns]. payload: its first eight bytes. entry, wholes, reals: see ``Wire``.
+        x: tables. t_ns: reception [ns]. payload: its first eight bytes. entries, entry, wholes, reals: see ``Wire``.
     """
-    n = entry[OWNER]
+    n = entries[entry, OWNER]
     expected = x.tendon_int[s.STATUS_EXPECTED, n]
     if x.tendon_int[s.PHASE, n] != ENABLED or expected < 0:
         return False
     position = velocity = torque = temperature = math.nan
     status = 0
     opposite = swapped(payload)
-    for i in range(entry[FIRST], entry[END]):
-        value = unpacked(opposite if wholes[i, ORDER] else payload, wholes[i], reals[i])
+    for i in range(entries[entry, FIRST], entries[entry, END]):
+        value = unpacked(opposite if wholes[i, ORDER] else payload, wholes, reals, i)
         if math.isnan(value):
             return False
         quantity = wholes[i, QUANTITY]
@@ -183,7 +185,7 @@ def _values(x: Tables, t_ns: int, payload: int, entry: Whole, wholes: Whole, rea
             torque = value
         elif quantity == TEMPERATURE:
             temperature = value if math.isnan(temperature) else max(temperature, value)
-    feedback = entry[KIND] == FEEDBACK
+    feedback = entries[entry, KIND] == FEEDBACK
     if feedback and status != expected:
         return False
     _put(x, s.POSITION, n, position)
@@ -248,7 +250,7 @@ def send(
         for word in range(WORDS):
             out[count, word] = templates[i, word]
         if signal >= 0:
-            bits = packed(torque[n], wholes[signal], reals[signal])
+            bits = packed(torque[n], wholes, reals, signal)
             out[count, PAYLOAD] |= swapped(bits) if wholes[signal, ORDER] else bits
         count += 1
     return len(torque), count

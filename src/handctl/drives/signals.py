@@ -104,7 +104,8 @@ class Cyclic(NamedTuple):
 
 
 START, LENGTH, ORDER, CODING, QUANTITY, CHANNEL = range(6)
-WHOLE_COLUMNS = 6
+UNSIGNED, SIGNED, FLOAT = map(int, Coding)
+"""As numbers of this module, as compiled code wants them."""
 SCALE, OFFSET = range(2)
 """Columns of the two arrays that describe signals to the packer and the unpacker."""
 
@@ -129,32 +130,34 @@ def swapped(value: int) -> int:
 
 
 @inner
-def unpacked(value: int, row: Whole, real: Real) -> float:
-    """Return the value of one signal of a word; NaN if it is a float that is not finite."""
-    mask = (np.uint64(1) << np.uint64(row[LENGTH])) - np.uint64(1)
-    count = np.int64((value >> np.uint64(row[START])) & mask)
-    if row[CODING] == 2:
-        number = np.array([count], dtype=np.int64).view(np.float32)[0]
-        return number * real[SCALE] + real[OFFSET] if math.isfinite(number) else math.nan
-    if row[CODING] == 1 and count >> (row[LENGTH] - 1):
-        count -= np.int64(1) << row[LENGTH]
-    return count * real[SCALE] + real[OFFSET]
+def unpacked(value: int, wholes: Whole, reals: Real, i: int) -> float:
+    """Return the value of signal i of a word; NaN if it is a float that is not finite."""
+    length = wholes[i, LENGTH]
+    mask = (np.uint64(1) << np.uint64(length)) - np.uint64(1)
+    bits = (value >> np.uint64(wholes[i, START])) & mask
+    coding = wholes[i, CODING]
+    if coding == FLOAT:
+        number = np.float64(np.uint32(bits).view(np.float32))
+        return number * reals[i, SCALE] + reals[i, OFFSET] if math.isfinite(number) else math.nan
+    count = np.int64(bits)
+    if coding == SIGNED and count >> (length - 1):
+        count -= np.int64(1) << length
+    return count * reals[i, SCALE] + reals[i, OFFSET]
 
 
 @inner
-def packed(value: float, row: Whole, real: Real) -> int:
-    """Return the bits of one signal, at their place in a word.
+def packed(value: float, wholes: Whole, reals: Real, i: int) -> int:
+    """Return the bits of signal i, at their place in a word.
 
     The caller has made sure that the value is finite and fits. Half a count is rounded up.
     """
-    if row[CODING] == 2:
-        number = np.zeros(2, dtype=np.float32)
-        number[0] = (value - real[OFFSET]) / real[SCALE]
-        count = number.view(np.int64)[0]
+    scaled = (value - reals[i, OFFSET]) / reals[i, SCALE]
+    mask = (np.uint64(1) << np.uint64(wholes[i, LENGTH])) - np.uint64(1)
+    if wholes[i, CODING] == FLOAT:
+        bits = np.uint64(np.float32(scaled).view(np.uint32))
     else:
-        count = np.int64(math.floor((value - real[OFFSET]) / real[SCALE] + 0.5))
-    mask = (np.uint64(1) << np.uint64(row[LENGTH])) - np.uint64(1)
-    return (np.uint64(count) & mask) << np.uint64(row[START])
+        bits = np.int64(math.floor(scaled + 0.5)).view(np.uint64)
+    return (bits & mask) << np.uint64(wholes[i, START])
 
 
 @kernel("words", "matrix_int", "matrix")
@@ -162,7 +165,7 @@ def unpack_rows(data: Words, rows: Whole, reals: Real) -> Real:
     """Return the values (signals,) of a payload (1, 1); the arrays have a row for each signal."""
     found = np.empty(len(rows))
     for i in range(len(rows)):
-        found[i] = unpacked(swapped(data[0, 0]) if rows[i, ORDER] else data[0, 0], rows[i], reals[i])
+        found[i] = unpacked(swapped(data[0, 0]) if rows[i, ORDER] else data[0, 0], rows, reals, i)
     return found
 
 
@@ -170,7 +173,7 @@ def unpack_rows(data: Words, rows: Whole, reals: Real) -> Real:
 def pack_rows(data: Words, rows: Whole, reals: Real, values: Real) -> None:
     """Write values (signals,) into a payload (1, 1) that has zeros at their places."""
     for i in range(len(rows)):
-        bits = packed(values[i], rows[i], reals[i])
+        bits = packed(values[i], rows, reals, i)
         data[0, 0] |= swapped(bits) if rows[i, ORDER] else bits
 
 

@@ -67,10 +67,10 @@ def update(
         told = known if i == ERROR else 1.0
         gain[i, 0] = told * (crossed[i, 0] * d - crossed[i, 1] * b) / determinant
         gain[i, 1] = told * (crossed[i, 1] * a - crossed[i, 0] * b) / determinant
-    rest = np.eye(STATES)
+    rest = np.zeros((STATES, STATES))
     for i in range(STATES):
         for j in range(STATES):
-            rest[i, j] -= gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j]
+            rest[i, j] = (1.0 if i == j else 0.0) - (gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j])
     joseph = _times_transposed(_times(rest, P), rest)
     for i in range(STATES):
         for j in range(STATES):
@@ -89,9 +89,12 @@ def predict(x: Tables, c: ConstantTables, after: Matrix, missed: int) -> None:
     for n in range(len(after)):
         kind = x.tendon_int[s.KIND, n]
         F, Q = _square(c, n, kind, h.F_AT), _square(c, n, kind, h.Q_AT)
-        P = after[n].copy()
+        P = after[n]
         for _ in range(periods):
-            P = _times_transposed(_times(F, P), F) + Q
+            P = _times_transposed(_times(F, P), F)
+            for i in range(STATES):
+                for j in range(STATES):
+                    P[i, j] += Q[i, j]
         if kind != x.tendon_int[s.KIND_BEFORE, n]:
             P = _square(c, n, kind, h.P_AT)
         for i in range(STATES):
@@ -152,7 +155,11 @@ def _tension_variance(c: ConstantTables, n: int, kind: int, P: Matrix) -> float:
 @inner
 def _square(c: ConstantTables, n: int, kind: int, at: int) -> Matrix:
     """Return a copy of a (7, 7) matrix of the design."""
-    return c.design[n, kind, at : at + STATES * STATES].copy().reshape((STATES, STATES))
+    found = np.empty((STATES, STATES))
+    for i in range(STATES):
+        for j in range(STATES):
+            found[i, j] = c.design[n, kind, at + STATES * i + j]
+    return found
 
 
 @inner

@@ -270,10 +270,7 @@ def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
         developed[n] = quick[n] if math.isnan(known) else known
         better |= developed[n] != quick[n]
     pull(c, q, tension, quick, force[1])
-    if better:
-        pull(c, q, tension, developed, force[2])
-    else:
-        force[2] = force[1]
+    pull(c, q, tension, developed if better else quick, force[2])
     return force
 
 

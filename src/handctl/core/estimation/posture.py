@@ -142,8 +142,9 @@ def _turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
             wrong = math.sqrt(square(MODEL_ERROR_N) + square(MODEL_ERROR * external))
             torque[j] += c.joint_tendon[h.POSTURE_TORQUE, j, n] * external
             error[j] += c.joint_tendon[h.POSTURE_TORQUE, j, n] * wrong
-    q = x.joint[s.Q] + x.joint[s.TURN]
-    lever = np.zeros(joints)
+    q, lever = np.zeros(joints), np.zeros(joints)
+    for j in range(joints):
+        q[j] = x.joint[s.Q, j] + x.joint[s.TURN, j]
     for place in range(places):
         _place_levers(c, place, q, lever)
         for d in range(x.digit.shape[1]):
@@ -255,6 +256,7 @@ def _fuse(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: i
                 covariance[a, b] += spread[a, n] * spread[b, n]
             covariance[a, b] *= c.joint_joint[h.SAME_DIGIT, a, b]
     used = False
+    gain, row = np.zeros(joints), np.zeros(joints)
     for j in range(joints):
         if not c.joint_int[h.LOOSE, j]:
             continue
@@ -266,8 +268,8 @@ def _fuse(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: i
         moved = x.joint[s.DQ, j] * age
         noise = c.joint[h.ENCODER_VARIANCE, j] + square(ADVANCE_ERROR * moved)
         residual = x.joint[s.JOINT_ANGLE, j] + moved - x.joint[s.Q, j]
-        gain = covariance[:, j] / (covariance[j, j] + noise)
-        row = covariance[j].copy()
+        for a in range(joints):
+            gain[a], row[a] = covariance[a, j] / (covariance[j, j] + noise), covariance[j, a]
         for a in range(joints):
             x.joint[s.Q, a] += gain[a] * residual
             for b in range(joints):
@@ -301,7 +303,9 @@ def tip_forces(x: Tables, c: ConstantTables) -> None:
     """
     coordinates = x.coordinate.shape[1]
     torque, lever, turned = np.zeros(coordinates), np.zeros(coordinates), np.zeros(coordinates)
-    q = x.joint[s.Q].copy()
+    q = np.zeros(x.joint.shape[1])
+    for j in range(len(q)):
+        q[j] = x.joint[s.Q, j]
     for k in range(coordinates):
         for n in range(x.tendon.shape[1]):
             torque[k] += x.tendon[s.EXTERNAL, n] * c.tendon_coordinate[h.REDUCED_ARMS, n, k]
