@@ -4,17 +4,19 @@ What is injected stands between the nodes and the wire, in a node, a sensor or t
 """
 
 import random
+from typing import Any
 
 import numpy as np
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.compiled import use
+from firmware_sim.compiled import array_of, use
 from firmware_sim.description import Hand, MotorSpec, SensorSpec, SimulatorError
+from firmware_sim.exchange import Exchange
 from firmware_sim.faults.active import Faults
-from firmware_sim.nodes import PROTOCOLS, sensors
-from firmware_sim.nodes.kind import Node
+from firmware_sim.nodes import PROTOCOLS, noise, sensors
+from firmware_sim.nodes.kind import SENSORS, DriveNode, Node
 from firmware_sim.nodes.mit import codec as mit_codec
-from firmware_sim.nodes.sensors import SensorNode
+from firmware_sim.nodes.sensors import SensorNode, SensorNodeRow, SensorRow
 from firmware_sim.plant.plant import STEP_NS, Plant
 from firmware_sim.scene.scene import Scene
 from firmware_sim.truth import TruthWriter
@@ -58,22 +60,25 @@ class World:
         self.hand, self.seed, self.homed = hand, seed, homed
         self.plant = Plant(hand, scene, seed, homed, compiled)
         if compiled:
-            use(mit_codec)
-            use(sensors)
+            for module in (mit_codec, sensors, noise):
+                use(module)
         self.t_ns = self._origin_ns = origin_ns
         self.foreign = 0
         chance = random.Random(f"encoders {seed}")
         spread = 0.0 if homed else MAX_ENCODER_OFFSET_RAD
         self.encoder_offset = {motor.name: motor.zero + chance.uniform(-spread, spread) for motor in hand.motors}
         self.nodes: list[list[Node]] = [[] for _ in hand.buses]
-        self._motor_nodes = {motor.name: self._motor_node(motor) for motor in hand.motors}
+        self.row_of: dict[int, tuple[int, int]] = {}
+        rows: dict[type, Any] = {}
+        self._motor_nodes = self._drives(compiled, rows)
         for motor in hand.motors:
             self.nodes[self._bus(motor.bus)].append(self._motor_nodes[motor.name])
         if hand.sensors:
-            self.sensor_node = self._sensor_node(hand.sensors)
+            self.sensor_node = self._sensor_node(hand.sensors, compiled, rows)
             self.nodes[self._bus(hand.sensors.bus)].append(self.sensor_node)
         self._all = [(index, node) for index, bus in enumerate(self.nodes) for node in bus]
         self._by_id: list[dict[int, list[tuple[Node, frozenset[int] | None]]]]
+        self.exchange = Exchange(self, rows) if compiled else None
         self.look_again()
         self._spoken: list[Frame] = []
         self.faults = Faults(self)
@@ -85,18 +90,44 @@ class World:
             raise SimulatorError(f"{self.hand.name}: no bus {name}; expected one of {', '.join(self.hand.buses)}")
         return self.hand.buses.index(name)
 
-    def _motor_node(self, motor: MotorSpec) -> Node:
-        if motor.protocol not in PROTOCOLS:
-            known = ", ".join(PROTOCOLS)
-            raise SimulatorError(f"{motor.name}: protocol {motor.protocol} is not simulated; expected one of {known}")
-        return PROTOCOLS[motor.protocol].node(motor, self.plant.motors[motor.name], self.encoder_offset[motor.name])
+    def _drives(self, compiled: bool, rows: dict[type, Any]) -> dict[str, DriveNode]:
+        """Return the node of each motor by its name; those with rows are noted in ``rows`` and ``row_of``."""
+        nodes: dict[str, DriveNode] = {}
+        for motor in self.hand.motors:
+            if motor.protocol not in PROTOCOLS:
+                known = ", ".join(PROTOCOLS)
+                raise SimulatorError(
+                    f"{motor.name}: protocol {motor.protocol} is not simulated; expected one of {known}"
+                )
+        for protocol, kind in PROTOCOLS.items():
+            motors = [motor for motor in self.hand.motors if motor.protocol == protocol]
+            memory: Any = (kind.row * len(motors))() if compiled and kind.row else [None] * len(motors)
+            for number, (motor, row) in enumerate(zip(motors, memory, strict=True)):
+                about = motor, self.plant.motors[motor.name], self.encoder_offset[motor.name]
+                if row is None:
+                    nodes[motor.name] = kind.node(*about)
+                    continue
+                row.prepare(*about)
+                nodes[motor.name], self.row_of[id(row)] = row, (kind.taker, number)
+            if compiled and kind.row:
+                rows[kind.row.layout] = array_of(memory, kind.row.layout)
+        return nodes
 
-    def _sensor_node(self, spec: SensorSpec) -> SensorNode:
+    def _sensor_node(self, spec: SensorSpec, compiled: bool, rows: dict[type, Any]) -> SensorNode:
         plant, joints = self.plant, self.hand.joints
         names = [tendon.name for tendon in self.hand.tendons]
         tendon_order = np.array([names.index(name) for name in spec.tendons], np.int64)
         joint_order = np.array([joints.index(name) for name in spec.joints], np.int64)
-        return SensorNode(spec, lambda: plant.cells()[tendon_order], lambda: plant.engine.q[joint_order], self.seed)
+        self.sensor_orders = tendon_order, joint_order
+        about = spec, lambda: plant.cells()[tendon_order], lambda: plant.engine.q[joint_order], self.seed
+        if not compiled:
+            return SensorNode(*about)
+        memory = (SensorNodeRow * 1)()
+        node: SensorNodeRow = memory[0]
+        node.prepare(*about)
+        rows[SensorRow] = array_of(memory, SensorRow)
+        self.row_of[id(node)] = SENSORS, 0
+        return node
 
     def motor_spec(self, name: str) -> MotorSpec:
         """Return the description of a motor."""
@@ -150,6 +181,8 @@ class World:
         """Ask the nodes again who they are."""
         self._all_of = [[(node, node.ids) for node in bus] for bus in self.nodes]
         self._by_id = [{} for _ in self.nodes]
+        if self.exchange:
+            self.exchange.look_again()
 
     def advance(self, t_ns: int) -> None:
         """Let time pass until t_ns, in whole steps; what is left over waits for the next call."""

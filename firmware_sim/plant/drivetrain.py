@@ -111,9 +111,15 @@ def _give_back(rope: Any, joints: Any, arms: Any, torque: Any) -> None:
 
 
 @inner
+def encoded(theta: float) -> float:
+    """Return the angle of a spool as its encoder shows it [rad]."""
+    return math.floor(theta / ENCODER_STEP) * ENCODER_STEP
+
+
+@inner
 def see(rotor: Any) -> None:
     """Measure the angle of the spool."""
-    rotor.angle = math.floor(rotor.theta / ENCODER_STEP) * ENCODER_STEP
+    rotor.angle = encoded(rotor.theta)
 
 
 @inner
@@ -191,8 +197,11 @@ def steps(
         step, model, data: addresses of the engine's step and of its arguments.
 
     Returns:
-        How many steps were made; fewer than asked for if the plant diverged.
+        How many steps were made; fewer than asked for if the plant diverged, none if there is a fault in a motor.
     """
+    for i in range(len(rotors)):
+        if rotors[i].faulty:
+            return 0
     for done in range(count):
         speeds = 0.0
         for speed in dq:

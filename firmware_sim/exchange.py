@@ -1,0 +1,111 @@
+"""A tick's frames as records: the cyclic ones are answered by a compiled law, the others by the nodes one by one."""
+
+from typing import Any
+
+import numpy as np
+
+from firmware_sim.bus.frame import Frame
+from firmware_sim.bus.records import RECORD, to_frames, to_records
+from firmware_sim.compiled import machine_code
+from firmware_sim.nodes import cyclic
+from firmware_sim.nodes.cyclic import ANSWERS, IN_ORDER, NEXT_FRAME, Taker
+from firmware_sim.nodes.mit.codec import MitRow
+from firmware_sim.nodes.sensors import CHANNELS, SensorRow
+
+ROOM = 64
+"""Answers that there is room for in a tick at first."""
+
+
+class Exchange:
+    """What answers the frames of a tick; the nodes of its world have rows."""
+
+    def __init__(self, world: Any, rows: dict[type, Any]) -> None:
+        """Args: the world; the rows of its nodes by their type, an array for each."""
+        self._world, self._laws = world, machine_code(cyclic)
+        self._room = ROOM
+        self._progress = np.zeros(3, np.int64)
+        sensor = world.sensor_node if SensorRow in rows else None
+        self._noise, self._most = sensor.noise if sensor else None, 1
+        orders, bias = (np.empty(0, np.int64),) * 2, np.empty(0)
+        if sensor:
+            orders, bias = world.sensor_orders, sensor.bias
+            self._most += sum(-(-len(order) // CHANNELS) for order in orders)
+        self._draws = 2 * len(orders[0]) + len(orders[1])
+        self._nodes = rows.get(MitRow, np.empty(0, MitRow)), rows.get(SensorRow, np.empty(0, SensorRow)), *orders, bias
+        self._no_noise = np.empty(0), np.zeros(1, np.int64)
+        self._table: Any = None
+        self._takers: Any = None
+
+    def look_again(self) -> None:
+        """Ask the nodes again who they are before the next frame."""
+        self._table = None
+
+    def answer(self, frames: Any, t_ns: int, last_ns: int) -> tuple[Any, bool]:
+        """Return the answers to frames, stamped as if they followed one another, and whether their times rise.
+
+        Args:
+            frames: array of ``RECORD``.
+            t_ns: beginning of the tick [ns].
+            last_ns: the latest that an answer comes after it [ns].
+        """
+        world, progress, answers = self._world, self._progress, np.empty(self._room, RECORD)
+        progress[:] = 0
+        one_by_one = world.faults.in_frames
+        while True:
+            if one_by_one:
+                for frame in to_frames(frames):
+                    answers = self._add(answers, world.receive(frame))
+                progress[NEXT_FRAME] = len(frames)
+            self._run(frames, answers, t_ns, last_ns)
+            at = int(progress[NEXT_FRAME])
+            if at == len(frames):
+                return answers[: progress[ANSWERS]], bool(progress[IN_ORDER])
+            if progress[ANSWERS] + self._most > len(answers):
+                answers = self._more(answers)
+                continue
+            (frame,) = to_frames(frames[at : at + 1])
+            answers = self._add(answers, world.receive(frame))
+            progress[NEXT_FRAME] = at + 1
+
+    def _run(self, frames: Any, answers: Any, t_ns: int, last_ns: int) -> None:
+        if self._table is None:
+            self._look()
+        noise, plant = self._no_noise, self._world.plant
+        if self._noise:
+            self._noise.draw(self._draws)
+            noise = self._noise.left, self._noise.first
+        self._laws.answer(
+            frames, answers, self._progress, t_ns, last_ns, self._table, self._takers, self._most,
+            *self._nodes, *noise, *plant.sampled,
+        )  # fmt: skip
+
+    def _more(self, answers: Any) -> Any:
+        """Return the answers in twice as much room."""
+        self._room = 2 * len(answers)
+        return np.concatenate((answers, np.empty(len(answers), RECORD)))
+
+    def _add(self, answers: Any, frames: list[Frame]) -> Any:
+        """Return the answers with more of them."""
+        count, new = int(self._progress[ANSWERS]), len(frames)
+        while count + new > len(answers):
+            answers = self._more(answers)
+        answers[count : count + new] = to_records(frames)
+        self._progress[ANSWERS] = count + new
+        return answers
+
+    def _look(self) -> None:
+        """Note who takes which identifier; what a node without a row may answer is left to Python."""
+        world, takers = self._world, list[tuple[int, int, int]]()
+        table = cyclic.empty_table(len(world.nodes))
+        for bus, nodes in enumerate(world.nodes):
+            cycles = {id(node): node.cyclic if id(node) in world.row_of else () for node in nodes}
+            for can_id in {can_id for ids in cycles.values() for can_id in ids}:
+                heard = [node for node in nodes if node.ids is None or can_id in node.ids]
+                if not all(can_id in cycles[id(node)] for node in heard):
+                    continue
+                following = -1
+                for node in reversed(heard):
+                    takers.append((*world.row_of[id(node)], following))
+                    following = len(takers) - 1
+                table[cyclic.place(bus, can_id)] = following
+        self._table, self._takers = table, np.array(takers, Taker)
