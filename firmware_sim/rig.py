@@ -4,8 +4,6 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.records import to_frames, to_records
 from firmware_sim.bus.wired_tick import WiredTick
@@ -62,6 +60,7 @@ class Rig:
         self._exchange = self.world.exchange
         self._period_ns = period_ns
         self.wired = None if wire is None else WiredTick(self.world, parse(wire))
+        self._exchange.speaks = self.wired is None
         self._truth: TruthWriter | None = None
         if truth_path is not None:
             header = {**self.world.header("virtual"), "perturb": perturb or {}}
@@ -73,7 +72,7 @@ class Rig:
 
         Args:
             t_ns: beginning of the tick [ns]; must not run backwards.
-            frames: array of ``records.RECORD``, contiguous and writeable; their times count for nothing.
+            frames: contiguous array of ``records.RECORD``; their times count for nothing.
 
         Returns:
             The answers as an array of ``records.RECORD``, stamped as if they followed one another on each bus, all
@@ -87,9 +86,8 @@ class Rig:
         world.reach(t_ns)
         answers, in_order = self._exchange.answer(frames, t_ns, self._period_ns - 1)
         world.advance(end_ns)
-        if spoken := world.take_spoken():
-            answers, in_order = np.concatenate((answers, to_records(spoken))), False
-        return answers if in_order else answers[np.argsort(answers["t_ns"], kind="stable")]
+        spoken = world.take_spoken_records()
+        return answers if in_order and not len(spoken) else self._exchange.merged(answers, spoken)
 
     def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
         """Do the same with objects; see ``exchange``.

@@ -4,11 +4,13 @@ What is injected stands between the nodes and the wire, in a node, a sensor or t
 """
 
 import random
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from firmware_sim.bus.frame import Frame
+from firmware_sim.bus.records import to_frames, to_records
 from firmware_sim.compiled import array_of, use
 from firmware_sim.description import Hand, MotorSpec, SensorSpec, SimulatorError
 from firmware_sim.exchange import Exchange
@@ -21,6 +23,7 @@ from firmware_sim.plant.plant import STEP_NS, Plant
 from firmware_sim.scene.scene import Scene
 from firmware_sim.truth import TruthWriter
 
+_ARRIVAL_NS = itemgetter(4)
 MAX_ENCODER_OFFSET_RAD = 0.5
 """Angle that an encoder may show at theta = 0 when not homed; small against PMAX and the 3 rad of a grasp."""
 
@@ -77,6 +80,7 @@ class World:
             self.sensor_node = self._sensor_node(hand.sensors, compiled, rows)
             self.nodes[self._bus(hand.sensors.bus)].append(self.sensor_node)
         self._all = [(index, node) for index, bus in enumerate(self.nodes) for node in bus]
+        self._without_row = [node for _, node in self._all if id(node) not in self.row_of]
         self._by_id: list[dict[int, list[tuple[Node, frozenset[int] | None]]]]
         self.exchange = Exchange(self, rows) if compiled else None
         self.look_again()
@@ -108,6 +112,7 @@ class World:
                     nodes[motor.name] = kind.node(*about)
                     continue
                 row.prepare(*about)
+                row.bus = self._bus(motor.bus)
                 nodes[motor.name], self.row_of[id(row)] = row, (kind.taker, number)
             if compiled and kind.row:
                 rows[kind.row.layout] = array_of(memory, kind.row.layout)
@@ -231,10 +236,15 @@ class World:
 
     def _next_wake(self, end_ns: int) -> int:
         """Return when time must pass for a node next [ns]; ``end_ns`` if there is none."""
-        return min([node.wake_ns for _, node in self._all], default=end_ns)
+        if not self.exchange:
+            return min([node.wake_ns for _, node in self._all], default=end_ns)
+        wake_ns = self.exchange.next_wake(end_ns)
+        return min(wake_ns, *[node.wake_ns for node in self._without_row]) if self._without_row else wake_ns
 
     def _wake(self, now_ns: int) -> None:
         """Wake the nodes whose time has come, and keep what they say."""
+        if self.exchange and not self._without_row and self.exchange.speak(now_ns):
+            return
         for bus, node in self._all:
             if now_ns >= node.wake_ns:
                 spoken = node.wake(now_ns)
@@ -249,7 +259,14 @@ class World:
     def take_spoken(self) -> list[Frame]:
         """Return what nodes have sent of their own accord since the last call."""
         spoken, self._spoken = self._spoken, []
+        if self.exchange and len(said := self.exchange.take_said()):
+            return sorted(to_frames(said) + spoken, key=_ARRIVAL_NS)
         return spoken
+
+    def take_spoken_records(self) -> Any:
+        """Return the same as an array of ``records.RECORD``, valid until more is sent."""
+        assert self.exchange
+        return to_records(self.take_spoken()) if self._spoken else self.exchange.take_said()
 
     @property
     def malformed(self) -> int:

@@ -6,6 +6,7 @@ itself then answers it in Python, and the law goes on with the next frame.
 """
 
 import ctypes
+import math
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,26 @@ from firmware_sim.bus.frame import FDF, REMOTE
 from firmware_sim.bus.records import RECORD
 from firmware_sim.compiled import compiled, inner
 from firmware_sim.nodes import sensors
-from firmware_sim.nodes.kind import MIT
+from firmware_sim.nodes.cia402.laws import (
+    CONTROL_WORD,
+    OPERATIONAL,
+    POSITION,
+    STATUS_WORD,
+    TARGET_TORQUE,
+    TORQUE,
+    WARM_NS,
+    Cia402Row,
+    beats,
+    follow,
+    follows,
+    measure,
+)
+from firmware_sim.nodes.cia402.laws import schedule as schedule_cia402
+from firmware_sim.nodes.cia402.laws import starves as starves_cia402
+from firmware_sim.nodes.kind import MIT, ODRIVE, SENSORS
 from firmware_sim.nodes.mit.codec import ENABLED, MitRow, feedback_word, obey, schedule
+from firmware_sim.nodes.odrive.laws import WARM_PERIOD_NS, OdriveRow, make_torque, next_due, starves, turns, turns_per_s
+from firmware_sim.nodes.odrive.laws import schedule as schedule_odrive
 from firmware_sim.nodes.sensors import (
     CHANNELS,
     JOINT_OFFSET,
@@ -27,13 +46,15 @@ from firmware_sim.nodes.sensors import (
     read_cells,
 )
 from firmware_sim.plant.drivetrain import DRIVETRAIN, encoded, tensions
+from firmware_sim.plant.rows import RotorRow
 
 FRAME_NS = 135_000
 """Worst case of a classical frame of 8 bytes at 1 Mbit/s [ns], by which answers follow one another. Source: VCAN."""
 FD_FRAME_NS = 57_000
 """Worst case of an FD frame of 8 bytes at 1/5 Mbit/s [ns]. Source: VCAN."""
-NEXT_FRAME, ANSWERS, IN_ORDER = range(3)
-"""Places in ``progress``: number of the frame that comes next; how many answers there are; whether their times rise."""
+NEXT_FRAME, ANSWERS, IN_ORDER, SAID = range(4)
+"""Places in ``progress``: number of the frame that comes next; how many answers there are; whether their times rise;
+how many frames nodes have sent of their own accord."""
 _IDS = 0x800
 """Standard identifiers, in the table once for data frames and once for remote frames, for each bus."""
 _TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET = sensors.TENSION
@@ -71,12 +92,25 @@ def _word(data: Any) -> int:
 
 
 @inner
-def _fill(answer: Any, can_id: int, length: int, frame: Any) -> None:
-    """Fill in an answer to a frame but for its payload, which is all zeros."""
-    answer.can_id, answer.length, answer.flags, answer.bus = can_id, length, frame.flags, frame.bus
+def _fill(answer: Any, can_id: int, length: int, flags: int, bus: int) -> None:
+    """Fill in a frame but for its payload, which is all zeros."""
+    answer.can_id, answer.length, answer.flags, answer.bus = can_id, length, flags, bus
     data = answer.data
     for i in range(64):
         data[i] = 0
+
+
+@inner
+def _put(data: Any, at: int, size: int, value: int) -> None:
+    """Write a number into bytes, the lowest first."""
+    for i in range(size):
+        data[at + i] = value >> 8 * i & 0xFF
+
+
+@inner
+def _put_float(data: Any, at: int, value: float) -> None:
+    """Write a number as a float of four bytes."""
+    _put(data, at, 4, int(np.float32(value).view(np.uint32)))
 
 
 @inner
@@ -96,10 +130,80 @@ def _mit(node: Any, rotor: Any, frame: Any, t_ns: int, answer: Any) -> None:
     temperatures = node.temperatures
     word = feedback_word(node, rotor, encoded(rotor.theta), temperatures.mosfet, temperatures.winding)
     schedule(node)
-    _fill(answer, node.reply_id, 8, frame)
+    _fill(answer, node.reply_id, 8, frame.flags, frame.bus)
     data = answer.data
     for i in range(8):
         data[i] = word >> (56 - 8 * i) & 0xFF
+
+
+@inner
+def _float(data: Any) -> float:
+    """Return the float in the first four bytes."""
+    return float(np.uint32(data[0] | data[1] << 8 | data[2] << 16 | data[3] << 24).view(np.float32))
+
+
+@inner
+def _odrive_decides(rotor: Any, frame: Any) -> bool:
+    """Return whether an ODrive has to look at a setpoint of torque, or at a question for its encoder, itself."""
+    if frame.flags & FDF or rotor.faulty != 0:
+        return True
+    return bool(frame.can_id & REMOTE == 0 and (frame.length < 4 or not math.isfinite(_float(frame.data))))
+
+
+@inner
+def _tell_encoder(node: Any, rotor: Any, bus: int, answer: Any) -> None:
+    """Let an ODrive tell its position and velocity."""
+    _fill(answer, node.node_id << 5 | 0x09, 8, 0, bus)
+    _put_float(answer.data, 0, turns(node, encoded(rotor.theta)))
+    _put_float(answer.data, 4, turns_per_s(node, rotor.velocity))
+
+
+@inner
+def _odrive(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, count: int) -> int:
+    """Let an ODrive take a setpoint, or answer a question for its encoder; return how many answers there are."""
+    if frame.can_id & REMOTE:
+        _tell_encoder(node, rotor, frame.bus, answers[count])
+        return count + 1
+    make_torque(node, rotor.law, _float(frame.data), t_ns)
+    schedule_odrive(node)
+    return count
+
+
+@inner
+def _cia402_decides(node: Any, rotor: Any, frame: Any) -> bool:
+    """Return whether a CiA 402 drive has to look at SYNC, an RPDO or its master's heartbeat itself."""
+    if frame.flags & FDF or rotor.faulty != 0 or node.warmed_ns < 0:
+        return True
+    if frame.can_id == node.sync_id:
+        return bool(node.nmt != OPERATIONAL)
+    if frame.can_id == node.master_id:
+        return False
+    goes_on = frame.data[0] & 0x8F == 0x0F and node.power_stage.reset_bit == 0
+    return node.nmt != OPERATIONAL or frame.length < 4 or not goes_on or not follows(node, node.power_stage)
+
+
+@inner
+def _cia402(node: Any, rotor: Any, frame: Any, t_ns: int, answers: Any, count: int) -> int:
+    """Let a CiA 402 drive take SYNC, an RPDO or its master's heartbeat; return how many answers there are."""
+    data, values = frame.data, node.values
+    if frame.can_id == node.sync_id:
+        measure(node, node.power_stage, encoded(rotor.theta), rotor.velocity, rotor.torque)
+        node.syncs += 1
+        if node.syncs % node.tpdo_kind == 0:
+            _fill(answers[count], node.tpdo_id, 8, 0, frame.bus)
+            _put(answers[count].data, 0, 2, values[STATUS_WORD])
+            _put(answers[count].data, 2, 4, values[POSITION])
+            _put(answers[count].data, 6, 2, values[TORQUE])
+            count += 1
+    elif frame.can_id == node.master_id:
+        node.fed_ns = t_ns
+    else:
+        values[CONTROL_WORD] = data[0] | data[1] << 8
+        torque = int(data[2] | data[3] << 8)
+        values[TARGET_TORQUE] = torque - (1 << 16) if torque >= 1 << 15 else torque
+        follow(node, rotor.law)
+    schedule_cia402(node, t_ns, False)
+    return count
 
 
 @inner
@@ -107,10 +211,8 @@ def _tell(words: Any, channels: int, can_id: int, frame: Any, answers: Any, coun
     """Answer SYNC with payloads, of which each is a word, its lowest byte first; return how many answers there are."""
     for g in range(len(words)):
         length = payload_size(channels - g * CHANNELS)
-        _fill(answers[count], can_id + g, length, frame)
-        data = answers[count].data
-        for i in range(length):
-            data[i] = words[g] >> 8 * i & 0xFF
+        _fill(answers[count], can_id + g, length, frame.flags, frame.bus)
+        _put(answers[count].data, 0, length, words[g])
         count += 1
     return count
 
@@ -165,21 +267,48 @@ def _follow_one_another(frames: Any, answers: Any, count: int, t_ns: int, last_n
     return rise
 
 
+NODES = (Taker, MitRow, OdriveRow, Cia402Row)
+"""Takers, and the rows of drives."""
+
+
+@inner
+def _drive_decides(who: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int) -> bool:
+    """Return whether a drive has to look at a frame itself."""
+    if who.kind == MIT:
+        return _mit_decides(mit[who.number], rotors[mit[who.number].motor_number], frame, t_ns)
+    if who.kind == ODRIVE:
+        return _odrive_decides(rotors[odrive[who.number].motor_number], frame)
+    return _cia402_decides(cia402[who.number], rotors[cia402[who.number].motor_number], frame)
+
+
+@inner
+def _drive(  # noqa: PLR0913 - compiled functions take flat arrays
+    who: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, frame: Any, t_ns: int, answers: Any, count: int
+) -> int:  # fmt: skip
+    """Let a drive take a frame; return how many answers there are."""
+    if who.kind == MIT:
+        _mit(mit[who.number], rotors[mit[who.number].motor_number], frame, t_ns, answers[count])
+        return count + 1
+    if who.kind == ODRIVE:
+        return _odrive(odrive[who.number], rotors[odrive[who.number].motor_number], frame, t_ns, answers, count)
+    return _cia402(cia402[who.number], rotors[cia402[who.number].motor_number], frame, t_ns, answers, count)
+
+
 @compiled(
-    RECORD, RECORD, "counts", "count", "count", "counts", Taker, "count", MitRow, SensorRow, "counts", "counts",
+    RECORD, RECORD, "counts", "count", "count", "counts", "count", *NODES, SensorRow, "counts", "counts",
     "vector", "vector", "counts", *DRIVETRAIN, "vector", "vector", "vector",
 )  # fmt: skip
 def answer(  # noqa: PLR0913 - compiled functions take flat arrays
-    frames: Any, answers: Any, progress: Any, t_ns: int, last_ns: int, table: Any, takers: Any, most: int,
-    mit: Any, sensor: Any, cell_order: Any, joint_order: Any, bias: Any, noise: Any, first: Any,
-    ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, cells: Any,
+    frames: Any, answers: Any, progress: Any, t_ns: int, last_ns: int, table: Any, most: int,
+    takers: Any, mit: Any, odrive: Any, cia402: Any, sensor: Any, cell_order: Any, joint_order: Any, bias: Any,
+    noise: Any, first: Any, ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, cells: Any,
 ) -> None:  # fmt: skip
     """Answer frames until one asks for a decision; after the last one, stamp all answers.
 
     Args:
         frames: of the host. answers: room for answers; ``most`` of them can come of one frame.
         progress: how far it is; see ``NEXT_FRAME``. t_ns: the present [ns]. last_ns: stamps go so far beyond it [ns].
-        table, takers: who takes an identifier. mit: drives. sensor: the sensor node, if there is one.
+        table, takers: who takes an identifier. mit, odrive, cia402: drives. sensor: the sensor node, if there is one.
         cell_order, joint_order, bias, noise, first: see ``_sense``.
         ropes, joints, arms, rotors, q, dq: see ``drivetrain.steps``. cells: room for a tension of each tendon [N].
     """
@@ -194,27 +323,134 @@ def answer(  # noqa: PLR0913 - compiled functions take flat arrays
         decides, one = False, taker
         while one >= 0:
             who = takers[one]
-            if who.kind == MIT:
-                node = mit[who.number]
-                decides = decides or _mit_decides(node, rotors[node.motor_number], frame, t_ns)
+            if who.kind == SENSORS:
+                enough = len(noise) >= first[0] + 2 * len(cell_order) + len(joint_order)
+                decides = decides or frame.length != 1 or not enough
             else:
-                decides = decides or frame.length != 1 or len(noise) < first[0] + 2 * len(cell_order) + len(joint_order)
+                decides = decides or _drive_decides(who, mit, odrive, cia402, rotors, frame, t_ns)
             one = who.next
         if decides:
             break
         while taker >= 0:
             who = takers[taker]
-            if who.kind == MIT:
-                node = mit[who.number]
-                _mit(node, rotors[node.motor_number], frame, t_ns, answers[count])
-                count += 1
-            else:
+            if who.kind == SENSORS:
                 tensions(ropes, joints, arms, rotors, q, dq, cells)
                 count = _sense(
                     sensor[0], frame, t_ns, cells, q, cell_order, joint_order, bias, noise, first, answers, count
                 )
+            else:
+                count = _drive(who, mit, odrive, cia402, rotors, frame, t_ns, answers, count)
             taker = who.next
         progress[NEXT_FRAME] = i + 1
     progress[ANSWERS] = count
     if progress[NEXT_FRAME] == len(frames):
         progress[IN_ORDER] = _follow_one_another(frames, answers, count, t_ns, last_ns, buses)
+
+
+@inner
+def _wake_ns(who: Any, mit: Any, odrive: Any, cia402: Any) -> int:
+    """Return when time must pass for a drive next [ns]."""
+    if who.kind == MIT:
+        return int(mit[who.number].wake_ns)
+    return int(odrive[who.number].wake_ns if who.kind == ODRIVE else cia402[who.number].wake_ns)
+
+
+@compiled(*NODES, "count")
+def next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any, end_ns: int) -> int:
+    """Return when time must pass for any drive next [ns]; ``end_ns`` if there is none."""
+    wake_ns = end_ns
+    for i in range(len(drives)):
+        due_ns = _wake_ns(drives[i], mit, odrive, cia402)
+        if i == 0 or due_ns < wake_ns:
+            wake_ns = due_ns
+    return wake_ns
+
+
+@inner
+def _odrive_wakes(node: Any, rotor: Any, now_ns: int) -> bool:
+    """Return whether an ODrive has more to do than to send messages: temperature, watchdog, old firmware."""
+    warms = node.warmed_ns < 0 or now_ns - node.warmed_ns >= WARM_PERIOD_NS
+    return warms or node.old != 0 or starves(node, now_ns) or rotor.faulty != 0
+
+
+@inner
+def _cia402_wakes(node: Any, now_ns: int) -> bool:
+    """Return whether a CiA 402 drive has more to do than to send its heartbeat."""
+    warms = node.warmed_ns < 0 or now_ns - node.warmed_ns >= WARM_NS
+    return warms or starves_cia402(node, now_ns) or node.at_once != 0
+
+
+@inner
+def _cia402_speaks(node: Any, now_ns: int, said: Any, count: int) -> int:
+    """Send the heartbeat of a CiA 402 drive if it is due; return how many frames there are."""
+    if beats(node, now_ns):
+        _fill(said[count], 0x700 + node.node_id, 1, 0, node.bus)
+        _put(said[count].data, 0, 1, node.nmt)
+        said[count].t_ns = now_ns
+        node.beat_ns = now_ns
+        count += 1
+    schedule_cia402(node, now_ns, False)
+    return count
+
+
+@inner
+def _odrive_speaks(node: Any, rotor: Any, now_ns: int, said: Any, count: int) -> int:
+    """Send the messages of an ODrive that are due; return how many frames there are."""
+    if now_ns >= node.heartbeat_due_ns:
+        _fill(said[count], node.node_id << 5 | 0x01, 8, 0, node.bus)
+        _put(said[count].data, 0, 4, node.active | node.reason)
+        _put(said[count].data, 4, 1, node.state)
+        _put(said[count].data, 5, 1, node.result)
+        said[count].t_ns = now_ns
+        node.heartbeat_due_ns = next_due(node.heartbeat_due_ns, now_ns, node.heartbeat_period_ns)
+        count += 1
+    if now_ns >= node.encoder_due_ns:
+        _tell_encoder(node, rotor, node.bus, said[count])
+        said[count].t_ns = now_ns
+        node.encoder_due_ns = next_due(node.encoder_due_ns, now_ns, node.encoder_period_ns)
+        count += 1
+    schedule_odrive(node)
+    return count
+
+
+@compiled(*NODES, RotorRow, "count", RECORD, "counts")
+def speak(drives: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, now_ns: int, said: Any, progress: Any) -> bool:
+    """Let drives send what is due; return False, with nothing done, if one of them has to decide something.
+
+    Args:
+        drives: in the order in which they speak. mit, odrive, cia402, rotors: rows.
+        now_ns: the present [ns]. said, progress: room for two frames of each drive, and how many are there.
+    """
+    for i in range(len(drives)):
+        who = drives[i]
+        if now_ns < _wake_ns(who, mit, odrive, cia402):
+            continue
+        if who.kind == ODRIVE:
+            decides = _odrive_wakes(odrive[who.number], rotors[odrive[who.number].motor_number], now_ns)
+        else:
+            decides = who.kind == MIT or _cia402_wakes(cia402[who.number], now_ns)
+        if decides:
+            return False
+    for i in range(len(drives)):
+        who = drives[i]
+        if now_ns < _wake_ns(who, mit, odrive, cia402):
+            continue
+        if who.kind == ODRIVE:
+            rotor = rotors[odrive[who.number].motor_number]
+            progress[SAID] = _odrive_speaks(odrive[who.number], rotor, now_ns, said, progress[SAID])
+        else:
+            progress[SAID] = _cia402_speaks(cia402[who.number], now_ns, said, progress[SAID])
+    return True
+
+
+@compiled(RECORD, RECORD, RECORD)
+def merge(first: Any, second: Any, out: Any) -> None:
+    """Sort two arrays of frames by their times into ``out``; frames of one time keep their order."""
+    count = len(first)
+    for i in range(len(out)):
+        frame = first[i] if i < count else second[i - count]
+        place = i
+        while place > 0 and out[place - 1].t_ns > frame.t_ns:
+            out[place] = out[place - 1]
+            place -= 1
+        out[place] = frame

@@ -7,7 +7,7 @@ from firmware_sim.bus.frame import EXTENDED, Frame
 from firmware_sim.description import MotorSpec
 from firmware_sim.plant.motor import Motor
 
-SENSORS, MIT = range(2)
+SENSORS, MIT, ODRIVE, CIA402 = range(4)
 """Kinds of nodes to which compiled laws deliver frames."""
 
 
