@@ -10,7 +10,7 @@ from firmware_sim.bus.records import RECORD, to_frames, to_records
 from firmware_sim.compiled import machine_code
 from firmware_sim.nodes import cyclic
 from firmware_sim.nodes.cia402.laws import Cia402Row
-from firmware_sim.nodes.cyclic import ANSWERS, IN_ORDER, NEXT_FRAME, SAID, Taker
+from firmware_sim.nodes.cyclic import ANSWERS, IN_ORDER, NEXT_FRAME, SAID, WAKE_NS, Taker
 from firmware_sim.nodes.kind import SENSORS
 from firmware_sim.nodes.mit.codec import MitRow
 from firmware_sim.nodes.odrive.laws import OdriveRow
@@ -31,7 +31,7 @@ class Exchange:
         """Args: the world; the rows of its nodes by their type, an array for each."""
         self._world, self._laws = world, machine_code(cyclic)
         self._room = ROOM
-        self._progress = np.zeros(4, np.int64)
+        self._progress = np.zeros(5, np.int64)
         sensor = world.sensor_node if SensorRow in rows else None
         self._noise, self._most = sensor.noise if sensor else None, 1
         orders, bias = (np.empty(0, np.int64),) * 2, np.empty(0)
@@ -41,7 +41,7 @@ class Exchange:
         self._most += len(world.row_of)
         self._draws = 2 * len(orders[0]) + len(orders[1])
         self._drives = tuple(rows.get(layout, np.empty(0, layout)) for layout in (MitRow, OdriveRow, Cia402Row))
-        self._nodes = *self._drives, rows.get(SensorRow, np.empty(0, SensorRow)), *orders, bias
+        self._sensing = rows.get(SensorRow, np.empty(0, SensorRow)), *orders, bias
         self.speaks = True
         self._said = np.empty(ROOM, RECORD)
         self._no_noise = np.empty(0), np.zeros(1, np.int64)
@@ -92,7 +92,7 @@ class Exchange:
             noise = self._noise.left, self._noise.first
         self._laws.answer(
             frames, answers, self._progress, t_ns, last_ns, self._table, self._most, self._takers,
-            *self._nodes, *noise, *plant.sampled,
+            *self._drives, self._speakers, *self._sensing, *noise, *plant.sampled,
         )  # fmt: skip
 
     def _more(self, answers: Any) -> Any:
@@ -140,11 +140,16 @@ class Exchange:
         if self._table is not None and any(map(is_not, self._known, self._taken())):
             self._table = None
 
-    def next_wake(self, end_ns: int) -> int:
-        """Return when time must pass for a drive with a row next [ns]; ``end_ns`` if there is none."""
+    @property
+    def wake_ns(self) -> int:
+        """When time must pass for a drive with a row next [ns], as of the end of ``answer`` or ``speak``."""
+        return int(self._progress[WAKE_NS])
+
+    def next_wake(self) -> int:
+        """Return when time must pass for a drive with a row next [ns], now."""
         if self._table is None:
             self._look()
-        return int(self._laws.next_wake(self._speakers, *self._drives, end_ns))
+        return int(self._laws.next_wake(self._speakers, *self._drives))
 
     def speak(self, now_ns: int) -> bool:
         """Let drives send what is due; return False, with nothing done, if a node has to decide something."""

@@ -85,7 +85,7 @@ class Rig:
         world = self.world
         world.reach(t_ns)
         answers, in_order = self._exchange.answer(frames, t_ns, self._period_ns - 1)
-        world.advance(end_ns)
+        world.advance(end_ns, self._exchange.wake_ns)
         spoken = world.take_spoken_records()
         return answers if in_order and not len(spoken) else self._exchange.merged(answers, spoken)
 

@@ -16,6 +16,7 @@ from firmware_sim.description import Hand, MotorSpec, SensorSpec, SimulatorError
 from firmware_sim.exchange import Exchange
 from firmware_sim.faults.active import Faults
 from firmware_sim.nodes import PROTOCOLS, noise, sensors
+from firmware_sim.nodes.cyclic import NEVER_NS
 from firmware_sim.nodes.kind import SENSORS, DriveNode, Node
 from firmware_sim.nodes.mit import codec as mit_codec
 from firmware_sim.nodes.sensors import SensorNode, SensorNodeRow, SensorRow
@@ -189,13 +190,16 @@ class World:
         if self.exchange:
             self.exchange.look_again()
 
-    def advance(self, t_ns: int) -> None:
-        """Let time pass until t_ns, in whole steps; what is left over waits for the next call."""
+    def advance(self, t_ns: int, known_wake_ns: int | None = None) -> None:
+        """Let time pass until t_ns, in whole steps; what is left over waits for the next call.
+
+        Args: t_ns: end [ns]. known_wake_ns: when time must pass for a drive with a row next [ns], if that is known.
+        """
         plant, truth, faults = self.plant, self._truth, self.faults
         now_ns = self.t_ns - plant.part_ns
         if now_ns + STEP_NS > t_ns:
             return
-        wake_ns = self._next_wake(t_ns)
+        wake_ns = self._next_wake(known_wake_ns)
         while now_ns + STEP_NS <= t_ns:
             until_ns = t_ns
             if truth is not None:
@@ -207,12 +211,11 @@ class World:
             plant.advance(count)
             now_ns += count * STEP_NS
             if now_ns >= wake_ns:
-                self._wake(now_ns)
-                wake_ns = self._next_wake(t_ns)
+                wake_ns = self._next_wake(self._wake(now_ns))
             if faults.on:
                 self.t_ns = now_ns
                 self._spoken += faults.advance(now_ns)
-                wake_ns = self._next_wake(t_ns)
+                wake_ns = self._next_wake()
         self.t_ns = now_ns
 
     def reach(self, t_ns: int) -> None:
@@ -234,23 +237,24 @@ class World:
         if truth is not None and plant.t_ns >= truth.due_ns:
             truth.write(now_ns + self.slip_ns, plant)
 
-    def _next_wake(self, end_ns: int) -> int:
-        """Return when time must pass for a node next [ns]; ``end_ns`` if there is none."""
+    def _next_wake(self, known_ns: int | None = None) -> int:
+        """Return when time must pass for a node next [ns]; ``known_ns``: for those with rows, if that is known."""
         if not self.exchange:
-            return min([node.wake_ns for _, node in self._all], default=end_ns)
-        wake_ns = self.exchange.next_wake(end_ns)
+            return min([node.wake_ns for _, node in self._all], default=NEVER_NS)
+        wake_ns = self.exchange.next_wake() if known_ns is None else known_ns
         return min(wake_ns, *[node.wake_ns for node in self._without_row]) if self._without_row else wake_ns
 
-    def _wake(self, now_ns: int) -> None:
-        """Wake the nodes whose time has come, and keep what they say."""
+    def _wake(self, now_ns: int) -> int | None:
+        """Wake the nodes whose time has come, and keep what they say; return when rows are due next [ns] if known."""
         if self.exchange and not self._without_row and self.exchange.speak(now_ns):
-            return
+            return self.exchange.wake_ns
         for bus, node in self._all:
             if now_ns >= node.wake_ns:
                 spoken = node.wake(now_ns)
                 if spoken:
                     told = [frame._replace(bus=bus, t_ns=now_ns) for frame in spoken]
                     self._spoken += self.faults.spoken(node, told, now_ns) if self.faults.on else told
+        return None
 
     def hear(self, frames: list[Frame]) -> None:
         """Have frames on the bus that no node of this hand sends."""

@@ -52,9 +52,11 @@ FRAME_NS = 135_000
 """Worst case of a classical frame of 8 bytes at 1 Mbit/s [ns], by which answers follow one another. Source: VCAN."""
 FD_FRAME_NS = 57_000
 """Worst case of an FD frame of 8 bytes at 1/5 Mbit/s [ns]. Source: VCAN."""
-NEXT_FRAME, ANSWERS, IN_ORDER, SAID = range(4)
+NEXT_FRAME, ANSWERS, IN_ORDER, SAID, WAKE_NS = range(5)
 """Places in ``progress``: number of the frame that comes next; how many answers there are; whether their times rise;
-how many frames nodes have sent of their own accord."""
+how many frames nodes have sent of their own accord; when time must pass for a drive next [ns]."""
+NEVER_NS = 1 << 62
+"""When time must pass for no drive at all [ns]."""
 _IDS = 0x800
 """Standard identifiers, in the table once for data frames and once for remote frames, for each bus."""
 _TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET = sensors.TENSION
@@ -294,21 +296,45 @@ def _drive(  # noqa: PLR0913 - compiled functions take flat arrays
     return _cia402(cia402[who.number], rotors[cia402[who.number].motor_number], frame, t_ns, answers, count)
 
 
+@inner
+def _wake_ns(who: Any, mit: Any, odrive: Any, cia402: Any) -> int:
+    """Return when time must pass for a drive next [ns]."""
+    if who.kind == MIT:
+        return int(mit[who.number].wake_ns)
+    return int(odrive[who.number].wake_ns if who.kind == ODRIVE else cia402[who.number].wake_ns)
+
+
+@inner
+def _next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any) -> int:
+    """Return when time must pass for any drive next [ns]."""
+    wake_ns = NEVER_NS
+    for i in range(len(drives)):
+        wake_ns = min(wake_ns, _wake_ns(drives[i], mit, odrive, cia402))
+    return wake_ns
+
+
+@compiled(*NODES)
+def next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any) -> int:
+    """Return when time must pass for any drive next [ns]."""
+    return _next_wake(drives, mit, odrive, cia402)
+
+
 @compiled(
-    RECORD, RECORD, "counts", "count", "count", "counts", "count", *NODES, SensorRow, "counts", "counts",
+    RECORD, RECORD, "counts", "count", "count", "counts", "count", *NODES, Taker, SensorRow, "counts", "counts",
     "vector", "vector", "counts", *DRIVETRAIN, "vector", "vector", "vector",
 )  # fmt: skip
 def answer(  # noqa: PLR0913 - compiled functions take flat arrays
     frames: Any, answers: Any, progress: Any, t_ns: int, last_ns: int, table: Any, most: int,
-    takers: Any, mit: Any, odrive: Any, cia402: Any, sensor: Any, cell_order: Any, joint_order: Any, bias: Any,
-    noise: Any, first: Any, ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, cells: Any,
+    takers: Any, mit: Any, odrive: Any, cia402: Any, drives: Any, sensor: Any, cell_order: Any, joint_order: Any,
+    bias: Any, noise: Any, first: Any, ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, cells: Any,
 ) -> None:  # fmt: skip
     """Answer frames until one asks for a decision; after the last one, stamp all answers.
 
     Args:
         frames: of the host. answers: room for answers; ``most`` of them can come of one frame.
         progress: how far it is; see ``NEXT_FRAME``. t_ns: the present [ns]. last_ns: stamps go so far beyond it [ns].
-        table, takers: who takes an identifier. mit, odrive, cia402: drives. sensor: the sensor node, if there is one.
+        table, takers: who takes an identifier. mit, odrive, cia402: rows of drives. drives: all of them.
+        sensor: the sensor node, if there is one.
         cell_order, joint_order, bias, noise, first: see ``_sense``.
         ropes, joints, arms, rotors, q, dq: see ``drivetrain.steps``. cells: room for a tension of each tendon [N].
     """
@@ -345,25 +371,7 @@ def answer(  # noqa: PLR0913 - compiled functions take flat arrays
     progress[ANSWERS] = count
     if progress[NEXT_FRAME] == len(frames):
         progress[IN_ORDER] = _follow_one_another(frames, answers, count, t_ns, last_ns, buses)
-
-
-@inner
-def _wake_ns(who: Any, mit: Any, odrive: Any, cia402: Any) -> int:
-    """Return when time must pass for a drive next [ns]."""
-    if who.kind == MIT:
-        return int(mit[who.number].wake_ns)
-    return int(odrive[who.number].wake_ns if who.kind == ODRIVE else cia402[who.number].wake_ns)
-
-
-@compiled(*NODES, "count")
-def next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any, end_ns: int) -> int:
-    """Return when time must pass for any drive next [ns]; ``end_ns`` if there is none."""
-    wake_ns = end_ns
-    for i in range(len(drives)):
-        due_ns = _wake_ns(drives[i], mit, odrive, cia402)
-        if i == 0 or due_ns < wake_ns:
-            wake_ns = due_ns
-    return wake_ns
+        progress[WAKE_NS] = _next_wake(drives, mit, odrive, cia402)
 
 
 @inner
@@ -440,6 +448,7 @@ def speak(drives: Any, mit: Any, odrive: Any, cia402: Any, rotors: Any, now_ns: 
             progress[SAID] = _odrive_speaks(odrive[who.number], rotor, now_ns, said, progress[SAID])
         else:
             progress[SAID] = _cia402_speaks(cia402[who.number], now_ns, said, progress[SAID])
+    progress[WAKE_NS] = _next_wake(drives, mit, odrive, cia402)
     return True
 
 
