@@ -7,7 +7,7 @@ import numpy as np
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.bus.records import RECORD, to_frames, to_records
-from firmware_sim.compiled import machine_code
+from firmware_sim.compiled import addresses, machine_code
 from firmware_sim.nodes import cyclic
 from firmware_sim.nodes.cia402.laws import Cia402Row
 from firmware_sim.nodes.cyclic import ANSWERS, IN_ORDER, NEXT_FRAME, SAID, WAKE_NS, Taker
@@ -44,7 +44,8 @@ class Exchange:
         self._sensing = rows.get(SensorRow, np.empty(0, SensorRow)), *orders, bias
         self.speaks = True
         self._said = np.empty(ROOM, RECORD)
-        self._no_noise = np.empty(0), np.zeros(1, np.int64)
+        noise = (sensor.noise.left, sensor.noise.places) if sensor else (np.empty(0), np.zeros(2, np.int64))
+        self._sampling = *noise, *world.plant.sampled
         self._table: Any = None
         self._takers: Any = None
 
@@ -86,14 +87,9 @@ class Exchange:
     def _run(self, frames: Any, answers: Any, t_ns: int, last_ns: int) -> None:
         if self._table is None:
             self._look()
-        noise, plant = self._no_noise, self._world.plant
         if self._noise:
             self._noise.draw(self._draws)
-            noise = self._noise.left, self._noise.first
-        self._laws.answer(
-            frames, answers, self._progress, t_ns, last_ns, self._table, self._most, self._takers,
-            *self._drives, self._speakers, *self._sensing, *noise, *plant.sampled,
-        )  # fmt: skip
+        self._laws.answer(frames, answers, self._addresses, t_ns, last_ns, self._most)
 
     def _more(self, answers: Any) -> Any:
         """Return the answers in twice as much room."""
@@ -130,6 +126,8 @@ class Exchange:
         self._table, self._takers = table, np.array(takers, Taker)
         rows = [world.row_of.get(id(node), (SENSORS, 0)) for nodes in world.nodes for node in nodes]
         self._speakers = np.array([(*row, -1) for row in rows if row[0] != SENSORS], Taker)
+        every = self._progress, table, self._takers, *self._drives, self._speakers, *self._sensing, *self._sampling
+        self._addresses = np.array(addresses(every), np.int64)
 
     def _taken(self) -> list[Any]:
         """Return the identifiers that each node takes, objects that are others whenever they change."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from firmware_sim.bus.frame import FDF, REMOTE
 from firmware_sim.bus.records import RECORD
-from firmware_sim.compiled import compiled, inner
+from firmware_sim.compiled import compiled, inner, rows_at
 from firmware_sim.nodes import sensors
 from firmware_sim.nodes.cia402.laws import (
     CONTROL_WORD,
@@ -45,8 +45,8 @@ from firmware_sim.nodes.sensors import (
     payload_size,
     read_cells,
 )
-from firmware_sim.plant.drivetrain import DRIVETRAIN, encoded, tensions
-from firmware_sim.plant.rows import RotorRow
+from firmware_sim.plant.drivetrain import encoded, tensions
+from firmware_sim.plant.rows import RopeRow, RotorRow
 
 FRAME_NS = 135_000
 """Worst case of a classical frame of 8 bytes at 1 Mbit/s [ns], by which answers follow one another. Source: VCAN."""
@@ -222,13 +222,13 @@ def _tell(words: Any, channels: int, can_id: int, frame: Any, answers: Any, coun
 @inner
 def _sense(  # noqa: PLR0913 - compiled functions take flat arrays
     node: Any, frame: Any, t_ns: int, cells: Any, q: Any, cell_order: Any, joint_order: Any, bias: Any,
-    noise: Any, first: Any, answers: Any, count: int,
+    noise: Any, places: Any, answers: Any, count: int,
 ) -> int:  # fmt: skip
     """Sample load cells and joint encoders and answer SYNC; return how many answers there are.
 
     Args:
         node: the sensor node. frame: SYNC. cells: tensions [N]. q: joint angles [rad]. cell_order, joint_order: tendon
-            and joint of each channel. bias: of each load cell [N]. noise, first: see ``Noise``.
+            and joint of each channel. bias: of each load cell [N]. noise, places: see ``Noise``.
         answers, count: room for answers, and how many are there.
     """
     channels, joints, counter = len(cell_order), len(joint_order), int(frame.data[0])
@@ -236,7 +236,7 @@ def _sense(  # noqa: PLR0913 - compiled functions take flat arrays
     true = np.empty(channels)
     for i in range(channels):
         true[i] = cells[cell_order[i]]
-    at, drift = first[0], drift_since(node, t_ns)
+    at, drift = places[0], drift_since(node, t_ns)
     read_cells(true, bias, noise[at : at + 2 * channels], drift, node.tension_noise, read)
     at += 2 * channels
     encode(read, _TENSION_LOW, _TENSION_STEP, _TENSION_OFFSET, counter, codes, words)
@@ -249,7 +249,7 @@ def _sense(  # noqa: PLR0913 - compiled functions take flat arrays
         codes, words = np.empty(joints, np.int64), np.empty(-(-joints // CHANNELS), np.int64)
         encode(angles, _JOINT_LOW, _JOINT_STEP, _JOINT_OFFSET, counter, codes, words)
         count = _tell(words, joints, node.base_id + JOINT_OFFSET, frame, answers, count)
-    first[0] = at
+    places[0] = at
     return count
 
 
@@ -319,14 +319,11 @@ def next_wake(drives: Any, mit: Any, odrive: Any, cia402: Any) -> int:
     return _next_wake(drives, mit, odrive, cia402)
 
 
-@compiled(
-    RECORD, RECORD, "counts", "count", "count", "counts", "count", *NODES, Taker, SensorRow, "counts", "counts",
-    "vector", "vector", "counts", *DRIVETRAIN, "vector", "vector", "vector",
-)  # fmt: skip
-def answer(  # noqa: PLR0913 - compiled functions take flat arrays
+@inner
+def _answer(  # noqa: PLR0913 - compiled functions take flat arrays
     frames: Any, answers: Any, progress: Any, t_ns: int, last_ns: int, table: Any, most: int,
     takers: Any, mit: Any, odrive: Any, cia402: Any, drives: Any, sensor: Any, cell_order: Any, joint_order: Any,
-    bias: Any, noise: Any, first: Any, ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, cells: Any,
+    bias: Any, noise: Any, places: Any, ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, cells: Any,
 ) -> None:  # fmt: skip
     """Answer frames until one asks for a decision; after the last one, stamp all answers.
 
@@ -335,7 +332,7 @@ def answer(  # noqa: PLR0913 - compiled functions take flat arrays
         progress: how far it is; see ``NEXT_FRAME``. t_ns: the present [ns]. last_ns: stamps go so far beyond it [ns].
         table, takers: who takes an identifier. mit, odrive, cia402: rows of drives. drives: all of them.
         sensor: the sensor node, if there is one.
-        cell_order, joint_order, bias, noise, first: see ``_sense``.
+        cell_order, joint_order, bias, noise, places: see ``_sense``.
         ropes, joints, arms, rotors, q, dq: see ``drivetrain.steps``. cells: room for a tension of each tendon [N].
     """
     count, buses = progress[ANSWERS], len(table) // (2 * _IDS)
@@ -350,7 +347,7 @@ def answer(  # noqa: PLR0913 - compiled functions take flat arrays
         while one >= 0:
             who = takers[one]
             if who.kind == SENSORS:
-                enough = len(noise) >= first[0] + 2 * len(cell_order) + len(joint_order)
+                enough = places[1] >= places[0] + 2 * len(cell_order) + len(joint_order)
                 decides = decides or frame.length != 1 or not enough
             else:
                 decides = decides or _drive_decides(who, mit, odrive, cia402, rotors, frame, t_ns)
@@ -362,7 +359,7 @@ def answer(  # noqa: PLR0913 - compiled functions take flat arrays
             if who.kind == SENSORS:
                 tensions(ropes, joints, arms, rotors, q, dq, cells)
                 count = _sense(
-                    sensor[0], frame, t_ns, cells, q, cell_order, joint_order, bias, noise, first, answers, count
+                    sensor[0], frame, t_ns, cells, q, cell_order, joint_order, bias, noise, places, answers, count
                 )
             else:
                 count = _drive(who, mit, odrive, cia402, rotors, frame, t_ns, answers, count)
@@ -372,6 +369,28 @@ def answer(  # noqa: PLR0913 - compiled functions take flat arrays
     if progress[NEXT_FRAME] == len(frames):
         progress[IN_ORDER] = _follow_one_another(frames, answers, count, t_ns, last_ns, buses)
         progress[WAKE_NS] = _next_wake(drives, mit, odrive, cia402)
+
+
+REAL, COUNT = np.dtype(np.float64), np.dtype(np.int64)
+TAKERS, MITS, ODRIVES, CIA402S = np.dtype(Taker), np.dtype(MitRow), np.dtype(OdriveRow), np.dtype(Cia402Row)
+SENSOR, ROPES, ROTORS = np.dtype(SensorRow), np.dtype(RopeRow), np.dtype(RotorRow)
+
+
+@compiled(RECORD, RECORD, "counts", "count", "count", "count")
+def answer(frames: Any, answers: Any, at: Any, t_ns: int, last_ns: int, most: int) -> None:
+    """Answer frames; see ``_answer``.
+
+    Args: at: address and length of each of its other arrays in their order, see ``Exchange``.
+    """
+    _answer(
+        frames, answers, rows_at(at[0], at[1], COUNT), t_ns, last_ns, rows_at(at[2], at[3], COUNT), most,
+        rows_at(at[4], at[5], TAKERS), rows_at(at[6], at[7], MITS), rows_at(at[8], at[9], ODRIVES),
+        rows_at(at[10], at[11], CIA402S), rows_at(at[12], at[13], TAKERS), rows_at(at[14], at[15], SENSOR),
+        rows_at(at[16], at[17], COUNT), rows_at(at[18], at[19], COUNT), rows_at(at[20], at[21], REAL),
+        rows_at(at[22], at[23], REAL), rows_at(at[24], at[25], COUNT), rows_at(at[26], at[27], ROPES),
+        rows_at(at[28], at[29], COUNT), rows_at(at[30], at[31], REAL), rows_at(at[32], at[33], ROTORS),
+        rows_at(at[34], at[35], REAL), rows_at(at[36], at[37], REAL), rows_at(at[38], at[39], REAL),
+    )  # fmt: skip
 
 
 @inner

@@ -26,7 +26,7 @@ class Noise:
     """A stream of normal numbers.
 
     Attributes:
-        left: numbers that were drawn. first: number of the next of them, an array of one.
+        left: numbers that were drawn. places: of the next of them, and of what comes behind the last one.
     """
 
     def __init__(self, seed: str) -> None:
@@ -35,14 +35,16 @@ class Noise:
         # both generators are MT19937 and make a double of two words alike
         self._uniform = np.random.RandomState()
         self._uniform.set_state(("MT19937", np.array(words[:-1], np.uint32), words[-1], 0, 0.0))
-        self.left: Any = np.empty(0)
-        self.first: Any = np.zeros(1, np.int64)
+        self.left: Any = np.zeros(2 * BLOCK)
+        self.places: Any = np.zeros(2, np.int64)
 
     def draw(self, count: int) -> None:
-        """See to it that so many numbers are there."""
-        while len(self.left) < self.first[0] + count:
-            self.left = np.concatenate((self.left[self.first[0] :], self._block()))
-            self.first[0] = 0
+        """See to it that so many numbers, at most ``BLOCK``, are there."""
+        first, end = self.places.tolist()
+        if end - first < count:
+            self.left[: end - first] = self.left[first:end]
+            self.left[end - first : end - first + BLOCK] = self._block()
+            self.places[:] = 0, end - first + BLOCK
 
     def _block(self) -> Any:
         uniform, block = self._uniform.random_sample(BLOCK), np.empty(BLOCK)
@@ -56,6 +58,6 @@ class Noise:
     def take(self, count: int) -> Any:
         """Return the next numbers of mean 0 and standard deviation 1, shape (count,)."""
         self.draw(count)
-        first = int(self.first[0])
-        self.first[0] = first + count
-        return self.left[first : first + count]
+        first = int(self.places[0])
+        self.places[0] = first + count
+        return self.left[first : first + count].copy()

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.compiled import machine_code
+from firmware_sim.compiled import addresses, machine_code
 from firmware_sim.description import Hand, SimulatorError
 from firmware_sim.plant import drivetrain
 from firmware_sim.plant.engine import Engine
@@ -74,7 +74,8 @@ class Plant:
         engine = self.engine
         self._bodies = (engine.q, engine.dq, engine.applied, engine.rope_damping) if compiled else None
         native = engine.native
-        self._every_argument = (*self._drivetrain, *self._bodies, *native) if self._bodies and native else None
+        every = (*self._drivetrain, *self._bodies) if self._bodies else ()
+        self._addresses = np.array([*addresses(every), *native], np.int64) if every and native else None
         self._tensions = np.zeros(len(self.ropes))
         self.sampled = (*self._drivetrain, engine.q, engine.dq, self._tensions)
         self.table = self._table(scene.support, compiled) if scene.support else None
@@ -193,8 +194,8 @@ class Plant:
             self.part_ns = 0
             self.steps += 1
             return
-        if self._every_argument:
-            done = self._laws.steps(count, *self._every_argument)
+        if self._addresses is not None:
+            done = self._laws.steps(count, self._addresses)
             self.steps += done
             if done == count:
                 return
