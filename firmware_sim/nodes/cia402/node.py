@@ -193,7 +193,8 @@ class Cia402Node:
             self.pdos.write(key, raw)
         else:
             self.objects.write(key, raw)
-        self._renew()
+        if key[0] < 0x2000:
+            self._renew()
         if key == (0x1016, 1):
             self.fed_ns = -1
         elif key == (0x1017, 0):
