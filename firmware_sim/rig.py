@@ -1,11 +1,11 @@
 """The simulator in lockstep: the caller's ticks are its clock, and nobody sleeps."""
 
 from collections.abc import Iterable, Sequence
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from firmware_sim.bus.frame import FDF, Frame
+from firmware_sim.bus.frame import Frame
+from firmware_sim.bus.records import to_frames, to_records
 from firmware_sim.bus.wired_tick import WiredTick
 from firmware_sim.description import load_hand
 from firmware_sim.plant.perturb import perturbed
@@ -14,12 +14,6 @@ from firmware_sim.serials import numbered
 from firmware_sim.truth import TruthWriter
 from firmware_sim.wire.options import parse
 from firmware_sim.world import make_world
-
-FRAME_NS = 135_000
-"""Worst case of a classical frame of 8 bytes at 1 Mbit/s [ns], by which answers follow one another. Source: VCAN."""
-FD_FRAME_NS = 57_000
-"""Worst case of an FD frame of 8 bytes at 1/5 Mbit/s [ns]. Source: VCAN."""
-_ARRIVAL_NS = itemgetter(4)
 
 
 class Rig:
@@ -62,40 +56,47 @@ class Rig:
         """
         hand = numbered(perturbed(load_hand(hand_path), perturb or {}), serials)
         self.world = make_world(hand, load_scene(scene), seed, homed)
+        assert self.world.exchange
+        self._exchange = self.world.exchange
         self._period_ns = period_ns
         self.wired = None if wire is None else WiredTick(self.world, parse(wire))
+        self._exchange.speaks = self.wired is None
         self._truth: TruthWriter | None = None
         if truth_path is not None:
             header = {**self.world.header("virtual"), "perturb": perturb or {}}
             self._truth = TruthWriter(Path(truth_path), self.world.plant, header)
             self.world.record(self._truth)
 
-    def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
+    def exchange(self, t_ns: int, frames: Any) -> Any:
         """Answer the host's frames of the tick that begins at t_ns, then advance to the next tick.
 
         Args:
             t_ns: beginning of the tick [ns]; must not run backwards.
-            frames: can_id, data, flags, bus, t_ns of each frame.
+            frames: contiguous array of ``records.RECORD``; their times count for nothing.
 
         Returns:
-            The answers, stamped as if they followed one another on each bus, all within the tick; with a wire those
-            that have arrived by the end of the tick, and the error frames of the host's controllers.
+            The answers as an array of ``records.RECORD``, stamped as if they followed one another on each bus, all
+            within the tick; with a wire those that have arrived by the end of the tick, and the error frames of the
+            host's controllers.
         """
-        if self.wired is not None:
-            return self.wired.step(t_ns, [Frame(*frame) for frame in frames], t_ns + self._period_ns)
-        world, make, last_ns = self.world, Frame._make, self._period_ns - 1
+        end_ns = t_ns + self._period_ns
+        if self.wired:
+            return to_records(self.wired.step(t_ns, to_frames(frames), end_ns))
+        world = self.world
         world.reach(t_ns)
-        busy_ns = [0] * len(world.nodes)
-        answers: list[Frame] = []
-        for frame in frames:
-            busy_ns[frame[3]] += FD_FRAME_NS if frame[2] & FDF else FRAME_NS
-            answers += world.receive(make(frame))
-        stamped = []
-        for can_id, data, flags, bus, _ in answers:
-            busy_ns[bus] = after_ns = busy_ns[bus] + (FD_FRAME_NS if flags & FDF else FRAME_NS)
-            stamped.append(make((can_id, data, flags, bus, t_ns + (after_ns if after_ns < last_ns else last_ns))))
-        world.advance(t_ns + self._period_ns)
-        return sorted(stamped + world.take_spoken(), key=_ARRIVAL_NS)
+        answers, in_order = self._exchange.answer(frames, t_ns, self._period_ns - 1)
+        world.advance(end_ns, self._exchange.wake_ns)
+        spoken = world.take_spoken_records()
+        return answers if in_order and not len(spoken) else self._exchange.merged(answers, spoken)
+
+    def step(self, t_ns: int, frames: Iterable[tuple[Any, ...]]) -> list[Frame]:
+        """Do the same with objects; see ``exchange``.
+
+        Args:
+            t_ns: beginning of the tick [ns]; must not run backwards.
+            frames: can_id, data, flags, bus, t_ns of each frame.
+        """
+        return to_frames(self.exchange(t_ns, to_records(frames)))
 
     def inject(self, text: str) -> None:
         """Let a fault begin now, or ``at`` a time from now; see ``fault_text``.

@@ -4,21 +4,27 @@ What is injected stands between the nodes and the wire, in a node, a sensor or t
 """
 
 import random
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.compiled import use
+from firmware_sim.bus.records import to_frames, to_records
+from firmware_sim.compiled import array_of, use
 from firmware_sim.description import Hand, MotorSpec, SensorSpec, SimulatorError
+from firmware_sim.exchange import Exchange
 from firmware_sim.faults.active import Faults
-from firmware_sim.nodes import PROTOCOLS, sensors
-from firmware_sim.nodes.kind import Node
+from firmware_sim.nodes import PROTOCOLS, noise, sensors
+from firmware_sim.nodes.cyclic import NEVER_NS
+from firmware_sim.nodes.kind import SENSORS, DriveNode, Node
 from firmware_sim.nodes.mit import codec as mit_codec
-from firmware_sim.nodes.sensors import SensorNode
+from firmware_sim.nodes.sensors import SensorNode, SensorNodeRow, SensorRow
 from firmware_sim.plant.plant import STEP_NS, Plant
 from firmware_sim.scene.scene import Scene
 from firmware_sim.truth import TruthWriter
 
+_ARRIVAL_NS = itemgetter(4)
 MAX_ENCODER_OFFSET_RAD = 0.5
 """Angle that an encoder may show at theta = 0 when not homed; small against PMAX and the 3 rad of a grasp."""
 
@@ -58,22 +64,26 @@ class World:
         self.hand, self.seed, self.homed = hand, seed, homed
         self.plant = Plant(hand, scene, seed, homed, compiled)
         if compiled:
-            use(mit_codec)
-            use(sensors)
+            for module in (mit_codec, sensors, noise):
+                use(module)
         self.t_ns = self._origin_ns = origin_ns
         self.foreign = 0
         chance = random.Random(f"encoders {seed}")
         spread = 0.0 if homed else MAX_ENCODER_OFFSET_RAD
         self.encoder_offset = {motor.name: motor.zero + chance.uniform(-spread, spread) for motor in hand.motors}
         self.nodes: list[list[Node]] = [[] for _ in hand.buses]
-        self._motor_nodes = {motor.name: self._motor_node(motor) for motor in hand.motors}
+        self.row_of: dict[int, tuple[int, int]] = {}
+        rows: dict[type, Any] = {}
+        self._motor_nodes = self._drives(compiled, rows)
         for motor in hand.motors:
             self.nodes[self._bus(motor.bus)].append(self._motor_nodes[motor.name])
         if hand.sensors:
-            self.sensor_node = self._sensor_node(hand.sensors)
+            self.sensor_node = self._sensor_node(hand.sensors, compiled, rows)
             self.nodes[self._bus(hand.sensors.bus)].append(self.sensor_node)
         self._all = [(index, node) for index, bus in enumerate(self.nodes) for node in bus]
+        self._without_row = [node for _, node in self._all if id(node) not in self.row_of]
         self._by_id: list[dict[int, list[tuple[Node, frozenset[int] | None]]]]
+        self.exchange = Exchange(self, rows) if compiled else None
         self.look_again()
         self._spoken: list[Frame] = []
         self.faults = Faults(self)
@@ -85,18 +95,45 @@ class World:
             raise SimulatorError(f"{self.hand.name}: no bus {name}; expected one of {', '.join(self.hand.buses)}")
         return self.hand.buses.index(name)
 
-    def _motor_node(self, motor: MotorSpec) -> Node:
-        if motor.protocol not in PROTOCOLS:
-            known = ", ".join(PROTOCOLS)
-            raise SimulatorError(f"{motor.name}: protocol {motor.protocol} is not simulated; expected one of {known}")
-        return PROTOCOLS[motor.protocol].node(motor, self.plant.motors[motor.name], self.encoder_offset[motor.name])
+    def _drives(self, compiled: bool, rows: dict[type, Any]) -> dict[str, DriveNode]:
+        """Return the node of each motor by its name; those with rows are noted in ``rows`` and ``row_of``."""
+        nodes: dict[str, DriveNode] = {}
+        for motor in self.hand.motors:
+            if motor.protocol not in PROTOCOLS:
+                known = ", ".join(PROTOCOLS)
+                raise SimulatorError(
+                    f"{motor.name}: protocol {motor.protocol} is not simulated; expected one of {known}"
+                )
+        for protocol, kind in PROTOCOLS.items():
+            motors = [motor for motor in self.hand.motors if motor.protocol == protocol]
+            memory: Any = (kind.row * len(motors))() if compiled and kind.row else [None] * len(motors)
+            for number, (motor, row) in enumerate(zip(motors, memory, strict=True)):
+                about = motor, self.plant.motors[motor.name], self.encoder_offset[motor.name]
+                if row is None:
+                    nodes[motor.name] = kind.node(*about)
+                    continue
+                row.prepare(*about)
+                row.bus = self._bus(motor.bus)
+                nodes[motor.name], self.row_of[id(row)] = row, (kind.taker, number)
+            if compiled and kind.row:
+                rows[kind.row.layout] = array_of(memory, kind.row.layout)
+        return nodes
 
-    def _sensor_node(self, spec: SensorSpec) -> SensorNode:
+    def _sensor_node(self, spec: SensorSpec, compiled: bool, rows: dict[type, Any]) -> SensorNode:
         plant, joints = self.plant, self.hand.joints
         names = [tendon.name for tendon in self.hand.tendons]
         tendon_order = np.array([names.index(name) for name in spec.tendons], np.int64)
         joint_order = np.array([joints.index(name) for name in spec.joints], np.int64)
-        return SensorNode(spec, lambda: plant.cells()[tendon_order], lambda: plant.engine.q[joint_order], self.seed)
+        self.sensor_orders = tendon_order, joint_order
+        about = spec, lambda: plant.cells()[tendon_order], lambda: plant.engine.q[joint_order], self.seed
+        if not compiled:
+            return SensorNode(*about)
+        memory = (SensorNodeRow * 1)()
+        node: SensorNodeRow = memory[0]
+        node.prepare(*about)
+        rows[SensorRow] = array_of(memory, SensorRow)
+        self.row_of[id(node)] = SENSORS, 0
+        return node
 
     def motor_spec(self, name: str) -> MotorSpec:
         """Return the description of a motor."""
@@ -150,14 +187,19 @@ class World:
         """Ask the nodes again who they are."""
         self._all_of = [[(node, node.ids) for node in bus] for bus in self.nodes]
         self._by_id = [{} for _ in self.nodes]
+        if self.exchange:
+            self.exchange.look_again()
 
-    def advance(self, t_ns: int) -> None:
-        """Let time pass until t_ns, in whole steps; what is left over waits for the next call."""
+    def advance(self, t_ns: int, known_wake_ns: int | None = None) -> None:
+        """Let time pass until t_ns, in whole steps; what is left over waits for the next call.
+
+        Args: t_ns: end [ns]. known_wake_ns: when time must pass for a drive with a row next [ns], if that is known.
+        """
         plant, truth, faults = self.plant, self._truth, self.faults
         now_ns = self.t_ns - plant.part_ns
         if now_ns + STEP_NS > t_ns:
             return
-        wake_ns = self._next_wake(t_ns)
+        wake_ns = self._next_wake(known_wake_ns)
         while now_ns + STEP_NS <= t_ns:
             until_ns = t_ns
             if truth is not None:
@@ -169,12 +211,11 @@ class World:
             plant.advance(count)
             now_ns += count * STEP_NS
             if now_ns >= wake_ns:
-                self._wake(now_ns)
-                wake_ns = self._next_wake(t_ns)
+                wake_ns = self._next_wake(self._wake(now_ns))
             if faults.on:
                 self.t_ns = now_ns
                 self._spoken += faults.advance(now_ns)
-                wake_ns = self._next_wake(t_ns)
+                wake_ns = self._next_wake()
         self.t_ns = now_ns
 
     def reach(self, t_ns: int) -> None:
@@ -196,18 +237,24 @@ class World:
         if truth is not None and plant.t_ns >= truth.due_ns:
             truth.write(now_ns + self.slip_ns, plant)
 
-    def _next_wake(self, end_ns: int) -> int:
-        """Return when time must pass for a node next [ns]; ``end_ns`` if there is none."""
-        return min([node.wake_ns for _, node in self._all], default=end_ns)
+    def _next_wake(self, known_ns: int | None = None) -> int:
+        """Return when time must pass for a node next [ns]; ``known_ns``: for those with rows, if that is known."""
+        if not self.exchange:
+            return min([node.wake_ns for _, node in self._all], default=NEVER_NS)
+        wake_ns = self.exchange.next_wake() if known_ns is None else known_ns
+        return min(wake_ns, *[node.wake_ns for node in self._without_row]) if self._without_row else wake_ns
 
-    def _wake(self, now_ns: int) -> None:
-        """Wake the nodes whose time has come, and keep what they say."""
+    def _wake(self, now_ns: int) -> int | None:
+        """Wake the nodes whose time has come, and keep what they say; return when rows are due next [ns] if known."""
+        if self.exchange and not self._without_row and self.exchange.speak(now_ns):
+            return self.exchange.wake_ns
         for bus, node in self._all:
             if now_ns >= node.wake_ns:
                 spoken = node.wake(now_ns)
                 if spoken:
                     told = [frame._replace(bus=bus, t_ns=now_ns) for frame in spoken]
                     self._spoken += self.faults.spoken(node, told, now_ns) if self.faults.on else told
+        return None
 
     def hear(self, frames: list[Frame]) -> None:
         """Have frames on the bus that no node of this hand sends."""
@@ -216,7 +263,14 @@ class World:
     def take_spoken(self) -> list[Frame]:
         """Return what nodes have sent of their own accord since the last call."""
         spoken, self._spoken = self._spoken, []
+        if self.exchange and len(said := self.exchange.take_said()):
+            return sorted(to_frames(said) + spoken, key=_ARRIVAL_NS)
         return spoken
+
+    def take_spoken_records(self) -> Any:
+        """Return the same as an array of ``records.RECORD``, valid until more is sent."""
+        assert self.exchange
+        return to_records(self.take_spoken()) if self._spoken else self.exchange.take_said()
 
     @property
     def malformed(self) -> int:

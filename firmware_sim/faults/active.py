@@ -7,7 +7,7 @@ from firmware_sim.bus.frame import Frame
 from firmware_sim.faults import of_plant as fault_plant
 from firmware_sim.faults import of_wire as fault_wire
 from firmware_sim.faults.of_wire import Active
-from firmware_sim.faults.text import BUS, FOREVER_NS, KINDS, NODE, SENSORS, Fault, instances, parse_fault
+from firmware_sim.faults.text import BUS, DIGIT, FOREVER_NS, KINDS, NODE, SENSORS, TENDON, Fault, instances, parse_fault
 
 TURN_NS = 1_000_000
 FOREIGN_NS = 10_000_000
@@ -23,12 +23,13 @@ class Faults:
         on: whether any fault waits or acts.
         struck: what acts on the wire of a node, by its identity.
         everything: every fault so far, in the order of injection.
+        in_frames: whether a fault acts on the wire, in a node or in a sensor, so that frames may differ by it.
     """
 
     def __init__(self, world: Any) -> None:
         """Args: the world that they strike."""
         self._world = world
-        self.on = False
+        self.on = self.in_frames = False
         self._waiting: list[Active] = []
         self._acting: list[tuple[Active, fault_plant.Undo]] = []
         self.struck: dict[int, list[Active]] = {}
@@ -117,6 +118,7 @@ class Faults:
         """Who is struck on the wire; a node that was reset may have another number."""
         self._world.look_again()
         self.struck, self._all_wire = {}, []
+        self.in_frames = any(one.fault.component not in (TENDON, DIGIT) for one, _ in self._acting)
         for one, _ in self._acting:
             if one.fault.component not in (NODE, BUS):
                 continue

@@ -7,6 +7,9 @@ from firmware_sim.bus.frame import EXTENDED, Frame
 from firmware_sim.description import MotorSpec
 from firmware_sim.plant.motor import Motor
 
+SENSORS, MIT, ODRIVE, CIA402 = range(4)
+"""Kinds of nodes to which compiled laws deliver frames."""
+
 
 class Node(Protocol):
     """A simulated node; time is passed in.
@@ -79,6 +82,8 @@ class Kind(NamedTuple):
             does nothing to it.
         mishear: what a broken node hears of an order to let go.
         spoil: what becomes of its answers if it reads back wrong.
+        row: type of a node whose numbers are a row of an array, for compiled laws; None if there is none.
+        taker: how these laws call it; see ``cyclic.Taker``.
     """
 
     node: Callable[[MotorSpec, Motor, float], DriveNode]
@@ -87,3 +92,5 @@ class Kind(NamedTuple):
     host_frame: Callable[[int], tuple[int, bytes]]
     mishear: Callable[[Frame], Frame]
     spoil: Callable[[Frame], Frame] = as_it_is
+    row: Any = None
+    taker: int = -1

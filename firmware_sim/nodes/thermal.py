@@ -1,5 +1,6 @@
 """Temperatures of a drive: winding and MOSFETs, each one heat capacity that cools to the room."""
 
+import ctypes
 import math
 
 ROOM_C = 25.0
@@ -33,6 +34,12 @@ class Thermal:
         if self.held is not None:
             self.winding = self.held
         self.mosfet = _towards(self.mosfet, ROOM_C + MOSFET_K_PER_W * watt, elapsed_s / MOSFET_S)
+
+
+class ThermalRow(ctypes.Structure, Thermal):
+    """Temperatures in a row of a drive."""
+
+    _fields_ = [(name, ctypes.c_double) for name in ("winding", "mosfet")]
 
 
 def _towards(value: float, goal: float, times: float) -> float:

@@ -9,7 +9,9 @@ takes their slope as a damping of the tendon, implicitly, and what that damping 
 import math
 from typing import Any
 
-from firmware_sim.compiled import call, compiled, inner
+import numpy as np
+
+from firmware_sim.compiled import call, compiled, inner, rows_at
 from firmware_sim.plant.rows import RopeRow, RotorRow
 
 CAPSTAN_SPEED = 1e-3
@@ -111,9 +113,15 @@ def _give_back(rope: Any, joints: Any, arms: Any, torque: Any) -> None:
 
 
 @inner
+def encoded(theta: float) -> float:
+    """Return the angle of a spool as its encoder shows it [rad]."""
+    return math.floor(theta / ENCODER_STEP) * ENCODER_STEP
+
+
+@inner
 def see(rotor: Any) -> None:
     """Measure the angle of the spool."""
-    rotor.angle = math.floor(rotor.theta / ENCODER_STEP) * ENCODER_STEP
+    rotor.angle = encoded(rotor.theta)
 
 
 @inner
@@ -177,8 +185,8 @@ def drive(
         damping[i] = rope.slope
 
 
-@compiled("count", *DRIVETRAIN, "vector", "vector", "vector", "vector", "address", "address", "address")
-def steps(
+@inner
+def _steps(
     count: int, ropes: Any, joints: Any, arms: Any, rotors: Any, q: Any, dq: Any, torque: Any, damping: Any,
     step: int, model: int, data: int,
 ) -> int:  # fmt: skip
@@ -191,8 +199,11 @@ def steps(
         step, model, data: addresses of the engine's step and of its arguments.
 
     Returns:
-        How many steps were made; fewer than asked for if the plant diverged.
+        How many steps were made; fewer than asked for if the plant diverged, none if there is a fault in a motor.
     """
+    for i in range(len(rotors)):
+        if rotors[i].faulty:
+            return 0
     for done in range(count):
         speeds = 0.0
         for speed in dq:
@@ -202,3 +213,19 @@ def steps(
         drive(ropes, joints, arms, rotors, q, dq, torque, damping, True)
         call(step, model, data)
     return count
+
+
+REAL, COUNT, ROPES, ROTORS = np.dtype(np.float64), np.dtype(np.int64), np.dtype(RopeRow), np.dtype(RotorRow)
+
+
+@compiled("count", "counts")
+def steps(count: int, at: Any) -> int:
+    """Let ropes pull, rotors turn and links move, so many times; return how many steps were made, see ``_steps``.
+
+    Args: count: of steps. at: address and length of each array of ``_steps``, then its last three arguments.
+    """
+    return _steps(
+        count, rows_at(at[0], at[1], ROPES), rows_at(at[2], at[3], COUNT), rows_at(at[4], at[5], REAL),
+        rows_at(at[6], at[7], ROTORS), rows_at(at[8], at[9], REAL), rows_at(at[10], at[11], REAL),
+        rows_at(at[12], at[13], REAL), rows_at(at[14], at[15], REAL), at[16], at[17], at[18],
+    )  # fmt: skip

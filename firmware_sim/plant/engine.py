@@ -18,7 +18,7 @@ class Engine:
         step: advance by one step.
         native: addresses of MuJoCo's step and of its two arguments, for compiled code; None if there are none.
         q, dq: angles [rad] and velocities [rad/s] of the joints. applied: torques on them [N m].
-        rope_damping: of each tendon [N s/m]. All four are MuJoCo's own memory.
+        rope_damping: of each tendon [N s/m]. sensed: values of all sensors. All five are MuJoCo's own memory.
     """
 
     def __init__(self, xml: str, joint_count: int) -> None:
@@ -34,6 +34,7 @@ class Engine:
         self.dq: Any = data.qvel[:n]
         self.applied: Any = data.qfrc_applied[:n]
         self.rope_damping: Any = model.tendon_damping
+        self.sensed: Any = data.sensordata
         self._object: Any = data.qpos[n : n + 7]
         self._object_velocity: Any = data.qvel[n : n + 6]
         self._table: Any = data.mocap_pos
@@ -58,11 +59,14 @@ class Engine:
             kind: ``grip`` (of the object) or ``contact`` (of anything).
             digits: names.
         """
-        addresses = [self._sensor(f"{kind}/{digit}") for digit in digits]
-        index = np.array([address + axis for address in addresses for axis in range(3)])
+        index = np.array([address + axis for address in self.force_places(kind, digits) for axis in range(3)])
         data = self._data.sensordata
         # the sensor gives the force of the first body on the second
         return lambda: (-data[index]).tolist()  # type: ignore[no-any-return,unused-ignore]
+
+    def force_places(self, kind: str, digits: list[str]) -> list[int]:
+        """Return where in ``sensed`` the force of each digit begins, with the opposite sign; see ``forces_on``."""
+        return [self._sensor(f"{kind}/{digit}") for digit in digits]
 
     def normal_forces(self, digits: list[str]) -> Callable[[], list[float]]:
         """Return a function that gives the sum of the normal forces between each digit and the object [N]."""

@@ -6,12 +6,11 @@ gains that are stable in the drive are stable here, without sub-steps.
 
 import math
 from collections.abc import Callable, Sequence
-from math import floor
 from typing import Any
 
 from firmware_sim.compiled import array_of
 from firmware_sim.description import MotorSpec
-from firmware_sim.plant.drivetrain import ENCODER_STEP, decide, see, turn
+from firmware_sim.plant.drivetrain import decide, encoded, see, turn
 from firmware_sim.plant.rows import RotorRow, Servo
 
 CURRENT_LAG_S = 0.3e-3
@@ -39,10 +38,15 @@ class Motor:
         load: torque of the rope [N m]. angle: of the spool as the servo sees it [rad]. command: to the current [N m].
         drag: load and Coulomb friction [N m]. stiff: inertia over step, and the slope of the friction [N m s/rad].
         waits: whether it turns by itself, not with the others.
+        number: of its row among the rotors of a hand.
         misread, disobeys: faults of its encoder, and of its power stage, on an angle [rad] and a torque [N m].
+        faulty: whether it has either fault.
     """
 
     law: Servo
+    number = 0
+    _misread: Callable[[float], float] | None
+    _disobeys: Callable[[float], float] | None
 
     def __init__(self, spec: MotorSpec, step_s: float) -> None:
         """Args: the motor; the plant's step [s]."""
@@ -56,8 +60,28 @@ class Motor:
         self.pace(step_s)
         self.load = self.angle = self.command = self.drag = self.stiff = 0.0
         self.waits, self.servo = False, self.law
-        self.misread: Callable[[float], float] | None = None
-        self.disobeys: Callable[[float], float] | None = None
+        self._misread = self._disobeys = None
+        self.faulty = False
+
+    @property
+    def misread(self) -> Callable[[float], float] | None:
+        """The fault of its encoder."""
+        return self._misread
+
+    @misread.setter
+    def misread(self, fault: Callable[[float], float] | None) -> None:
+        self._misread = fault
+        self.faulty = fault is not None or self._disobeys is not None
+
+    @property
+    def disobeys(self) -> Callable[[float], float] | None:
+        """The fault of its power stage."""
+        return self._disobeys
+
+    @disobeys.setter
+    def disobeys(self, fault: Callable[[float], float] | None) -> None:
+        self._disobeys = fault
+        self.faulty = fault is not None or self._misread is not None
 
     def pace(self, step_s: float) -> None:
         """Change the length of the next steps [s]."""
@@ -65,8 +89,7 @@ class Motor:
 
     def encoder(self) -> float:
         """Return the spool angle as the drive measures it [rad]."""
-        angle = floor(self.theta / ENCODER_STEP) * ENCODER_STEP
-        misread = self.misread
+        angle, misread = encoded(self.theta), self._misread
         return misread(angle) if misread else angle
 
     def advance(self, load: float) -> None:
@@ -77,11 +100,11 @@ class Motor:
     def follow(self) -> None:
         """Integrate one step against the load that is there, with the faults of encoder and power stage."""
         see(self)
-        if self.misread and (self.servo.kp or self.servo.kd):
-            self.angle = self.misread(self.angle)
+        if self._misread and (self.servo.kp or self.servo.kd):
+            self.angle = self._misread(self.angle)
         decide(self)
-        if self.disobeys:
-            self.command = self.disobeys(self.command)
+        if self._disobeys:
+            self.command = self._disobeys(self.command)
         turn(self)
 
 
@@ -93,6 +116,7 @@ def row_by_row(specs: Sequence[MotorSpec], step_s: float) -> tuple[list[Motor], 
     """Return motors that lie one behind the other, and the array of them; the step is the plant's [s]."""
     memory = (MotorRow * len(specs))()
     motors: list[Motor] = list(memory)
-    for motor, spec in zip(motors, specs, strict=True):
+    for number, (motor, spec) in enumerate(zip(motors, specs, strict=True)):
         motor._describe(spec, step_s)
+        motor.number = number
     return motors, array_of(memory, RotorRow)

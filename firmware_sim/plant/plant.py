@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from firmware_sim.compiled import machine_code
+from firmware_sim.compiled import addresses, machine_code
 from firmware_sim.description import Hand, SimulatorError
 from firmware_sim.plant import drivetrain
 from firmware_sim.plant.engine import Engine
 from firmware_sim.plant.mjcf import STEP_S, model_text, opposed_digits
 from firmware_sim.plant.motor import Motor, paced, row_by_row
 from firmware_sim.plant.tendon import Routing
-from firmware_sim.scene.scene import Scene
+from firmware_sim.scene import table as tables
+from firmware_sim.scene.scene import Scene, Support
 from firmware_sim.scene.stages import Stages
 from firmware_sim.scene.table import Table
 
@@ -39,6 +40,7 @@ class Plant:
         load: what pulls at the object; None in most scenes.
         stages: what is done to the object once it is held; None in most scenes.
         stage: which stage of the scene it is; -1 before the first.
+        sampled: for laws that sample: drivetrain, joint angles [rad] and velocities [rad/s], room for tensions [N].
         steps: how many whole steps were made.
         part_ns: time since the last of them, less than a step [ns].
     """
@@ -70,10 +72,13 @@ class Plant:
         self.ropes = [(rope, self._rotors[rope.motor]) for rope in routing.tendons]
         self._drivetrain = routing.rows, routing.joints, routing.arms, rotors
         engine = self.engine
-        self._native = engine.native if compiled else None
         self._bodies = (engine.q, engine.dq, engine.applied, engine.rope_damping) if compiled else None
+        native = engine.native
+        every = (*self._drivetrain, *self._bodies) if self._bodies else ()
+        self._addresses = np.array([*addresses(every), *native], np.int64) if every and native else None
         self._tensions = np.zeros(len(self.ropes))
-        self.table = Table(scene.support, opposed_digits(hand)) if scene.support else None
+        self.sampled = (*self._drivetrain, engine.q, engine.dq, self._tensions)
+        self.table = self._table(scene.support, compiled) if scene.support else None
         self.contact_forces = self.engine.forces_on("contact", [digit.name for digit in hand.digits])
         self.load = scene.load
         self.stages = Stages(scene.stages, hand.gravity) if scene.stages else None
@@ -92,6 +97,14 @@ class Plant:
                 wrong = ", ".join(sorted(unknown)) or spec.motor
                 raise SimulatorError(f"hand {hand.name}: {spec.name}: no such motor or joint: {wrong}")
         return Routing(hand.tendons, hand.joints, motors, [motor.spool_radius for motor in hand.motors], compiled)
+
+    def _table(self, support: Support, compiled: bool) -> Table:
+        """Return the table, which looks at the contact forces where the engine has them if laws are compiled."""
+        opposed = opposed_digits(self.hand)
+        if not compiled:
+            return Table(support, opposed)
+        places = self.engine.force_places("contact", [digit.name for digit in self.hand.digits])
+        return Table(support, opposed, places, machine_code(tables))
 
     def _slacken(self, seed: int) -> None:
         chance = random.Random(f"slack {seed}")
@@ -181,21 +194,22 @@ class Plant:
             self.part_ns = 0
             self.steps += 1
             return
+        if self._addresses is not None:
+            done = self._laws.steps(count, self._addresses)
+            self.steps += done
+            if done == count:
+                return
+            if not self.struck:
+                raise self._diverged()
         struck = self.struck
-        if not self._native or not self._bodies or struck:
-            for _ in range(count):
-                self._move_once(struck)
-                self.steps += 1
-            return
-        done = self._laws.steps(count, *self._drivetrain, *self._bodies, *self._native)
-        self.steps += done
-        if done < count:
-            raise self._diverged()
+        for _ in range(count):
+            self._move_once(struck)
+            self.steps += 1
 
     @property
     def struck(self) -> list[Motor]:
         """The motors in which there is a fault."""
-        return [motor for motor in self._rotors if motor.misread or motor.disobeys]
+        return [motor for motor in self._rotors if motor.faulty]
 
     def _move_once(self, struck: list[Motor]) -> None:
         """Make a step in which some motors turn by themselves."""
@@ -225,7 +239,8 @@ class Plant:
     def _look_after(self, table: Table) -> None:
         """Sink the table when the object is held, and do with it then what the scene says."""
         before = table.depth
-        depth = table.update(self.steps * STEP_S, [] if table.dropped_at is not None else self.contact_forces())
+        forces = self.engine.sensed if self._bodies else [] if table.dropped_at is not None else self.contact_forces()
+        depth = table.update(self.steps * STEP_S, forces)
         if depth != before:
             self.engine.lower_table(depth - before)
         if self.stages and table.dropped_at is not None:

@@ -38,7 +38,7 @@ class RotorRow(ctypes.Structure):
         *((name, ctypes.c_double) for name in ("theta", "omega", "torque", "velocity", "heat")),
         *((name, ctypes.c_double) for name in ("inertia", "viscous", "coulomb", "gain", "step", "lag", "velocity_lag")),
         *((name, ctypes.c_double) for name in ("load", "angle", "command", "drag", "stiff")),
-        ("waits", ctypes.c_int64),
+        *((name, ctypes.c_int64) for name in ("waits", "faulty")),
         ("law", ServoRow),
     ]
 

@@ -1,8 +1,8 @@
 """CiA 402 drives out of the box; a free shaft is an assumption."""
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.nodes.cia402.node import Cia402Node
-from firmware_sim.nodes.kind import NOTHING, Kind, Shaft
+from firmware_sim.nodes.cia402.node import Cia402Node, Cia402NodeRow
+from firmware_sim.nodes.kind import CIA402, NOTHING, Kind, Shaft
 
 NUMBERS = range(1, 0x7F)
 """The last of CANopen's is handctl's own."""
@@ -23,4 +23,4 @@ def _spoil(frame: Frame) -> Frame:
     return frame._replace(data=frame.data[:4] + b"\xff\xff\0\0") if told else frame  # 0x6072 reads 65535
 
 
-KIND = Kind(Cia402Node, NUMBERS, Shaft(1.0, 5e-5, 0.08), _host_frame, _mishear, _spoil)
+KIND = Kind(Cia402Node, NUMBERS, Shaft(1.0, 5e-5, 0.08), _host_frame, _mishear, _spoil, Cia402NodeRow, CIA402)

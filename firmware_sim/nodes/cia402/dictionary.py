@@ -2,6 +2,9 @@
 
 import configparser
 from pathlib import Path
+from typing import Any
+
+from firmware_sim.nodes.cia402.laws import HOT, ROOM
 
 EDS = Path(__file__).with_name("cia402.eds")
 _SIZES = {0x02: 1, 0x03: 2, 0x04: 4, 0x05: 1, 0x06: 2, 0x07: 4}
@@ -23,27 +26,33 @@ class Abort(Exception):  # noqa: N818 - the standard's word
 
 
 class Dictionary:
-    """Values of all objects of one node."""
+    """Values of all objects of one node.
 
-    def __init__(self, node_id: int) -> None:
-        """Args: node_id, on which default identifiers depend."""
+    Attributes:
+        values: of the objects, those of ``laws.HOT`` first.
+    """
+
+    def __init__(self, node_id: int, memory: Any = None) -> None:
+        """Args: node_id, on which default identifiers depend; memory for ``laws.ROOM`` values, if not its own."""
         parser = configparser.ConfigParser(interpolation=None)
         parser.read(EDS, encoding="ascii")
         self._sizes: dict[Key, int] = {}
         self._signed: set[Key] = set()
         self._writable: set[Key] = set()
         self._mappable: set[Key] = set()
-        self._values: dict[Key, int] = {}
+        self._places: dict[Key, int] = {key: place for place, key in enumerate(HOT)}
+        self.values: Any = [0] * ROOM if memory is None else memory
         for name in parser.sections():
             if parser.has_option(name, "DataType"):
                 self._add(name, parser[name], node_id)
-        self._indices = {index for index, _ in self._values}
+        self._indices = {index for index, _ in self._sizes}
 
     def _add(self, name: str, section: configparser.SectionProxy, node_id: int) -> None:
         index, _, sub = name.partition("sub")
         key, kind = (int(index, 16), int(sub or "0", 16)), int(section["DataType"], 16)
         self._sizes[key] = _SIZES[kind]
-        self._values[key] = sum(
+        self._places.setdefault(key, len(self._places))
+        self.values[self._places[key]] = sum(
             node_id if term == "$NODEID" else int(term, 0) for term in section["DefaultValue"].split("+")
         )
         if kind in _SIGNED:
@@ -54,13 +63,14 @@ class Dictionary:
             self._mappable.add(key)
 
     def __getitem__(self, key: Key) -> int:
-        return self._values[key]
+        value: int = self.values[self._places[key]]
+        return value
 
     def __setitem__(self, key: Key, value: int) -> None:
         """Set from the inside; saturates at what the type can hold."""
         bits = 8 * self._sizes[key]
         low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if key in self._signed else (0, (1 << bits) - 1)
-        self._values[key] = min(high, max(low, value))
+        self.values[self._places[key]] = min(high, max(low, value))
 
     def size(self, key: Key) -> int:
         """Return the bytes of an object.
@@ -68,7 +78,7 @@ class Dictionary:
         Raises:
             Abort: there is none.
         """
-        if key not in self._values:
+        if key not in self._sizes:
             raise Abort(NO_SUB if key[0] in self._indices else NO_OBJECT)
         return self._sizes[key]
 
@@ -83,7 +93,7 @@ class Dictionary:
             Abort: there is none.
         """
         size = self.size(key)
-        return self._values[key].to_bytes(size, "little", signed=key in self._signed)
+        return self[key].to_bytes(size, "little", signed=key in self._signed)
 
     def write(self, key: Key, raw: bytes) -> None:
         """Take bytes from the wire.
@@ -95,4 +105,4 @@ class Dictionary:
             raise Abort(LENGTH)
         if key not in self._writable:
             raise Abort(READ_ONLY)
-        self._values[key] = int.from_bytes(raw, "little", signed=key in self._signed)
+        self.values[self._places[key]] = int.from_bytes(raw, "little", signed=key in self._signed)

@@ -7,6 +7,9 @@ from firmware_sim.nodes.cia402.dictionary import RANGE, Abort, Dictionary, Key
 
 OFF = 1 << 31
 NOT_MAPPABLE, TOO_LONG = 0x06040041, 0x06040042
+USUAL_RPDO = [((0x6040, 0), 2), ((0x6071, 0), 2)]
+USUAL_TPDO = [((0x6041, 0), 2), ((0x6064, 0), 4), ((0x6077, 0), 2)]
+"""Mappings that compiled laws know: objects and their bytes."""
 SYNCHRONOUS = 240
 """Transmission types up to here depend on SYNC."""
 
@@ -18,7 +21,6 @@ class Pdos:
         """Args: the node's dictionary, which holds communication and mapping."""
         self._objects = objects
         self._waiting: dict[int, bytes] = {}
-        self._syncs = 0
 
     def write(self, key: Key, raw: bytes) -> None:
         """Write communication or mapping over SDO.
@@ -82,13 +84,37 @@ class Pdos:
         waiting, self._waiting = self._waiting, {}
         return [key for number, data in waiting.items() for key in self._store(number, data)]
 
-    def on_sync(self) -> list[Frame]:
-        """Return the TPDOs of this SYNC."""
-        self._syncs += 1
-        return [self._frame(i) for i in self._active() if self._due(self._objects[0x1800 + i, 2])]
+    def on_sync(self, syncs: int) -> list[Frame]:
+        """Return the TPDOs of a SYNC; ``syncs``: how many there were."""
+        kinds = {i: self._objects[0x1800 + i, 2] for i in self._active()}
+        return [self._frame(i) for i, kind in kinds.items() if 1 <= kind <= SYNCHRONOUS and syncs % kind == 0]
 
-    def _due(self, kind: int) -> bool:
-        return 1 <= kind <= SYNCHRONOUS and self._syncs % kind == 0
+    @property
+    def identifiers(self) -> list[int]:
+        """Identifiers that RPDOs receive."""
+        return [self._objects[0x1400 + i, 1] for i in range(4)]
+
+    def usual_rpdo(self) -> int:
+        """Return the identifier of the RPDO that writes control word and target torque at once; -1 if there is none."""
+        for i in range(4):
+            can_id, kind = self._objects[0x1400 + i, 1], self._objects[0x1400 + i, 2]
+            if can_id < 0x800 and kind > SYNCHRONOUS and self._receiver(can_id) == i:
+                return can_id if list(self._entries(0x1600 + i)) == USUAL_RPDO else -1
+        return -1
+
+    def usual_tpdo(self) -> tuple[int, int]:
+        """Return identifier and type of the only TPDO: status word, position, torque after SYNC.
+
+        The identifier is -1 if PDOs are arranged in any other way, or an RPDO waits for SYNC.
+        """
+        active = self._active()
+        waits = any(self._objects[0x1400 + i, 2] <= SYNCHRONOUS for i in range(4) if self.identifiers[i] < OFF)
+        if len(active) != 1 or waits or self._waiting:
+            return -1, 0
+        (i,) = active
+        kind = self._objects[0x1800 + i, 2]
+        usual = 1 <= kind <= SYNCHRONOUS and list(self._entries(0x1A00 + i)) == USUAL_TPDO
+        return (self._objects[0x1800 + i, 1] & 0x7FF if usual else -1), kind
 
     def on_event(self) -> list[Frame]:
         """Return the TPDOs that are sent on a change."""

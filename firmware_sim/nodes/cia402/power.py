@@ -4,27 +4,34 @@ Choices: 0x0F out of *ready to switch on* takes transitions 3 and 4 in one; quic
 by itself; *fault reaction* is passed within one step.
 """
 
-OFF, READY, ON, ENABLED, FAULT = "switch on disabled", "ready", "switched on", "operation enabled", "fault"
-_WORDS = {OFF: 0x40, READY: 0x21, ON: 0x23, ENABLED: 0x27, FAULT: 0x08}
+import ctypes
+from typing import Any
+
+from firmware_sim.compiled import inner
+
+OFF, READY, ON, ENABLED, FAULT = range(5)
+"""Switch on disabled, ready to switch on, switched on, operation enabled, fault."""
+_WORDS = (0x40, 0x21, 0x23, 0x27, 0x08)
+
+
+@inner
+def status(power: Any) -> int:
+    """Return the status word: state, voltage present, remote; bit 12 says that the target torque is followed."""
+    return _WORDS[power.state] | 1 << 4 | 1 << 9 | (1 << 12 if power.state == ENABLED else 0)
 
 
 class Power:
-    """Attributes: state: one of the names above."""
+    """Attributes: state: one of those above. reset_bit: whether the last control word had the bit of fault reset."""
 
     def __init__(self) -> None:
         """Start with the power stage off."""
         self.state = OFF
-        self._reset_bit = False
-
-    @property
-    def status(self) -> int:
-        """Status word: state, voltage present, remote; in torque mode bit 12 says that the target is followed."""
-        return _WORDS[self.state] | 1 << 4 | 1 << 9 | (1 << 12 if self.state == ENABLED else 0)
+        self.reset_bit = False
 
     def command(self, word: int) -> None:
         """Take a control word; all but fault reset are levels, and depend on the present state only."""
-        edge = bool(word & 0x80) and not self._reset_bit
-        self._reset_bit = bool(word & 0x80)
+        edge = bool(word & 0x80) and not self.reset_bit
+        self.reset_bit = bool(word & 0x80)
         if self.state == FAULT:
             self.state = OFF if edge else FAULT
             return
@@ -40,3 +47,9 @@ class Power:
     def fail(self) -> None:
         """Enter fault."""
         self.state = FAULT
+
+
+class PowerRow(ctypes.Structure, Power):
+    """The power state machine in a row of a drive."""
+
+    _fields_ = [(name, ctypes.c_int64) for name in ("state", "reset_bit")]

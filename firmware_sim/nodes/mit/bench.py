@@ -1,8 +1,8 @@
 """Damiao motors out of the box. Source of the ranges: facts, mit_damiao; a free shaft is an assumption."""
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.nodes.kind import Kind, Shaft
-from firmware_sim.nodes.mit.node import REGISTER_ID, MitNode
+from firmware_sim.nodes.kind import MIT, Kind, Shaft
+from firmware_sim.nodes.mit.node import REGISTER_ID, MitNode, MitNodeRow
 
 TYPES = {
     "dm3507": (12.566, 50.0, 5.0),
@@ -44,4 +44,4 @@ def _spoil(frame: Frame) -> Frame:
     return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if told else frame  # TMAX reads 1
 
 
-KIND = Kind(MitNode, range(1, 0x7F0), shaft(TYPES[USUAL]), _host_frame, _mishear, _spoil)
+KIND = Kind(MitNode, range(1, 0x7F0), shaft(TYPES[USUAL]), _host_frame, _mishear, _spoil, MitNodeRow, MIT)

@@ -4,15 +4,20 @@ Eight bytes are one number here, the first byte highest; its sign means nothing.
 they are, calls them through the module.
 """
 
+import ctypes
 import struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from firmware_sim.compiled import compiled
+from firmware_sim.compiled import compiled, inner
+from firmware_sim.nodes.thermal import ThermalRow
 
 WORD = struct.Struct(">q")
 """Bytes of a frame <-> number."""
 KP_MAX, KD_MAX = 500.0, 5.0
 """Ranges of the gains [N m/rad], [N m s/rad]."""
+ENABLED = 0x1
+"""State nibble of a drive that follows commands."""
+WARM_PERIOD_NS = 100_000_000
 
 
 class Ranges(NamedTuple):
@@ -21,6 +26,18 @@ class Ranges(NamedTuple):
     position: float
     velocity: float
     torque: float
+
+
+class MitRow(ctypes.Structure):
+    """See ``node.MitNode``; ``motor_number``: of its rotor."""
+
+    _fields_ = [
+        *((name, ctypes.c_double) for name in ("offset", "direction")),
+        *((name, ctypes.c_double) for name in ("position_range", "velocity_range", "torque_range")),
+        *((name, ctypes.c_int64) for name in ("state", "node_id", "reply_id", "motor_number")),
+        *((name, ctypes.c_int64) for name in ("fed_ns", "wake_ns", "warmed_ns", "timeout_ns")),
+        ("temperatures", ThermalRow),
+    ]
 
 
 class Command(NamedTuple):
@@ -80,6 +97,41 @@ def write_feedback(
     motion = to_code(p, position, 16) << 24 | to_code(v, velocity, 12) << 12 | to_code(t, torque, 12)
     signed = head - 256 if head > 127 else head
     return signed << 56 | motion << 16 | _degrees(mosfet) << 8 | _degrees(winding)
+
+
+@inner
+def obey(node: Any, servo: Any, word: int) -> None:
+    """Let the servo of an enabled drive follow the command in a word.
+
+    Args:
+        node: the drive, a row or an object. servo: of its rotor. word: the command.
+    """
+    ranges = node.position_range, node.velocity_range, node.torque_range
+    position, velocity, servo.kp, servo.kd, torque = read_command(word, *ranges)
+    servo.position, servo.velocity = node.direction * (position - node.offset), node.direction * velocity
+    servo.torque = node.direction * torque
+
+
+@inner
+def feedback_word(node: Any, rotor: Any, angle: float, mosfet: float, winding: float) -> int:
+    """Return the feedback of a drive at this moment as a word.
+
+    Args:
+        node: the drive, a row or an object. rotor: its rotor. angle: of the spool by the encoder [rad].
+        mosfet, winding: temperatures [degC].
+    """
+    sign, head = node.direction, node.state << 4 | node.node_id & 0xF
+    p, v, t = sign * angle + node.offset, sign * rotor.velocity, sign * rotor.torque
+    ranges = node.position_range, node.velocity_range, node.torque_range
+    return write_feedback(head, p, v, t, *ranges, mosfet, winding)
+
+
+@inner
+def schedule(node: Any) -> None:
+    """Note when time must pass for a drive next: for its temperatures, or for its watchdog while it is enabled."""
+    node.wake_ns = node.warmed_ns + WARM_PERIOD_NS
+    if node.timeout_ns != 0 and node.state == ENABLED:
+        node.wake_ns = min(node.wake_ns, node.fed_ns + node.timeout_ns)
 
 
 def decode_command(data: bytes, ranges: Ranges) -> Command:

@@ -8,15 +8,13 @@ import enum
 
 from firmware_sim.bus.frame import Frame
 from firmware_sim.description import MotorSpec
-from firmware_sim.nodes.mit import codec
 from firmware_sim.nodes.mit import registers as reg
-from firmware_sim.nodes.mit.codec import WORD, Ranges
-from firmware_sim.nodes.thermal import Thermal
+from firmware_sim.nodes.mit.codec import WARM_PERIOD_NS, WORD, MitRow, feedback_word, obey, schedule
+from firmware_sim.nodes.thermal import Thermal, ThermalRow
 from firmware_sim.plant.motor import Motor
 
 REGISTER_ID = 0x7FF
 WATCHDOG_UNIT_NS = 50_000
-WARM_PERIOD_NS = 100_000_000
 _SPECIAL = b"\xff" * 7
 _ENABLE, _DISABLE, _ZERO, _CLEAR = 0xFC, 0xFD, 0xFE, 0xFB
 _READ, _WRITE, _SAVE, _REFRESH = 0x33, 0x55, 0xAA, 0xCC
@@ -49,40 +47,57 @@ class MitNode:
         malformed: frames on its identifiers that it could not read.
         wake_ns: when time must pass for it next [ns].
         fed_ns: last frame that fed its watchdog [ns].
+        timeout_ns: of the watchdog [ns]; 0 if it is off.
+        warmed_ns: when its temperatures were computed last [ns]; below 0 before the first time.
+        node_id, reply_id: its own identifier and that of its answers, of registers 8 and 7.
+        position_range, velocity_range, torque_range: of registers 21 to 23 [rad], [rad/s], [N m].
+        direction: +1 or -1, of the motor's angle to that of the spool.
     """
+
+    state: int
 
     def __init__(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
         """Args: the motor's description; its rotor; wire angle at theta = 0 [rad]."""
         self.motor, self.offset = motor, offset
         self.registers = reg.Registers(spec)
-        self.thermal = Thermal(spec.torque_constant)
+        self.thermal = self._temperatures(spec.torque_constant)
         self.state = State.DISABLED
         self.malformed = 0
         self.wake_ns = 0
-        self._direction = spec.direction
+        self.direction = spec.direction
         self._torque_peak = spec.torque_peak
         self.fed_ns = 0
-        self._warmed_ns = -1
+        self.warmed_ns = -1
         self._renew()
+
+    def _temperatures(self, torque_constant: float) -> Thermal:
+        """Return temperatures of a drive that is as warm as the room."""
+        return Thermal(torque_constant)
+
+    @property
+    def cyclic(self) -> tuple[int, ...]:
+        """Identifiers of the frames that come in every tick."""
+        return (self.node_id,)
 
     def _renew(self) -> None:
         """Take over what depends on registers."""
-        self._id, self._reply_id = int(self.registers[reg.ESC_ID]), int(self.registers[reg.MST_ID])
-        self._mode_ids = {self._id + offset for offset in (0x100, 0x200, 0x300)}
-        self.ids = frozenset((self._id, REGISTER_ID, *self._mode_ids))
-        self._ranges = Ranges(self.registers[reg.PMAX], self.registers[reg.VMAX], self.registers[reg.TMAX])
-        self.motor.servo.limit = min(self._torque_peak, self._ranges.torque)
-        self._timeout_ns = int(self.registers[reg.TIMEOUT]) * WATCHDOG_UNIT_NS
+        self.node_id, self.reply_id = int(self.registers[reg.ESC_ID]), int(self.registers[reg.MST_ID])
+        self._mode_ids = {self.node_id + offset for offset in (0x100, 0x200, 0x300)}
+        self.ids = frozenset((self.node_id, REGISTER_ID, *self._mode_ids))
+        ranges = self.registers[reg.PMAX], self.registers[reg.VMAX], self.registers[reg.TMAX]
+        self.position_range, self.velocity_range, self.torque_range = ranges
+        self.motor.servo.limit = min(self._torque_peak, self.torque_range)
+        self.timeout_ns = int(self.registers[reg.TIMEOUT]) * WATCHDOG_UNIT_NS
 
     def receive(self, frame: Frame, t_ns: int) -> list[Frame] | None:
         """Return the answers to a frame in the frame's own format; None if it is not for this motor."""
         can_id, data, flags, bus, _ = frame
-        if can_id == self._id:
+        if can_id == self.node_id:
             if t_ns >= self.wake_ns:
                 self.wake(t_ns)
             answer = self._command(data, t_ns)
         elif can_id == REGISTER_ID:
-            if len(data) < 4 or int.from_bytes(data[:2], "little") != self._id:
+            if len(data) < 4 or int.from_bytes(data[:2], "little") != self.node_id:
                 return None
             self.wake(t_ns)
             answer = self._register(data)
@@ -91,11 +106,11 @@ class MitNode:
             answer = self._special(data, t_ns)  # some clients send FD and FE to the identifier of a mode
         else:
             return None
-        self._schedule()
+        schedule(self)
         if answer is None:
             self.malformed += 1
             return []
-        return [Frame(self._reply_id, answer, flags, bus, t_ns)]
+        return [Frame(self.reply_id, answer, flags, bus, t_ns)]
 
     def _command(self, data: bytes, t_ns: int) -> bytes | None:
         if len(data) != 8:
@@ -104,10 +119,7 @@ class MitNode:
             return self._special(data, t_ns)
         self.fed_ns = t_ns
         if self.state == _ENABLED:
-            servo, sign = self.motor.servo, self._direction
-            position, velocity, servo.kp, servo.kd, torque = codec.read_command(WORD.unpack(data)[0], *self._ranges)
-            servo.position, servo.velocity = sign * (position - self.offset), sign * velocity
-            servo.torque = sign * torque
+            obey(self, self.motor.servo, WORD.unpack(data)[0])
         return self.feedback()
 
     def _special(self, data: bytes, t_ns: int) -> bytes | None:
@@ -121,7 +133,7 @@ class MitNode:
             self._disable()
         elif code == _ZERO:
             if self.state != State.ENABLED:
-                self.offset = -self._direction * self.motor.encoder()
+                self.offset = -self.direction * self.motor.encoder()
         elif code == _CLEAR:
             self._clear()
         else:
@@ -149,9 +161,8 @@ class MitNode:
 
     def feedback(self) -> bytes:
         """Return the feedback of this moment."""
-        motor, sign, thermal, head = self.motor, self._direction, self.thermal, self.state << 4 | self._id & 0xF
-        p, v, t = sign * motor.encoder() + self.offset, sign * motor.velocity, sign * motor.torque
-        return WORD.pack(codec.write_feedback(head, p, v, t, *self._ranges, thermal.mosfet, thermal.winding))
+        motor, thermal = self.motor, self.thermal
+        return WORD.pack(feedback_word(self, motor, motor.encoder(), thermal.mosfet, thermal.winding))
 
     def _register(self, data: bytes) -> bytes | None:
         operation, register = data[2], data[3]
@@ -172,7 +183,7 @@ class MitNode:
         return head + data[3:4] + self.registers.read(register)
 
     def _measure(self) -> None:
-        position = self._direction * self.motor.encoder() + self.offset
+        position = self.direction * self.motor.encoder() + self.offset
         self.registers.show(reg.MOTOR_POSITION, position)
         self.registers.show(reg.OUTPUT_POSITION, position)
         self.registers.show(reg.T_BOARD, self.thermal.mosfet)
@@ -194,23 +205,31 @@ class MitNode:
 
     def wake(self, t_ns: int) -> None:
         """Judge the watchdog and the temperatures."""
-        if t_ns - self._warmed_ns >= WARM_PERIOD_NS or self._warmed_ns < 0:
+        if t_ns - self.warmed_ns >= WARM_PERIOD_NS or self.warmed_ns < 0:
             self._warm(t_ns)
-        if self.state == State.ENABLED and self._timeout_ns and t_ns >= self.fed_ns + self._timeout_ns:
+        if self.state == State.ENABLED and self.timeout_ns and t_ns >= self.fed_ns + self.timeout_ns:
             self.trip(State.COMMUNICATION_LOST)
-        self._schedule()
-
-    def _schedule(self) -> None:
-        wake_ns = self._warmed_ns + WARM_PERIOD_NS
-        if self._timeout_ns and self.state == _ENABLED:
-            starved_ns = self.fed_ns + self._timeout_ns
-            self.wake_ns = starved_ns if starved_ns < wake_ns else wake_ns
-        else:
-            self.wake_ns = wake_ns
+        schedule(self)
 
     def _warm(self, t_ns: int) -> None:
-        if self._warmed_ns >= 0:
-            self.thermal.advance((t_ns - self._warmed_ns) * 1e-9, self.motor.heat)
-        self.motor.heat, self._warmed_ns = 0.0, t_ns
+        if self.warmed_ns >= 0:
+            self.thermal.advance((t_ns - self.warmed_ns) * 1e-9, self.motor.heat)
+        self.motor.heat, self.warmed_ns = 0.0, t_ns
         if self.state == State.ENABLED and self.thermal.winding > self.registers[reg.OVER_TEMPERATURE]:
             self.trip(State.WINDING_HOT)
+
+
+class MitNodeRow(MitRow, MitNode):
+    """A node whose numbers are a row of an array."""
+
+    layout = MitRow
+
+    def prepare(self, spec: MotorSpec, motor: Motor, offset: float) -> None:
+        """Fill the row; see ``MitNode``."""
+        MitNode.__init__(self, spec, motor, offset)
+        self.motor_number = motor.number
+
+    def _temperatures(self, torque_constant: float) -> Thermal:
+        thermal: ThermalRow = self.temperatures
+        Thermal.__init__(thermal, torque_constant)
+        return thermal

@@ -3,8 +3,8 @@
 from typing import Any
 
 from firmware_sim.bus.frame import Frame
-from firmware_sim.nodes.kind import NOTHING, Kind, Shaft
-from firmware_sim.nodes.odrive.node import OdriveNode
+from firmware_sim.nodes.kind import NOTHING, ODRIVE, Kind, Shaft
+from firmware_sim.nodes.odrive.node import OdriveNode, OdriveNodeRow
 
 ENDPOINTS = {"endpoint_enable_watchdog": 201, "endpoint_watchdog_timeout": 202, "endpoint_torque_max": 203,
              "endpoint_torque_min": 204}  # fmt: skip
@@ -32,4 +32,4 @@ def _spoil(frame: Frame) -> Frame:
     return frame._replace(data=frame.data[:4] + b"\0\0\x80\x3f") if told else frame
 
 
-KIND = Kind(OdriveNode, range(0x3F), shaft("0.6"), _host_frame, _mishear, _spoil)
+KIND = Kind(OdriveNode, range(0x3F), shaft("0.6"), _host_frame, _mishear, _spoil, OdriveNodeRow, ODRIVE)

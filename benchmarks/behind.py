@@ -1,0 +1,100 @@
+"""What is behind the wire in lockstep beside the bare ``mj_step``: drives, sensors, codec, bus stamps, tendons, rotors.
+
+``python benchmarks/behind.py [--quick] [--json]``. The whole stack runs, so that the controller drives code and data of
+the simulator out of the caches. In each tick the CPU time of ``Rig.exchange`` is taken; frames become records, and
+records frames, outside of it. The bare rollout of the same motion is subtracted. Every run is the same to the bit, so
+the least that each tick took counts.
+"""
+
+import argparse
+import json
+import tempfile
+import time
+from pathlib import Path
+
+from lockstep import SCENES, least, repeated, written_down
+from stack import RATES, Stack
+
+from firmware_sim.bus.records import to_frames, to_records
+from handctl.campaign.stage import hand_in
+
+PROTOCOLS = ("mit", "odrive", "cia402")
+SECONDS, QUICK_SECONDS, PASSES = 3.0, 1.2, 4
+CLOCK_READS = 10_000
+
+
+def main() -> None:
+    """Measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="shorter runs")
+    parser.add_argument("--json", action="store_true", help="numbers for programs")
+    args = parser.parse_args()
+    seconds, rows = QUICK_SECONDS if args.quick else SECONDS, []
+    for hand in RATES:
+        for protocol in PROTOCOLS:
+            for scene in SCENES:
+                rows.append(measure(hand, protocol, scene, seconds))
+                if not args.json:
+                    show(rows[-1])
+    if args.json:
+        print(json.dumps(rows, indent=2))
+
+
+def measure(hand: str, protocol: str, scene: str, seconds: float) -> dict:
+    """One hand with drives of one protocol in one scene."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "hand.toml"
+        path.write_text(hand_in(hand, protocol).to_toml())
+
+        def stack() -> Stack:
+            return Stack(str(path), RATES[hand], SCENES[scene])
+
+        rollout = written_down(stack(), seconds)
+        bare = least(repeated(stack(), rollout) for _ in range(PASSES))
+        peer = least(exchanged(stack(), seconds) for _ in range(PASSES))
+    ticks, steps = round(seconds * RATES[hand]), len(rollout.torque)
+    bare_us = (bare - steps * clock_s()) / ticks * 1e6
+    exchange_us = (peer - ticks * clock_s()) / ticks * 1e6
+    return {
+        "hand": hand,
+        "protocol": protocol,
+        "scene": scene,
+        "bare_us_per_tick": bare_us,
+        "exchange_us_per_tick": exchange_us,
+        "behind_the_wire_us_per_tick": exchange_us - bare_us,
+    }
+
+
+def exchanged(stack: Stack, seconds: float) -> list[float]:
+    """Run the stack; return the CPU time of ``Rig.exchange`` in each tick [s]."""
+    exchange, took, now = stack.peer.exchange, [], time.process_time
+
+    def step(t_ns: int, frames: list) -> list:
+        records = to_records(frames)
+        before = now()
+        answers = exchange(t_ns, records)
+        took.append(now() - before)
+        return to_frames(answers)
+
+    stack.peer.step = step
+    stack.run(seconds)
+    return took
+
+
+def clock_s() -> float:
+    """Return what it takes to read the clock twice [s]."""
+    now = time.process_time
+    return min(-(now() - now()) for _ in range(CLOCK_READS))
+
+
+def show(row: dict) -> None:
+    """The same for people."""
+    print(
+        f"{row['hand']:8} {row['protocol']:7} {row['scene']:8} mj_step {row['bare_us_per_tick']:6.1f} us, exchange "
+        f"{row['exchange_us_per_tick']:6.1f} us, behind the wire {row['behind_the_wire_us_per_tick']:5.1f} us per tick",
+        flush=True,
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,204 @@
+"""A tick's frames as records: the compiled law must do what the nodes do with one frame after the other."""
+
+import random
+import re
+import struct
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from firmware_sim import compiled
+from firmware_sim.bus.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
+from firmware_sim.bus.records import RECORD, to_frames, to_records
+from firmware_sim.nodes import cyclic
+from firmware_sim.rig import Rig
+from firmware_sim.truth import read_truth
+
+TICK_NS = 2_000_000
+FIRST_NODE = 0x10
+PROTOCOLS = ("mit", "odrive", "cia402")
+OPTIONS = {
+    "mit": "",
+    "odrive": "[motor.options]\nendpoint_enable_watchdog = 201\nendpoint_watchdog_timeout = 202\n"
+    "endpoint_torque_max = 203\nendpoint_torque_min = 204\n",
+    "cia402": "[motor.options]\nrated_torque_N_m = 0.4\ncounts_per_turn = 65536\n",
+}
+
+
+def hand_file(folder: Path, protocols: tuple[str, ...], buses: int = 1) -> str:
+    """Write the packaged hand with other drives, the last two of them on a second bus if there are two."""
+    text = files("firmware_sim").parent.joinpath("src/handctl/hand/hands/jamia.toml").read_text()  # type: ignore[attr-defined]
+    head, *motors = text.split("[[motor]]")
+    for i, motor in enumerate(motors):
+        protocol = protocols[i % len(protocols)]
+        motor = re.sub(r"node_id = \d+", f"node_id = {FIRST_NODE + i}", motor.replace('"mit"', f'"{protocol}"'))
+        motors[i] = (motor if buses == 1 or i < 2 else motor.replace('"main"', '"second"')) + OPTIONS[protocol] + "\n"
+    if buses == 2:
+        head = head.replace("[sensor_node]", '[[bus]]\nname = "second"\nbitrate = 1_000_000\n\n[sensor_node]')
+    path = folder / "hand.toml"
+    path.write_text("[[motor]]".join([head, *motors]))
+    return str(path)
+
+
+def start(protocol: str, node: int) -> list[tuple[int, bytes]]:
+    """Frames that make a drive follow torques."""
+    if protocol == "mit":
+        return [(0x7FF, struct.pack("<HBBI", node, 0x55, 9, 4000)), (node, b"\xff" * 7 + b"\xfc")]
+    if protocol == "odrive":
+        endpoints = [struct.pack("<BHBB", 1, 201, 0, 1), struct.pack("<BHBf", 1, 202, 0, 0.2)]
+        modes = [(node << 5 | 0x0B, struct.pack("<II", 1, 1)), (node << 5 | 0x07, struct.pack("<I", 8))]
+        return [*[(node << 5 | 0x04, data) for data in endpoints], *modes]
+    written = [(0x1400, 1, 4, 0x80000200 + node), (0x1600, 0, 1, 0), (0x1600, 1, 4, 0x60400010)]
+    written += [(0x1600, 2, 4, 0x60710010), (0x1600, 0, 1, 2), (0x1400, 1, 4, 0x200 + node)]
+    written += [(0x1800, 1, 4, 0x80000180 + node), (0x1A00, 0, 1, 0), (0x1A00, 1, 4, 0x60410010)]
+    written += [(0x1A00, 2, 4, 0x60640020), (0x1A00, 3, 4, 0x60770010), (0x1A00, 0, 1, 3), (0x1800, 2, 1, 1)]
+    written += [(0x1800, 1, 4, 0x180 + node), (0x1016, 1, 4, 0x7F0064), (0x1017, 0, 2, 30), (0x6060, 0, 1, 10)]
+    sizes = {1: 0x2F, 2: 0x2B, 4: 0x23}
+    sdo = [(0x600 + node, struct.pack("<BHBI", sizes[size], index, sub, value)) for index, sub, size, value in written]
+    return [*sdo, (0x000, bytes((1, node))), *[(0x200 + node, struct.pack("<Hh", word, 0)) for word in (6, 7, 15)]]
+
+
+def cycle(protocol: str, node: int, k: int) -> list[tuple[int, bytes]]:
+    """Frames of a tick for a drive."""
+    share = 0.2 + 0.1 * ((k // 20) % 3)
+    if protocol == "mit":
+        code = round((0.8 * share + 0.8) * 4095 / 1.6)
+        return [(node, (0x7FFF << 48 | 0x7FF << 36 | 0x010 << 12 | code).to_bytes(8, "big"))]
+    if protocol == "odrive":
+        return [(node << 5 | 0x0E, struct.pack("<f", 0.4 * share)), (node << 5 | 0x09 | REMOTE, b"")]
+    return [(0x200 + node, struct.pack("<Hh", 0x0F, round(1000 * share))), *([(0x77F, b"\5")] if k % 5 == 0 else [])]
+
+
+def spoilt(frame: Frame, chance: random.Random) -> list[Frame]:
+    """Return what becomes of a frame on its way."""
+    can_id, data, flags, bus, t_ns = frame
+    other = [
+        [],
+        [frame, frame],
+        [Frame(can_id, data[:-1], flags, bus, t_ns)],
+        [Frame(can_id, data, FDF | BRS, bus, t_ns)],
+        [Frame(can_id, data + bytes(12), FDF, bus, t_ns)],
+        [Frame(can_id ^ chance.choice((EXTENDED, REMOTE, ERROR, 1, 0x80)), data, flags, bus, t_ns)],
+        [Frame(can_id, chance.randbytes(len(data)), flags, bus, t_ns)],
+        [Frame(can_id, (b"\xff" * 7 + chance.choice((b"\xfb", b"\xfd", b"\xff")))[: len(data) or 8], flags, bus, t_ns)],
+        [Frame(can_id, struct.pack("<f", chance.choice((float("nan"), float("inf"), 1e30))), flags, bus, t_ns), frame],
+        [Frame(0x080, bytes((chance.randrange(256),)), 0, 0, t_ns), frame],
+    ]
+    return chance.choice(other) if chance.random() < 0.03 else [frame]
+
+
+def stream(protocols: tuple[str, ...], ticks: int, seed: int, buses: int = 1) -> Iterator[list[Frame]]:
+    """Frames of each tick: set-up, then commands, of which some are spoilt unless the seed is 0."""
+    chance = random.Random(seed)
+    drives = [(protocols[i % len(protocols)], FIRST_NODE + i, int(buses == 2 and i >= 2)) for i in range(4)]
+    for k in range(ticks):
+        frames = [Frame(0x080, bytes((k & 0xFF,)))]
+        for protocol, node, bus in drives:
+            sent = start(protocol, node) if k == 2 else cycle(protocol, node, k) if k > 2 else []
+            frames += [Frame(can_id, data, 0, bus, k) for can_id, data in sent]
+        yield [other for frame in frames for other in spoilt(frame, chance)] if seed else frames
+
+
+CASES = [
+    *[((protocol,), 1, seed) for protocol in PROTOCOLS for seed in (0, 1, 2)],
+    (("mit", "odrive", "cia402", "mit"), 1, 3),
+    (("mit", "odrive", "cia402", "cia402"), 2, 4),
+]
+
+
+@pytest.mark.parametrize(("protocols", "buses", "seed"), CASES)
+def test_the_law_answers_as_the_nodes_do(protocols: tuple[str, ...], buses: int, seed: int, tmp_path: Path) -> None:
+    hand = hand_file(tmp_path, protocols, buses)
+    rigs = [Rig(hand, seed=3, truth_path=str(tmp_path / name)) for name in ("law", "nodes")]
+    rigs[1].world.faults.in_frames = True  # every frame goes through the nodes, and they speak for themselves
+    heard = 0
+    for k, frames in enumerate(stream(protocols, 400, seed, buses)):
+        law, nodes = (rig.step(k * TICK_NS, frames) for rig in rigs)
+        assert law == nodes, f"tick {k}"
+        heard += len(law)
+    for rig in rigs:
+        rig.close()
+    assert heard > 400 * 3
+    truth, other = (read_truth(tmp_path / name) for name in ("law", "nodes"))
+    assert np.array_equal(truth.values, other.values)
+    assert rigs[0].world.foreign == rigs[1].world.foreign
+    assert rigs[0].world.malformed == rigs[1].world.malformed
+    if not seed:
+        assert truth.column("tension/index_tendon").max() > 10.0, "the drives follow their torques"
+
+
+@pytest.mark.parametrize("protocol", PROTOCOLS)
+def test_cyclic_frames_do_not_reach_the_nodes_one_by_one(protocol: str, tmp_path: Path) -> None:
+    rig = Rig(hand_file(tmp_path, (protocol,)), seed=3)
+    received = []
+    receive = rig.world.receive
+    rig.world.receive = lambda frame: received.append(frame) or receive(frame)  # type: ignore[method-assign, func-returns-value]
+    for k, frames in enumerate(stream((protocol,), 300, 0)):
+        if k == 10:
+            received.clear()
+        rig.step(k * TICK_NS, frames)
+    assert len(received) < 20, "temperatures are due every 100 ms, and nothing else is decided"
+
+
+def test_records_are_frames() -> None:
+    frames = [Frame(0x123, b"abc", FDF, 1, 5), Frame(0x1FFFFFFF | EXTENDED, bytes(range(64)), FDF | BRS, 0, -1)]
+    records = to_records(frames)
+    assert records.dtype == RECORD
+    assert RECORD.itemsize == 80
+    assert records["length"].tolist() == [3, 64]
+    assert records[0]["data"].tolist() == [*b"abc", *bytes(61)]
+    assert to_frames(records) == frames
+    assert to_frames(to_records([])) == []
+
+
+def test_exchange_takes_and_returns_records(tmp_path: Path) -> None:
+    rigs = [Rig("jamia", seed=1), Rig("jamia", seed=1)]
+    frames = [Frame(0x080, b"\0"), *[Frame(node, bytes(8), BRS | FDF) for node in (1, 2, 3, 4)]]
+    readonly = np.frombuffer(to_records(frames).tobytes(), RECORD)
+    for k in range(3):
+        answers = rigs[0].exchange(k * TICK_NS, readonly)
+        assert answers.dtype == RECORD
+        assert to_frames(answers) == rigs[1].step(k * TICK_NS, frames)
+        assert all(not row["data"][row["length"] :].any() for row in answers)
+        assert np.all(np.diff(answers["t_ns"]) >= 0)
+    assert len(rigs[0].exchange(3 * TICK_NS, to_records([]))) == 0
+
+
+def test_there_is_room_for_every_answer() -> None:
+    rig = Rig("jamia", seed=1)
+    frames = [Frame(node, bytes(8)) for node in (1, 2, 3, 4)] * 100
+    assert [answer.can_id for answer in rig.step(0, frames)] == [0x11, 0x12, 0x13, 0x14] * 100
+    rig.inject("flood bus=main")
+    assert len(rig.step(TICK_NS, frames)) > 400
+
+
+def test_a_number_that_a_motor_gets_holds_from_the_next_frame_on() -> None:
+    rig = Rig("jamia", seed=1)
+    rig.step(0, [Frame(2, bytes(8))])
+    write = Frame(0x7FF, struct.pack("<HBBI", 2, 0x55, 8, 0x42))
+    answers = rig.step(TICK_NS, [Frame(2, bytes(8)), write, Frame(2, bytes(8)), Frame(0x42, bytes(8))])
+    assert [answer.can_id for answer in answers] == [0x12] * 3
+    assert rig.world.foreign == 1
+
+
+def test_a_wrong_bus_is_refused() -> None:
+    rig = Rig("jamia")
+    with pytest.raises(IndexError):
+        rig.step(0, [Frame(0x080, b"\0", 0, 1)])
+
+
+def test_a_law_is_compiled_anew_if_another_module_that_it_calls_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from firmware_sim.nodes.mit import codec
+
+    modules = set(compiled._foreign(cyclic).values())
+    assert codec in modules
+    before = compiled._digest(modules)
+    changed = tmp_path / "codec.py"
+    changed.write_text(Path(codec.__file__).read_text() + "\n")
+    monkeypatch.setattr(codec, "__file__", str(changed))
+    assert compiled._digest(modules) != before
