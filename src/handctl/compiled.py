@@ -18,9 +18,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import numba
 from numba import njit, types
+from numba.core import config as _config
 
+config: Any = _config
+"""Numba's settings, which have no type information."""
 F = TypeVar("F", bound=Callable[..., Any])
 
 SOURCES = ("compiled.py", "core", "drives", "hand", "safety")
@@ -71,7 +73,7 @@ def inner(function: F) -> F:
     return _marked(function, forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True)
 
 
-def _marked(function: F, **options: bool) -> F:
+def _marked(function: F, **options: Any) -> F:
     MARKED.append(function)
     with _cached_in(_FOLDER):
         try:
@@ -84,12 +86,12 @@ def _marked(function: F, **options: bool) -> F:
 @contextlib.contextmanager
 def _cached_in(folder: Path | None) -> Iterator[None]:
     """Let numba keep the code of what is marked meanwhile in a folder; other packages keep theirs where they do."""
-    before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(folder or "")
+    before = config.CACHE_DIR
+    config.CACHE_DIR = str(folder or "")
     try:
         yield
     finally:
-        numba.config.CACHE_DIR = before
+        config.CACHE_DIR = before
 
 
 def _folder() -> Path | None:
@@ -125,7 +127,7 @@ def _remove_old(root: Path) -> None:
             shutil.rmtree(path, ignore_errors=True)
 
 
-_FOLDER = None if numba.config.DISABLE_JIT else _folder()
+_FOLDER = None if config.DISABLE_JIT else _folder()
 
 
 @kernel("real")

@@ -9,7 +9,7 @@ from handctl.campaign.campaign import Report
 from handctl.campaign.scenarios import LEFT_OUT
 from handctl.campaign.trial import Result
 from handctl.output import write_whole
-from handctl.safety.faults.catalogue import CATALOGUE
+from handctl.safety.faults.table import CATALOGUE
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; max-width: 1300px; margin: 2em auto;

@@ -163,12 +163,14 @@ def broken_in_step(before: State, after: State, cleared: bool) -> list[str]:
     broken = []
     if FORWARD.index(after.mode) < FORWARD.index(before.mode):
         broken.append(f"the mode goes back: {before.mode.name} to {after.mode.name}")
-    gone = set(before.safety.latched) - set(after.safety.latched)
+    gone = set(before.latched) - set(after.latched)
     if gone and not cleared:
         broken.append(f"no longer latched: {', '.join(sorted(mark.id for mark in gone))}")
-    if before.mode == after.mode == Mode.RELAX and np.any(after.law.setpoint > before.law.setpoint + 1e-9):
+    if before.mode == after.mode == Mode.RELAX and np.any(after.view("setpoint") > before.view("setpoint") + 1e-9):
         broken.append("a set-point rises while the hand relaxes")
-    if after.mode == Mode.RELAX and np.any(after.watch.asked > np.maximum(before.watch.asked, 0.0) * (1.0 + 1e-9)):
+    if after.mode == Mode.RELAX and np.any(
+        after.view("asked") > np.maximum(before.view("asked"), 0.0) * (1.0 + 1e-9)
+    ):
         broken.append("a motor is commanded to pull harder while the hand relaxes")
     return broken
 

@@ -6,6 +6,7 @@ import numpy as np
 import xxhash
 from numpy.typing import NDArray
 
+from handctl.controller.coming import Coming
 from handctl.core import block as s
 from handctl.core.block import STATE
 from handctl.core.estimate import Estimate, Measured
@@ -15,7 +16,6 @@ from handctl.core.model import HandModel
 from handctl.core.plain import plain_bytes
 from handctl.core.schema import Block, Layout
 from handctl.core.types import Mode
-from handctl.controller.coming import Coming
 from handctl.drives.contract import DriveState, Phase
 from handctl.programs.program import Progress
 from handctl.safety.judge import Counting, Latched
@@ -106,7 +106,7 @@ class State:
 
     def digest(self) -> bytes:
         """Return 8 bytes that change with every part of the state."""
-        return xxhash.xxh3_64_digest(self.block, int.from_bytes(_decisions(self.decisions), "little"))
+        return xxhash.xxh3_64_digest(self.block.data, int.from_bytes(_decisions(self.decisions), "little"))
 
     # Tables and single numbers of the block.
 
@@ -196,6 +196,11 @@ class State:
     def measured(self) -> Measured:
         """Measurements of the present tick."""
         return Measured(self.tendon, self.layout.table(self.block, "joint"))
+
+    @property
+    def sensor_counts(self) -> tuple[int, int, int]:
+        """SYNCs sent, tension frames accepted, and frames that answered an older SYNC."""
+        return self.whole(s.SYNCS), self.whole(s.TENSION_FRAMES), self.whole(s.STALE)
 
     # Decisions by their names.
 

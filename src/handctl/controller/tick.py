@@ -11,8 +11,7 @@ The numbers are computed by compiled stages (``core.stages``) on the block of th
 them in order. A tick works on a copy of the state, so that it is a pure function.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from filterpy.kalman import predict_steadystate
@@ -176,6 +175,7 @@ class Controller:
         state.set_whole(s.FRAMES, len(frames))
         signs = self._receive(state, frames)
         stages.observe(block, places, *self._constants)
+        stages.correct(block, places, *self._constants)
         if state.started:
             self._predict(state, missed)
         if stages.conclude(block, places, *self._constants):

@@ -166,6 +166,7 @@ GROUP_ANSWERED = _whole("group_answered", "group", "", "frames accepted in this 
 SYNC_ASKED = _whole("sync_asked", "run", "", "low four bits of the last SYNC; -1 before", initial=-1)
 SYNCS = _whole("syncs", "run", "", "SYNCs so far")
 STALE = _whole("stale", "run", "", "frames of load cells or joints that answer an older SYNC")
+TENSION_FRAMES = _whole("tension_frames", "run", "", "frames of load cells accepted so far")
 STALE_NOW = _whole("stale_now", "run", "", "in this tick: 1 such a frame, 2 one that came after the fresh one")
 
 # Monitor. From here to MONITOR_END everything begins anew when the hand is armed.

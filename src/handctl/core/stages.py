@@ -1,7 +1,8 @@
 """The compiled stages of a tick, in their order; between them the controller decides (``controller.tick``).
 
 receive    frames -> values of drives and sensors                 ``wire``
-observe    values -> measurements, and their correction of the filter
+observe    values -> measurements
+correct    measurements -> filter
 predict    the filter's states to the present                     ``filterpy``, by the controller
 conclude   filter -> tensions, touch, joint angles
 judge      everything so far -> faults
@@ -35,7 +36,7 @@ HOLD = 2
 
 @kernel("block", "layout", "constants", "layout")
 def observe(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
-    """Turn what came into measurements, and take them into the filter."""
+    """Turn what came into measurements."""
     x, c = tables(block, at), constant_tables(constants, constants_at)
     measure.measure(x, c)
     if ARMING <= x.run_int[s.MODE] <= RELAX:
@@ -45,6 +46,12 @@ def observe(block: Block, at: Places, constants: Block, constants_at: Places) ->
     measure.convert(x, c)
     if not x.run_int[s.STARTED]:
         measure.start(x, c)
+
+
+@kernel("block", "layout", "constants", "layout")
+def correct(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
+    """Take the measurements into the filter, and judge slack, stops and contact."""
+    x, c = tables(block, at), constant_tables(constants, constants_at)
     if x.run_int[s.STARTED]:
         kalman.correct(x, c, x.run_int[s.MISSED])
     else:

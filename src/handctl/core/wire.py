@@ -8,6 +8,7 @@ are put together by ``Wire``.
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +18,7 @@ from handctl.core import block as s
 from handctl.core.block import Tables, tables
 from handctl.core.schema import Block, Places
 from handctl.drives.contract import Drive
-from handctl.drives.frame import ERROR, EXTENDED, REMOTE
-from handctl.drives.frame import Frame
+from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
 from handctl.drives.records import (
     BUS_BIT,
     HEAD,
@@ -54,7 +54,7 @@ ID_MASK, BYTE_MASK = 0xFFFFFFFF, 0xFF
 
 
 @inner
-def find(keys: Whole, key: int) -> int:
+def find(keys: Whole, key: Any) -> int:
     """Return the index of a key among sorted ones, UNKNOWN if it is not there."""
     low, high = 0, len(keys)
     while low < high:
@@ -113,7 +113,7 @@ def receive(
 
 
 @inner
-def _strange(x: Tables, keys: Whole, entries: Whole, bus: int, can_id: int) -> None:
+def _strange(x: Tables, keys: Whole, entries: Whole, bus: Any, can_id: Any) -> None:
     """Count a frame of nobody's; one with a node's number as a remote or 29-bit frame is misshapen."""
     x.run_int[s.STRANGE] += 1
     if can_id & (EXTENDED | REMOTE):
@@ -125,7 +125,7 @@ def _strange(x: Tables, keys: Whole, entries: Whole, bus: int, can_id: int) -> N
 
 @inner
 def _sensors(
-    x: Tables, t_ns: int, payload: int, fits: bool, entries: Whole, entry: int, wholes: Whole, reals: Real
+    x: Tables, t_ns: Any, payload: Any, fits: bool, entries: Whole, entry: int, wholes: Whole, reals: Real
 ) -> None:
     """Take in a frame of load cells or joint encoders; one with another counter than that of SYNC is stale.
 
@@ -136,7 +136,7 @@ def _sensors(
     if not fits:
         x.node_int[s.MISREAD_NOW, x.node_int.shape[1] - 1] = 1
         return
-    group = entries[entry, GROUP]
+    group, tensions = entries[entry, GROUP], 0
     for i in range(entries[entry, FIRST], entries[entry, END]):
         value, quantity, channel = unpacked(payload, wholes, reals, i), wholes[i, QUANTITY], wholes[i, CHANNEL]
         if quantity == COUNTER and value != x.run_int[s.SYNC_ASKED]:
@@ -144,6 +144,7 @@ def _sensors(
             x.run_int[s.STALE_NOW] = max(x.run_int[s.STALE_NOW], 2 if x.group_int[s.GROUP_ANSWERED, group] else 1)
             return
         if quantity == CELL:
+            tensions = 1
             x.tendon[s.CELL, channel] = value
             x.tendon_int[s.CELL_FRESH, channel] = 1
         if quantity == ANGLE:
@@ -151,12 +152,13 @@ def _sensors(
             x.joint_int[s.JOINT_FRESH, channel] = 1
     x.group_int[s.GROUP_NS, group] = t_ns
     x.group_int[s.GROUP_FRAMES, group] += 1
+    x.run_int[s.TENSION_FRAMES] += tensions
     x.group_int[s.GROUP_ANSWERED, group] += 1
 
 
 @inner
 def _values(
-    x: Tables, t_ns: int, payload: int, entries: Whole, entry: int, wholes: Whole, reals: Real
+    x: Tables, t_ns: Any, payload: Any, entries: Whole, entry: int, wholes: Whole, reals: Real
 ) -> bool:
     """Take in a frame of a drive; return False, and take nothing, if its state machine must see it.
 
@@ -294,7 +296,8 @@ class Wire:
         return first, first + len(self._signals[-1].wholes)
 
     def _commands(self, drives: Sequence[Drive]) -> None:
-        rows, wholes, reals, templates = [], [], [], []
+        rows, templates = list[list[int]](), list[Rows]()
+        wholes, reals = list[Whole](), list[list[float]]()
         for n, drive in enumerate(drives):
             for message in drive.cyclic.commands:
                 table, signal = Table(message), -1
@@ -316,5 +319,6 @@ def _key(bus: int, can_id: int) -> int:
 
 def _template(message: Message, bus: int) -> Rows:
     payload = message.base.ljust(message.length, b"\0")
-    return frames_of([Frame(message.can_id, payload, message.flags, bus)]).rows[0]
+    row: Rows = frames_of([Frame(message.can_id, payload, message.flags, bus)]).rows[0]
+    return row
 

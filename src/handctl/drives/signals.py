@@ -7,7 +7,7 @@ begins at its lowest bit, a big-endian one at its highest.
 
 import enum
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,8 +120,8 @@ def whole_columns(signal: Signal) -> tuple[int, ...]:
 
 
 @inner
-def swapped(value: int) -> int:
-    """Return a number of eight bytes with its bytes in the opposite order."""
+def swapped(value: Any) -> Any:
+    """Return a number of eight bytes (uint64) with its bytes in the opposite order."""
     found = np.uint64(0)
     for _ in range(8):
         found = found << np.uint64(8) | value & np.uint64(0xFF)
@@ -130,7 +130,7 @@ def swapped(value: int) -> int:
 
 
 @inner
-def unpacked(value: int, wholes: Whole, reals: Real, i: int) -> float:
+def unpacked(value: Any, wholes: Whole, reals: Real, i: int) -> float:
     """Return the value of signal i of a word; NaN if it is a float that is not finite."""
     length = wholes[i, LENGTH]
     mask = (np.uint64(1) << np.uint64(length)) - np.uint64(1)
@@ -146,7 +146,7 @@ def unpacked(value: int, wholes: Whole, reals: Real, i: int) -> float:
 
 
 @inner
-def packed(value: float, wholes: Whole, reals: Real, i: int) -> int:
+def packed(value: float, wholes: Whole, reals: Real, i: int) -> Any:
     """Return the bits of signal i, at their place in a word.
 
     The caller has made sure that the value is finite and fits. Half a count is rounded up.

@@ -54,12 +54,12 @@ def framed(kind: int, body: bytes) -> bytes:
     return FRAMING.pack(len(body), kind) + body
 
 
-def _frames(frames: tuple[Frame, ...]) -> bytes:
+def _frames(frames: Iterable[Frame]) -> bytes:
     pack = FRAME.pack
     return b"".join([pack(t_ns, i, flags, bus, len(data), data) for i, data, flags, bus, t_ns in frames])
 
 
-def _long_data(frames: tuple[Frame, ...]) -> bytes:
+def _long_data(frames: Iterable[Frame]) -> bytes:
     return b"".join([frame.data[8:] for frame in frames if len(frame.data) > 8])
 
 
@@ -100,7 +100,7 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
     if len(out.state_hash) != 8:
         raise ValueError(f"state hash of {len(out.state_hash)} bytes; expected 8")
     fixed = FIXED.pack(tick_in.k, tick_in.t_ns, tick_in.late_ns, out.state_hash, out.mode, out.action, len(received))
-    long_data = _long_data(received + sent)
+    long_data = _long_data((*received, *sent))
     padding = b"\0\0\0\0" if sent else b""
     long_part = _COUNT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
     parts = [ENCAPSULATION, fixed, _frames(received), _COUNT.pack(len(sent)), padding, _frames(sent), long_part]

@@ -9,15 +9,15 @@ from typing import Annotated, NamedTuple
 from pydantic import Field
 
 from handctl.controller.tick import Controller
+from handctl.core.types import Event
 from handctl.document import Document, load_document
 from handctl.errors import ConfigError
 from handctl.log.read.reader import RunLog
-from handctl.programs.requests import Clear, parse_request
 from handctl.replay.execute import TOLD, refusal, undisturbed
 from handctl.replay.rebuild import rebuild
-from handctl.safety import judge as safety
 from handctl.safety.action import Action
-from handctl.safety.signals import LEAST_SILENT, LEAST_STALLED, Limits, ticks_for
+from handctl.safety.faults.table import BY_ID
+from handctl.safety.limits import SILENT_TICKS_LEAST, STALLED_TICKS_LEAST, Limits, ticks_for
 
 Tension = Annotated[float, Field(gt=0, le=1000)]
 
@@ -94,9 +94,9 @@ def load_limits(path: Path, controller: Controller) -> Limits:
     return replace(
         old,
         tension_trip=trip,
-        silent_ticks=ticks_for(silent / 1e3, period, LEAST_SILENT) if silent else old.silent_ticks,
-        one_silent_ticks=ticks_for(silent / 1e3, period, LEAST_SILENT) if silent else old.one_silent_ticks,
-        stalled_ticks=ticks_for(stalled / 1e3, period, LEAST_STALLED) if stalled else old.stalled_ticks,
+        silent_ticks=ticks_for(silent / 1e3, period, SILENT_TICKS_LEAST) if silent else old.silent_ticks,
+        one_silent_ticks=ticks_for(silent / 1e3, period, SILENT_TICKS_LEAST) if silent else old.one_silent_ticks,
+        stalled_ticks=ticks_for(stalled / 1e3, period, STALLED_TICKS_LEAST) if stalled else old.stalled_ticks,
         temperature_soft=soft or old.temperature_soft,
         temperature_hard=hard or old.temperature_hard,
     )
@@ -121,28 +121,37 @@ def judge_again(log: RunLog, path: Path, told: Callable[[int], None] | None = No
 
 
 def _judge(log: RunLog, controller: Controller, limits: Limits, told: Callable[[int], None] | None) -> Judgement:
-    state, shadow = controller.initial(), safety.SafetyState()
+    """Judge each tick from the run's own state, with debounce and latches of the other limits."""
+    other = replace(controller, other_limits=limits)
+    state, shadow = controller.initial(), other.initial()
     stops: list[Stop] = []
     ticks = stopped = stopped_logged = 0
     for logged in log.ticks():
         entry = logged.tick_in
-        if any(isinstance(parse_request(text), Clear) for text in entry.requests):
-            shadow = safety.clear(shadow)
+        judged = state.copy()
+        judged.view("fault_ticks")[...] = shadow.view("fault_ticks")
+        judged.decide(latched=shadow.latched, counting=shadow.decisions.counting)
         try:
-            shadow, verdict = safety.judge(shadow, limits, controller.signals(state, entry))
+            shadow, verdict = other.tick(judged, entry)
             state, out = controller.tick(state, entry)
         except ValueError as error:
             raise refusal(error, entry.k) from None
-        own = {event.text.partition(" ")[0] + event.where for event in out.events if event.name == "fault"}
+        own = {_fault(event) + event.where for event in out.events if event.name == "fault"}
         ticks += 1
         if told and ticks % TOLD == 0:
             told(ticks)
         stopped += verdict.action >= Action.HOLD
         stopped_logged += out.action >= Action.HOLD
-        for fault, instance, value in verdict.findings:
-            if fault.action >= Action.HOLD:
-                seen = fault.id + instance in own
-                t_s = entry.t_ns / 1e9
-                stops.append(Stop(entry.k, t_s, fault.id, fault.title, instance, value, fault.action.name, seen))
+        for event in verdict.events:
+            if event.name == "fault" and BY_ID[_fault(event)].action >= Action.HOLD:
+                fault, t_s = BY_ID[_fault(event)], entry.t_ns / 1e9
+                value = float(event.text.rpartition("(")[2].partition(")")[0])
+                seen = fault.id + event.where in own
+                stops.append(Stop(entry.k, t_s, fault.id, fault.title, event.where, value, fault.action.name, seen))
     counts = Counter(stop.fault for stop in stops)
     return Judgement(ticks, stopped, stopped_logged, tuple(stops), dict(counts))
+
+
+def _fault(event: Event) -> str:
+    """Return the id of a fault's event."""
+    return event.text.partition(" ")[0]

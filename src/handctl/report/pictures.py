@@ -131,7 +131,7 @@ def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
     """
     busy = np.zeros((len(log), len(hand.bus)))
     for i, tick in enumerate(log.ticks()):
-        for frame in tick.tick_in.frames + tick.frames:
+        for frame in (*tick.tick_in.frames, *tick.frames):
             if frame.bus < len(hand.bus):
                 bus = hand.bus[frame.bus]
                 fd = bool(frame.flags & FDF)

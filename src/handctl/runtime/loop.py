@@ -232,7 +232,7 @@ class Loop(Generic[S]):
             events += [IoEvent(*event) for event in bus.take_events()]
         return TickIn(k, k * self.period_ns, late_ns, tuple(frames), tuple(events), self.requests())
 
-    def _send(self, frames: tuple[Frame, ...]) -> None:
+    def _send(self, frames: Sequence[Frame]) -> None:
         if len(self.buses) == 1:
             accepted = self.buses[0].send(frames)
         else:

@@ -56,7 +56,7 @@ class Outcome:
     @property
     def late(self) -> bool:
         """Whether it failed as it does where host or simulator do not keep up with real time."""
-        return any(mark.id in LATE for mark in self.state.safety.latched)
+        return any(mark.id in LATE for mark in self.state.latched)
 
     @property
     def exit(self) -> Exit:

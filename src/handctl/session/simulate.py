@@ -230,7 +230,7 @@ def homed_controller(model: HandModel, program: Program, hand: Hand | None = Non
         hand: whose drives and sensors there are, if not the model's.
     """
     there, nothing = hand or model.hand, np.zeros(model.tendon_count)
-    return Controller.of(model, make_drives(there), make_sensors(there), program, nothing, nothing)
+    return Controller(model, make_drives(there), make_sensors(there), program, nothing, nothing)
 
 
 def simulate(

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.controller.setup import make_sensors
+from handctl.core.block import STALE
 from handctl.log.read.reader import RunLog
 from handctl.programs.task import Hold, Task
 from handctl.report.figure import draw_run
@@ -49,7 +50,7 @@ def judge(
         "time_scale": plan.time_scale,
         "frames_tx": stats.frames_tx,
         "frames_rx": stats.frames_rx,
-        "frames_late": outcome.state.sensors.stale,
+        "frames_late": outcome.state.whole(STALE),
         "frames_lost": lost_frames(plan, outcome),
         "bus_load": max(plan.load),
         "log": str(log),
@@ -101,4 +102,4 @@ def _left_out(path: Path, error: OSError, tell: Tell) -> None:
 
 def lost_frames(plan: Plan, outcome: Outcome) -> int:
     """Return how many frames a bus refused or the sensor node never sent; an answer after the next SYNC is late."""
-    return outcome.stats.refused + make_sensors(plan.hand).lost(outcome.state.sensors)
+    return outcome.stats.refused + make_sensors(plan.hand).lost(*outcome.state.sensor_counts)

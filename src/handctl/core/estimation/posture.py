@@ -256,7 +256,7 @@ def _fuse(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: i
                 covariance[a, b] += spread[a, n] * spread[b, n]
             covariance[a, b] *= c.joint_joint[h.SAME_DIGIT, a, b]
     used = False
-    gain, row = np.zeros(joints), np.zeros(joints)
+    gain, before = np.zeros(joints), np.zeros(joints)
     for j in range(joints):
         if not c.joint_int[h.LOOSE, j]:
             continue
@@ -269,11 +269,11 @@ def _fuse(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: i
         noise = c.joint[h.ENCODER_VARIANCE, j] + square(ADVANCE_ERROR * moved)
         residual = x.joint[s.JOINT_ANGLE, j] + moved - x.joint[s.Q, j]
         for a in range(joints):
-            gain[a], row[a] = covariance[a, j] / (covariance[j, j] + noise), covariance[j, a]
+            gain[a], before[a] = covariance[a, j] / (covariance[j, j] + noise), covariance[j, a]
         for a in range(joints):
             x.joint[s.Q, a] += gain[a] * residual
             for b in range(joints):
-                covariance[a, b] -= gain[a] * row[b]
+                covariance[a, b] -= gain[a] * before[b]
     if used:
         for j in range(joints):
             if c.joint_int[h.LOOSE, j]:

@@ -11,7 +11,7 @@ Source: Damiao DM-J4310-2EC manual; public clients for what the manual leaves op
 import struct
 from typing import NamedTuple
 
-from handctl.drives.signals import Message, Quantity, Signal, Table
+from handctl.drives.signals import Coding, Message, Quantity, Signal, Table
 
 BROADCAST_ID = 0x7FF
 ENABLE, DISABLE, CLEAR = 0xFC, 0xFD, 0xFB
@@ -74,11 +74,11 @@ def command_message(can_id: int, ranges: Ranges, sign: int = 1, flags: int = 0) 
     """
     unused = Quantity.UNUSED
     signals = (
-        Signal("position", unused, 7, 16, True, unit="rad", **_span(ranges.position, POSITION_TOP)),
-        Signal("velocity", unused, 23, 12, True, unit="rad/s", **_span(ranges.velocity, TOP)),
+        _spanning("position", unused, 7, 16, ranges.position, "rad"),
+        _spanning("velocity", unused, 23, 12, ranges.velocity, "rad/s"),
         Signal("kp", unused, 27, 12, True, scale=500.0 / TOP, unit="N m/rad"),
         Signal("kd", unused, 39, 12, True, scale=5.0 / TOP, unit="N m s/rad"),
-        Signal("torque", Quantity.TORQUE, 51, 12, True, unit="N m", **_span(ranges.torque, TOP, sign)),
+        _spanning("torque", Quantity.TORQUE, 51, 12, ranges.torque, "N m", sign),
     )
     return Message("command", can_id, 8, signals, flags, _NO_MOTION.to_bytes(8, "big"), False, ranges.torque)
 
@@ -90,21 +90,21 @@ def feedback_message(can_id: int, ranges: Ranges, sign: int = 1, zero: float = 0
         can_id: of the answer. ranges: of the motor.
         sign: of position, velocity and torque. zero: position that is to read 0 [rad].
     """
-    position = _span(ranges.position, POSITION_TOP, sign)
-    position["offset"] -= sign * zero
+    position = _spanning("position", Quantity.POSITION, 15, 16, ranges.position, "rad", sign)
     return Message("feedback", can_id, 8, (
         Signal("state", Quantity.STATUS, 7, 8, True),
-        Signal("position", Quantity.POSITION, 15, 16, True, unit="rad", **position),
-        Signal("velocity", Quantity.VELOCITY, 31, 12, True, unit="rad/s", **_span(ranges.velocity, TOP, sign)),
-        Signal("torque", Quantity.TORQUE, 35, 12, True, unit="N m", **_span(ranges.torque, TOP, sign)),
+        position._replace(offset=position.offset - sign * zero),
+        _spanning("velocity", Quantity.VELOCITY, 31, 12, ranges.velocity, "rad/s", sign),
+        _spanning("torque", Quantity.TORQUE, 35, 12, ranges.torque, "N m", sign),
         Signal("mosfet", Quantity.TEMPERATURE, 55, 8, True, unit="degC"),
         Signal("winding", Quantity.TEMPERATURE, 63, 8, True, unit="degC"),
     ))  # fmt: skip
 
 
-def _span(largest: float, top: int, sign: int = 1) -> dict[str, float]:
-    """Return scale and offset of a code from 0 to ``top`` that spans -largest to largest."""
-    return {"scale": sign * 2 * largest / top, "offset": -sign * largest}
+def _spanning(name: str, quantity: Quantity, start: int, length: int, largest: float, unit: str, sign: int = 1) -> Signal:
+    """Return a signal whose codes span -largest to largest."""
+    scale = sign * 2 * largest / ((1 << length) - 1)
+    return Signal(name, quantity, start, length, True, Coding.UNSIGNED, scale, -sign * largest, unit)
 
 
 def decode_feedback(data: bytes, table: Table) -> Feedback:

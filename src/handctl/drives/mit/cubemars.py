@@ -76,6 +76,12 @@ class Progress(NamedTuple):
     asked: bool = False
 
 
+def progress_of(state: DriveState) -> Progress:
+    """Return the private part of a state."""
+    progress: Progress = state.private
+    return progress
+
+
 @dataclass(frozen=True, slots=True)
 class CubemarsDrive:
     """One motor; implements ``contract.Drive``.
@@ -223,7 +229,7 @@ class CubemarsDrive:
         known = self._answered(heard, state.private)
         if not error:
             return known
-        disabling = known.phase == ENABLED and private.order == DISABLE
+        disabling = known.phase == ENABLED and progress_of(known).order == DISABLE
         told = known._replace(error=error, error_text=ERRORS.get(error, f"unknown error {error}"))
         return told if disabling else told._replace(phase=FAULT)
 

@@ -156,6 +156,14 @@ class SensorNode:
         """Return the SYNC of tick k."""
         return Frame(self.sync_id, bytes((self.counter(k),)), bus=self.bus)
 
+    def lost(self, syncs: int, came: int, stale: int) -> int:
+        """Return how many tension frames never came, those of the last SYNC aside, which may be on their way.
+
+        Args:
+            syncs: SYNCs sent. came: tension frames accepted. stale: frames that answered an older SYNC.
+        """
+        return max(0, (syncs - 1) * self.tension_frames - came - stale)
+
     def group_of_tendon(self, index: int) -> int:
         """Return the frame that carries a tendon's load cell; -1 without one."""
         return self.frame_of[index]

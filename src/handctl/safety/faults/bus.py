@@ -3,7 +3,6 @@
 from handctl.safety.action import Action, Release
 from handctl.safety.faults.fault import (
     ARMING,
-    DETECTED,
     HAND,
     ITSELF,
     LOST,
