@@ -7,7 +7,8 @@ rounding (no ``fastmath``), so that both give the same numbers to the last bit.
 ``prepare`` compiles all kernels before a hand is armed. The code is kept in numba's cache, beside the source or in the
 user's own folder, and the next process loads it from there. Where no folder can be written, each process compiles anew.
 One compilation serves every hand: a kernel's arguments have fixed types, whatever their sizes. The cache notices a
-change of a kernel's own file only. So a kernel reads no constant that another file decides: it takes it as an argument.
+change of a kernel's own file only. So a kernel reads no constant that another file decides, it takes it as an argument,
+and of the inner functions of other files it calls ``square`` alone.
 """
 
 from collections.abc import Callable
@@ -24,7 +25,6 @@ MARKED: list[Callable[..., Any]] = []
 _TYPES = {
     "real": types.float64,
     "count": types.int64,
-    "flag": types.boolean,
     "vector": types.Array(types.float64, 1, "A", readonly=True),
     "matrix": types.Array(types.float64, 2, "A", readonly=True),
     "cube": types.Array(types.float64, 3, "A", readonly=True),
@@ -38,7 +38,7 @@ def kernel(*arguments: str) -> Callable[[F], F]:
     """Mark a function as a kernel.
 
     Args:
-        arguments: the type of each: real, count, flag; vector, matrix, cube (of reals), flags, counts (one axis each),
+        arguments: the type of each: real, count; vector, matrix, cube (of reals), flags, counts (one axis each),
             shorts (two axes). A kernel may read its arguments and returns new arrays.
     """
 

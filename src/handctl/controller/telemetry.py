@@ -6,8 +6,7 @@ import numpy as np
 
 from handctl.controller.monitor.motors import Motors
 from handctl.core.estimation.estimator import Estimate, Measured
-from handctl.core.estimation.posture import MODEL_ERROR, MODEL_ERROR_N
-from handctl.core.estimation.tip import tip_forces
+from handctl.core.estimation.posture import tip_forces
 from handctl.core.law.computed_torque import Command
 from handctl.core.model import HandModel
 from handctl.core.types import Telemetry
@@ -36,9 +35,11 @@ def telemetry(
     age = [(t_ns - heard) / 1e9 if heard >= 0 else math.nan for heard in motors.feedback_t_ns]
     told = np.array((motors.velocity, motors.torque, motors.temperature, age, motors.phase), dtype=np.float64)
     velocity, torque, temperature, ages, phase = told
-    digits, error = model.all_digits, (MODEL_ERROR_N, MODEL_ERROR)
-    uncertain = estimate.q, estimate.q_sigma, estimate.external, estimate.sigma
-    force, force_sigma = tip_forces(*uncertain, digits.ahead, digits.reach, digits.members, digits.arms, *error)
+    digits = model.all_digits
+    force, force_sigma = tip_forces(
+        estimate.q, estimate.q_sigma, estimate.external, estimate.sigma,
+        digits.ahead, digits.reach, digits.members, digits.arms,
+    )  # fmt: skip
     missing = measured.travel != measured.travel
     if np.count_nonzero(missing):
         velocity[missing] = torque[missing] = np.nan

@@ -242,8 +242,9 @@ def _regimes(
     vector = x if table is None else table.reshape(-1)
     if vector is x and judged != state.regimes:
         vector = x.copy()
-    kept = (state.surprise, state.nis, state.doubtful, state.lately, state.wary, state.covariance, state.started)
-    return FilterState(vector, judged, tuple(stopped), tuple(turning), ropes, *kept)
+    return state._replace(
+        x=vector, regimes=judged, stopped=tuple(stopped), turning=tuple(turning), measured=ropes
+    )
 
 
 def _touching(model: HandModel, contact: tuple[bool, ...]) -> tuple[int, ...]:

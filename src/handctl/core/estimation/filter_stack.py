@@ -106,7 +106,8 @@ class FilterDesign:
     def _stacked(self, of_tendons: tuple[int, ...]) -> "Stacked":
         chosen = self._chosen(of_tendons)
         regimes = np.array(of_tendons) % len(Regime)
-        usual = self._chosen(tuple(regimes.tolist()))
+        information, doubted = _information(chosen), max(of_tendons) >= len(Regime)
+        usual = _information(self._chosen(tuple(regimes.tolist()))) if doubted else information
         return Stacked(
             F=_diagonal([block.F for block in chosen]),
             B=_diagonal([block.B for block in chosen]),
@@ -114,9 +115,9 @@ class FilterDesign:
             K=_diagonal([block.K for block in chosen]),
             tension=_diagonal([block.tension_row[None] for block in chosen]),
             sigma=np.sqrt([block.tension_variance for block in chosen]),
-            information=_information(chosen),
-            usual_information=_information(usual),
-            doubted=max(of_tendons) >= len(Regime),
+            information=information,
+            usual_information=usual,
+            doubted=doubted,
             free=regimes == Regime.FREE,
             slack=regimes == Regime.SLACK,
             cell_sigma=np.array([block.cell_sigma for block in chosen]),

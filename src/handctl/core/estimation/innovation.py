@@ -87,7 +87,7 @@ def caution(period: float, lately: Vector, wary: Vector, nis: Vector) -> tuple[V
     """
     if period > WARY_PERIOD_S:
         return lately, wary
-    lately = lately + min(period / WARY_S, 1.0) * known(np.minimum(nis, MOST_NIS) - lately)
+    lately = lately + period / WARY_S * known(np.minimum(nis, MOST_NIS) - lately)
     each = lately.tolist()
     above = lately > (WARY_ABOVE if sum(each) < WARY_HAND * len(each) else 0.0)
     if not np.count_nonzero(above) and not np.count_nonzero(wary):

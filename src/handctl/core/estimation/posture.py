@@ -276,7 +276,7 @@ def _turned(
             torque[j] += torque_of[j, n] * external[n]
             error[j] += torque_of[j, n] * math.sqrt(square(MODEL_ERROR_N) + square(MODEL_ERROR * external[n]))
     for place in range(count):
-        lever = _levers(q, ahead[place], reach[place])
+        lever = _levers(q, ahead[place], reach[place].T)
         for digit in range(len(starts) - 1):
             first, end = starts[digit], starts[digit + 1]
             size, work, work_error = 0.0, 0.0, 0.0
@@ -295,14 +295,19 @@ def _turned(
 
 @inner
 def _levers(q: Vector, ahead: Vector, reach: Vector) -> Vector:
-    """Return levers of a force at one place of each digit about the joints, (J,) [m], at angles (J,) [rad]."""
-    levers = np.zeros(len(q))
+    """Return levers of a force on each digit about C joints or coordinates, (C,) [m], at joint angles q (J,) [rad].
+
+    Args:
+        q: joint angles. ahead: (J, J) angles from each link to the one that is touched.
+        reach: (J, C) distance along each link that the force acts over [m].
+    """
+    levers = np.zeros(reach.shape[1])
     for link in range(len(q)):
         angle = 0.0
         for j in range(len(q)):
             angle += ahead[link, j] * q[j]
-        for j in range(len(q)):
-            levers[j] += reach[j, link] * math.cos(angle)
+        for c in range(len(levers)):
+            levers[c] += math.cos(angle) * reach[link, c]
     return levers
 
 
@@ -412,6 +417,60 @@ def _combined(
         for j in range(joints):
             sigma[j] += square(columns[row, j])
     return columns, turn, np.sqrt(sigma)
+
+
+@kernel("vector", "vector", "vector", "vector", "matrix", "matrix", "matrix", "matrix")
+def tip_forces(
+    q: Vector,
+    q_sigma: Vector,
+    external: Vector,
+    tension_sigma: Vector,
+    ahead: Vector,
+    reach: Vector,
+    members: Vector,
+    arms: Vector,
+) -> tuple[Vector, Vector]:
+    """Return tip-equivalent forces of all digits, and their standard deviations by those of angles and tensions.
+
+    See ``tip.tip_force``.
+
+    Args:
+        q, q_sigma: (J,) joint angles and their standard deviations [rad].
+        external: (N,) tension balanced by contact [N]. tension_sigma: (N,) standard deviation of the tensions [N].
+        ahead, reach, members, arms: see ``AllDigits``.
+
+    Returns:
+        (D,) forces and (D,) standard deviations [N].
+    """
+    digits, coordinates = members.shape
+    torque, variance = np.zeros(coordinates), np.zeros(digits)
+    for c in range(coordinates):
+        for n in range(len(external)):
+            torque[c] += external[n] * arms[n, c]
+    lever, tried = _levers(q, ahead, reach), q.copy()
+    size = _pressed(lever, lever, members)
+    force = _pressed(lever, torque, members) / size
+    for j in range(len(q)):
+        tried[j] = q[j] + q_sigma[j]
+        turned = _levers(tried, ahead, reach)
+        change = _pressed(turned, torque, members) / _pressed(turned, turned, members) - force
+        variance += change * change
+        tried[j] = q[j]
+    for n in range(len(external)):
+        error = math.sqrt(square(tension_sigma[n]) + square(MODEL_ERROR_N) + square(MODEL_ERROR * external[n]))
+        change = _pressed(lever, arms[n], members) * error / size
+        variance += change * change
+    return force, np.sqrt(variance)
+
+
+@inner
+def _pressed(lever: Vector, torque: Vector, members: Vector) -> Vector:
+    """Return the sums of lever times torque (C,) over each digit's coordinates, (D,)."""
+    sums = np.zeros(len(members))
+    for d in range(len(members)):
+        for c in range(len(lever)):
+            sums[d] += members[d, c] * lever[c] * torque[c]
+    return sums
 
 
 def _fused(known: Places, prior: Angles, columns: Vector, readings: Readings, rate: Vector) -> Angles:
