@@ -75,10 +75,21 @@ def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float
     }
 
 
-def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
-    """Excite and fit one digit of one hand; error and coverage of every parameter, or why it failed."""
-    hand, factors = load_hand(hand_name), plant(seed)
-    plan = Plan(hand, detuned(seed), fastest(bus_loads(hand)), ())
+def excited(
+    hand_name: str, digit: str, seed: int, factors: dict[str, float], gains: Gains, folder: Path
+) -> tuple[dict[str, Found], Row]:
+    """Excite and fit one digit of one simulated hand: what was found, and what it cost or why it failed.
+
+    Args:
+        hand_name: packaged hand or path of a hand file, of controller and plant.
+        digit: to excite.
+        seed: of the plant's noise, slack and offsets.
+        factors: on the plant's parameters.
+        gains: of the controller.
+        folder: for its log.
+    """
+    hand = load_hand(hand_name)
+    plan = Plan(hand, gains, fastest(bus_loads(hand)), ())
     log = folder / f"{seed}.mcap"
     controller = make_controller(plan, ExciteProgram(excitation(hand, (digit,))), None, arm_at_once=True)
     began = time.process_time()
@@ -87,11 +98,21 @@ def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
     row: Row = {"seed": seed, "digit": digit, "simulated_s": outcome.state.k * 1e-9 * plan.period_ns}
     row["excite_cpu_s"] = time.process_time() - began
     if outcome.state.failure:
-        return row | {"failure": outcome.state.failure}
+        return {}, row | {"failure": outcome.state.failure}
     with RunLog(log) as record:
         found = identify(record, hand)
     log.unlink()
     row["fit_cpu_s"] = time.process_time() - began - row["excite_cpu_s"]
+    return found, row
+
+
+def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
+    """Excite and fit one digit of one hand; error and coverage of every parameter, or why it failed."""
+    hand, factors = load_hand(hand_name), plant(seed)
+    found, row = excited(hand_name, digit, seed, factors, detuned(seed), folder)
+    if not found:
+        return row
+    row["refused"] = sorted({reason for one in found.values() for reason in (one.met, one.blocked) if reason})
     shared = {name: one for tendon, one in found.items() for name in one.judged.names if name in DIGIT_KEYS}
     row["parameters"] = [
         judged(name, tendon, real, shared.get(name, one))
@@ -123,6 +144,7 @@ def summary(rows: list[Row]) -> Row:
     """Of every parameter: how often within its limit, how often covered, its errors; and how often all are at once."""
     good = [row["parameters"] for row in rows if "failure" not in row]
     told: Row = {"seeds": len(rows), "failed": [row for row in rows if "failure" in row], "parameters": {}}
+    told["refused"] = [row["seed"] for row in rows if row.get("refused")]
     for name, limit in WITHIN.items():
         own = [one for row in good for one in row if one["name"] == name]
         errors = sorted(abs(one["error"]) for one in own)
@@ -175,7 +197,7 @@ def main() -> int:
     if args.json:
         json.dump(told | {"rows": rows}, sys.stdout, indent=2)
         return 0
-    print(f"{told['seeds']} seeds, {len(told['failed'])} failed")
+    print(f"{told['seeds']} seeds, {len(told['failed'])} failed, {len(told['refused'])} refused without a contact")
     for name, t in told["parameters"].items():
         print(
             f"{name:<17} within {100 * t['limit']:.0f} %: {t['within']} of {t['of']}, covered by the 95 % interval: "

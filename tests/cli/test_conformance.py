@@ -58,6 +58,7 @@ def test_a_broken_drive_fails_and_its_line_says_why():
         (["--drive", "mit", "--node", "2"], "mit 2 on local:c turns, with at most 0.1 N m; expected --yes"),
         (["--drive", "odrive", "--node", "63", "--yes"], "1 to 62"),
         (["--drive", "mit", "--node", "200", "--yes"], "1 to 127"),
+        (["--drive", "mit", "--node", "1" * 50, "--yes"], f"--node: {'1' * 50}; expected a whole number from 1 to"),
         (["--drive", "mit", "--node", "2", "--yes", "--torque-limit-Nm", "nan"], "0.001 to 50"),
         (["--drive", "mit", "--node", "2", "--yes", "--option", "gear=2"], "unknown key"),
         (["--drive", "mit", "--node", "2", "--yes", "--option", "gear"], "KEY=VALUE"),

@@ -174,17 +174,45 @@ def test_what_a_simulated_hand_is_made_of_is_not_kept_for_the_real_one(place, ca
     assert json.loads(capsys.readouterr().out)["calibration"] == own.name
 
 
-def found_of(digit, stiffness, blocked=""):
+def found_of(digit, stiffness, blocked="", met="", names=("rope_stiffness",)):
     """A fit of a digit's tendon: what it would keep, and what the digit met while it was excited."""
     from handctl.tune.identify.fit import NAMES
     from handctl.tune.identify.identify import Found
 
-    names = ("rope_stiffness",)
     values = dict.fromkeys(NAMES, 1.0) | {"rope_stiffness": stiffness}
     problem = SimpleNamespace(nominal=np.ones(len(NAMES)))
     fit = SimpleNamespace(problem=problem, covariance=np.eye(len(NAMES)), values=values, half_widths=values)
     judged = SimpleNamespace(names=names, missing=())
-    return Found(SimpleNamespace(digit=digit), fit, judged, 1.0, (np.zeros(1), np.zeros(1)), blocked=blocked)
+    return Found(SimpleNamespace(digit=digit), fit, judged, 1.0, (np.zeros(1), np.zeros(1)), blocked=blocked, met=met)
+
+
+def _identifies(monkeypatch, made, found):
+    """Let ``handctl identify --lockstep`` find what is given."""
+    outcome = SimpleNamespace(refuse_unfinished=lambda where: None)
+    monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
+    monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
+    monkeypatch.setattr("handctl.cli.tuning.identify.identify", lambda *words: found)
+    monkeypatch.setattr("handctl.cli.tuning.identify._pictures", lambda *words: [])
+    monkeypatch.setattr("handctl.cli.tuning.identify.table", lambda tendons: [])
+
+
+def test_of_a_digit_that_touches_something_only_motor_and_rope_are_written(place, capsys, monkeypatch):
+    """One line says which digit, what of it, why, and what to do."""
+    hand, path = load_hand("jamia"), place / "own.toml"
+    nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
+    rows = dict.fromkeys(hand.tendon_names, nothing)
+    made = Calibration(hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows)
+    names, why = ("rope_stiffness", "spring_stiffness", "capstan"), "from 14 deg on it takes more"
+    found = {"middle_tendon": found_of("middle", 9e4, met=why, names=names)}
+    _identifies(monkeypatch, made, found)
+    assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "not kept" in line]
+    begin = f"handctl: springs and friction of middle are not kept: {why}; expected a digit"
+    assert line.startswith(begin)
+    assert load_calibration(path, hand).identified["middle_tendon"].names == ("rope_stiffness",)
+    monkeypatch.setattr("handctl.cli.tuning.identify._told", lambda *words: {})
+    assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["met"] == {"middle": why}
 
 
 @pytest.mark.parametrize("others", [(), ("ring",), ("ring", "thumb")])
@@ -199,12 +227,7 @@ def test_a_fit_of_a_blocked_digit_is_not_written(place, capsys, monkeypatch, oth
     known = path.read_bytes()
     found = {f"{name}_tendon": found_of(name, 8e4) for name in others}
     found["index_tendon"] = found_of("index", 3.05e5, "middle is blocked: 7.0 N at 3.1 s, in its sweep")
-    outcome = SimpleNamespace(refuse_unfinished=lambda where: None)
-    monkeypatch.setattr("handctl.cli.tuning.identify._in_lockstep", lambda *words: (made, outcome))
-    monkeypatch.setattr("handctl.cli.tuning.identify.RunLog", lambda log: nullcontext())
-    monkeypatch.setattr("handctl.cli.tuning.identify.identify", lambda *words: found)
-    monkeypatch.setattr("handctl.cli.tuning.identify._pictures", lambda *words: [])
-    monkeypatch.setattr("handctl.cli.tuning.identify.table", lambda tendons: [])
+    _identifies(monkeypatch, made, found)
     assert main(["identify", "--lockstep", "--calibration", "own.toml", "--log", "x.mcap"]) == 1
     said = capsys.readouterr()
     assert "nothing of index is kept: middle is blocked" in said.err

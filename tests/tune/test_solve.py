@@ -28,3 +28,26 @@ def test_times_that_stand_still_cost_no_more_than_seconds(span: float) -> None:
     assert time.process_time() - begin < 20.0
     assert np.isfinite(covariance).all()
     assert np.isfinite(freedom).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_unlucky_block_does_not_take_the_freedom_away(seed: int) -> None:
+    """Freedom is the design's: one block with a large residual left three degrees, and intervals half as wide again."""
+    random = np.random.default_rng(seed)
+    jacobian, times = random.normal(size=(2000, 3)), np.linspace(0.0, 20.0 * BLOCK_S, 2000, endpoint=False)
+    residual = random.normal(size=2000)
+    unlucky = residual * np.where((times > BLOCK_S) & (times < 2.0 * BLOCK_S), 6.0, 1.0)
+    _, freedom = _covariance(jacobian, residual, times)
+    _, less = _covariance(jacobian, unlucky, times)
+    assert less == pytest.approx(freedom)
+    assert (freedom > 14.0).all()
+    assert (freedom < 21.0).all()
+
+
+def test_a_parameter_without_data_has_a_spread_of_its_prior() -> None:
+    """A run in which a digit hardly moves ended with a warning of an overflow."""
+    jacobian = np.vstack([np.column_stack([np.ones(100), np.full(100, 1e-160)]), np.eye(2)])
+    with np.errstate(all="raise", under="ignore"):
+        covariance, freedom = _covariance(jacobian, np.ones(102), np.linspace(0.0, 5.0, 100))
+    assert np.isfinite(covariance).all()
+    assert freedom[0] < 30.0 < 1e6 < freedom[1] < np.inf

@@ -12,7 +12,7 @@ from handctl.hand.load import hand_from, load_hand, packaged_hands
 from handctl.tune.loops.design import Design, design, linear_factors, unlike_tendons
 from handctl.tune.loops.linear import LoopKind, System, _half_closed, controller, loop
 from handctl.tune.loops.margins import MOST_DB, Margins, confirmed, is_stable, margins
-from handctl.tune.loops.steps import Proof, Swing, swing
+from handctl.tune.loops.steps import Proof, Swing, rings, swing
 from handctl.tune.search.ensemble import ensemble
 from tests.conftest import NIGHTLY
 
@@ -182,7 +182,7 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     def fake(hand: object, tried: HandModel, factors: dict[str, float], seed: int) -> Swing:
         least = factors == {"friction": 0.5}
         held = own_N if tried.gains.tension.integral_per_s == 0.0 else loop_N
-        return Swing(0.0, 0.0, held if least else 0.0)
+        return Swing(0.0, 0.0, (held if least else 0.0,) * tried.tendon_count)
 
     monkeypatch.setattr("handctl.tune.loops.steps.swing", fake)
     proof = proof_of(model)
@@ -190,12 +190,49 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     assert ("0.5 of the friction swings" in proof.told) != good
 
 
+def proof_with(
+    monkeypatch: pytest.MonkeyPatch, model: HandModel, own: tuple[float, ...], found: tuple[float, ...]
+) -> Proof:
+    """A proof on plants that chatter by themselves, and on which the gains swing so much [N]."""
+
+    def fake(hand: object, tried: HandModel, factors: dict[str, float], seed: int) -> Swing:
+        least = factors == {"friction": 0.5}
+        held = own if tried.gains.tension.integral_per_s == 0.0 else found
+        return Swing(0.0, 0.0, held if least else (0.0,) * 4)
+
+    monkeypatch.setattr("handctl.tune.loops.steps.swing", fake)
+    return proof_of(model)
+
+
+def test_what_one_tendon_chatters_hides_no_swing_of_another(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
+    """Jamia's index and ring chatter by 2 to 5 N with little friction, middle and thumb by less than 0.1 N."""
+    own = (4.1, 0.0, 3.9, 0.0)
+    assert proof_with(monkeypatch, jamia, own, (5.0, 0.1, 4.4, 0.1))(jamia)
+    proof = proof_with(monkeypatch, jamia, own, (4.1, 3.9, 3.9, 3.9))
+    assert not proof(jamia)
+    assert "0.5 of the friction swings" in proof.told
+
+
+def test_a_loop_that_rings_is_not_hidden_by_chatter(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
+    """Its swing is no larger than the plant's own, and its eigenvalues say that it rings at that tension."""
+    own = (4.0, 4.0, 4.0, 4.0)
+    slow = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}
+    ringing = HandModel.of(jamia.hand, Gains.model_validate(slow), 500.0)
+    assert is_stable(loop(ringing, 0, LoopKind.TENSION))
+    assert all(rings(model, linear_factors({"friction": 0.5})) for model in (ringing, with_force(393.0)))
+    assert not rings(jamia, linear_factors({"friction": 0.5}))
+    proof = proof_with(monkeypatch, ringing, own, own)
+    assert not proof(ringing)
+    assert "of a loop that rings" in proof.told
+    assert proof_with(monkeypatch, jamia, own, own)(jamia)
+
+
 def test_what_fails_on_the_plant_with_the_least_friction_is_refused(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
     """Also where the same run without feedback fails: then nothing is known of the plant's own swing."""
-    lost = Swing(math.inf, math.inf, math.inf, "N14b")
-    still = Swing(0.0, 0.0, 0.0)
+    lost = Swing(math.inf, math.inf, (math.inf,) * 4, "N14b")
+    still = Swing(0.0, 0.0, (0.0,) * 4)
     monkeypatch.setattr(
         "handctl.tune.loops.steps.swing", lambda hand, m, f, s: lost if f == {"friction": 0.5} else still
     )

@@ -6,6 +6,8 @@ import math
 import sys
 from typing import Any
 
+from pydantic import ValidationError
+
 from handctl.cli.checks.scan import identified
 from handctl.cli.console.begin import ask
 from handctl.cli.console.options import bitrate_options, json_option, print_json
@@ -15,6 +17,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.registry import PROTOCOLS, make_drive
 from handctl.errors import BusError, ConfigError, DriveError, PowerError
+from handctl.hand.file.messages import shown
 from handctl.hand.file.sections import Motor
 from handctl.hand.load import parse_toml
 from handctl.runtime.buses.contract import Bus
@@ -113,9 +116,14 @@ def _drive(args: argparse.Namespace, options: dict[str, Any], found: Found | Non
     }  # fmt: skip
     try:
         return make_drive(Motor.model_validate(motor), 0)
+    except ValidationError as error:
+        wrong = error.errors(include_url=False)[-1]
+        key = str(wrong["loc"][-1]) if wrong["loc"] else args.drive
+        right = wrong["msg"].removeprefix("Value error, ").removeprefix("Input should be ").removeprefix("expected ")
+        raise ConfigError(shown(wrong["input"]), "--node" if key == "node_id" else key, right) from None
     except ValueError as error:
         text = str(error).splitlines()[-1]
-        raise ConfigError(text, f"{args.drive} {args.node}", "a number of that protocol") from None
+        raise ConfigError(text, shown(args.node), "a number of that protocol") from None
 
 
 def _dry_run(args: argparse.Namespace) -> int:

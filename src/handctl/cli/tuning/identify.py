@@ -39,6 +39,7 @@ from handctl.tune.identify.figure import draw
 from handctl.tune.identify.identify import Found, identify, now, table
 
 EXAMPLE = "handctl identify --hand jamia --lockstep --digits thumb --calibration /tmp/identified.calibration.toml"
+CLEAR_THE_WAY = "expected a digit that touches nothing: move away what it meets, or correct the hand file's springs"
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -180,21 +181,25 @@ def _report(
     """The calibration, pictures, numbers."""
     made = now()
     known = kept(path, hand, calibration.drive if calibration else {}, notice)
-    spoilt = {one.data.digit: one.blocked for tendons in found.values() for one in tendons.values() if one.blocked}
+    every = [one for tendons in found.values() for one in tendons.values()]
+    spoilt = {one.data.digit: one.blocked for one in every if one.blocked}
+    met = {one.data.digit: one.met for one in every if one.met and not one.blocked}
     told_anything = False
     for log, tendons in found.items():
         new = {name: one.identified(log, made) for name, one in tendons.items()}
         told_anything = told_anything or any(one is not None for one in new.values())
         known |= {name: one.beside(known.get(name)) for name, one in new.items() if one is not None}
-    written = calibration is not None and not args.no_write and (told_anything or not spoilt)
+    written = calibration is not None and not args.no_write and (told_anything or not (spoilt or met))
     if calibration is not None and written:
         write_calibration(path, calibration.model_copy(update={"identified": known}))
     pictures = _pictures(hand, found, _say)  # they go beside the logs: where they cannot, nothing else is lost
     for digit, why in spoilt.items():
         say(f"handctl: nothing of {digit} is kept: {why}; expected a digit that meets nothing", error=True)
-    ended = Exit.FAILED if spoilt else Exit.DONE
+    for digit, why in met.items():
+        say(f"handctl: springs and friction of {digit} are not kept: {why}; {CLEAR_THE_WAY}", error=True)
+    ended = Exit.FAILED if spoilt or met else Exit.DONE
     if args.json:
-        print_json(_told(found, pictures, path if written else None) | {"blocked": spoilt})
+        print_json(_told(found, pictures, path if written else None) | {"blocked": spoilt, "met": met})
         return ended
     for log, tendons in found.items():
         print("\n".join([f"from {log}:", *table(tendons)]))

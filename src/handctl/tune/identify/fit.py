@@ -12,10 +12,11 @@ from scipy.stats import t as student
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.dynamics import DigitModel
+from handctl.tune.identify.contact import Ramp, steepest
 from handctl.tune.identify.data import Array, TendonData
 from handctl.tune.identify.fit_load import Bins, DigitLoad, LoadParameters, bins
 from handctl.tune.identify.fit_motor import MotorWindows, motor_windows
-from handctl.tune.identify.solve import solve
+from handctl.tune.identify.solve import Solution, solve
 
 NAMES = (
     "torque_gain", "motor_inertia", "motor_viscous", "motor_coulomb", "delay",
@@ -172,6 +173,7 @@ class Fit:
         z: scaled parameters, drift included. covariance: of them. freedom: of each parameter's spread.
         sensitivity: (rows, 13), weighted Jacobian of the rows that are data.
         residual: (rows,), priors included.
+        ramp: of tension that the free sweeps leave unexplained; None if the fit has none.
     """
 
     problem: Problem
@@ -180,6 +182,7 @@ class Fit:
     freedom: Array
     sensitivity: Array
     residual: Array
+    ramp: Ramp | None = None
 
     @property
     def values(self) -> dict[str, float]:
@@ -206,7 +209,21 @@ def fit(problem: Problem) -> Fit:
     times = _times(problem)
     found = solve(problem.residuals, problem.start(), problem.bounds(), times)
     sensitivity = found.jacobian[: len(times), : len(NAMES)]
-    return Fit(problem, found.z, found.covariance, found.freedom, sensitivity, found.residual)
+    ramp = _ramp(problem, found)
+    return Fit(problem, found.z, found.covariance, found.freedom, sensitivity, found.residual, ramp)
+
+
+def _ramp(problem: Problem, found: Solution) -> Ramp | None:
+    """Return the ramp of tension that the free sweeps leave unexplained."""
+    free, load = problem.free, problem.load
+    if load is None or not len(free.t):
+        return None
+    first = len(problem.motor.t) + len(problem.stop.t) + len(problem.limp.t)
+    offset = float(found.z[NAMES.index("stretch_offset")]) * SCALE_OFFSET_M
+    stiffness = float(found.z[NAMES.index("rope_stiffness")] * problem.nominal[NAMES.index("rope_stiffness")])
+    angle = (free.travel - offset - free.tension / stiffness) / load.arms.sum()
+    unit = np.full(len(free.t), free.count**0.5 / problem.sigma)
+    return steepest(found.jacobian, found.residual, first, np.asarray(angle), (unit,))
 
 
 def _times(problem: Problem) -> Array:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import inverse_dynamics
+from handctl.tune.identify.contact import Ramp, steepest
 from handctl.tune.identify.data import Array, TendonData
 from handctl.tune.identify.fit import LEAST, MOST, NAMES, PRIOR, VAGUE, Fit
 from handctl.tune.identify.fit_load import FRICTION_MOST
@@ -100,6 +101,12 @@ class Balance:
                 torque[:, i] += arm * (self.tension[:, j] - offset[j]) * np.exp(lost)
         return torque
 
+    @property
+    def whiten(self) -> Array:
+        """(joints, joints) that makes the torques of one moment independent, in standard deviations."""
+        arms = self.digit.moment_arms
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(arms.T @ np.diag(self.noise**2) @ arms)).T)
+
     def load(self, spring: float, preload: float, damping: float, mass: float) -> Array:
         """(m, joints) torque that springs, damping, inertia and weight ask for [N m]; factors on the hand file."""
         digit = self.digit
@@ -110,8 +117,7 @@ class Balance:
 def fit_digit(seen: Balance) -> Solution:
     """Solve for shared factors and capstan coefficients, scaled by the hand file, and for the load cells' offsets."""
     n, tendons = len(SHARED), len(seen.noise)
-    arms = seen.digit.moment_arms
-    whiten = np.linalg.inv(np.linalg.cholesky(arms.T @ np.diag(seen.noise**2) @ arms)).T
+    arms, whiten = seen.digit.moment_arms, seen.whiten
     spread = np.array([*(PRIOR.get(name, VAGUE) for name in SHARED), *[VAGUE] * tendons])
     friction = _friction(seen.digit)
 
@@ -129,7 +135,14 @@ def fit_digit(seen: Balance) -> Solution:
 def joined(fits: Sequence[Fit], found: Solution, seen: Balance) -> list[Fit]:
     """The tendons' fits with what the digit's tells: capstan for every tendon, the shared factors with the first."""
     rows = len(seen.t) * seen.q.shape[1]
+    fits = [replace(one, ramp=_ramp(found, seen)) for one in fits]
     return [_joined(one, found, rows, SHARED if j == 0 else (), len(SHARED) + j) for j, one in enumerate(fits)]
+
+
+def _ramp(found: Solution, seen: Balance) -> Ramp | None:
+    """Return the ramp of one joint's torque that the sweeps leave unexplained."""
+    units = [np.tile(row, len(seen.t)) for row in seen.whiten]
+    return steepest(found.jacobian, found.residual, 0, np.asarray(seen.q.mean(axis=1)), units)
 
 
 def _joined(one: Fit, found: Solution, rows: int, shared: tuple[str, ...], capstan: int) -> Fit:

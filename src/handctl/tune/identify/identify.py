@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from handctl.core.identified import UNITS, Identified
+from handctl.core.identified import DIGIT_KEYS, UNITS, Identified
 from handctl.errors import LogError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.log.read.moments import phase_of_each
 from handctl.log.read.reader import RunLog
+from handctl.tune.identify.contact import joints_moving
 from handctl.tune.identify.data import Array, TendonData, tendon_data
 from handctl.tune.identify.fit import NAMES, Fit, Problem, fit
 from handctl.tune.identify.fit_digit import Balance, fit_digit, joined
@@ -21,6 +22,8 @@ from handctl.tune.identify.identifiability import Identifiability, excitation_co
 
 BAND_HZ = (0.7, 6.0)
 """Band over which coherence is averaged: that of the swing."""
+OF_THE_SWEEPS = (*DIGIT_KEYS, "capstan")
+"""What a contact in the sweeps spoils. Motor and rope are found without the digit's balance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +34,7 @@ class Found:
         data: from the log. fit: of all parameters. judged: what of it counts. coherence: mean over the swing's band.
         spectrum: frequencies [Hz] and coherence. balance: of the digit, if it has several tendons and joint encoders.
         blocked: when and what the digit met while it was excited; empty if nothing, or if it was not excited.
+        met: how the sweeps show that something touches the digit; empty if they do not.
     """
 
     data: TendonData
@@ -40,11 +44,19 @@ class Found:
     spectrum: tuple[Array, Array]
     balance: Balance | None = None
     blocked: str = ""
+    met: str = ""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What the data tell and nothing has spoilt."""
+        if self.blocked:
+            return ()
+        return tuple(name for name in self.judged.names if not (self.met and name in OF_THE_SWEEPS))
 
     def identified(self, log: Path, made: str) -> Identified | None:
         """For the calibration file; None if the data tell nothing, or are spoilt by what the digit met."""
-        names = self.judged.names
-        if not names or self.blocked:
+        names = self.names
+        if not names:
             return None
         at = [NAMES.index(name) for name in names]
         scale = self.fit.problem.nominal[at]
@@ -71,13 +83,15 @@ class Found:
                 "half_width_95_all_at_once": together[name],
                 "unit": UNITS[name],
                 "hand_file": 0.0 if name == "delay" else float(nominal[NAMES.index(name)]),
-                "identified": name in self.judged.names,
+                "identified": name in self.names,
             }
             for name in UNITS
         }
         return {
             "digit": self.data.digit,
             "blocked": self.blocked,
+            "met": self.met,
+            "ramp": self.fit.ramp._asdict() if self.fit.ramp else None,
             "parameters": rows,
             "load_cell_offset_N": float(self.fit.z[len(NAMES)]),
             "coherence": self.coherence,
@@ -116,8 +130,51 @@ def identify(log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda t
         own = [(data, one) for data, one in solved if data.digit == name]
         balance, fits = _of_digit(hand, name, own)
         found |= {data.tendon: _found(hand, data, one, balance) for (data, _), one in zip(own, fits, strict=True)}
-    spoilt = blocked(log)
-    return {name: replace(one, blocked=spoilt.get(one.data.digit, "")) for name, one in found.items()}
+    events = blocked(log)
+    return {name: _spoilt(hand, one, events.get(one.data.digit, "")) for name, one in found.items()}
+
+
+def _spoilt(hand: Hand, one: Found, event: str) -> Found:
+    """Return what was found with what has spoilt it.
+
+    The controller judges by the hand file's springs, and takes springs that are a third stiffer for an obstacle. So
+    its event does not count if the fit explains the whole sweep.
+    """
+    met, ramp = contact_of(hand, one), one.fit.ramp
+    cleared = not met and ramp is not None and ramp.clear
+    return replace(one, met=met, blocked="" if cleared else event)
+
+
+def contact_of(hand: Hand, one: Found) -> str:
+    """Return how a fit shows that something touches the digit in its sweeps; empty if it does not."""
+    ramp = one.fit.ramp
+    if ramp is not None and ramp.met:
+        several = len(hand.tendon[hand.digit_tendons[one.data.digit]]) > 1
+        size = f"{1e3 * abs(ramp.rise):.1f} mN m at a joint" if several else f"{abs(ramp.rise):.1f} N"
+        kind = "more" if ramp.rise > 0.0 else "less"
+        begin, end = np.degrees([ramp.begin, ramp.end])
+        return (
+            f"from {begin:.0f} deg on it takes {kind} than its springs explain, {size} at {end:.0f} deg "
+            f"({abs(ramp.score):.1f} standard deviations)"
+        )
+    return _stands_still(hand, one)
+
+
+def _stands_still(hand: Hand, one: Found) -> str:
+    """Return how a digit with one tendon shows that one of its joints does not move; empty if all move."""
+    load, data, values = one.fit.problem.load, one.data, one.fit.values
+    if load is None or "spring_preload" not in one.judged.names:
+        return ""
+    stretch = data.tension / values["rope_stiffness"] + values["stretch_offset"]
+    travel = float(np.nanmax(np.where(data.acting, data.travel - stretch, np.nan)))
+    full = float(abs(load.arms) @ np.radians(hand.digit_named(data.digit).joint_max_deg))
+    preload, width = values["spring_preload"], one.fit.half_widths["spring_preload"]
+    if joints_moving(len(load.arms), preload, width, travel, full):
+        return ""
+    return (
+        f"it looks as if a joint stood still: its springs have {preload:.2f} of the hand file's preload, and "
+        f"it closes by {1e3 * travel:.1f} mm of {1e3 * full:.1f} mm"
+    )
 
 
 def blocked(log: RunLog) -> dict[str, str]:
@@ -169,13 +226,14 @@ def table(found: dict[str, Found]) -> list[str]:
             nominal = one.fit.problem.nominal[NAMES.index(key)]
             size, shown = (1e3, "ms") if key == "delay" else (1.0, unit)
             value, width = size * values[key], size * widths[key]
-            if key not in one.judged.names:
-                lines.append(f"  {key:<17} not identified")
+            if key not in one.names:
+                spoilt = key in one.judged.names
+                lines.append(f"  {key:<17} {'spoilt by what the digit met' if spoilt else 'not identified'}")
                 continue
             share = "" if key == "delay" else f"{100 * width / abs(value):5.1f} %   hand file {nominal:.4g}"
             lines.append(f"  {key:<17} {value:10.4g} +- {width:<9.2g} {shown:<11} {share}")
-        count = max(1, len(one.judged.names))
-        wider = [one.fit.half_widths_of(count)[name] / widths[name] for name in one.judged.names]
+        count = max(1, len(one.names))
+        wider = [one.fit.half_widths_of(count)[name] / widths[name] for name in one.names]
         if wider:
             lines.append(
                 f"  to cover all {count} at once with 95 %: {min(wider):.2f} to {max(wider):.2f} times as wide"

@@ -16,6 +16,8 @@ Array = NDArray[np.float64]
 
 FREEDOM_LEAST = 3.0
 """Fewest degrees of freedom that an interval is given."""
+LEAST_SHARE = 1e-9
+"""Of the data in a parameter's variance, squared: below it the parameter is known from its prior alone."""
 STEPS = 40
 """Most steps of the solver; data that need more do not tell what they are asked for."""
 OUTLIER = 2.5
@@ -79,18 +81,24 @@ def _covariance(jacobian: Array, residual: Array, times: Array) -> tuple[Array, 
     """Covariance of the parameters and its degrees of freedom, from blocks of time and the priors as given.
 
     Each block is judged by a fit without it. Never less than what independent noise alone would give.
-    Source: the jackknife over clusters in its linear form (Bell & McCaffrey 2002, CR3); Satterthwaite's freedom.
+
+    The freedom is the design's: what each block would add under independent noise of one standard deviation. Taken from
+    the residuals, one unlucky block of the fastest sweep would leave fewer than three degrees to the friction.
+    Source: the jackknife over clusters in its linear form (Bell & McCaffrey 2002, CR3); Satterthwaite's freedom with
+    their working model.
     """
     plain = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
     middle = jacobian[len(times) :].T @ jacobian[len(times) :]
-    squares = np.zeros(len(plain))
+    expected = [np.diag(plain @ middle @ plain)]
     for rows in _blocks(times):
         part = jacobian[rows]
-        alone = np.linalg.lstsq(np.eye(len(rows)) - part @ plain @ part.T, residual[rows], rcond=1e-9)[0]
-        score = part.T @ alone
+        left = np.eye(len(rows)) - part @ plain @ part.T
+        alone = np.linalg.lstsq(left, np.column_stack([residual[rows], part]), rcond=1e-9)[0]
+        score = part.T @ alone[:, 0]
         middle += np.outer(score, score)
-        squares += (plain @ score) ** 4
+        expected.append(np.maximum(np.diag(plain @ part.T @ alone[:, 1:] @ plain), 0.0))
     robust = plain @ middle @ plain
     wider = np.sqrt(np.maximum(np.diag(robust) / np.diag(plain), 1.0))
-    freedom = np.diag(robust) ** 2 / np.maximum(squares, 1e-300)
+    shares = np.array(expected) / np.sum(expected, axis=0)
+    freedom = 1.0 / np.maximum((shares[1:] ** 2).sum(axis=0), LEAST_SHARE)
     return np.asarray(plain * np.outer(wider, wider)), np.asarray(np.maximum(freedom, FREEDOM_LEAST))

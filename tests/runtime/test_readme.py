@@ -1,0 +1,48 @@
+"""The README's own Python program, as it stands there, with the simulated hand that stands above it."""
+
+import re
+import select
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.runtime.processes import READY_S, ended_well, start_handctl
+
+README = (Path(__file__).parents[2] / "README.md").read_text()
+LOAD = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
+
+
+def blocks(language: str, *containing: str) -> list[str]:
+    """Return the code blocks of the README in a language that contain some texts."""
+    found = re.findall(rf"^```{language}\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+    return [block for block in found if all(text in block for text in containing)]
+
+
+@pytest.mark.realtime
+@pytest.mark.parametrize("busy", [2])
+def test_the_program_in_the_readme_runs_beside_busy_ones(place, processes, busy):
+    (program,) = blocks("python", "handctl.connect")
+    (commands,) = blocks("", "handctl sim", "--bus local:lab")
+    (line,) = [line for line in commands.splitlines() if line.startswith("handctl sim")]
+    simulator = start_handctl(*shlex.split(line.split("#")[0])[1:])
+    processes.append(simulator)
+    processes.extend(
+        subprocess.Popen([sys.executable, "-c", LOAD], stdout=subprocess.PIPE, text=True) for _ in range(busy)
+    )
+    (place / "example.py").write_text(program)
+    ready(simulator)
+    ran = subprocess.run([sys.executable, "example.py"], capture_output=True, text=True, timeout=300.0)
+    assert ran.returncode == 0, ran.stderr[-2000:]
+    forces, log = ran.stdout.splitlines()
+    assert len(forces.strip("[]").split(",")) == 4
+    ended_well(place / log)
+
+
+def ready(simulator: "subprocess.Popen[str]") -> None:
+    """Wait until a simulator serves its bus."""
+    assert simulator.stdout
+    assert select.select([simulator.stdout], [], [], READY_S)[0], "no ready line"
+    simulator.stdout.readline()
