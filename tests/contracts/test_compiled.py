@@ -61,9 +61,10 @@ def test_a_kernel_that_is_prepared_refuses_what_it_was_not_compiled_for() -> Non
 
 def test_where_no_cache_can_be_written_each_process_compiles() -> None:
     script = (
-        "from handctl.core.estimation.tip import tip_forces; from handctl.compiled import prepare; import numpy as np\n"
+        "from handctl.core.estimation.posture import tip_forces\n"
+        "from handctl.compiled import prepare; import numpy as np\n"
         "prepare(); one = np.ones((1, 1))\n"
-        "print(tip_forces(one[0], one[0], one[0], one[0], one, one, one, one, 0.5, 0.1)[0])"
+        "print(tip_forces(one[0], one[0], one[0], one[0], one, one, one, one)[0])"
     )
     environment = {**os.environ, "NUMBA_CACHE_DIR": "/dev/null/none", "PYTHONPATH": os.pathsep.join(map(str, sys.path))}
     command = [sys.executable, "-c", script]

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from handctl.core.estimation.filter_stack import STATES, S, V
+from handctl.core.estimation.posture import tip_forces
 from handctl.core.estimation.statics import load_statics, tendon_efficiency
-from handctl.core.estimation.tip import tip_force, tip_forces, tip_lever
+from handctl.core.estimation.tip import tip_force, tip_lever
 from handctl.core.model import HandModel
 from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
 from handctl.hand.kinematics import points, tip_jacobian
@@ -75,7 +76,7 @@ def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
         q, external = rng.uniform(-0.2, 1.8, len(model.hand.joints)), rng.normal(size=model.tendon_count) * 20.0
         torque, digits = model.all_digits.static_torque(q), model.all_digits
         constants = digits.ahead, digits.reach, digits.members, digits.arms
-        force, _ = tip_forces(q, np.zeros(len(q)), external, np.zeros(len(external)), *constants, 0.5, 0.15)
+        force, _ = tip_forces(q, np.zeros(len(q)), external, np.zeros(len(external)), *constants)
         for d, digit in enumerate(model.digits):
             np.testing.assert_allclose(
                 torque[digit.joints], static_torque(digit, q[digit.joints]), rtol=1e-12, atol=1e-15

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from handctl.errors import ConfigError
 from handctl.hand.file.quantities import FASTEST_BUS, SLOWEST_BUS
 from handctl.printing import encodable, message
 from handctl.session.defaults import DEFAULT_HAND
@@ -24,6 +25,16 @@ def hand_option(parser: argparse.ArgumentParser) -> None:
     text = f"packaged hand or file (default: {DEFAULT_HAND}; needed on a real bus)"
     parser.add_argument("--hand", action=_Named, default=DEFAULT_HAND, metavar="NAME|FILE", help=text)
     parser.set_defaults(hand_named=False)
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a seed that no generator takes.
+
+    Raises:
+        ConfigError: below 0.
+    """
+    if seed < 0:
+        raise ConfigError(f"{seed}", "--seed", "0 or more")
 
 
 def protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:

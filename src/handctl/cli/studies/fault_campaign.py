@@ -12,7 +12,7 @@ from handctl.campaign.page import lines, write_page
 from handctl.campaign.scenarios import ALL, MATRIX, scenarios
 from handctl.campaign.stage import hand_in
 from handctl.campaign.trial import Result
-from handctl.cli.console.options import hand_option, json_option, print_json
+from handctl.cli.console.options import check_seed, hand_option, json_option, print_json
 from handctl.cli.console.progress import progress
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
@@ -53,8 +53,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Try everything, report, and say whether all is as it must be."""
-    if args.seed < 0:
-        raise ConfigError(f"{args.seed}", "--seed", "0 or more")
+    check_seed(args.seed)
     if not 1 <= args.jobs <= JOBS_MOST:
         raise ConfigError(f"{args.jobs}", "--jobs", f"1 to {JOBS_MOST}")
     for id_ in set(args.row) - {row.id for row in MATRIX}:

@@ -7,7 +7,7 @@ from typing import Any
 from handctl.campaign import sequences
 from handctl.campaign.scenarios import ALL
 from handctl.campaign.stage import hand_in
-from handctl.cli.console.options import hand_option, json_option, print_json
+from handctl.cli.console.options import check_seed, hand_option, json_option, print_json
 from handctl.cli.console.progress import progress
 from handctl.cli.studies.fault_campaign import FIRST, JOBS_MOST, keeper, rate_of, report_folder
 from handctl.errors import ConfigError
@@ -32,8 +32,7 @@ def run(args: argparse.Namespace) -> int:
     for name, value, most in (("--jobs", args.jobs, JOBS_MOST), ("--count", args.count, COUNT_MOST)):
         if not 1 <= value <= most:
             raise ConfigError(f"{value}", name, f"1 to {most}")
-    if args.seed < 0:
-        raise ConfigError(f"{args.seed}", "--seed", "0 or more")
+    check_seed(args.seed)
     hand = hand_in(args.hand, args.protocol)
     folder = report_folder(args)
     seeds = range(args.seed, args.seed + args.count)

@@ -11,7 +11,7 @@ from typing import Any
 
 from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import told
-from handctl.cli.console.options import perturb_option, print_json, run_options, say
+from handctl.cli.console.options import check_seed, perturb_option, print_json, run_options, say
 from handctl.cli.console.plan import (
     calibration_path,
     check_bus_only,
@@ -71,8 +71,7 @@ def run(args: argparse.Namespace) -> int:
     check_perturb(args, args.lockstep)
     if args.logs and args.digits:
         raise ConfigError("together with --from", "--digits", "logs of these digits, or a new motion")
-    if args.seed < 0:
-        raise ConfigError(str(args.seed), "--seed", "0 or more")
+    check_seed(args.seed)
     if not args.bus:
         check_bus_only(args)
     if args.logs:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from handctl.cli.console.options import (
     bus_option,
+    check_seed,
     dry_run_option,
     gains_options,
     hand_option,
@@ -17,7 +18,6 @@ from handctl.cli.console.options import (
     time_scale_option,
     yes_option,
 )
-from handctl.errors import ConfigError
 
 EXAMPLE = "handctl tune design --hand jamia --plants 2 --out tuned.toml"
 
@@ -34,8 +34,7 @@ def configure(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Tune."""
-    if args.seed < 0:
-        raise ConfigError(f"{args.seed}", "--seed", "0 or more")
+    check_seed(args.seed)
     done: int = importlib.import_module(f"handctl.cli.tuning.tune_{args.kind}").run(args)
     return done
 

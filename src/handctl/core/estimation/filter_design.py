@@ -48,6 +48,8 @@ DOUBTED_WALK, DOUBTED_HELD_WALK = 8.0, 3.0
 """Random walk of the tension of a tendon in doubt [N/s^0.5]: friction at the joints is not either."""
 DOUBTED_PLAN = 0.25
 """Fraction of the planned change of tension that is expected of a tendon in doubt."""
+TAUT = (Regime.FREE, Regime.HELD)
+"""Regimes of which there is a block in doubt, in their order; slack comes after them."""
 
 
 def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_period: Matrix) -> FilterDesign:
@@ -68,11 +70,9 @@ def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_p
         kind = (joints, *(float(getattr(space, each.name)[i]) for each in fields(space)))
         if kind not in made:
             with solvable("filter"):
-                made[kind] = tuple(
-                    _block(space, i, (regime, doubted), gains, period, joints)
-                    for doubted in (False, True)
-                    for regime in Regime
-                )
+                usual = tuple(_block(space, i, (regime, False), gains, period, joints) for regime in Regime)
+                doubted = (_block(space, i, (regime, True), gains, period, joints) for regime in TAUT)
+                made[kind] = (*usual, *doubted, usual[Regime.SLACK])  # nothing is in doubt without tension
         found.append(made[kind])
     return FilterDesign(tuple(found))
 
@@ -156,7 +156,7 @@ def _block(
     regime, doubted = kind
     A, B, tension = _continuous(space, i, regime, gains)
     intensity = _intensity(space, i, regime, gains)
-    if doubted and regime != Regime.SLACK:
+    if doubted:
         _doubt(intensity, float(space.stiffness[i]), regime)
         B[:, 1] *= DOUBTED_PLAN
     F, held, Q = _discretise(A, B, intensity, period)
