@@ -22,6 +22,7 @@ from handctl.runtime.lockstep import LockstepBus, LockstepClock, Peer, load_peer
 from handctl.runtime.loop import Loop
 from handctl.session.header import run_header
 from handctl.session.plan import Plan
+from handctl.session.run import keeper
 
 TASK = """schema = 1
 name = "short grasp"
@@ -149,6 +150,7 @@ def run(
         lambda: [*recorder.events(), *(told or {}).get(clock.k, ())],
         record,
         lambda entry, out: None,
+        keeper(recorder),
     )
     try:
         return loop.run(controller.initial())

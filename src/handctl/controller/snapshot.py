@@ -1,11 +1,10 @@
 """A state as bytes, from which a log can be executed again from the middle: the block itself, and the decisions.
 
-A snapshot is ``u32 version, u32 size of the block``, the block, and the plain form of the decisions. It can be read by the
-very code that wrote it only: the block has no description of its own.
+A snapshot is the identity of the layout (8 bytes), the block, and the plain form of the decisions as JSON. Only code
+with the same schema can read it.
 """
 
-import marshal
-import struct
+import json
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from handctl.controller.state import Decisions, State
 from handctl.core.gains.gains import Gains
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import Chirp, Curve, MinimumJerk, Sample
-from handctl.core.plain import FORMAT, plain, register, restored
+from handctl.core.plain import BYTES, plain, register, restored
 from handctl.core.schema import Layout
 from handctl.drives import recheck
 from handctl.drives.cia402 import progress as cia402
@@ -35,14 +34,20 @@ register(
     mit_settings.Walk, odrive_settings.Walk, cia402_settings.Walk,
 )  # fmt: skip
 
-VERSION = 1
-HEAD = struct.Struct("<II")
+HEAD = 8
+"""Bytes of the layout's identity."""
 
 
 def snapshot(state: State) -> bytes:
     """Return a state as bytes."""
-    block = state.block.tobytes()
-    return HEAD.pack(VERSION, len(block)) + block + marshal.dumps(plain(state.decisions), FORMAT)
+    decisions = json.dumps(plain(state.decisions), separators=(",", ":"), default=_marked)
+    return state.layout.identity + state.block.tobytes() + decisions.encode()
+
+
+def _marked(value: object) -> tuple[str, str]:
+    """Return bytes as what JSON can hold."""
+    assert isinstance(value, bytes)
+    return BYTES, value.hex()
 
 
 def restore(layout: Layout, data: bytes) -> State:
@@ -54,15 +59,13 @@ def restore(layout: Layout, data: bytes) -> State:
     Raises:
         ValueError: it is not one of this controller.
     """
-    if len(data) < HEAD.size:
-        raise ValueError("a snapshot that is too short")
-    version, size = HEAD.unpack_from(data)
-    if version != VERSION or size != 8 * layout.size or len(data) < HEAD.size + size:
-        raise ValueError(f"a snapshot of version {version} with {size} bytes, expected {VERSION} with {8 * layout.size}")
-    block = np.frombuffer(data, np.float64, layout.size, HEAD.size).copy()
+    end = HEAD + 8 * layout.size
+    if data[:HEAD] != layout.identity or len(data) < end:
+        raise ValueError(f"a snapshot of {len(data)} bytes of another schema or hand")
+    block = np.frombuffer(data, np.float64, layout.size, HEAD).copy()
     try:
-        decisions = restored(marshal.loads(data[HEAD.size + size :]))
-    except (EOFError, TypeError, ValueError) as error:
+        decisions = restored(json.loads(data[end:]))
+    except (TypeError, ValueError, RecursionError) as error:
         raise ValueError(f"decisions that cannot be read: {error}") from None
     if not isinstance(decisions, Decisions):
         raise ValueError("no decisions in it")

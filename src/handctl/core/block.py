@@ -39,14 +39,14 @@ CELL_ERROR = _real("cell_error", "tendon", "N", "load-cell error, as last seen i
 STRETCH_OFFSET = _real("stretch_offset", "tendon", "m", "stretch offset")
 FORCE = _real("force", "tendon", "N", "motor force commanded, friction taken off: the filter's first input")
 RATE = _real("rate", "tendon", "N/s", "planned rate of the tension: the filter's second input")
-COVARIANCE = _real("covariance", "tendon", "", "covariance of the seven states, row by row; used while carried", rows=49)
+COVARIANCE = _real("covariance", "tendon", "", "covariance of the seven states, row by row, while carried", rows=49)
 SURPRISE = _real("surprise", "tendon", "", "last load-cell innovation by its standard deviation; 0 if there was none")
 NIS_MEAN = _real("nis_mean", "tendon", "", "normalised innovation squared, averaged over 1 s", initial=2.0)
 NIS_LATELY = _real("nis_lately", "tendon", "", "the same by the undoubted model, averaged over 0.25 s", initial=2.0)
 WARY = _real("wary", "tendon", "s", "time for which the filter still doubts its model")
 REGIME = _whole("regime", "tendon", "", "0 free, 1 held, 2 slack", initial=2)
 KIND = _whole("kind", "tendon", "", "regime, plus 3 while the filter doubts its model", initial=2)
-KIND_BEFORE = _whole("kind_before", "tendon", "", "kind with which the measurements of this tick were judged", initial=2)
+KIND_BEFORE = _whole("kind_before", "tendon", "", "kind of the measurements that this tick judged", initial=2)
 STOPPED = _whole("stopped", "tendon", "", "springs hold the digit on its open stop", initial=1)
 TURNING = _whole("turning", "tendon", "", "evidence for leaving or entering slack, see take_up")
 LENGTH_KNOWN = _whole("length_known", "tendon", "", "the tendon's length is known from a take-up")
@@ -131,7 +131,7 @@ Q_GOAL = _real("q_goal", "joint", "rad", "commanded joint angle; NaN for a digit
 DQ_GOAL = _real("dq_goal", "joint", "rad/s", "its rate", initial=NAN)
 
 # Drives: the values of their cyclic frames. Their set-up is in ``State.drives``.
-POSITION = _real("position", "tendon", "rad", "motor position, at the spool; NaN before the first feedback", initial=NAN)
+POSITION = _real("position", "tendon", "rad", "motor position, at the spool; NaN before any feedback", initial=NAN)
 VELOCITY = _real("velocity", "tendon", "rad/s", "motor velocity", initial=NAN)
 REPORTED = _real("reported", "tendon", "N m", "motor torque that the drive reports", initial=NAN)
 TEMPERATURE = _real("temperature", "tendon", "degC", "hottest sensor of the drive", initial=NAN)
@@ -139,7 +139,7 @@ FEEDBACK_NS = _whole("feedback_ns", "tendon", "ns", "reception of the latest fee
 FEEDBACKS = _whole("feedbacks", "tendon", "", "feedback frames so far")
 ANSWERED = _whole("answered", "tendon", "", "feedback frames of this tick")
 STATUS = _whole("status", "tendon", "", "status field of the latest feedback")
-STATUS_EXPECTED = _whole("status_expected", "tendon", "", "status for which the drive's state machine has nothing to do",
+STATUS_EXPECTED = _whole("status_expected", "tendon", "", "status at which the state machine has nothing to do",
                          initial=-1)  # fmt: skip
 DUE_NS = _whole("due_ns", "tendon", "ns", "when the drive's state machine must run next")
 PHASE = _whole("phase", "tendon", "", "drives.contract.Phase")
@@ -153,7 +153,7 @@ TWICE = _whole("twice", "node", "", "answers beyond all questions in this tick: 
 # Numbers for the log alone.
 MOTOR_AGE = _real("motor_age", "tendon", "s", "age of the latest feedback", initial=NAN)
 DRIVE_PHASE = _real("drive_phase", "tendon", "", "drives.contract.Phase")
-MOTOR_VELOCITY = _real("motor_velocity", "tendon", "rad/s", "motor velocity of this tick; NaN if none came", initial=NAN)
+MOTOR_VELOCITY = _real("motor_velocity", "tendon", "rad/s", "motor velocity of this tick; NaN if none", initial=NAN)
 MOTOR_TORQUE = _real("motor_torque", "tendon", "N m", "motor torque of this tick; NaN if none came", initial=NAN)
 
 # Sensor node.

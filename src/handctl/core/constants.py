@@ -1,6 +1,6 @@
 """Everything about one hand that the kernels read and no tick changes, as one block beside the block of the state.
 
-``HandConstants`` fills it from a ``HandModel`` and the drives' and sensors' constants; ``constant_tables`` gives kernels
+``HandConstants`` fills it from a ``HandModel``, from drives and from sensors; ``constant_tables`` gives kernels
 the tables by name. New gains make a new block.
 """
 

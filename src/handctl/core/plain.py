@@ -1,8 +1,8 @@
 """Decisions as plain values, for the hash of the state and for snapshots: nothing but numbers, texts, bytes and tuples.
 
-A named tuple or dataclass becomes a tuple that begins with its type's name. Equal values are written alike, whoever else
-refers to them. ``restored`` makes the objects again, of types that were registered, so that nothing in a log can name
-others.
+A named tuple or dataclass becomes a tuple that begins with its type's name. Equal values are written alike, whoever
+else refers to them. ``restored`` makes the objects again, of types that were registered, so that nothing in a log can
+name others.
 """
 
 import enum
@@ -15,7 +15,7 @@ from pydantic import BaseModel
 
 FORMAT = 2
 """Of ``marshal``: the last one that does not tell values that are shared from values that are equal."""
-ARRAY, MODEL = ":array", ":model"
+ARRAY, MODEL, BYTES = ":array", ":model", ":bytes"
 """Marks of what is no named tuple or dataclass."""
 _TYPES: dict[str, type] = {}
 
@@ -59,19 +59,21 @@ def plain_bytes(value: Any) -> bytes:
 
 
 def restored(value: Any) -> Any:
-    """Return the objects of a plain value.
+    """Return the objects of a plain value, of which JSON may have made lists.
 
     Raises:
         ValueError: it names a type that is not registered, or does not fit it.
     """
-    if not isinstance(value, tuple):
+    if not isinstance(value, tuple | list):
         return value
     if not value or not isinstance(value[0], str) or not value[0].startswith(":"):
         return tuple([restored(item) for item in value])
     mark, *rest = value
     if mark == ARRAY:
         kind, shape, data = rest
-        return np.frombuffer(data, np.dtype(kind)).reshape(shape).copy()
+        return np.frombuffer(restored(data), np.dtype(kind)).reshape(shape).copy()
+    if mark == BYTES:
+        return bytes.fromhex(rest[0])
     if mark == MODEL:
         model: Any = _type(rest[0])
         return model.model_validate_json(rest[1])

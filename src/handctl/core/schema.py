@@ -12,6 +12,7 @@ names end in ``_int``. A layout fixes the lengths of the axes for one hand. Copy
 bytes are its snapshot, and comparing two blocks names the first field that differs.
 """
 
+import hashlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -90,6 +91,7 @@ class Layout:
         axes: length of each axis.
         places: the same for kernels: lengths of the axes, first element of each table, end of the last.
         size: elements of a block.
+        identity: 8 bytes that change with every field and every length.
         initial: block before the first tick; read-only.
     """
 
@@ -98,6 +100,8 @@ class Layout:
         widths = {table: self._width(table) for table in schema.tables}
         ends = np.cumsum([0, *(schema.rows(table) * widths[table] for table in schema.tables)])
         self.size = int(ends[-1])
+        named = repr((self.axes, schema.tables, [field[:4] for field in schema.fields]))
+        self.identity = hashlib.blake2b(named.encode(), digest_size=8).digest()
         self.places: Places = np.concatenate((list(self.axes.values()), ends)).astype(np.int64)
         spans = zip(schema.tables, ends[:-1].tolist(), ends[1:].tolist(), strict=True)
         self._tables = {table: (first, end, widths[table], table.endswith(INT)) for table, first, end in spans}
@@ -122,6 +126,10 @@ class Layout:
         first, end, shape, whole = self._fields[name]
         part = block[first:end]
         return (part.view(np.int64) if whole else part).reshape(shape)
+
+    def axis_of(self, name: str) -> str:
+        """Return the axis of a field; ``a*b`` if it has two."""
+        return next(field.table for field in self.schema.fields if field.name == name).removesuffix(INT)
 
     def start(self, table: str) -> int:
         """Return the first element of a table in a block."""

@@ -1,9 +1,9 @@
 """Cyclic frames between the wire and the block: a tick's frames in, the commands of a tick out.
 
 ``receive`` reads feedback of drives that are enabled and steady, and all frames of the sensor node, from the tables of
-signals. It stops at a frame that a drive's state machine must see (``drives.contract``), and goes on behind it. ``send``
-writes the commands of drives that are steady, and stops at a drive whose state machine must act. The tables of one hand
-are put together by ``Wire``.
+signals. It stops at a frame that a drive's state machine must see (``drives.contract``), and goes on behind it.
+``send`` writes the commands of drives that are steady, and stops at a drive whose state machine must act. The tables
+of one hand are put together by ``Wire``.
 """
 
 import math
@@ -42,8 +42,8 @@ and its frame group."""
 NODE = -1
 """Owner of the sensor node's frames."""
 LOOK, FEEDBACK, VALUES, SENSORS, HOST = range(5)
-"""What is done with a frame: the state machine looks at it; it is feedback that answers a command; it has values besides;
-it is the sensor node's; only this host may send it."""
+"""What is done with a frame: the state machine looks at it; it is feedback that answers a command; it has values
+besides; it is the sensor node's; only this host may send it."""
 ENABLED = 3
 """``drives.contract.Phase.ENABLED``."""
 UNKNOWN = -1

@@ -1,8 +1,8 @@
 """Cyclic frames as tables of signals: where a value is in a frame, how it is coded, what a count is worth.
 
-One packer and one unpacker, compiled, serve all protocols. The same tables write a DBC (``dbc``), with which other tools
-decode the bus. Bit positions are those of a DBC: bit 0 is the lowest bit of the first byte. A little-endian signal
-begins at its lowest bit, a big-endian one at its highest.
+One packer and one unpacker, compiled, serve all protocols. The same tables write a DBC (``dbc``), with which other
+tools decode the bus. Bit positions are those of a DBC: bit 0 is the lowest bit of the first byte. A little-endian
+signal begins at its lowest bit, a big-endian one at its highest.
 """
 
 import enum

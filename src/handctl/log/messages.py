@@ -76,6 +76,9 @@ DEFINITIONS = {
     "handctl_msgs/ClockPair": "# Wall and monotonic clock at the same moment [ns]; a step of the wall shows here.\n"
     + _HEADER
     + "int64 wall_ns\nint64 monotonic_ns\n",
+    "handctl_msgs/Snapshot": "# The controller's state after tick k, for the code that wrote it.\n"
+    + _HEADER
+    + "int64 k\nuint8[] data\n",
     "handctl_msgs/Tick": "# One tick exactly as the controller saw it (k .. late_ns, received, io_events,\n"
     "# requests) and decided it; what re-execution reads. long_data: bytes beyond the eighth of each longer\n"
     "# frame, in order.\n"

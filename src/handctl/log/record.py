@@ -17,8 +17,10 @@ from handctl.log.cdr import ENCAPSULATION, CdrReader, CdrWriter
 from handctl.safety.action import Action
 
 FRAMING = struct.Struct("<II")
-HEADER, TICK, END = 1, 2, 3
+HEADER, TICK, END, SNAPSHOT = 1, 2, 3, 4
 """Kinds of records."""
+SNAPSHOT_HEAD = struct.Struct("<qq")
+"""Number and time [ns] of the tick whose state it is."""
 
 SIZES = struct.Struct("<IHHHH")
 FIXED = struct.Struct("<qqq8sBB2xI")
@@ -119,6 +121,11 @@ def pack(tick_in: TickIn, out: TickOut) -> bytes:
         len(message), len(numbers.q), len(numbers.tension), len(numbers.motor_torque), len(numbers.contact)
     )
     return b"".join((FRAMING.pack(12 + len(message) + len(values), TICK), sizes, message, values))
+
+
+def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
+    """The state after a tick as a record."""
+    return framed(SNAPSHOT, SNAPSHOT_HEAD.pack(tick_in.k, tick_in.t_ns) + data)
 
 
 class Layout(NamedTuple):

@@ -6,6 +6,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from handctl.controller.state import Decisions, State
+from handctl.core.plain import plain_bytes
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Event, TickOut
 from handctl.drives.frame import Frame
 from handctl.log.header import RunHeader
@@ -84,6 +86,25 @@ def differences(columns: Columns, logged: TickRecord, numbers: bytes, computed: 
     for i, (old, new) in enumerate(zip(logged.frames, computed.frames, strict=False)):
         yield from text(f"frames[{i}]", _shown(old), _shown(new))
     yield from text("state_hash", logged.state_hash.hex(), computed.state_hash.hex())
+
+
+def of_states(header: RunHeader, logged: TickRecord, was: State, now: State) -> Difference | None:
+    """Return the first field in which the states after a tick differ, in the order of the schema.
+
+    Args:
+        header: of the log. logged: the tick. was: the state in the log. now: the one computed.
+    """
+    k, t_s, found = logged.tick_in.k, logged.tick_in.t_ns / 1e9, was.layout.difference(was.block, now.block)
+    if found:
+        field, element, old, new = found
+        axis = was.layout.axis_of(field)
+        names = header.axis(axis) if axis in ("joint", "tendon", "digit") else ()
+        name = names[element % len(names)] if names else f"[{element}]"
+        return Difference(k, t_s, f"state {field}", name, old, new, ulps(old, new))
+    for field, old_part, new_part in zip(Decisions._fields, was.decisions, now.decisions, strict=True):
+        if plain_bytes(old_part) != plain_bytes(new_part):
+            return Difference(k, t_s, f"state {field}", "", str(old_part), str(new_part))
+    return None
 
 
 def same(logged: TickRecord, numbers: bytes, computed: TickOut) -> bool:

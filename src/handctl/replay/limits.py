@@ -13,7 +13,8 @@ from handctl.core.types import Event
 from handctl.document import Document, load_document
 from handctl.errors import ConfigError
 from handctl.log.read.reader import RunLog
-from handctl.replay.execute import TOLD, refusal, undisturbed
+from handctl.replay.course import TOLD, refusal
+from handctl.replay.execute import undisturbed
 from handctl.replay.rebuild import rebuild
 from handctl.safety.action import Action
 from handctl.safety.faults.table import BY_ID

@@ -97,6 +97,10 @@ class Signals:
             yield
 
 
+def _keep_nothing(entry: TickIn, state: object) -> None:
+    """Keep no state."""
+
+
 @dataclass
 class Loop(Generic[S]):
     """One run of the controller.
@@ -110,6 +114,7 @@ class Loop(Generic[S]):
         requests: what people and programs asked since the last call.
         host_events: what recorder and host reported since the last call.
         record: hands one tick to the recorder.
+        keep: hands the state after a tick to the recorder now and then.
         show: called after each tick; draws now and then.
         let_go: tells the drives once more to disable, from the last state, the time [ns] and the frames since; what it
             returns: the state after that, frames to send, and the drives that have not said yet that they are off.
@@ -125,6 +130,7 @@ class Loop(Generic[S]):
     host_events: Callable[[], list[IoEvent]]
     record: Callable[[TickIn, TickOut], None]
     show: Callable[[TickIn, TickOut], None]
+    keep: Callable[[TickIn, S], None] = _keep_nothing
     let_go: Callable[[S, int, list[Frame]], tuple[S, tuple[Frame, ...], tuple[str, ...]]] | None = None
     urgent: Callable[[], AbstractContextManager[object]] = nullcontext
     stats: LoopStats = field(default_factory=LoopStats)
@@ -218,6 +224,7 @@ class Loop(Generic[S]):
             last[0], out = self.tick(last[0], entry)
             self._send(out.frames)
             self.record(entry, out)
+            self.keep(entry, last[0])
             self._count(entry, skipped, late)
             self.show(entry, out)
             mode = out.mode

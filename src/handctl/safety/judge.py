@@ -1,7 +1,7 @@
 """Latches, reports of buses and host, and the largest action wins: the last word before encoding.
 
-What detectors find is debounced by compiled code (``core.detectors.judge``). Here the faults that begin to count get their
-names, what latches stays until an operator clears it, and reports are counted.
+What detectors find is debounced by compiled code (``core.detectors.judge``). Here the faults that begin to count get
+their names, what latches stays until an operator clears it, and reports are counted.
 """
 
 from collections.abc import Iterable, Sequence

@@ -11,12 +11,14 @@ from typing import Protocol
 from handctl.compiled import prepare
 from handctl.controller import setup
 from handctl.controller.let_go import let_go
+from handctl.controller.snapshot import snapshot
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.core.types import IoEvent, TickIn, TickOut
 from handctl.errors import DriveError, PowerError
 from handctl.log.header import TRUTH_OFFSET
-from handctl.log.record import pack
+from handctl.log.record import pack, pack_snapshot
+from handctl.log.topics.snapshots import PERIOD_NS
 from handctl.log.write.recorder import Recorder
 from handctl.programs.calibration import Calibration
 from handctl.programs.program import Program
@@ -183,6 +185,19 @@ def _start_view(log: Path) -> Callable[[], None]:
     return child.terminate
 
 
+def keeper(recorder: Recorder) -> Callable[[TickIn, State], None]:
+    """Return what hands the state to a recorder every second, behind the ticks that it belongs to."""
+    due_ns = PERIOD_NS
+
+    def keep(entry: TickIn, state: State) -> None:
+        nonlocal due_ns
+        if entry.t_ns >= due_ns:
+            due_ns = entry.t_ns + PERIOD_NS
+            recorder.record(pack_snapshot(entry, snapshot(state)))
+
+    return keep
+
+
 def _loop(
     plan: Plan,
     controller: Controller,
@@ -206,6 +221,7 @@ def _loop(
         host_events=lambda: [*recorder.events(), *slept()],
         record=record,
         show=show,
+        keep=keeper(recorder),
         let_go=partial(let_go, controller),
         urgent=urgent if isinstance(clock, RealClock) else nullcontext,
     )

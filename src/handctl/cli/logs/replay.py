@@ -39,6 +39,7 @@ def _execute(parser: argparse.ArgumentParser) -> None:
     json_option(parser)
     parser.add_argument("--gains", type=Path, metavar="FILE", help="what would these gains have commanded here?")
     parser.add_argument("--picture", type=Path, metavar="FILE", help="of --gains (default: LOG.gains.png)")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
     parser.add_argument(
         "--within",
         type=float,

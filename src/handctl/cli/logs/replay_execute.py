@@ -8,6 +8,7 @@ from typing import Any
 
 from handctl.cli.console.options import print_json, say, tell_lossy
 from handctl.cli.console.progress import progress
+from handctl.cli.tuning.tune_files import checked_count
 from handctl.errors import ConfigError, LogError
 from handctl.output import check_output, named_after
 from handctl.session.exit_codes import Exit
@@ -36,9 +37,11 @@ def _same(args: argparse.Namespace, log: Any) -> bool:
 
     from handctl.log.code import code_identity
     from handctl.replay.execute import acceptable, execute
+    from handctl.runtime.clock import cores
 
+    workers = len(cores()) if args.workers is None else checked_count(args.workers, "--workers", 64)
     with progress("executing", len(log), args.json) as told:
-        found = execute(log, told=told)
+        found = execute(log, told=told, workers=workers)
     good = not found.differing if args.within is None else acceptable(found, args.within)
     here, logged_by = (version("handctl"), code_identity()), _writer(log)
     result = {
@@ -49,6 +52,7 @@ def _same(args: argparse.Namespace, log: Any) -> bool:
         "missing": [[gap.before + 1, gap.after - 1] for gap in log.gaps],
         "warning": log.warning,
         "first": found.first._asdict() if found.first else None,
+        "state": found.state._asdict() if found.state else None,
         "largest": found.largest._asdict() if found.largest else None,
         "same": good,
         "version": here[0],
@@ -63,7 +67,7 @@ def _same(args: argparse.Namespace, log: Any) -> bool:
         print_json(result)
     else:
         say(f"{found.ticks} ticks, {found.differing} differ, {found.undecided} decide something else")
-        for word, one in (("first", found.first), ("largest", found.largest)):
+        for word, one in (("first", found.first), ("state", found.state), ("largest", found.largest)):
             if one:
                 say(f"{word}: {_sentence(one)}")
         say(f"{found.wall_s:.2f} s, {found.times_real_time:.1f} times real time")

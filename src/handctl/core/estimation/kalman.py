@@ -1,7 +1,7 @@
 """The tension filter: load cell and encoder (and joint encoders) to tension, excursion and contact force.
 
-All tendons are one linear filter. ``correct`` takes the measurements in, ``filterpy`` predicts all states to the present
-(in ``controller.estimate``), and ``conclude`` reads the estimate off. A missing measurement has no innovation, and
+All tendons are one linear filter. ``correct`` takes the measurements in, ``filterpy`` predicts all states to the
+present (in ``controller.tick``), and ``conclude`` reads the estimate off. A missing measurement has no innovation, and
 neither has a saturated one: from then on the covariance is carried along until it is steady again. A single sample that
 is too far off to be true is left out. The measurements of a tick were taken one period earlier, just before the
 previous command acted.

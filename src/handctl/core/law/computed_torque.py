@@ -101,7 +101,7 @@ def tension_limit(x: Tables, c: ConstantTables) -> Vector:
 
 @inner
 def _derated(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the largest tension of a tendon by the temperature of its drive; a drive that tells none counts as cool."""
+    """Return the largest tension of a tendon by its drive's temperature; a drive that tells none counts as cool."""
     soft, hard = c.run[h.TEMPERATURE_SOFT], c.run[h.TEMPERATURE_HARD]
     temperature = x.tendon[s.TEMPERATURE, n]
     if math.isnan(temperature):

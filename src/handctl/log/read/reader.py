@@ -24,6 +24,8 @@ from handctl.log.topics.chain import SIZE
 from handctl.log.topics.chain import TOPIC as CHAIN_TOPIC
 from handctl.log.topics.clock_pairs import TOPIC as CLOCK_TOPIC
 from handctl.log.topics.clock_pairs import ClockPair, pair_of
+from handctl.log.topics.snapshots import TOPIC as SNAPSHOT_TOPIC
+from handctl.log.topics.snapshots import Snapshot, snapshot_of
 from handctl.log.write.writer import SCHEMA
 from handctl.printing import printable
 
@@ -101,8 +103,8 @@ class RunLog:
             topics = {topic: number for number, _, topic, _, _ in found.channels}
             return topics[TICK_TOPIC], topics[VALUES_TOPIC], topics
 
-    def _rows(self, channel: int) -> Iterator[tuple[ChunkPlace, Rows]]:
-        for place in self._chunks:
+    def _rows(self, channel: int, chunks: slice = slice(None)) -> Iterator[tuple[ChunkPlace, Rows]]:
+        for place in self._chunks[chunks]:
             content = self._file.content(place)
             with Reading(self._file.at(place.offset)):
                 found = list(rows(content, place.end - place.data, frozenset((channel,))))
@@ -143,6 +145,11 @@ class RunLog:
     def late_ns(self) -> NDArray[np.int64]:
         """(ticks,) how late each tick began [ns]."""
         return self._fixed["late_ns"]
+
+    @property
+    def state_hash(self) -> NDArray[np.void]:
+        """(ticks,) hash of the state after each tick, 8 bytes."""
+        return self._fixed["state_hash"]
 
     @property
     def mode(self) -> NDArray[np.uint8]:
@@ -207,19 +214,23 @@ class RunLog:
             raise LogError("telemetry and ticks do not belong together", self._file.name, "an intact file")
         return np.concatenate(parts)
 
-    def _values_parts(self) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
+    def _values_parts(self, chunks: slice = slice(None)) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
         """Telemetry as (rows, bytes) with the sequence numbers of the rows, part by part."""
         size = VALUES_START + 8 * self._width + 4
-        for chunk, one in self._rows(self._values):
+        for chunk, one in self._rows(self._values, chunks):
             data = one.data()
             with Reading(self._file.at(chunk.offset)):
                 if data.shape[1] != size:
                     raise ValueError("telemetry of another shape than the header says")
             yield data[:, VALUES_START:VALUES_END], one.sequence()
 
-    def packed(self) -> Iterator[bytes]:
-        """Telemetry of each tick as ``Telemetry.packed`` gives it, without holding more than a part of the file."""
-        for data, _ in self._values_parts():
+    def packed(self, chunks: slice = slice(None)) -> Iterator[bytes]:
+        """Telemetry of each tick as ``Telemetry.packed`` gives it, without holding more than a part of the file.
+
+        Args:
+            chunks: of the file, all by default.
+        """
+        for data, _ in self._values_parts(chunks):
             yield from (row.tobytes() for row in data)
 
     def messages(self) -> Iterator[bytes]:
@@ -242,6 +253,14 @@ class RunLog:
                     found += [pair_of(row.tobytes(), self.header.offset_ns) for row in one.data()]
         return found
 
+    def snapshots(self) -> Iterator[Snapshot]:
+        """States of the controller, one a second; none in a log of a version that did not keep them."""
+        if SNAPSHOT_TOPIC in self._others:
+            for place, one in self._rows(self._others[SNAPSHOT_TOPIC]):
+                with Reading(self._file.at(place.offset)):
+                    found = [snapshot_of(row.tobytes()) for row in one.data()]
+                yield from found
+
     def names(self, field: str) -> tuple[str, ...]:
         """Names of the columns of a field."""
         return self.header.axis(TELEMETRY_AXES[field])
@@ -250,9 +269,16 @@ class RunLog:
         for place, one in self._rows(self._tick):
             yield from ((place, message) for message in one.messages())
 
-    def ticks(self) -> Iterator[TickRecord]:
-        """All ticks in order, for re-execution."""
-        for place, one in self._rows(self._tick):
+    @functools.cached_property
+    def first_of_chunk(self) -> NDArray[np.intp]:
+        """(chunks + 1,) index of the first tick of each chunk; the last is the number of ticks."""
+        counts = [sum(len(one.records) for _, one in self._rows(self._tick, slice(i, i + 1)))
+                  for i in range(len(self._chunks))]  # fmt: skip
+        return np.cumsum([0, *counts])
+
+    def ticks(self, chunks: slice = slice(None)) -> Iterator[TickRecord]:
+        """All ticks in order, or those of some chunks, for re-execution."""
+        for place, one in self._rows(self._tick, chunks):
             with Reading(self._file.at(place.offset)):
                 ticks = [unpack_tick(message) for message in one.messages()]
             yield from ticks

@@ -12,8 +12,9 @@ from handctl.log.topics.chain import ChainTopic
 from handctl.log.topics.clock_pairs import ClockTopic
 from handctl.log.topics.events import EventTopics
 from handctl.log.topics.health import HealthTopics
+from handctl.log.topics.snapshots import Snapshot, SnapshotTopic
 from handctl.log.topics.state import StateTopics, names_message
-from handctl.log.topics.streams import Registry, Stamps, loose
+from handctl.log.topics.streams import Registry, Stamps, loose, stamps_at
 from handctl.log.topics.transforms import TfTopics
 
 TICK_TOPIC, VALUES_TOPIC = "/tick", "/controller/values"
@@ -34,6 +35,7 @@ class Topics:
             HealthTopics(header, self._registry),
         )  # fmt: skip
         self._chain, self._clocks = ChainTopic(header, self._registry), ClockTopic(self._registry)
+        self._snapshots = SnapshotTopic(self._registry)
 
     @property
     def schemas(self) -> list[Schema]:
@@ -64,10 +66,15 @@ class Topics:
 
     def clock_pair(self, t_ns: int, k: int, wall_ns: int, monotonic_ns: int) -> Run:
         """The two clocks at the time of a tick."""
-        stamps = Stamps(
-            np.array([max(t_ns + self._header.offset_ns, 0)], np.uint64), np.array([k & 0xFFFF_FFFF], np.uint32)
-        )
-        return self._clocks.run(stamps, wall_ns, monotonic_ns)
+        return self._clocks.run(stamps_at(self._log_ns(t_ns), k), wall_ns, monotonic_ns)
+
+    def snapshot(self, t_ns: int, snapshot: Snapshot) -> Run:
+        """The state after a tick, whose time is ``t_ns``."""
+        return self._snapshots.run(self._log_ns(t_ns), snapshot)
+
+    def _log_ns(self, t_ns: int) -> int:
+        """Return a time since the start of the run as one of the log [ns]."""
+        return max(t_ns + self._header.offset_ns, 0)
 
     def runs(self, batch: Batch) -> list[Run]:
         """Messages of a batch."""

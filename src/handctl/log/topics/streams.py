@@ -59,6 +59,11 @@ class Stamps:
         return Stamps(self.log[index], self.sequence[index])
 
 
+def stamps_at(log_ns: int, k: int) -> Stamps:
+    """Return the times of a single message: in the log [ns], and the tick it belongs to."""
+    return Stamps(np.array([log_ns], np.uint64), np.array([k & 0xFFFF_FFFF], np.uint32))
+
+
 def ros_time(t_ns: Times) -> NDArray[np.uint32]:
     """(n,) [ns] as (n, 2) seconds and nanoseconds."""
     return np.stack([t_ns // np.uint64(10**9), t_ns % np.uint64(10**9)], axis=1).astype("<u4")

@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from handctl.log.header import RunHeader
-from handctl.log.record import END, FRAMING, HEADER, TICK
+from handctl.log.record import END, FRAMING, HEADER, SNAPSHOT, TICK
 from handctl.log.write.syncer import Syncer
 from handctl.log.write.writer import LogWriter
 
@@ -97,6 +97,8 @@ class Session:
     def _take(self, kind: int, body: bytes) -> None:
         if kind == TICK and self._writer:
             self._writer.add(body)
+        elif kind == SNAPSHOT and self._writer:
+            self._writer.add_snapshot(body)
         elif kind == HEADER:
             header = RunHeader.load(body)
             self._wall_flush = not header.deterministic

@@ -12,8 +12,10 @@ from pathlib import Path
 from handctl.log.batch import Batcher
 from handctl.log.container import Container, Run
 from handctl.log.header import RunHeader
+from handctl.log.record import SNAPSHOT_HEAD
 from handctl.log.topics.all import Topics
 from handctl.log.topics.clock_pairs import PERIOD_NS
+from handctl.log.topics.snapshots import Snapshot
 from handctl.log.write.syncer import sync_now
 
 CHUNK_SPAN_NS = 250_000_000
@@ -90,6 +92,7 @@ class LogWriter:
         self._ballast = _Ballast(path.parent)
         self._warned = self.dead = False
         self._mark, self._first_k, self._last_k = -1, 0, -1
+        self._snapshots: list[Run] = []
         self.ticks = self.lost = self._missed = 0
         self._container = Container(self._fd)
         self._write_head()
@@ -126,6 +129,12 @@ class LogWriter:
         if self._spans(t_ns, begins) or self._batcher.size > CHUNK_BYTES:
             self.flush()
 
+    def add_snapshot(self, body: bytes) -> None:
+        """Take in the body of a snapshot's record; it is written with the next chunk."""
+        if not self.dead:
+            k, t_ns = SNAPSHOT_HEAD.unpack_from(body)
+            self._snapshots.append(self._topics.snapshot(t_ns, Snapshot(k, body[SNAPSHOT_HEAD.size :])))
+
     def _spans(self, t_ns: int, begins: bool) -> bool:
         """Whether the chunk ends with this tick: on a grid where no clock is looked at, else by its own length."""
         if self._header.deterministic:
@@ -143,8 +152,9 @@ class LogWriter:
         first = self._last_k + 1 if self._last_k >= 0 else int(batch.k[0])
         self._missed += max(int(batch.k[-1]) - first + 1 - len(batch.k), 0)
         self._last_k = int(batch.k[-1])
+        snapshots, self._snapshots = self._snapshots, []
         try:
-            self._container.chunk(self._topics.runs(batch) + self._clock_pair(int(batch.t_ns[-1])))
+            self._container.chunk(self._topics.runs(batch) + snapshots + self._clock_pair(int(batch.t_ns[-1])))
         except OSError as error:
             self.lost += len(batch.k)
             self.ticks -= len(batch.k)

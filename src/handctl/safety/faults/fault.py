@@ -1,7 +1,7 @@
 """What a fault is, and where faults are declared.
 
-A row of the catalogue is something that can go wrong. A fault is a row that a tick can judge, or a stage of one. Both are
-declared once, in the file of their kind: ``bus``, ``node``, ``tendon``, ``host``. Tables in README and docs, the
+A row of the catalogue is something that can go wrong. A fault is a row that a tick can judge, or a stage of one. Both
+are declared once, in the file of their kind: ``bus``, ``node``, ``tendon``, ``host``. Tables in README and docs, the
 campaign's deadlines, the text of an event and the reaction follow from the declaration.
 
 A fault with ``per`` is found by a compiled detector in ``core.detectors``. Its declaration returns the index by which

@@ -7,7 +7,7 @@ TAUT_N, SLACK_N = 2.5, 2.0
 """Filtered tension above which a tendon is taut, and below which it is slack."""
 SNAP_FRACTION, SNAP_N, SNAP_SPEED, SNAP_MEMORY_S = 0.2, 8.0, 0.03, 0.1
 """A tendon has snapped if it bears less than this fraction of at least so much, its spool winds at least so fast [m/s],
-and it was taut not longer ago than this [s]: one that is taken up was not taut, one that lost its load is still taut."""
+and it was taut not longer ago than this [s]: one that is taken up was not taut; one that lost its load still is."""
 SLACK_WARN_S, SLACK_TRIP_S = 0.05, 0.5
 RELAXED_S = 0.1
 """After so long of relaxing no tendon of a motor that obeys is above its trip [s]."""

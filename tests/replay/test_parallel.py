@@ -1,0 +1,161 @@
+"""Snapshots of the state in a log, and re-execution that starts at them: what it finds is what a serial run finds."""
+
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.controller.snapshot import restore, snapshot
+from handctl.controller.state import State
+from handctl.controller.tick import Controller
+from handctl.core.types import TickIn, TickOut
+from handctl.errors import LogError
+from handctl.log.read.reader import RunLog
+from handctl.log.topics.snapshots import Snapshot
+from handctl.replay import course as courses
+from handctl.replay import parallel
+from handctl.replay.difference import of_states
+from handctl.replay.execute import Execution, execute
+from handctl.replay.rebuild import rebuild
+
+Change = Callable[[State, TickIn], None]
+Both = Callable[..., tuple[Execution, Execution]]
+
+
+@pytest.fixture
+def both(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> Both:
+    """Execute the log with one process and with three, while something is wrong with the controller."""
+
+    def run(change: Change | None = None) -> tuple[Execution, Execution]:
+        right = Controller.tick
+
+        def tick(controller: Controller, before: State, entry: TickIn) -> tuple[State, TickOut]:
+            if change:
+                change(before, entry)
+            return right(controller, before, entry)
+
+        monkeypatch.setattr(Controller, "tick", tick)
+        monkeypatch.setattr(parallel, "LEAST", 50)
+        with RunLog(fresh) as log:
+            return execute(log), execute(log, workers=3)
+
+    return run
+
+
+def findings(execution: Execution) -> dict[str, Any]:
+    """Everything but what it took."""
+    return {name: value for name, value in asdict(execution).items() if name not in ("wall_s", "cpu_s")}
+
+
+def spoil(field: str, at: int) -> Change:
+    """Change a field of the second tendon before a tick."""
+
+    def change(before: State, entry: TickIn) -> None:
+        if entry.k == at:
+            before.view(field)[1] += 1e-9
+
+    return change
+
+
+def test_a_state_comes_out_of_its_snapshot_as_it_went_in(fresh: Path) -> None:
+    """In every tick of a run with faults and requests: the bytes, the hash, and the next tick."""
+    with RunLog(fresh) as log:
+        controller = rebuild(log)
+        state = controller.initial()
+        for logged in log.ticks():
+            again = restore(controller.layout, snapshot(state))
+            assert (again.digest(), snapshot(again)) == (state.digest(), snapshot(state))
+            other, same = controller.tick(again, logged.tick_in)
+            state, out = controller.tick(state, logged.tick_in)
+            assert (same.state_hash, other.digest()) == (out.state_hash, logged.state_hash)
+
+
+def test_a_log_has_a_snapshot_every_second(fresh: Path) -> None:
+    with RunLog(fresh) as log:
+        times = dict(zip(log.k.tolist(), log.times.tolist(), strict=True))
+        found = [times[one.k] for one in log.snapshots()]
+        assert found == pytest.approx(np.arange(1, int(log.times[-1]) + 1))
+
+
+def test_three_processes_find_nothing_where_one_finds_nothing(both: Both) -> None:
+    one, three = both()
+    assert findings(three) == findings(one)
+    assert (one.differing, three.differing) == (0, 0)
+
+
+@pytest.mark.parametrize("at", [150, 199, 200, 201, 330])
+def test_three_processes_find_the_first_difference_wherever_it_is(both: Both, at: int) -> None:
+    """A change in the part of any of the processes, and at the edge between two of them."""
+    one, three = both(spoil("travel", at))
+    assert one.first is not None
+    assert findings(three) == findings(one)
+
+
+def test_the_first_field_of_the_state_that_differs_is_named(both: Both) -> None:
+    def change(before: State, entry: TickIn) -> None:
+        if entry.k >= 150:
+            before.view("nis_mean")[1] += 1e-6
+
+    one, _ = both(change)
+    assert one.state is not None
+    assert (one.state.field, one.state.k) == ("state nis_mean", 200)
+
+
+def test_a_decision_that_differs_is_named(fresh: Path) -> None:
+    with RunLog(fresh) as log:
+        state, logged = rebuild(log).initial(), next(log.ticks())
+        other = state.copy()
+        other.decide(unconfirmed=("index_motor",))
+        assert of_states(log.header, logged, state, state) is None
+        found = of_states(log.header, logged, state, other)
+    assert found is not None
+    assert (found.field, found.logged, found.computed) == ("state unconfirmed", "()", "('index_motor',)")
+
+
+def test_what_the_controller_refuses_is_told_by_all(both: Both) -> None:
+    def change(before: State, entry: TickIn) -> None:
+        if entry.k == 330:
+            raise ValueError("no such angle")
+
+    with pytest.raises(LogError, match="no such angle"):
+        both(change)
+
+
+def test_a_snapshot_that_is_not_the_logs_state_is_not_started_from(
+    fresh: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(parallel, "LEAST", 50)
+    with RunLog(fresh) as log:
+        course = courses.Course.of(log)
+        assert len(parallel.split(course, 3)) == 3
+        bent = {k: data[:100] + bytes([data[100] ^ 1]) + data[101:] for k, data in course.snapshots.items()}
+        assert len(parallel.split(replace(course, snapshots=bent), 3)) == 1
+        strange = dict.fromkeys(course.snapshots, b"x" * 40)
+        assert len(parallel.split(replace(course, snapshots=strange), 3)) == 1
+        monkeypatch.setattr(RunLog, "snapshots", lambda log: iter([Snapshot(k, data) for k, data in bent.items()]))
+        assert execute(log, workers=3).differing == 0
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[]",
+        "null",
+        "{",
+        "[" * 100_000,
+        '[":core.types.Mode",77]',
+        '[":os.system","true"]',
+        '[":controller.state.Decisions"]',
+        '[":array","O",[1],[":bytes","0000000000000000"]]',
+    ],
+)
+def test_a_snapshot_makes_no_other_objects_than_decisions(fresh: Path, text: str) -> None:
+    with RunLog(fresh) as log:
+        controller = rebuild(log)
+        state = controller.initial()
+        head = snapshot(state)[: 8 + state.block.nbytes]
+        with pytest.raises(ValueError, match=r"."):
+            restore(controller.layout, head + text.encode())
