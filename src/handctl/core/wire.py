@@ -1,8 +1,8 @@
 """Cyclic frames between the wire and the block: a tick's frames in, the commands of a tick out.
 
 ``receive`` reads feedback of drives that are enabled and steady, and all frames of the sensor node, from the tables of
-signals. It stops at a frame that a drive's state machine must see (``drives.contract``), and goes on behind it. ``send``
-writes the commands of drives that are steady, and stops at a drive whose state machine must act. The tables of one hand
+signals. It stops at a frame that a drive's state machine must see (``drives.contract``), and goes on behind it.
+``send`` writes the commands of drives that are steady, and stops at a drive whose state machine must act. The tables of one hand
 are put together by ``Wire``.
 """
 
@@ -42,8 +42,8 @@ and its frame group."""
 NODE = -1
 """Owner of the sensor node's frames."""
 LOOK, FEEDBACK, VALUES, SENSORS, HOST = range(5)
-"""What is done with a frame: the state machine looks at it; it is feedback that answers a command; it has values besides;
-it is the sensor node's; only this host may send it."""
+"""What is done with a frame: the state machine looks at it; it is feedback that answers a command; it has values
+besides; it is the sensor node's; only this host may send it."""
 ENABLED = 3
 """``drives.contract.Phase.ENABLED``."""
 UNKNOWN = -1
@@ -99,10 +99,12 @@ def receive(
     for r in range(first, len(rows)):
         head = np.int64(rows[r, HEAD])
         can_id, bus, length = head & ID_MASK & ~ERROR, head >> BUS_BIT & BYTE_MASK, head >> LENGTH_BIT & BYTE_MASK
-        entry = find(keys, bus << 32 | can_id)
-        if entry == UNKNOWN:
+        entry, flagged = find(keys, bus << 32 | can_id), head & ERROR != 0
+        if entry == UNKNOWN or (flagged and entries[entry, KIND] == HOST):
             _strange(x, keys, entries, bus, can_id)
             continue
+        if flagged:
+            continue  # an error frame has no values, whatever its identifier looks like
         kind, t_ns, payload = entries[entry, KIND], np.int64(rows[r, T_NS]), rows[r, PAYLOAD]
         fits = length == entries[entry, LENGTH]
         if kind == SENSORS:

@@ -142,7 +142,8 @@ def unpacked(value: Any, wholes: Whole, reals: Real, i: int) -> float:
     count = np.int64(bits)
     if coding == SIGNED and count >> (length - 1):
         count -= np.int64(1) << length
-    return count * reals[i, SCALE] + reals[i, OFFSET]
+    found: float = count * reals[i, SCALE] + reals[i, OFFSET]
+    return found
 
 
 @inner

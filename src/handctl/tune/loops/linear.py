@@ -299,7 +299,14 @@ def _point(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
     goals = tuple(_hold(tendons) for tendons in model.digit_tendons)
     if moving:
         goals = tuple(
-            _move(digit, own, rate, *reached[[s.EXCURSION, s.SPEED]][:, digit.tendons], tendon - digit.tendons.start)
+            _move(
+                digit,
+                own,
+                rate,
+                reached[s.EXCURSION, digit.tendons],
+                reached[s.SPEED, digit.tendons],
+                tendon - digit.tendons.start,
+            )
             for digit, own, rate in zip(model.digits, coordinates, rates, strict=True)
         )
     write_goals(model, layout, block, goals)
