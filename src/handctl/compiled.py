@@ -27,7 +27,7 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 SOURCES = ("compiled.py", "core", "drives", "hand", "safety")
 """Files and folders of this package whose functions and constants kernels are made of."""
-KEPT_FOLDERS = 4
+KEPT_FOLDERS = 16
 """Versions whose code is kept; older ones are removed."""
 
 _KERNELS: dict[str, tuple[Any, tuple[Any, ...]]] = {}

@@ -3,8 +3,9 @@
     command   position 16 | velocity 12 | kp 12 | kd 12 | torque 12
     feedback  state 4, node 4 | position 16 | velocity 12 | torque 12 | temperatures 8, 8
 
-Both have 8 bytes, big-endian, the first field in the highest bits. Registers are little-endian. Register replies come on the identifier of the feedback and are told apart here by their first four
-bytes: as feedback these would mean a position within 0.3 % of -PMAX, where no hand works.
+Both have 8 bytes, big-endian, the first field in the highest bits. Registers are little-endian. Register replies come
+on the identifier of the feedback and are told apart here by their first four bytes: as feedback these would mean a
+position within 0.3 % of -PMAX, where no hand works.
 Source: Damiao DM-J4310-2EC manual; public clients for what the manual leaves open.
 """
 
@@ -77,7 +78,7 @@ def command_message(can_id: int, ranges: Ranges, sign: int = 1, flags: int = 0) 
         _spanning("position", unused, 7, 16, ranges.position, "rad"),
         _spanning("velocity", unused, 23, 12, ranges.velocity, "rad/s"),
         Signal("kp", unused, 27, 12, True, scale=500.0 / TOP, unit="N m/rad"),
-        Signal("kd", unused, 39, 12, True, scale=5.0 / TOP, unit="N m s/rad"),
+        Signal("kd", unused, 47, 12, True, scale=5.0 / TOP, unit="N m s/rad"),
         _spanning("torque", Quantity.TORQUE, 51, 12, ranges.torque, "N m", sign),
     )
     return Message("command", can_id, 8, signals, flags, _NO_MOTION.to_bytes(8, "big"), False, ranges.torque)
@@ -101,7 +102,9 @@ def feedback_message(can_id: int, ranges: Ranges, sign: int = 1, zero: float = 0
     ))  # fmt: skip
 
 
-def _spanning(name: str, quantity: Quantity, start: int, length: int, largest: float, unit: str, sign: int = 1) -> Signal:
+def _spanning(
+    name: str, quantity: Quantity, start: int, length: int, largest: float, unit: str, sign: int = 1
+) -> Signal:
     """Return a signal whose codes span -largest to largest."""
     scale = sign * 2 * largest / ((1 << length) - 1)
     return Signal(name, quantity, start, length, True, Coding.UNSIGNED, scale, -sign * largest, unit)
