@@ -70,7 +70,7 @@ class Drives(Ours):
 
         from handctl.core import block as s
         from handctl.core import wire
-        from handctl.core.block import STATE
+        from handctl.core.block import AXES, STATE
         from handctl.drives.contract import NEVER_NS, Phase
         from handctl.drives.mit.drive import MitDrive
         from handctl.drives.records import WORDS, Frames, frames_of
@@ -79,8 +79,8 @@ class Drives(Ours):
         make = partial(MitDrive, bus=0, ranges=self.ranges, direction=1, zero=0.0, timeout=1000)
         drives = [make(name=str(i), node_id=i, reply_id=i + 0x10) for i in self.ids]
         self.wire, self.tables = wire, wire.Wire(drives, SensorNode(0, 0x080, (), (), (), 0, (-1,) * motors, 1))
-        one = dict.fromkeys(("joint", "digit", "coordinate", "group"), 1)
-        layout = STATE.layout({"tendon": motors, **one, "node": motors + 1, "instance": motors + 1, "run": 1})
+        lengths = dict.fromkeys(AXES, 1) | {"tendon": motors, "node": motors + 1, "instance": motors + 1}
+        layout = STATE.layout(lengths)
         self.block, self.places = layout.initial.copy(), layout.places
         whole = layout.table(self.block, "tendon_int")
         whole[s.PHASE], whole[s.DUE_NS] = Phase.ENABLED, NEVER_NS

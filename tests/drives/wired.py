@@ -1,6 +1,7 @@
 """Drives and sensor node on a block, received and sent by the compiled wire as a tick does it."""
 
 from collections.abc import Iterable, Sequence
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,7 @@ class Wired:
         self.layout = STATE.layout({**axes, "group": max(1, len(sensors.ids)), "instance": n + joints, "run": 1})
         self.tables = wire.Wire(drives, sensors)
         self.block = self.layout.initial.copy()
+        self.owners = {(drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids}
         self.states: list[DriveState] = [drive.initial() for drive in drives]
         self.seen: list[Frame] = []
         self.foreign: list[Frame] = []
@@ -62,7 +64,6 @@ class Wired:
         """Take frames in."""
         frames, known, at = frames_of(frames), self.tables, 0
         self.seen, self.foreign = [], []
-        owners = {(drive.bus, can_id): i for i, drive in enumerate(self.drives) for can_id in drive.node_ids}
         while True:
             at = wire.receive(
                 self.block, self.layout.places, frames.rows, known.keys, known.entries, known.wholes, known.reals, at
@@ -70,7 +71,7 @@ class Wired:
             if at >= len(frames):
                 return self
             frame = frames[at]
-            i = owners.get((frame.bus, frame.can_id & ~ERROR))
+            i = self.owners.get((frame.bus, frame.can_id & ~ERROR))
             if i is None:
                 self.foreign.append(frame)
             else:
@@ -143,13 +144,16 @@ class Wired:
 
     def observe(self) -> "Wired":
         """Turn what came into measurements, and start the filter if every sensor was read."""
-        axes = self.layout.axes
-        layout = HAND.layout(
-            {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}
-            | {"kind": KINDS, "element": ELEMENTS, "place": 1, "run": 1}
-        )
-        constants = layout.initial.copy()
-        table = layout.table(constants, "tendon_int")
-        table[h.CELL_GROUP] = [self.sensors.group_of_tendon(i) for i in range(axes["tendon"])]
-        stages.observe(self.block, self.layout.places, constants, layout.places)
+        stages.observe(self.block, self.layout.places, *self._constants)
         return self
+
+    @cached_property
+    def _constants(self) -> tuple[NDArray, NDArray]:
+        """Constants of which only the load cells' frames are told."""
+        axes = self.layout.axes
+        kept = {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}
+        layout = HAND.layout({**kept, "kind": KINDS, "element": ELEMENTS, "place": 1, "run": 1})
+        block = layout.initial.copy()
+        table = layout.table(block, "tendon_int")
+        table[h.CELL_GROUP] = [self.sensors.group_of_tendon(i) for i in range(axes["tendon"])]
+        return block, layout.places
