@@ -10,12 +10,12 @@ PARTS = {
     "plant around its steps": ("firmware_sim/plant/plant", "firmware_sim/plant/tendon", "firmware_sim/plant/motor",
         "firmware_sim/plant/engine", "firmware_sim/scene/table", "firmware_sim/plant/drivetrain"),
     "simulated drives and sensors, their codec": ("firmware_sim/",),
-    "host's codec and drive states": ("handctl/drives/",),
-    "estimation": ("core/estimation/", "filterpy/"),
-    "law: goals, inverse dynamics, allocation": ("core/law/", "core/all_digits", "handctl/hand/"),
+    "host's codec and drive states": ("handctl/drives/", "tick.py/_receive", "tick.py/_send", "tick.py/keep"),
+    "estimation": ("core/estimation/", "core/estimate", "filterpy/", "tick.py/_take_in"),
+    "law: goals, inverse dynamics, allocation": ("core/law/", "handctl/hand/", "tick.py/_command"),
     "program": ("handctl/programs/",),
-    "safety": ("handctl/safety/", "controller/monitor/"),
-    "hash of the state": ("controller/digest", "controller/state", "core/kept"),
+    "safety": ("handctl/safety/", "controller/monitor/", "tick.py/_judge"),
+    "hash of the state": ("controller/state", "core/kept", "core/plain"),
     "telemetry": ("controller/telemetry",),
     "tick and modes": ("handctl/controller/", "handctl/core/"),
     "reading a log": ("handctl/log/", "handctl/replay/"),
@@ -23,7 +23,8 @@ PARTS = {
 }  # fmt: skip
 """Name of a part to pieces of the paths (or names) of its functions; the first that fits counts.
 
-``mj_step`` is called by the compiled step, so it has ropes and rotors with it.
+Compiled code is no function to the profiler: its time is that of the Python function that calls it. So each stage of
+the tick is told by the method that runs it. ``mj_step``, which the compiled step calls, has tendons and rotors with it.
 """
 
 Function = tuple[str, int, str]

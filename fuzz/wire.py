@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fuzz.drives import DRIVES
+from handctl.core.schema import Block
 from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
-from handctl.drives.sensors.node import SensorNode, SensorState, saturated
 from tests.drives.protocol_bench import Bench, hand_file
+from tests.drives.wired import Wired
 
 Target = Callable[[bytes], bool]
 STEP_NS, LONG_NS = 2_000_000, 1_000_000_000
@@ -121,16 +122,16 @@ def sensors(folder: Path) -> Target:
     """The sensor node, with the tick's number going on."""
     bench = Bench(hand_file(folder, ["mit"]))
     bench.rig.close()
-    node, state, ours = bench.node, bench.sensors, sorted(bench.node.node_ids)
-    return lambda data: _sensed(node, state, ours, data)
+    wired, ours = Wired((), bench.node), sorted(bench.node.node_ids)
+    return lambda data: _sensed(wired, wired.block.copy(), ours, data)
 
 
-def _sensed(node: SensorNode, state: SensorState, ours: Sequence[int], data: bytes) -> bool:
-    taken = False
+def _sensed(wired: Wired, begin: Block, ours: Sequence[int], data: bytes) -> bool:
+    """Whether any frame was taken in, from the state ``begin`` on."""
+    wired.block[:] = begin
+    taken = 0
     for frame, more in frames(data, ours, STEP_NS):
-        state, _sync = node.sync(state, more)
-        after = node.receive(state, frame)
-        cells = node.new_tensions(state, after)
-        saturated(cells), node.new_joints(state, after), node.all_read(after), node.tension_times(after)
-        taken, state = taken or after is not state, after
-    return taken
+        wired.sync(more)
+        wired.receive([frame]).observe()
+        taken += int(wired.view("group_answered").sum()) + wired.number("stale_now") + wired.misread
+    return taken > 0

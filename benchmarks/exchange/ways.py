@@ -40,56 +40,68 @@ class Ours:
 
     def __init__(self, interface, channel, motors):
         from handctl.drives.frame import Frame, make
-        from handctl.drives.mit.codec import Ranges, decode_feedback, encode_torque, lines
+        from handctl.drives.mit.codec import Ranges, command_message, decode_feedback, feedback_message
+        from handctl.drives.signals import Table
         from handctl.runtime.buses.open import open_bus
 
         self.bus, self.make = open_bus(f"{interface}:{channel}", 0, 1_000_000), make
-        self.frame, self.encode, self.ids = Frame, encode_torque, range(1, motors + 1)
-        self.decode, self.ranges = decode_feedback, Ranges(POSITION, VELOCITY, LIMIT)
-        self.lines = lines(self.ranges)
+        self.frame, self.ids, self.ranges = Frame, range(1, motors + 1), Ranges(POSITION, VELOCITY, LIMIT)
+        self.commands = [Table(command_message(i, self.ranges)) for i in self.ids]
+        self.decode, self.table = decode_feedback, Table(feedback_message(0x11, self.ranges))
 
     def send(self, torques):
-        frame, encode, make = self.frame, self.encode, self.make
-        self.bus.send([make(frame, (i, encode(t, LIMIT), 0, 0, 0)) for i, t in zip(self.ids, torques, strict=True)])
+        frame, make, words = self.frame, self.make, zip(self.ids, self.commands, torques, strict=True)
+        self.bus.send([make(frame, (i, command.pack(torque), 0, 0, 0)) for i, command, torque in words])
 
     def receive(self):
-        decode, lines = self.decode, self.lines
-        return [decode(frame.data, lines) for frame in self.bus.drain()]
+        decode, table = self.decode, self.table
+        return [decode(frame.data, table) for frame in self.bus.drain()]
 
     def close(self):
         self.bus.close()
 
 
 class Drives(Ours):
-    """The same with each drive's state machine, as the tick runs it."""
+    """The same as the tick does it: compiled, from records to the values of a block and back."""
 
     def __init__(self, interface, channel, motors):
         super().__init__(interface, channel, motors)
-        from handctl.drives.contract import DriveState, Phase, Want
-        from handctl.drives.mit.drive import MitDrive
-        from handctl.drives.mit.progress import Progress
+        import numpy as np
 
-        self.want = Want.ENABLE
+        from handctl.core import block as s
+        from handctl.core import wire
+        from handctl.core.block import AXES, STATE
+        from handctl.drives.contract import NEVER_NS, Phase
+        from handctl.drives.mit.drive import MitDrive
+        from handctl.drives.records import WORDS, Frames, frames_of
+        from handctl.drives.sensors.node import SensorNode
+
         make = partial(MitDrive, bus=0, ranges=self.ranges, direction=1, zero=0.0, timeout=1000)
-        self.drives = [make(name=str(i), node_id=i, reply_id=i + 0x10) for i in self.ids]
-        state = DriveState(phase=Phase.ENABLED, private=Progress(configured=True, asked=True))
-        self.states = [state] * motors
-        self.by_id = {drive.reply_id: i for i, drive in enumerate(self.drives)}
+        drives = [make(name=str(i), node_id=i, reply_id=i + 0x10) for i in self.ids]
+        self.wire, self.tables = wire, wire.Wire(drives, SensorNode(0, 0x080, (), (), (), 0, (-1,) * motors, 1))
+        lengths = dict.fromkeys(AXES, 1) | {"tendon": motors, "node": motors + 1, "instance": motors + 1}
+        layout = STATE.layout(lengths)
+        self.block, self.places = layout.initial.copy(), layout.places
+        whole = layout.table(self.block, "tendon_int")
+        whole[s.PHASE], whole[s.DUE_NS] = Phase.ENABLED, NEVER_NS
+        whole[s.STATUS_EXPECTED] = [0x10 | i for i in self.ids]
+        self.out, self.array = np.zeros((motors, WORDS), np.uint64), np.array
+        self.frames_of, self.of_rows = frames_of, Frames.of_rows
 
     def send(self, torques):
-        frames, states, want = [], [], self.want
-        for drive, state, torque in zip(self.drives, self.states, torques, strict=True):
-            state, out = drive.advance(state, 0, want, torque)
-            states.append(state)
-            frames += out
-        self.states = states
-        self.bus.send(frames)
+        tables = self.tables
+        self.wire.send(
+            self.block, self.places, self.out, tables.commands, tables.sent_wholes, tables.sent_reals,
+            tables.templates, self.array(torques), 0, 0,
+        )  # fmt: skip
+        self.bus.send(list(self.of_rows(self.out)))
 
     def receive(self):
-        frames, drives, states, by_id = self.bus.drain(), self.drives, self.states, self.by_id
-        for frame in frames:
-            i = by_id[frame[0]]
-            states[i] = drives[i].receive(states[i], frame)
+        frames, tables = self.frames_of(self.bus.drain()), self.tables
+        self.wire.begin(self.block, self.places)
+        self.wire.receive(
+            self.block, self.places, frames.rows, tables.keys, tables.entries, tables.wholes, tables.reals, 0
+        )
         return frames
 
 

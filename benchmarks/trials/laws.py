@@ -7,11 +7,12 @@ import numpy as np
 
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
-from handctl.core.estimation.estimator import Estimate, Measured
-from handctl.core.estimation.filter_state import FilterState
+from handctl.core import block as s
 from handctl.core.gains.gains import Gains, MotionGains
 from handctl.core.gains.motion_design import bearable
 from handctl.core.model import Inverse
+from handctl.core.types import TickIn
+from handctl.drives.records import Frames
 from handctl.hand.digit import DigitModel, Values
 from handctl.hand.dynamics import damping_torque, required_torque, spring_torque, static_torque
 from handctl.paper.model import equations
@@ -79,15 +80,16 @@ class RawTension(Controller):
 
     __slots__ = ()
 
-    def _estimate(self, state: State, measured: Measured, missed: int) -> tuple[FilterState, Estimate]:
-        filters, estimate = super()._estimate(state, measured, missed)
-        cell = np.where(np.isnan(measured.tension), estimate.tension, measured.tension)
-        return filters, estimate._replace(tension=cell)
+    def _take_in(self, before: State, state: State, entry: TickIn, frames: Frames) -> tuple[str, ...]:
+        signs = super()._take_in(before, state, entry, frames)
+        cell = state.tendon[s.MEASURED_TENSION]
+        state.tendon[s.TENSION] = np.where(np.isnan(cell), state.tendon[s.TENSION], cell)
+        return signs
 
 
 def on_raw_tension(controller: Controller) -> Controller:
     """The same controller, on the raw sensor."""
-    return RawTension(**{each.name: getattr(controller, each.name) for each in fields(controller)})
+    return RawTension(**{each.name: getattr(controller, each.name) for each in fields(controller) if each.init})
 
 
 @dataclass(frozen=True)

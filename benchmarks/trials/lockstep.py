@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from handctl.controller.setup import make_controller
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
-from handctl.core.estimation.filter_stack import FilterDesign, kinds
-from handctl.core.estimation.filter_state import FilterState
+from handctl.core import block as s
+from handctl.core.estimation.filter_stack import FilterDesign
 from handctl.core.gains.gains import Gains
 from handctl.core.types import TELEMETRY_FIELDS, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
@@ -27,8 +27,8 @@ RATES_HZ = {"jamia": 500.0, "jamia_bench": 500.0, "jamia11": 200.0}
 DEFAULTS = Gains()
 Array = NDArray[np.float64]
 Change = Callable[[Controller], Controller]
-Row = tuple[TickIn, TickOut, Array, FilterState]
-"""A tick: what came in and went out, the filter's inputs (N, 2) and its state after it."""
+Row = tuple[TickIn, TickOut, Array, State]
+"""A tick: what came in and went out, the filter's inputs (N, 2) and the state after it."""
 
 
 def unchanged(controller: Controller) -> Controller:
@@ -130,22 +130,22 @@ def run(trial: Trial) -> Course:
         twin = Simulator(file, trial.scene, trial.seed, dict(trial.perturb or {}), homed=True, truth=path)
         rows: list[Row] = []
         with twin.against(controller) as run:
-            law = run.state.law
+            inputs = run.state.tendon[[s.FORCE, s.RATE]].T
             for entry, out in run.ticks(trial.limit_s):
-                rows.append((entry, out, np.column_stack((law.force, law.rate)), run.state.filter))
-                law = run.state.law
+                rows.append((entry, out, inputs, run.state))
+                inputs = run.state.tendon[[s.FORCE, s.RATE]].T
         return _course(hand, controller, rows, read_truth(path), run.state)
 
 
-def _filtered(design: FilterDesign, inputs: Array, after: FilterState) -> list[float]:
+def _filtered(design: FilterDesign, inputs: Array, after: State) -> list[float]:
     """(N,) tensions before the prediction to the present, which is taken back [N].
 
     Args:
-        design: of the filter. inputs: (N, 2) of the tick. after: the filter's state when it is done.
+        design: of the filter. inputs: (N, 2) of the tick. after: the state after it.
     """
     found = []
-    of_tendons = kinds(after.regimes, after.wary)
-    for i, (kind, x) in enumerate(zip(of_tendons, after.x.reshape(len(inputs), -1), strict=True)):
+    states = after.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T
+    for i, (kind, x) in enumerate(zip(after.tendon_int[s.KIND], states, strict=True)):
         block = design.blocks[i][kind]
         found.append(max(float(block.tension_row @ np.linalg.solve(block.F, x - block.B @ inputs[i])), 0.0))
     return found

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from handctl.core.estimation.estimator import Estimate, Measured
+from handctl.core.estimate import Estimate, Measured
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.model import HandModel
 from handctl.core.types import Event

@@ -10,6 +10,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.registry import make_drive
 from handctl.drives.sensors.node import SensorNode
 from handctl.hand.load import load_hand
+from tests.drives.wired import Wired
 
 PERIOD_NS = 2_000_000
 HAND = load_hand("jamia")
@@ -23,19 +24,17 @@ class Bench:
         self.drives: list[Drive] = [make_drive(HAND.motor_of(name), 0) for name in HAND.tendon_names]
         self.states: list[DriveState] = [drive.initial() for drive in self.drives]
         self.node = SensorNode.of(HAND.sensor_node, 0, HAND.tendon_names, HAND.joints)
-        self.sensors = self.node.initial()
+        self.sensors = Wired((), self.node)
         self.tensions: dict[int, float] = {}
         self.incoming: list[Frame] = []
         self.k = 0
 
     def tick(self, want: Want, torque: float = 0.0) -> None:
-        before = self.sensors
+        self.sensors.receive(frame for frame in self.incoming if frame.can_id in self.node.node_ids)
+        self.tensions = self.sensors.tensions
         for frame in self.incoming:
-            self.sensors = self.node.receive(self.sensors, frame)
             self.states = [d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)]
-        self.tensions = dict(self.node.new_tensions(before, self.sensors))
-        self.sensors, sync = self.node.sync(self.sensors, self.k)
-        outgoing = [sync]
+        outgoing = [self.sensors.sync(self.k)]
         for i, drive in enumerate(self.drives):
             self.states[i], frames = drive.advance(self.states[i], self.k * PERIOD_NS, want, torque)
             outgoing += frames
@@ -70,7 +69,7 @@ def test_from_silence_to_torque_and_back(bench: Bench) -> None:
     bench.tick(Want.DISABLE)
     bench.tick(Want.DISABLE)
     assert [state.phase for state in bench.states] == [Phase.READY] * 4
-    assert (bench.sensors.stale, bench.sensors.misread) == (0, 0)
+    assert (bench.sensors.number("stale"), bench.sensors.misread) == (0, False)
     assert [state.misread for state in bench.states] == [0] * 4
 
 

@@ -8,6 +8,7 @@ import pytest
 from handctl.drives.cia402 import codec as cia402
 from handctl.drives.mit import codec as mit
 from handctl.drives.odrive import codec as odrive
+from handctl.drives.signals import Table
 
 STATUS = {
     0x0000: cia402.NOT_READY, 0x0040: cia402.OFF, 0x0021: cia402.READY_TO_SWITCH_ON, 0x0023: cia402.SWITCHED_ON,
@@ -16,9 +17,13 @@ STATUS = {
 
 
 def test_a_tpdo_is_a_status_word_a_position_and_a_torque() -> None:
-    got = cia402.feedback(bytes.fromhex("3706 feffffff 18fc"))
-    assert got == (0x0637, -2, -1000)
-    assert cia402.feedback(bytes.fromhex("3786 00000080 0080")) == (0x8637, -(2**31), -(2**15))
+    """In counts and thousandths of the rated torque."""
+    message = cia402.feedback_message(5, 1, 1.0, 1.0, 0.0)
+    table = Table(message._replace(signals=tuple(signal._replace(scale=1.0) for signal in message.signals)))
+    assert table.unpack(bytes.fromhex("3706 feffffff 18fc")) == [0x7, 0x1, -2, -1000]
+    assert table.unpack(bytes.fromhex("3786 00000080 0080")) == [0x7, 0x1, -(2**31), -(2**15)]
+    assert cia402.state_of(0x0637) == cia402.OPERATION_ENABLED
+    assert cia402.ENABLED_STATUS == 0x7 << 2 | 0x1
 
 
 @pytest.mark.parametrize("status", STATUS)
@@ -32,12 +37,14 @@ def test_a_word_that_the_standard_does_not_know_is_no_state() -> None:
 
 
 def test_a_command_is_a_control_word_and_a_torque() -> None:
-    assert cia402.command(0x000F, -1000.4).hex(" ") == "0f 00 18 fc"
-    assert cia402.command(0x800F, 1.0).hex(" ") == "0f 80 01 00"
-    assert cia402.command(0x0006, cia402.TORQUE_TOP)[:2] == b"\x06\x00"
-    for wrong in (math.nan, math.inf, cia402.TORQUE_TOP + 1, -cia402.TORQUE_TOP - 1):
-        with pytest.raises(ValueError, match=f"torque of .* expected at most {cia402.TORQUE_TOP}"):
-            cia402.command(0x000F, wrong)
+    top = cia402.TORQUE_TOP
+    command = Table(cia402.command_message(5, 1.0, 1000.0, top))
+    assert command.pack(-1000.4).hex(" ") == "0f 00 18 fc"
+    assert command.pack(1.0).hex(" ") == "0f 00 01 00"
+    assert command.pack(top).hex(" ") == "0f 00 ff 7f"
+    for wrong in (math.nan, math.inf, top + 1, -top - 1):
+        with pytest.raises(ValueError, match=f"torque .* expected at most {top}"):
+            command.pack(wrong)
 
 
 def test_sdo_requests() -> None:

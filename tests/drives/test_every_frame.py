@@ -16,6 +16,7 @@ from handctl.drives.registry import PROTOCOLS
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import Bench, hand_file
 from tests.drives.virtual_bench import VirtualBench, rig_on
+from tests.drives.wired import Wired
 
 LIMIT = 0.8
 IDENTIFIERS, LENGTHS = range(0x800), range(65)
@@ -59,11 +60,14 @@ def test_a_frame_of_somebody_else_changes_nothing_and_no_frame_raises(bench: Ben
 
 @pytest.mark.parametrize("bench", ["mit"], indirect=True)
 def test_the_sensor_node_s_decoder_takes_its_own_frames_only(bench: Bench) -> None:
-    before = bench.sensors
-    for frame in every_frame(9, bench.k * 2_000_000):
-        after = bench.node.receive(before, frame)
-        if frame.can_id not in bench.node.node_ids:
-            assert after is before, frame
+    wired, ours = Wired((), bench.node), bench.node.node_ids | bench.node.host_ids
+    wired.sync(0)
+    frames = list(every_frame(9, bench.k * 2_000_000))
+    others, before = [frame for frame in frames if frame.can_id not in ours], wired.block.copy()
+    assert wired.receive(others).number("strange") == len(others)
+    wired.view("strange")[...] = 0
+    assert wired.block.tobytes() == before.tobytes()
+    assert [frame.can_id for frame in wired.receive(frames).foreign] == [bench.node.sync_id] * len(LENGTHS)
 
 
 def test_simulated_drives_survive_every_frame(bench: Bench) -> None:

@@ -14,12 +14,15 @@ from handctl.drives.mit.drive import MitDrive
 from handctl.drives.mit.progress import Progress
 from handctl.drives.mit.settings import Walk
 from handctl.drives.registry import make_drive
+from handctl.drives.signals import Table
 from handctl.errors import ConfigError
 from tests.drives.conftest import Section, drive_of
 
 TMAX = 0.8
 RANGES = codec.Ranges(12.5, 50.0, TMAX)
 TORQUES = st.floats(-TMAX, TMAX)
+COMMAND, FEEDBACK = Table(codec.command_message(1, RANGES)), Table(codec.feedback_message(0x11, RANGES))
+ENABLED = DriveState(phase=Phase.ENABLED, private=Progress(configured=True, asked=True))
 
 
 @pytest.mark.parametrize(
@@ -33,7 +36,7 @@ TORQUES = st.floats(-TMAX, TMAX)
     ],
 )
 def test_golden_commands(torque: float, payload: str) -> None:
-    assert codec.encode_torque(torque, TMAX) == bytes.fromhex(payload)
+    assert COMMAND.pack(torque) == bytes.fromhex(payload)
 
 
 @pytest.mark.parametrize(
@@ -46,7 +49,7 @@ def test_golden_commands(torque: float, payload: str) -> None:
     ],
 )
 def test_golden_feedback(payload: str, values: tuple[float, ...]) -> None:
-    assert codec.decode_feedback(bytes.fromhex(payload), codec.lines(RANGES)) == pytest.approx(values, abs=1e-12)
+    assert codec.decode_feedback(bytes.fromhex(payload), FEEDBACK) == pytest.approx(values, abs=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -80,13 +83,13 @@ def test_golden_register_replies() -> None:
 
 @given(TORQUES)
 def test_a_torque_arrives_within_half_a_step(torque: float) -> None:
-    code = int.from_bytes(codec.encode_torque(torque, TMAX), "big") & 0xFFF
+    code = int.from_bytes(COMMAND.pack(torque), "big") & 0xFFF
     assert code * 2 * TMAX / 4095 - TMAX == pytest.approx(torque, abs=TMAX / 4095 + 1e-12)
 
 
 @given(TORQUES)
 def test_a_command_never_looks_like_a_special_one_and_has_no_gains(torque: float) -> None:
-    data = codec.encode_torque(torque, TMAX)
+    data = COMMAND.pack(torque)
     assert data[:3] == b"\x7f\xff\x7f"
     assert int.from_bytes(data, "big") >> 12 & 0xFFFFFF == 0
 
@@ -94,25 +97,25 @@ def test_a_command_never_looks_like_a_special_one_and_has_no_gains(torque: float
 @given(TORQUES, TORQUES)
 def test_more_torque_is_never_a_smaller_code(one: float, other: float) -> None:
     less, more = sorted((one, other))
-    assert codec.encode_torque(less, TMAX) <= codec.encode_torque(more, TMAX)
+    assert COMMAND.pack(less) <= COMMAND.pack(more)
 
 
 @given(st.one_of(st.floats(max_value=-TMAX, exclude_max=True), st.floats(min_value=TMAX, exclude_min=True)))
 def test_what_is_out_of_range_cannot_be_encoded(torque: float) -> None:
     with pytest.raises(ValueError, match="index_motor: torque"):
-        drive_of().command(torque)
+        drive_of().advance(ENABLED, 1, Want.ENABLE, torque)
 
 
 @pytest.mark.parametrize("torque", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number_cannot_be_encoded(torque: float) -> None:
     with pytest.raises(ValueError, match=r"expected at most 0\.8$"):
-        drive_of().command(torque)
+        drive_of().advance(ENABLED, 1, Want.ENABLE, torque)
 
 
 @given(TORQUES, st.sampled_from([-1, 1]))
 def test_direction_turns_every_sign(torque: float, direction: int) -> None:
     drive = drive_of(direction=direction, zero_rad=0.25)
-    assert drive.command(torque) == codec.encode_torque(direction * torque, TMAX)
+    assert drive.command.pack(torque) == COMMAND.pack(direction * torque)
     state = DriveState(phase=Phase.READY, private=Progress(configured=True))
     seen = drive.receive(state, Frame(0x11, bytes.fromhex("01c000c00c002020")))
     assert seen.position == pytest.approx(direction * (12.5 * (2 * 0xC000 / 65535 - 1) - 0.25))
@@ -131,7 +134,7 @@ def test_feedback_of_the_simulated_firmware_reads_back(nibble: int, position: in
         firmware.from_code(torque, TMAX, 12),
     )
     data = firmware.encode_feedback(nibble, 3, motion, ranges, (30.0, 40.0))
-    seen = codec.decode_feedback(data, codec.lines(RANGES))
+    seen = codec.decode_feedback(data, FEEDBACK)
     assert seen[0] == nibble
     steps = (25.0 / 65535, 100.0 / 4095, 1.6 / 4095)
     for value, true, step in zip(seen[1:4], motion, steps, strict=True):
@@ -142,7 +145,7 @@ def test_feedback_of_the_simulated_firmware_reads_back(nibble: int, position: in
 def test_the_simulated_firmware_reads_commands(torque: float) -> None:
     from firmware_sim.nodes.mit import codec as firmware
 
-    told = firmware.decode_command(codec.encode_torque(torque, TMAX), firmware.Ranges(*RANGES))
+    told = firmware.decode_command(COMMAND.pack(torque), firmware.Ranges(*RANGES))
     assert (told.kp, told.kd) == (0.0, 0.0)
     assert told.torque == pytest.approx(torque, abs=TMAX / 4095 + 1e-12)
 

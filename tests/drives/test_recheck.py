@@ -101,5 +101,5 @@ def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
         end_s = course.k * course.period_ns * 1e-9 + 1.01
         assert course.until(lambda out: out.mode == Mode.CUT, 1.02)
         assert course.k * course.period_ns * 1e-9 <= end_s
-        latched = {(mark.id, mark.instance) for mark in course.state.safety.latched}
+        latched = {(mark.id, mark.instance) for mark in course.state.latched}
         assert latched == {("N12", hand.motor[seed % 4].name)}

@@ -7,13 +7,15 @@ from importlib.resources import files
 from typing import Any
 
 import cantools
+import numpy as np
 import pytest
 from cantools.database import Database
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.drives.frame import Frame
-from handctl.drives.sensors.node import TENSION_TOP_N, TENSION_ZERO_N, SensorNode, SensorState, counters, saturated
+from handctl.drives.frame import ERROR, EXTENDED, REMOTE, Frame
+from handctl.drives.sensors.node import TENSION_TOP_N, TENSION_ZERO_N, SensorNode, counters
+from tests.drives.wired import Wired
 
 RAW = st.integers(0, 4095)
 CHANNELS = 11
@@ -84,90 +86,129 @@ def test_no_age_of_a_frame_makes_it_fresh(decimation: int) -> None:
         assert worst < 60, age
 
 
-def received(node: SensorNode, state: SensorState, frames: Sequence[Frame]) -> SensorState:
-    for frame in frames:
-        state = node.receive(state, frame)
-    return state
+def heard(node: SensorNode, k: int) -> Wired:
+    """What is known of the node once tick k has asked."""
+    wired = Wired((), node)
+    wired.sync(k)
+    return wired
 
 
 @given(st.lists(RAW, min_size=1, max_size=CHANNELS), st.lists(RAW, max_size=CHANNELS), st.integers(0, 2**40))
 def test_every_value_reads_as_the_dbc_says(tensions: list[int], joints: list[int], k: int) -> None:
     node = SensorNode.of(Section(tendons=TENDONS[: len(tensions)], joints=JOINTS[: len(joints)]), 0, TENDONS, JOINTS)
-    before, sync = node.sync(node.initial(), k)
+    wired, sync = heard(node, k), node.sync(k)
     assert DBC.decode_message(sync.can_id, sync.data) == {"counter": sync.data[0]}
     nibble = sync.data[0] % 16
     frames = encoded(0x1A0, "tension", nibble, tensions) + encoded(0x1B0, "joint", nibble, joints)
-    now = received(node, before, frames)
+    wired.receive(frames)
     told: dict[str, Any] = {}
     for frame in frames:
         told.update(DBC.decode_message(frame.can_id, frame.data, allow_truncated=True))  # type: ignore[arg-type]
-    assert dict(node.new_tensions(before, now)) == {i: told[f"tension_{i}"] for i in range(len(tensions))}
-    angles = dict(node.new_joints(before, now))
-    assert angles == pytest.approx({i: told[f"joint_{i}"] for i in range(len(joints))}, abs=1e-12)
-    assert (now.stale, now.misread) == (0, 0)
+    assert wired.tensions == {i: told[f"tension_{i}"] for i in range(len(tensions))}
+    assert wired.joints == pytest.approx({i: told[f"joint_{i}"] for i in range(len(joints))}, abs=1e-12)
+    assert (wired.number("stale"), wired.misread) == (0, False)
 
 
 def test_golden_frames() -> None:
     """By hand: 0 N is raw 96 = 0x060, 10 N raw 256 = 0x100, rail 0xFFF; 0 rad is raw 0x800; counter 7."""
     node = SensorNode.of(Section(tendons=TENDONS[:3], joints=("j4",)), 0, TENDONS, JOINTS)
-    before, sync = node.sync(node.initial(), tick_of(node, 7))
+    sync = node.sync(tick_of(node, 7))
     assert sync == Frame(0x080, sync.data)
     assert sync.data[0] & 0xF == 7
-    now = received(node, before, [Frame(0x1A0, bytes.fromhex("070600f1ff"))])
-    assert list(node.new_tensions(before, now)) == [(0, 0.0), (1, 10.0), (2, 249.9375)]
-    now = received(node, before, [Frame(0x1B0, bytes.fromhex("0780"))])
-    assert list(node.new_joints(before, now)) == [(4, 0.0)]
+    wired = heard(node, tick_of(node, 7)).receive([Frame(0x1A0, bytes.fromhex("070600f1ff"))])
+    assert wired.tensions == {0: 0.0, 1: 10.0, 2: 249.9375}
+    wired = heard(node, tick_of(node, 7)).receive([Frame(0x1B0, bytes.fromhex("0780"))])
+    assert wired.joints == {4: 0.0}
 
 
 @given(st.integers(0, 255), st.integers(0, 15))
 def test_only_the_answer_to_the_last_sync_counts(k: int, counter: int) -> None:
     node = SensorNode.of(Section(), 0, TENDONS, JOINTS)
-    before, sync = node.sync(node.initial(), k)
-    now = received(node, before, encoded(0x1A0, "tension", counter, [100] * CHANNELS))
-    fresh = counter == sync.data[0] % 16
-    assert len(list(node.new_tensions(before, now))) == (CHANNELS if fresh else 0)
-    assert now.stale == (0 if fresh else 3)
+    wired = heard(node, k).receive(encoded(0x1A0, "tension", counter, [100] * CHANNELS))
+    fresh = counter == node.sync(k).data[0] % 16
+    assert len(wired.tensions) == (CHANNELS if fresh else 0)
+    assert wired.number("stale") == (0 if fresh else 3)
+    assert wired.number("tension_frames") == (3 if fresh else 0)
+
+
+@pytest.mark.parametrize(("base", "prefix"), [(0x1A0, "tension"), (0x1B0, "joint")])
+def test_a_stale_frame_that_comes_after_the_fresh_one_is_told(node: SensorNode, base: int, prefix: str) -> None:
+    """It has been on its way for a tick and was overtaken, or somebody sends it again."""
+    (fresh, *_), (stale, *_) = (encoded(base, prefix, nibble, [7] * CHANNELS) for nibble in (3, 2))
+    for frames, told in (([stale], 1), ([stale, fresh], 1), ([fresh, stale], 2), ([fresh, stale, stale], 2)):
+        wired = heard(node, tick_of(node, 3)).receive(frames)
+        assert (wired.number("stale_now"), wired.number("stale")) == (told, frames.count(stale))
+        assert len(wired.tensions or wired.joints) == (5 if fresh in frames else 0)
+    wired.sync(tick_of(node, 4))
+    assert (wired.number("stale_now"), wired.number("stale")) == (0, 2)
+
+
+def test_a_stale_frame_changes_no_value(node: SensorNode) -> None:
+    wired = heard(node, tick_of(node, 3)).receive(encoded(0x1A0, "tension", 3, [160] * CHANNELS, t_ns=5))
+    wired.receive(encoded(0x1A0, "tension", 4, [200] * CHANNELS, t_ns=6))
+    assert set(wired.tensions.values()) == {4.0}
+    assert set(wired.view("group_ns")[:3].tolist()) == {5}
+    assert wired.view("group_frames")[:3].tolist() == [1, 1, 1]
 
 
 def test_nothing_is_new_twice_and_what_is_missing_stays_missing(node: SensorNode) -> None:
-    before, _ = node.sync(node.initial(), tick_of(node, 1))
+    wired = heard(node, tick_of(node, 1))
     first, second, _ = encoded(0x1A0, "tension", 1, range(CHANNELS))
-    now = received(node, before, [second])
-    assert [i for i, _ in node.new_tensions(before, now)] == [5, 6, 7, 8, 9]
-    assert list(node.new_tensions(now, now)) == []
-    later = received(node, now, [first])
-    assert [i for i, _ in node.new_tensions(now, later)] == [0, 1, 2, 3, 4]
+    assert list(wired.receive([second]).tensions) == [5, 6, 7, 8, 9]
+    wired.begin()
+    assert wired.tensions == {}
+    assert list(wired.receive([first]).tensions) == [0, 1, 2, 3, 4]
 
 
 def test_times_are_in_the_order_of_the_hand() -> None:
     node = SensorNode.of(Section(tendons=("t2", "t0", "t1", "t5", "t4", "t3")), 0, TENDONS[:7], JOINTS)
-    state, _ = node.sync(node.initial(), tick_of(node, 0))
-    assert node.tension_times(state) == (-1,) * 7
+    wired = heard(node, tick_of(node, 0))
+    groups = [node.group_of_tendon(i) for i in range(7)]
+    assert groups == [0, 0, 0, 1, 0, 0, -1]
+    assert wired.view("group_ns").tolist() == [-1] * 5
     first, second = encoded(0x1A0, "tension", 0, [0] * 6)
-    state = received(node, state, [first._replace(t_ns=10), second._replace(t_ns=20)])
-    assert node.tension_times(state) == (10, 10, 10, 20, 10, 10, 20)
+    wired.receive([first._replace(t_ns=10), second._replace(t_ns=20)])
+    assert [int(wired.view("group_ns")[group]) for group in groups[:6]] == [10, 10, 10, 20, 10, 10]
 
 
 def test_a_hand_without_load_cells_has_no_reading() -> None:
     node = SensorNode.of(Section(tendons=()), 0, TENDONS[:3], JOINTS)
-    assert node.tension_times(node.initial()) == (-1, -1, -1)
+    assert [node.group_of_tendon(i) for i in range(3)] == [-1, -1, -1]
+    assert node.tension_frames == 0
 
 
-@given(st.one_of(st.just(0x1A1), st.integers(0, 2047)), st.binary(max_size=64), st.integers(0, 2))
-def test_any_frame_may_come(can_id: int, data: bytes, bus: int) -> None:
+def unheard(wired: Wired) -> bytes:
+    """The block without what counts frames of nobody."""
+    block = wired.block.copy()
+    for name in ("strange", "misread_now"):
+        wired.layout.view(block, name)[...] = 0
+    return block.tobytes()
+
+
+@given(
+    st.one_of(st.just(0x1A1), st.integers(0, 2047)),
+    st.sampled_from([0, 0, EXTENDED, REMOTE, ERROR]),
+    st.binary(max_size=64),
+    st.integers(0, 2),
+)
+def test_any_frame_may_come(can_id: int, mark: int, data: bytes, bus: int) -> None:
     node = SensorNode.of(Section(), 0, TENDONS, JOINTS)
-    before, _ = node.sync(node.initial(), 5)
-    after = node.receive(before, Frame(can_id, data, bus=bus))
-    if bus != 0 or can_id not in node.node_ids:
-        assert after is before
+    wired = heard(node, 5)
+    before, here = unheard(wired), bus == 0 and can_id in node.node_ids
+    wired.receive([Frame(can_id | mark, data, bus=bus)])
+    if mark or not here:
+        assert unheard(wired) == before
+    assert len(wired.foreign) == (bus == 0 and not mark and can_id in node.host_ids)
+    assert wired.number("strange") == (not wired.foreign and not (here and mark in (0, ERROR)))
+    fits = here and mark == 0 and len(data) == node.lengths[node.ids.index(can_id)]
+    assert wired.misread == (here and mark != ERROR and not fits)
 
 
 @pytest.mark.parametrize("size", [0, 1, 7, 9, 64])
 def test_a_frame_of_a_wrong_length_is_counted_and_not_read(node: SensorNode, size: int) -> None:
-    before, _ = node.sync(node.initial(), 0)
-    after = node.receive(before, Frame(0x1A0, bytes(size)))
-    assert after.misread == 1
-    assert list(node.new_tensions(before, after)) == []
+    wired = heard(node, 0).receive([Frame(0x1A0, bytes(size))])
+    assert wired.misread
+    assert wired.tensions == {}
 
 
 def test_the_exchange_is_what_the_frames_take(node: SensorNode) -> None:
@@ -184,79 +225,76 @@ def test_a_saturated_load_cell_is_beyond_the_rail_after_any_tare(node: SensorNod
 def test_the_simulated_node_and_the_host_agree(node: SensorNode) -> None:
     from firmware_sim.nodes.sensors import joint_code, pack, tension_code
 
-    before, _ = node.sync(node.initial(), tick_of(node, 3))
     forces, angles = [7.3 * i for i in range(5)], [0.4 * i - 0.8 for i in range(5)]
     frames = [
         Frame(0x1A0, pack(3, [tension_code(force) for force in forces])),
         Frame(0x1B0, pack(3, [joint_code(angle) for angle in angles])),
     ]
-    now = received(node, before, frames)
-    assert [value for _, value in node.new_tensions(before, now)] == pytest.approx(forces, abs=0.0625 / 2)
-    assert [value for _, value in node.new_joints(before, now)] == pytest.approx(angles, abs=math.pi / 4096)
+    wired = heard(node, tick_of(node, 3)).receive(frames)
+    assert list(wired.tensions.values()) == pytest.approx(forces, abs=0.0625 / 2)
+    assert list(wired.joints.values()) == pytest.approx(angles, abs=math.pi / 4096)
 
 
-def test_a_group_knows_its_counter_and_how_often_it_came(node: SensorNode) -> None:
-    state = node.initial()
+def test_a_group_knows_how_often_it_came(node: SensorNode) -> None:
+    wired = Wired((), node)
     for k in (5, 6):
-        state, sync = node.sync(state, tick_of(node, k))
-        for frame in encoded(0x1A0, "tension", k & 0xF, [1.0] * CHANNELS, t_ns=k):
-            state = node.receive(state, frame)
-    assert [group.counter for group in state.groups[:3]] == [6, 6, 6]
-    assert [group.frames for group in state.groups[:3]] == [2, 2, 2]
-    assert [group.t_ns for group in state.groups[:3]] == [6, 6, 6]
+        sync = wired.sync(tick_of(node, k))
+        wired.receive(encoded(0x1A0, "tension", k & 0xF, [1.0] * CHANNELS, t_ns=k))
+    assert wired.number("sync_asked") == 6
+    assert wired.number("syncs") == 2
+    assert wired.view("group_frames").tolist() == [2, 2, 2, 0, 0, 0]
+    assert wired.view("group_ns").tolist() == [6, 6, 6, -1, -1, -1]
+    assert wired.view("group_answered").tolist() == [1, 1, 1, 0, 0, 0]
     other = SensorNode.of(Section(), 1, TENDONS, JOINTS)
-    assert other.sync(other.initial(), 0x1FF)[1] == Frame(0x080, other.counters[0x1FF:0x200], bus=1)
+    assert other.sync(0x1FF) == Frame(0x080, other.counters[0x1FF:0x200], bus=1)
     assert sync.bus == 0
 
 
-def test_groups_belong_to_their_node(node: SensorNode) -> None:
-    whole = node.initial()
-    state, _ = node.sync(whole, tick_of(node, 1))
-    for frame in encoded(0x1A0, "tension", 1, [1.0] * CHANNELS):
-        state = node.receive(state, frame)
-    with pytest.raises(ValueError, match="zip"):
-        node.new_tensions(whole._replace(groups=whole.groups[:1]), state)
-    short = state.groups[0]._replace(raw=state.groups[0].raw[:1])
-    with pytest.raises(ValueError, match="zip"):
-        node.new_tensions(whole, state._replace(groups=(short, *state.groups[1:])))
-
-
 def test_what_is_stale_and_what_cannot_be_read_are_counted_apart(node: SensorNode) -> None:
-    state, _ = node.sync(node.initial(), tick_of(node, 1))
-    state = node.receive(state, Frame(0x1A0, bytes(3)))
+    wired = heard(node, tick_of(node, 1)).receive([Frame(0x1A0, bytes(3))])
     (good, *_) = encoded(0x1A0, "tension", 2, [1.0] * CHANNELS)
-    state = node.receive(state, good)
-    assert (state.misread, state.stale) == (1, 1)
+    wired.receive([good])
+    assert (wired.misread, wired.number("stale")) == (True, 1)
     (fresh, *_) = encoded(0x1A0, "tension", 1, [1.0] * CHANNELS)
-    state = node.receive(state, fresh)
-    assert (state.misread, state.stale) == (1, 1), "neither is forgotten with the next good frame"
+    wired.receive([fresh])
+    assert (wired.misread, wired.number("stale")) == (True, 1), "neither is forgotten with the next good frame"
 
 
-def test_channels_that_are_empty_or_full() -> None:
+def test_channels_that_are_empty_or_full(node: SensorNode) -> None:
     low, top = TENSION_ZERO_N, TENSION_TOP_N
-    cells = [(0, low), (1, low + 0.1), (3, top - 0.1), (4, top), (7, math.nan)]
-    assert saturated(cells) == (0, 4, 7)
-    assert saturated([]) == ()
+    wired = heard(node, 0)
+    assert not wired.observe().view("saturated").any()
+    for i, cell in {0: low, 1: low + 0.1, 3: top - 0.1, 4: top, 7: math.nan}.items():
+        wired.view("cell")[i], wired.view("cell_fresh")[i] = cell, 1
+    assert np.flatnonzero(wired.observe().view("saturated")).tolist() == [0, 4, 7]
 
 
 def test_all_load_cells_are_read_when_each_has_been_read_once(node: SensorNode) -> None:
     """In whatever order and tick; what is said of joints does not count."""
-    state = node.initial()
+    wired, bare = (Wired((), one) for one in (node, replace(node, frame_of=(*node.frame_of[:-1], -1))))
+    for hand in (wired, bare):
+        hand.view("position")[...] = 0.0
     for k, (base, done) in enumerate([(0x1B0, False), (0x1A0, False), (0x1A0, False), (0x1A1, False), (0x1A2, True)]):
-        state, sync = node.sync(state, k)
         size = node.lengths[node.ids.index(base)]
-        state = node.receive(state, Frame(base, bytes([sync.data[0] & 0xF] + [0] * (size - 1))))
-        assert node.all_read(state) == done, hex(base)
-    assert not replace(node, frame_of=(*node.frame_of[:-1], -1)).all_read(state), "one has no load cell"
+        for hand in (wired, bare):
+            sync = hand.sync(k)
+            hand.receive([Frame(base, bytes([sync.data[0] & 0xF] + [0] * (size - 1)))]).observe()
+        assert wired.number("started") == done, hex(base)
+    assert not bare.number("started"), "one has no load cell"
 
 
-def test_each_joint_frame_is_told_by_its_first_joint_and_when_it_came_last(node: SensorNode) -> None:
-    state, sync = node.sync(node.initial(), 1)
-    counter = sync.data[0] & 0xF
-    assert node.joint_times(state) == [(0, -1), (5, -1), (10, -1)]
+def test_each_joint_frame_has_its_joints_and_the_time_when_it_came_last(node: SensorNode) -> None:
+    wired = Wired((), node)
+    counter = wired.sync(1).data[0] & 0xF
+    assert [node.group_of_joint(j) for j in range(CHANNELS)] == [3] * 5 + [4] * 5 + [5]
     first, second, _ = encoded(0x1B0, "joint", counter, range(CHANNELS), t_ns=30)
-    state = received(node, state, [second._replace(t_ns=20)])
-    assert node.joint_times(state) == [(0, -1), (5, 20), (10, -1)]
-    state = received(node, state, encoded(0x1A0, "tension", counter, range(CHANNELS), t_ns=40))
-    assert node.joint_times(state) == [(0, -1), (5, 20), (10, -1)], "load cells are no joints"
-    assert node.joint_times(received(node, state, [first])) == [(0, 30), (5, 20), (10, -1)]
+    assert wired.receive([second._replace(t_ns=20)]).view("group_ns")[3:].tolist() == [-1, 20, -1]
+    wired.receive(encoded(0x1A0, "tension", counter, range(CHANNELS), t_ns=40))
+    assert wired.view("group_ns")[3:].tolist() == [-1, 20, -1], "load cells are no joints"
+    assert wired.receive([first]).view("group_ns")[3:].tolist() == [30, 20, -1]
+
+
+def test_lost_frames_are_those_that_never_came(node: SensorNode) -> None:
+    assert node.lost(0, 0, 0) == 0
+    assert node.lost(10, 27, 0) == 0, "the last ones may be on their way"
+    assert node.lost(10, 20, 3) == 4

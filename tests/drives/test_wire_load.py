@@ -79,7 +79,7 @@ def test_lockstep_tells_what_the_wire_tells(tmp_path: Path) -> None:
     clock = LockstepClock(bench.rig, 2_000_000)
     bus = LockstepBus(clock)
     bench.rig.wired.wires[0].disturbed = 32
-    bus.send([bench.node.sync(bench.sensors, 0)[1]])
+    bus.send([bench.node.sync(0)])
     for k in range(1, 5):
         clock.wait(k)
     assert not any(frame.can_id & ERROR for frame in bus.drain())

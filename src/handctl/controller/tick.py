@@ -14,7 +14,6 @@ them in order. A tick works on a copy of the state, so that it is a pure functio
 from dataclasses import dataclass, field
 
 import numpy as np
-from filterpy.kalman import predict_steadystate
 
 from handctl.compiled import prepare
 from handctl.controller import modes, retune
@@ -26,11 +25,11 @@ from handctl.controller.state import Decisions, State, layout_of
 from handctl.controller.telemetry import Gather
 from handctl.core import block as s
 from handctl.core import stages, wire
-from handctl.core.estimation.covariance import HELD_TORQUE_S
 from handctl.core.estimation.doubts import notes
+from handctl.core.estimation.prediction import predict
 from handctl.core.hand_constants import HandConstants
-from handctl.core.law.allocation import bounded
 from handctl.core.law.goals import sample, write_goals
+from handctl.core.law.loads import write_loads
 from handctl.core.model import HandModel
 from handctl.core.schema import Layout, Places
 from handctl.core.types import Event, Mode, TickIn, TickOut, Vector
@@ -39,7 +38,6 @@ from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.drives.frame import ERROR, Frame
 from handctl.drives.records import PAYLOAD, WORDS, Frames, Rows, frames_of, joined
 from handctl.drives.sensors.node import SensorNode
-from handctl.hand.dynamics import required_torque
 from handctl.programs.program import TARE_PHASE, Program
 from handctl.safety.action import Action
 from handctl.safety.judge import Finding, alone, begun, foreign, judge
@@ -177,7 +175,7 @@ class Controller:
         stages.observe(block, places, *self._constants)
         stages.correct(block, places, *self._constants)
         if state.started:
-            self._predict(state, missed)
+            predict(self.model, self.layout, block, missed)
         if stages.conclude(block, places, *self._constants):
             signs += unsolicited(self.drives, self.sensors, before, state, entry.frames)
         return signs
@@ -217,19 +215,6 @@ class Controller:
         if stripped != before:
             drives = state.decisions.drives
             state.decide(drives=(*drives[:n], stripped, *drives[n + 1 :]))
-
-    def _predict(self, state: State, missed: int) -> None:
-        """Predict the filter's states to the present; of ticks that were skipped nothing was planned."""
-        block, n, first = state.block, self.model.tendon_count, self.layout.start("tendon")
-        states, inputs = block[first : first + 7 * n], block[first + 7 * n : first + 9 * n]
-        kinds = state.tendon_int[s.KIND].tobytes()
-        F, B = self.model.filter.transition(kinds)
-        x = predict_steadystate(states, F, inputs, B)
-        if missed:
-            held = np.concatenate((inputs[:n], np.zeros(n)))
-            for _ in range(min(missed, round(HELD_TORQUE_S / self.model.period))):
-                x = predict_steadystate(x, F, held, B)
-        states[:] = x
 
     # judge, decide
 
@@ -300,32 +285,10 @@ class Controller:
         block, places, mode = state.block, self.layout.places, state.mode
         if mode in (ACTIVE, RELAX):
             sample(self.model, self.layout, block, state.progress.goals, state.goal_time)
-            undecided = stages.refer(block, places, *self._constants, int(action))
-            if self.model.inverse is not required_torque:
-                undecided = self._refer_otherwise(state)
-            if undecided:
-                self._allocate(state, undecided)
+            write_loads(self.model, self.layout, self.constants, block, int(action))
         relaxing = mode == RELAX
         rate, opened = (relax_rate(state), open_loop(state)) if relaxing else (0.0, False)
         stages.act(block, places, *self._constants, rate, int(opened), ticks)
-
-    def _refer_otherwise(self, state: State) -> int:
-        """Evaluate the goals with another law of the digits than their equations of motion, for experiments."""
-        way = stages.on_joints(state.block, self.layout.places, *self._constants)
-        required = state.view("joint_required")
-        for digit in self.model.digits:
-            required[digit.joints] = self.model.inverse(digit, *(row[digit.joints].tolist() for row in way))
-        return stages.load(state.block, self.layout.places, *self._constants)
-
-    def _allocate(self, state: State, undecided: int) -> None:
-        """Solve the bounded least-squares problem of digits whose tensions leave their bounds or are not unique."""
-        load, required = state.view("load"), state.view("joint_required")
-        for d, digit in enumerate(self.model.digits):
-            if undecided >> d & 1:
-                tendons = digit.tendons
-                wanted = required[digit.joints] @ digit.coupling
-                low, high = self.model.floor[tendons], self.model.ceiling[tendons]
-                load[tendons] = bounded(digit.reduced_moment_arms, wanted, low, high, load[tendons])
 
     def _retune(self, unchanged: State, state: State, action: Action, ticks: int) -> tuple[Event, ...]:
         """Design a piece of the gains that are coming; take them over from the next tick on when all is designed.

@@ -99,10 +99,12 @@ def receive(
     for r in range(first, len(rows)):
         head = np.int64(rows[r, HEAD])
         can_id, bus, length = head & ID_MASK & ~ERROR, head >> BUS_BIT & BYTE_MASK, head >> LENGTH_BIT & BYTE_MASK
-        entry = find(keys, bus << 32 | can_id)
-        if entry == UNKNOWN:
+        entry, flagged = find(keys, bus << 32 | can_id), head & ERROR != 0
+        if entry == UNKNOWN or (flagged and entries[entry, KIND] == HOST):
             _strange(x, keys, entries, bus, can_id)
             continue
+        if flagged:
+            continue  # an error frame has no values, whatever its identifier looks like
         kind, t_ns, payload = entries[entry, KIND], np.int64(rows[r, T_NS]), rows[r, PAYLOAD]
         fits = length == entries[entry, LENGTH]
         if kind == SENSORS:

@@ -1,7 +1,7 @@
 """Cyclic frames as tables of signals: where a value is in a frame, how it is coded, what a count is worth.
 
-One packer and one unpacker, compiled, serve all protocols. The same tables write a DBC (``dbc``), with which other
-tools decode the bus. Bit positions are those of a DBC: bit 0 is the lowest bit of the first byte. A little-endian
+One packer and one unpacker, compiled, serve all protocols. The same tables make a DBC (``drives.dbc``), with which
+other tools decode the bus. Bit positions are those of a DBC: bit 0 is the lowest bit of the first byte. A little-endian
 signal begins at its lowest bit, a big-endian one at its highest.
 """
 
@@ -142,7 +142,8 @@ def unpacked(value: Any, wholes: Whole, reals: Real, i: int) -> float:
     count = np.int64(bits)
     if coding == SIGNED and count >> (length - 1):
         count -= np.int64(1) << length
-    return count * reals[i, SCALE] + reals[i, OFFSET]
+    found: float = count * reals[i, SCALE] + reals[i, OFFSET]
+    return found
 
 
 @inner
@@ -208,25 +209,3 @@ class Table:
         data = np.frombuffer(self.message.base.ljust(8, b"\0"), np.uint64, 1).reshape(1, 1).copy()
         pack_rows(data, self.wholes, self.reals, np.array(values, dtype=np.float64))
         return data.tobytes()[: self.message.length]
-
-
-def dbc(messages: tuple[Message, ...], node: str = "drive") -> str:
-    """Write a DBC of messages, for other tools.
-
-    Args:
-        messages: with distinct names. node: name of who sends them.
-    """
-    lines = ['VERSION ""', "", "NS_ :", "", "BS_:", "", f"BU_: {node} host", ""]
-    floats = []
-    for message in messages:
-        frame_id = message.can_id & 0x1FFFFFFF | (0x80000000 if message.can_id & 0x80000000 else 0)
-        lines.append(f"BO_ {frame_id} {message.name}: {message.length} {node}")
-        for signal in message.signals:
-            order, sign = (0 if signal.big_endian else 1), ("+" if signal.coding == Coding.UNSIGNED else "-")
-            place = f"{signal.start}|{signal.length}@{order}{sign}"
-            value = f"({signal.scale!r},{signal.offset!r}) [0|0]"
-            lines.append(f' SG_ {signal.name} : {place} {value} "{signal.unit}" host')
-            if signal.coding == Coding.FLOAT:
-                floats.append(f"SIG_VALTYPE_ {frame_id} {signal.name} : 1;")
-        lines.append("")
-    return "\n".join([*lines, *floats, ""])

@@ -1,19 +1,21 @@
-"""``handctl config``: show a hand with everything that follows from it, or check files."""
+"""``handctl config``: show a hand with everything that follows from it, check files, or export it for other tools."""
 
 import argparse
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.console.options import gains_options, hand_option, json_option, print_json
+from handctl.cli.console.options import gains_options, hand_option, json_option, print_json, say
 from handctl.cli.console.plan import find_calibration, layered_gains
 from handctl.controller.bus_load import bus_loads
-from handctl.controller.setup import caveats, make_drives
+from handctl.controller.setup import caveats, make_drives, make_sensors
 from handctl.core.gains.bounds import flat
 from handctl.core.identified import UNITS
+from handctl.drives.dbc import of_bus
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import hand_path, load_hand, packaged_hands
 from handctl.hand.strength import strength_warnings
+from handctl.output import named_after, write_whole
 from handctl.session.gains import LayeredGains
 from handctl.session.plan import check_design, check_load_cells, fastest
 from handctl.session.tasks import TASKS, find_task
@@ -26,18 +28,32 @@ def configure(parser: argparse.ArgumentParser) -> None:
     hand_option(parser)
     json_option(parser)
     parser.add_argument(
-        "what", choices=["show", "check", "list"], help="show the hand, check files, list what is packaged"
+        "what",
+        choices=["show", "check", "list", "export"],
+        help="show the hand, check files, list what is packaged, write the hand's buses for other tools",
     )
+    parser.add_argument("--dbc", action="store_true", help="export: the frames of each bus, as a CAN database")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="export: a new file (default: HAND.dbc)")
     parser.add_argument("--task", type=Path, help="task file to check with the hand")
     gains_options(parser)
     parser.add_argument("--calibration", type=Path, help="calibration file to check (default: HAND.calibration.toml)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show or check."""
+    """Show, check, list or export."""
+    if args.what != "export" and (args.dbc or args.output):
+        option = "--dbc" if args.dbc else f"--output {args.output}"
+        raise ConfigError("is for export alone", option, "handctl config export --dbc")
     if args.what == "list":
         return _list(args.json)
     hand = load_hand(args.hand)
+    if args.what == "export":
+        return _export(args, hand)
+    return _show(args, hand)
+
+
+def _show(args: argparse.Namespace, hand: Hand) -> int:
+    """Show or check a hand with its files."""
     layers = layered_gains(args, hand)
     if args.task:
         find_task(args.task, hand)
@@ -113,6 +129,24 @@ def _calibration_lines(found: dict[str, Any]) -> list[str]:
         for tendon, values in found["identified"].items()
         for name, one in values.items()
     ]
+
+
+def _export(args: argparse.Namespace, hand: Hand) -> int:
+    """Write a DBC of each bus; of several, a file with the name of the bus in it."""
+    if not args.dbc:
+        raise ConfigError("no format", "export", "--dbc")
+    output = args.output or Path(f"{hand.name}.dbc")
+    drives, sensors, buses, written = make_drives(hand), make_sensors(hand), hand.bus_names, []
+    for bus, name in enumerate(buses):
+        path = output if len(buses) == 1 else named_after(output, f".{name}{output.suffix}")
+        write_whole(path, of_bus(bus, drives, sensors, hand.tendon_names, hand.joints), new=True)
+        written.append({"bus": name, "output": str(path)})
+    if args.json:
+        print_json({"hand": hand.name, "files": written})
+    else:
+        for one in written:
+            say(f"{one['output']}: bus {one['bus']}")
+    return 0
 
 
 def _list(as_json: bool) -> int:

@@ -78,7 +78,7 @@ def command_message(can_id: int, ranges: Ranges, sign: int = 1, flags: int = 0) 
         _spanning("position", unused, 7, 16, ranges.position, "rad"),
         _spanning("velocity", unused, 23, 12, ranges.velocity, "rad/s"),
         Signal("kp", unused, 27, 12, True, scale=500.0 / TOP, unit="N m/rad"),
-        Signal("kd", unused, 39, 12, True, scale=5.0 / TOP, unit="N m s/rad"),
+        Signal("kd", unused, 47, 12, True, scale=5.0 / TOP, unit="N m s/rad"),
         _spanning("torque", Quantity.TORQUE, 51, 12, ranges.torque, "N m", sign),
     )
     return Message("command", can_id, 8, signals, flags, _NO_MOTION.to_bytes(8, "big"), False, ranges.torque)

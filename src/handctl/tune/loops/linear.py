@@ -1,6 +1,6 @@
 """Both loops as linear systems: the controller differentiated where it runs, the plant from the hand file.
 
-The controller's matrices are finite differences of the very functions that a tick calls, so whatever changes in the
+The controller's matrices are finite differences of the very stages that a tick calls, so whatever changes in the
 filter or the law changes here too. Each tendon is taken by itself, as the gains are designed. Friction is left out: in
 motion it is saturated and has no slope. The delay is the bus's: a tick acts on samples of the tick before.
 
@@ -20,15 +20,19 @@ from numpy.typing import NDArray
 from scipy.linalg import expm
 from scipy.optimize import linprog
 
-from handctl.core.estimation import estimator
-from handctl.core.estimation.estimator import Measured
-from handctl.core.estimation.filter_stack import STATES, Regime, S, V, W, X
-from handctl.core.estimation.filter_state import FilterState
-from handctl.core.law import computed_torque
-from handctl.core.law.computed_torque import LawState
+from handctl.controller.state import layout_of
+from handctl.core import block as s
+from handctl.core import stages
+from handctl.core.estimation.filter_stack import Regime
+from handctl.core.estimation.prediction import predict
+from handctl.core.hand_constants import HandConstants
 from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.goals import sample, write_goals
+from handctl.core.law.loads import write_loads
 from handctl.core.law.trajectory import Sample
 from handctl.core.model import HandModel
+from handctl.core.schema import Block, Layout
+from handctl.core.types import Mode
 from handctl.hand.digit import DigitModel
 
 Matrix = NDArray[np.float64]
@@ -210,105 +214,104 @@ def _with(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> M
     return tick(state, moved)
 
 
-_USUAL = {"x": 2.0 ** np.array([-17, -7, -17, -7, 0, 0, -17])}
-"""Size of the filter's states, by which the differences are scaled; other states are forces [N].
+ROWS = [*range(s.TRAVEL, s.STRETCH_OFFSET + 1), s.SETPOINT, s.INTEGRAL, s.FORCE, s.PLANNED, s.RATE]
+"""Rows of a tendon that take part in the feedback: what the filter carries from tick to tick, then the law."""
+READ = [s.MEASURED_TRAVEL, s.MEASURED_TENSION, s.MEASURED_EXCURSION]
+"""Rows of its measurements."""
+_USUAL = 2.0 ** np.array([-17, -7, -17, -7, 0, 0, -17, 0, 0, 0, 0, 0])
+"""Size of the states in ``ROWS``, by which the differences are scaled.
 
 Powers of two: the difference of a state that is only copied is then exactly one.
 """
 
 
+class _Bench:
+    """Filter and linear law of a hand on a block of its state.
+
+    Attributes:
+        model: the hand; the law has its gains, and neither limits nor friction of the motors.
+        layout: of the block.
+    """
+
+    def __init__(self, model: HandModel) -> None:
+        unlimited = np.full(model.tendon_count, UNLIMITED)
+        space = replace(model.space, coulomb=np.zeros_like(unlimited))
+        self.model = replace(model, torque_limit=unlimited, space=space)
+        self.layout: Layout = layout_of(model, 1)
+        self._constants = HandConstants(self.model, {})
+        self._known = self._constants.block, self._constants.layout.places
+
+    def estimate(self, block: Block) -> None:
+        """Take in the measurements and predict; no torque acts yet, so that no touch is felt."""
+        self.layout.view(block, "mode")[...] = Mode.ARMING
+        stages.correct(block, self.layout.places, *self._known)
+        predict(self.model, self.layout, block)
+        stages.conclude(block, self.layout.places, *self._known)
+
+    def act(self, block: Block) -> None:
+        """Command the torques that the goals and the estimate require."""
+        self.layout.view(block, "mode")[...] = Mode.ACTIVE
+        write_loads(self.model, self.layout, self._constants, block)
+        stages.act(block, self.layout.places, *self._known, 0.0, 0, 1)
+
+
 def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Tick, Matrix, Matrix, Matrix]:
     """The tick of one tendon about a point, that point's state and reading, and the step of each state."""
-    filters, law, measured, goals, contact = _point(model, tendon, kind)
-    unlimited = np.full(model.tendon_count, UNLIMITED)
-    linear = replace(model, torque_limit=unlimited, space=replace(model.space, coulomb=np.zeros_like(unlimited)))
-    parts = [("filter", name) for name in _floats(filters)] + [("law", name) for name in _floats(law)]
-    owners = {"filter": filters, "law": law}
-    n = model.tendon_count
-
-    def share(owner: object, name: str) -> Matrix:
-        table: Matrix = np.reshape(getattr(owner, name), (n, -1))[tendon]
-        return table
-
-    def with_share(values: Matrix) -> tuple[FilterState, LawState]:
-        changed: dict[str, dict[str, Matrix]] = {"filter": {}, "law": {}}
-        at = 0
-        for owner, name in parts:
-            whole = getattr(owners[owner], name).copy()
-            table = whole.reshape(n, -1)
-            table[tendon] = values[at : at + table.shape[1]]
-            at += table.shape[1]
-            changed[owner][name] = whole
-        return filters._replace(**changed["filter"]), law._replace(**changed["law"])  # type: ignore[arg-type]
+    bench = _Bench(model)
+    point = _point(bench, tendon, kind)
 
     def tick(values: Matrix, reading: Matrix) -> Matrix:
-        own_filters, own_law = with_share(values)
-        travel, tension, excursion = (_put(getattr(measured, name), tendon, reading[j]) for j, name in _READ)
-        now = measured._replace(travel=travel, tension=tension, excursion=excursion)
-        next_filters, estimate = estimator.step(model, own_filters, now, own_law.force, own_law.rate, contact)
-        next_law, command = computed_torque.step(linear, own_law, estimate, goals, 0.0)
-        after = {"filter": next_filters, "law": next_law}
-        force = command.torque[tendon] / model.space.spool[tendon]
-        return np.concatenate([*(share(after[owner], name) for owner, name in parts), [force]])
+        block = point.copy()
+        table = bench.layout.table(block, "tendon")
+        table[ROWS, tendon], table[READ, tendon] = values, reading
+        bench.estimate(block)
+        bench.act(block)
+        return np.append(table[ROWS, tendon], table[s.TORQUE, tendon] / model.space.spool[tendon])
 
-    state = np.concatenate([share(owners[owner], name) for owner, name in parts])
-    sizes = [_USUAL.get(name, np.ones(share(owners[owner], name).size)) for owner, name in parts]
-    reading = np.array([getattr(measured, name)[tendon] for _, name in _READ])
-    return tick, state, reading, np.concatenate(sizes) * STEP["state"]
+    table = bench.layout.table(point, "tendon")
+    return tick, table[ROWS, tendon].copy(), table[READ, tendon].copy(), _USUAL * STEP["state"]
 
 
-_READ = tuple(enumerate(("travel", "tension", "excursion")))
-
-
-def _put(values: Matrix, index: int, value: float) -> Matrix:
-    changed = values.copy()
-    changed[index] = value
-    return changed
-
-
-_WATCHED = ("nis", "surprise", "lately", "wary")
-"""What the filter keeps of its innovations, only to judge them."""
-
-
-def _floats(record: FilterState | LawState) -> list[str]:
-    """Names of a record's fields that hold float arrays and take part in the feedback."""
-    names = [name for name in record._fields if name not in _WATCHED]
-    return [name for name in names if getattr(getattr(record, name), "dtype", None) == np.float64]
-
-
-def _point(
-    model: HandModel, tendon: int, kind: LoopKind
-) -> tuple[FilterState, LawState, Measured, tuple[DigitGoal, ...], tuple[bool, ...]]:
+def _point(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
     """Every digit half closed, every tendon taut, one of them winding (motion) or at rest (tension), without error."""
-    n = model.tendon_count
-    moving = kind == LoopKind.MOTION
+    model, layout, moving = bench.model, bench.layout, kind == LoopKind.MOTION
     coordinates = [_half_closed(digit) for digit in model.digits]
     rates = [_winding(model, d, tendon, SPEED_M_S if moving else 0.0) for d in range(len(model.digits))]
     q = np.concatenate([digit.coupling @ own for digit, own in zip(model.digits, coordinates, strict=True)])
     dq = np.concatenate([digit.coupling @ own for digit, own in zip(model.digits, rates, strict=True)])
-    excursion = model.hand.moment_arms @ q
-    x = np.zeros((n, STATES))
-    x[:, S] = excursion
-    x[:, X] = excursion + TENSION_N / model.space.stiffness
-    x[:, V] = x[:, W] = model.hand.moment_arms @ dq
-    regime = Regime.FREE if moving else Regime.HELD
-    filters = FilterState.of(x.ravel(), regime, stopped=False)
-    force, none = np.full(n, TENSION_N), np.zeros(n)
-    joints = model.excursion_of(q)
+    block = layout.initial.copy()
+    table = layout.table(block, "tendon")
+    table[s.EXCURSION] = model.hand.moment_arms @ q
+    table[s.TRAVEL] = table[s.EXCURSION] + TENSION_N / model.space.stiffness
+    table[s.SPEED] = table[s.EXCURSION_RATE] = model.hand.moment_arms @ dq
+    table[s.FORCE] = table[s.MEASURED_TENSION] = TENSION_N
+    table[s.MEASURED_TRAVEL] = table[s.TRAVEL]
     seen = np.isfinite(_joint_gain(model))
-    measured = Measured(x[:, X].copy(), force.copy(), np.where(seen, joints, math.nan), q)
-    contact = (not moving,) * len(model.digits)
-    _, estimate = estimator.step(model, filters, measured, force, none, contact)
-    law = LawState.initial(n)._replace(
-        setpoint=estimate.tension.copy(), force=force, planned=np.full(n, DEVELOPED_N if moving else TENSION_N)
-    )
-    if not moving:
-        return filters, law, measured, tuple(_hold(tendons) for tendons in model.digit_tendons), contact
-    goals = []
-    for digit, own, rate in zip(model.digits, coordinates, rates, strict=True):
-        reached, wound = estimate.excursion[digit.tendons], estimate.speed[digit.tendons]
-        goals.append(_move(digit, own, rate, reached, wound, tendon - digit.tendons.start))
-    return filters, law, measured, tuple(goals), contact
+    table[s.MEASURED_EXCURSION] = np.where(seen, model.hand.moment_arms @ q, math.nan)
+    layout.view(block, "regime")[...] = Regime.FREE if moving else Regime.HELD
+    layout.view(block, "stopped")[...] = 0
+    layout.view(block, "planned_contact")[...] = not moving
+    layout.view(block, "started")[...] = 1
+    estimated = block.copy()
+    bench.estimate(estimated)
+    reached = layout.table(estimated, "tendon")
+    table[s.SETPOINT], table[s.PLANNED] = reached[s.TENSION], DEVELOPED_N if moving else TENSION_N
+    goals = tuple(_hold(tendons) for tendons in model.digit_tendons)
+    if moving:
+        goals = tuple(
+            _move(
+                digit,
+                own,
+                rate,
+                reached[s.EXCURSION, digit.tendons],
+                reached[s.SPEED, digit.tendons],
+                tendon - digit.tendons.start,
+            )
+            for digit, own, rate in zip(model.digits, coordinates, rates, strict=True)
+        )
+    write_goals(model, layout, block, goals)
+    sample(model, layout, block, goals, 0.0)
+    return block
 
 
 def _half_closed(digit: DigitModel) -> Matrix:

@@ -1,0 +1,27 @@
+"""Prediction of the tension filter to the present, by filterpy."""
+
+import numpy as np
+from filterpy.kalman import predict_steadystate
+
+from handctl.core import block as s
+from handctl.core.estimation.covariance import HELD_TORQUE_S
+from handctl.core.model import HandModel
+from handctl.core.schema import Block, Layout
+
+
+def predict(model: HandModel, layout: Layout, block: Block, missed: int = 0) -> None:
+    """Predict the states of all tendons; of ticks that were skipped nothing was planned.
+
+    Args:
+        model: the hand. layout: of the block. block: the state, changed.
+        missed: ticks that were skipped before this one.
+    """
+    n, first = model.tendon_count, layout.start("tendon")
+    states, inputs = block[first : first + 7 * n], block[first + 7 * n : first + 9 * n]
+    F, B = model.filter.transition(layout.table(block, "tendon_int")[s.KIND].tobytes())
+    x = predict_steadystate(states, F, inputs, B)
+    if missed:
+        held = np.concatenate((inputs[:n], np.zeros(n)))
+        for _ in range(min(missed, round(HELD_TORQUE_S / model.period))):
+            x = predict_steadystate(x, F, held, B)
+    states[:] = x

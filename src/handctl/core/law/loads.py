@@ -1,0 +1,32 @@
+"""Tensions at the joints that the goals require: the compiled reference, and what only Python can decide of it."""
+
+from handctl.core import stages
+from handctl.core.hand_constants import HandConstants
+from handctl.core.law.allocation import bounded
+from handctl.core.model import HandModel
+from handctl.core.schema import Block, Layout
+from handctl.hand.dynamics import required_torque
+
+
+def write_loads(model: HandModel, layout: Layout, constants: HandConstants, block: Block, action: int = 0) -> None:
+    """Evaluate the goals and write the tensions of all tendons that move.
+
+    Args:
+        model: the hand. layout: of the block. constants: of the hand.
+        block: the state, changed. action: what safety demands, ``safety.action.Action``.
+    """
+    known = constants.block, constants.layout.places
+    undecided = stages.refer(block, layout.places, *known, action)
+    required, load = layout.view(block, "joint_required"), layout.view(block, "load")
+    if model.inverse is not required_torque:  # another law of the digits, for experiments
+        way = stages.on_joints(block, layout.places, *known)
+        for digit in model.digits:
+            required[digit.joints] = model.inverse(digit, *(row[digit.joints].tolist() for row in way))
+        undecided = stages.load(block, layout.places, *known)
+    # Tensions that leave their bounds, or are not the only ones: the bounded least-squares problem decides.
+    for d, digit in enumerate(model.digits):
+        if undecided >> d & 1:
+            tendons = digit.tendons
+            wanted = required[digit.joints] @ digit.coupling
+            low, high = model.floor[tendons], model.ceiling[tendons]
+            load[tendons] = bounded(digit.reduced_moment_arms, wanted, low, high, load[tendons])

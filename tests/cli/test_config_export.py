@@ -1,0 +1,38 @@
+"""``handctl config export --dbc``: a database of each bus, that cantools takes."""
+
+import json
+
+import cantools
+
+from handctl.cli.main import main
+from tests.cli.refused import refused
+from tests.drives.protocol_bench import hand_file, on_two_buses
+
+
+def names(path):
+    """Messages of a file, read strictly."""
+    return {message.name for message in cantools.database.load_file(path, strict=True).messages}
+
+
+def test_a_hand_on_one_bus_has_one_file(place, capsys):
+    assert main(["config", "export", "--dbc", "--hand", "jamia"]) == 0
+    assert capsys.readouterr().out == "jamia.dbc: bus main\n"
+    assert {"sync", "tensions_0", "index_motor_feedback", "thumb_motor_command"} <= names("jamia.dbc")
+
+
+def test_each_bus_of_a_hand_has_its_file(place, capsys):
+    path = on_two_buses(hand_file(place, ["mit", "cia402"]))
+    assert main(["config", "export", "--dbc", "--hand", str(path), "--output", "two.dbc", "--json"]) == 0
+    files = json.loads(capsys.readouterr().out)["files"]
+    assert files == [{"bus": "main", "output": "two.main.dbc"}, {"bus": "second", "output": "two.second.dbc"}]
+    assert "sync" in names("two.main.dbc")
+    assert names("two.second.dbc") == {f"{one}_motor_{pdo}" for one in ("ring", "thumb") for pdo in ("tpdo1", "rpdo1")}
+
+
+def test_nothing_is_written_over_and_options_have_their_verb(place, capsys):
+    (place / "jamia.dbc").write_text("mine")
+    assert "is there already" in refused(capsys, "config", "export", "--dbc", "--hand", "jamia")
+    assert (place / "jamia.dbc").read_text() == "mine"
+    assert "--dbc" in refused(capsys, "config", "export", "--hand", "jamia")
+    for words in (("show", "--dbc"), ("list", "--dbc"), ("check", "--output", "x.dbc")):
+        assert "is for export alone" in refused(capsys, "config", *words)

@@ -1,0 +1,169 @@
+"""The compiled wire beside each drive's own receive and advance: the same values, the same frames, whatever comes."""
+
+import math
+import random
+import struct
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import pytest
+
+from fuzz.drives import DRIVES, Fuzzed
+from handctl.drives.cia402.drive import Cia402Drive
+from handctl.drives.contract import UNSTEADY, Drive, DriveState, Phase, Want
+from handctl.drives.frame import BRS, ERROR, FDF, REMOTE, Frame
+from handctl.drives.odrive.drive import OdriveDrive
+from handctl.drives.registry import PROTOCOLS
+from handctl.drives.sensors.node import SensorNode
+from tests.drives.protocol_bench import PERIOD_NS, Bench, hand_file
+from tests.drives.wired import Wired
+
+VARIANTS = DRIVES | {
+    "mit-fd": Fuzzed("mit", "[motor.options]\nfd = true\n"),
+    "odrive-torque": Fuzzed("odrive", "torque_feedback = true\n"),
+}
+SEEDS, TICKS = range(20), 150
+NO_SENSORS = SensorNode(0, 0x7F0, (0x7F1,), ((),), (1,), 0, (-1,), 1)
+
+
+@cache
+def enabled(name: str) -> tuple[Drive, DriveState, int, tuple[Frame, ...]]:
+    """A drive that has come to torque, its state, the time [ns], and what it sends in a few ticks."""
+    variant = VARIANTS[name]
+    with TemporaryDirectory() as folder:
+        path = hand_file(Path(folder), [variant.protocol], variant.options)
+        lines = path.read_text().splitlines(keepends=True)
+        path.write_text("".join(line for line in lines if not line.startswith(variant.without)))
+        bench = Bench(path)
+        bench.until(Want.POLL, Phase.READY)
+        bench.until(Want.ENABLE, Phase.ENABLED)
+        drive, state, t_ns = bench.drives[0], bench.states[0], bench.k * PERIOD_NS
+        heard: list[Frame] = []
+        for _ in range(60):
+            bench.tick(Want.ENABLE, 0.05)
+            heard += [frame for frame in bench.incoming if frame.can_id in drive.node_ids]
+        bench.rig.close()
+    return drive, state, t_ns, tuple(heard)
+
+
+def some_frame(chance: random.Random, heard: tuple[Frame, ...], t_ns: int) -> Frame:
+    """One of a drive's frames, as it was or changed in one way."""
+    frame = chance.choice(heard)._replace(t_ns=t_ns)
+    data, way = bytearray(frame.data), chance.randrange(12)
+    if way == 0:
+        return frame._replace(data=chance.randbytes(chance.randrange(65)))
+    if way == 1:
+        return frame._replace(data=chance.randbytes(8))
+    if way == 2:
+        return frame._replace(data=bytes(data[:-1]))
+    if way == 3:
+        return frame._replace(can_id=frame.can_id | chance.choice((ERROR, REMOTE)))
+    if way == 4:
+        return frame._replace(flags=frame.flags ^ (FDF | BRS))
+    if way == 5 and data:
+        data[0] ^= 1 << chance.randrange(8)
+    if way == 6 and len(data) == 8:
+        data[4 * chance.randrange(2) :][:4] = b""
+        wrong = struct.pack("<f", chance.choice((math.nan, math.inf, -math.inf, 3.4e38)))
+        data = bytearray(wrong + bytes(data[-4:])) if chance.random() < 0.5 else bytearray(bytes(data[:4]) + wrong)
+    if way > 7 and len(data) == 8:
+        data[1 + chance.randrange(7)] = chance.randrange(256)
+    return frame._replace(data=bytes(data))
+
+
+def same(one: DriveState, other: DriveState, drive: Drive) -> bool:
+    """Whether two states are the same; a CiA 402 drive's sign of life may be in the time of its feedback."""
+    if isinstance(drive, Cia402Drive):
+        one, other = (
+            state._replace(private=state.private._replace(heard_ns=max(state.private.heard_ns, state.feedback_t_ns)))
+            for state in (one, other)
+        )
+    numbers = [(one[i], other[i]) for i in range(1, 5)]
+    equal = all(a == b or (math.isnan(a) and math.isnan(b)) for a, b in numbers)
+    return equal and one[0] == other[0] and one[5:] == other[5:]
+
+
+def wants(chance: random.Random) -> Iterator[Want]:
+    while True:
+        yield Want.ENABLE if chance.random() < 0.97 else chance.choice(list(Want))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("name", VARIANTS)
+def test_compiled_code_and_the_state_machine_are_one(name: str, seed: int) -> None:
+    drive, begin, t_ns, heard = enabled(name)
+    chance = random.Random(f"{name} {seed}")
+    state, wired, steady = begin, Wired([drive], NO_SENSORS), 0
+    wired.keep(0, begin)
+    for _, want in zip(range(TICKS), wants(chance), strict=False):
+        wired.begin()
+        for _ in range(chance.randrange(4)):
+            good = chance.random() < 0.7
+            frame = chance.choice(heard)._replace(t_ns=t_ns) if good else some_frame(chance, heard, t_ns)
+            state = drive.receive(state, frame)
+            wired.receive([frame])
+            steady += not wired.seen
+            assert same(wired.drive(0), state, drive), frame
+        torque = chance.uniform(-drive.torque_limit, drive.torque_limit)
+        state, frames = drive.advance(state, t_ns, want, torque)
+        assert wired.send(want, [torque], t_ns) == list(frames)
+        assert same(wired.drive(0), state, drive)
+        if drive.steady_status(state) == UNSTEADY and chance.random() < 0.3:
+            state = revived(begin, t_ns)
+            wired.keep(0, state)
+        t_ns += PERIOD_NS
+    assert steady > TICKS // 4, "compiled code has hardly read a frame"
+
+
+def revived(state: DriveState, t_ns: int) -> DriveState:
+    """The state of an enabled drive as if it had come to torque now."""
+    private = state.private
+    times = {name: t_ns for name in ("heard_ns", "beat_ns", "warmed_ns") if name in private._fields}
+    if "check" in private._fields:
+        times["check"] = private.check._replace(due_ns=t_ns + 50_000_000)
+    return state._replace(feedback_t_ns=t_ns, private=private._replace(**times))
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_what_is_no_torque_is_never_sent(name: str) -> None:
+    drive, state, t_ns, _ = enabled(name)
+    beyond = math.nextafter(drive.torque_limit, math.inf)
+    for torque in (math.nan, math.inf, -math.inf, beyond, -beyond):
+        wired = Wired([drive], NO_SENSORS)
+        wired.keep(0, state)
+        with pytest.raises(ValueError, match="expected at most"):
+            wired.send(Want.ENABLE, [torque], t_ns)
+    for torque in (drive.torque_limit, -drive.torque_limit, 5e-324, -0.0):
+        wired = Wired([drive], NO_SENSORS)
+        wired.keep(0, state)
+        assert wired.send(Want.ENABLE, [torque], t_ns) == list(drive.advance(state, t_ns, Want.ENABLE, torque)[1])
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_an_enabled_drive_is_steady_until_it_is_due(name: str) -> None:
+    drive, state, t_ns, _ = enabled(name)
+    assert drive.steady_status(state) != UNSTEADY
+    due = drive.due_ns(state)
+    assert due > t_ns - PERIOD_NS
+    for silent in (drive.initial(), state._replace(phase=Phase.READY), state._replace(phase=Phase.FAULT)):
+        assert drive.steady_status(silent) == UNSTEADY
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_cyclic_frames_are_what_the_bus_is_planned_for(name: str) -> None:
+    """Commands, and what answers them; a table more may be read, of what comes by itself or is not asked for."""
+    drive, _, _, _ = enabled(name)
+    told = sorted((message.length, bool(message.flags)) for message in drive.cyclic.commands)
+    asked = len(drive.cyclic.commands) - 1 if isinstance(drive, OdriveDrive) else 1
+    planned = list(drive.exchange)
+    for one in told:
+        planned.remove(one)
+    assert len(planned) == asked
+    assert {message.can_id for message in drive.cyclic.feedback} <= drive.node_ids
+    assert {message.can_id for message in drive.cyclic.commands} - {0x080} <= drive.host_ids | drive.node_ids
+
+
+def test_every_protocol_is_here() -> None:
+    assert {variant.protocol for variant in VARIANTS.values()} == set(PROTOCOLS)

@@ -1,0 +1,123 @@
+"""The DBC of a hand's buses: cantools reads by it what the controller reads by its tables."""
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import cantools
+import pytest
+from cantools.database import Database
+
+from fuzz.drives import DRIVES, Fuzzed
+from handctl.controller.setup import make_drives, make_sensors
+from handctl.drives.contract import Phase, Want
+from handctl.drives.dbc import HOST, SENSORS, of_bus
+from handctl.drives.frame import Frame
+from handctl.drives.signals import Message, Quantity
+from handctl.hand.description import Hand
+from handctl.hand.load import load_hand
+from tests.drives.protocol_bench import Bench, hand_file, on_two_buses
+from tests.drives.wired import Wired
+
+FIELD = {Quantity.POSITION: "position", Quantity.VELOCITY: "velocity", Quantity.TORQUE: "reported"}
+VARIANTS = DRIVES | {"mit-fd": Fuzzed("mit", "[motor.options]\nfd = true\n")}
+TICKS = 40
+
+
+def database(hand: Hand, bus: int = 0) -> Database:
+    text = of_bus(bus, make_drives(hand), make_sensors(hand), hand.tendon_names, hand.joints)
+    found = cantools.database.load_string(text, "dbc", strict=True)
+    assert isinstance(found, Database)
+    return found
+
+
+@pytest.fixture(params=VARIANTS)
+def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Bench]:
+    variant = VARIANTS[request.param]
+    path = hand_file(tmp_path, [variant.protocol], variant.options)
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(line for line in lines if not line.startswith(variant.without)))
+    made = Bench(path)
+    yield made
+    made.rig.close()
+
+
+def read(wired: Wired, message: Message, i: int) -> dict[str, float]:
+    """What the controller has read of a frame of drive i."""
+    values = {signal.name: signal.quantity for signal in message.signals if signal.quantity in FIELD}
+    return {name: float(wired.view(FIELD[quantity])[i]) for name, quantity in values.items()}
+
+
+def test_cantools_reads_what_the_controller_reads(bench: Bench) -> None:
+    """In lockstep against the simulated firmware: feedback, commands, load cells and joint encoders."""
+    dbc, hand = database(bench.hand), bench.hand
+    bench.until(Want.POLL, Phase.READY)
+    bench.until(Want.ENABLE, Phase.ENABLED)
+    wired, seen = Wired(bench.drives, bench.node), Counter[str]()
+    for i, state in enumerate(bench.states):
+        wired.keep(i, state)
+    owners = {one.can_id: (i, one) for i, drive in enumerate(bench.drives) for one in drive.cyclic.feedback}
+    for k in range(TICKS):
+        torque = 0.04 * math.sin(0.3 * k)
+        wired.sync(bench.k)
+        bench.tick(Want.ENABLE, torque)
+        for frame in bench.incoming:
+            wired.receive([frame])
+            if frame.can_id in owners:
+                told = dbc.decode_message(frame.can_id, frame.data)
+                for name, value in read(wired, owners[frame.can_id][1], owners[frame.can_id][0]).items():
+                    assert told[name] == pytest.approx(value, abs=1e-9), (name, frame)
+                    seen[name] += 1
+            if frame.can_id in bench.node.node_ids:
+                told = dbc.decode_message(frame.can_id, frame.data)
+                told.pop("counter")
+                names = {hand.tendon_names[n]: value for n, value in wired.tensions.items()}
+                names |= {hand.joints[j]: value for j, value in wired.joints.items()}
+                assert told == pytest.approx({name: names[name] for name in told}, abs=1e-9)
+                seen["sensors"] += 1
+        seen["torques"] += sum(commanded(dbc, frame, bench, torque) for frame in bench.sent)
+    assert min(seen[name] for name in ("position", "sensors")) >= TICKS // 4
+    assert seen["torques"] == (0 if "cubemars" in hand.motor[0].protocol else 4 * TICKS)
+
+
+def commanded(dbc: Database, frame: Frame, bench: Bench, torque: float) -> bool:
+    """Whether a frame is a command with a torque; it is the one that was sent, up to a count."""
+    for drive in bench.drives:
+        for message in drive.cyclic.commands:
+            signals = [signal for signal in message.signals if signal.quantity == Quantity.TORQUE]
+            if message.can_id == frame.can_id and signals and message.can_id not in drive.node_ids:
+                told = dbc.decode_message(frame.can_id, frame.data)
+                step = abs(signals[0].scale) if signals[0].length < 32 else 1e-7
+                assert told["torque"] == pytest.approx(torque, abs=step)
+                return True
+    return False
+
+
+def test_the_dbc_tells_who_sends_and_what_is_fd(tmp_path: Path) -> None:
+    dbc = database(load_hand(str(hand_file(tmp_path, ["mit"], "[motor.options]\nfd = true\n"))))
+    senders = {message.name: message.senders for message in dbc.messages}
+    assert senders["sync"] == [HOST]
+    assert senders["tensions_0"] == [SENSORS]
+    assert senders["index_motor_feedback"] == ["index_motor"]
+    assert senders["index_motor_command"] == [HOST]
+    assert dbc.get_message_by_name("index_motor_command").is_fd
+    assert not dbc.get_message_by_name("sync").is_fd
+    kd = dbc.get_message_by_name("index_motor_command").get_signal_by_name("kd")
+    assert (kd.start, kd.length) == (47, 12)
+
+
+def test_each_bus_has_its_own(tmp_path: Path) -> None:
+    hand = load_hand(str(on_two_buses(hand_file(tmp_path, ["mit", "odrive", "cia402", "cubemars"]))))
+    main, second = (database(hand, bus) for bus in (0, 1))
+    assert {"sync", "index_motor_feedback", "middle_motor_encoder_estimates"} <= {one.name for one in main.messages}
+    assert {one.name for one in second.messages} == {
+        "ring_motor_tpdo1", "ring_motor_rpdo1", "thumb_motor_feedback"
+    }  # fmt: skip
+
+
+def test_every_packaged_hand_has_one() -> None:
+    for name in ("jamia", "jamia11"):
+        hand = load_hand(name)
+        ids = [message.frame_id for message in database(hand).messages]
+        assert len(ids) == len(set(ids)) >= 2 * len(hand.tendon_names) + 2

@@ -1,0 +1,159 @@
+"""Drives and sensor node on a block, received and sent by the compiled wire as a tick does it."""
+
+from collections.abc import Iterable, Sequence
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core import stages, wire
+from handctl.core.block import STATE
+from handctl.core.constants import ELEMENTS, HAND, KINDS
+from handctl.drives.contract import Drive, DriveState, Want
+from handctl.drives.frame import ERROR, Frame
+from handctl.drives.records import WORDS, Frames, frames_of
+from handctl.drives.sensors.node import SensorNode
+
+
+class Wired:
+    """What one tick hands to the next of drives and sensor node.
+
+    Attributes:
+        block: numbers. states: of the drives, as their state machines left them; their values are in the block.
+        seen: frames that a state machine had to look at in the last ``receive``.
+        foreign: frames on identifiers that only the host may use.
+    """
+
+    def __init__(self, drives: Sequence[Drive], sensors: SensorNode) -> None:
+        self.drives, self.sensors = drives, sensors
+        n = len(sensors.frame_of)
+        joints = 1 + max((j for group in sensors.channels[sensors.tension_frames :] for j in group), default=0)
+        axes = {"tendon": n, "joint": joints, "digit": 1, "coordinate": 1, "node": n + 1}
+        self.layout = STATE.layout({**axes, "group": max(1, len(sensors.ids)), "instance": n + joints, "run": 1})
+        self.tables = wire.Wire(drives, sensors)
+        self.block = self.layout.initial.copy()
+        self.owners = {(drive.bus, can_id): i for i, drive in enumerate(drives) for can_id in drive.node_ids}
+        self.states: list[DriveState] = [drive.initial() for drive in drives]
+        self.seen: list[Frame] = []
+        self.foreign: list[Frame] = []
+        for i, state in enumerate(self.states):
+            self.keep(i, state)
+
+    def view(self, name: str) -> NDArray:
+        """A field of the block."""
+        return self.layout.view(self.block, name)
+
+    def number(self, name: str) -> int:
+        """A number of the run."""
+        return int(self.view(name)[0])
+
+    def begin(self) -> None:
+        """Begin a tick."""
+        wire.begin(self.block, self.layout.places)
+
+    def sync(self, k: int) -> Frame:
+        """Ask the sensors, as the tick's end does it, and begin the next tick."""
+        frame = self.sensors.sync(k)
+        self.view("sync_asked")[...], self.view("syncs")[...] = frame.data[0] & 0xF, self.number("syncs") + 1
+        self.begin()
+        return frame
+
+    def receive(self, frames: Iterable[Frame]) -> "Wired":
+        """Take frames in."""
+        frames, known, at = frames_of(frames), self.tables, 0
+        self.seen, self.foreign = [], []
+        while True:
+            at = wire.receive(
+                self.block, self.layout.places, frames.rows, known.keys, known.entries, known.wholes, known.reals, at
+            )
+            if at >= len(frames):
+                return self
+            frame = frames[at]
+            i = self.owners.get((frame.bus, frame.can_id & ~ERROR))
+            if i is None:
+                self.foreign.append(frame)
+            else:
+                self.seen.append(frame)
+                self.keep(i, self.drives[i].receive(self.drive(i), frame))
+            at += 1
+
+    def send(self, want: Want, torque: Sequence[float], t_ns: int) -> list[Frame]:
+        """Commands of a tick."""
+        self.view("t_ns")[...] = t_ns
+        tables, sent, first = self.tables, list[Frame](), 0
+        while True:
+            if want == Want.ENABLE:
+                out = np.zeros((len(tables.templates), WORDS), np.uint64)
+                first, count = wire.send(
+                    self.block, self.layout.places, out, tables.commands, tables.sent_wholes, tables.sent_reals,
+                    tables.templates, np.asarray(torque, dtype=np.float64), first, 0,
+                )  # fmt: skip
+                sent += Frames.of_rows(out[:count])
+            if first >= len(self.drives):
+                return sent
+            state, frames = self.drives[first].advance(self.drive(first), t_ns, want, torque[first])
+            self.keep(first, state)
+            sent += frames
+            first += 1
+
+    def keep(self, i: int, known: DriveState) -> None:
+        """Write a drive's state."""
+        drive, whole, table = (
+            self.drives[i],
+            *(self.layout.table(self.block, name) for name in ("tendon_int", "tendon")),
+        )
+        table[s.POSITION : s.POSITION + 4, i] = known[1:5]
+        whole[s.FEEDBACKS, i], whole[s.FEEDBACK_NS, i] = known.feedback_count, known.feedback_t_ns
+        whole[s.PHASE, i] = known.phase
+        whole[s.STATUS_EXPECTED, i], whole[s.DUE_NS, i] = drive.steady_status(known), drive.due_ns(known)
+        self.states[i] = known
+
+    def drive(self, i: int) -> DriveState:
+        """A drive's state with the values of the block."""
+        whole, table = (self.layout.table(self.block, name) for name in ("tendon_int", "tendon"))
+        position, velocity, torque, temperature = table[s.POSITION : s.POSITION + 4, i].tolist()
+        return self.states[i]._replace(
+            position=position,
+            velocity=velocity,
+            torque=torque,
+            temperature=temperature,
+            feedback_t_ns=int(whole[s.FEEDBACK_NS, i]),
+            feedback_count=int(whole[s.FEEDBACKS, i]),
+        )
+
+    # The sensor node's part.
+
+    @property
+    def tensions(self) -> dict[int, float]:
+        """Load cells that were read in this tick [N]."""
+        fresh, cells = self.view("cell_fresh"), self.view("cell")
+        return {i: float(cells[i]) for i in np.flatnonzero(fresh).tolist()}
+
+    @property
+    def joints(self) -> dict[int, float]:
+        """Joint encoders that were read in this tick [rad]."""
+        fresh, angles = self.view("joint_fresh"), self.view("joint_angle")
+        return {j: float(angles[j]) for j in np.flatnonzero(fresh).tolist()}
+
+    @property
+    def misread(self) -> bool:
+        """Whether a frame of the sensor node had a wrong shape in this tick."""
+        return bool(self.view("misread_now")[-1])
+
+    def observe(self) -> "Wired":
+        """Turn what came into measurements, and start the filter if every sensor was read."""
+        stages.observe(self.block, self.layout.places, *self._constants)
+        return self
+
+    @cached_property
+    def _constants(self) -> tuple[NDArray, NDArray]:
+        """Constants of which only the load cells' frames are told."""
+        axes = self.layout.axes
+        kept = {name: axes[name] for name in ("tendon", "joint", "digit", "coordinate")}
+        layout = HAND.layout({**kept, "kind": KINDS, "element": ELEMENTS, "place": 1, "run": 1})
+        block = layout.initial.copy()
+        table = layout.table(block, "tendon_int")
+        table[h.CELL_GROUP] = [self.sensors.group_of_tendon(i) for i in range(axes["tendon"])]
+        return block, layout.places
