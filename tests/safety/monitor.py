@@ -1,8 +1,7 @@
 """The monitor of a made-up hand: rows of the state are set by name, one call is one tick of ``stages.judged``."""
 
 from collections.abc import Iterable
-from dataclasses import replace
-from types import SimpleNamespace
+from types import FunctionType, SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -141,6 +140,16 @@ class Monitor:
             told.setdefault(fault.id, {})[self.name(kind, i) or fault.name] = float(self.found[row, i])
         return told
 
+    def observe(self, rows: Rows | None = None) -> None:
+        """Turn what came into measurements, as a tick does before it judges; only then positions are screened."""
+        self.set(rows or {})
+        stages.observe(self.block, self.layout.places, self._read_only(), self.hand.places)
+
+    def remember(self, rows: Rows | None = None) -> None:
+        """Keep what this tick commanded, as a tick does at its end."""
+        self.set(rows or {})
+        stages.remember(self.block, self.layout.places, self._read_only(), self.hand.places)
+
     def judge(self, rows: Rows | None = None, reports: Iterable[Report] = ()) -> Verdict:
         """Judge one tick to the end: with what is latched, and what buses and host report."""
         self.tick(rows)
@@ -170,16 +179,16 @@ class Monitor:
 
 
 def _python(function: Any) -> Any:
-    """Return an inner function as Python can call it."""
-    return getattr(function, "py_func", function)
+    """Return an inner function as Python can call it, with those that it calls itself."""
+    if not hasattr(function, "py_func"):
+        return function
+    code = function.py_func
+    known = dict(code.__globals__)
+    known |= {name: _python(known[name]) for name in code.__code__.co_names if hasattr(known.get(name), "py_func")}
+    return FunctionType(code.__code__, known, code.__name__, code.__defaults__)
 
 
-def interpreted(function: Any, monitor: Monitor, *more: Any) -> Any:
-    """Call an inner function that calls no other one: with the tables of a monitor, and its further arguments."""
+def interpreted(function: Any, *arguments: Any) -> Any:
+    """Call an inner function interpreted; it may call others of its module."""
     with np.errstate(all="ignore"):
-        return _python(function)(monitor.state_tables, *more)
-
-
-def limits_with(limits: Limits, **changed: Any) -> Limits:
-    """Return limits of which some are others."""
-    return replace(limits, **changed)
+        return _python(function)(*arguments)

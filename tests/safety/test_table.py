@@ -171,7 +171,7 @@ def trace(id_: str) -> list[tuple[Action, int]]:
         monitor.tick(rows)
         monitor.set({"fault_ticks": before})
         monitor.found[[row for row in range(len(FOUND)) if row not in kept]] = math.nan
-        demanded = interpreted(compiled_judge.debounce, monitor, monitor.found)
+        demanded = interpreted(compiled_judge.debounce, monitor.state_tables, monitor.found)
         reports = shown.reports if judgement.BY_ID[id_].reports else ()
         verdict = monitor.conclude(demanded, reports)
         seen.append((verdict.action, len(verdict.findings)))
