@@ -73,7 +73,6 @@ class Bench:
         self.states: list[DriveState] = [drive.initial() for drive in self.drives]
         node = self.hand.sensor_node
         self.node = SensorNode.of(node, buses.index(node.bus), self.hand.tendon_names, self.hand.joints)
-        self.sensors = self.node.initial()
         self.incoming: list[Frame] = []
         self.sent: list[Frame] = []
         self.k = 0
@@ -81,8 +80,7 @@ class Bench:
     def tick(self, want: Want, torque: float = 0.0, extra: Sequence[Frame] = ()) -> None:
         for frame in self.incoming:
             self.states = [d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)]
-        self.sensors, sync = self.node.sync(self.sensors, self.k)
-        outgoing = [sync, *extra]
+        outgoing = [self.node.sync(self.k), *extra]
         for i, drive in enumerate(self.drives):
             self.states[i], frames = drive.advance(self.states[i], self.k * self.period_ns, want, torque)
             outgoing += frames
