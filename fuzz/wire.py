@@ -9,9 +9,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fuzz.drives import DRIVES
+from handctl.controller.setup import make_controller
+from handctl.controller.tick import Controller
+from handctl.core import block as s
+from handctl.core.gains.gains import Gains
+from handctl.core.types import TickIn
 from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, REMOTE, Frame
-from handctl.drives.sensors.node import SensorNode, SensorState, saturated
+from handctl.hand.load import load_hand
+from handctl.programs.live import LiveProgram
 from tests.drives.protocol_bench import Bench, hand_file
 
 Target = Callable[[bytes], bool]
@@ -118,19 +124,17 @@ def _asked(motor: Drive, state: DriveState, t_ns: int, more: int) -> tuple[Drive
 
 
 def sensors(folder: Path) -> Target:
-    """The sensor node, with the tick's number going on."""
-    bench = Bench(hand_file(folder, ["mit"]))
-    bench.rig.close()
-    node, state, ours = bench.node, bench.sensors, sorted(bench.node.node_ids)
-    return lambda data: _sensed(node, state, ours, data)
+    """Read load cells and joint encoders by the compiled wire, with the tick's number going on."""
+    hand = load_hand(str(hand_file(folder, ["mit"])))
+    controller = make_controller(hand, Gains(), 1e9 / STEP_NS, LiveProgram(), None, arm_at_once=False)
+    ours = sorted(controller.sensors.node_ids)
+    return lambda data: _sensed(controller, ours, data)
 
 
-def _sensed(node: SensorNode, state: SensorState, ours: Sequence[int], data: bytes) -> bool:
-    taken = False
-    for frame, more in frames(data, ours, STEP_NS):
-        state, _sync = node.sync(state, more)
-        after = node.receive(state, frame)
-        cells = node.new_tensions(state, after)
-        saturated(cells), node.new_joints(state, after), node.all_read(after), node.tension_times(after)
-        taken, state = taken or after is not state, after
-    return taken
+def _sensed(controller: Controller, ours: Sequence[int], data: bytes) -> bool:
+    """Return whether any frame was taken in; what was read becomes measurements."""
+    state, t_ns = controller.initial(), STEP_NS
+    for frame, more in frames(data, ours, t_ns):
+        state.set_whole(s.SYNC_ASKED, controller.sensors.counter(more) & 0xF)
+        state, _ = controller.tick(state, TickIn(state.k + 1, frame.t_ns + STEP_NS, frames=(frame,)))
+    return bool(state.view("group_frames").any())
