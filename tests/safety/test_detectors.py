@@ -1,4 +1,4 @@
-"""Reports that mean a fault, causes of drives, declarations that are made here and now; and the pages, word by word."""
+"""Causes of drives, limits, declarations that are made here and now; and the pages, word by word."""
 
 import pytest
 
@@ -9,28 +9,7 @@ from handctl.safety.action import Action
 from handctl.safety.faults.fault import Fault, Row
 from handctl.safety.faults.markdown import catalogue, checklist, fault_table, late, later
 from handctl.safety.faults.table import FOUND
-from handctl.safety.judge import Report, reported
 from tests.safety.cases import error, merged, rested, tensions, without_torque
-
-
-def found(*reports: Report) -> list[tuple[str, str, float]]:
-    return [(fault.id, where, value) for fault, where, value in reported(reports)]
-
-
-def test_what_a_bus_reports() -> None:
-    assert found(("enodev", "can0", 19.0)) == [("B16", "can0", 19.0)]
-    assert found(("ebadf", "", 9.0)) == [("B16", "ebadf", 9.0)], "the kind, where no place is told"
-    assert found(("bus_on", "can0", 1.0)) == []
-    two = (("enodev", "can0", 1.0), ("other", "x", 2.0), ("ebadf", "can1", 3.0))
-    assert found(*two) == [("B16", "can0", 1.0), ("B16", "can1", 3.0)]
-    assert found(("error_passive", "can0", 1.0)) == [("B13a", "can0", 1.0), ("B13b", "can0", 1.0)], "two stages"
-    assert found() == []
-
-
-def test_what_the_recorder_reports() -> None:
-    assert found(("recorder", "disk_low", 7.0)) == [("H08", "disk_low", 7.0)]
-    assert found(("recorder", "gone", 1.0), ("bus", "disk_full", 1.0)) == [("H10", "gone", 1.0)]
-    assert found(("disk_full", "can0", 1.0)) == []
 
 
 def test_causes_of_a_drive_s_error() -> None:

@@ -1,4 +1,4 @@
-"""What is left of a tendon's tension when torque, inertia and friction are taken off; each against a case made by hand."""
+"""What is left of a tendon's tension when torque, inertia and friction are taken off, against cases made by hand."""
 
 from collections.abc import Callable
 from statistics import NormalDist

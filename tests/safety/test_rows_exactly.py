@@ -5,7 +5,7 @@ import math
 import pytest
 
 from handctl.safety.action import Action
-from handctl.safety.judge import Latched, alone, foreign, reported
+from handctl.safety.judge import Latched, foreign, reported
 from tests.safety.cases import LIMITS, RELAXED, REST, Shown, io, lost, merged, motors, rested, rows, show, tensions
 from tests.safety.test_table import course
 
@@ -51,15 +51,6 @@ def test_a_node_that_does_not_hear_misses_as_many_ticks_as_the_row_says() -> Non
 def test_losses_of_a_hundred_ticks_are_told_by_their_number() -> None:
     assert readings("B03a", lost(m1=21)) == [("m1", 21.0)]
     assert readings("B03b", merged(lost(m1=20), Shown({"lost": {(1, 1): (1 << 21) - 1}}))) == [("m1", 41.0)]
-
-
-def test_alone_on_the_bus_is_one_reading_of_error_frames_that_mean_it() -> None:
-    unheard, other = ("error_frame", "can0 no acknowledge", 3.0), ("error_frame", "can0 overload", 2.0)
-    found = reported(alone([other, unheard, unheard], heard=False))
-    assert [(fault.id, name, value) for fault, name, value in found] == [("B18", "can0 no acknowledge", 3.0)]
-    other_kind = alone([other, ("enobufs", "protocol", 1.0)], heard=False)
-    assert [fault.id for fault, _, _ in reported(other_kind)] == ["B15"]
-    assert reported(alone([unheard], heard=True)) == []
 
 
 def test_a_tension_at_the_rail_is_the_load_cell_s_and_below_it_the_rope_s() -> None:

@@ -150,6 +150,7 @@ def test_a_fault_is_either_found_or_reported() -> None:
         assert bool(fault.per) != bool(fault.reports), fault.id
         assert [kind for one, kind in FOUND if one is fault] == list(fault.per)
         assert fault.name or "hand" not in fault.per
+    assert len(FOUND) <= len(rested().view("fault_ticks")), "there is room for how long each is present"
     assert [fault.debounce for fault, _ in FOUND] == DEBOUNCE.tolist()
     assert [fault.action for fault, _ in FOUND] == ACTIONS.tolist()
     assert {fault.id for ones in REPORTS.values() for fault in ones} == {f.id for f in TABLE if f.reports}

@@ -67,7 +67,8 @@ def names(monitor: Monitor, before: int, value: float, away: dict[str, list[floa
         seen(tension=value, **READ), motor_stuck=before, cell_stuck=before, joint_stuck=before,
         motor_value=0.0, cell_value=value, joint_value=0.0, followed=away.get("goal", zero),
         motor_anchor=[zero, 20.0 - np.array(away.get("tension", zero))],
-        cell_anchor=20.0 - np.array(away.get("pushed", zero)), joint_anchor=np.array(away.get("turned", zero)) - 20.0 / SOFT * np.array([50.0, 100.0]),
+        cell_anchor=20.0 - np.array(away.get("pushed", zero)),
+        joint_anchor=np.array(away.get("turned", zero)) - 20.0 / SOFT * np.array([50.0, 100.0]),
     )  # fmt: skip
     stands = found.get("N04", {})
     return {
