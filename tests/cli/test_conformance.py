@@ -7,7 +7,8 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.drives.frame import Frame
-from handctl.drives.mit.codec import encode_torque
+from handctl.drives.mit.codec import Ranges, command_message
+from handctl.drives.signals import Table
 from handctl.runtime.buses.local import LocalBus
 from handctl.runtime.mailbox import Mailbox
 from tests.drives.bench_process import drives
@@ -81,11 +82,11 @@ def test_a_drive_that_another_host_has_is_left_alone(capsys):
     """A CubeMars motor answers orders only, so nothing is asked before the first one: it must be listened to."""
     with drives("local:c", "cubemars", "--ids", "33"):
         other, over = LocalBus("c", 0, int), threading.Event()
-        heard = []
+        heard, limp = [], Table(command_message(33, Ranges(12.5, 50.0, 18.0))).pack(0.0)
 
         def command():
             while not over.wait(0.01):
-                other.send([Frame(33, encode_torque(0.0, 18.0))])
+                other.send([Frame(33, limp)])
                 heard.extend(other.drain())
 
         host = threading.Thread(target=command)

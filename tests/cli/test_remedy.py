@@ -20,8 +20,8 @@ LATE, TORN = ("B03b", "N02"), ("T01",)
 
 def ended(*rows: str, cpu_s: float = 0.0) -> Outcome:
     """A run that these rows ended."""
-    safety = SimpleNamespace(latched=[SimpleNamespace(id=row) for row in rows])
-    state = SimpleNamespace(safety=safety, failure="fault" if rows else "", k=1000)
+    latched = [SimpleNamespace(id=row) for row in rows]
+    state = SimpleNamespace(latched=latched, failure="fault" if rows else "", k=1000)
     return Outcome(cast(State, state), LoopStats(cpu_s=cpu_s), {}, None, 0)
 
 
@@ -35,7 +35,7 @@ def ended(*rows: str, cpu_s: float = 0.0) -> Outcome:
         ("local:lab", (), False),
         ("", LATE, False),
     ],
-    ids=["simulated", "virtual", "real", "torn rope", "nothing", "lockstep"],
+    ids=["simulated", "virtual", "real", "torn tendon", "nothing", "lockstep"],
 )
 def test_slower_time_is_for_simulated_hands_that_are_late(bus: str, rows: tuple[str, ...], told: bool) -> None:
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), (bus,) if bus else ())

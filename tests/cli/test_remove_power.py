@@ -17,7 +17,8 @@ FAILURE = "fault B17 index_motor; REMOVE POWER: not confirmed disabled: index_mo
 
 def left_enabled(plan, controller, log):
     """A run at the end of which a motor may have torque."""
-    state = controller.initial()._replace(failure=FAILURE, unconfirmed=("index_motor",))
+    state = controller.initial()
+    state.decide(failure=FAILURE, unconfirmed=("index_motor",))
     return Outcome(state, LoopStats(), {}, None, 0)
 
 

@@ -5,9 +5,10 @@ from pathlib import Path
 import pytest
 
 from handctl.campaign.scenarios import LEFT_OUT, MATRIX
-from handctl.safety.faults.catalogue import CATALOGUE, DETECTED, LOST, ON_HARDWARE, REPLACED, TABLE_
+from handctl.safety.faults.fault import DETECTED, LOST, REPLACED, TICK
+from handctl.safety.faults.host import ON_HARDWARE
 from handctl.safety.faults.markdown import catalogue, checklist, late, later
-from handctl.safety.faults.table import TABLE
+from handctl.safety.faults.table import CATALOGUE, TABLE
 
 ROOT = Path(__file__).parents[2]
 SIZES = {"B": 18, "N": 17, "T": 9, "H": 15, "I": 10}
@@ -43,8 +44,8 @@ def test_the_catalogue_has_every_row_once_and_in_order() -> None:
 def test_table_and_catalogue_agree_on_what_a_tick_can_judge() -> None:
     judged = {fault.row for fault in TABLE}
     assert judged <= set(IDS)
-    elsewhere = {entry.id for entry in CATALOGUE if entry.where != TABLE_}
-    assert {entry.id for entry in CATALOGUE if entry.where == TABLE_} <= judged
+    elsewhere = {entry.id for entry in CATALOGUE if entry.where != TICK}
+    assert {entry.id for entry in CATALOGUE if entry.where == TICK} <= judged
     assert judged & elsewhere <= {"B18", "N12"}, "which are judged before arming, and by the table"
 
 

@@ -13,9 +13,9 @@ from handctl.campaign.scenarios import ALL, ARMING, FREE, GRASP, LEFT_OUT, MATRI
 from handctl.campaign.stage import FREE_S, branch, bring, hand_in, started
 from handctl.campaign.trial import Result, try_out
 from handctl.cli.studies.fault_campaign import rate_of
-from handctl.controller.monitor.guard import RELAXED_S
 from handctl.core.types import Event, Mode
 from handctl.safety.action import Action
+from handctl.safety.faults.tendon import RELAXED_S
 from handctl.session.simulate import Simulation
 
 RATE_HZ = 500.0

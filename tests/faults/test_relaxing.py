@@ -85,20 +85,20 @@ def test_no_motor_is_commanded_to_pull_harder_and_no_tendon_bears_more(
 
 def judge(course: Simulation, stop_at: int, window: int, fault: str) -> None:
     recent: list[Instant] = [look(course)]
-    commanded = [course.state.watch.asked]  # what is on its way to a motor that obeys late is not relaxing's
+    commanded = [course.state.view("asked").copy()]  # what is on its way to a motor that obeys late is not relaxing's
     while course.state.mode == Mode.ACTIVE:
         course.tick(requests=(STOP,) if course.k == stop_at else ())
         recent.append(look(course))
-        commanded.append(course.state.watch.asked)
+        commanded.append(course.state.view("asked").copy())
     decided = recent[-2]
     before = np.nanmax([*(one.force for one in recent[-window:]), *commanded[-window - 1 : -1]], axis=0)
-    last, peak, force = course.state.watch.asked, decided.tension, before
+    last, peak, force = course.state.view("asked").copy(), decided.tension, before
     for _ in range(2000):
         mode = course.state.mode
         if mode == Mode.DONE:
             break
         course.tick()
-        asked = course.state.watch.asked
+        asked = course.state.view("asked").copy()
         if course.state.mode == mode == Mode.RELAX:
             rises = asked > np.maximum(last, 0.0)
             assert not rises.any(), f"{fault}: {asked} after {last}"

@@ -24,7 +24,7 @@ from handctl.campaign.sequences import (
 from handctl.campaign.stage import STAGES, branch, bring, hand_in, started
 from handctl.cli.studies.fault_campaign import rate_of
 from handctl.core.types import Mode
-from handctl.safety.judge import Latched, SafetyState
+from handctl.safety.judge import Latched
 
 NOBODY = {"told": lambda done: None, "keep": lambda course, result: None}
 
@@ -76,22 +76,28 @@ def test_a_sequence_that_breaks_a_rule_says_which(arming, monkeypatch):
 
 
 def test_steps_that_break_a_rule(arming):
-    before = arming.state._replace(mode=Mode.RELAX, safety=SafetyState((), (Latched("T03", "index_tendon"),)))
-    after = before._replace(law=before.law._replace(setpoint=before.law.setpoint + 1.0))
+    before = arming.state.copy()
+    before.mode = Mode.RELAX
+    before.decide(latched=(Latched("T03", "index_tendon"),))
+    after = before.copy()
+    after.view("setpoint")[...] += 1.0
     assert broken_in_step(before, after, cleared=False) == ["a set-point rises while the hand relaxes"]
-    gone = before._replace(safety=SafetyState())
+    gone = before.copy()
+    gone.decide(latched=())
     assert broken_in_step(before, gone, cleared=False) == ["no longer latched: T03"]
     assert broken_in_step(before, gone, cleared=True) == []
-    back = before._replace(mode=Mode.ACTIVE)
+    back = before.copy()
+    back.mode = Mode.ACTIVE
     assert broken_in_step(before, back, cleared=False) == ["the mode goes back: RELAX to ACTIVE"]
 
 
 def test_ends_that_break_a_rule(arming):
     assert broken_at_end(arming) == ["the run does not end: ARMING"]
     arming.peer = SimpleNamespace(truth=lambda: {"torque": [0.0, 0.1, 0.0, 0.0]})
-    arming.state = arming.state._replace(mode=Mode.DONE)
+    arming.state = arming.state.copy()
+    arming.state.mode = Mode.DONE
     assert broken_at_end(arming) == ["torque is left: middle_tendon"]
-    arming.state = arming.state._replace(failure="REMOVE POWER: not confirmed disabled: middle_motor")
+    arming.state.decide(failure="REMOVE POWER: not confirmed disabled: middle_motor")
     assert broken_at_end(arming) == []
 
 
@@ -100,7 +106,8 @@ def test_a_tick_that_comes_to_something_else_is_found(arming):
     for _ in range(5):
         arming.tick()
     assert broken_again(arming, begin, first) == []
-    other = begin._replace(goal_time=begin.goal_time + 1e-9)
+    other = begin.copy()
+    other.goal_time += 1e-9
     assert broken_again(arming, other, first) == [f"tick {arming.kept[first][0].k} does not come to the same again"]
 
 

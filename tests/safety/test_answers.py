@@ -2,8 +2,43 @@
 
 import pytest
 
-from handctl.safety.detectors.answers import MOST, answered, asked
-from handctl.safety.detectors.counts import WINDOW
+from handctl.core.detectors.answers import QUESTIONS, answered, ask
+from handctl.drives.contract import Phase
+from handctl.safety.faults.bus import WINDOW
+from tests.safety.monitor import Monitor, interpreted, made_up
+
+Owed = tuple[tuple[int, ...], ...]
+
+
+class Questions(Monitor):
+    """Motors that owe answers to questions of some ticks."""
+
+    def __init__(self, owed: Owed) -> None:
+        super().__init__(made_up(len(owed)))
+        self.set({
+            "open_questions": {n: len(ticks) for n, ticks in enumerate(owed)},
+            "question": {(i, n): k for n, ticks in enumerate(owed) for i, k in enumerate(ticks)},
+        })  # fmt: skip
+
+    @property
+    def owed(self) -> Owed:
+        """Open questions of each motor."""
+        numbers, ticks = self.view("open_questions"), self.view("question").reshape(QUESTIONS, -1)
+        return tuple(tuple(ticks[:number, n].tolist()) for n, number in enumerate(numbers.tolist()))
+
+    def ask(self, k: int, able: tuple[bool, ...] | None = None) -> None:
+        """Ask every motor one question more; those that are not able do not answer all."""
+        if able:
+            self.set({"phase_before": [int(Phase.READY if one else Phase.READY - 1) for one in able]})
+        interpreted(ask, self.state_tables, k)
+
+    def answer(self, came: list[int]) -> list[int]:
+        """Take in so many answers of each motor; return the motors that answered too often."""
+        self.set({"answered": came})
+        some = interpreted(answered, self.state_tables, self.hand_tables)
+        surplus = self.view("surplus")
+        assert some == bool(surplus.any())
+        return [n for n, count in enumerate(surplus.tolist()) if count]
 
 
 @pytest.mark.parametrize(("owed", "able", "after"), [
@@ -16,15 +51,17 @@ from handctl.safety.detectors.counts import WINDOW
     (((-WINDOW, 7 - WINDOW), (-WINDOW,)), (True, True), ((7 - WINDOW, 7), (-WINDOW, 7))),    # but the last one
 ])  # fmt: skip
 def test_one_question_more(owed, able, after):
-    assert asked(owed, able, 7) == after
+    questions = Questions(owed)
+    questions.ask(7, able)
+    assert questions.owed == after
 
 
 def test_no_more_than_a_few_stay_open() -> None:
-    owed = ((),)
-    for k in range(3 * MOST):
-        owed = asked(owed, (True,), k)
-        assert len(owed[0]) == min(k + 1, MOST)
-    assert owed[0] == tuple(range(2 * MOST, 3 * MOST))
+    questions = Questions(((),))
+    for k in range(3 * QUESTIONS):
+        questions.ask(k)
+        assert len(questions.owed[0]) == min(k + 1, QUESTIONS)
+    assert questions.owed[0] == tuple(range(2 * QUESTIONS, 3 * QUESTIONS))
 
 
 @pytest.mark.parametrize(("owed", "came", "after", "too_many"), [
@@ -40,33 +77,44 @@ def test_no_more_than_a_few_stay_open() -> None:
     (((1, 2), (1, 2)), [1, 2], ((1,), ()), []),
 ])  # fmt: skip
 def test_what_comes_pays_what_is_owed_and_the_rest_is_too_much(owed, came, after, too_many):
-    assert answered(owed, came) == (after, too_many)
+    questions = Questions(owed)
+    assert questions.answer(came) == too_many
+    assert questions.owed == after
+    assert questions.get("surplus") == [1 + len(owed[n]) if n in too_many else 0 for n in range(len(owed))]
 
 
-@pytest.mark.parametrize("ticks", [2, 3, MOST - 1])
+@pytest.mark.parametrize("ticks", [2, 3, QUESTIONS - 1])
 def test_a_run_of_late_answers_is_paid_once_whenever_it_begins(ticks: int) -> None:
     """Some ticks without an answer, then all at once: nothing is a duplicate; one more is."""
+    questions = Questions(((),))
     for start in range(2 * WINDOW):
-        owed = ((),)
+        questions.set({"open_questions": 0})
         for k in range(start, start + ticks + 1):
-            owed = asked(owed, (True,), k)
-            owed, extra = answered(owed, [0] if k < start + ticks else [ticks + 1])
+            questions.ask(k)
+            extra = questions.answer([0] if k < start + ticks else [ticks + 1])
             assert extra == [], f"from tick {start} on"
-        assert owed == ((),)
-        assert answered(asked(owed, (True,), k + 1), [2])[1] == [0]
+        assert questions.owed == ((),)
+        questions.ask(k + 1)
+        assert questions.answer([2]) == [0]
 
 
 def test_answers_that_were_lost_hide_no_duplicates_for_long() -> None:
-    owed = ((),)
+    questions = Questions(((),))
     for k in range(WINDOW + 3):
-        owed, extra = answered(asked(owed, (True,), k), [0] if k < 3 else [1])
-        assert extra == []
-    assert owed == ((2,),), "the last one stays open: all may come a tick late"
-    assert answered(asked(owed, (True,), k + 1), [3])[1] == [0]
+        questions.ask(k)
+        assert questions.answer([0] if k < 3 else [1]) == []
+    assert questions.owed == ((2,),), "the last one stays open: all may come a tick late"
+    questions.ask(k + 1)
+    assert questions.answer([3]) == [0]
 
 
-def test_as_many_answers_as_nodes() -> None:
-    with pytest.raises(ValueError, match="zip"):
-        asked(((1,),), (True, True), 7)
-    with pytest.raises(ValueError, match="zip"):
-        answered(((1,), (1, 2)), [1])
+def test_a_node_whose_messages_come_by_themselves_owes_nothing() -> None:
+    questions = Questions(((), ()))
+    questions.set_constants(answers_once=[0, 1])
+    assert questions.answer([3, 2]) == [1]
+
+
+def test_a_load_cell_s_second_frame_is_one_too_many() -> None:
+    questions = Questions(((),))
+    questions.set({"answered": 0, "group_answered": {0: 2}})
+    assert interpreted(answered, questions.state_tables, questions.hand_tables)

@@ -3,18 +3,36 @@
 import numpy as np
 import pytest
 
-from handctl.safety.detectors.correlation import Correlation, part, step, unfollowed
+from handctl.core.detectors.correlation import part
+from tests.safety.monitor import Monitor, interpreted, made_up
 
-PERIOD = 0.002
-LARGEST = np.full(2, 160.0)
 TICKS = 1000
 
 
-def after(commanded: np.ndarray, reported: np.ndarray) -> Correlation:
-    state = Correlation.initial(commanded.shape[1])
+class Motors(Monitor):
+    """Motors that are commanded forces and report some, judged after each tick."""
+
+    def __init__(self) -> None:
+        super().__init__(made_up(2))
+        self.doubted = np.zeros(2, dtype=bool)
+        """Motors that were ever said not to follow."""
+
+    def step(self, force: np.ndarray, report: np.ndarray) -> None:
+        """Take in what the last tick commanded and what is reported now."""
+        self.unfollowed = self.tick(asked=force, measured_force=report).get("N17", {})
+        self.doubted |= [name in self.unfollowed for name in self.limits.motors]
+
+    @property
+    def parts(self) -> list[float]:
+        """What part of the changes of each command is reported."""
+        return [interpreted(part, self.state_tables, n) for n in range(2)]
+
+
+def after(commanded: np.ndarray, reported: np.ndarray) -> Motors:
+    motors = Motors()
     for force, report in zip(commanded, reported, strict=True):
-        state = step(state, force, report, PERIOD)
-    return state
+        motors.step(force, report)
+    return motors
 
 
 def noisy(seed: int, size: float = 0.1) -> np.ndarray:
@@ -27,7 +45,7 @@ def rounded(force: np.ndarray) -> np.ndarray:
 
 
 def reports(commanded: np.ndarray, ticks: int = 1) -> np.ndarray:
-    """What drives report that obey so many ticks later, in the order in which ``step`` is given it."""
+    """What drives report that obey so many ticks later, in the order in which a tick is given it."""
     return rounded(np.roll(commanded, ticks, axis=0))
 
 
@@ -48,8 +66,8 @@ def test_a_report_of_another_motor_or_of_another_time_is_found(seed: int, fault:
 
 def test_a_command_at_rest_and_a_report_at_rest_say_nothing() -> None:
     still = np.full((TICKS, 2), 90.0)
-    assert not unfollowed(after(still, reports(noisy(1))), LARGEST, PERIOD).any()
-    assert not unfollowed(after(noisy(1), still), LARGEST, PERIOD).any()
+    assert not after(still, reports(noisy(1))).unfollowed
+    assert not after(noisy(1), still).unfollowed
 
 
 def test_what_was_not_reported_is_left_out() -> None:
@@ -57,17 +75,17 @@ def test_what_was_not_reported_is_left_out() -> None:
     made = reports(commanded)
     made[::10] = np.nan
     state = after(commanded, made)
-    assert part(state) == pytest.approx(1.0, abs=0.25)
-    assert not unfollowed(state, LARGEST, PERIOD).any()
+    assert state.parts == pytest.approx([1.0, 1.0], abs=0.25)
+    assert not state.unfollowed
     silent = after(commanded, np.full_like(made, np.nan))
-    assert not unfollowed(silent, LARGEST, PERIOD).any()
+    assert not silent.unfollowed
 
 
 def test_one_outlier_is_not_a_fault() -> None:
     commanded = noisy(4)
     made = reports(commanded)
     made[-2] += 50.0
-    assert not unfollowed(after(commanded, made), LARGEST, PERIOD).any()
+    assert not after(commanded, made).unfollowed
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -95,11 +113,7 @@ def stalled(seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 def doubted(commanded: np.ndarray, made: np.ndarray) -> np.ndarray:
     """(2,) whether a motor was ever said not to follow."""
-    state, found = Correlation.initial(2), np.zeros(2, dtype=bool)
-    for force, report in zip(commanded, made, strict=True):
-        state = step(state, force, report, PERIOD)
-        found |= unfollowed(state, LARGEST, PERIOD)
-    return found
+    return after(commanded, made).doubted
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -1,57 +1,39 @@
-"""Detectors that are made by others, made here and now; and the pages, word by word."""
+"""Causes of drives, limits, declarations that are made here and now; and the pages, word by word."""
 
 import pytest
 
+from handctl.core.detectors.node import FAULT, ROW_OF_CAUSE
 from handctl.drives.causes import Cause
+from handctl.drives.contract import Phase
 from handctl.safety.action import Action
-from handctl.safety.faults.catalogue import Entry
-from handctl.safety.faults.fault import Fault, above, io, recorder
+from handctl.safety.faults.fault import Fault, Row
 from handctl.safety.faults.markdown import catalogue, checklist, fault_table, late, later
-from handctl.safety.faults.node import _caused_by
-from handctl.safety.signals import Limits, Signals
-
-LIMITS = Limits(("a", "b"), (140.0, 140.0), 240.0, ("m", "n"))
-
-
-def told(*events: tuple[str, str, int]) -> Signals:
-    return Signals(armed=True, io=events)
-
-
-def test_what_a_bus_reports() -> None:
-    detect = io("enodev", "ebadf")
-    assert list(detect(LIMITS, told(("enodev", "can0", 19)))) == [("can0", 19.0)]
-    assert list(detect(LIMITS, told(("ebadf", "", 9)))) == [("ebadf", 9.0)], "the kind, where no place is told"
-    assert list(detect(LIMITS, told(("enobufs", "can0", 1)))) == []
-    two = told(("enodev", "can0", 1), ("other", "x", 2), ("ebadf", "can1", 3))
-    assert list(detect(LIMITS, two)) == [("can0", 1.0), ("can1", 3.0)]
-    assert list(detect(LIMITS, told())) == []
-
-
-def test_what_the_recorder_reports() -> None:
-    detect = recorder("disk_low", "disk_full")
-    assert list(detect(LIMITS, told(("recorder", "disk_low", 7)))) == [("disk_low", 7.0)]
-    assert list(detect(LIMITS, told(("recorder", "gone", 1), ("bus", "disk_full", 1)))) == []
-    assert list(detect(LIMITS, told())) == []
+from handctl.safety.faults.table import FOUND
+from tests.safety.cases import error, merged, rested, tensions, without_torque
 
 
 def test_causes_of_a_drive_s_error() -> None:
-    detect = _caused_by(Cause.OTHER, Cause.HOT)
-    errors = (("m", 9, Cause.OTHER), ("n", 11, Cause.HOT), ("x", 12, Cause.LOST))
-    assert list(detect(LIMITS, Signals(armed=True, drive_errors=errors))) == [("m", 9.0), ("n", 11.0)]
-    assert list(detect(LIMITS, Signals(armed=False, drive_errors=errors))) == []
-    assert list(detect(LIMITS, Signals(armed=True))) == []
+    assert len(ROW_OF_CAUSE) == len(Cause)
+    assert FAULT == Phase.FAULT
+    shown = merged(error(0, Cause.OTHER, 9), error(1, Cause.HOT, 11), error(2, Cause.LOST, 12))
+    assert rested().tick(shown.rows)["N11"] == {"m0": 9.0, "m1": 11.0, "m2": 12.0}
+    assert "N11" not in rested().tick(without_torque(shown).rows)
+    rows = {cause: FOUND[row][0].id for cause, row in zip(Cause, ROW_OF_CAUSE, strict=True)}
+    assert rows[Cause.DROPPED_OUT] == "N01"
+    assert rows[Cause.WATCHDOG] == "N08"
+    assert rows[Cause.VOLTAGE] == "N10"
+    assert rows[Cause.MISMATCH] == "N12"
+    assert rows[Cause.UNKNOWN] == "N11b"
 
 
 def test_above_a_limit() -> None:
     nan = float("nan")
-    assert list(above(("a", "b"), (1.0, 3.0), 2.0)) == [("b", 3.0)]
-    assert list(above(("a", "b"), (2.0, 2.0), 2.0)) == []
-    assert list(above(("a", "b"), (), 2.0)) == []
-    assert list(above(("a", "b", "c"), (3.0, nan, 2.5), 2.0)) == [("a", 3.0), ("c", 2.5)]
-    assert list(above(("a", "b"), (3.0,), 2.0)) == [("a", 3.0)]
+    assert rested().tick(tensions(t0=140.0, t1=50.5).rows)["T03"] == {"t1": 50.5}
+    assert "T03" not in rested().tick(tensions(t0=140.0, t1=50.0).rows)
+    assert rested().tick(tensions(t0=150.0, t1=nan, t2=140.5).rows)["T03"] == {"t0": 150.0, "t2": 140.5}
 
 
-ONE = Fault("X01b", "a title", "a sign", 3, Action.HOLD, "by itself", io("x"))
+ONE = Fault("X01b", "a title", "a sign", Action.HOLD, "by itself", debounce=3, reports=("x",))
 
 
 def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
@@ -63,14 +45,14 @@ def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
 
 
 @pytest.mark.parametrize(("entry", "last"), [
-    (Entry("B12", "t", "fault table", ticks=1, asked=1), "2 ms, 1 ticks | campaign |"),
-    (Entry("B12", "t", "fault table", ticks=2, odrive_ms=9), "4 ms, 2 ticks; ODrive 9 ms more | campaign |"),
-    (Entry("B12", "t", "fault table", tried="x.py"), "1 tick | x.py |"),
-    (Entry("B12", "t", "fault table", ticks=4, ms=15_000), "15008 ms, 7504 ticks | campaign |"),
-    (Entry("B12", "t", "files", tried="x.py"), "before torque | x.py |"),
-    (Entry("B12", "t", "files", ms=4), "4 ms, 2 ticks | campaign |"),
+    (Row("B12", "t", "fault table", ticks=1, asked=1), "2 ms, 1 ticks | campaign |"),
+    (Row("B12", "t", "fault table", ticks=2, odrive_ms=9), "4 ms, 2 ticks; ODrive 9 ms more | campaign |"),
+    (Row("B12", "t", "fault table", tried="x.py"), "1 tick | x.py |"),
+    (Row("B12", "t", "fault table", ticks=4, ms=15_000), "15008 ms, 7504 ticks | campaign |"),
+    (Row("B12", "t", "files", tried="x.py"), "before torque | x.py |"),
+    (Row("B12", "t", "files", ms=4), "4 ms, 2 ticks | campaign |"),
 ])  # fmt: skip
-def test_a_row_of_the_page(entry: Entry, last: str) -> None:
+def test_a_row_of_the_page(entry: Row, last: str) -> None:
     head, line, row = catalogue((entry,)).splitlines()
     assert head == "| id | fault | judged by | MIT | ODrive | CiA 402 | at the latest | tried by |"
     assert line == "|---|---|---|---|---|---|---|---|"
@@ -78,15 +60,15 @@ def test_a_row_of_the_page(entry: Entry, last: str) -> None:
 
 
 def test_a_row_that_no_tick_judges_says_where_it_is() -> None:
-    assert "| H12 | t | before arming |" in catalogue((Entry("H12", "t", "before arming"),))
-    assert "| B11a RELAX, B11b CUT |".strip("| ") in catalogue((Entry("B11", "t", "fault table", ticks=3),))
+    assert "| H12 | t | before arming |" in catalogue((Row("H12", "t", "before arming"),))
+    assert "| B11a RELAX, B11b CUT |".strip("| ") in catalogue((Row("B11", "t", "fault table", ticks=3),))
 
 
 def test_rows_that_take_longer_than_asked() -> None:
-    soon, just = Entry("A", "t", "fault table", ticks=2, asked=3), Entry("B", "t", "fault table", ticks=3, asked=3)
-    longer = Entry("C", "u", "fault table", ticks=1, ms=30, asked=5, why="because")
-    free = Entry("D", "t", "fault table", ticks=9)  # no time is given: it cannot be late
-    at_once = Entry("E", "t", "fault table", ticks=2, asked=1)
+    soon, just = Row("A", "t", "fault table", ticks=2, asked=3), Row("B", "t", "fault table", ticks=3, asked=3)
+    longer = Row("C", "u", "fault table", ticks=1, ms=30, asked=5, why="because")
+    free = Row("D", "t", "fault table", ticks=9)  # no time is given: it cannot be late
+    at_once = Row("E", "t", "fault table", ticks=2, asked=1)
     assert [late(one) for one in (soon, just, longer, free, at_once)] == [False, False, True, False, True]
     assert later((soon, just, longer, free)).splitlines() == [
         "| id | fault | asked, ticks | at 500 Hz, ticks | asked | takes | why |", "|---|---|---|---|---|---|---|",

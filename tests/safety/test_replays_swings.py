@@ -9,9 +9,11 @@ import pytest
 from handctl.campaign.scenarios import GRASP
 from handctl.campaign.stage import bring, hand_in, started
 from handctl.controller.bus_load import bus_loads
+from handctl.core.detectors import replays
 from handctl.core.types import Mode
-from handctl.safety.detectors import replays, swings
+from handctl.safety.faults.node import SWING_S
 from handctl.session.plan import fastest
+from tests.safety.monitor import Monitor, made_up
 
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 SEEDS = range(20)
@@ -26,11 +28,10 @@ def readings(seed: int, ticks: int, noise: float, n: int = 4) -> np.ndarray:
 
 def first_found(rows: np.ndarray) -> tuple[int, list[tuple[int, int]]]:
     """Return the first tick in which something is found, and what; -1 if nothing ever is."""
-    state = replays.Replays.initial(rows.shape[1])
+    monitor = Monitor(made_up(rows.shape[1]))
     for k, row in enumerate(rows):
-        state = replays.step(state, row)
-        if found := replays.replayed(state):
-            return k, found
+        if found := monitor.tick(measured_tension=row).get("T05b"):
+            return k, [(monitor.limits.tendons.index(name), int(age)) for name, age in found.items()]
     return -1, []
 
 
@@ -55,10 +56,7 @@ def test_readings_of_now_are_none_whatever_their_noise(seed: int, noise: float) 
 @pytest.mark.parametrize("cycle", [[3.0], [3.0, 2.9375], [2.9375, 3.0, 3.0], [3.0, 3.0625, 3.0, 2.9375, 3.0]])
 def test_a_loop_that_cycles_through_a_few_counts_is_none(cycle: list[float]) -> None:
     """Without noise a tension loop of coarse load cells comes to a limit cycle, as commissioning at rest did."""
-    state = replays.Replays.initial(1)
-    for k in range(500):
-        state = replays.step(state, np.array([cycle[k % len(cycle)]]))
-        assert replays.replayed(state) == []
+    assert first_found(np.array([[cycle[k % len(cycle)]] for k in range(500)])) == (-1, [])
 
 
 def test_a_missing_reading_equals_nothing() -> None:
@@ -69,12 +67,11 @@ def test_a_missing_reading_equals_nothing() -> None:
 
 def swung(deviation: np.ndarray, period: float) -> tuple[float, float]:
     """Return when [s] a deviation [N] counts as a swing, -1 if never, and its RMS then [N]."""
-    state = swings.initial(2)
+    monitor = Monitor(made_up(2), period=period)
     for k, value in enumerate(deviation):
-        state = swings.step(state, np.array([value, 0.0]), period)
-        if found := swings.swinging(state):
-            assert [i for i, _ in found] == [0]
-            return k * period, found[0][1]
+        if found := monitor.tick(measured_tension=[value, 0.0], wanted=0.0).get("N14b"):
+            assert list(found) == ["t0"]
+            return k * period, found["t0"]
     return -1.0, 0.0
 
 
@@ -83,7 +80,7 @@ def swung(deviation: np.ndarray, period: float) -> tuple[float, float]:
 def test_a_swing_of_twenty_newtons_is_found_in_a_third_of_a_second(rate: float, hz: float) -> None:
     t = np.arange(0.0, 1.0, 1.0 / rate) + 0.3e-3
     when, rms = swung(20.0 * np.sin(2.0 * math.pi * hz * t), 1.0 / rate)
-    assert swings.LASTS_S <= when < 0.35
+    assert SWING_S <= when < 0.35
     assert 8.0 < rms < 20.0
 
 
@@ -112,5 +109,5 @@ def test_a_grasping_hand_relaxes(fault: str, rows: set[str], seconds: float, see
         which = seed % 4
         course.peer.inject(fault.format(tendon=hand.tendon[which].name, motor=hand.motor[which].name))
         assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), seconds)
-        assert {mark.id for mark in course.state.safety.latched} <= rows
+        assert {mark.id for mark in course.state.latched} <= rows
         assert course.peer.told()[0]["felt"]

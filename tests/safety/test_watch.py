@@ -1,237 +1,259 @@
-"""What safety remembers between ticks, on two made-up ropes: every signal from both sides of its limit."""
+"""What the monitor remembers between ticks, on two made-up tendons: every fault from both sides of its limit."""
 
-import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from handctl.safety import watch
-from handctl.safety.detectors import residuals, ropes
-from handctl.safety.detectors.counts import Counts
-from handctl.safety.detectors.residuals import Rotor
-from handctl.safety.signals import Limits, Signals
-from handctl.safety.watch import Seen, Watcher, WatchState, counted, screen, watched
+from handctl.controller.monitor import thresholds
+from handctl.core import block as s
+from handctl.core.block import STATE
+from handctl.core.detectors import residuals
+from handctl.core.detectors.residuals import BALANCE, MADE, QUICK_FORCE, RUB, TENSION, TIMES_S
+from handctl.core.types import Mode
+from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, T, interpreted, made_up
 
-T, N = 0.002, np.nan
-PAIR = np.array([1.0, 1.0])
-LIMITS = Limits(("a", "b"), (140.0, 140.0), 240.0, ("ma", "mb"), noise_most=1e-4)
-WATCHER: Watcher
-ARMED = Signals(armed=True, motor_age=(0, 0), sensor_age=(0, 0))
+N = np.nan
+LIMITS = replace(
+    made_up(2), tendons=("a", "b"), motors=("ma", "mb"), joints=("ja", "jb"), tension_rail=240.0, drive_limit=(1e9, 1e9)
+)  # fmt: skip
+Found = dict[str, dict[str, float]]
 
 
-def made(stiffness=1e5, motor_period=(T, T), joint_period=T):
-    """A hand of two ropes of a stiffness [N/m], whose motors and joints are read so often [s]."""
-    return Watcher(
-        limits=LIMITS, joints=("ja", "jb"),
-        rotor=Rotor(5.0 * PAIR, 40.0 * PAIR, 3.0 * PAIR, T, np.array(motor_period), joint_period),
-        stiffness=stiffness * PAIR, spool=0.005 * PAIR, arms=np.array([0.02, 0.01]),
-        spool_to_joints=np.array([[50.0, 0.0], [0.0, 100.0]]), step_most=(np.array([0.1, 0.2]), np.array([0.3, 0.4])),
+def made(stiffness: float = 1e5, motor_period: Any = T, joint_period: float = T) -> Monitor:
+    """A hand of two tendons of a stiffness [N/m], whose motors and joints are read so often [s]; 20 N are wanted."""
+    arms = np.array([0.02, 0.01])
+    monitor = Monitor(
+        LIMITS, motor_period, joint_period, stiffness=stiffness, arms_sum=arms, excursion_to_joints=np.diag(1.0 / arms),
+        step_limit=[0.1, 0.2], joint_step_limit=[0.3, 0.4],
     )  # fmt: skip
+    monitor.set({"residual": 0.0, "filtered": 0})
+    return monitor
 
 
-@pytest.fixture(autouse=True)
-def _watcher():
-    """Made for each test: what is made while a module is imported, no mutation test reaches."""
-    global WATCHER
-    WATCHER = made()
+NAMES = {"tension": "measured_tension", "travel": "measured_travel", "position": "measured_position", "speed": "speed",
+         "force": "measured_force", "excursion": "measured_excursion", "joints": "measured_joint",
+         "read": "joints_read"}  # fmt: skip
 
 
-def seen(**given):
-    """A tick of two ropes at rest under 20 N, some of it otherwise; a number stands for both."""
-    facts = {"tension": 20.0, "travel": 0.0, "position": 0.0, "speed": 0.0, "force": 20.0, "excursion": N, "joints": N}
-    facts |= {"read": False, "cut": False} | given
-    return Seen(**{name: v if isinstance(v, bool) else np.array(v) * PAIR for name, v in facts.items()})
+def seen(**given: Any) -> dict[str, Any]:
+    """A tick of two tendons at rest under 20 N, some of it otherwise; a number stands for both."""
+    facts = {"tension": 20.0, "travel": 0.0, "position": 0.0, "speed": 0.0, "force": 20.0, "excursion": N, "joints": N,
+             "read": False}  # fmt: skip
+    return {NAMES[name]: value for name, value in (facts | given).items()}
 
 
-def wanting(**given):
-    """A state in which 20 N are wanted and asked for, and nothing moves."""
-    commanded = {"asked": 20.0, "wanted": 20.0, "goal": 0.0} | given
-    return WATCHER.start._replace(**{name: np.array(v) * PAIR for name, v in commanded.items()})
+def wanting(monitor: Monitor | None = None, **given: Any) -> Monitor:
+    """A hand of which 20 N are wanted and asked for, and nothing moves."""
+    monitor = monitor or made()
+    monitor.set({"asked": 20.0, "wanted": 20.0, "followed": 0.0} | given)
+    return monitor
 
 
-def ticks(number, state=None, raw=ARMED, **given):
+def ticks(number: int, monitor: Monitor | None = None, **given: Any) -> tuple[Monitor, Found]:
     """The same tick several times; values that are functions get its number."""
-    state = state or wanting()
+    monitor, found = monitor or wanting(), {}
     for k in range(number):
-        state, told = watched(WATCHER, state, raw, seen(**{n: v(k) if callable(v) else v for n, v in given.items()}))
-    return state, told
+        found = monitor.tick(seen(**{name: v(k) if callable(v) else v for name, v in given.items()}))
+    return monitor, found
 
 
-def test_at_rest_nothing_is_told_and_the_same_signals_come_back():
-    assert ticks(30)[1] is ARMED, "not even another object"
-    state, told = ticks(600)
-    assert told == ARMED
-    assert state.taut == pytest.approx((1.2, 1.2))
-    assert state.ropes == ropes.Ropes((0, 0), (0, 0))
+def test_at_rest_nothing_is_told():
+    monitor, found = ticks(600)
+    assert found == {}
+    assert monitor.view("taut_s") == pytest.approx([1.2, 1.2])
+    assert (monitor.get("taut_ago"), monitor.get("slack_ticks")) == ([0, 0], [0, 0])
 
 
 def test_a_hand_that_is_armed_while_its_ropes_are_taut_is_not_stuck():
     """What is filtered begins at what is there: tension and force have not moved, so that nothing needs to."""
-    _, told = ticks(200, wanting(wanted=N, goal=N, asked=N))
-    assert (told.stuck_motor, told.stuck_cell) == ((), ())
+    _, found = ticks(200, wanting(wanted=N, followed=N, asked=N))
+    assert found == {}
 
 
 def test_without_torque_everything_but_the_counts_begins_anew():
-    state, _ = ticks(10)
-    state = state._replace(counts=Counts(unknown=3.0), owed=(2, 1))
-    after, told = watched(WATCHER, state, Signals(armed=False), seen())
-    assert after == WATCHER.start._replace(counts=Counts(unknown=3.0), owed=(2, 1))
-    assert told == Signals(armed=False)
+    monitor, _ = ticks(10)
+    monitor.set({"unknown": 3.0, "open_questions": [2, 1], "lost": 5, "misshapen": 3})
+    assert monitor.tick(seen(), mode=int(Mode.READY)) == {}
+    for field in STATE.fields:
+        first, end = {
+            "tendon": (s.TENDON_FIRST, s.TENDON_END), "tendon_int": (s.TENDON_INT_FIRST, s.TENDON_INT_END),
+            "joint": (s.JOINT_FIRST, s.JOINT_END), "joint_int": (s.JOINT_INT_FIRST, s.JOINT_INT_END),
+            "run_int": (s.RUN_INT_FIRST, s.RUN_INT_END),
+        }.get(field.table, (0, 0))  # fmt: skip
+        if first <= field.first < end:
+            initial = monitor.layout.view(monitor.layout.initial, field.name)
+            np.testing.assert_array_equal(monitor.view(field.name), initial, err_msg=field.name)
+    assert monitor.view("unknown").item() == pytest.approx(3.0 * (1.0 - T))
+    assert monitor.get("open_questions") == [2, 1]
+    assert monitor.get("lost")[0] == [10, 10, 10]
+    assert monitor.get("misshapen") == [6, 6, 6]
 
 
 def test_after_the_cut_a_rope_that_does_not_let_go_is_told():
-    state = ticks(3)[0]
+    monitor = ticks(3)[0]
+    monitor.set({"mode": int(Mode.CUT)})
     for _ in range(50):
-        state, told = watched(WATCHER, state, ARMED, seen(tension=[30.0, 8.0], cut=True))
-        assert told.limp == ()
-    state, told = watched(WATCHER, state, ARMED, seen(tension=[30.0, 8.0], cut=True))
-    assert told.limp == (("a", 30.0),)
-    assert state.ropes.cut_from == (30.0, 8.0)
+        assert "N16" not in monitor.tick(seen(tension=[30.0, 8.0]))
+    assert monitor.tick(seen(tension=[30.0, 8.0]))["N16"] == {"a": 30.0}
+    assert monitor.get("cut_from") == [30.0, 8.0]
 
 
 def test_a_rope_that_does_not_let_go_is_told_though_its_sample_was_lost_at_the_cut():
-    state = ticks(3, tension=[30.0, 25.0])[0]
-    state = ticks(2, state, tension=N)[0]
+    monitor = ticks(3, tension=[30.0, 25.0])[0]
+    ticks(2, monitor, tension=N)
+    monitor.set({"mode": int(Mode.CUT)})
     for k in range(51):
-        state, told = watched(WATCHER, state, ARMED, seen(tension=[30.0, 8.0] if k else N, cut=True))
-    assert told.limp == (("a", 30.0),)
-    assert state.ropes.cut_from == (30.0, 25.0)
+        found = monitor.tick(seen(tension=[30.0, 8.0] if k else N))
+    assert found["N16"] == {"a": 30.0}
+    assert monitor.get("cut_from") == [30.0, 25.0]
+
+
+def unexplained(monitor: Monitor) -> list[float]:
+    return [interpreted(residuals.unexplained, monitor.state_tables, monitor.hand_tables, n) for n in (0, 1)]
 
 
 @pytest.mark.parametrize(("tension", "residual"), [(29.8, 4.8), (30.2, 5.2), (9.7, 5.3), (5.0, 10.0), (20.0, 0.0)])
 def test_a_residual_that_lasts(tension, residual):
     """Of what the torque does not explain, 3 N are friction, and a tenth of 20 N the torque constant's tolerance."""
-    _, signals = ticks(1200, tension=tension)
-    assert signals.residual == (pytest.approx((residual, residual), abs=0.05) if residual else ())
+    monitor, found = ticks(1200, tension=tension)
+    assert unexplained(monitor) == pytest.approx([residual] * 2, abs=0.05)
+    told = {name: pytest.approx(residual, abs=0.05) for name in "ab"}
+    assert found.get("T04a", {}) == (told if residual > 5.0 else {})
 
 
-@pytest.mark.parametrize(("force", "told"), [(5.1, ()), (4.9, (15.1, 15.1)), (35.1, (15.1, 15.1))])
+@pytest.mark.parametrize(("force", "told"), [(5.1, False), (4.9, True), (35.1, True)])
 def test_torque_that_is_not_made(force, told):
-    _, signals = ticks(600, force=force, tension=force)
-    assert signals.disobeyed == pytest.approx(told, abs=0.01)
+    _, found = ticks(600, force=force, tension=force)
+    assert found.get("N14", {}) == ({name: pytest.approx(15.1, abs=0.01) for name in ("ma", "mb")} if told else {})
 
 
 @pytest.mark.parametrize(("rub", "told"), [(5.8, False), (6.1, True)])
 def test_friction_beyond_the_file_s(rub, told):
     """After many seconds of motion: a tenth of 29 N is the torque constant's tolerance; then 3 N are told."""
-    state = ticks(30)[0]
-    low = state.filtered.low.copy()
-    low[residuals.RUB], low[residuals.FORCE] = rub, 29.0
-    _, signals = ticks(1, state._replace(filtered=state.filtered._replace(low=low)), force=29.0, tension=29.0)
-    assert signals.friction == pytest.approx((rub - 2.9,) * 2, abs=0.01)
-    assert (max(signals.friction) > 3.0) == told
+    monitor = ticks(30)[0]
+    monitor.set({"residual": {RUB: rub, MADE: 29.0}})
+    _, found = ticks(1, monitor, force=29.0, tension=29.0)
+    grown = [interpreted(residuals.friction, monitor.state_tables, n) for n in (0, 1)]
+    assert grown == pytest.approx([rub - 2.9] * 2, abs=0.01)
+    assert found.get("T09", {}) == (dict(zip("ab", grown, strict=True)) if told else {})
 
 
 def test_a_noisy_encoder():
     """Mean squared jerk of a position that goes to and fro by d each tick: 16 d^2."""
-    for size, told in ((2.4e-3, ()), (2.6e-3, (1.08e-4, 1.08e-4))):
-        _, signals = ticks(600, position=lambda k, size=size: size * (-1.0) ** k)
-        assert signals.noise == pytest.approx(told, rel=0.02)
+    for size, told in ((2.4e-3, {}), (2.6e-3, dict.fromkeys(("ma", "mb"), pytest.approx(1.08e-4, rel=0.02)))):
+        _, found = ticks(600, position=lambda k, size=size: size * (-1.0) ** k)
+        assert found.get("N07", {}) == told
 
 
 def test_a_slack_rope_and_a_torn_one():
-    state, _ = ticks(100)
-    state, told = ticks(90, state, tension=[0.0, 20.0])
-    assert [name for name, _ in told.slack] == ["a"]
-    assert told.snapped == ()
-    state, _ = ticks(100)
-    state, told = ticks(3, state, tension=[0.0, 20.0], speed=[0.05, 0.05])
-    assert told.snapped == (("a", 0.05),)
+    monitor, _ = ticks(100)
+    _, found = ticks(90, monitor, tension=[0.0, 20.0])
+    assert list(found["T02a"]) == ["a"]
+    assert "T01" not in found
+    monitor, _ = ticks(100)
+    _, found = ticks(3, monitor, tension=[0.0, 20.0], speed=[0.05, 0.05])
+    assert found["T01"] == {"a": 0.05}
 
 
 def test_joint_and_spool_are_compared_from_when_the_rope_is_taut():
-    """Rope a: 20 mm of arms; 3 deg are 1.05 mm at the joints, filtered over 0.3 s; unfiltered 15 deg are told."""
+    """Tendon a: 20 mm of arms; 3 deg are 1.05 mm at the joints, filtered over 0.3 s; unfiltered 15 deg are told."""
 
     def slipped(deg):
-        state, _ = ticks(100, excursion=0.0, read=True)
-        assert not np.isnan(state.slip_from).any()
-        return ticks(1500, state, excursion=[-0.02 * np.radians(deg), 0.0], read=True)[1]
+        monitor, _ = ticks(100, excursion=0.0, read=True)
+        assert not np.isnan(monitor.view("slip_from")).any()
+        return ticks(1500, monitor, excursion=[-0.02 * np.radians(deg), 0.0], read=True)[1]
 
-    assert slipped(2.9).slip == ()
+    assert "N06a" not in slipped(2.9)
     told = slipped(3.1)
-    assert told.slip == pytest.approx((3.1, 0.0), abs=0.02)
-    assert told.derailed == ()
-    assert slipped(14.9).derailed == ()
-    assert slipped(-15.1).derailed == pytest.approx((15.1, 0.0), abs=1e-6)
+    assert told["N06a"] == {"a": pytest.approx(3.1, abs=0.02)}
+    assert "T08" not in told
+    assert "T08" not in slipped(14.9)
+    assert slipped(-15.1)["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
 
 
 def test_joint_and_spool_say_nothing_of_a_slack_rope_or_just_after_it():
-    state, _ = ticks(100, excursion=0.0, read=True)
-    state, _ = ticks(1, state, tension=[1.9, 20.0], excursion=0.0, read=True)
-    assert (state.taut[0], np.isnan(state.slip_from[0])) == (0.0, True)
-    state, _ = ticks(5, state, tension=[2.2, 20.0], excursion=0.0, read=True)
-    assert state.taut[0] == 0.0, "between slack and taut no time passes"
-    state, told = ticks(49, state, excursion=0.5, read=True)
-    assert np.isnan(state.slip_from[0]), "100 ms after it became taut"
-    state, told = ticks(3, state, excursion=0.5, read=True)
-    assert state.slip_from[0] == pytest.approx(-20.0 / 1e5 - 0.5)
-    unread, told = ticks(1, state, excursion=N)
-    assert unread.slip_from[0] == state.slip_from[0]
-    assert told.derailed == ()
+    monitor, _ = ticks(100, excursion=0.0, read=True)
+    ticks(1, monitor, tension=[1.9, 20.0], excursion=0.0, read=True)
+    assert (monitor.get("taut_s")[0], np.isnan(monitor.get("slip_from")[0])) == (0.0, True)
+    ticks(5, monitor, tension=[2.2, 20.0], excursion=0.0, read=True)
+    assert monitor.get("taut_s")[0] == 0.0, "between slack and taut no time passes"
+    ticks(49, monitor, excursion=0.5, read=True)
+    assert np.isnan(monitor.get("slip_from")[0]), "100 ms after it became taut"
+    ticks(3, monitor, excursion=0.5, read=True)
+    begin = monitor.get("slip_from")[0]
+    assert begin == pytest.approx(-20.0 / 1e5 - 0.5)
+    _, told = ticks(1, monitor, excursion=N)
+    assert monitor.get("slip_from")[0] == begin
+    assert "T08" not in told
 
 
 EVERY = 4
 """Joints are read in every fourth tick, where a bus has no room for more."""
 
 
-def sparse(number, state, **given):
+def sparse(number: int, monitor: Monitor, **given: Any) -> list[Found]:
     """Ticks of a hand whose joints are read in every fourth, and all that they told."""
     told = []
     for k in range(number):
         read = {"read": True} | given if k % EVERY == 0 else {n: v for n, v in given.items() if n == "travel"}
-        state, signals = watched(WATCHER, state, ARMED, seen(**read))
-        told.append(signals)
-    return state, told
+        told.append(monitor.tick(seen(**read)))
+    return told
 
 
 def test_a_rope_that_left_its_pulley_shows_in_three_readings_however_seldom_joints_are_read():
-    global WATCHER
-    WATCHER = made(joint_period=EVERY * T)
-    state, _ = sparse(100, wanting(), excursion=0.0, joints=0.0)
+    monitor = wanting(made(joint_period=EVERY * T))
+    sparse(100, monitor, excursion=0.0, joints=0.0)
     off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
-    _, told = sparse(9, state, **off)
-    assert [k for k, signals in enumerate(told) if signals.derailed] == [8]
-    assert told[8].derailed == pytest.approx((15.1, 0.0), abs=1e-6)
-    after, told = sparse(8, state, **off)
-    assert not any(signals.derailed for signals in told)
-    after, _ = sparse(4, after, excursion=0.0, joints=0.0)
-    _, told = sparse(8, after, **off)
-    assert not any(signals.derailed for signals in told), "three in a row, and one between them was well"
+    told = sparse(9, monitor, **off)
+    assert [k for k, found in enumerate(told) if "T08" in found] == [8]
+    assert told[8]["T08"] == {"a": pytest.approx(15.1, abs=1e-6)}
+    told = sparse(8, monitor, **off)
+    assert [k for k, found in enumerate(told) if "T08" in found] == [0, 4], "in ticks in which joints are read"
+
+
+def test_three_readings_in_a_row_and_one_between_them_that_was_well():
+    monitor = wanting(made(joint_period=EVERY * T))
+    sparse(100, monitor, excursion=0.0, joints=0.0)
+    off = {"excursion": [-0.02 * np.radians(15.1), 0.0], "joints": 0.0}
+    assert not any("T08" in found for found in sparse(8, monitor, **off))
+    sparse(4, monitor, excursion=0.0, joints=0.0)
+    assert not any("T08" in found for found in sparse(8, monitor, **off))
 
 
 def test_joint_against_spool_is_filtered_over_the_same_time_however_seldom_joints_are_read():
     """3 deg of 3.5 are reached after 0.3 s ln 7 = 0.58 s."""
-    global WATCHER
     for every in (1, EVERY):
-        WATCHER = made(joint_period=every * T)
-        state, _ = ticks(100, excursion=0.0, read=True)
+        monitor = wanting(made(joint_period=every * T))
+        ticks(100, monitor, excursion=0.0, read=True)
         begun = None
         for k in range(400):
             read = {"excursion": [-0.02 * np.radians(3.5), 0.0], "read": True} if k % every == 0 else {}
-            state, signals = watched(WATCHER, state, ARMED, seen(**read))
-            begun = k * T if begun is None and signals.slip else begun
+            found = monitor.tick(seen(**read))
+            begun = k * T if begun is None and "N06a" in found else begun
         assert begun == pytest.approx(0.584, abs=0.01)
 
 
 def test_a_joint_or_a_motor_that_stands_is_told_after_the_same_time_however_seldom_it_is_read():
-    global WATCHER
-    WATCHER = made(motor_period=(EVERY * T, T), joint_period=EVERY * T)
-    assert WATCHER.patience.tolist() == [12, 50, 40, 40, 12, 12]
-    state, _ = sparse(100, wanting(), travel=0.0, excursion=0.0, joints=0.2)
-    state, _ = sparse(4, state, travel=0.0, excursion=0.0, joints=0.3)
-    _, told = sparse(56, state, travel=[np.radians(10.1) / 50.0, 0.0], excursion=0.0, joints=0.3)
-    assert next(k for k, signals in enumerate(told) if signals.stuck_joint) == 48, "100 ms are 12.5 readings after one"
-    state = just_moved()._replace(goal=np.array([0.51e-3, 0.0]))
+    monitor = wanting(made(motor_period=(EVERY * T, T), joint_period=EVERY * T))
+    sparse(100, monitor, travel=0.0, excursion=0.0, joints=0.2)
+    sparse(4, monitor, travel=0.0, excursion=0.0, joints=0.3)
+    told = sparse(56, monitor, travel=[np.radians(10.1) / 50.0, 0.0], excursion=0.0, joints=0.3)
+    joint = [k for k, found in enumerate(told) if "ja" in found.get("N04", {})]
+    assert joint[0] == 48, "100 ms are 12.5 readings after one"
+    monitor = just_moved(made(motor_period=(EVERY * T, T), joint_period=EVERY * T))
+    monitor.set({"followed": [0.51e-3, 0.0]})
     first = None
     for k in range(60):
-        state, signals = watched(WATCHER, state, ARMED, seen(travel=1e-5 if k % EVERY == 0 else [N, 1e-5]))
-        first = k if first is None and signals.stuck_motor else first
+        found = monitor.tick(seen(travel=1e-5 if k % EVERY == 0 else [N, 1e-5]))
+        first = k if first is None and "N04" in found else first
     assert first == 48
 
 
-def just_moved(**given):
-    """A state in which all filters have settled, and motors have moved in the last tick."""
-    return ticks(1, ticks(150, **given)[0], travel=1e-5, **given)[0]
+def just_moved(monitor: Monitor | None = None, **given: Any) -> Monitor:
+    """A hand in which all filters have settled, and motors have moved in the last tick."""
+    return ticks(1, ticks(150, wanting(monitor), **given)[0], **{"travel": 1e-5} | given)[0]
 
 
 @pytest.mark.parametrize(("number", "goal", "told"), [
@@ -239,55 +261,59 @@ def just_moved(**given):
     (60, 0.49e-3, False), (60, -0.51e-3, True),
 ])  # fmt: skip
 def test_a_motor_that_stands_while_its_goal_moves(number, goal, told):
-    moved = just_moved()._replace(goal=np.array([goal, 0.0]))
-    _, signals = ticks(number, moved, travel=1e-5)
-    assert [name for name, _ in signals.stuck_motor] == (["ma"] if told else [])
-    if told:
-        assert signals.stuck_motor[0][1] == pytest.approx(0.51)
+    monitor = just_moved()
+    monitor.set({"followed": [goal, 0.0]})
+    _, found = ticks(number, monitor, travel=1e-5)
+    assert found.get("N04", {}) == ({"ma": pytest.approx(0.51)} if told else {})
 
 
 def test_a_motor_that_stands_while_its_rope_s_tension_moves():
     for tension, told in ((27.9, []), (28.2, ["mb"]), (11.8, ["mb"])):
-        _, signals = ticks(200, just_moved(), travel=1e-5, tension=[20.0, tension], force=[20.0, tension])
-        assert [name for name, _ in signals.stuck_motor] == told
+        _, found = ticks(200, just_moved(), travel=1e-5, tension=[20.0, tension], force=[20.0, tension])
+        assert list(found.get("N04", {})) == told
 
 
 def test_a_joint_that_stands_while_the_spool_turns():
     for angle, told in ((9.9, []), (10.1, ["ja"])):
         joints = {"excursion": 0.0, "read": True}
-        state, _ = ticks(1, just_moved(joints=0.2, **joints), travel=1e-5, joints=0.3, **joints)
+        monitor = just_moved(joints=0.2, **joints)
+        ticks(1, monitor, travel=1e-5, joints=0.3, **joints)
         travel = [1e-5 + np.radians(angle) / 50.0, 1e-5]
-        _, signals = ticks(55, state, travel=travel, joints=0.3, **joints)
-        assert [name for name, _ in signals.stuck_joint] == told
+        _, found = ticks(55, monitor, travel=travel, joints=0.3, **joints)
+        assert [name for name in found.get("N04", {}) if name[0] == "j"] == told
 
 
 def test_a_spool_that_turns_while_its_tendon_is_slack_says_nothing_of_a_joint():
     """Slack is wound up; from where the tendon bears on, joint and spool move together."""
     turn, joints = np.radians(10.1) / 50.0, {"joints": 0.3, "excursion": 0.0, "read": True}
-    state, told = ticks(200, wanting(), tension=0.5, force=0.5, travel=lambda k: [3.0 * turn * (k > 20), 0.0], **joints)
-    assert told.stuck_joint == ()
-    state, told = ticks(200, state, travel=[3.0 * turn, 0.0], **joints)
-    assert told.stuck_joint == (), "that it has become taut moves nothing"
-    _, told = ticks(200, state, travel=[4.1 * turn, 0.0], **joints)
-    assert [name for name, _ in told.stuck_joint] == ["ja"]
+
+    def stuck(found: Found) -> list[str]:
+        return [name for name in found.get("N04", {}) if name[0] == "j"]
+
+    monitor, told = ticks(200, None, tension=0.5, force=0.5, travel=lambda k: [3.0 * turn * (k > 20), 0.0], **joints)
+    assert stuck(told) == []
+    _, told = ticks(200, monitor, travel=[3.0 * turn, 0.0], **joints)
+    assert stuck(told) == [], "that it has become taut moves nothing"
+    _, told = ticks(200, monitor, travel=[4.1 * turn, 0.0], **joints)
+    assert stuck(told) == ["ja"]
 
 
 @pytest.mark.parametrize(("tension", "told"), [(2.1, ["ja"]), (1.9, [])])
 def test_a_tendon_bears_until_it_is_slack(tension, told):
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
-    state, _ = ticks(200, wanting(), tension=2.6, force=2.6, **joints)
-    state, _ = ticks(200, state, tension=tension, force=tension, **joints)
-    _, signals = ticks(60, state, tension=tension, force=tension, travel=[np.radians(12.0) / 50.0, 0.0], **joints)
-    assert [name for name, _ in signals.stuck_joint] == told
+    monitor, _ = ticks(200, None, tension=2.6, force=2.6, **joints)
+    ticks(200, monitor, tension=tension, force=tension, **joints)
+    _, found = ticks(60, monitor, tension=tension, force=tension, travel=[np.radians(12.0) / 50.0, 0.0], **joints)
+    assert [name for name in found.get("N04", {}) if name[0] == "j"] == told
 
 
 def test_each_joint_has_its_own_tendons_as_witnesses():
     """Joint b does not care that tendon a is slack."""
     joints = {"joints": 0.3, "excursion": 0.0, "read": True}
-    state, _ = ticks(200, wanting(), tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
+    monitor, _ = ticks(200, None, tension=[0.5, 20.0], force=[0.5, 20.0], **joints)
     travel = [np.radians(12.0) / 50.0, np.radians(12.0) / 100.0]
-    _, signals = ticks(60, state, tension=[0.5, 20.0], force=[0.5, 20.0], travel=travel, **joints)
-    assert [name for name, _ in signals.stuck_joint] == ["jb"]
+    _, found = ticks(60, monitor, tension=[0.5, 20.0], force=[0.5, 20.0], travel=travel, **joints)
+    assert [name for name in found.get("N04", {}) if name[0] == "j"] == ["jb"]
 
 
 @pytest.mark.parametrize(("number", "force", "tension", "told"), [
@@ -296,119 +322,130 @@ def test_each_joint_has_its_own_tendons_as_witnesses():
 ])  # fmt: skip
 def test_a_cell_that_repeats_itself_while_the_torque_moves(number, force, tension, told):
     chance = np.random.default_rng(1)
-    state, _ = ticks(100, tension=lambda k: tension + 0.1 * chance.standard_normal())
-    state, _ = ticks(1, state, tension=tension)
-    _, signals = ticks(number, state, tension=tension, force=[force, 20.0])
-    assert [name for name, _ in signals.stuck_cell] == (["a"] if told else [])
+    monitor, _ = ticks(100, tension=lambda k: tension + 0.1 * chance.standard_normal())
+    ticks(1, monitor, tension=tension)
+    _, found = ticks(number, monitor, tension=tension, force=[force, 20.0])
+    assert list(found.get("T05", {})) == (["a"] if told else [])
 
 
 @pytest.mark.parametrize("late", [0, 1])
 def test_an_even_motion_is_no_noise_and_no_force_because_ticks_were_skipped(late):
     """The way of five ticks at once, in the tick behind the gap, or in the next one, whose answer is from behind it."""
 
-    def course(raw):
-        state, at, speed, told = ticks(5, speed=0.1, force=27.0)[0], 0.0, 0.1, []
+    def course(missed):
+        monitor, at, speed, noisy = ticks(5, speed=0.1, force=27.0)[0], 0.0, 0.1, False
         for k in range(20):
             at, speed = (at + 0.25, 0.14) if k == 10 + late else (at + 0.05, speed)
-            tick = raw if k == 10 else ARMED
-            state, signals = watched(WATCHER, state, tick, seen(position=at, speed=speed, force=23.0 + 40.0 * speed))
-            told.append(signals.noise)
-        noisy = any(max(noise, default=0.0) > LIMITS.noise_most for noise in told)
-        return noisy, state.filtered.low[residuals.BALANCE]
+            rows = seen(position=at, speed=speed, force=23.0 + 40.0 * speed)
+            noisy |= "N07" in monitor.tick(rows, missed=missed if k == 10 else 0)
+        return noisy, monitor.view("residual")[BALANCE]
 
-    noisy, balance = course(ARMED._replace(missed=4))
+    noisy, balance = course(4)
     assert not noisy
     assert np.abs(balance).max() < 0.05
-    noisy, balance = course(ARMED)
+    noisy, balance = course(0)
     assert noisy, "positive control"
     assert np.abs(balance).max() > 0.5
 
 
+def screened(monitor: Monitor, motors: list[float], joints: list[float] | None, missed: int = 0) -> tuple[Any, Any]:
+    """Take in positions; joints None if none was read. Return how far each jumped."""
+    read = {"joint_fresh": joints is not None, "joint_angle": joints or 0.0}
+    monitor.observe({"answered": 1, "position": motors, "missed": missed, **read})
+    return monitor.get("jump"), monitor.get("joint_jump")
+
+
 def test_positions_are_screened_apart():
-    state, jumped, twisted = screen(WATCHER, WATCHER.start, np.zeros(2), np.zeros(2))
-    assert (jumped, twisted) == (None, None)
-    state, jumped, twisted = screen(WATCHER, state, np.array([0.11, 0.19]), np.array([0.29, 0.41]))
-    assert jumped.tolist() == [0.11, 0.0]
-    assert twisted.tolist() == [0.0, 0.41]
-    state, jumped, twisted = screen(WATCHER, state, np.array([0.05, 0.19]), None)
-    assert (jumped, twisted) == (None, None)
-    assert state.joints.gap.tolist() == [1.0, 2.0]
-    assert state.motors.value.tolist() == [0.05, 0.19]
-    assert state.motors.dropped.tolist() == [0.0, 0.0]
-    assert state.joints.dropped.tolist() == [0.0, 1.0]
+    monitor = made()
+    assert screened(monitor, [0.0, 0.0], [0.0, 0.0]) == ([0.0, 0.0], [0.0, 0.0])
+    assert screened(monitor, [0.11, 0.19], [0.29, 0.41]) == ([0.11, 0.0], [0.0, 0.41])
+    assert screened(monitor, [0.05, 0.19], None) == ([0.0, 0.0], [0.0, 0.0])
+    assert monitor.get("joint_gap") == [1.0, 2.0]
+    assert monitor.get("accepted") == [0.05, 0.19]
+    assert monitor.get("dropped") == [0.0, 0.0]
+    assert monitor.get("joint_dropped") == [0.0, 1.0]
 
 
 def test_after_missed_ticks_motors_and_joints_may_have_gone_so_much_further():
-    before = screen(WATCHER, WATCHER.start, np.zeros(2), np.zeros(2))[0]
-    motor, joint = np.array([0.29, 0.61]), np.array([0.91, 1.19])
-    _, jumped, twisted = screen(WATCHER, before, motor, joint)
-    assert (jumped.tolist(), twisted.tolist()) == ([0.29, 0.61], [0.91, 1.19])
-    _, jumped, twisted = screen(WATCHER, before, motor, joint, 2)
-    assert jumped.tolist() == [0.0, 0.61], "three times 0.1 and 0.2"
-    assert twisted.tolist() == [0.91, 0.0], "three times 0.3 and 0.4"
-    assert screen(WATCHER, before, motor, None, 2)[0].joints.gap.tolist() == [3.0, 3.0]
+    def begun() -> Monitor:
+        monitor = made()
+        screened(monitor, [0.0, 0.0], [0.0, 0.0])
+        return monitor
+
+    motor, joint = [0.29, 0.61], [0.91, 1.19]
+    assert screened(begun(), motor, joint) == (motor, joint)
+    monitor = begun()
+    jumped, twisted = screened(monitor, motor, joint, 2)
+    assert jumped == [0.0, 0.61], "three times 0.1 and 0.2"
+    assert twisted == [0.91, 0.0], "three times 0.3 and 0.4"
+    monitor = begun()
+    screened(monitor, motor, None, 2)
+    assert monitor.get("joint_gap") == [3.0, 3.0]
 
 
-def counting(raw=ARMED, state=None, misshapen=(False,) * 3, strange=(0, 0), k=1):
-    return counted(WATCHER, state or WATCHER.start, raw, misshapen, strange, k)
+def late(**ages: int) -> dict[str, Any]:
+    """Rows of motors (ma=...) and load cells (a=...) whose answers are so many ticks old."""
+    heard = {name: NOW_NS - ages.get(name, 0) * PERIOD_NS for name in ("ma", "mb", "a", "b")}
+    return {"feedback_ns": [heard["ma"], heard["mb"]], "group_ns": {0: heard["a"], 1: heard["b"]}}
 
 
 def test_where_nothing_is_lost_nothing_is_counted():
-    state, told = counting()
-    assert state is WATCHER.start
-    assert told is ARMED
+    monitor = made()
+    assert monitor.tick() == {}
+    assert not monitor.view("lost").any()
 
 
-@pytest.mark.parametrize(("raw", "lost"), [
-    (ARMED._replace(motor_age=(0, 1)), (0, 1, 0)), (ARMED._replace(sensor_age=(0, 1)), (0, 0, 1)),
-    (ARMED._replace(motor_age=(3, 0), sensor_age=()), (1, 0, 0)),
-    (ARMED._replace(motor_age=(1, 1), missed=1), ()), (ARMED._replace(motor_age=(1, 1), armed=False), ()),
+@pytest.mark.parametrize(("rows", "lost"), [
+    (late(mb=1), [0, 1, 0]), (late(b=1), [0, 0, 1]), (late(ma=3), [1, 0, 0]),
+    (late(ma=1, mb=1) | {"missed": 1}, [0, 0, 0]), (late(ma=1, mb=1) | {"mode": int(Mode.READY)}, [0, 0, 0]),
 ])  # fmt: skip
-def test_what_counts_as_lost(raw, lost):
-    assert counting(raw)[1].lost == lost
+def test_what_counts_as_lost(rows, lost):
+    monitor = made()
+    monitor.tick(rows)
+    assert monitor.get("lost") == [lost, [0, 0, 0]]
 
 
 def test_misshapen_frames_are_told_of_who_sent_one_now_and_how_many_there_were_of_late():
-    state = WATCHER.start
+    monitor = made()
     for k in range(3):
-        state, told = counting(state=state, misshapen=(True, k == 0, False), k=k)
-    assert told.misshapen == (("ma", 3.0),)
-    _, told = counting(state=state, misshapen=(False, False, True), k=4)
-    assert told.misshapen == (("load cells", 1.0),)
+        found = monitor.tick(misread_now=[1, k == 0, 0])
+    assert found["B09"] == {"ma": 3.0}
+    assert monitor.tick(misread_now=[0, 0, 1])["B09"] == {"load cells": 1.0}
 
 
 def test_a_node_that_answers_every_second_tick():
-    state = WATCHER.start
+    monitor = made()
     for k in range(20):
-        state, told = counting(ARMED._replace(motor_age=(0, k % 2)), state, k=k)
-        assert told.halved == (("mb",) if k >= 13 else ()), k
+        found = monitor.tick(late(mb=k % 2))
+        assert list(found.get("N15", {})) == (["mb"] if k >= 13 else []), k
 
 
-def test_strange_frames_and_refused_goals():
-    state, told = counting(strange=(5, 2))
-    assert (told.unknown, told.refused) == (5.0, 2)
-    state, told = counting(state=state, strange=(0, 1), k=2)
-    assert told.unknown == pytest.approx(5.0 * (1.0 - T))
-    assert told.refused == 3
-    _, told = counting(state=state, k=3)
-    assert told.refused == 0, "told where one comes"
+def test_strange_frames():
+    monitor = made()
+    monitor.tick(strange=5)
+    assert monitor.view("unknown").item() == 5.0
+    monitor.tick(strange=0)
+    assert monitor.view("unknown").item() == pytest.approx(5.0 * (1.0 - T))
+
+
+def test_refused_goals_are_told_where_one_comes():
+    monitor = made()
+    assert monitor.tick(refused=2, refused_now=2)["I07a"] == {"goal": 2.0}
+    assert monitor.tick(refused=3, refused_now=1)["I07b"] == {"goal": 3.0}
+    assert not {"I07a", "I07b"} & set(monitor.tick(refused=3, refused_now=0))
 
 
 def test_what_is_fixed_follows_from_the_hand():
-    assert WATCHER.period == T
-    assert WATCHER.patience.tolist() == [50, 50, 40, 40, 50, 50]
-    limits = [5.0 + 3.0, np.inf, 15.0, np.inf, np.inf, 3.0, 1e-4, 3.0]
-    assert WATCHER.suspicion.tolist() == [[limit] * 2 for limit in limits]
-    assert WATCHER.initial() is WATCHER.start
-    assert WatchState.initial(2, 2).stuck.value.shape == (6,)
-    assert watch.JUMP_MARGIN == 1.5
-    assert residuals.GAIN_SHARE == 0.1
+    assert thresholds.JUMP_MARGIN == 1.5
+    assert residuals.GAIN_FRACTION == 0.1
+    assert TIMES_S == (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
 
 
 def test_what_is_filtered_quickly_begins_at_what_is_there_once_only():
-    state = ticks(5)[0]
-    after = ticks(1, state, tension=30.0, force=30.0)[0]
-    moved = 10.0 * -math.expm1(-T / residuals.QUICK_S)
-    for row in (residuals.TENSION, residuals.QUICK_FORCE):
-        assert state.filtered.low[row] == pytest.approx([20.0, 20.0])
-        assert after.filtered.low[row] == pytest.approx([20.0 + moved, 20.0 + moved])
+    monitor = ticks(5)[0]
+    for row in (TENSION, QUICK_FORCE):
+        assert monitor.view("residual")[row] == pytest.approx([20.0, 20.0])
+    ticks(1, monitor, tension=30.0, force=30.0)
+    moved = 10.0 * -np.expm1(-T / 0.02)
+    for row in (TENSION, QUICK_FORCE):
+        assert monitor.view("residual")[row] == pytest.approx([20.0 + moved, 20.0 + moved])

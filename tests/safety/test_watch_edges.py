@@ -1,100 +1,128 @@
-"""What safety remembers, at its very limits: they are judged as they are written, to the last bit."""
+"""What the monitor remembers, at its very limits: they are judged as they are written, to the last bit."""
+
+import math
+from typing import Any
 
 import numpy as np
 import pytest
 
-from handctl.safety import watch
-from handctl.safety.detectors import residuals, ropes
-from handctl.safety.detectors.stuck import Stuck
-from handctl.safety.watch import CELL_FORCE_N, CELL_TICKS, DEG, SLIP_SETTLE_S, STUCK_JOINT_DEG, STUCK_S, Watcher
-from tests.safety.test_watch import ARMED, T, made, seen
+from handctl.core.detectors import slip, stuck
+from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
+from handctl.core.detectors.slip import DEG, SETTLE_S
+from handctl.safety.faults.node import STUCK_GOAL_M, STUCK_JOINT_DEG, STUCK_S, STUCK_TENSION_N
+from handctl.safety.faults.tendon import CELL_FORCE_N, CELL_TICKS, DERAILED_DEG, SLACK_N, TAUT_N
+from tests.safety.monitor import Monitor, T, interpreted
+from tests.safety.test_watch import made, seen
 
 SOFT = 5e3
-"""A rope that stretches by four millimetres under 20 N [N/m]."""
+"""A tendon that stretches by four millimetres under 20 N [N/m]."""
 READ = {"excursion": 0.0, "joints": 0.0, "read": True}
 """Joint encoders at zero."""
 
 
 @pytest.fixture
-def watcher() -> Watcher:
-    return made(SOFT)
+def monitor() -> Monitor:
+    """Two tendons whose filtered tension and force are what is set."""
+    monitor = made(SOFT)
+    monitor.set_constants(residual_fraction=0.0)
+    monitor.set({"filtered": 1, "residual": {TENSION: 20.0, QUICK_FORCE: 20.0}})
+    return monitor
 
 
-def test_what_a_rope_stretches_turns_no_joint(watcher: Watcher) -> None:
-    """The spool winds as far as the rope gives way under a tension that has grown."""
-    low = watcher.start.filtered.low.copy()
-    low[residuals.TENSION] = 20.0
-    filtered = watcher.start.filtered._replace(low=low)
-    turned = watch._witnesses(watcher, watcher.start, filtered, seen(travel=20.0 / SOFT, **READ))
-    np.testing.assert_allclose(turned[0, 4:], 0.0, atol=1e-12)
-    turned = watch._witnesses(watcher, watcher.start, filtered, seen(travel=[20.0 / SOFT + 1e-3, 20.0 / SOFT], **READ))
-    np.testing.assert_allclose(turned[0, 4:], [0.05, 0.0], atol=1e-12)
-    assert np.isnan(turned[1, 2:]).all(), "the second witness of cells and joints says nothing"
+def turned(monitor: Monitor, **given: Any) -> list[float]:
+    monitor.set(seen(**given) | {"bears": 1})
+    return [interpreted(stuck.turned, monitor.state_tables, monitor.hand_tables, j) for j in (0, 1)]
 
 
-@pytest.mark.parametrize(("tension", "taut"), [(ropes.SLACK_N, 1.0), (ropes.SLACK_N - 1e-9, 0.0), (ropes.TAUT_N, 1.0),
-                                               (ropes.TAUT_N + 1e-9, 1.0 + T)])  # fmt: skip
-def test_between_slack_and_taut_time_stands(watcher: Watcher, tension: float, taut: float) -> None:
-    state = watcher.start._replace(taut=(1.0, 1.0))
-    found, _, _ = watch._slip(watcher, state, seen(tension=tension, **READ), [tension, tension])
-    assert found == (taut, taut)
+def test_what_a_rope_stretches_turns_no_joint(monitor: Monitor) -> None:
+    """The spool winds as far as the tendon gives way under a tension that has grown."""
+    np.testing.assert_allclose(turned(monitor, travel=20.0 / SOFT, **READ), 0.0, atol=1e-12)
+    wound = turned(monitor, travel=[20.0 / SOFT + 1e-3, 20.0 / SOFT], **READ)
+    np.testing.assert_allclose(wound, [0.05, 0.0], atol=1e-12)
+    monitor.set({"bears": [0, 1]})
+    assert math.isnan(interpreted(stuck.turned, monitor.state_tables, monitor.hand_tables, 0)), "it says nothing"
 
 
-def test_joint_and_spool_are_not_compared_before_the_rope_has_settled(watcher: Watcher) -> None:
-    for since, settled in ((SLIP_SETTLE_S, False), (np.nextafter(SLIP_SETTLE_S, 1.0), True)):
-        state = watcher.start._replace(taut=(float(since), 1.0), slip_from=np.zeros(2))
+@pytest.mark.parametrize(("tension", "taut"), [(SLACK_N, 1.0), (SLACK_N - 1e-9, 0.0), (TAUT_N, 1.0),
+                                               (TAUT_N + 1e-9, 1.0 + T)])  # fmt: skip
+def test_between_slack_and_taut_time_stands(monitor: Monitor, tension: float, taut: float) -> None:
+    monitor.tick(seen(tension=tension, **READ), taut_s=1.0)
+    assert monitor.get("taut_s") == [taut, taut]
+
+
+def test_joint_and_spool_are_not_compared_before_the_rope_has_settled(monitor: Monitor) -> None:
+    for since, settled in ((SETTLE_S, False), (np.nextafter(SETTLE_S, 1.0), True)):
         now = seen(**READ | {"tension": 2.2, "excursion": [0.0, 1e-3]})
-        _, begin, slip = watch._slip(watcher, state, now, [2.2, 2.2])
+        monitor.tick(now, taut_s=[float(since), 1.0], slip_from=0.0)
+        begin, slipped = monitor.get("slip_from"), monitor.get("slip")
         assert np.isnan(begin[0]) != settled
-        assert np.isnan(slip[0]) != settled
-        assert slip[1] == pytest.approx((-2.2 / SOFT - 1e-3) / watcher.arms[1] * DEG)
+        assert np.isnan(slipped[0]) != settled
+        assert slipped[1] == pytest.approx((-2.2 / SOFT - 1e-3) / 0.01 * DEG)
 
 
-def names(watcher: Watcher, ticks: list[int], value: float, away: list[list[float]]) -> dict[str, list[str]]:
-    stands = Stuck(np.full(6, value), np.array(ticks), np.zeros((2, 6)))
-    told = watch._stuck_signals(watcher, stands, np.array(away))
-    return {kind: [name for name, _ in found] for kind, found in told.items()}
-
-
-def test_what_stands_is_told_beyond_its_limits_and_not_at_them(watcher: Watcher) -> None:
-    long = int(STUCK_S / T)
-    calm = [[0.0] * 6, [0.0] * 6]
-    assert not any(names(watcher, [9999] * 6, 20.0, calm).values())
-    at = [[watch.STUCK_GOAL_MM / 1e3, 0.0, CELL_FORCE_N, 9.0, STUCK_JOINT_DEG / DEG, 0.1],
-          [0.0, watch.STUCK_TENSION_N, 0.0, 0.0, 0.0, 0.0]]  # fmt: skip
-    assert at[0][0] * 1e3 == watch.STUCK_GOAL_MM
-    assert at[0][4] * DEG == STUCK_JOINT_DEG
-    found = names(watcher, [9999] * 6, 20.0, at)
-    assert found == {"stuck_motor": [], "stuck_joint": [], "stuck_cell": ["b"]}
-    beyond = [[value * 1.01 for value in row] for row in at]
-    assert names(watcher, [long + 1] * 6, 20.0, beyond) == {
-        "stuck_motor": ["ma", "mb"], "stuck_joint": ["ja"], "stuck_cell": ["a", "b"],
+def names(monitor: Monitor, before: int, value: float, away: dict[str, list[float]]) -> dict[str, list[str]]:
+    """Who is stuck after one tick more of the same readings, while witnesses are so far from where they were."""
+    zero = [0.0, 0.0]
+    found = monitor.tick(
+        seen(tension=value, **READ), motor_stuck=before, cell_stuck=before, joint_stuck=before,
+        motor_value=0.0, cell_value=value, joint_value=0.0, followed=away.get("goal", zero),
+        motor_anchor=[zero, 20.0 - np.array(away.get("tension", zero))],
+        cell_anchor=20.0 - np.array(away.get("pushed", zero)),
+        joint_anchor=np.array(away.get("turned", zero)) - 20.0 / SOFT * np.array([50.0, 100.0]),
+    )  # fmt: skip
+    stands = found.get("N04", {})
+    return {
+        "motor": [name for name in stands if name[0] == "m"], "joint": [name for name in stands if name[0] == "j"],
+        "cell": list(found.get("T05", {})),
     }  # fmt: skip
-    assert names(watcher, [long] * 6, 20.0, beyond)["stuck_motor"] == []
-    assert names(watcher, [long] * 6, 20.0, beyond)["stuck_joint"] == []
 
 
-def test_a_cell_may_repeat_itself_one_tick_less_than_the_row_says(watcher: Watcher) -> None:
-    pushed = [[0.0, 0.0, 9.0, 9.0, 0.0, 0.0], [0.0] * 6]
-    assert names(watcher, [CELL_TICKS] * 6, 20.0, pushed)["stuck_cell"] == ["a", "b"]
-    assert names(watcher, [CELL_TICKS - 1] * 6, 20.0, pushed)["stuck_cell"] == []
-    assert names(watcher, [CELL_TICKS] * 6, ropes.TAUT_N, pushed)["stuck_cell"] == [], "a slack rope's cell may rest"
+def test_what_stands_is_told_beyond_its_limits_and_not_at_them(monitor: Monitor) -> None:
+    long = int(STUCK_S / T)
+    assert not any(names(monitor, 9999, 20.0, {}).values())
+    at = {"goal": [STUCK_GOAL_M, 0.0], "tension": [0.0, STUCK_TENSION_N], "pushed": [CELL_FORCE_N, 9.0],
+          "turned": [STUCK_JOINT_DEG / DEG * (1.0 - 1e-12), 0.1]}  # fmt: skip
+    assert names(monitor, 9999, 20.0, at) == {"motor": [], "joint": [], "cell": ["b"]}
+    beyond = {name: [value * 1.01 for value in pair] for name, pair in at.items()}
+    told = {"motor": ["ma", "mb"], "joint": ["ja"], "cell": ["a", "b"]}
+    assert names(monitor, long, 20.0, beyond) == told
+    assert names(monitor, long - 1, 20.0, beyond) == told | {"motor": [], "joint": []}
 
 
-def test_a_cell_that_repeats_itself_is_told_in_the_very_tick(watcher: Watcher) -> None:
-    state = watcher.start._replace(asked=np.full(2, 20.0), wanted=np.full(2, 20.0), goal=np.zeros(2))
+def test_a_cell_may_repeat_itself_one_tick_less_than_the_row_says(monitor: Monitor) -> None:
+    pushed = {"pushed": [9.0, 9.0]}
+    assert names(monitor, CELL_TICKS - 1, 20.0, pushed)["cell"] == ["a", "b"]
+    assert names(monitor, CELL_TICKS - 2, 20.0, pushed)["cell"] == []
+    assert names(monitor, CELL_TICKS - 1, TAUT_N, pushed)["cell"] == [], "a slack tendon's cell may rest"
+
+
+def test_a_cell_that_repeats_itself_is_told_in_the_very_tick() -> None:
+    monitor = made(SOFT)
+    monitor.set({"asked": 20.0, "wanted": 20.0, "followed": 0.0})
     for k in range(CELL_TICKS + 2):
-        state, told = watch.watched(watcher, state, ARMED, seen(force=20.0 if k == 0 else 60.0, tension=20.0))
-        assert bool(told.stuck_cell) == (state.stuck.ticks[2] >= CELL_TICKS), k
-    assert state.stuck.ticks[2] > CELL_TICKS
+        found = monitor.tick(seen(force=20.0 if k == 0 else 60.0, tension=20.0))
+        assert ("T05" in found) == (monitor.get("cell_stuck")[0] >= CELL_TICKS), k
+    assert monitor.get("cell_stuck")[0] > CELL_TICKS
 
 
-def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(
-    watcher: Watcher, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    state = watcher.start._replace(taut=(9.0, 9.0), slip_from=np.zeros(2))
-    now = seen(**READ | {"excursion": 5e-3})
-    slip = np.abs(watch._slip(watcher, state, now, [20.0, 20.0])[2])
-    for limit, counted in ((slip[0], 0.0), (np.nextafter(slip[0], 0.0), 1.0)):
-        monkeypatch.setattr(watch, "DERAILED_DEG", limit)
-        assert watch.watched(watcher, state, ARMED, now)[0].derailed[0] == counted
+def test_a_joint_is_off_its_pulley_beyond_the_limit_and_not_at_it(monitor: Monitor) -> None:
+    """Interpreted, where excursions can be found whose angle is the limit to the last bit."""
+
+    def counted(apart: float) -> tuple[float, float]:
+        monitor.set(seen(**READ | {"tension": 0.0, "excursion": -apart}))
+        monitor.set(
+            {
+                "taut_s": 9.0,
+                "slip_from": 0.0,
+                "derailed": 0.0,
+                "measured_tension": TAUT_N,
+                "measured_travel": TAUT_N / SOFT,
+            }
+        )
+        interpreted(slip.update, monitor.state_tables, monitor.hand_tables, True)
+        return abs(monitor.get("slip")[0]), monitor.get("derailed")[0]
+
+    apart = DERAILED_DEG / DEG * 0.02
+    around = [counted(apart * (1.0 + i * 2.0**-52)) for i in range(-4, 5)]
+    assert min(angle for angle, _ in around) <= DERAILED_DEG < max(angle for angle, _ in around)
+    assert all(count == float(angle > DERAILED_DEG) for angle, count in around)

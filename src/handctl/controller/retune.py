@@ -6,7 +6,7 @@ a trim and fades. Integrals are kept in newtons, not as an integral of the error
 """
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 from handctl.controller.coming import Coming
 from handctl.core.gains.bounds import flat, with_values
@@ -17,8 +17,8 @@ from handctl.core.types import GAIN_EVENT, Event, Vector
 from handctl.errors import ConfigError
 from handctl.programs.requests import REFUSED
 
-if TYPE_CHECKING:
-    from handctl.controller.tick import Controller
+Controller = TypeVar("Controller")
+"""``controller.tick.Controller``: a dataclass with a ``model``."""
 
 KEPT = 8
 """Gains whose designs are remembered: those of a run, those that are coming, and some to go back to."""
@@ -47,7 +47,7 @@ class Designs:
     """
 
     found: dict[Gains, list[Vector]] = field(default_factory=dict)
-    controllers: "dict[Gains, Controller]" = field(default_factory=dict)
+    controllers: dict[Gains, Any] = field(default_factory=dict)
     used: Gains | None = None
 
     def advance(self, model: HandModel, coming: Coming) -> Unfinished | None:
@@ -58,15 +58,17 @@ class Designs:
             return Unfinished(None, (Event("warn", "gains", "", f"{REFUSED}{error}"),))
         return None if len(done) >= pieces(model.space) else Unfinished(replace(coming, step=coming.step + 1))
 
-    def controller(self, controller: "Controller", gains: Gains) -> "Controller":
+    def controller(self, controller: Controller, gains: Gains) -> Controller:
         """Return the controller with other gains; those that a run uses are not forgotten."""
         self.used = gains
         if gains not in self.controllers:
-            model = controller.model
+            old: Any = controller
+            model = old.model
             found = self._up_to(model, gains, pieces(model.space))
             designed = replace(model, gains=gains, motion=assembled(model.space, found))
-            self.controllers[gains] = replace(controller, model=designed)
-        return self.controllers[gains]
+            self.controllers[gains] = replace(old, model=designed)
+        made: Controller = self.controllers[gains]
+        return made
 
     def _up_to(self, model: HandModel, gains: Gains, count: int) -> list[Vector]:
         found = self.found.setdefault(gains, [])

@@ -1,0 +1,194 @@
+"""The monitor of a made-up hand: rows of the state are set by name, one call is one tick of ``stages.judged``."""
+
+from collections.abc import Iterable
+from types import FunctionType, SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from handctl.compiled import prepare
+from handctl.core import block as s
+from handctl.core import stages
+from handctl.core.block import STATE, Tables, tables
+from handctl.core.constants import AXES, ELEMENTS, HAND, KINDS, ConstantTables, constant_tables
+from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
+from handctl.core.hand_constants import low_pass_fractions
+from handctl.core.types import Mode
+from handctl.safety.faults.fault import JOINT, MOTOR, NODE, TENDON
+from handctl.safety.faults.table import FOUND
+from handctl.safety.judge import Counting, Latched, Report, Verdict, begun, judge
+from handctl.safety.limits import LOAD_CELLS, Limits
+
+T, N = 0.002, np.nan
+NOW_NS = 10_000_000_000
+"""Every tick is at this time: what counts is how old something is."""
+PERIOD_NS = round(T * 1e9)
+Rows = dict[str, Any]
+"""By the name of a field: a value for all its elements, or values by index."""
+
+
+def made_up(tendons: int) -> Limits:
+    """Return limits of a hand of some tendons t0, t1, ..., each with a motor and a joint."""
+    names = [tuple(f"{letter}{i}" for i in range(tendons)) for letter in "tmj"]
+    return Limits(
+        *names, tension_trip=(140.0,) * tendons, drive_limit=(160.0,) * tendons, tension_rail=244.0, tension_low=-5.0,
+        silent_ticks=6, one_silent_ticks=4, stalled_ticks=5, frames=64, noise=1e-4,
+    )  # fmt: skip
+
+
+class Monitor:
+    """A hand of N tendons, each with a motor, a joint and frames of its own for load cell and joint encoder.
+
+    It is active, at rest, and everything has just answered: 20 N by cells, motors and commands.
+
+    Attributes:
+        limits: names and thresholds.
+        layout, block: of the state. hand, constants: layout and block of the constants, which may be changed.
+        latched, counting: of ``safety.judge``.
+    """
+
+    def __init__(self, limits: Limits, motor_period: Any = T, joint_period: float = T, **constants: Any) -> None:
+        prepare()
+        n = len(limits.tendons)
+        self.limits = limits
+        sizes = dict.fromkeys((*s.AXES, *AXES), n) | {
+            "node": n + 1, "group": 2 * n, "instance": n + 1, "run": 1, "kind": KINDS, "element": ELEMENTS, "place": 3,
+        }  # fmt: skip
+        self.layout = STATE.layout({name: sizes[name] for name in s.AXES})
+        self.hand = HAND.layout({name: sizes[name] for name in AXES})
+        self.constants = self.hand.initial.copy()
+        motor_period = np.full(n, 1.0) * motor_period
+        every = SimpleNamespace(period=T, tendon_count=n)
+        self.set_constants(
+            motor_mass=5.0, motor_damping=40.0, coulomb=3.0, stiffness=1e5, spool=0.005, arms_sum=0.02,
+            excursion_to_joints=50.0 * np.eye(n), moves=np.eye(n), period=T, period_ns=PERIOD_NS,
+            motor_period=motor_period, joint_period=joint_period,
+            residual_fraction=low_pass_fractions(every, motor_period, joint_period),  # type: ignore[arg-type]
+            cell_group=np.arange(n), joint_group=n + np.arange(n), tension_groups=n, mute_ns=30_000_000,
+            answers_once=1, digit=np.arange(n), joints_first=np.arange(n), joints_end=np.arange(n) + 1,
+        )  # fmt: skip
+        self.follow(limits)
+        self.set_constants(**constants)
+        self.block = self.layout.initial.copy()
+        self.latched: tuple[Latched, ...] = ()
+        self.counting: tuple[Counting, ...] = ()
+        self.set({
+            "mode": int(Mode.ACTIVE), "t_ns": NOW_NS, "feedback_ns": NOW_NS, "group_ns": NOW_NS, "started": 1,
+            "measured_travel": 0.0, "measured_position": 0.0, "measured_tension": 20.0, "measured_force": 20.0,
+            "asked": 20.0, "wanted": 20.0, "followed": 0.0, "temperature": 40.0, "phase": 3, "phase_before": 3,
+            "residual": {TENSION: 20.0, QUICK_FORCE: 20.0}, "filtered": 1,
+        })  # fmt: skip
+        self.calm = self.block.copy()
+
+    def follow(self, limits: Limits) -> None:
+        """Judge by these limits from now on."""
+        self.limits = limits
+        self.set_constants(
+            tension_trip=limits.tension_trip, drive_limit=limits.drive_limit, noise_limit=limits.noise,
+            temperature_soft=limits.temperature_soft, temperature_hard=limits.temperature_hard,
+            tension_rail=limits.tension_rail, tension_low=limits.tension_low, silent_ticks=limits.silent_ticks,
+            one_silent_ticks=limits.one_silent_ticks, stalled_ticks=limits.stalled_ticks, frames_limit=limits.frames,
+        )  # fmt: skip
+
+    def set_constants(self, **values: Any) -> None:
+        """Set constants of the hand by name."""
+        for name, value in values.items():
+            self.hand.view(self.constants, name)[...] = value
+
+    def set(self, rows: Rows) -> None:
+        """Set rows of the state by name."""
+        for name, value in rows.items():
+            if isinstance(value, dict):
+                for index, one in value.items():
+                    self.view(name)[index] = one
+            else:
+                self.view(name)[...] = value
+
+    def view(self, name: str) -> Any:
+        """Return a field of the state."""
+        return self.layout.view(self.block, name)
+
+    def get(self, name: str) -> list[Any]:
+        """Return a field of the state as a list."""
+        return list(self.view(name).tolist())
+
+    def forget(self) -> None:
+        """Bring everything back to rest, but not for how long each fault has been present."""
+        present = self.view("fault_ticks").copy()
+        self.block[:] = self.calm
+        self.set({"fault_ticks": present})
+
+    @property
+    def state_tables(self) -> Tables:
+        """Tables of the state, for functions that run interpreted."""
+        return _python(tables)(self.block, self.layout.places)
+
+    @property
+    def hand_tables(self) -> ConstantTables:
+        """Tables of the constants, likewise."""
+        return _python(constant_tables)(self.constants, self.hand.places)
+
+    def tick(self, rows: Rows | None = None, **more: Any) -> dict[str, dict[str, float]]:
+        """Judge one tick with these rows; return what is found: by fault and instance, whether it counts or not."""
+        self.set({**(rows or {}), **more})
+        self.demanded, self.found = stages.judged(
+            self.block, self.layout.places, self._read_only(), self.hand.places, self.layout.initial
+        )
+        told: dict[str, dict[str, float]] = {}
+        for row, i in zip(*np.nonzero(~np.isnan(self.found)), strict=True):
+            fault, kind = FOUND[row]
+            told.setdefault(fault.id, {})[self.name(kind, i) or fault.name] = float(self.found[row, i])
+        return told
+
+    def observe(self, rows: Rows | None = None) -> None:
+        """Turn what came into measurements, as a tick does before it judges; only then positions are screened."""
+        self.set(rows or {})
+        stages.observe(self.block, self.layout.places, self._read_only(), self.hand.places)
+
+    def remember(self, rows: Rows | None = None) -> None:
+        """Keep what this tick commanded, as a tick does at its end."""
+        self.set(rows or {})
+        stages.remember(self.block, self.layout.places, self._read_only(), self.hand.places)
+
+    def judge(self, rows: Rows | None = None, reports: Iterable[Report] = ()) -> Verdict:
+        """Judge one tick to the end: with what is latched, and what buses and host report."""
+        self.tick(rows)
+        return self.conclude(self.demanded, reports)
+
+    def conclude(self, demanded: int, reports: Iterable[Report]) -> Verdict:
+        """Latch what is found, take in reports, and choose the reaction."""
+        fresh = begun(self.limits, self.found, self.view("fault_ticks"))
+        verdict = judge(self.latched, self.counting, fresh, demanded, reports)
+        self.latched, self.counting = verdict.latched, verdict.counting
+        return verdict
+
+    def clear(self) -> None:
+        """Let an operator clear what is latched, as a new run does: no fault has been present before it."""
+        self.latched, self.counting = (), ()
+        self.set({"fault_ticks": 0})
+
+    def name(self, kind: str, i: int) -> str:
+        """Return the name of an instance; empty for one of a whole hand."""
+        names = {TENDON: self.limits.tendons, MOTOR: self.limits.motors, JOINT: self.limits.joints}
+        return {**names, NODE: (*self.limits.motors, LOAD_CELLS)}[kind][i] if kind in {*names, NODE} else ""
+
+    def _read_only(self) -> Any:
+        constants = self.constants.view()
+        constants.flags.writeable = False
+        return constants
+
+
+def _python(function: Any) -> Any:
+    """Return an inner function as Python can call it, with those that it calls itself."""
+    if not hasattr(function, "py_func"):
+        return function
+    code = function.py_func
+    known = dict(code.__globals__)
+    known |= {name: _python(known[name]) for name in code.__code__.co_names if hasattr(known.get(name), "py_func")}
+    return FunctionType(code.__code__, known, code.__name__, code.__defaults__)
+
+
+def interpreted(function: Any, *arguments: Any) -> Any:
+    """Call an inner function interpreted; it may call others of its module."""
+    with np.errstate(all="ignore"):
+        return _python(function)(*arguments)

@@ -1,0 +1,69 @@
+"""A fault is added by its declaration and its detector, and by nothing else: done to a copy of the package."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "faults.md").read_text(encoding="utf-8")
+TRIED = """
+import json
+from handctl.controller.tick import _told
+from handctl.safety.faults.markdown import catalogue, fault_table
+from handctl.safety.judge import judge
+from tests.safety.monitor import Monitor, made_up
+
+monitor = Monitor(made_up(2))
+verdicts = [monitor.judge({"measured_tension": {1: tension}}) for tension in (100.0, 100.5, 100.5)]
+print(json.dumps({
+    "table": [line for line in fault_table().splitlines() if line.startswith("| T10 ")],
+    "page": [line for line in catalogue().splitlines() if line.startswith("| T10 ")],
+    "actions": [int(verdict.action) for verdict in verdicts],
+    "told": [[list(_told(one)) for one in verdict.findings if one.fault.id == "T10"] for verdict in verdicts],
+}))
+"""
+
+
+def added(package: Path) -> None:
+    """Add the fault of the page to a copy of the package, as the page says."""
+    declaration, detector = re.findall(r"```python\n(.*?) *```", PAGE.split("## Adding a fault")[1], re.DOTALL)
+    kind = package / "safety" / "faults" / "tendon.py"
+    with kind.open("a", encoding="utf-8") as file:
+        file.write("\n" + re.sub("^   ", "", declaration, flags=re.MULTILINE))
+    path = package / "core" / "detectors" / "tendon.py"
+    source = path.read_text(encoding="utf-8")
+    place = "        tension = x.tendon[s.MEASURED_TENSION, n]\n"
+    assert place in source
+    lines = re.sub("^   ", " " * 8, detector, flags=re.MULTILINE)
+    source = source.replace(place, place + lines, 1)
+    source = source.replace(
+        "from handctl.safety.faults.tendon import (\n",
+        "from handctl.safety.faults.tendon import (\n    HEAVY_N,\n    T10,\n",
+    )
+    path.write_text(source, encoding="utf-8")
+
+
+@pytest.mark.parametrize("interpreted", ["1", pytest.param("0", marks=pytest.mark.nightly)])
+def test_a_fault_is_declared_once_and_found_by_one_detector(tmp_path: Path, interpreted: str) -> None:
+    package = tmp_path / "handctl"
+    shutil.copytree(ROOT / "src" / "handctl", package, ignore=shutil.ignore_patterns("__pycache__"))
+    added(package)
+    path = os.pathsep.join(map(str, (tmp_path, ROOT)))
+    more = {"PYTHONPATH": path, "NUMBA_DISABLE_JIT": interpreted, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    words = [sys.executable, "-W", "ignore", "-c", TRIED]
+    done = subprocess.run(words, env=os.environ | more, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr[-2000:]
+    told = json.loads(done.stdout)
+    assert told["table"] == ["| T10 | a tendon bears much | above 100 N | WARN | by itself |"]
+    assert told["page"] == [
+        "| T10 | heavy load | T10 WARN | detected | detected | detected | 4 ms, 2 ticks | campaign |"
+    ]
+    assert told["actions"] == [0, 1, 1]
+    text = "T10 a tendon bears much: t1 (100.5): WARN"
+    assert told["told"] == [[], [["warn", "fault", "t1", text]], []]

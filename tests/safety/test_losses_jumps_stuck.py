@@ -1,0 +1,265 @@
+"""What is counted over time, steps that cannot be, and readings that stand; each rule from both sides."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.controller.state import Decisions, State
+from handctl.controller.tick import Controller
+from handctl.core.detectors import losses, stuck
+from handctl.core.detectors.residuals import TENSION
+from handctl.core.types import Event
+from handctl.safety.faults.bus import SHORT, WINDOW
+from tests.safety.monitor import NOW_NS, PERIOD_NS, Monitor, Rows, interpreted, made_up
+
+NAN = np.nan
+
+
+def bits(text: str) -> int:
+    """Newest last, as one writes it."""
+    return int(text, 2)
+
+
+def words(window: int) -> tuple[int, int]:
+    """Return the two words of a window: the newer half, and the older."""
+    return window & losses.HALF_MASK, window >> losses.HALF
+
+
+class Window(Monitor):
+    """A motor and its load cell, of which losses are counted."""
+
+    def __init__(self, motor: int = 0, cells: int = 0, **constants: Any) -> None:
+        super().__init__(made_up(1), **constants)
+        pairs = (words(motor), words(cells))
+        self.set({"lost": {(half, node): pair[half] for node, pair in enumerate(pairs) for half in (0, 1)}})
+
+    def count(self, motor: bool = False, cells: bool = False, **rows: Any) -> tuple[int, int]:
+        """Take in one tick, in which these are late; return the windows of losses."""
+        self.tick({"feedback_ns": NOW_NS - motor * PERIOD_NS, "group_ns": NOW_NS - cells * PERIOD_NS}, **rows)
+        return self.windows
+
+    @property
+    def windows(self) -> tuple[int, int]:
+        """Losses of motor and load cells, a bit each tick."""
+        lost = self.view("lost")
+        return tuple(int(lost[1, node]) << losses.HALF | int(lost[0, node]) for node in (0, 1))  # type: ignore
+
+
+@pytest.mark.parametrize(("before", "now", "after"), [
+    ((0, 0), (False, False), (0, 0)),
+    ((0, 0), (True, False), (0b1, 0b0)),
+    ((0, 0), (True, True), (0b1, 0b1)),
+    ((0b1, 0b0), (False, True), (0b10, 0b1)),
+    ((0b101, 0b1), (True, True), (0b1011, 0b11)),
+    ((1 << (WINDOW - 1), 0), (False, False), (0, 0)),                # the last bit has left
+    ((1 << (WINDOW - 1), 0), (True, False), (1, 0)),
+    ((1 << (WINDOW - 2), 0), (False, False), (1 << (WINDOW - 1), 0)),
+    ((1 << (WINDOW // 2 - 1), 1 << (WINDOW // 2)), (False, True), (1 << WINDOW // 2, 1 << WINDOW // 2 + 1 | 1)),
+])  # fmt: skip
+def test_a_window_moves_on_by_a_tick(before, now, after):
+    assert Window(*before).count(*now) == after
+
+
+def test_how_many_of_the_window_and_of_late():
+    window = Window(0b1011, (1 << WINDOW) - 1)
+    assert [interpreted(losses.lost, window.state_tables, node) for node in (0, 1)] == [3, WINDOW]
+    for number, ones in ((0b1011, 3), (0, 0), (1 << (SHORT - 1), 1), ((1 << 62) - 1, 62)):
+        assert interpreted(losses.ones, number) == ones
+    window.set({"misshapen": 1 << (SHORT - 1) | 0b1})
+    window.tick({"misread_now": 1})
+    assert window.get("misshapen") == [0b11, 0b11], "so many of the last ticks, and no longer"
+
+
+@pytest.mark.parametrize(("pattern", "half"), [
+    ("01" * 10, True), ("10" * 10, True), ("01" * 9 + "11", False), ("01" * 9 + "00", True), ("0" * 20, False),
+    ("1" * 20, False), ("1" + "01" * 10, True), ("0011" * 5, False), ("01" * 7 + "000000", True),
+    ("01" * 6 + "00000000", False), ("1" + "01" * 6 + "0000000", True), ("11" + "01" * 8 + "00", True),
+    ("11" + "01" * 7 + "1100", False), ("1110" + "01" * 8, False),
+    ("11" + "01" * 8 + "0000", True), ("01010010101010010101", True),
+])  # fmt: skip
+def test_every_second_tick(pattern, half):
+    assert interpreted(losses.halved, Window(bits(pattern)).state_tables, 0) is half
+
+
+def test_unknown_frames_leak_away_in_a_second():
+    def after(unknown: float, strange: int = 0, rate: float = 100.0) -> float:
+        window = Window(period=1.0 / rate)
+        window.count(strange=strange, unknown=unknown)
+        return float(window.view("unknown").item())
+
+    assert after(0.0, 3) == 3.0
+    assert after(3.0, 2) == pytest.approx(3.0 * 0.99 + 2.0)
+    assert after(1.02e-3) > 0.0
+    assert after(1.01e-3) == 0.0
+    assert after(2e-3, rate=2.0) == 0.0, "a thousandth is forgotten"
+
+
+def refusing(rate: float) -> Any:
+    """Return a function that counts refused goals of a tick; it returns the ticks of those that are remembered."""
+    window = Window()
+    state = State(window.layout, window.block, Decisions((), None))  # type: ignore[arg-type]
+    controller: Any = SimpleNamespace(model=SimpleNamespace(period=1.0 / rate))
+
+    def step(refused: int, k: int) -> tuple[int, ...]:
+        window.set({"k": k})
+        Controller._count_refusals(controller, state, (Event("warn", "request", "", ""),) * refused)
+        lately = state.decisions.refusals
+        assert int(window.view("refused").item()) == len(lately)
+        return lately
+
+    return step
+
+
+def test_refused_goals_are_those_of_the_last_second():
+    step = refusing(100.0)
+    assert step(2, 10) == (10, 10)
+    assert step(1, 109) == (10, 10, 109)
+    assert step(0, 110) == (109,)
+    assert step(0, 209) == ()
+
+
+def test_lost_and_misshapen_are_counted_apart():
+    window = Window()
+    window.set({"misread_now": {1: 1}})
+    assert window.count(motor=True) == (1, 0)
+    assert window.get("misshapen") == [0, 1]
+    assert window.count(misread_now=0) == (2, 0)
+    assert window.get("misshapen") == [0, 2]
+
+
+class Positions(Monitor):
+    """Motors whose positions are screened; what they may step by in a period [rad]."""
+
+    def __init__(self, limits: list[float], **before: list[float]) -> None:
+        super().__init__(made_up(len(limits)), step_limit=limits)
+        self.set(before)
+
+    def screen(self, value: list[float], missed: int = 0) -> list[float]:
+        """Take in positions, NaN where none came; return how far each jumped."""
+        given = np.array(value)
+        self.observe({"answered": ~np.isnan(given), "position": given, "missed": missed})
+        return self.get("jump")
+
+
+def test_the_first_position_is_accepted_wherever_it_is():
+    positions = Positions([0.1] * 3)
+    assert positions.screen([5.0, -1e9, NAN]) == [0.0] * 3
+    accepted = positions.get("accepted")
+    assert accepted[:2] == [5.0, -1e9]
+    assert np.isnan(accepted[2])
+    assert positions.get("accepted_gap") == [0.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize(("value", "gap", "wrong"), [
+    (1.1, 0, 0.0), (1.125, 0, 0.0), (1.13, 0, 0.13), (0.8, 0, 0.2),
+    (1.25, 1, 0.0), (1.26, 1, 0.26),       # a reading was missed: twice as far
+    (1.5, 3, 0.0), (1.51, 3, 0.51),
+])  # fmt: skip
+def test_a_step_that_cannot_be_is_dropped_and_the_next_may_be_longer(value, gap, wrong):
+    positions = Positions([0.125], accepted=[1.0], accepted_gap=[float(gap)])
+    assert positions.screen([value])[0] == pytest.approx(wrong)
+    assert positions.get("accepted") == [1.0 if wrong else value]
+    assert positions.get("accepted_gap") == [gap + 1 if wrong else 0]
+    assert np.isnan(positions.view("measured_position")[0]) == bool(wrong), "nothing else sees it"
+
+
+def test_a_missing_position_is_no_jump():
+    positions = Positions([0.1], accepted=[1.0], accepted_gap=[2.0])
+    assert positions.screen([NAN]) == [0.0]
+    assert (positions.get("accepted"), positions.get("accepted_gap")) == ([1.0], [3.0])
+
+
+def test_a_tick_in_which_nothing_was_measured():
+    positions = Positions([0.1] * 2, accepted=[1.0, 2.0], accepted_gap=[0.0, 3.0], dropped=[0.0, 2.0])
+    positions.screen([NAN, NAN])
+    assert (positions.get("accepted"), positions.get("accepted_gap")) == ([1.0, 2.0], [1.0, 4.0])
+    assert positions.get("dropped") == [0.0, 2.0]
+
+
+def test_readings_that_are_dropped_in_a_row_are_counted_and_a_missing_one_is_none():
+    positions, told = Positions([0.125] * 2, accepted=[0.0, 0.0]), []
+    for both in [(1.0, 0.0), (NAN, 0.0), (1.0, NAN), (NAN, 0.0), (0.1, NAN), (1.5, 2.0), (0.1, 0.0)]:
+        positions.screen(list(both))
+        told.append(positions.get("dropped"))
+    assert [int(a) for a, _ in told] == [1, 1, 2, 2, 0, 1, 0]
+    assert [int(b) for _, b in told] == [0, 0, 0, 0, 0, 1, 0]
+
+
+@pytest.mark.parametrize(("missed", "steps", "told"), [
+    # steps of single readings, by what one period allows; which of them jumps. The first reading after skipped ticks
+    # may answer a question of after or of before them, and the second is then late by as much.
+    (0, (1.0, 1.0), (0, 0)), (0, (1.1, 0.9), (1, 0)), (0, (1.0, 1.1), (0, 1)),
+    (1, (2.0, 1.0), (0, 0)), (1, (1.0, 2.0), (0, 0)), (1, (2.1, 0.0), (1, 0)), (1, (1.0, 2.1), (0, 1)),
+    (1, (1.0, 2.0, 1.1), (0, 0, 1)), (4, (5.0, 5.0), (0, 0)), (4, (5.1, 0.0), (1, 0)), (4, (5.0, 5.1), (0, 1)),
+])  # fmt: skip
+def test_what_moves_goes_on_while_ticks_are_skipped(missed, steps, told):
+    """Two positions alike, or one that was read and one that was not."""
+    for other in (0.0, NAN):
+        positions, at, seen = Positions([1.0] * 2, accepted=[0.0, other]), 0.0, []
+        for k, step in enumerate(steps):
+            at += step
+            seen.append(int(positions.screen([at, other], 0 if k else missed)[0] > 0.0))
+        assert tuple(seen) == told, other
+
+
+def test_a_reading_that_is_missing_after_skipped_ticks_may_be_further_off_by_them():
+    positions = Positions([0.1], accepted=[1.0], accepted_gap=[1.0])
+    positions.screen([NAN], 3)
+    assert positions.get("accepted_gap") == [5.0]
+
+
+def stand(monitor: Monitor, value: float, goal: float, tension: float) -> tuple[int, float, float]:
+    """Take in an encoder's reading and its witnesses; return how long it stands, and how far they went meanwhile."""
+    rows: Rows = {"measured_travel": value, "followed": goal, "residual": {TENSION: tension}}
+    monitor.tick(rows)
+    anchor = monitor.view("motor_anchor")[:, 0].tolist()
+    away = [interpreted(stuck.away, *pair) for pair in zip((goal, tension), anchor, strict=True)]
+    return int(monitor.view("motor_stuck")[0]), *away
+
+
+def walk(values, witnesses):
+    """Ticks, and how far each witness is away, after each tick."""
+    monitor = Monitor(made_up(1), residual_fraction=0.0)
+    return monitor, [stand(monitor, value, *pair) for value, pair in zip(values, witnesses, strict=True)]
+
+
+def test_what_stands_counts_and_its_witnesses_go_away():
+    _, seen = walk([1.0, 1.0, 1.0, 2.0, 2.0], [(0.0, 5.0), (0.5, 5.0), (-1.0, 7.0), (-1.0, 7.0), (-1.0, 8.0)])
+    assert seen == [(0, 0.0, 0.0), (1, 0.5, 0.0), (2, 1.0, 2.0), (0, 0.0, 0.0), (1, 0.0, 1.0)]
+
+
+def test_a_missing_reading_is_neither_the_same_nor_another_one():
+    monitor, seen = walk([1.0, NAN, 1.0, NAN, 2.0], [(0.0, 0.0), (1.0, 0.0), (2.0, 0.0), (3.0, 0.0), (3.0, 0.0)])
+    assert [ticks for ticks, *_ in seen] == [0, 0, 1, 1, 0]
+    assert [first for _, first, _ in seen] == [0.0, 1.0, 2.0, 3.0, 0.0]
+    assert monitor.get("motor_value") == [2.0]
+
+
+def test_a_witness_that_says_nothing_does_not_count_and_is_taken_when_it_speaks():
+    _, seen = walk([1.0] * 4, [(NAN, 0.0), (5.0, NAN), (7.0, 3.0), (NAN, 1.0)])
+    assert [first for _, first, _ in seen] == [0.0, 0.0, 2.0, 0.0]
+    assert [second for _, _, second in seen] == [0.0, 0.0, 3.0, 1.0]
+
+
+def test_a_first_witness_that_leaps_was_there_all_the_time():
+    """A goal that is where the digit is leaps with it: no motor had to follow that."""
+    monitor = Monitor(made_up(3), moment_arms=0.02 * np.eye(3))
+    rows = {
+        "followed": [0.0, 1e-3, 2e-3], "motor_anchor": [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], "motor_stuck": [7, 8, 9],
+        "motor_value": 0.5, "excursion": [0.0, 11e-3, 2.3e-3], "q_goal": [0.0, 11e-3 / 0.02, 2.3e-3 / 0.02],
+    }  # fmt: skip
+    monitor.remember(rows)
+    np.testing.assert_allclose(monitor.view("motor_anchor"), [[1.0, 2.010, 3.0], [4.0, 5.0, 6.0]], rtol=0, atol=1e-12)
+    assert monitor.get("followed") == rows["excursion"]
+    assert (monitor.get("motor_value"), monitor.get("motor_stuck")) == ([0.5] * 3, [7, 8, 9])
+
+
+def test_nothing_is_known_at_first():
+    monitor = Monitor(made_up(2))
+    for name in ("motor_anchor", "cell_anchor", "joint_anchor", "motor_value", "cell_value", "joint_value"):
+        assert np.isnan(monitor.view(name)).all()
+    for name in ("motor_stuck", "cell_stuck", "joint_stuck"):
+        assert monitor.get(name) == [0, 0]
+        assert monitor.view(name).dtype == np.int64

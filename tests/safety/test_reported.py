@@ -1,0 +1,42 @@
+"""Reports of buses, host and recorder, and the faults that they mean."""
+
+from handctl.safety.judge import Report, alone, reported
+
+
+def found(*reports: Report) -> list[tuple[str, str, float]]:
+    return [(fault.id, where, value) for fault, where, value in reported(reports)]
+
+
+def test_what_a_bus_reports() -> None:
+    assert found(("enodev", "can0", 19.0)) == [("B16", "can0", 19.0)]
+    assert found(("ebadf", "", 9.0)) == [("B16", "ebadf", 9.0)], "the kind, where no place is told"
+    assert found(("bus_on", "can0", 1.0)) == []
+    two = (("enodev", "can0", 1.0), ("other", "x", 2.0), ("ebadf", "can1", 3.0))
+    assert found(*two) == [("B16", "can0", 1.0), ("B16", "can1", 3.0)]
+    assert found(("error_passive", "can0", 1.0)) == [("B13a", "can0", 1.0), ("B13b", "can0", 1.0)], "two stages"
+    assert found() == []
+
+
+def test_what_the_recorder_reports() -> None:
+    assert found(("recorder", "disk_low", 7.0)) == [("H08", "disk_low", 7.0)]
+    assert found(("recorder", "gone", 1.0), ("bus", "disk_full", 1.0)) == [("H10", "gone", 1.0)]
+    assert found(("disk_full", "can0", 1.0)) == []
+
+
+def test_alone_on_the_bus_is_one_reading_of_error_frames_that_mean_it() -> None:
+    unheard, other = ("error_frame", "can0 no acknowledge", 3.0), ("error_frame", "can0 overload", 2.0)
+    found = reported(alone([other, unheard, unheard], heard=False))
+    assert [(fault.id, name, value) for fault, name, value in found] == [("B18", "can0 no acknowledge", 3.0)]
+    other_kind = alone([other, ("enobufs", "protocol", 1.0)], heard=False)
+    assert [fault.id for fault, _, _ in reported(other_kind)] == ["B15"]
+    assert reported(alone([unheard], heard=True)) == []
+
+
+def test_nobody_hears_this_host_until_a_node_has_answered() -> None:
+    """B18 counts before arming only: a bus on which somebody has answered is not a bus without others."""
+    unheard = ("error_frame", "can0 no acknowledge", 3.0)
+    for word in ("no acknowledge", "bus error", "protocol"):
+        one = ("error_frame", f"can0 {word}", 1.0)
+        assert alone([one, ("enobufs", "can0", 1.0), one], heard=False) == [("enobufs", "can0", 1.0), one]
+    assert alone([unheard, ("enobufs", "can0", 1.0)], heard=True) == [("enobufs", "can0", 1.0)]
+    assert alone([("error_frame", "can0 overload", 2.0)], heard=False) == []

@@ -1,0 +1,172 @@
+"""Tendons: taut, slack, snapped, and still pulled after the cut; each number of the rules from both sides."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.core.detectors.residuals import TENSION
+from handctl.core.types import Mode
+from handctl.safety.faults.node import LIMP_N
+from handctl.safety.faults.tendon import SLACK_N, SNAP_N, TAUT_N
+from tests.safety.monitor import Monitor, T, made_up
+
+NAN = math.nan
+Values = list[float]
+
+
+class Tendons(Monitor):
+    """Some tendons whose filtered tension is what is set."""
+
+    def __init__(self, count: int, **rows: Any) -> None:
+        super().__init__(made_up(count), residual_fraction=0.0)
+        self.set(rows)
+
+    def step(self, tension: Values, wanted: Values, **rows: Any) -> list[tuple[int, int]]:
+        """Take in a filtered tension and what is commanded; return since when each was taut, and is slack [ticks]."""
+        self.told = self.tick(residual={TENSION: tension}, wanted=wanted, **rows)
+        return list(zip(self.get("taut_ago"), self.get("slack_ticks"), strict=True))
+
+    def cut(self, tension: Values, **rows: Any) -> dict[str, float]:
+        """Take in load cells after the torque was cut; return the tendons that are still pulled."""
+        return self.tick(measured_tension=tension, mode=int(Mode.CUT), **rows).get("N16", {})
+
+
+@pytest.mark.parametrize(("cell", "goal", "before", "after"), [
+    # tension, wanted, (ticks since taut, ticks slack) before and after
+    (2.6, 20.0, (-1, 0), (0, 0)),     # taut for the first time
+    (2.6, 20.0, (7, 5), (0, 0)),      # taut again
+    (2.5, 20.0, (-1, 0), (-1, 0)),    # never taut yet: nothing to be missed
+    (0.0, 20.0, (-1, 0), (-1, 0)),
+    (2.5, 20.0, (0, 0), (1, 0)),      # between slack and taut
+    (2.0, 20.0, (3, 4), (4, 0)),      # just not slack: the count begins anew
+    (1.9, 20.0, (3, 4), (4, 5)),
+    (1.9, 2.5, (3, 4), (4, 0)),       # so little is wanted that it may hang
+    (1.9, 2.6, (3, 4), (4, 5)),
+    (1.9, NAN, (3, 4), (-1, 0)),      # a limp tendon may hang, and is to be taut anew
+    (30.0, NAN, (3, 4), (-1, 0)),
+    (NAN, 20.0, (3, 4), (4, 0)),      # no sample: neither slack nor taut
+])  # fmt: skip
+def test_one_tick_of_a_rope(cell, goal, before, after):
+    tendons = Tendons(1, taut_ago=before[0], slack_ticks=before[1])
+    assert tendons.step([cell], [goal]) == [after]
+
+
+def test_ropes_count_apart_and_begin_as_never_taut():
+    tendons = Tendons(3)
+    assert tendons.step([20.0, 0.0, 1.0], [24.0, 24.0, NAN]) == [(0, 0), (-1, 0), (-1, 0)]
+    assert tendons.step([0.0, 20.0, 1.0], [24.0, 24.0, 24.0]) == [(1, 1), (0, 0), (-1, 0)]
+
+
+def test_slack_is_told_by_name_and_in_seconds():
+    tendons = Tendons(3, taut_ago=[0, 8, 1], slack_ticks=[0, 25, 24])
+    tendons.step([20.0, 0.0, 0.0], [20.0] * 3)
+    assert tendons.told["T02a"] == {"t1": 26 * T}
+    tendons = Tendons(2, taut_ago=9, slack_ticks=[249, 250])
+    tendons.step([0.0] * 2, [20.0] * 2)
+    assert tendons.told["T02a"] == {"t0": 250 * T, "t1": 251 * T}
+    assert tendons.told["T02b"] == {"t1": 251 * T}
+    tendons = Tendons(1)
+    tendons.step([0.0], [20.0])
+    assert "T02a" not in tendons.told
+
+
+@pytest.mark.parametrize(("ago", "cell", "goal", "speed", "found"), [
+    (0, 0.0, 24.0, 0.05, True),
+    (49, 0.0, 24.0, 0.05, True),
+    (50, 0.0, 24.0, 0.05, False),     # 100 ms ago
+    (-1, 0.0, 24.0, 0.05, False),     # never taut
+    (0, 4.7, 24.0, 0.05, True),
+    (0, 4.81, 24.0, 0.05, False),     # a fifth is left
+    (0, 4.0, 20.0, 0.05, False),      # exactly
+    (0, 0.0, 8.0, 0.05, False),       # too little was wanted to tell
+    (0, 0.0, 8.1, 0.05, True),
+    (0, 0.0, 24.0, 0.03, False),      # the spool hardly runs
+    (0, 0.0, 24.0, 0.031, True),
+    (0, 0.0, 24.0, -0.05, False),     # it pays out
+    (0, NAN, 24.0, 0.05, False),
+    (0, 0.0, NAN, 0.05, False),
+    (0, 0.0, 24.0, NAN, False),
+])  # fmt: skip
+def test_a_snapped_rope(ago, cell, goal, speed, found):
+    """The filtered tension lies between slack and taut, so that the tick counts on; the other one runs, and is taut."""
+    tendons = Tendons(2, taut_ago=[0, ago - 1 if ago > 0 else ago])
+    taut = 20.0 if ago == 0 else 2.2
+    tendons.step([20.0, taut], [24.0, goal], measured_tension=[20.0, cell], speed=[0.05, speed])
+    assert tendons.get("taut_ago")[1] == (ago if goal == goal else -1)
+    assert tendons.told.get("T01", {}) == ({"t1": speed} if found else {})
+
+
+def test_nothing_snaps_before_anything_is_wanted():
+    tendons = Tendons(1)
+    tendons.step([0.0], [24.0], measured_tension=0.0, speed=0.05)
+    assert "T01" not in tendons.told
+
+
+def test_the_cut_remembers_what_there_was_and_counts():
+    tendons = Tendons(2, taut_ago=0, slack_ticks=[0, 3], cell_value=[31.0, 21.0])
+    tendons.cut([30.0, 20.0])
+    assert (tendons.get("cut_ticks"), tendons.get("cut_from")) == ([0], [30.0, 20.0])
+    tendons.cut([10.0, NAN])
+    assert (tendons.get("cut_ticks"), tendons.get("cut_from")) == ([1], [30.0, 20.0])
+    tendons.cut([10.0, 10.0])
+    assert tendons.get("cut_ticks") == [2]
+
+
+def test_a_sample_that_is_missing_at_the_cut_counts_as_the_last_one_before():
+    tendons = Tendons(2, cell_value=[31.0, NAN])
+    tendons.cut([NAN, 20.0])
+    assert tendons.get("cut_from") == [31.0, 20.0]
+    tendons.cut([10.0, 10.0])
+    assert tendons.get("cut_from") == [31.0, 20.0]
+
+
+def test_a_rope_of_which_nothing_was_known_at_the_cut_counts_from_its_first_reading():
+    tendons = Tendons(2)
+    tendons.cut([NAN, 20.0])
+    assert math.isnan(tendons.get("cut_from")[0])
+    tendons.cut([NAN, NAN], cell_value=40.0)
+    assert math.isnan(tendons.get("cut_from")[0]), "what there was before the cut is asked for once"
+    tendons.cut([25.0, 5.0])
+    assert tendons.get("cut_from") == [25.0, 20.0]
+    tendons.cut([24.0, 5.0])
+    assert tendons.get("cut_from") == [25.0, 20.0]
+
+
+@pytest.mark.parametrize(("ticks", "before", "now", "found"), [
+    (49, 30.0, 30.0, False),          # its time is not over
+    (50, 30.0, 30.0, True),
+    (51, 30.0, 30.0, True),
+    (50, 30.0, 15.1, True),
+    (50, 30.0, 14.9, False),          # it fell by half
+    (50, 24.0, 12.0, False),          # just by half
+    (50, 10.0, 10.0, False),          # no more than springs and weight hold
+    (50, 10.1, 10.1, True),
+    (50, 5.0, 40.0, True),            # grown
+    (50, 30.0, NAN, False),
+    (50, NAN, 30.0, False),           # read for the first time in this tick, or never
+])  # fmt: skip
+def test_a_rope_that_somebody_still_pulls(ticks, before, now, found):
+    """Of what was never read before, this tick's reading becomes the one to compare with, and is not below it."""
+    tendons = Tendons(2, cut_ticks=ticks - 1, cut_from=[0.0, before], cut_bears=NAN)
+    told = tendons.cut([0.0, now])
+    if math.isnan(before):
+        assert tendons.get("cut_from") == [0.0, 30.0]
+        assert told == {"t1": now}, "a reading of 100 ms after the cut is one of a tendon that is pulled"
+    else:
+        assert told == ({"t1": now} if found else {})
+
+
+def test_what_a_rope_bore_last_counts_where_the_latest_sample_is_missing():
+    """From 80 ms after the cut on: what it bore before that says nothing of whether it was let go."""
+    tendons = Tendons(2)
+    for k in range(50):
+        tendons.cut([30.0 if k < 40 else NAN, 30.0 if k < 41 else NAN])
+        np.testing.assert_array_equal(tendons.get("cut_bears"), [NAN, NAN if k < 40 else 30.0])
+    assert tendons.cut([NAN, NAN]) == {"t1": 30.0}
+    assert tendons.cut([NAN, 9.0]) == {}
+
+
+def test_thresholds_leave_room_between_slack_and_taut():
+    assert SLACK_N < TAUT_N < SNAP_N < LIMP_N
