@@ -5,13 +5,19 @@ from typing import NamedTuple
 
 import numpy as np
 
+from handctl.compiled import kernel
 from handctl.controller.state import State
 from handctl.core import block as s
+from handctl.core import stages
+from handctl.core.block import tables
+from handctl.core.constants import constant_tables
+from handctl.core.law import computed_torque, reference
 from handctl.core.law.goal import DigitGoal
 from handctl.core.law.goals import write_goals
 from handctl.core.model import HandModel
+from handctl.core.schema import Block, Places
 from handctl.safety.action import Action
-from tests.controller.synthetic import Estimate, controller_of, written
+from tests.controller.synthetic import Estimate, blank, constants, controller_of, written
 
 
 class LawState(NamedTuple):
@@ -114,3 +120,36 @@ def command_of(state: State) -> Command:
     """What the law has commanded."""
     names = ("torque", "tension_goal", "joint_torque", "q_goal", "dq_goal")
     return Command(*(state.view(name).copy() for name in names))
+
+
+@kernel("block", "layout", "constants", "layout")
+def _limit(block: Block, at: Places, of: Block, of_at: Places) -> np.ndarray:
+    return computed_torque.tension_limit(tables(block, at), constant_tables(of, of_at))
+
+
+def limit_of(model: HandModel, state: State) -> np.ndarray:
+    """Tension (N,) that must not be exceeded in a state [N], besides the hand's own limits; infinite for none."""
+    return _limit(state.block, state.layout.places, *constants(model))
+
+
+@kernel("block", "layout", "constants", "layout", "matrix")
+def _required(block: Block, at: Places, of: Block, of_at: Places, way: np.ndarray) -> int:
+    x, c = tables(block, at), constant_tables(of, of_at)
+    reference.require(x, c, way)
+    return reference.load(x, c)
+
+
+def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> np.ndarray:
+    """Tensions (N,) at the joints that make the torques of a motion (3, J) of the digits that move [N]."""
+    state = blank(model)
+    write_goals(model, state.layout, state.block, goals)
+    undecided = _required(state.block, state.layout.places, *constants(model), way)
+    controller_of(model)._allocate(state, undecided)
+    return state.view("load")
+
+
+def way_of(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarray:
+    """Angles, rates and accelerations (3, J) of the joints on their trajectories at time t [s]."""
+    state = blank(model)
+    commanded(model, state, goals, t, Action.PASS)
+    return stages.on_joints(state.block, state.layout.places, *constants(model))

@@ -13,6 +13,7 @@ from handctl.compiled import kernel
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
 from handctl.core import block as s
+from handctl.core import stages
 from handctl.core.block import tables
 from handctl.core.constants import ConstantTables, constant_tables
 from handctl.core.estimation import kalman
@@ -216,3 +217,20 @@ def nothing_read(model: HandModel) -> Readings:
     """A tick in which no frame came."""
     n, joints = model.tendon_count, len(model.hand.joints)
     return Readings(np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(joints, np.nan))
+
+
+def concluded(model: HandModel, state: State, estimate: Estimate) -> Estimate:
+    """The estimate with what a tick feels of closing and holding digits; the state remembers it, and who closes.
+
+    Args:
+        model: the hand. state: of the tick before, in which this one is written. estimate: of this tick.
+    """
+    for name, value in estimate._asdict().items():
+        if name not in (*DERIVED, "grown"):
+            state.view(FIELDS.get(name, name))[...] = value
+    state.view("regime")[...] = state.view("kind")[...] = np.where(estimate.slack, SLACK, 0)
+    borne = estimate.tension - model.space.damping * (estimate.speed - estimate.rate)
+    state.view("stretch_offset")[...] = estimate.travel - estimate.excursion - borne / model.space.stiffness
+    stages.conclude(state.block, state.layout.places, *constants(model))
+    seen = state.estimate
+    return estimate._replace(grown=seen.grown.copy(), opening=seen.opening, grip=seen.grip.copy())
