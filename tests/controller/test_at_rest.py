@@ -20,7 +20,7 @@ def test_a_touch_does_not_bring_the_rest_of_the_way_as_if_the_goal_had_moved(jam
 
     def tick(goal: NDArray[np.float64], apart_m: float) -> NDArray[np.float64]:
         state.view("q_goal")[...] = goal
-        state.view("excursion")[...] = jamia.excursion_of(goal) + apart_m
+        state.view("excursion")[...] = jamia.hand.moment_arms @ goal + apart_m
         stages.remember(state.block, state.layout.places, *constants(jamia))
         return state.view("followed").copy()
 

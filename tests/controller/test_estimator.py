@@ -2,12 +2,14 @@
 
 import numpy as np
 
+from handctl.core import stages
 from handctl.core.estimation.filter_stack import STATES, O, Regime, S, W, X
 from handctl.core.estimation.take_up import SLACK_TICKS, TAUT_ABOVE_N
 from handctl.core.model import HandModel
+from handctl.core.types import Mode
 from tests.controller.filter_runs import FilterState, all_in, nowhere, readings, resting, start, step, tick
 from tests.controller.oracle import SCALE
-from tests.controller.synthetic import Readings, load_statics, nothing_read
+from tests.controller.synthetic import Readings, blank, constants, load_statics, nothing_read
 
 
 def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> None:
@@ -187,13 +189,23 @@ def test_joint_encoders_tell_excursion_from_offset(jamia11: HandModel) -> None:
     assert (ends[True] < 0.35 * ends[False]).all()
 
 
+def excursion_of(model: HandModel, joints: np.ndarray) -> np.ndarray:
+    """Excursions (N,) that follow from readings of joint encoders (J,) [rad], NaN where none came."""
+    state = blank(model)
+    state.mode = Mode.SILENT
+    state.view("joint_fresh")[...] = ~np.isnan(joints)
+    state.view("joint_angle")[...] = joints
+    stages.observe(state.block, state.layout.places, *constants(model))
+    return state.view("measured_excursion")
+
+
 def test_unread_joints_give_no_excursion(jamia11: HandModel, jamia: HandModel) -> None:
     joints = np.full(len(jamia11.hand.joints), 0.3)
-    np.testing.assert_allclose(jamia11.excursion_of(joints), jamia11.hand.moment_arms @ joints)
+    np.testing.assert_allclose(excursion_of(jamia11, joints), jamia11.hand.moment_arms @ joints)
     joints[1] = np.nan
-    unread = np.isnan(jamia11.excursion_of(joints))
+    unread = np.isnan(excursion_of(jamia11, joints))
     assert unread.tolist() == (jamia11.hand.moment_arms[:, 1] != 0).tolist()
-    assert np.isnan(jamia.excursion_of(np.full(len(jamia.hand.joints), np.nan))).all()
+    assert np.isnan(excursion_of(jamia, np.full(len(jamia.hand.joints), np.nan))).all()
 
 
 def test_neither_state_nor_measurements_are_changed(model: HandModel) -> None:
