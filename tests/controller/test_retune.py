@@ -76,7 +76,8 @@ def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
     (said,) = [event for out in outs for event in out.events if event.name == "gains"]
     assert said.text.startswith("refused: gains: ")
     assert "no controller follows" in said.text
-    assert (holding.state.decisions.gains, holding.state.decisions.coming, holding.state.mode) == (before, None, Mode.ACTIVE)
+    decisions = holding.state.decisions
+    assert (decisions.gains, decisions.coming, holding.state.mode) == (before, None, Mode.ACTIVE)
     holding.tick(change({"tension.force_N": 6.0}))
     holding.run(0.1)
     assert holding.state.decisions.gains is not None
