@@ -127,7 +127,7 @@ def controller(model: HandModel, program: Program, arm: bool = True) -> Controll
     motors = [hand.motor_of(name) for name in hand.tendon_names]
     drives = tuple(MitDrive.of(motor, buses.index(motor.bus)) for motor in motors)
     sensors = SensorNode.of(hand.sensor_node, 0, hand.tendon_names, hand.joints)
-    return Controller.of(model, drives, sensors, program, np.zeros(n), np.zeros(n), arm_at_once=arm)
+    return Controller(model, drives, sensors, program, np.zeros(n), np.zeros(n), arm_at_once=arm)
 
 
 @dataclass

@@ -104,3 +104,23 @@ def assumed_measurements(block: Block, regime: Regime) -> np.ndarray:
     H = block.H[:2].copy()
     H[1, E] = float(regime == Regime.SLACK)
     return H
+
+
+def joseph(block: Block, P: np.ndarray, missing: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gain (7, 2) and covariance after an update by encoder and load cell, of which some may be missing, (2,) bool.
+
+    The load cell's error is told from tension in slack only: elsewhere it is not corrected, and goes on to count.
+    """
+    H, R = block.H[:2].copy(), np.diag(block.R * np.where(missing, 1e12, 1.0))
+    H[1, E] = float(block.known)
+    gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+    gain[E] *= float(block.known)
+    rest = np.eye(STATES) - gain @ H
+    return gain, rest @ P @ rest.T + gain @ R @ gain.T
+
+
+def assert_same_covariance(found: np.ndarray, expected: np.ndarray) -> None:
+    """Compare covariances (..., n, n) to 1e-9 of the deviations of the two states that an element is of."""
+    sigma = np.sqrt(np.diagonal(expected, axis1=-2, axis2=-1))
+    size = sigma[..., :, None] * sigma[..., None, :]
+    np.testing.assert_array_less(np.abs(found - expected), 1e-9 * size + 1e-300)

@@ -1,11 +1,164 @@
-"""Estimates and measurements made up for a hand, for what runs on top of the filter."""
+"""Estimates, measurements and states made up for a hand, for what runs on top of the filter.
+
+``State`` holds all numbers of a tick. ``Estimate`` and ``Readings`` are the parts of it that tests make up: ``written``
+puts an estimate into a state, and ``estimate_of`` takes it out again.
+"""
+
+import functools
+from typing import NamedTuple
 
 import numpy as np
 
-from handctl.core.estimation.estimator import Estimate, Measured
+from handctl.compiled import kernel
+from handctl.controller.state import State
+from handctl.controller.tick import Controller
+from handctl.core import block as s
+from handctl.core import stages
+from handctl.core.block import tables
+from handctl.core.constants import ConstantTables, constant_tables
+from handctl.core.estimation import kalman
 from handctl.core.estimation.filter_stack import STATES, S, V, W, X
-from handctl.core.estimation.statics import load_statics
+from handctl.core.estimation.statics import winding_efficiency
 from handctl.core.model import HandModel
+from handctl.core.schema import Block, Places
+from handctl.core.types import Mode
+from handctl.programs.live import LiveProgram
+from tests.controller.bench import controller
+
+SLACK = 2
+
+
+class Readings(NamedTuple):
+    """Measurements of one tick, (N,) each; NaN where missing.
+
+    Attributes:
+        travel: encoder, at the spool [m]. tension: load cell, tared [N]. excursion: by joint encoders [m].
+        joints: (J,) joint encoders [rad]. saturated: tendons whose load cell is at an end of its range.
+    """
+
+    travel: np.ndarray
+    tension: np.ndarray
+    excursion: np.ndarray
+    joints: np.ndarray
+    saturated: tuple[int, ...] = ()
+
+
+class Estimate(NamedTuple):
+    """The present instant with the names that programs read; see ``handctl.core.estimate.Estimate``."""
+
+    tension: np.ndarray
+    sigma: np.ndarray
+    travel: np.ndarray
+    speed: np.ndarray
+    excursion: np.ndarray
+    rate: np.ndarray
+    disturbance: np.ndarray
+    external: np.ndarray
+    offset: np.ndarray
+    cell_error: np.ndarray
+    innovation: np.ndarray
+    nis: np.ndarray
+    slack: np.ndarray
+    q: np.ndarray
+    dq: np.ndarray
+    q_sigma: np.ndarray
+    grown: np.ndarray
+    opening: np.ndarray
+    grip: np.ndarray
+
+
+FIELDS = {"rate": "excursion_rate", "offset": "stretch_offset"}
+"""Names of fields of the block that are others than those of an estimate."""
+DERIVED = ("slack", "opening", "grip")
+
+
+@functools.cache
+def controller_of(model: HandModel) -> Controller:
+    """A controller of the hand that waits for requests; made once."""
+    return controller(model, LiveProgram())
+
+
+@functools.cache
+def _blank(model: HandModel) -> State:
+    state = controller_of(model).initial()
+    state.mode = Mode.ACTIVE
+    state.set_whole(s.STARTED, 1)
+    for name in ("regime", "kind", "kind_before", "stopped"):
+        state.view(name)[...] = 0
+    return state
+
+
+def blank(model: HandModel) -> State:
+    """A state of an active hand whose filter runs: every tendon taut and free, off its stop."""
+    return _blank(model).copy()
+
+
+def constants(model: HandModel) -> tuple[Block, Places]:
+    """The last two arguments of every stage: the hand's constants and their layout."""
+    return controller_of(model)._constants
+
+
+def constant_tables_of(model: HandModel) -> ConstantTables:
+    """The constants by table, for functions that are run interpreted."""
+    return constant_tables.py_func(*constants(model))
+
+
+def written(model: HandModel, estimate: Estimate) -> State:
+    """A state of an active hand with this estimate."""
+    state = blank(model)
+    for name, value in estimate._asdict().items():
+        if name not in DERIVED:
+            state.view(FIELDS.get(name, name))[...] = value
+    state.view("regime")[estimate.slack] = SLACK
+    return state
+
+
+def estimate_of(state: State) -> Estimate:
+    """The estimate in a state, as copies."""
+    seen = state.estimate
+    own = {name: state.view("cell_error") if name == "cell_error" else getattr(seen, name) for name in Estimate._fields}
+    return Estimate(**{name: np.array(value) for name, value in own.items()})
+
+
+class LoadStatics(NamedTuple):
+    """Known forces along the tendons, (N,) [N]: what springs and gravity require, and what friction leaves.
+
+    Attributes:
+        resistance: tension that springs and gravity balance.
+        eager: of the tension, friction by the speed at the spool taken off.
+        pull: the same, by what is known of friction where it is.
+    """
+
+    resistance: np.ndarray
+    eager: np.ndarray
+    pull: np.ndarray
+
+
+@kernel("block", "layout", "constants", "layout")
+def _load_forces(block: Block, at: Places, of: Block, of_at: Places) -> np.ndarray:
+    return kalman._load_forces(tables(block, at), constant_tables(of, of_at))
+
+
+def load_statics(
+    model: HandModel, table: np.ndarray, tension: np.ndarray, friction_state: np.ndarray | None = None
+) -> LoadStatics:
+    """What the filter takes for known of states (N, 7), as if they bore these tensions [N].
+
+    The offset of the tendons is chosen so that they do; nothing else of it matters here.
+    """
+    state, space = blank(model), model.space
+    state.tendon[s.TRAVEL : s.TRAVEL + STATES] = table.T
+    damped = space.damping * (table[:, V] - table[:, W])
+    state.view("stretch_offset")[...] = table[:, X] - table[:, S] - (tension - damped) / space.stiffness
+    if friction_state is not None:
+        state.view("friction_state")[...] = friction_state
+    return LoadStatics(*_load_forces(state.block, state.layout.places, *constants(model)))
+
+
+def efficiency(model: HandModel, q: np.ndarray) -> np.ndarray:
+    """Fraction of each tendon's tension (N,) that acts at its joints while it winds, at joint angles (J,) [rad]."""
+    of = constant_tables_of(model)
+    return np.array([winding_efficiency.py_func(of, n, q) for n in range(model.tendon_count)])
 
 
 def known(model: HandModel, x: np.ndarray) -> Estimate:
@@ -25,7 +178,7 @@ def known(model: HandModel, x: np.ndarray) -> Estimate:
         speed=x[:, V].copy(),
         excursion=x[:, S].copy(),
         rate=x[:, W].copy(),
-        motor_disturbance=nothing,
+        disturbance=nothing,
         external=nothing,
         offset=nothing,
         cell_error=nothing,
@@ -35,6 +188,9 @@ def known(model: HandModel, x: np.ndarray) -> Estimate:
         q=q,
         dq=dq,
         q_sigma=np.full(len(q), np.nan),
+        grown=np.zeros(len(model.digits)),
+        opening=nothing,
+        grip=nothing,
     )
 
 
@@ -57,7 +213,24 @@ def slack(model: HandModel) -> Estimate:
     return under(model, 0.0)._replace(slack=np.ones(model.tendon_count, dtype=bool))
 
 
-def nothing_read(model: HandModel) -> Measured:
+def nothing_read(model: HandModel) -> Readings:
     """A tick in which no frame came."""
     n, joints = model.tendon_count, len(model.hand.joints)
-    return Measured(np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(joints, np.nan))
+    return Readings(np.full(n, np.nan), np.full(n, np.nan), np.full(n, np.nan), np.full(joints, np.nan))
+
+
+def concluded(model: HandModel, state: State, estimate: Estimate) -> Estimate:
+    """The estimate with what a tick feels of closing and holding digits; the state remembers it, and who closes.
+
+    Args:
+        model: the hand. state: of the tick before, in which this one is written. estimate: of this tick.
+    """
+    for name, value in estimate._asdict().items():
+        if name not in (*DERIVED, "grown"):
+            state.view(FIELDS.get(name, name))[...] = value
+    state.view("regime")[...] = state.view("kind")[...] = np.where(estimate.slack, SLACK, 0)
+    borne = estimate.tension - model.space.damping * (estimate.speed - estimate.rate)
+    state.view("stretch_offset")[...] = estimate.travel - estimate.excursion - borne / model.space.stiffness
+    stages.conclude(state.block, state.layout.places, *constants(model))
+    seen = state.estimate
+    return estimate._replace(grown=seen.grown.copy(), opening=seen.opening, grip=seen.grip.copy())

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.controller.monitor.guard import RELAXED_S
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.programs.live import LiveProgram
+from handctl.safety.faults.tendon import RELAXED_S
 from tests.controller.bench import Bench, bench
 
 

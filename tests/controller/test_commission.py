@@ -7,7 +7,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from handctl.core.estimation.estimator import Measured
 from handctl.core.gains.gains import Gains
 from handctl.core.law.goal import Kind
 from handctl.core.model import HandModel
@@ -68,7 +67,7 @@ def commissioned(
         tension = cells(i if pulled else -1) + BIAS_N + walked + noise * rng.normal(size=n)
         travel = np.full(n, JUST_TAUT_M) + (tension - BIAS_N) / model.space.stiffness
         shown = tension - (progress.tare or 0.0)
-        measured: Measured = nothing_read(model)._replace(travel=travel, tension=shown)
+        measured = nothing_read(model)._replace(travel=travel, tension=shown)
         if rng.random() < loss:
             measured = nothing_read(model)
         estimate = slack(model)

@@ -8,18 +8,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.core.estimation.estimator import Estimate
 from handctl.core.estimation.filter_stack import STATES, S, V, W, X
-from handctl.core.estimation.statics import load_statics, tendon_efficiency
 from handctl.core.gains.gains import Gains, MotionGains
-from handctl.core.law.computed_torque import INTEGRAL_LIMIT_N, LawState, step
+from handctl.core.law.computed_torque import INTEGRAL_LIMIT_N, UNWIND_FRACTION
 from handctl.core.law.goal import DigitGoal, Kind
-from handctl.core.law.law_constants import UNWIND_SHARE
 from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel, _torque_limit
 from handctl.hand.load import load_hand
+from handctl.safety.action import Action
 from tests.controller.goals import holding, moving
-from tests.controller.synthetic import at_rest, known
+from tests.controller.law_runs import LawState, commanded, step
+from tests.controller.synthetic import Estimate, at_rest, efficiency, known, load_statics, written
 
 
 @pytest.mark.parametrize("gain", [None, 0.5, 1.0, 1.7])
@@ -45,7 +44,7 @@ number = st.floats(-1e4, 1e4, allow_nan=False)
 def test_torque_is_within_its_limits_for_any_finite_input(data: st.DataObject, jamia: HandModel) -> None:
     n = jamia.tendon_count
     column = st.lists(number, min_size=n, max_size=n).map(np.array)
-    names = ("tension", "travel", "speed", "excursion", "rate", "motor_disturbance", "external", "offset")
+    names = ("tension", "travel", "speed", "excursion", "rate", "disturbance", "external", "offset")
     estimate = known(jamia, np.zeros((n, STATES)))._replace(**{name: data.draw(column) for name in names})
     estimate = estimate._replace(slack=np.array(data.draw(st.lists(st.booleans(), min_size=n, max_size=n))))
     state = LawState(*(data.draw(column) for _ in range(5)))
@@ -64,7 +63,7 @@ def test_torque_is_within_its_limits_for_any_finite_input(data: st.DataObject, j
     law, command = step(jamia, state, estimate, goals, data.draw(st.floats(0.0, 100.0)))
     assert np.isfinite(command.torque).all()
     assert (command.torque <= jamia.torque_limit * (1 + 1e-12)).all()
-    assert (command.torque >= -UNWIND_SHARE * jamia.torque_limit * (1 + 1e-12)).all()
+    assert (command.torque >= -UNWIND_FRACTION * jamia.torque_limit * (1 + 1e-12)).all()
     held = np.array([goal.kind == Kind.TENSION for goal in goals])
     assert (np.abs(law.integral) <= INTEGRAL_LIMIT_N).all()
     assert (law.integral[~held] == 0.0).all()
@@ -165,7 +164,7 @@ class Plant:
         sliding[:, V] = 1.0
         statics = load_statics(model, sliding, np.zeros(len(sliding)))
         q = model.excursion_to_joints @ sliding[:, S]
-        loss, base = -np.log(tendon_efficiency(model, q, sliding[:, V])), self.x[:, S].copy()
+        loss, base = -np.log(efficiency(model, q)), self.x[:, S].copy()
         x, v, s, w = (self.x[:, one].copy() for one in (X, V, S, W))
         for _ in range(self.STEPS):
             tension = np.maximum(space.stiffness * (x - s) + space.damping * (v - w), 0.0)
@@ -251,6 +250,11 @@ def test_a_goal_without_its_numbers_is_limp(jamia: HandModel, kind: Kind) -> Non
     estimate = known(jamia, at_rest(jamia, 0.5))
     _, command = step(jamia, LawState.initial(4), estimate, (DigitGoal(kind),) * 4, 0.0)
     assert not command.torque.any()
+    state = written(jamia, estimate)
+    commanded(jamia, state, holding(jamia, 30.0), 0.0, Action.PASS)
+    assert (state.view("torque") > 0.0).all()
+    commanded(jamia, state, (DigitGoal(kind),) * 4, 0.0, Action.PASS)
+    assert not state.view("torque").any(), "whatever was there before"
 
 
 def test_what_is_not_made_up_for_leaves_feedback_on_a_taut_rope(model: HandModel) -> None:
@@ -267,7 +271,7 @@ def test_what_is_not_made_up_for_leaves_feedback_on_a_taut_rope(model: HandModel
     mass = model.space.motor_mass + model.space.load_mass
     asked = model.floor + mass * (model.motion.stiffness * excursion + model.motion.damping * rate)
     limit = model.torque_limit / model.space.spool
-    np.testing.assert_allclose(command.torque / model.space.spool, np.clip(asked, -UNWIND_SHARE * limit, limit))
+    np.testing.assert_allclose(command.torque / model.space.spool, np.clip(asked, -UNWIND_FRACTION * limit, limit))
 
 
 def test_the_filter_is_told_how_the_tension_is_going_to_change(model: HandModel) -> None:

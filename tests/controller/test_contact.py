@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handctl.controller.state import State
+from handctl.core import constants as h
+from handctl.core.estimation.contact import DRIFT_S, USUAL_S
 from handctl.core.model import HandModel
-from handctl.programs.contact import USUAL_S, averaged, grown
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from tests.controller.plant_run import model_of, run_on_plant
+from tests.controller.synthetic import at_rest, blank, concluded, constant_tables_of, known
 
 WALL = """name = "wall"
 [object]
@@ -84,19 +87,39 @@ def test_nothing_is_found_in_ten_minutes(hand: str, tmp_path: Path) -> None:
     assert alarms == [0] * 10
 
 
-def test_a_force_that_was_below_zero_all_along_counts_from_there() -> None:
+def feel(model: HandModel, force: float, ticks: int = 1, closing: int = 1, **remembered: float) -> State:
+    """A hand whose first digit, or more, closes with a force at the tips [N]; what was felt so far by its names."""
+    state, unit = blank(model), known(model, at_rest(model, 0.3))._replace(external=np.ones(model.tendon_count))
+    state.view("closing")[...] = 1
+    concluded(model, state, unit)
+    each = force / (state.view("felt") / constant_tables_of(model).run[h.FELT_FRACTION])
+    for name, value in remembered.items():
+        state.view(name)[...] = value
+    state.view("closing")[closing:] = 0
+    for _ in range(ticks):
+        concluded(model, state, unit._replace(external=each[list(model.digit_of)]))
+    return state
+
+
+def test_a_force_that_was_below_zero_all_along_counts_from_there(jamia: HandModel) -> None:
     """A thumb near the end of its way: the model expects 0.35 N too much, and the contact grows to 0.2 N only."""
-    assert grown((0.2, 0.2), (-0.35, 0.1), ()) == [pytest.approx(0.55), 0.2]
-    assert grown((0.2,), (), ()) == [0.2]
+    for usual, counts in ((-0.35, 0.55), (0.1, 0.2), (np.nan, 0.2)):
+        state = feel(jamia, 0.2, felt=0.2, usual=usual, drift=np.nan)
+        assert state.view("grown")[0] == pytest.approx(counts)
 
 
-def test_what_is_felt_in_all_closing_does_not_count() -> None:
+def test_what_is_felt_in_all_closing_does_not_count(jamia: HandModel) -> None:
     """A load cell that has drifted by half a newton in half a minute."""
-    assert grown((0.35, 0.35), (0.2, 0.2), (0.2, -0.2)) == [pytest.approx(0.15), 0.35]
+    for drift, counts in ((0.2, 0.15), (-0.2, 0.35)):
+        state = feel(jamia, 0.35, felt=0.35, usual=0.2, drift=drift)
+        assert state.view("grown")[0] == pytest.approx(counts)
 
 
 def test_a_mean_follows_in_its_time_while_a_digit_closes(jamia: HandModel) -> None:
-    lately = (-0.3, -0.3)
-    for _ in range(round(USUAL_S / jamia.period)):
-        lately = averaged(jamia, lately, (0.0, 0.0), [True, False], USUAL_S)
-    assert lately == (pytest.approx(-0.3 * math.exp(-1.0), rel=1e-6), -0.3)
+    """What is felt of the others is forgotten, the drift of their load cells aside."""
+    state = feel(jamia, 0.0, round(USUAL_S / jamia.period), felt=0.0, usual=-0.3, drift=-0.3)
+    assert state.view("usual")[0] == pytest.approx(-0.3 * math.exp(-1.0), rel=1e-6)
+    assert state.view("drift")[0] == pytest.approx(-0.3 * math.exp(-USUAL_S / DRIFT_S), rel=1e-6)
+    assert np.isnan(state.view("usual")[1:]).all()
+    assert (state.view("drift")[1:] == -0.3).all()
+    assert not state.view("felt")[1:].any()

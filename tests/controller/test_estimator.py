@@ -2,16 +2,14 @@
 
 import numpy as np
 
-from handctl.core.estimation import estimator
-from handctl.core.estimation.estimator import Measured
+from handctl.core import stages
 from handctl.core.estimation.filter_stack import STATES, O, Regime, S, W, X
-from handctl.core.estimation.filter_state import FilterState
-from handctl.core.estimation.statics import load_statics
 from handctl.core.estimation.take_up import SLACK_TICKS, TAUT_ABOVE_N
 from handctl.core.model import HandModel
-from tests.controller.filter_runs import all_in, nowhere, readings, resting, step
+from handctl.core.types import Mode
+from tests.controller.filter_runs import FilterState, all_in, nowhere, readings, resting, start, step, tick
 from tests.controller.oracle import SCALE
-from tests.controller.synthetic import nothing_read
+from tests.controller.synthetic import Readings, blank, constants, load_statics, nothing_read
 
 
 def test_without_any_measurement_the_tick_is_a_prediction(model: HandModel) -> None:
@@ -48,15 +46,16 @@ def test_it_starts_when_every_encoder_has_been_read(model: HandModel) -> None:
         assert np.isnan(unknown).all()
     partial = travel.copy()
     partial[n - 1] = np.nan
-    assert estimator.start(model, state, partial) == state
-    state = estimator.start(model, state, travel)
+    assert not start(model, state, partial).started
+    assert not start(model, state, travel, cells=False).started
+    state = start(model, state, travel)
     assert state.started
     state, estimate = step(model, state, readings_of(model, partial, cell), cell, nowhere(model))
     np.testing.assert_allclose(estimate.travel, travel, atol=1e-6)
     np.testing.assert_allclose(estimate.tension, 0.0, atol=1e-9)
 
 
-def readings_of(model: HandModel, travel: np.ndarray, cell: np.ndarray) -> Measured:
+def readings_of(model: HandModel, travel: np.ndarray, cell: np.ndarray) -> Readings:
     return nothing_read(model)._replace(travel=travel, tension=cell)
 
 
@@ -67,7 +66,7 @@ def test_a_hand_that_is_under_tension_before_its_encoders_speak(model: HandModel
     for _ in range(20):
         state, _ = step(model, state, nothing_read(model)._replace(tension=cell), np.zeros(n), nowhere(model))
     whole = readings_of(model, np.full(n, 2e-3), cell)
-    state = estimator.start(model, state, whole.travel)
+    state = start(model, state, whole.travel)
     for k in range(20):
         state, estimate = step(model, state, whole, cell, nowhere(model))
         assert np.abs(estimate.tension - (cell if k > SLACK_TICKS else cell / 2)).max() < 4.0, k
@@ -190,13 +189,23 @@ def test_joint_encoders_tell_excursion_from_offset(jamia11: HandModel) -> None:
     assert (ends[True] < 0.35 * ends[False]).all()
 
 
+def excursion_of(model: HandModel, joints: np.ndarray) -> np.ndarray:
+    """Excursions (N,) that follow from readings of joint encoders (J,) [rad], NaN where none came."""
+    state = blank(model)
+    state.mode = Mode.SILENT
+    state.view("joint_fresh")[...] = ~np.isnan(joints)
+    state.view("joint_angle")[...] = joints
+    stages.observe(state.block, state.layout.places, *constants(model))
+    return state.view("measured_excursion")
+
+
 def test_unread_joints_give_no_excursion(jamia11: HandModel, jamia: HandModel) -> None:
     joints = np.full(len(jamia11.hand.joints), 0.3)
-    np.testing.assert_allclose(jamia11.excursion_of(joints), jamia11.hand.moment_arms @ joints)
+    np.testing.assert_allclose(excursion_of(jamia11, joints), jamia11.hand.moment_arms @ joints)
     joints[1] = np.nan
-    unread = np.isnan(jamia11.excursion_of(joints))
+    unread = np.isnan(excursion_of(jamia11, joints))
     assert unread.tolist() == (jamia11.hand.moment_arms[:, 1] != 0).tolist()
-    assert np.isnan(jamia.excursion_of(np.full(len(jamia.hand.joints), np.nan))).all()
+    assert np.isnan(excursion_of(jamia, np.full(len(jamia.hand.joints), np.nan))).all()
 
 
 def test_neither_state_nor_measurements_are_changed(model: HandModel) -> None:
@@ -243,9 +252,9 @@ def test_friction_whose_direction_is_known_is_no_contact(model: HandModel) -> No
     for direction in (None, 1.0, -1.0):
         known = None if direction is None else np.full(model.tendon_count, direction)
         args = (model, state, readings(model, x, force), force, none)
-        after, estimate = estimator.step(*args, nowhere(model), friction_state=known)
+        after, estimate = tick(*args, nowhere(model), friction_state=known)
         assert set(after.regimes) == {Regime.FREE}
-        touching, other = estimator.step(*args, (True,) * len(model.digits), friction_state=known)
+        touching, other = tick(*args, (True,) * len(model.digits), friction_state=known)
         assert set(touching.regimes) == {Regime.HELD}
         np.testing.assert_allclose(other.external, estimate.external, atol=0.02)
         pull = load_statics(model, x, force, known).pull

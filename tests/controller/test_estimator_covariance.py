@@ -7,15 +7,22 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from handctl.core.estimation import covariance, estimator
-from handctl.core.estimation.estimator import Measured
+from handctl.core.block import tables
 from handctl.core.estimation.filter_stack import MEASUREMENTS, STATES, E, Regime, S, V, X
+from handctl.core.estimation.kalman import _missing
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.hand.load import hand_from, hand_path
-from tests.controller.filter_runs import all_in, nowhere, readings, resting, step
-from tests.controller.oracle import SCALE, assumed_measurements, measurement_noise, over_one_period
-from tests.controller.synthetic import nothing_read
+from tests.controller.filter_runs import all_in, corrected, nowhere, parts, readings, resting, step, tick
+from tests.controller.oracle import (
+    SCALE,
+    assert_same_covariance,
+    assumed_measurements,
+    joseph,
+    measurement_noise,
+    over_one_period,
+)
+from tests.controller.synthetic import Readings, blank, nothing_read
 
 
 def plain_hand(name: str, rate_hz: float) -> HandModel:
@@ -87,7 +94,7 @@ def monte_carlo(model: HandModel, regime: Regime, ticks: int, seed: int, missing
         if missing is not None:
             z[:, :2][missing(k, rng).T] = np.nan
         measured = nothing_read(model)._replace(travel=z[:, 0], tension=z[:, 1])
-        state, estimate = estimator.step(model, state, measured, force, rate, contact)
+        state, estimate = tick(model, state, measured, force, rate, contact)
         noise = (root @ rng.normal(size=(n, STATES, 1)))[..., 0] * SCALE
         inputs = np.column_stack((force, rate))
         truth = (F @ truth[..., None])[..., 0] + (B @ inputs[..., None])[..., 0] + noise
@@ -148,7 +155,7 @@ def test_the_covariance_is_carried_along_only_until_it_is_steady_again(model: Ha
         if state.covariance is not None:
             assert k == 20 + len(sigma), "in one piece, from the first that is missing on"
             sigma.append(estimate.sigma)
-    steady = model.filter.stacked(state.regimes).sigma
+    steady = np.sqrt(parts(model, state.regimes, "tension_variance"))
     assert 5 < len(sigma) < 200
     assert sigma[4][0] > 1.01 * steady[0]
     assert max(each[0] for each in sigma) == max(sigma[4][0], sigma[5][0]), "it grows as long as nothing is read"
@@ -165,24 +172,75 @@ def test_what_is_missing(model: HandModel, column: int | None, regime: Regime, c
     z = np.arange(3.0 * model.tendon_count).reshape(-1, 3)
     if column is not None:
         z[-1, column] = np.nan
-    filters = model.filter.stacked((int(Regime.FREE),) * (model.tendon_count - 1) + (int(regime),))
-    assert covariance.missing(filters, z.ravel()) is counts
+    state = blank(model)
+    state.view("regime")[-1] = regime
+    assert _missing.py_func(tables.py_func(state.block, state.layout.places), z) is counts
 
 
 def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: HandModel) -> None:
-    regimes = (int(Regime.FREE),) * model.tendon_count
-    spread = model.filter.spread(regimes)
-    worth = covariance.update(spread, None, np.full(3 * model.tendon_count, np.nan))
-    P = covariance.carried(spread, worth.after, [1], 5)
-    assert P is not None
-    np.testing.assert_array_equal(P[1], spread.P[1])
-    once = covariance.carried(spread, worth.after, [], 1)
-    assert once is not None
-    assert P[0, X, X] > once[0, X, X] > spread.P[0, X, X], "what is not read is known less with every period"
-    again = covariance.update(spread, P, np.zeros(3 * model.tendon_count)).gain
-    first = covariance.update(spread, None, np.zeros(3 * model.tendon_count)).gain
-    np.testing.assert_allclose(again[1], first[1])
-    assert again[0, X, 0] > first[0, X, 0], "and a reading is believed more"
+    """The first digit is met by something in a tick in which no encoder was read, the last one is not."""
+    x, force = resting(model, 25.0, 0.6)
+    state, touched = all_in(model, Regime.FREE, x), (True, *nowhere(model)[1:])
+    unread, none = nothing_read(model)._replace(tension=force), np.zeros(model.tendon_count)
+    after, _ = tick(model, state, unread, force, none, touched, missed=4)
+    first, last = 0, model.tendon_count - 1
+    assert (after.regimes[first], after.regimes[last]) == (int(Regime.HELD), int(Regime.FREE))
+    assert after.covariance is not None
+    steady = [model.filter.blocks[n][after.regimes[n]].P for n in range(model.tendon_count)]
+    np.testing.assert_array_equal(after.covariance[first], steady[first])
+    once, _ = tick(model, state, unread, force, none, touched)
+    assert once.covariance is not None
+    grown = [after.covariance[last, X, X], once.covariance[last, X, X], steady[last][X, X]]
+    assert grown == sorted(grown, reverse=True), "what is not read is known less with every period"
+    assert grown[0] > grown[1] > grown[2]
+    answers = []
+    for covariance in (after.covariance, None):
+        here = after._replace(x=x.ravel(), covariance=covariance)
+        told = (readings(model, x, force)._replace(travel=x[:, X] + way) for way in (0.0, 1e-7))
+        moved = [corrected(model, here, each).view("travel") for each in told]
+        answers.append(moved[1] - moved[0])
+    np.testing.assert_allclose(answers[0][first], answers[1][first], rtol=1e-6)
+    assert answers[0][last] > answers[1][last], "and a reading is believed more"
+
+
+MISSING_SAMPLES: dict[str, Missing] = {
+    "an encoder": lambda k, rng: np.array([[k < 3], [False]]),
+    "a load cell": lambda k, rng: np.array([[False], [k < 3]]),
+    "both": lambda k, rng: np.array([[k < 3], [k < 3]]),
+    "now one, now the other": lambda k, rng: np.array([[k % 2 == 0], [k % 3 == 0]]),
+    "a third of all": lambda k, rng: rng.random((2, 1)) < 0.33,
+}
+
+
+@pytest.mark.parametrize("regime", Regime)
+@pytest.mark.parametrize("what", MISSING_SAMPLES)
+def test_the_covariance_is_that_of_a_plain_joseph_update(model: HandModel, regime: Regime, what: str) -> None:
+    """Tendon by tendon with numpy, for as long as it is carried along; the encoder alone is read of a slack tendon."""
+    rng, n = np.random.default_rng(9), model.tendon_count
+    slack = regime == Regime.SLACK
+    x, force = resting(model, 0.0 if slack else 25.0, 0.0 if slack else 0.6)
+    x[:, X] -= slack * 1e-3
+    state = all_in(model, regime, x)._replace(measured=(True,) * n)
+    blocks = [own[regime] for own in model.filter.blocks]
+    P, compared = np.array([block.P for block in blocks]), 0
+    for k in range(40):
+        missing = np.broadcast_to(MISSING_SAMPLES[what](k, rng), (2, n))
+        z = np.where(missing, np.nan, (x[:, X], force))
+        read = readings(model, x, z[1])._replace(travel=z[0])
+        before = state
+        state, _ = step(model, state, read, force, (regime == Regime.HELD,) * len(model.digits))
+        assert set(state.regimes) == {regime}
+        if before.covariance is None and state.covariance is None:
+            continue
+        for i, block in enumerate(blocks):
+            after = joseph(block, P[i], missing[:, i])[1]
+            P[i] = block.F @ after @ block.F.T + block.Q
+        if state.covariance is None:
+            P = np.array([block.P for block in blocks])
+            continue
+        assert_same_covariance(state.covariance, P)
+        compared += 1
+    assert compared == 0 if slack and what == "a load cell" else compared >= 3
 
 
 @pytest.mark.parametrize(("missed", "predicted_s"), [(1, None), (4, None), (10_000, 0.05)])
@@ -191,14 +249,15 @@ def test_over_ticks_that_were_skipped_less_is_known(model: HandModel, missed: in
     x, force = resting(model, 25.0, 0.6)
     measured, none = readings(model, x, force), np.zeros(model.tendon_count)
     state = all_in(model, Regime.FREE, x)
-    after, _ = estimator.step(model, state, measured, force, none, nowhere(model), missed=missed)
+    after, _ = tick(model, state, measured, force, none, nowhere(model), missed=missed)
     assert set(after.regimes) == {Regime.FREE}
-    spread = model.filter.spread(after.regimes)
-    P = covariance.update(spread, None, np.zeros(3 * model.tendon_count)).after
+    F, Q = (parts(model, after.regimes, name) for name in "FQ")
+    read = np.zeros(2, dtype=bool)
+    P = np.array([joseph(own[Regime.FREE], own[Regime.FREE].P, read)[1] for own in model.filter.blocks])
     for _ in range(1 + (missed if predicted_s is None else round(predicted_s / model.period))):
-        P = spread.F @ P @ spread.F.transpose(0, 2, 1) + spread.Q
+        P = F @ P @ F.transpose(0, 2, 1) + Q
     assert after.covariance is not None
-    np.testing.assert_allclose(after.covariance, P, rtol=1e-9, atol=1e-30)
+    assert_same_covariance(after.covariance, P)
 
 
 def test_a_second_filter_agrees_over_gaps(model: HandModel) -> None:
@@ -214,7 +273,7 @@ def test_a_second_filter_agrees_over_gaps(model: HandModel) -> None:
         z += rng.normal(size=(n, 3)) * [1e-7, 0.02, 1e-6]
         z[rng.random((n, 3)) < 0.15] = np.nan
         push = force + 0.1 * rng.normal(size=n)
-        state, _ = step(model, state, Measured(*z.T, nothing_read(model).joints), push, nowhere(model))
+        state, _ = step(model, state, Readings(*z.T, nothing_read(model).joints), push, nowhere(model))
         if set(state.regimes) != {Regime.FREE}:
             break
         for i, block in enumerate(blocks):

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from handctl.core.estimation import estimator
-from handctl.core.estimation.estimator import LOOSE_M, Estimate
+from handctl.core.estimation.doubts import notes
 from handctl.core.estimation.filter_stack import STATES, E, Regime, S, V, X
-from handctl.core.estimation.filter_state import FilterState
-from handctl.core.estimation.innovation import DOUBT_S, doubts
+from handctl.core.estimation.kalman import DOUBT_S, LOOSE_M
 from handctl.core.model import HandModel
-from tests.controller.synthetic import nothing_read
+from handctl.core.types import Event
+from tests.controller.filter_runs import FilterState, parts, state_of, tick
+from tests.controller.synthetic import Estimate, nothing_read
 
 TENSION = 20.0
 
@@ -25,13 +25,14 @@ class Held:
         self.travel = x[:, X]
         self.state = FilterState.of(x.ravel(), regime, stopped=False)
 
-    def sample(self, cell: float, *, railed: tuple[int, ...] = (), travel: float = 0.0) -> Estimate:
+    def sample(self, cell: float, *, saturated: tuple[int, ...] = (), travel: float = 0.0) -> Estimate:
         """One tick in which tendon 0 reads ``cell`` [N]."""
         model, n = self.model, self.model.tendon_count
-        read = nothing_read(model)._replace(travel=self.travel + travel, tension=np.full(n, TENSION), railed=railed)
+        read = nothing_read(model)._replace(travel=self.travel + travel, tension=np.full(n, TENSION))
+        read = read._replace(saturated=saturated)
         read.tension[0] = cell
         push, still, contact = np.full(n, TENSION), np.zeros(n), (True,) * len(model.digits)
-        self.state, estimate = estimator.step(model, self.state, read, push, still, contact)
+        self.state, estimate = tick(model, self.state, read, push, still, contact)
         return estimate
 
     def settled(self) -> "Held":
@@ -70,7 +71,7 @@ def test_two_on_either_side_are_not(model: HandModel) -> None:
 def test_a_saturated_cell_is_no_measurement(model: HandModel) -> None:
     hand = Held(model).settled()
     for _ in range(20):
-        estimate = hand.sample(243.9, railed=(0,))
+        estimate = hand.sample(243.9, saturated=(0,))
         assert np.isnan(estimate.innovation[0])
         assert abs(estimate.tension[0] - TENSION) < 0.5
     assert not np.isnan(estimate.innovation[1:]).any()
@@ -89,7 +90,7 @@ def rest(hand: Held, error: float, loose: float, seconds: float) -> Estimate:
         read = nothing_read(model)._replace(travel=hand.travel, tension=np.zeros(n))
         read.tension[0] = error
         untouched = (False,) * len(model.digits)
-        hand.state, estimate = estimator.step(model, hand.state, read, np.zeros(n), np.zeros(n), untouched)
+        hand.state, estimate = tick(model, hand.state, read, np.zeros(n), np.zeros(n), untouched)
     return estimate
 
 
@@ -118,17 +119,17 @@ def test_the_error_stays_as_it_is_while_the_rope_is_taut(model: HandModel) -> No
 
 def test_a_model_that_does_not_fit_is_told_once(model: HandModel) -> None:
     hand = Held(model).settled()
-    names, told = model.hand.tendon_names, []
+    names, told = model.hand.tendon_names, list[Event]()
     for k in range(round(3 * DOUBT_S / model.period)):
         before = hand.state
         hand.sample(TENSION, travel=4e-5 * (-1) ** k)
-        told += doubts(names, before, hand.state)
+        told += notes(model, state_of(model, before), state_of(model, hand.state))
     assert sorted(event.where for event in told) == sorted(names), "every tendon, each once"
     assert {event.level for event in told} == {"warn"}
     for _ in range(round(5 * DOUBT_S / model.period)):
         before = hand.state
         hand.sample(TENSION)
-        told += doubts(names, before, hand.state)
+        told += notes(model, state_of(model, before), state_of(model, hand.state))
     assert [event.level for event in told].count("info") == len(names)
     assert len(told) == 2 * len(names)
 
@@ -138,12 +139,13 @@ def test_the_filter_predicts_every_tick_that_was_skipped(model, missed: int, pre
     """The motors' force stays, until after 50 ms nobody knows it; a change of tension was planned for one period."""
     state, force = coasting(model)
     rate, nowhere = np.full(model.tendon_count, 50.0), (False,) * len(model.digits)
-    after, estimate = estimator.step(model, state, nothing_read(model), force, rate, nowhere, missed=missed)
-    once, _ = estimator.step(model, state, nothing_read(model), force, rate, nowhere)
-    filters, x = model.filter.stacked(once.regimes), once.x
+    after, estimate = tick(model, state, nothing_read(model), force, rate, nowhere, missed=missed)
+    once, _ = tick(model, state, nothing_read(model), force, rate, nowhere)
+    F, B = (parts(model, once.regimes, name) for name in "FB")
+    x, inputs = once.x.reshape(-1, STATES, 1), np.column_stack((force, np.zeros(model.tendon_count)))[..., None]
     for _ in range(missed if predicted_s is None else round(predicted_s / model.period)):
-        x = filters.F @ x + filters.B @ np.column_stack((force, np.zeros(model.tendon_count))).ravel()
-    np.testing.assert_allclose(after.x, x, rtol=1e-12, atol=1e-15)
+        x = F @ x + B @ inputs
+    np.testing.assert_allclose(after.x, x.ravel(), rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(estimate.travel, after.x[X::STATES])
     assert after[1:5] == once[1:5], "nothing else is judged of what nobody saw"
 

@@ -3,31 +3,42 @@
 import numpy as np
 import pytest
 
-from handctl.core.estimation.estimator import (
-    LOOSE_M,
-    STOP_BAND_M,
-    STOP_PULL,
-    Estimate,
-    Measured,
-    _at_stop,
-    _regimes,
-    _unexplained,
-    _usable,
-    step,
-)
+from handctl.core.block import tables
 from handctl.core.estimation.filter_stack import STATES, O, Regime, S, W, X
-from handctl.core.estimation.filter_state import FilterState
-from handctl.core.estimation.statics import load_statics
-from handctl.core.estimation.take_up import EVIDENCE, NEAR_FACTOR, NEAR_M, TAUT_POINTS
+from handctl.core.estimation.kalman import (
+    LOOSE_M,
+    STOP_BAND_REST_M,
+    STOP_BAND_STAY_M,
+    STOP_PULL_REST,
+    STOP_PULL_STAY,
+    _at_stop,
+    _usable,
+)
+from handctl.core.estimation.take_up import (
+    LIKELY,
+    LIKELY_ABOVE_N,
+    NEAR_FACTOR,
+    NEAR_M,
+    POSSIBLE,
+    POSSIBLE_ABOVE_N,
+    TAUT_ABOVE_N,
+    TAUT_AT_ONCE,
+    TAUT_POINTS,
+)
 from handctl.core.model import HandModel
+from tests.controller.filter_runs import FilterState, corrected, read, state_of, step, taken
+from tests.controller.synthetic import Estimate, Readings, nothing_read
+
+EVIDENCE = ((TAUT_ABOVE_N, TAUT_AT_ONCE), (LIKELY_ABOVE_N, LIKELY), (POSSIBLE_ABOVE_N, POSSIBLE))
 
 
 @pytest.mark.parametrize("was", [False, True])
 def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was: bool) -> None:
-    band, most = STOP_BAND_M[was], 10.0 * STOP_PULL[was]
-    assert _at_stop(was, np.nextafter(band, 0.0), np.nextafter(most, 0.0), 10.0)
-    assert not _at_stop(was, band, 0.0, 10.0)
-    assert not _at_stop(was, 0.0, most, 10.0)
+    band, most = (STOP_BAND_STAY_M, 10.0 * STOP_PULL_STAY) if was else (STOP_BAND_REST_M, 10.0 * STOP_PULL_REST)
+    at_stop = _at_stop.py_func
+    assert at_stop(was, np.nextafter(band, 0.0), np.nextafter(most, 0.0), 10.0)
+    assert not at_stop(was, band, 0.0, 10.0)
+    assert not at_stop(was, 0.0, most, 10.0)
 
 
 def filtered(model: HandModel, regime: Regime, **columns: float) -> FilterState:
@@ -38,19 +49,30 @@ def filtered(model: HandModel, regime: Regime, **columns: float) -> FilterState:
     return FilterState.of(x.ravel(), regime, stopped=False)
 
 
+def unexplained(model: HandModel, regime: Regime, rate: float) -> np.ndarray:
+    """What contact explains of 20 N on tendons whose digits move at a rate [m/s]; nothing is read in that tick."""
+    stretch = (20.0 + model.space.damping * rate) / model.space.stiffness
+    state = filtered(model, regime, S=2e-3, W=rate)
+    x = state.x.reshape(-1, STATES).copy()
+    x[:, X] = x[:, S] + stretch
+    return corrected(model, state._replace(x=x.ravel()), nothing_read(model)).view("external")
+
+
 def test_what_a_moving_digit_s_damping_takes_is_no_contact(model: HandModel) -> None:
-    still, moves = (filtered(model, Regime.FREE, S=2e-3, W=rate) for rate in (0.0, 0.05))
-    filters, tension = model.filter.stacked(still.regimes), np.full(model.tendon_count, 20.0)
-    statics = load_statics(model, still.x.reshape(-1, STATES), tension)
-    less = _unexplained(model, moves, filters, statics) - _unexplained(model, still, filters, statics)
-    np.testing.assert_allclose(less, -0.05 * model.space.load_damping, rtol=1e-12)
-    assert _unexplained(model, still, filters, statics).all(), "20 N are more than springs ask here"
+    still, moves = (unexplained(model, Regime.FREE, rate) for rate in (0.0, 0.05))
+    np.testing.assert_allclose(moves - still, -0.05 * model.space.load_damping, rtol=1e-9)
+    assert still.all(), "20 N are more than springs ask here"
 
 
 def test_a_slack_rope_bears_no_contact_wherever_its_digit_is(model: HandModel) -> None:
-    state = filtered(model, Regime.SLACK, S=2e-3)
-    statics = load_statics(model, state.x.reshape(-1, STATES), np.full(model.tendon_count, 20.0))
-    assert not _unexplained(model, state, model.filter.stacked(state.regimes), statics).any()
+    assert not unexplained(model, Regime.SLACK, 0.0).any()
+
+
+def used(model: HandModel, state: FilterState, measured: Readings) -> np.ndarray:
+    """The measurements (N, 3) that the filter uses, NaN where none."""
+    run = state_of(model, state)
+    read(run, measured)
+    return _usable.py_func(tables.py_func(run.block, run.layout.places))
 
 
 @pytest.mark.parametrize(("x", "s", "o"), [(-3e-4, 0.0, 0.0), (-1e-4, 3e-4, 0.0), (-1e-4, 0.0, 3e-4)])
@@ -58,26 +80,18 @@ def test_a_rope_hangs_loose_by_what_its_spool_is_short_of_its_digit(
     model: HandModel, x: float, s: float, o: float
 ) -> None:
     """Its load cell then shows its error; of a rope that is nearly taut nobody knows."""
-    n, read = model.tendon_count, 0.3
-    nothing = np.full(n, np.nan)
-    measured = Measured(np.zeros(n), np.full(n, read), nothing, np.full(len(model.hand.joints), np.nan))
+    n = model.tendon_count
+    measured = nothing_read(model)._replace(travel=np.zeros(n), tension=np.full(n, 0.3))
     for more, usable in ((0.0, True), (LOOSE_M + 1e-5, False)):
         state = filtered(model, Regime.SLACK, X=x + more, S=s, O=o)._replace(measured=(True,) * n)
-        z = _usable(state, model.filter.stacked(state.regimes), measured)
-        assert np.isfinite(z[1::3]).all() == usable
+        assert np.isfinite(used(model, state, measured)[:, 1]).all() == usable
     state = filtered(model, Regime.SLACK, X=x, S=s, O=o)
-    assert np.isnan(_usable(state, model.filter.stacked(state.regimes), measured)[1::3]).all(), (
-        "its length is not known"
-    )
+    assert np.isnan(used(model, state, measured)[:, 1]).all(), "its length is not known"
 
 
 def judged(model: HandModel, state: FilterState, cell: float) -> FilterState:
     """What a sample of all load cells makes of the regimes, of digits that touch nothing."""
-    n = model.tendon_count
-    none = np.zeros(n)
-    read = Measured(none, np.full(n, cell), np.full(n, np.nan), np.full(len(model.hand.joints), np.nan))
-    statics = load_statics(model, state.x.reshape(-1, STATES), none)
-    return _regimes(model, state, state.x, none, statics, read, (False,) * len(model.digits))
+    return taken(corrected(model, state, nothing_read(model)._replace(tension=np.full(model.tendon_count, cell))))
 
 
 @pytest.mark.parametrize(
@@ -114,9 +128,8 @@ def test_a_digit_on_its_stop_is_at_zero_when_its_rope_becomes_taut(model: HandMo
 
 def test_an_estimate_tells_every_column_before_anything_was_read(model: HandModel) -> None:
     n, j = model.tendon_count, len(model.hand.joints)
-    missing = Measured(*(np.full(size, np.nan) for size in (n, n, n, j)))
     no = (False,) * len(model.digits)
-    _, estimate = step(model, FilterState.initial(n), missing, np.zeros(n), np.zeros(n), no)
+    _, estimate = step(model, FilterState.initial(n), nothing_read(model), np.zeros(n), no)
     shapes = {name: np.shape(value) for name, value in zip(Estimate._fields, estimate, strict=True)}
     assert {name for name, shape in shapes.items() if shape == (j,)} >= {"q", "dq"}
     assert all(shape in ((n,), (j,), (len(model.digits),)) for shape in shapes.values()), shapes

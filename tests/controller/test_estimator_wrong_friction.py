@@ -5,13 +5,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.estimation.filter_stack import STATES, Regime, kinds
-from handctl.core.estimation.innovation import WARY_ABOVE, WARY_FOR_S, WARY_HAND, WARY_S, caution
+from handctl.compiled import kernel
+from handctl.core.block import tables
+from handctl.core.constants import constant_tables
+from handctl.core.estimation import kalman
+from handctl.core.estimation.filter_stack import STATES, Regime
+from handctl.core.estimation.kalman import WARY_ABOVE, WARY_FOR_S, WARY_HAND, WARY_S
+from handctl.core.gains.gains import Gains
+from handctl.core.model import HandModel
+from handctl.core.schema import Block, Places
 from handctl.document import validated
+from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from tests.controller.filter_runs import all_in, nowhere, readings, resting, step
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
+from tests.controller.synthetic import blank, constants
 
 HANDS = ("jamia", "jamia11", "jamia_bench")
 FRICTION = (0.5, 1.0, 1.5, 2.0)
@@ -72,35 +81,52 @@ def test_warning_keeps_to_the_undoubted_model(hand: str) -> None:
     assert (estimate_doubt.tension > estimate.tension + 0.05).all(), "the load cell counts for more"
 
 
+@kernel("block", "layout", "constants", "layout", "matrix", "matrix")
+def _judge(block: Block, at: Places, of: Block, of_at: Places, innovation: np.ndarray, information: np.ndarray) -> None:
+    kalman._judge_innovation(tables(block, at), constant_tables(of, of_at), innovation, information, True)
+
+
+def caution(
+    model: HandModel, lately: np.ndarray, wary: np.ndarray, nis: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Averages of the normalised innovation squared, and doubts [s], after a tick in which it is this, (N,) each."""
+    state, n = blank(model), model.tendon_count
+    state.view("nis_lately")[...], state.view("wary")[...] = lately, wary
+    innovation = np.column_stack((np.zeros(n), np.sqrt(nis), np.full(n, np.nan)))
+    _judge(state.block, state.layout.places, *constants(model), innovation, np.ones((n, 3)))
+    return state.view("nis_lately").copy(), state.view("wary").copy()
+
+
 def test_a_slow_loop_does_not_adapt() -> None:
     lately, wary = np.full(4, 2.0), np.zeros(4)
+    model = HandModel.of(load_hand("jamia"), Gains(), 100.0)
     for _ in range(300):
-        lately, wary = caution(0.01, lately, wary, np.full(4, 50.0))
+        lately, wary = caution(model, lately, wary, np.full(4, 50.0))
     assert not wary.any()
 
 
-def test_one_tendon_or_all_raise_doubt() -> None:
+def test_one_tendon_or_all_raise_doubt(jamia11: HandModel) -> None:
     """One far off doubts itself; all a little off doubt each other; none does for a single sample."""
-    period, usual, none = 0.005, np.full(11, 2.0), np.zeros(11)
+    period, usual, none = jamia11.period, np.full(11, 2.0), np.zeros(11)
     for odd, all_of_them in ((np.array([2 * WARY_ABOVE, *[1.5] * 10]), False), (np.full(11, WARY_HAND + 0.3), True)):
         lately, wary = usual, none
         for _ in range(round(5 * WARY_S / period)):
-            lately, wary = caution(period, lately, wary, odd)
+            lately, wary = caution(jamia11, lately, wary, odd)
         assert wary[0] == WARY_FOR_S
         assert bool(wary[1:].any()) == all_of_them
     nis = np.array([1e6, *[2.0] * 10])
-    assert not caution(period, usual, none, nis)[1][1:].any()
+    assert not caution(jamia11, usual, none, nis)[1][1:].any()
 
 
-def test_doubt_ends_and_missing_samples_say_nothing() -> None:
+def test_doubt_ends_and_missing_samples_say_nothing(jamia11: HandModel) -> None:
     """The time runs down tick by tick; NaN leaves the average as it is."""
-    lately, wary = caution(0.005, np.full(4, 2.0), np.full(4, 0.015), np.full(4, np.nan))
+    n = jamia11.tendon_count
+    lately, wary = caution(jamia11, np.full(n, 2.0), np.full(n, 3 * jamia11.period), np.full(n, np.nan))
     assert (lately == 2.0).all()
-    assert wary == pytest.approx(0.01)
+    assert wary == pytest.approx(2 * jamia11.period)
     for _ in range(2):
-        lately, wary = caution(0.005, lately, wary, np.full(4, 2.0))
+        lately, wary = caution(jamia11, lately, wary, np.full(n, 2.0))
     assert not wary.any()
-    assert kinds((0, 1, 2, 0), wary) == (0, 1, 2, 0)
 
 
 @pytest.mark.parametrize("hand", HANDS)

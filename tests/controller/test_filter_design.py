@@ -6,12 +6,14 @@ import weakref
 import numpy as np
 import pytest
 
+from handctl.core import constants as h
 from handctl.core.estimation.filter_design import design_filter
-from handctl.core.estimation.filter_stack import MEASUREMENTS, MOST_KEPT, STATES, E, FilterDesign, O, Regime, S, X
+from handctl.core.estimation.filter_stack import KEPT, STATES, E, FilterDesign, O, Regime, S, X
 from handctl.core.gains.gains import FilterGains, Gains
 from handctl.core.model import HandModel, _joint_period
 from handctl.hand.load import load_hand
 from tests.controller.oracle import SCALE, assumed_measurements, by_doubling, measurement_noise, over_one_period
+from tests.controller.synthetic import constant_tables_of
 
 
 class Parts:
@@ -93,30 +95,43 @@ def test_joint_encoders_part_excursion_from_offset_and_touch_nothing_else(jamia:
     assert not any(block.K[:, 2].any() for blocks in jamia.filter.blocks for block in blocks), "no joint encoders"
 
 
-def test_stacked_filter_is_its_blocks(model: HandModel, rng: np.random.Generator) -> None:
+def test_the_transition_of_all_tendons_is_that_of_its_blocks(model: HandModel, rng: np.random.Generator) -> None:
     n = model.tendon_count
-    regimes = tuple(int(r) for r in rng.integers(0, 3, n))
-    stacked = model.filter.stacked(regimes)
-    x, u, y = rng.normal(size=(n, STATES)), rng.normal(size=(n, 2)), rng.normal(size=(n, MEASUREMENTS))
-    for i, regime in enumerate(regimes):
-        block = model.filter.blocks[i][regime]
-        np.testing.assert_allclose((stacked.F @ x.ravel()).reshape(n, -1)[i], block.F @ x[i], rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose((stacked.B @ u.ravel()).reshape(n, -1)[i], block.B @ u[i], rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose((stacked.H @ x.ravel()).reshape(n, -1)[i], block.H @ x[i], rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose((stacked.K @ y.ravel()).reshape(n, -1)[i], block.K @ y[i], rtol=1e-9, atol=1e-12)
-        np.testing.assert_allclose((stacked.tension @ x.ravel())[i], block.tension_row @ x[i], rtol=1e-9, atol=1e-9)
-        assert stacked.sigma[i] == np.sqrt(block.tension_variance)
-        np.testing.assert_allclose(stacked.cell_sigma[i] ** 2, np.linalg.inv(block.innovation_information)[1, 1])
+    kinds = rng.integers(0, 2 * len(Regime), n)
+    found = model.filter.transition(kinds.tobytes())
+    x, u = rng.normal(size=(n, STATES)), rng.normal(size=(n, 2))
+    moved, driven = (found.F @ x.T.ravel()).reshape(STATES, n).T, (found.B @ u.T.ravel()).reshape(STATES, n).T
+    for i, kind in enumerate(kinds.tolist()):
+        block = model.filter.blocks[i][kind]
+        np.testing.assert_allclose(moved[i], block.F @ x[i], rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(driven[i], block.B @ u[i], rtol=1e-9, atol=1e-12)
+
+
+def test_the_constants_of_the_kernels_are_the_blocks(model: HandModel) -> None:
+    """Also single numbers that follow from others: the deviations of tension and of the load cell's innovation."""
+    design = constant_tables_of(model).design
+    assert design.shape == (model.tendon_count, h.KINDS, h.ELEMENTS)
+    parts = {"F": h.F_AT, "B": h.B_AT, "K": h.K_AT, "Q": h.Q_AT, "R": h.R_AT, "P": h.P_AT, "H": h.H_AT}
+    for own, rows in zip(model.filter.blocks, design, strict=True):
+        for block, row in zip(own, rows, strict=True):
+            for name, first in {**parts, "tension_row": h.TENSION_AT}.items():
+                part = getattr(block, name)
+                np.testing.assert_array_equal(row[first : first + part.size].reshape(part.shape), part, err_msg=name)
+            information = np.array([[1.0, 0.5], [0.5, 1.0]]) * block.innovation_information
+            twice = row[h.INFORMATION_AT : h.INFORMATION_AT + 3]
+            np.testing.assert_allclose([information[0, 0], 4 * information[0, 1], information[1, 1]], twice)
+            assert row[h.VARIANCE_AT] == block.tension_variance
+            np.testing.assert_allclose(row[h.CELL_SIGMA_AT] ** 2, np.linalg.inv(block.innovation_information)[1, 1])
+            assert (row[h.DRIFT_AT], row[h.KNOWN_AT]) == (block.drift, block.known)
 
 
 def test_a_hand_that_chatters_for_days_fills_no_memory(jamia: HandModel) -> None:
     design = FilterDesign(jamia.filter.blocks * 2)
-    combinations = [*itertools.islice(itertools.product(range(len(Regime)), repeat=8), 2 * MOST_KEPT)]
-    kept = [weakref.ref(design.stacked(regimes).F) for regimes in combinations]
-    assert sum(F() is not None for F in kept) <= MOST_KEPT
-    kept = [weakref.ref(design.spread(regimes).F) for regimes in combinations]
-    assert sum(F() is not None for F in kept) <= MOST_KEPT
-    assert design.stacked(combinations[-1]) is design.stacked(combinations[-1])
+    kinds = [np.array(each) for each in itertools.islice(itertools.product(range(3), repeat=8), 2 * KEPT)]
+    kept = [weakref.ref(design.transition(each.tobytes()).F) for each in kinds]
+    assert sum(F() is not None for F in kept) <= KEPT
+    last = kinds[-1].tobytes()
+    assert design.transition(last) is design.transition(last)
 
 
 def test_asking_for_other_gains_gives_other_filters() -> None:

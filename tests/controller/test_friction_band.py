@@ -5,11 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.law.friction_band import CREEP_SPEED, expected, look_ahead
+from handctl.core.law.friction_band import CREEP_SPEED, expected
 from handctl.core.model import HandModel
 from handctl.document import validated
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
+from tests.controller.goals import moving
+from tests.controller.law_runs import LawState, step
 from tests.controller.plant_run import RATE_HZ, run_on_plant
 from tests.controller.synthetic import under
 
@@ -24,7 +26,7 @@ def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
     for speed in speeds:
         wound = speed * model.period
         now = [
-            expected(tension, 12.0, 0.8, wound, stiffness, crept)
+            expected.py_func(tension, 12.0, 0.8, wound, stiffness, crept)
             for tension, stiffness in zip(now, model.space.stiffness, strict=True)
         ]
         found.append(now)
@@ -52,10 +54,9 @@ def test_at_rest_friction_bears_nothing_in_the_end(model: HandModel) -> None:
 
 def test_a_rope_of_which_next_to_nothing_was_expected_pays_out(model: HandModel) -> None:
     n = model.tendon_count
-    load, still = np.full(n, 12.0), np.zeros(n)
-    before, passed, moving = np.full(n, 5e-324), np.full(n, 0.8), np.ones(n, dtype=bool)
-    ahead = look_ahead(model, before, under(model, 1.0), still, load, still, passed, moving)
-    assert (ahead.friction_state == -1.0).all()
+    before = LawState.initial(n)._replace(planned=np.full(n, 5e-324))
+    law, _ = step(model, before, under(model, 1.0), moving(model, 0.6, 0.7, 1.0), 0.5)
+    assert (law.friction_state == -1.0).all()
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])

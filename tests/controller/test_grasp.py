@@ -6,17 +6,18 @@ import math
 import numpy as np
 import pytest
 
-from handctl.core.estimation.estimator import Estimate
+from handctl.core import constants as h
+from handctl.core.estimation.contact import SMOOTH_S
+from handctl.core.estimation.filter_stack import STATES, S, X
 from handctl.core.estimation.tip import joint_lever, tip_force
 from handctl.core.law.goal import Kind
 from handctl.core.model import HandModel
 from handctl.core.types import Event
 from handctl.hand.dynamics import static_torque
-from handctl.programs.contact import SMOOTH_S, felt
 from handctl.programs.grasp import RELEASE_TIMEOUT_S, RELEASED_WITHIN_N, SETTLE_AFTER_CLOSE_S, TaskProgram
 from handctl.programs.program import TIGHTEN_TIMEOUT_S, Progress
 from handctl.programs.task import Task
-from tests.controller.synthetic import nothing_read, slack, under
+from tests.controller.synthetic import Estimate, blank, concluded, constant_tables_of, known, nothing_read, slack, under
 
 TASK = {
     "schema": 1,
@@ -45,13 +46,13 @@ class Run:
         self.model, self.program = model, TaskProgram(Task.model_validate_json(json.dumps(task)))
         self.progress: Progress = self.program.begin(model)
         self.events: list[Event] = []
-        self.t = 0.0
+        self.t, self.state = 0.0, blank(model)
 
     def tick(self, estimate: Estimate) -> tuple[Event, ...]:
         self.t += self.model.period
-        self.progress, events = self.program.advance(
-            self.model, self.progress, estimate, nothing_read(self.model), self.t
-        )
+        self.state.view("closing")[...] = self.progress.closing or 0
+        felt = concluded(self.model, self.state, estimate)
+        self.progress, events = self.program.advance(self.model, self.progress, felt, nothing_read(self.model), self.t)
         self.events += events
         return events
 
@@ -177,9 +178,17 @@ def closing(model: HandModel, taut: Estimate) -> Run:
     return run
 
 
+def felt(model: HandModel, estimate: Estimate) -> np.ndarray:
+    """Forces at the tips of closing digits (D,) [N], before they are smoothed."""
+    state = blank(model)
+    state.view("closing")[...] = 1
+    concluded(model, state, estimate)
+    return state.view("felt") / constant_tables_of(model).run[h.FELT_FRACTION]
+
+
 def strong(model: HandModel, newtons: float) -> float:
     """Unexplained tension, the same in each tendon of the index, that stands for a force at its tip [N]."""
-    found = felt(model, np.full(len(model.hand.joints), 0.5), np.ones(model.tendon_count))
+    found = felt(model, under(model, 15.0, 0.5)._replace(external=np.ones(model.tendon_count)))
     return newtons / float(found[model.hand.digit_names.index("index")])
 
 
@@ -214,7 +223,9 @@ def test_the_tip_is_felt_as_it_is(model: HandModel) -> None:
             own[:] = 0.4
         forces.append(2.5 + d)
         q[digit.joints], balance[digit.tendons] = own, forces[-1] * (digit.torque_to_tension @ joint_lever(digit, own))
-    np.testing.assert_allclose(felt(model, q, balance), forces)
+    x = np.zeros((model.tendon_count, STATES))
+    x[:, S] = x[:, X] = model.hand.moment_arms @ q
+    np.testing.assert_allclose(felt(model, known(model, x)._replace(external=balance)), forces)
 
 
 def test_two_digits_and_a_third_later(model: HandModel, taut: Estimate) -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from handctl.controller.modes import INVENTORY_TIMEOUT_S, Wishes, next_mode
 from handctl.controller.state import State
+from handctl.core import block as s
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
@@ -46,35 +47,39 @@ def test_load_cells_that_come_by_turns_are_all_waited_for(jamia11: HandModel) ->
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id not in others]
     run.until(Mode.INVENTORY)
     run.run(0.5)
-    assert not run.state.filter.started
+    assert not run.state.started
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id != first]
     run.tick()
     run.tick()
-    assert run.state.filter.started
+    assert run.state.started
 
 
 def in_inventory_for(hand: Bench, seconds: float) -> State:
     """A hand that is ready but for what a test takes away, so long after the inventory began."""
     hand.until(Mode.READY)
-    return hand.state._replace(mode=Mode.INVENTORY, mode_since=-seconds)
+    state = hand.state.copy()
+    state.mode, state.mode_since = Mode.INVENTORY, -seconds
+    return state
 
 
 def decided(hand: Bench, state: State) -> tuple[Mode, str]:
-    after, _ = next_mode(hand.controller.model, hand.controller.drives, state, Action.PASS, Wishes(), (), 0.0)
+    after = state.copy()
+    next_mode(hand.controller.model, hand.controller.drives, after, Action.PASS, Wishes(), (), 0.0)
     return after.mode, after.failure
 
 
 def test_a_drive_that_is_ready_but_never_tells_its_position_is_named(hand: Bench) -> None:
     """An ODrive is ready by its heartbeat; its encoder's messages may be switched off."""
     known = in_inventory_for(hand, INVENTORY_TIMEOUT_S + 0.1)
-    blind = known.drives[1]._replace(position=math.nan)
-    unread = known._replace(
-        drives=(known.drives[0], blind, *known.drives[2:]), filter=known.filter._replace(started=False)
-    )
+    blind, unread = known.drives[1]._replace(position=math.nan), known.copy()
+    hand.controller.keep(unread, 1, blind)
+    unread.set_whole(s.STARTED, 0)
     assert decided(hand, unread) == (Mode.DONE, "no position from middle_motor")
-    late = unread._replace(drives=(known.drives[0], blind._replace(phase=Phase.CONFIGURING), *known.drives[2:]))
+    late = unread.copy()
+    hand.controller.keep(late, 1, blind._replace(phase=Phase.CONFIGURING))
     assert decided(hand, late) == (Mode.DONE, "middle_motor: not configured in time")
-    assert decided(hand, unread._replace(mode_since=0.0))[0] == Mode.INVENTORY
+    unread.mode_since = 0.0
+    assert decided(hand, unread)[0] == Mode.INVENTORY
     assert decided(hand, known) == (Mode.READY, "")
 
 

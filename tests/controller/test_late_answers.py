@@ -8,7 +8,7 @@ from handctl.core.types import Mode, TickOut
 from handctl.drives.frame import Frame
 from handctl.hand.load import load_hand
 from handctl.programs.live import LiveProgram
-from handctl.safety.detectors.counts import WINDOW
+from handctl.safety.faults.bus import WINDOW
 from tests.controller.bench import Bench, bench
 
 

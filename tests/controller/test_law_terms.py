@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.core.estimation.estimator import Estimate
-from handctl.core.law.computed_torque import Command, LawState, step
+from handctl.core import block as s
+from handctl.core import stages
+from handctl.core.law.computed_torque import MOTOR_FRICTION_SPEED
 from handctl.core.law.goal import DigitGoal, Kind
-from handctl.core.law.law_constants import MOTOR_FRICTION_SPEED
 from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
+from handctl.core.types import Mode
 from tests.controller.goals import holding, moving
-from tests.controller.synthetic import at_rest, known, slack, under
+from tests.controller.law_runs import LawState, carried, command_of, step
+from tests.controller.synthetic import Estimate, at_rest, blank, constants, known, slack, under
 
 AT_S = 0.25
 """On a way of one second: it accelerates, and is on its way."""
@@ -41,7 +43,7 @@ def test_on_a_way_each_error_is_answered_with_its_gain(
     mass = space.motor_mass + space.load_mass
     before = force(model, there, way)
     for name, size, slope in (
-        ("motor_disturbance", 0.5, -gains.disturbance_rejection),
+        ("disturbance", 0.5, -gains.disturbance_rejection),
         ("tension", 0.4, -gains.tension_feedback),
         ("speed", 1e-3, gains.friction_share * space.motor_damping - mass * design.damping),
         ("excursion", 2e-5, -mass * design.stiffness),
@@ -66,16 +68,33 @@ def test_a_way_s_acceleration_is_fed_forward(model: HandModel, way: tuple[DigitG
 
 def test_held_tendons_take_a_disturbance_off(model: HandModel) -> None:
     there = under(model, 20.0)
-    off = there._replace(motor_disturbance=np.full(model.tendon_count, 0.5))
+    off = there._replace(disturbance=np.full(model.tendon_count, 0.5))
     change = force(model, off, holding(model, 20.0)) - force(model, there, holding(model, 20.0))
     np.testing.assert_allclose(change, -0.5 * model.gains.motion.disturbance_rejection, rtol=1e-9)
 
 
-def test_an_idle_law_has_commanded_nothing() -> None:
-    setpoint, *rest = LawState.idle(np.array([3.0, 4.0]))
-    assert setpoint.tolist() == [3.0, 4.0]
-    assert [part.tolist() for part in rest[:4]] == [[0.0, 0.0]] * 4
-    assert rest[4:] == [None] * 3
+def test_an_idle_law_has_commanded_nothing(model: HandModel) -> None:
+    """Whatever it commanded before; a tension loop then begins at the tension that there is."""
+    state, tension = blank(model), np.linspace(3.0, 4.0, model.tendon_count)
+    for name in ("setpoint", "integral", "force", "planned", "rate", "trim", "torque", "friction_state"):
+        state.view(name)[...] = 7.0
+    state.view("tension")[...] = tension
+    state.set_whole(s.TRIMMED, 1)
+    state.set_whole(s.HOLDING, 1)
+    state.mode = Mode.READY
+    stages.act(state.block, state.layout.places, *constants(model), 0.0, 0, 1)
+    law, command = carried(state), command_of(state)
+    np.testing.assert_array_equal(law.setpoint, tension)
+    for part in law[1:5]:
+        assert not part.any()
+    assert (law.trim, law.held) == (None, None)
+    assert np.isnan(law.friction_state).all()
+    for name, size, value in (
+        ("torque", model.tendon_count, 0.0), ("tension", model.tendon_count, np.nan),
+        ("joint_torque", len(model.hand.joints), 0.0), ("q", len(model.hand.joints), np.nan),
+        ("dq", len(model.hand.joints), np.nan),
+    ):  # fmt: skip
+        np.testing.assert_array_equal(getattr(command, name), np.full(size, value), err_msg=name)
 
 
 def test_a_hand_that_holds_has_goals_of_no_angle(model: HandModel) -> None:
@@ -144,13 +163,6 @@ def test_a_limp_hand_asks_its_joints_for_nothing(model: HandModel) -> None:
     command = step(model, LawState.idle(there.tension), there, (DigitGoal(),) * len(model.digits), AT_S)[1]
     assert not command.joint_torque.any()
     assert np.isnan(command.tension).all()
-    idle = Command.idle(model)
-    for name, size, value in (
-        ("torque", model.tendon_count, 0.0), ("tension", model.tendon_count, np.nan),
-        ("joint_torque", len(model.hand.joints), 0.0), ("q", len(model.hand.joints), np.nan),
-        ("dq", len(model.hand.joints), np.nan),
-    ):  # fmt: skip
-        np.testing.assert_array_equal(getattr(idle, name), np.full(size, value), err_msg=name)
 
 
 def test_a_half_moving_hand_has_goals_of_angles_for_that_half(model: HandModel, there: Estimate) -> None:

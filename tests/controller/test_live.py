@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from handctl.core.estimation.estimator import Estimate
 from handctl.core.law.goal import Kind
 from handctl.core.model import HandModel
 from handctl.programs.live import JogProgram, LiveProgram, apply_goal
 from handctl.programs.program import TIGHTEN_TIMEOUT_S, Progress
 from handctl.programs.requests import HoldTension, MoveDigits, parse_request
-from tests.controller.synthetic import nothing_read, slack, under
+from tests.controller.synthetic import Estimate, nothing_read, slack, under
 
 
 def asked(text: str) -> MoveDigits | HoldTension:

@@ -1,11 +1,10 @@
 """Modes from silence to action and back to a confirmed standstill, against a hand of scripted motors."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from handctl.controller.modes import ARMING_TIMEOUT_S, CUT_S, DISARM_TIMEOUT_S, INVENTORY_TIMEOUT_S, LISTEN_S, READY_S
+from handctl.controller.tick import Controller
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import IoEvent, Mode
@@ -330,9 +329,9 @@ def test_a_program_that_gives_up_relaxes_and_tells_why(quick: HandModel) -> None
 def test_clear_drops_latches_but_arms_nothing(hand: Bench) -> None:
     hand.until(Mode.ACTIVE)
     hand.tick(extra=(foreign(hand),))
-    assert hand.state.safety.latched
+    assert hand.state.latched
     hand.tick('{"do": "clear"}')
-    assert not hand.state.safety.latched
+    assert not hand.state.latched
     hand.until(Mode.DONE)
     assert hand.modes == HAPPY + HOME
 
@@ -346,15 +345,11 @@ def test_every_mode_change_is_told_once(hand: Bench) -> None:
 
 
 def test_while_safety_holds_the_programs_time_stands_still(hand: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
-    from handctl.controller import tick as module
-
     hand.until(Mode.ACTIVE)
     hand.run(1.0)
     before = hand.state
-    real = module.safety.judge
-    monkeypatch.setattr(
-        module.safety, "judge", lambda *args: (real(*args)[0], replace(real(*args)[1], action=Action.HOLD))
-    )
+    real = Controller._judge
+    monkeypatch.setattr(Controller, "_judge", lambda self, *words: (Action.HOLD, real(self, *words)[1]))
     hand.run(0.5)
     assert hand.state.mode == Mode.ACTIVE
     assert hand.state.goal_time == before.goal_time

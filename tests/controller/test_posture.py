@@ -8,16 +8,22 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from handctl.compiled import kernel
+from handctl.controller.state import State
+from handctl.core import block as s
+from handctl.core import constants as h
+from handctl.core.block import tables
+from handctl.core.constants import constant_tables
 from handctl.core.estimation import posture
-from handctl.core.estimation.posture import Angles, Posture, Readings
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
+from handctl.core.schema import Block, Places
 from handctl.core.types import Mode
 from handctl.hand.load import HANDS, load_hand
 from handctl.programs.grasp import TaskProgram
 from handctl.session.simulate import Simulator, homed_controller
 from handctl.session.tasks import find_task
-from tests.controller.synthetic import under
+from tests.controller.synthetic import Estimate, blank, concluded, constant_tables_of, controller_of, under
 
 RATE_HZ = 250.0
 PERIOD_NS = round(1e9 / RATE_HZ)
@@ -41,12 +47,12 @@ def packaged(name: str) -> Path:
     return HANDS / f"{name}.toml"
 
 
-def with_encoders(folder: Path) -> Path:
-    """A jamia with a joint encoder at every joint."""
+def with_encoders(folder: Path, joints: int | None = None) -> Path:
+    """A jamia with a joint encoder at every joint, or at the first ones only."""
     text = packaged("jamia").read_text(encoding="utf-8")
-    joints = load_hand("jamia").joints
+    read = load_hand("jamia").joints[:joints]
     path = folder / "encoders.toml"
-    path.write_text(text.replace("joints = []", f"joints = {list(joints)}".replace("'", '"')), encoding="utf-8")
+    path.write_text(text.replace("joints = []", f"joints = {list(read)}".replace("'", '"')), encoding="utf-8")
     return path
 
 
@@ -98,14 +104,29 @@ def test_joint_encoders_measure_the_angles_of_a_held_digit(tmp_path: Path, seed:
     assert within >= 0.9
 
 
+class Angles(NamedTuple):
+    """Joint angles and their standard deviations, (J,) [rad]."""
+
+    q: np.ndarray
+    sigma: np.ndarray
+
+
+def angles_in(model: HandModel, state: State, estimate: Estimate, touched: np.ndarray, k: int) -> Angles:
+    """Angles of a tick in which so much tension (D,) [N] is unexplained; the state remembers the tick."""
+    state.view("touch")[...] = touched
+    state.set_whole(s.K, k)
+    concluded(model, state, estimate._replace(external=touched[list(model.digit_of)]))
+    np.testing.assert_allclose(state.view("touch"), touched, err_msg="it lasts")
+    return Angles(state.view("q").copy(), state.view("q_sigma").copy())
+
+
 @pytest.mark.parametrize("hand", ["jamia", "jamia_bench", "jamia11"])
 def test_contact_turns_joints_and_keeps_the_excursion(hand: str) -> None:
     model = HandModel.of(load_hand(hand), Gains(), RATE_HZ)
-    estimate = under(model, 30.0, 0.6)
+    estimate, state = under(model, 30.0, 0.6), blank(model)
     touched = np.full(len(model.digits), 15.0)
-    state = Posture.initial(model)
     for k in range(200):
-        state, angles = posture.step(model, state, estimate, touched, k)
+        angles = angles_in(model, state, estimate, touched, k)
     moment_arms = model.hand.moment_arms
     np.testing.assert_allclose(moment_arms @ angles.q, moment_arms @ estimate.q, atol=1e-9)
     turned = np.degrees(np.abs(angles.q - estimate.q).max())
@@ -114,45 +135,91 @@ def test_contact_turns_joints_and_keeps_the_excursion(hand: str) -> None:
 
 
 def test_the_deviation_grows_with_the_force_and_fades_after_it(model: HandModel) -> None:
-    estimate = under(model, 30.0, 0.6)
+    estimate, state = under(model, 30.0, 0.6), blank(model)
     nothing = np.zeros(len(model.digits))
 
-    def after(touched: np.ndarray, seconds: float, state: Posture) -> tuple[Posture, Angles]:
+    def after(touched: np.ndarray, seconds: float) -> Angles:
         for k in range(round(seconds / model.period)):
-            state, angles = posture.step(model, state, estimate, touched, k)
-        return state, angles
+            angles = angles_in(model, state, estimate, touched, k)
+        return angles
 
-    state = Posture.initial(model)
-    _, first = posture.step(model, state, estimate, nothing, 1)
-    if posture.places(model).free:
-        np.testing.assert_array_equal(first.sigma, posture.range_sigma(model), "nothing is known yet")
+    of = constant_tables_of(model)
+    free = bool(of.run_int[h.NULL_SPACE])
+    first = angles_in(model, state, estimate, nothing, 1)
+    if free:
+        span = np.concatenate([digit.joint_max - digit.joint_min for digit in model.digits])
+        np.testing.assert_array_equal(of.joint[h.RANGE_SIGMA], span / np.sqrt(12.0))
+        np.testing.assert_array_equal(first.sigma, of.joint[h.RANGE_SIGMA], "nothing is known yet")
     sizes = []
     for force in (0.0, 3.0, 10.0):
-        state, angles = after(nothing + force, 0.5, state)
-        sizes.append(float(angles.sigma.mean()))
-    if posture.places(model).free:
+        sizes.append(float(after(nothing + force, 0.5).sigma.mean()))
+    if free:
         assert sizes == sorted(sizes)
         assert sizes[-1] > 2.0 * sizes[0]
-    state, angles = after(nothing, 3.0, state)
+    angles = after(nothing, 3.0)
     assert float(angles.sigma.mean()) == pytest.approx(sizes[0], rel=0.1)
+
+
+@kernel("block", "layout", "constants", "layout", "matrix", "matrix", "count")
+def _fuse(
+    block: Block, at: Places, of: Block, of_at: Places, columns: np.ndarray, spread: np.ndarray, t_ns: int
+) -> None:
+    posture._fuse(tables(block, at), constant_tables(of, of_at), columns, spread, t_ns)
+
+
+def fused(model: HandModel, state: State, columns: np.ndarray, spread: np.ndarray, t_ns: int) -> State:
+    """A state after its joint encoders were fused; columns (C, J) and spread (J, N) make the prior's covariance."""
+    after = state.copy()
+    _fuse(after.block, after.layout.places, *controller_of(model)._constants, columns, spread, t_ns)
+    return after
 
 
 def test_encoders_are_fused_as_a_kalman_filter_does(tmp_path: Path) -> None:
     """One joint that is read: prior and reading weighed by their covariance, the others follow the correlation."""
-    model = HandModel.of(load_hand(str(with_encoders(tmp_path))), Gains(), RATE_HZ)
-    known = posture.places(model)
-    joints = len(model.hand.joints)
+    model = HandModel.of(load_hand(str(with_encoders(tmp_path, joints=1))), Gains(), RATE_HZ)
+    joints, state = len(model.hand.joints), blank(model)
+    noise = constant_tables_of(model).joint[h.ENCODER_VARIANCE]
     columns = np.zeros((2, joints))
     columns[0, :3] = (0.2, -0.1, -0.1)
     columns[1, :3] = (0.0, 0.05, -0.05)
-    prior = Angles(np.full(joints, 0.5), np.sqrt((columns**2).sum(axis=0)))
-    reading = np.full(joints, np.nan)
-    age = np.full(joints, np.inf)
-    reading[0], age[0] = 0.7, 0.0
-    fused = posture._fused(known, prior, columns, Readings(reading, age), np.zeros(joints))
+    state.view("q")[...], state.view("q_sigma")[...] = 0.5, np.sqrt((columns**2).sum(axis=0))
+    state.view("joint_angle")[0] = 0.7
+    state.view("group_ns")[...] = 0
+    spread = np.zeros((joints, model.tendon_count))
+    after = fused(model, state, columns, spread, 0)
     P = columns.T @ columns
-    gain = P[:, 0] / (P[0, 0] + known.noise[0])
-    np.testing.assert_allclose(fused.q, 0.5 + gain * 0.2, rtol=1e-9)
-    np.testing.assert_allclose(fused.sigma**2, np.diag(P) - gain * P[:, 0], atol=1e-12)
-    old = Readings(reading, np.full(joints, 1.0))
-    assert posture._fused(known, prior, columns, old, np.zeros(joints)) is prior
+    gain = P[:, 0] / (P[0, 0] + noise[0])
+    np.testing.assert_allclose(after.view("q"), 0.5 + gain * 0.2, rtol=1e-9)
+    np.testing.assert_allclose(after.view("q_sigma")[0] ** 2, P[0, 0] - gain[0] * P[0, 0], atol=1e-12)
+    np.testing.assert_array_equal(after.view("q_sigma")[1:], state.view("q_sigma")[1:])
+    old = fused(model, state, columns, spread, round(1e9))
+    np.testing.assert_array_equal(old.block, state.block, "of a reading that is a second old nothing is used")
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_one_encoder_after_the_other_is_all_of_them_at_once(tmp_path: Path, seed: int) -> None:
+    """The sequential update against the Kalman filter's in matrices, some frames too old to count."""
+    model = HandModel.of(load_hand(str(with_encoders(tmp_path))), Gains(), RATE_HZ)
+    rng, of, state = np.random.default_rng(seed), constant_tables_of(model), blank(model)
+    joints, now = len(model.hand.joints), 10**9
+    columns, spread = 0.2 * rng.normal(size=(12, joints)), 0.02 * rng.normal(size=(joints, model.tendon_count))
+    state.view("q")[...], state.view("dq")[...] = rng.uniform(0.0, 1.5, joints), rng.normal(size=joints)
+    state.view("joint_angle")[...] = state.view("q") + 0.2 * rng.normal(size=joints)
+    heard = rng.integers(now - round(1.5 * posture.READING_LIMIT_S * 1e9), now, len(state.view("group_ns")))
+    state.view("group_ns")[...] = heard
+    after = fused(model, state, columns, spread, now)
+
+    age = (now - heard[of.joint_int[h.JOINT_GROUP]]) * 1e-9
+    read = np.flatnonzero(of.joint_int[h.LOOSE].astype(bool) & (age < posture.READING_LIMIT_S))
+    moved = state.view("dq") * age
+    digit = np.repeat(np.arange(len(model.digits)), [one.joint_count for one in model.digits])
+    P = (columns.T @ columns + spread @ spread.T) * (digit[:, None] == digit)
+    R = np.diag(of.joint[h.ENCODER_VARIANCE, read] + (posture.ADVANCE_ERROR * moved[read]) ** 2)
+    H = np.eye(joints)[read]
+    gain = np.linalg.solve(H @ P @ H.T + R, H @ P).T
+    q = state.view("q") + gain @ (state.view("joint_angle") + moved - state.view("q"))[read]
+    np.testing.assert_allclose(after.view("q"), q, rtol=0.0, atol=1e-12)
+    if len(read):
+        rest = np.eye(joints) - gain @ H
+        variance = np.diagonal(rest @ P @ rest.T + gain @ R @ gain.T)
+        np.testing.assert_allclose(after.view("q_sigma") ** 2, variance, rtol=0.0, atol=1e-12)

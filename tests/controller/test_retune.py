@@ -6,13 +6,14 @@ from collections.abc import Mapping
 import numpy as np
 import pytest
 
-from handctl.controller import tick
-from handctl.controller.retune import KEPT, Coming, Designs
+from handctl.controller.coming import Coming
+from handctl.controller.retune import KEPT, Designs
+from handctl.controller.state import State
+from handctl.controller.tick import Controller
+from handctl.core import block as s
 from handctl.core.gains.bounds import bounds, checked, flat, with_values
 from handctl.core.gains.gains import Gains, TensionGains
 from handctl.core.gains.motion_design import design_motion, pieces
-from handctl.core.law import computed_torque
-from handctl.core.law.computed_torque import step
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
 from handctl.errors import ConfigError
@@ -22,8 +23,8 @@ from handctl.programs.live import LiveProgram
 from handctl.programs.requests import parse_request
 from handctl.runtime.lockstep import load_peer
 from handctl.safety.action import Action
-from handctl.safety.judge import Verdict
 from tests.controller.bench import Bench, bench, controller
+from tests.controller.law_runs import limit_of
 
 HOLD = '{"do": "hold", "tension_N": {"index": 14, "middle": 14, "ring": 14, "thumb": 14}, "rate_N_per_s": 500}'
 MOVE = '{"do": "move", "angle_deg": {"index": 45, "middle": 45, "ring": 45, "thumb": 20}, "duration_s": 0.2}'
@@ -54,32 +55,33 @@ def holding(jamia: HandModel) -> Bench:
 
 
 def test_designs_that_nobody_uses_are_forgotten_and_those_of_the_run_are_not(jamia: HandModel) -> None:
-    designs = Designs()
+    run, designs = controller(jamia, LiveProgram()), Designs()
     used = Gains().model_copy(update={"tension": TensionGains(force_N=11.0)})
-    whole = designs.model(jamia, used)
+    whole = designs.controller(run, used)
     for force in range(20, 20 + 3 * KEPT):
         designs.advance(jamia, Coming(Gains().model_copy(update={"tension": TensionGains(force_N=float(force))})))
-        assert designs.model(jamia, used) is whole
+        assert designs.controller(run, used) is whole
     assert len(designs.found) == KEPT
     assert used in designs.found
-    assert set(designs.models) <= set(designs.found)
+    assert set(designs.controllers) <= set(designs.found)
 
 
 @pytest.mark.parametrize("odd", [("motion.force_N", 1e-9), ("tension.tension_error_N", 1e-150)])
 def test_weights_from_which_no_gains_follow_are_refused_and_the_run_goes_on(
     holding: Bench, odd: tuple[str, float]
 ) -> None:
-    before = holding.state.gains
+    before = holding.state.decisions.gains
     outs = [holding.tick(change(dict([odd])))]
     outs += [holding.tick() for _ in range(10)]
     (said,) = [event for out in outs for event in out.events if event.name == "gains"]
     assert said.text.startswith("refused: gains: ")
     assert "no controller follows" in said.text
-    assert (holding.state.gains, holding.state.coming, holding.state.mode) == (before, None, Mode.ACTIVE)
+    decisions = holding.state.decisions
+    assert (decisions.gains, decisions.coming, holding.state.mode) == (before, None, Mode.ACTIVE)
     holding.tick(change({"tension.force_N": 6.0}))
     holding.run(0.1)
-    assert holding.state.gains is not None
-    assert holding.state.gains.tension.force_N == 6.0, "the next ones are taken"
+    assert holding.state.decisions.gains is not None
+    assert holding.state.decisions.gains.tension.force_N == 6.0, "the next ones are taken"
 
 
 def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
@@ -90,7 +92,7 @@ def test_a_hand_that_is_commissioned_keeps_its_gains(jamia: HandModel) -> None:
     desk.until(Mode.ACTIVE)
     out = desk.tick(change({"motion.force_N": 20.0}))
     assert "refused: the hand is being commissioned" in [event.text for event in out.events]
-    assert desk.state.coming is None
+    assert desk.state.decisions.coming is None
 
 
 def test_a_change_is_taken_over_when_every_piece_is_designed(holding: Bench, jamia: HandModel) -> None:
@@ -100,10 +102,26 @@ def test_a_change_is_taken_over_when_every_piece_is_designed(holding: Bench, jam
     at = [i for i, found in enumerate(events) if found]
     assert at == [pieces(jamia.space) - 1]
     assert [(event.where, event.text) for event in events[at[0]]] == [("tension.force_N", "45.0")]
-    assert holding.state.gains is not None
-    assert holding.state.gains.tension.force_N == 45.0
+    assert holding.state.decisions.gains is not None
+    assert holding.state.decisions.gains.tension.force_N == 45.0
     hashes = {out.state_hash for out in outs}
     assert len(hashes) == len(outs)
+
+
+Call = tuple[Controller, State, State, Action, int]
+
+
+def recorded(monkeypatch: pytest.MonkeyPatch) -> list[Call]:
+    """Calls of the law from now on: whose, the state before and after it, what safety demanded, and ticks."""
+    calls, real = list[Call](), Controller._command
+
+    def command(self: Controller, state: State, action: Action, ticks: int) -> None:
+        before = state.copy()
+        real(self, state, action, ticks)
+        calls.append((self, before, state.copy(), action, ticks))
+
+    monkeypatch.setattr(Controller, "_command", command)
+    return calls
 
 
 @pytest.mark.parametrize(
@@ -124,23 +142,18 @@ def test_a_change_makes_no_step_in_torque(
     desk.tick(request_)
     desk.run(0.1)
     for _ in range(pieces(jamia.space) - 1):
-        desk.tick(change(values)) if desk.state.coming is None else desk.tick()
-    calls: list[tuple[object, ...]] = []
-
-    def recorded(*words: object) -> object:
-        calls.append(words)
-        return step(*words)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(computed_torque, "step", recorded)
+        desk.tick(change(values)) if desk.state.decisions.coming is None else desk.tick()
+    calls = recorded(monkeypatch)
     out = desk.tick()
     assert any(event.name == "gain" for event in out.events)
-    law = desk.state.law
-    assert law.trim is not None
-    (_, before, estimate, goals, t, *_), (other, *_) = calls
-    with_trim = step(other, before._replace(trim=law.trim), estimate, goals, t)[1]
-    without = step(other, before, estimate, goals, t)[1]
-    np.testing.assert_allclose(with_trim.torque, out.telemetry.motor_torque_goal, atol=1e-12)
-    assert np.abs(without.torque - with_trim.torque).max() > 1e-4
+    assert desk.state.whole(s.TRIMMED)
+    (_, before, _, action, ticks), (other, _, without, *_) = calls
+    with_trim = before.copy()
+    with_trim.view("trim")[...] = desk.state.view("trim")
+    with_trim.set_whole(s.TRIMMED, 1)
+    other._command(with_trim, action, ticks)
+    np.testing.assert_allclose(with_trim.view("torque"), out.telemetry.motor_torque_goal, atol=1e-12)
+    assert np.abs(without.view("torque") - with_trim.view("torque")).max() > 1e-4
 
 
 def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
@@ -150,25 +163,28 @@ def test_while_safety_holds_new_gains_are_limited_like_the_old_ones(
     desk = desk_of(jamia)
     desk.tick(MOVE)
     desk.run(0.05)
-    judge = tick.safety.judge
-    held = Verdict(Action.HOLD, ())
-    monkeypatch.setattr(tick.safety, "judge", lambda *words: (judge(*words)[0], held))
-    calls: list[tuple[object, ...]] = []
-    monkeypatch.setattr(computed_torque, "step", lambda *words: calls.append(words) or step(*words))  # type: ignore[func-returns-value,arg-type]
+    judge = Controller._judge
+    monkeypatch.setattr(Controller, "_judge", lambda self, *words: (Action.HOLD, judge(self, *words)[1]))
+    calls = recorded(monkeypatch)
     desk.tick(change({"motion.force_N": 60.0}))
-    while desk.state.coming is not None:
+    while desk.state.decisions.coming is not None:
         calls.clear()
         desk.tick()
-    (*_, most, kept, _), (*_, most_then, kept_then, _) = calls
-    assert kept is not None
-    np.testing.assert_array_equal(kept_then, kept)
-    assert most_then is most is None
+    (own, _, old, *_), (other, _, new, *_) = calls
+    assert own is not other
+    assert old.whole(s.HOLDING) == new.whole(s.HOLDING) == 1
+    np.testing.assert_array_equal(new.view("limit_held"), old.view("limit_held"))
+    limit = old.view("limit_held")
+    for state in (old, new):
+        np.testing.assert_array_equal(limit_of(own.model, state), limit)
+        assert (state.view("torque") / jamia.space.spool <= limit + jamia.space.coulomb + 1e-9).all()
 
 
 def test_the_trim_fades_and_the_goal_is_reached(holding: Bench) -> None:
     holding.tick(change({"tension.tension_error_N": 1.4}))
     holding.run(2.5)
-    assert holding.state.law.trim is None
+    assert not holding.state.whole(s.TRIMMED)
+    assert not holding.state.view("trim").any()
     tension = np.array([out.telemetry.tension for *_, out in holding.history[-200:]])
     np.testing.assert_allclose(tension.mean(axis=0), 14.0, atol=1.0)
 
@@ -177,12 +193,12 @@ def test_two_requests_add_up_and_the_way_back_is_open(holding: Bench, jamia: Han
     holding.tick(change({"tension.force_N": 30.0}))
     holding.tick(change({"motion.tension_feedback": 0.1}))
     holding.run(0.1)
-    gains = holding.state.gains
+    gains = holding.state.decisions.gains
     assert gains is not None
     assert (gains.tension.force_N, gains.motion.tension_feedback) == (30.0, 0.1)
     holding.tick(change({"tension.force_N": jamia.gains.tension.force_N, "motion.tension_feedback": 0.3}))
     holding.run(0.1)
-    assert holding.state.gains == jamia.gains
+    assert holding.state.decisions.gains == jamia.gains
 
 
 @pytest.mark.parametrize(
@@ -205,7 +221,7 @@ def test_what_cannot_be_is_refused_in_one_line_and_changes_nothing(
     assert said in lines[0].text
     assert "\n" not in lines[0].text
     holding.run(0.1)
-    assert holding.state.gains is None
+    assert holding.state.decisions.gains is None
 
 
 def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -> None:
@@ -213,8 +229,9 @@ def test_a_hand_that_is_not_armed_takes_gains_without_a_trim(jamia: HandModel) -
     desk.until(Mode.READY)
     desk.tick(change({"motion.force_N": 40.0}))
     desk.run(0.1)
-    assert desk.state.gains is not None
-    assert desk.state.law.trim is None
+    assert desk.state.decisions.gains is not None
+    assert not desk.state.whole(s.TRIMMED)
+    assert not desk.state.view("trim").any()
 
 
 def test_every_key_has_bounds_and_its_default_is_within(jamia: HandModel) -> None:

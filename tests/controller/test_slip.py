@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.core.estimation.estimator import Estimate
+from handctl.core import block as s
 from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.model import HandModel
 from handctl.core.types import Event
@@ -15,7 +15,7 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.grip import OPENING_M, Grip, GripPlan, hold
 from handctl.programs.task import Task
 from tests.controller.plant_run import run_on_plant
-from tests.controller.synthetic import under
+from tests.controller.synthetic import Estimate, blank, concluded, under
 
 TENSION_N = 20.0
 
@@ -31,12 +31,18 @@ class Held:
         self.plan = GripPlan(stiffness, np.full(model.tendon_count, limit))
         self.t = 0.0
         self.grip = Grip.of(model, self.goals, self.quiet, self.t)
+        self.state = blank(model)
+        concluded(model, self.state, self.quiet)
+        self.state.set_whole(s.GRIPPING, 1)
         self.events: list[Event] = []
 
     def tick(self, estimate: Estimate, seconds: float) -> None:
         for _ in range(round(seconds / self.model.period)):
+            self.state.goal_time = self.t
+            self.state.set_number(s.GRIP_READY, self.grip.ready)
+            felt = concluded(self.model, self.state, estimate)
             self.t += self.model.period
-            self.grip, self.goals, events = hold(self.model, self.grip, self.plan, self.goals, estimate, self.t)
+            self.grip, self.goals, events = hold(self.model, self.grip, self.plan, self.goals, felt, self.t)
             self.events += events
 
     def moved(self, metres: float, digit: int = 0) -> Estimate:

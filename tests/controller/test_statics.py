@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
+from handctl.core import stages
+from handctl.core.estimation import statics
 from handctl.core.estimation.filter_stack import STATES, S, V
-from handctl.core.estimation.posture import tip_forces
-from handctl.core.estimation.statics import load_statics, tendon_efficiency
 from handctl.core.estimation.tip import tip_force, tip_lever
 from handctl.core.model import HandModel
 from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
 from handctl.hand.kinematics import points, tip_jacobian
-from handctl.hand.tendons import ROPE_FRICTION_SPEED
+from tests.controller.synthetic import blank, constant_tables_of, constants, efficiency, load_statics
 
 
 def stood(model: HandModel, theta: list[np.ndarray], speed: float = 0.0) -> np.ndarray:
@@ -48,24 +48,24 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
     assert (closing.pull < tension).all()
     assert (opening.pull > tension).all()
     np.testing.assert_allclose(closing.pull * opening.pull, tension**2, rtol=0.12)
-    told = load_statics(model, stood(model, theta, -0.05), tension, np.full(model.tendon_count, 1.0))
-    np.testing.assert_allclose(told.pull, closing.pull, err_msg="what is known of friction goes before the speed")
+    known = load_statics(model, stood(model, theta, -0.05), tension, np.full(model.tendon_count, 1.0))
+    np.testing.assert_allclose(known.pull, closing.pull, err_msg="what is known of friction goes before the speed")
     np.testing.assert_allclose(
-        told.eager, opening.pull, err_msg="but leaving a stop goes by the speed, or 0.5 deg are lost"
+        known.eager, opening.pull, err_msg="but leaving a stop goes by the speed, or 0.5 deg are lost"
     )
     np.testing.assert_array_equal(still.resistance, closing.resistance)
 
 
 def test_efficiency_is_the_mean_of_the_capstan_over_the_pulleys(model: HandModel) -> None:
     rng = np.random.default_rng(7)
-    q, speed = rng.uniform(0.0, 1.4, len(model.hand.joints)), rng.normal(size=model.tendon_count) * ROPE_FRICTION_SPEED
-    found = tendon_efficiency(model, q, speed)
+    q = rng.uniform(0.0, 1.4, len(model.hand.joints))
+    found = efficiency(model, q)
     for i, tendon in enumerate(model.hand.tendon):
         passed, shares, arms = tendon.wrap_angle_rad, 0.0, 0.0
         for joint, angle in zip(model.hand.joints, q, strict=True):
             arm = abs(tendon.moment_arm_m.get(joint, 0.0))
             passed += angle if arm else 0.0
-            shares += arm * math.exp(-tendon.friction_coefficient * passed * math.tanh(speed[i] / ROPE_FRICTION_SPEED))
+            shares += arm * math.exp(-tendon.friction_coefficient * passed)
             arms += arm
         assert found[i] == pytest.approx(shares / arms, rel=1e-12)
 
@@ -74,9 +74,12 @@ def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
     rng = np.random.default_rng(8)
     for _ in range(50):
         q, external = rng.uniform(-0.2, 1.8, len(model.hand.joints)), rng.normal(size=model.tendon_count) * 20.0
-        torque, digits = model.all_digits.static_torque(q), model.all_digits
-        constants = digits.ahead, digits.reach, digits.members, digits.arms
-        force, _ = tip_forces(q, np.zeros(len(q)), external, np.zeros(len(external)), *constants)
+        torque = np.empty(len(q))
+        statics.static_torque.py_func(constant_tables_of(model), q, torque)
+        state = blank(model)
+        state.view("q")[...], state.view("external")[...] = q, external
+        stages.remember(state.block, state.layout.places, *constants(model))
+        force = state.view("tip_force")
         for d, digit in enumerate(model.digits):
             np.testing.assert_allclose(
                 torque[digit.joints], static_torque(digit, q[digit.joints]), rtol=1e-12, atol=1e-15

@@ -2,29 +2,20 @@
 
 import random
 import tomllib
-from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handctl.controller.retune import Coming
-from handctl.controller.state import State
-from handctl.core.estimation.posture import Posture
-from handctl.core.gains.bounds import with_values
+from handctl.core import block as s
 from handctl.core.gains.gains import Gains
-from handctl.core.law.goal import DigitGoal, Kind
-from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
 from handctl.core.types import TELEMETRY_AXES, IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
 from handctl.hand.load import hand_from, hand_path, load_hand
 from handctl.programs.live import LiveProgram
 from handctl.safety.action import Action
-from handctl.safety.detectors.counts import Counts
-from handctl.safety.detectors.ropes import Ropes
 from tests.controller.bench import Bench, bench
 
 
@@ -108,7 +99,8 @@ def test_the_origin_of_time_does_not_matter() -> None:
     for first in (0, 2560):
         run = bench(model, LiveProgram())
         run.k = first
-        run.state = run.state._replace(k=first - 1, mode_since=first * model.period)
+        run.state.set_whole(s.K, first - 1)
+        run.state.mode_since = first * model.period
         run.until(Mode.ACTIVE)
         run.run(0.5)
         run.tick('{"do": "hold", "tension_N": {"index": 15}}')
@@ -185,7 +177,7 @@ def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     np.testing.assert_allclose(run.history[-1][2].telemetry.tension_raw, run.peer.bias, atol=0.05)
     run.to_host = lambda frames: [frame for frame in frames if frame.can_id != 0x1A1]
     run.until(Mode.DONE)
-    lost = {mark.instance for mark in run.state.safety.latched if mark.id == "N02"}
+    lost = {mark.instance for mark in run.state.latched if mark.id == "N02"}
     assert lost == set(run.controller.model.hand.tendon_names[::-1][5:10])
 
 
@@ -201,130 +193,10 @@ def active() -> Bench:
     return run
 
 
-FILTER_ARRAYS = ("x", "surprise", "nis", "lately", "wary")
-FILTER_TUPLES = ("regimes", "stopped", "turning", "measured", "doubtful")
-
-
-def changes(state: State) -> Iterator[tuple[str, State]]:
-    """The state with one part of it changed, for every part."""
-    simple = {
-        "k": state.k + 1,
-        "mode": Mode.RELAX,
-        "mode_since": state.mode_since + 1e-9,
-        "goal_time": np.nextafter(state.goal_time, 9e9),
-        "armed": not state.armed,
-        "clearing": not state.clearing,
-        "failure": "x",
-        "unconfirmed": ("x",),
-    }
-    for name, value in simple.items():
-        yield name, state._replace(**{name: value})
-    for i, drive in enumerate(state.drives):
-        for name in drive._fields:
-            value = {"phase": 4, "error_text": "x", "private": (*drive.private[:-1], 12345)}.get(name)
-            new = drive._replace(**{name: getattr(drive, name) + 1 if value is None else value})
-            yield f"drives[{i}].{name}", state._replace(drives=(*state.drives[:i], new, *state.drives[i + 1 :]))
-    for name in ("asked", "stale", "misread"):
-        sensors = state.sensors._replace(**{name: getattr(state.sensors, name) + 1})
-        yield f"sensors.{name}", state._replace(sensors=sensors)
-    for name in state.sensors.groups[0]._fields:
-        group = state.sensors.groups[0]
-        value = (*group.raw[:-1], 7) if name == "raw" else getattr(group, name) + 1
-        groups = (group._replace(**{name: value}), *state.sensors.groups[1:])
-        yield f"sensors.groups[0].{name}", state._replace(sensors=state.sensors._replace(groups=groups))
-    for name in FILTER_ARRAYS:
-        for i in range(len(getattr(state.filter, name))):
-            x = getattr(state.filter, name).copy()
-            x[i] = np.nextafter(x[i], 9e9)
-            yield f"filter.{name}[{i}]", state._replace(filter=state.filter._replace(**{name: x}))
-    for name in FILTER_TUPLES:
-        values = getattr(state.filter, name)
-        yield (
-            f"filter.{name}",
-            state._replace(filter=state.filter._replace(**{name: (type(values[0])(not values[0]), *values[1:])})),
-        )
-    yield "filter.covariance", state._replace(filter=state.filter._replace(covariance=np.eye(7)))
-    yield "filter.started", state._replace(filter=state.filter._replace(started=not state.filter.started))
-    for field in state.law._fields:
-        present = getattr(state.law, field)
-        array = np.zeros_like(state.law.force) if present is None else np.nan_to_num(present)
-        array[-1] = np.nextafter(array[-1], 9e9)
-        yield f"law.{field}", state._replace(law=state.law._replace(**{field: array}))
-    coming = Coming(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
-    yield "gains", state._replace(gains=coming.gains)
-    yield "coming", state._replace(coming=coming)
-    yield "coming.step", state._replace(coming=replace(coming, step=1))
-    progress = state.progress
-    for name, value in {
-        "step": progress.step + 1, "since": progress.since + 1e-9, "phase": "x", "finished": True, "failure": "x",
-        "record": (1.0,), "tare": (1.0,), "contact": (True, *progress.contact[1:]),
-        "touching": (9, *progress.touching[1:]),
-    }.items():  # fmt: skip
-        yield f"progress.{name}", state._replace(progress=replace(progress, **{name: value}))
-    for name, goal in goals():
-        yield f"goal {name}", state._replace(progress=replace(progress, goals=(goal, *progress.goals[1:])))
-    yield "goals swapped", state._replace(progress=replace(progress, goals=progress.goals[::-1]))
-    safety = state.safety
-    yield "watch.counts", state._replace(watch=state.watch._replace(counts=Counts(unknown=1.0)))
-    yield "watch.ropes", state._replace(watch=state.watch._replace(ropes=Ropes(cut=3)))
-    for name in ("slip_from", "asked", "wanted", "goal"):
-        yield f"watch.{name}", state._replace(watch=state.watch._replace(**{name: np.full(4, 7.5)}))
-    yield "watch.taut", state._replace(watch=state.watch._replace(taut=(7.5,) * 4))
-    yield "watch.owed", state._replace(watch=state.watch._replace(owed=(7,) * 4))
-    low = state.watch.filtered.low + 1.0
-    yield "watch.filtered", state._replace(watch=state.watch._replace(filtered=state.watch.filtered._replace(low=low)))
-    stuck = state.watch.stuck
-    for name in ("motors", "joints"):
-        accepted = getattr(state.watch, name)
-        gap = accepted._replace(gap=accepted.gap + 1)
-        yield f"watch.{name}", state._replace(watch=state.watch._replace(**{name: gap}))
-    yield "watch.stuck", state._replace(watch=state.watch._replace(stuck=stuck._replace(ticks=stuck.ticks + 1)))
-    yield "touch.tension", state._replace(touch=state.touch._replace(tension=state.touch.tension + 1.0))
-    for name in Posture._fields:
-        changed = state.posture._replace(**{name: getattr(state.posture, name) + 1.0})
-        yield f"posture.{name}", state._replace(posture=changed)
-    yield "touch.blocked", state._replace(touch=state.touch._replace(blocked=(True,) * 4))
-    yield "safety.counting", state._replace(safety=replace(safety, counting=(*safety.counting, ("B01", "x", 1))))
-    yield "safety.latched", state._replace(safety=replace(safety, latched=(*safety.latched, ("B01", "x"))))  # type: ignore[arg-type]
-
-
-def goals() -> Iterator[tuple[str, DigitGoal]]:
-    move = MinimumJerk(np.array([0.1]), np.array([0.2]), 1.0)
-    tension = np.array([5.0])
-    yield "limp", DigitGoal()
-    yield "motion", DigitGoal(Kind.MOTION, move, since=1.0)
-    yield "since", DigitGoal(Kind.MOTION, move, since=2.0)
-    for name, value in (("start", np.array([0.11])), ("end", np.array([0.21])), ("duration", 1.1)):
-        yield name, DigitGoal(Kind.MOTION, replace(move, **{name: value}), since=1.0)
-    yield "tension", DigitGoal(Kind.TENSION, tension=tension)
-    yield "other tension", DigitGoal(Kind.TENSION, tension=tension + 1e-12)
-    yield "rate", DigitGoal(Kind.TENSION, tension=tension, rate=201.0)
-    yield "limit", DigitGoal(Kind.TENSION, tension=tension, force_limit=12.0)
-
-
-def test_every_part_of_the_state_changes_its_digest(active: Bench) -> None:
-    state = active.state
-    names = set(State._fields)
-    seen = {state.digest(): "unchanged"}
-    covered = set()
-    for name, changed in changes(state):
-        digest = changed.digest()
-        assert len(digest) == 8
-        assert digest not in seen, f"{name} and {seen[digest]} have one digest"
-        seen[digest] = name
-        covered |= {one for one in names if getattr(changed, one) is not getattr(state, one)}
-    assert covered == names, "a new part of the state needs a line in changes()"
-    assert set(state.filter._fields) == {*FILTER_ARRAYS, *FILTER_TUPLES, "covariance", "started"}
-    law = {"setpoint", "integral", "force", "planned", "rate", "trim", "held", "friction_state"}
-    assert set(state.law._fields) == law
-    assert state._replace().digest() == state.digest()
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_nan_never_reaches_a_wire(active: Bench, bad: float) -> None:
-    x = active.state.filter.x.copy()
-    x[0] = bad
-    state = active.state._replace(filter=active.state.filter._replace(x=x))
+    state = active.state.copy()
+    state.view("travel")[0] = bad
     entry = TickIn(active.k, active.k * active.period_ns)
     with np.errstate(invalid="ignore"), pytest.raises(ValueError, match="torque"):
         active.controller.tick(state, entry)

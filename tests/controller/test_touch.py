@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from handctl.core.estimation.estimator import Estimate
-from handctl.core.estimation.touch import BLOCKED_N, FREED_N, PRESS_N, Touch, feel, gentle
+from handctl.core.estimation.touch import BLOCKED_N, FREED_N, PRESS_N
 from handctl.core.model import HandModel
 from handctl.programs.live import JogProgram
 from handctl.programs.requests import MoveDigits
+from tests.controller.law_runs import limit_of, warm
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
-from tests.controller.synthetic import at_rest, known
+from tests.controller.synthetic import Estimate, at_rest, blank, concluded, known
 
 
 def pulled(model: HandModel, external: float) -> Estimate:
@@ -18,27 +18,27 @@ def pulled(model: HandModel, external: float) -> Estimate:
 
 
 def test_a_lasting_tension_blocks_and_a_short_one_does_not(model: HandModel) -> None:
-    felt = feel(model, Touch.none(len(model.digits)), pulled(model, 2.0 * BLOCKED_N))
-    assert not any(felt.blocked), "one tick of it"
-    for _ in range(round(0.1 / model.period)):
-        felt = feel(model, felt, pulled(model, 2.0 * BLOCKED_N))
-    assert all(felt.blocked)
-    for _ in range(round(0.1 / model.period)):
-        felt = feel(model, felt, pulled(model, 0.5 * (BLOCKED_N + FREED_N)))
-    assert all(felt.blocked), "until it is free"
-    for _ in range(round(0.1 / model.period)):
-        felt = feel(model, felt, pulled(model, 0.0))
-    assert not any(felt.blocked)
+    state, lasting = blank(model), round(0.1 / model.period)
+
+    def feel(external: float, ticks: int) -> np.ndarray:
+        for _ in range(ticks):
+            concluded(model, state, pulled(model, external))
+        return state.view("blocked")
+
+    assert not feel(2.0 * BLOCKED_N, 1).any(), "one tick of it"
+    assert feel(2.0 * BLOCKED_N, lasting).all()
+    assert feel(0.5 * (BLOCKED_N + FREED_N), lasting).all(), "until it is free"
+    assert not feel(0.0, lasting).any()
 
 
 def test_only_digits_blocked_on_their_way_are_restrained(model: HandModel) -> None:
-    n, digits = model.tendon_count, len(model.digits)
-    planned = np.full(n, 20.0)
-    planned[model.digit_tendons[1]] = 0.0
-    none, some = Touch.none(digits), Touch(np.zeros(digits), (True, True, *(False,) * (digits - 2)))
-    assert gentle(model, none, planned, None) is None
-    limit = gentle(model, some, planned, np.full(n, 60.0))
-    assert limit is not None
+    state = blank(model)
+    state.view("planned")[...] = 20.0
+    state.view("planned")[model.digit_tendons[1]] = 0.0
+    assert np.isinf(limit_of(model, state)).all()
+    state.view("blocked")[:2] = 1
+    state.view("temperature")[...] = warm(model, np.full(model.tendon_count, 60.0))
+    limit = limit_of(model, state)
     np.testing.assert_allclose(limit[model.digit_tendons[0]], 20.0 + PRESS_N)
     np.testing.assert_allclose(limit[model.digit_tendons[1].start :], 60.0)
 

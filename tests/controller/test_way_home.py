@@ -64,12 +64,12 @@ def test_a_tension_that_is_still_growing_is_not_waited_for(quick: HandModel) -> 
     run = acting(quick)
     run.tick(QUICK)
     known = run.tick().telemetry.tension
-    assert run.state.law.setpoint[0] > known[0] + 30.0, "the set-point is far ahead"
+    assert run.state.view("setpoint")[0] > known[0] + 30.0, "the set-point is far ahead"
     out = run.tick(STOP)
     present = np.maximum(out.telemetry.tension, RELAX_FLOOR_N) + AHEAD_N
-    assert (run.state.law.setpoint <= present).all()
+    assert (run.state.view("setpoint") <= present).all()
     while run.tick().mode == Mode.RELAX:
-        assert run.state.law.setpoint.max() <= present.max()
+        assert run.state.view("setpoint").max() <= present.max()
 
 
 def fastest_fall(run: Bench, index: int = 0) -> float:

@@ -24,7 +24,7 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
     ways = layout.table(block, "digit_int")[s.WAY_KIND]
     way = layout.table(block, "coordinate")
     for d, (goal, tendons, places) in enumerate(zip(goals, model.digit_tendons, _coordinates(model), strict=True)):
-        kinds[tendons] = int(goal.kind)
+        kinds[tendons] = int(_kind(goal))
         if goal.kind == Kind.TENSION and goal.tension is not None:
             tendon[s.TARGET, tendons] = np.clip(goal.tension, 0.0, model.ceiling[tendons])
             tendon[s.TARGET_STEP, tendons] = goal.rate * model.period
@@ -34,6 +34,13 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
             ways[d] = MINIMUM_JERK
             way[s.WAY_START, places], way[s.WAY_END, places] = goal.trajectory.start, goal.trajectory.end
             digit[s.WAY_SINCE, d], digit[s.WAY_DURATION, d] = goal.since, goal.trajectory.duration
+
+
+def _kind(goal: DigitGoal) -> Kind:
+    """Return the kind of a goal; one without its trajectory or its tension is limp."""
+    if (goal.kind == Kind.MOTION and goal.trajectory is None) or (goal.kind == Kind.TENSION and goal.tension is None):
+        return Kind.LIMP
+    return goal.kind
 
 
 def sample(model: HandModel, layout: Layout, block: Block, goals: tuple[DigitGoal, ...], t: float) -> None:

@@ -1,0 +1,155 @@
+"""Single ticks of the control law for tests: what it carries from tick to tick, and what it commands."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from handctl.compiled import kernel
+from handctl.controller.state import State
+from handctl.core import block as s
+from handctl.core import stages
+from handctl.core.block import tables
+from handctl.core.constants import constant_tables
+from handctl.core.law import computed_torque, reference
+from handctl.core.law.goal import DigitGoal
+from handctl.core.law.goals import write_goals
+from handctl.core.model import HandModel
+from handctl.core.schema import Block, Places
+from handctl.safety.action import Action
+from tests.controller.synthetic import Estimate, blank, constants, controller_of, written
+
+
+class LawState(NamedTuple):
+    """What the law hands to the next tick, (N,) each.
+
+    Attributes:
+        setpoint: of the tension loop [N]. integral: its integral part [N]. force: motor force without friction [N].
+        planned: tension of a moving digit a period from now [N]. rate: until then [N/s].
+        trim: makes up for a change of gains [N]; None if it has faded.
+        held: largest tension while safety holds [N]; None while it does not.
+        friction_state: how far friction is developed; NaN where that is not known, None before a command.
+    """
+
+    setpoint: np.ndarray
+    integral: np.ndarray
+    force: np.ndarray
+    planned: np.ndarray
+    rate: np.ndarray
+    trim: np.ndarray | None = None
+    held: np.ndarray | None = None
+    friction_state: np.ndarray | None = None
+
+    @staticmethod
+    def initial(n: int) -> "LawState":
+        """Nothing commanded."""
+        return LawState.idle(np.zeros(n))
+
+    @staticmethod
+    def idle(tension: np.ndarray) -> "LawState":
+        """Nothing commanded while the tendons carry a tension (N,) [N]."""
+        return LawState(tension, *np.zeros((4, len(tension))))
+
+
+class Command(NamedTuple):
+    """What the law decided: (N,) motor torque [N m] and tension goal [N], (J,) joint torque [N m] and goals."""
+
+    torque: np.ndarray
+    tension: np.ndarray
+    joint_torque: np.ndarray
+    q: np.ndarray
+    dq: np.ndarray
+
+
+def warm(model: HandModel, limit: np.ndarray) -> np.ndarray:
+    """Temperatures (N,) [degC] of drives that may pull so much [N]; not below the floor and not above the ceiling."""
+    limits = controller_of(model).limits
+    fraction = (limit - model.floor) / (model.ceiling - model.floor)
+    return limits.temperature_hard - fraction * (limits.temperature_hard - limits.temperature_soft)
+
+
+def commanded(model: HandModel, state: State, goals: tuple[DigitGoal, ...], t: float, action: Action) -> None:
+    """Run the command of one tick on a state, with these goals at time t [s]."""
+    write_goals(model, state.layout, state.block, goals)
+    state.decide(progress=replace(state.progress, goals=goals))
+    state.goal_time = t
+    controller_of(model)._command(state, action, 1)
+
+
+def step(
+    model: HandModel,
+    law: LawState,
+    estimate: Estimate,
+    goals: tuple[DigitGoal, ...],
+    t: float,
+    most: np.ndarray | None = None,
+    held: np.ndarray | None = None,
+) -> tuple[LawState, Command]:
+    """One tick of the law for all digits.
+
+    Args:
+        model: the hand. law: from the last tick. estimate: of this instant. goals: per digit. t: time [s].
+        most: (N,) tension that warm drives may pull [N]. held: (N,) the same while safety holds [N].
+    """
+    state = written(model, estimate)
+    for name in ("setpoint", "integral", "force", "planned", "rate"):
+        state.view(name)[...] = getattr(law, name)
+    if law.trim is not None:
+        state.view("trim")[...] = law.trim
+        state.set_whole(s.TRIMMED, 1)
+    if law.friction_state is not None:
+        state.view("friction_state")[...] = law.friction_state
+    if most is not None:
+        state.view("temperature")[...] = warm(model, most)
+    if held is not None:
+        state.view("limit_held")[...] = held
+        state.set_whole(s.HOLDING, 1)
+    commanded(model, state, goals, t, Action.PASS if held is None else Action.HOLD)
+    return carried(state), command_of(state)
+
+
+def carried(state: State) -> LawState:
+    """What the law has left in a state."""
+    kept = {name: state.view(name).copy() for name in LawState._fields if name not in ("trim", "held")}
+    trim = state.view("trim").copy() if state.whole(s.TRIMMED) else None
+    held = state.view("limit_held").copy() if state.whole(s.HOLDING) else None
+    return LawState(**kept, trim=trim, held=held)
+
+
+def command_of(state: State) -> Command:
+    """What the law has commanded."""
+    names = ("torque", "tension_goal", "joint_torque", "q_goal", "dq_goal")
+    return Command(*(state.view(name).copy() for name in names))
+
+
+@kernel("block", "layout", "constants", "layout")
+def _limit(block: Block, at: Places, of: Block, of_at: Places) -> np.ndarray:
+    return computed_torque.tension_limit(tables(block, at), constant_tables(of, of_at))
+
+
+def limit_of(model: HandModel, state: State) -> np.ndarray:
+    """Tension (N,) that must not be exceeded in a state [N], besides the hand's own limits; infinite for none."""
+    return _limit(state.block, state.layout.places, *constants(model))
+
+
+@kernel("block", "layout", "constants", "layout", "matrix")
+def _required(block: Block, at: Places, of: Block, of_at: Places, way: np.ndarray) -> int:
+    x, c = tables(block, at), constant_tables(of, of_at)
+    reference.require(x, c, way)
+    return reference.load(x, c)
+
+
+def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> np.ndarray:
+    """Tensions (N,) at the joints that make the torques of a motion (3, J) of the digits that move [N]."""
+    state = blank(model)
+    write_goals(model, state.layout, state.block, goals)
+    undecided = _required(state.block, state.layout.places, *constants(model), way)
+    controller_of(model)._allocate(state, undecided)
+    return state.view("load")
+
+
+def way_of(model: HandModel, goals: tuple[DigitGoal, ...], t: float) -> np.ndarray:
+    """Angles, rates and accelerations (3, J) of the joints on their trajectories at time t [s]."""
+    state = blank(model)
+    commanded(model, state, goals, t, Action.PASS)
+    return stages.on_joints(state.block, state.layout.places, *constants(model))

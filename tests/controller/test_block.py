@@ -1,0 +1,359 @@
+"""The block of numbers: its schema, what kernels see of it, and that nothing of a state escapes its digest."""
+
+import random
+import tomllib
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from handctl.controller.coming import Coming
+from handctl.controller.monitor import thresholds
+from handctl.controller.setup import make_drives, make_sensors
+from handctl.controller.state import Decisions, State, layout_of
+from handctl.core import block as state_block
+from handctl.core import constants, hand_constants
+from handctl.core.block import STATE, tables
+from handctl.core.constants import ELEMENTS, HAND, KINDS, constant_tables
+from handctl.core.gains.bounds import with_values
+from handctl.core.gains.gains import Gains
+from handctl.core.hand_constants import HandConstants
+from handctl.core.law.goal import DigitGoal, Kind
+from handctl.core.law.trajectory import MinimumJerk
+from handctl.core.model import HandModel
+from handctl.core.schema import INT, Field, Schema
+from handctl.core.types import Mode
+from handctl.drives.contract import DriveState, Phase
+from handctl.hand.load import hand_from, hand_path, load_hand, packaged_hands
+from handctl.programs.grip import Grip
+from handctl.programs.live import LiveProgram
+from handctl.programs.program import Progress
+from handctl.safety.judge import Counting, Latched
+from tests.controller.bench import Bench, bench
+from tests.hand.many import fifteen_motors
+
+SEEDS = range(6)
+
+
+def names_of(of: list[Field]) -> list[str]:
+    return [field.name for field in of]
+
+
+# Schema and layout.
+
+
+def small() -> tuple[Schema, dict[str, int]]:
+    """A schema of three tables, and lengths of its axes."""
+    schema = Schema("tendon", "joint*tendon", "run", "tendon_int")
+    schema.real("tension", "tendon", "N", "of a tendon", initial=2.5)
+    schema.real("past", "tendon", "N", "the last ones", rows=3)
+    schema.real("arms", "joint*tendon", "m", "moment arms")
+    schema.real("t", "run", "s", "time")
+    schema.whole("regime", "tendon", "", "of a tendon", initial=-1)
+    return schema, {"tendon": 4, "joint": 2, "run": 1}
+
+
+def test_a_field_has_its_rows_its_shape_and_its_initial_value() -> None:
+    schema, axes = small()
+    layout = schema.layout(axes)
+    assert layout.size == len(layout.initial) == 4 + 3 * 4 + 2 * 4 + 1 + 4
+    shapes = {"tension": (4,), "past": (3, 4), "arms": (2, 4), "t": (1,), "regime": (4,)}
+    assert {name: layout.view(layout.initial, name).shape for name in shapes} == shapes
+    assert (layout.view(layout.initial, "tension") == 2.5).all()
+    assert (layout.view(layout.initial, "regime") == -1).all()
+    assert layout.view(layout.initial, "regime").dtype == np.int64
+    assert not layout.initial.flags.writeable
+
+
+def test_a_field_more_is_one_line() -> None:
+    """It gets the next row of its table; what was there keeps its name and its shape."""
+    (before, axes), (after, _) = small(), small()
+    row = after.real("speed", "tendon", "m/s", "of a tendon", initial=7.0)
+    old, new = before.layout(axes), after.layout(axes)
+    assert row == before.rows("tendon") == after.rows("tendon") - 1
+    assert new.size == old.size + axes["tendon"]
+    block = new.initial.copy()
+    np.testing.assert_array_equal(new.table(block, "tendon")[row], np.full(4, 7.0))
+    for field in before.fields:
+        np.testing.assert_array_equal(new.view(block, field.name), old.view(old.initial, field.name))
+    assert new.view(block, "speed").base is not None, "a view: changes go into the block"
+    new.view(block, "speed")[...] = 1.0
+    assert (new.table(block, "tendon")[row] == 1.0).all()
+
+
+def test_fields_do_not_overlap_and_leave_no_gap() -> None:
+    schema, axes = small()
+    layout = schema.layout(axes)
+    count = np.zeros(layout.size)
+    for field in schema.fields:
+        part = layout.view(count, field.name)
+        part += np.ones_like(part) if part.dtype == np.float64 else 0
+    whole = np.concatenate([layout.view(np.arange(layout.size, dtype=np.float64), f.name).ravel() for f in schema.fields
+                            if not f.table.endswith(INT)])  # fmt: skip
+    assert len(set(whole.tolist())) == len(whole) == layout.size - 4
+    assert (count[: layout.start("tendon_int")] == 1.0).all()
+
+
+@pytest.fixture(params=["jamia", "jamia11"])
+def state(request: pytest.FixtureRequest) -> State:
+    """Any state whose numbers all differ: wholes and reals from a generator."""
+    model: HandModel = request.getfixturevalue(request.param)
+    layout, rng = layout_of(model, 3), np.random.default_rng(5)
+    block = layout.initial.copy()
+    for field in STATE.fields:
+        part = layout.view(block, field.name)
+        whole = field.table.endswith(INT)
+        part[...] = rng.integers(-(2**40), 2**40, part.shape) if whole else rng.normal(size=part.shape)
+    return State(layout, block, Decisions((), Progress.begin(len(model.digits), "test")))
+
+
+@pytest.mark.parametrize(("schema", "module"), [(STATE, state_block), (HAND, constants)])
+def test_every_field_is_declared_once_and_found_by_its_name(schema: Schema, module: Any) -> None:
+    names = names_of(schema.fields)
+    assert len(set(names)) == len(names) > 50
+    for field in schema.fields:
+        assert getattr(module, field.name.upper()) == field.first, field.name
+        assert field.meaning, field.name
+
+
+def test_kernels_see_every_field_where_the_layout_has_it(state: State) -> None:
+    seen = tables.py_func(state.block, state.layout.places)
+    for field in STATE.fields:
+        rows = getattr(seen, field.table)[field.first : field.first + field.rows]
+        np.testing.assert_array_equal(rows.ravel(), state.view(field.name).ravel(), err_msg=field.name)
+        assert np.shares_memory(rows, state.block), field.name
+        assert rows.dtype == (np.int64 if field.table.endswith(INT) else np.float64), field.name
+
+
+def test_a_copy_is_another_block_of_the_same_numbers(state: State) -> None:
+    copy = state.copy()
+    assert copy.digest() == state.digest()
+    assert state.layout.difference(copy.block, state.block) is None
+    for field in STATE.fields:
+        copy.view(field.name)[...] = 77
+    assert not any((state.view(field.name) == 77).all() for field in STATE.fields)
+
+
+@pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))
+def test_a_difference_names_its_field(state: State, field: Field) -> None:
+    """The first one in the order of the schema, with the element and both values."""
+    other = state.copy()
+    values = other.view(field.name).reshape(-1)
+    at = len(values) // 2
+    before, values[at] = values[at].item(), 3
+    assert state.layout.difference(state.block, other.block) == (field.name, at, before, 3)
+    for later in STATE.fields[STATE.fields.index(field) + 1 :]:
+        other.view(later.name)[...] = 3
+    found = state.layout.difference(state.block, other.block)
+    assert found is not None
+    assert found[0] == field.name
+
+
+def test_nan_is_the_same_as_nan_and_zero_is_not_minus_zero(state: State) -> None:
+    one, other = state.copy(), state.copy()
+    for each in (one, other):
+        each.view("tension")[0] = np.nan
+        each.view("sigma")[0] = 0.0
+    assert state.layout.difference(one.block, other.block) is None
+    other.view("sigma")[0] = -0.0
+    found = state.layout.difference(one.block, other.block)
+    assert found is not None
+    assert found[:2] == ("sigma", 0)
+
+
+# Constants of a hand.
+
+
+def random_hand(seed: int) -> HandModel:
+    """Some digits of a packaged hand, or of one of fifteen motors, with other masses, springs and friction."""
+    chance = random.Random(seed)
+    raw: dict[str, Any] = fifteen_motors()
+    if seed % 3:
+        raw = tomllib.loads(hand_path(("jamia", "jamia11")[seed % 3 - 1]).read_text("utf-8"))
+    digits = [digit["name"] for digit in raw["digit"]]
+    kept = sorted(chance.sample(digits, chance.randint(1, len(digits))), key=digits.index)
+
+    def own(name: str) -> bool:
+        return any(name == digit or name.startswith(f"{digit}_") for digit in kept)
+
+    for section in ("digit", "tendon", "motor"):
+        raw[section] = [_varied(one, chance) for one in raw[section] if own(one["name"])]
+    node = raw["sensor_node"]
+    raw["sensor_node"] = node | {key: [name for name in node[key] if own(name)] for key in ("tendons", "joints")}
+    return HandModel.of(hand_from(raw | {"name": f"random_{seed}"}, "test"), Gains(), 200.0)
+
+
+VARIED = ("link_mass_kg", "joint_damping_N_m_s_per_rad", "spring_preload_rad", "friction_coefficient",
+          "stiffness_N_per_m", "inertia_kg_m2", "coulomb_N_m")  # fmt: skip
+
+
+def _varied(one: dict[str, Any], chance: random.Random) -> dict[str, Any]:
+    """A section with other numbers."""
+    found = dict(one)
+    for key in VARIED:
+        if key in found:
+            factor = chance.uniform(0.8, 1.25)
+            found[key] = [factor * x for x in found[key]] if isinstance(found[key], list) else factor * found[key]
+    return found
+
+
+def packed(model: HandModel, monkeypatch: pytest.MonkeyPatch) -> tuple[HandConstants, dict[str, object]]:
+    """The constants of a hand, and by field what was packed."""
+    values: dict[str, object] = {"design": hand_constants.design_of(model)}
+    for part in ("_motors", "_law", "_links", "_structure", "_posture"):
+        own = getattr(hand_constants, part)(model)
+        assert not values.keys() & own.keys(), "each field is packed once"
+        values |= own
+
+    def recorded(model: HandModel, more: dict[str, object]) -> HandConstants:
+        assert not values.keys() & more.keys(), "each field is packed once"
+        values.update(more)
+        return HandConstants(model, more)
+
+    monkeypatch.setattr(thresholds, "HandConstants", recorded)
+    drives, sensors = make_drives(model.hand), make_sensors(model.hand)
+    limits = thresholds.limits_of(model, drives, sensors)
+    tare, zero = np.random.default_rng(2).normal(size=(2, model.tendon_count))
+    return thresholds.constants_of(model, drives, sensors, limits, tare, zero), values
+
+
+@pytest.mark.parametrize("hand", [*packaged_hands(), *SEEDS])
+def test_every_constant_that_kernels_see_is_what_was_packed(hand: str | int, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = random_hand(hand) if isinstance(hand, int) else HandModel.of(load_hand(hand), Gains(), 200.0)
+    found, values = packed(model, monkeypatch)
+    assert values.keys() == set(names_of(HAND.fields)), "every field is packed"
+    assert not found.block.flags.writeable
+    seen = constant_tables.py_func(found.block, found.layout.places)
+    assert seen.design.shape == (model.tendon_count, KINDS, ELEMENTS)
+    for field in HAND.fields:
+        view = found.layout.view(found.block, field.name)
+        value = np.asarray(values[field.name])
+        np.testing.assert_array_equal(view, np.broadcast_to(value, view.shape), err_msg=field.name)
+        if field.name == "design":
+            np.testing.assert_array_equal(seen.design, value)
+            continue
+        rows = getattr(seen, field.table.replace("*", "_"))[field.first : field.first + field.rows]
+        np.testing.assert_array_equal(rows.ravel(), view.ravel(), err_msg=field.name)
+        assert np.shares_memory(rows, found.block)
+
+
+# Digest.
+
+
+@pytest.fixture(scope="module")
+def active() -> Bench:
+    """A hand in action that holds something."""
+    run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run.until(Mode.ACTIVE)
+    run.run(1.0)
+    run.tick('{"do": "move", "angle_deg": {"middle": 20}, "duration_s": 5}')
+    run.tick('{"do": "hold", "tension_N": {"index": 30}}')
+    run.run(0.1)
+    return run
+
+
+@pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))
+def test_every_element_of_every_field_changes_the_digest(active: Bench, field: Field) -> None:
+    """By the least that a number can change."""
+    state = active.state
+    seen = {state.digest()}
+    for at in range(state.view(field.name).size):
+        changed = state.copy()
+        values = changed.view(field.name).reshape(-1)
+        values[at] = values[at] + 1 if field.table.endswith(INT) else np.nextafter(np.nan_to_num(values[at]), 9e9)
+        digest = changed.digest()
+        assert len(digest) == 8
+        assert digest not in seen, at
+        seen.add(digest)
+
+
+def goals() -> Iterator[tuple[str, DigitGoal]]:
+    move = MinimumJerk(np.array([0.1]), np.array([0.2]), 1.0)
+    tension = np.array([5.0])
+    yield "limp", DigitGoal()
+    yield "motion", DigitGoal(Kind.MOTION, move, since=1.0)
+    yield "since", DigitGoal(Kind.MOTION, move, since=2.0)
+    for name, value in (("start", np.array([0.11])), ("end", np.array([0.21])), ("duration", 1.1)):
+        yield name, DigitGoal(Kind.MOTION, replace(move, **{name: value}), since=1.0)
+    yield "tension", DigitGoal(Kind.TENSION, tension=tension)
+    yield "other tension", DigitGoal(Kind.TENSION, tension=tension + 1e-12)
+    yield "rate", DigitGoal(Kind.TENSION, tension=tension, rate=201.0)
+    yield "limit", DigitGoal(Kind.TENSION, tension=tension, force_limit=12.0)
+
+
+def progresses(before: Progress) -> Iterator[tuple[str, Progress]]:
+    """Progress with one part changed, for every part; goals in every part of theirs."""
+    grip = Grip(np.full(4, 20.0), np.full(4, np.nan), 1.0)
+    values: dict[str, list[Any]] = {
+        "step": [before.step + 1], "since": [before.since + 1e-9], "phase": ["x"], "finished": [True],
+        "failure": ["x"], "record": [(1.0,)], "tare": [(1.0,)], "contact": [(True, *before.contact[1:])],
+        "touching": [(9, *before.touching[1:])], "closing": [(True,) * 4, (False,) * 4],
+        "grip": [grip, grip._replace(tension=np.full(4, 21.0)), grip._replace(anchor=np.zeros(4)),
+                 grip._replace(ready=2.0), grip._replace(raised=1.2), grip._replace(limited=True)],
+        "goals": [before.goals[::-1], *((goal, *before.goals[1:]) for _, goal in goals())],
+    }  # fmt: skip
+    assert values.keys() == {field.name for field in fields(Progress)}, "a new part of the progress needs a line here"
+    for name, others in values.items():
+        for value in others:
+            yield name, replace(before, **{name: value})
+
+
+def decisions(before: Decisions) -> Iterator[tuple[str, Decisions]]:
+    """Decisions with one part changed, for every part."""
+    coming = Coming(with_values(Gains(), {"motion.force_N": 21.0}, "test"))
+    values: dict[str, list[Any]] = {
+        "drives": [before.drives[::-1]],
+        "progress": [progress for _, progress in progresses(before.progress)],
+        "latched": [(*before.latched, Latched("B01", "x")), (Latched("B01", "y"),), (Latched("B02", "x"),)],
+        "counting": [(Counting("B01", "x", 1),), (Counting("B01", "x", 2),), (Counting("B01", "y", 1),)],
+        "refusals": [(1,), (2,), (1, 2)],
+        "failure": ["x"],
+        "unconfirmed": [("x",)],
+        "gains": [coming.gains],
+        "coming": [coming, replace(coming, step=1), replace(coming, gains=Gains())],
+    }
+    assert values.keys() == set(Decisions._fields), "a new decision needs a line here"
+    for name, others in values.items():
+        for value in others:
+            yield name, before._replace(**{name: value})
+
+
+def test_every_decision_changes_the_digest(active: Bench) -> None:
+    state = active.state
+    seen = {state.digest(): "unchanged"}
+    for name, changed in decisions(state.decisions):
+        digest = State(state.layout, state.block, changed).digest()
+        assert digest not in seen, f"{name} and {seen[digest]} have one digest"
+        seen[digest] = name
+    assert state.copy().digest() == state.digest()
+
+
+def others(value: Any) -> list[Any]:
+    """Other values of the same kind; of a named tuple with one part changed each."""
+    if isinstance(value, bool):
+        return [not value]
+    if isinstance(value, Phase):
+        return [phase for phase in Phase if phase != value]
+    if isinstance(value, int | float):
+        return [value + 1]
+    if isinstance(value, str):
+        return [value + "x"]
+    assert hasattr(value, "_fields"), value
+    plain = {name: getattr(value, name) for name in value._fields if not isinstance(getattr(value, name), tuple)}
+    return [value._replace(**{name: other}) for name, part in plain.items() for other in others(part)]
+
+
+@pytest.mark.parametrize("name", DriveState._fields)
+def test_everything_that_is_known_of_a_drive_changes_the_digest(active: Bench, name: str) -> None:
+    """Its values are in the block, its set-up is among the decisions."""
+    state = active.state
+    seen = {state.digest()}
+    for n, drive in enumerate(state.drives):
+        for value in others(getattr(drive, name)):
+            changed = state.copy()
+            active.controller.keep(changed, n, drive._replace(**{name: value}))
+            digest = changed.digest()
+            assert digest not in seen, (n, value)
+            seen.add(digest)
