@@ -2,6 +2,9 @@
 
 from handctl.printing import message
 
+REMOVE_POWER = "REMOVE POWER"
+"""In a failure: torque may be left, and only a person can end it."""
+
 
 class HandctlError(Exception):
     """An error with a one-line message: ``what; where; expected right``.

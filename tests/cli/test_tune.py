@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from handctl.cli.main import main
-from handctl.cli.tuning.identify import configure
+from handctl.cli.tuning.arguments import identify
 from handctl.cli.tuning.tune_verify import _print
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
@@ -267,7 +267,7 @@ def test_the_log_of_a_simulated_hand_tells_nothing_of_the_real_one(place, capsys
 
 def test_what_is_given_twice_is_taken_twice():
     parser = ArgumentParser()
-    configure(parser)
+    identify(parser)
     words = "--lockstep --perturb stiffness=0.8 --perturb friction=1.3 --digits index --digits ring"
     args = parser.parse_args(words.split())
     assert args.perturb == ["stiffness=0.8", "friction=1.3"]

@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from handctl.cli.console.options import PROTOCOLS
 from handctl.cli.main import VERBS, main
+from handctl.drives import registry
 from handctl.log.read.reader import RunLog
 
 BUS = ("--bus", "local:does-not-exist")
@@ -25,6 +27,28 @@ def example(capsys, verb):
     line = capsys.readouterr().out.splitlines()[-1].strip()
     assert f"handctl {verb} " in f"{line} "
     return line
+
+
+HEAVY = {"numpy", "numba", "scipy", "mcap", "handctl.hand.description"}
+"""What takes so long to import that a help would be waited for."""
+
+
+def test_no_help_waits_for_what_only_a_run_needs():
+    words = [[verb, "--help"] for verb in sorted(VERBS)]
+    code = f"""
+import contextlib, io, sys
+from handctl.cli.main import main
+for words in {words!r}:
+    with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):
+        main(words)
+    print(words[0], *({HEAVY!r} & set(sys.modules)))
+"""
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ended.stdout.split() == sorted(VERBS)
+
+
+def test_the_protocols_to_choose_are_those_that_there_are():
+    assert sorted(PROTOCOLS) == sorted(registry.PROTOCOLS)
 
 
 OF_A_LOG = ("log", "replay", "report", "view")

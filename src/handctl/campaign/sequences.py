@@ -18,9 +18,9 @@ import numpy as np
 from handctl.campaign.scenarios import HOST, MATRIX, texts
 from handctl.campaign.stage import STAGES, try_all
 from handctl.campaign.trial import RUNS_AWAY, Host, Result, overshoot
-from handctl.controller.modes import REMOVE_POWER
 from handctl.controller.state import State
 from handctl.core.types import Mode
+from handctl.errors import REMOVE_POWER
 from handctl.hand.description import Hand
 from handctl.runtime.mailbox import CLEAR, STOP
 from handctl.session.simulate import Simulation
@@ -168,9 +168,7 @@ def broken_in_step(before: State, after: State, cleared: bool) -> list[str]:
         broken.append(f"no longer latched: {', '.join(sorted(mark.id for mark in gone))}")
     if before.mode == after.mode == Mode.RELAX and np.any(after.view("setpoint") > before.view("setpoint") + 1e-9):
         broken.append("a set-point rises while the hand relaxes")
-    if after.mode == Mode.RELAX and np.any(
-        after.view("asked") > np.maximum(before.view("asked"), 0.0) * (1.0 + 1e-9)
-    ):
+    if after.mode == Mode.RELAX and np.any(after.view("asked") > np.maximum(before.view("asked"), 0.0) * (1.0 + 1e-9)):
         broken.append("a motor is commanded to pull harder while the hand relaxes")
     return broken
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from handctl.campaign.scenarios import GRASP, HOST, Row, Scenario
-from handctl.controller.modes import REMOVE_POWER
 from handctl.core.model import HandModel
 from handctl.core.types import IoEvent, Mode, TickOut
+from handctl.errors import REMOVE_POWER
 from handctl.runtime.mailbox import CUT
 from handctl.safety.action import Action
 from handctl.session.simulate import Simulation

@@ -1,4 +1,7 @@
-"""The command line: a table of verbs, each a module that is imported only when it is asked for."""
+"""The command line: a table of verbs. What one takes is in ``arguments`` of its folder, what it does in its own module.
+
+Only the arguments are imported for help and for mistakes, so that they come at once.
+"""
 
 import argparse
 import errno
@@ -7,7 +10,6 @@ import sys
 import traceback
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Protocol
 
 from handctl.cli.console.ended import Terminated, ended_by_signals, give_bugs_a_code
 from handctl.cli.console.parser import Parser, check_words
@@ -57,20 +59,6 @@ WRONG_NAME = {
     errno.ENOENT, errno.EEXIST, errno.ENOTDIR, errno.EISDIR, errno.ENOTEMPTY, errno.ENAMETOOLONG, errno.ELOOP,
 }  # fmt: skip
 """Where a person gave a name that cannot be; every other failure of a file is the machine's."""
-
-
-class Verb(Protocol):
-    """What a verb's module offers."""
-
-    EXAMPLE: str
-
-    def configure(self, parser: argparse.ArgumentParser) -> None:
-        """Declare the arguments."""
-        ...
-
-    def run(self, args: argparse.Namespace) -> int:
-        """Do it; the exit code."""
-        ...
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -144,15 +132,18 @@ def _folder(name: str) -> str:
 
 def _verb(name: str, words: list[str]) -> int:
     """Run one verb."""
-    module: Verb = importlib.import_module(f"handctl.cli.{_folder(name)}.{name}")
+    folder = f"handctl.cli.{_folder(name)}"
+    arguments = importlib.import_module(f"{folder}.arguments")
     parser = Parser(
         prog=f"handctl {name}",
         description=VERBS[name][0].upper() + VERBS[name][1:] + ".",
-        epilog=f"example:\n  {module.EXAMPLE}",
+        epilog=f"example:\n  {arguments.EXAMPLES[name]}",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    module.configure(parser)
-    return module.run(parser.parse_args(words))
+    getattr(arguments, name)(parser)
+    args = parser.parse_args(words)
+    code: int = importlib.import_module(f"{folder}.{name}").run(args)
+    return code
 
 
 def _say(error: HandctlError | str, code: Exit) -> int:

@@ -55,9 +55,7 @@ def answer(
     return wishes, tuple(events)
 
 
-def _set_goal(
-    model: HandModel, program: Program, state: State, request: MoveDigits | HoldTension
-) -> tuple[Event, ...]:
+def _set_goal(model: HandModel, program: Program, state: State, request: MoveDigits | HoldTension) -> tuple[Event, ...]:
     """Set a live goal if the run waits for one; a hand that lets go or is commissioned must not pull."""
     if state.mode in LETTING_GO:
         return (Event("info", "request", "", "refused: the hand is letting go"),)

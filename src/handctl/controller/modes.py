@@ -15,6 +15,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import ACTING, BEFORE_ARMING, Event, Mode
 from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.drives.frame import Frame
+from handctl.errors import REMOVE_POWER
 from handctl.safety.action import Action
 
 LISTEN_S = 0.5
@@ -22,8 +23,6 @@ LISTEN_S = 0.5
 INVENTORY_TIMEOUT_S = 3.0
 LOOK_FIRST = " (when you have looked why: --clear)"
 """What a person may do about a drive that has latched an error."""
-REMOVE_POWER = "REMOVE POWER"
-"""In a failure: torque may be left, and only a person can end it."""
 STILL_LATCHED = " (or an error that does not clear)"
 READY_S = 0.1
 """Time for the filter to see a few measurements before arming."""

@@ -145,9 +145,7 @@ class Controller:
         self._count_refusals(state, asked)
         action, findings = self._judge(before, state, entry, signs)
         identities = self.identities
-        moved = modes.next_mode(
-            self.model, self.drives, state, action, wishes, signs, entry.t_ns / 1e9, identities
-        )
+        moved = modes.next_mode(self.model, self.drives, state, action, wishes, signs, entry.t_ns / 1e9, identities)
         stepped = self._program(state, action)
         self._write_progress(state, before)
         unchanged = state.copy() if state.decisions.coming else None
@@ -234,9 +232,7 @@ class Controller:
     ) -> tuple[Action, tuple[Finding, ...]]:
         """Find faults, latch them, and choose the reaction."""
         state.set_whole(s.TARED, state.progress.phase != TARE_PHASE)  # until then a load cell may read anything
-        demanded, found = stages.judged(
-            state.block, self.layout.places, *self._constants, self.layout.initial
-        )
+        demanded, found = stages.judged(state.block, self.layout.places, *self._constants, self.layout.initial)
         fresh = begun(self.limits, found, state.view("fault_ticks")) if state.whole(s.FOUND_NOW) else []
         decisions = state.decisions
         if not (fresh or entry.io_events or signs or decisions.latched or decisions.counting):

@@ -144,5 +144,3 @@ class Measured:
     def joints(self) -> Vector:
         """(J,) joint encoders [rad]."""
         return self.joint[s.MEASURED_JOINT]
-
-

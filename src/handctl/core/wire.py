@@ -159,9 +159,7 @@ def _sensors(
 
 
 @inner
-def _values(
-    x: Tables, t_ns: Any, payload: Any, entries: Whole, entry: int, wholes: Whole, reals: Real
-) -> bool:
+def _values(x: Tables, t_ns: Any, payload: Any, entries: Whole, entry: int, wholes: Whole, reals: Real) -> bool:
     """Take in a frame of a drive; return False, and take nothing, if its state machine must see it.
 
     Args:
@@ -323,4 +321,3 @@ def _template(message: Message, bus: int) -> Rows:
     payload = message.base.ljust(message.length, b"\0")
     row: Rows = frames_of([Frame(message.can_id, payload, message.flags, bus)]).rows[0]
     return row
-

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-from scipy.optimize import brentq
 
 from handctl.hand.digit import DigitModel
 from handctl.hand.kinematics import points, tip_jacobian
@@ -59,6 +58,8 @@ def inverse_coupled(digit: DigitModel, x: float, y: float) -> tuple[float, float
     """
     if digit.coupling.shape[1] != 1:
         raise ValueError(f"{digit.name} has {digit.coupling.shape[1]} coordinates; needed: one")
+    from scipy.optimize import brentq
+
     ratio, target = digit.coupling[:, 0], np.array([x, y])
 
     def distance(theta: float) -> float:

@@ -11,9 +11,8 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from handctl.controller.modes import REMOVE_POWER
 from handctl.core.types import Mode
-from handctl.errors import BusError, PowerError, UnconfirmedError
+from handctl.errors import REMOVE_POWER, BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import said_of
 from handctl.runtime.mailbox import NOT_THERE_S, WATCH, Watcher
 

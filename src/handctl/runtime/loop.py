@@ -15,10 +15,9 @@ from dataclasses import dataclass, field
 from types import FrameType
 from typing import Generic, Protocol, TypeVar
 
-from handctl.controller.modes import REMOVE_POWER
 from handctl.core.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.errors import PowerError
+from handctl.errors import REMOVE_POWER, PowerError
 from handctl.handlers import handling
 from handctl.runtime.clock import Clock
 from handctl.runtime.mailbox import CUT, STOP

@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.console.options import gains_options, hand_option, json_option, print_json, say
+from handctl.cli.console.options import print_json, say
 from handctl.cli.console.plan import find_calibration, layered_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.setup import caveats, make_drives, make_sensors
@@ -19,24 +19,6 @@ from handctl.output import named_after, write_whole
 from handctl.session.gains import LayeredGains
 from handctl.session.plan import check_design, check_load_cells, fastest
 from handctl.session.tasks import TASKS, find_task
-
-EXAMPLE = "handctl config show --hand jamia"
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    hand_option(parser)
-    json_option(parser)
-    parser.add_argument(
-        "what",
-        choices=["show", "check", "list", "export"],
-        help="show the hand, check files, list what is packaged, write the hand's buses for other tools",
-    )
-    parser.add_argument("--dbc", action="store_true", help="export: the frames of each bus, as a CAN database")
-    parser.add_argument("--output", type=Path, metavar="FILE", help="export: a new file (default: HAND.dbc)")
-    parser.add_argument("--task", type=Path, help="task file to check with the hand")
-    gains_options(parser)
-    parser.add_argument("--calibration", type=Path, help="calibration file to check (default: HAND.calibration.toml)")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from handctl.cli.checks.scan import identified
 from handctl.cli.console.begin import ask
-from handctl.cli.console.options import bitrate_options, json_option, print_json
+from handctl.cli.console.options import print_json
 from handctl.drives.contract import Drive, Phase, Want
 from handctl.drives.discovery import LISTEN_S, Found
 from handctl.drives.frame import Frame
@@ -29,7 +29,6 @@ from handctl.runtime.diagnostics.scan import Scan, hear, scan
 from handctl.runtime.mailbox import held
 from handctl.session.exit_codes import Exit
 
-EXAMPLE = "handctl conformance --drive odrive --node 3 --bus socketcan:can0 --torque-limit-Nm 0.1 --dry-run"
 WATCHDOG_MS = 100
 """Longer than what a desktop without real-time priority may keep this process waiting."""
 TORQUE_TOP = 50.0
@@ -40,21 +39,6 @@ NEEDED = {"rated_torque_N_m": 1.0, "counts_per_turn": 65536}
 """What a CiA 402 drive may not tell; a wrong rated torque is refused when it is read back."""
 LEFT_ON = "the drive does not say that it is off: REMOVE ITS POWER"
 MARKS = {Verdict.PASSED: "passed", Verdict.FAILED: "FAILED", Verdict.NOT_APPLICABLE: "n/a   "}
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    add = parser.add_argument
-    add("--drive", required=True, choices=sorted(PROTOCOLS), help="what it speaks")
-    add("--node", required=True, type=lambda word: int(word, 0), metavar="N", help="its number on the bus")
-    add("--bus", required=True, metavar="SPEC", help="local:NAME, socketcan:can0 or any python-can interface:channel")
-    add("--torque-limit-Nm", required=True, type=float, metavar="X", dest="limit",
-        help="largest torque to ask for, at the drive's shaft; it becomes the drive's own limit too")  # fmt: skip
-    add("--yes", action="store_true", help="the shaft may turn now: hands and cables are away from it")
-    add("--option", action="append", default=[], metavar="KEY=VALUE", help="as in [motor.options] of a hand file")
-    bitrate_options(parser, "of the bus", "of CAN FD's data phase")
-    json_option(parser)
-    parser.add_argument("--dry-run", action="store_true", help="print what would be checked, open no bus")
 
 
 def run(args: argparse.Namespace) -> int:

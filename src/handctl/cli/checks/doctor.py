@@ -6,17 +6,10 @@ import socket
 import sys
 from pathlib import Path
 
-from handctl.cli.console.options import json_option, print_json
+from handctl.cli.console.options import print_json
 from handctl.errors import BusError
 from handctl.runtime.clock import Priority, give_back_priority, take_priority
 from handctl.runtime.places import run_dir
-
-EXAMPLE = "handctl doctor"
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    json_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ import sys
 from typing import Any
 
 from handctl.cli.checks.fragment import fragment
-from handctl.cli.console.options import bitrate_options, bus_option, json_option, print_json
+from handctl.cli.console.options import print_json
 from handctl.drives.cia402 import codec as cia402_codec
 from handctl.drives.discovery import Found
 from handctl.drives.frame import REMOTE, Frame
@@ -15,19 +15,9 @@ from handctl.runtime.diagnostics.scan import Scan, all_questions, scan
 from handctl.session.buses import named_buses
 from handctl.session.exit_codes import Exit
 
-EXAMPLE = "handctl scan --bus socketcan:can0 --dry-run"
 SHOWN = 8
 """Frames of another host that are named at most."""
 MILLI = 1e-3
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    bus_option(parser)
-    json_option(parser)
-    parser.add_argument("--dry-run", action="store_true", help="print every frame that may be sent, open no bus")
-    parser.add_argument("--force", action="store_true", help="ask although another host seems to control the bus")
-    bitrate_options(parser, "of the buses", "of CAN FD's data phase, for the fragment")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,6 +12,9 @@ from handctl.printing import encodable, message
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import Exit
 
+PROTOCOLS = ("mit", "odrive", "cia402")
+"""What drives may speak; the names of ``drives.registry``, which takes longer to import than a help may take."""
+
 
 class _Named(argparse.Action):
     """Stores a hand, and that somebody has named it."""
@@ -40,7 +43,7 @@ def check_seed(seed: int) -> None:
 def protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:
     """--protocol: the same hand with other drives."""
     text = "drives of the simulated hand (default: as in its file)" + more
-    parser.add_argument("--protocol", choices=("mit", "odrive", "cia402"), help=text)
+    parser.add_argument("--protocol", choices=PROTOCOLS, help=text)
 
 
 def bus_option(parser: argparse.ArgumentParser, required: bool = True) -> None:

@@ -5,48 +5,15 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from handctl.cli.console.options import json_option, print_json, say, tell_lossy
+from handctl.cli.console.options import print_json, say, tell_lossy
 from handctl.cli.console.progress import progress
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.output import named_after, whole
 from handctl.session.exit_codes import Exit
 
-EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl log info run.mcap"
-
-FORMATS = {
-    "parquet": "one table, a row a tick",
-    "csv": "the same as text",
-    "candump": "all frames as can-utils' log text",
-    "rrd": "for the Rerun viewer",
-    "lerobot": "a LeRobot dataset (3.0) of one episode, in a folder",
-}
-
 UNITS = {"candump": "frames", "rrd": "bytes", "lerobot": "frames"}
 """What is counted; rows otherwise."""
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    kinds = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
-
-    def kind(name: str, text: str) -> argparse.ArgumentParser:
-        one = kinds.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
-        json_option(one)
-        one.add_argument("log", type=Path, help="the log")
-        return one
-
-    kind("info", "what is in it: when, which hand, gains, versions, loop, gaps")
-    kind("check", "counters, gaps, clock, hashes, every byte")
-    other = kind("diff", "compare it with another run of the same hand, phase by phase")
-    other.add_argument("other", type=Path, help="the other log")
-    rescue = kind("recover", "write a whole log from a broken one")
-    rescue.add_argument("--output", type=Path, metavar="FILE", help="default: LOG.recovered.mcap")
-    out = kind("export", "write it in a format that other tools read")
-    group = out.add_mutually_exclusive_group(required=True)
-    for name, text in FORMATS.items():
-        group.add_argument(f"--{name}", dest="format", action="store_const", const=name, help=text)
-    out.add_argument("--output", type=Path, metavar="FILE", help="a new file or folder (default: LOG.FORMAT)")
 
 
 def run(args: argparse.Namespace) -> int:

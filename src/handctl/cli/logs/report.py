@@ -1,24 +1,11 @@
 """``handctl report``: one self-contained HTML page of a run."""
 
 import argparse
-from pathlib import Path
 
-from handctl.cli.console.options import json_option, print_json, say, tell_lossy
+from handctl.cli.console.options import print_json, say, tell_lossy
 from handctl.cli.console.progress import progress
 from handctl.errors import LogError
 from handctl.output import check_output, named_after
-
-EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl report run.mcap"
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    json_option(parser)
-    parser.add_argument("log", type=Path, help="the log")
-    parser.add_argument("--output", type=Path, metavar="FILE", help="the page (default: LOG.html)")
-    parser.add_argument(
-        "--truth", type=Path, metavar="FILE", help="truth of a lockstep run, drawn beside the estimates"
-    )
 
 
 def run(args: argparse.Namespace) -> int:

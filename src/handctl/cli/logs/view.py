@@ -6,27 +6,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.console.options import json_option, print_json, say, tell_lossy
+from handctl.cli.console.options import print_json, say, tell_lossy
 from handctl.cli.console.progress import progress
 from handctl.errors import ConfigError
 from handctl.output import check_output, whole
 from handctl.session.exit_codes import Exit
-
-EXAMPLE = "handctl demo --lockstep --log run.mcap && handctl view run.mcap --save run.rrd"
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    parser.add_argument("log", type=Path, metavar="LOG", help="log of a run")
-    parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a Rerun recording, open nothing")
-    parser.add_argument(
-        "--png", type=Path, metavar="FILE.png", help="draw the dashboard without a screen, open nothing"
-    )
-    parser.add_argument(
-        "--at", type=float, metavar="SECONDS", help="moment of the picture (default: in the middle of the hold phase)"
-    )
-    parser.add_argument("--follow", action="store_true", help="the log is still being written: show it as it grows")
-    json_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,16 +6,8 @@ What a drive has latched after a controller died is cleared by ``handctl run --c
 import argparse
 
 from handctl.cli.console.buses import controller_bus
-from handctl.cli.console.options import bus_option, json_option, print_json
+from handctl.cli.console.options import print_json
 from handctl.runtime.asking import ordered
-
-EXAMPLE = "handctl clear --help   # with a hand running on local:demo: handctl clear --bus local:demo"
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    bus_option(parser)
-    json_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:

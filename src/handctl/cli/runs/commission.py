@@ -4,18 +4,11 @@ import argparse
 
 from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import told
-from handctl.cli.console.options import print_json, run_options
+from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import calibration_path, make_plan
 from handctl.session.calibration import commission, kept, write_calibration
 from handctl.session.plan import default_log
 from handctl.session.run import run_live
-
-EXAMPLE = "handctl commission --hand jamia --bus local:demo --calibration /tmp/jamia.calibration.toml --dry-run"
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    run_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -14,14 +14,7 @@ from typing import Any
 
 from handctl.cli.console.dry_run import told
 from handctl.cli.console.options import (
-    dry_run_option,
-    hand_option,
-    json_option,
-    perturb_option,
     perturb_words,
-    protocol_option,
-    time_scale_option,
-    wire_option,
     wire_words,
 )
 from handctl.cli.console.plan import make_plan
@@ -42,37 +35,10 @@ from handctl.session.simulate import Simulator
 from handctl.session.tasks import find_task
 from handctl.session.verdict import judge
 
-EXAMPLE = "handctl demo --lockstep"
 SIMULATOR = "firmware_sim"
 START_S = 20.0
 SLOWEST = 0.1
 """How far time is slowed where a machine cannot keep up with a hand that it simulates as well."""
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    hand_option(parser)
-    protocol_option(parser)
-    json_option(parser)
-    dry_run_option(parser)
-    parser.add_argument(
-        "--task", type=Path, default=Path("grasp.toml"), metavar="FILE", help="task (default: grasp.toml)"
-    )
-    parser.add_argument(
-        "--scene", default="cylinder", metavar="NAME|FILE", help="what the hand meets (default: cylinder)"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
-    wire_option(parser)
-    parser.add_argument(
-        "--lockstep", action="store_true", help="virtual time: faster than real time, the same every time"
-    )
-    parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
-    parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
-    time_scale_option(parser, " (default: 1, and less if this machine cannot keep up)")
-    perturb_option(parser)
-    text = "take what it says was identified; the simulated hand is commissioned all the same"
-    parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
-    parser.set_defaults(gains=None, rate=None, clear=False)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -4,7 +4,7 @@ import argparse
 
 from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import told
-from handctl.cli.console.options import print_json, run_options
+from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.document import validated
 from handctl.errors import ConfigError
@@ -13,18 +13,6 @@ from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.session.calibration import ensure_calibration
 from handctl.session.plan import commission_log, default_log
 from handctl.session.run import make_controller, run_live
-
-EXAMPLE = "handctl jog index --tension 8 --hand jamia --bus local:demo --dry-run"
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    run_options(parser)
-    parser.add_argument("digit", help="the digit to move")
-    goal = parser.add_mutually_exclusive_group(required=True)
-    goal.add_argument("--tension", type=float, metavar="N", help="hold this tension in each tendon of the digit")
-    goal.add_argument("--angle", type=float, metavar="DEG", help="move to this joint angle")
-    parser.add_argument("--for", dest="duration", type=float, default=2.0, metavar="S", help="how long (default: 2)")
 
 
 def run(args: argparse.Namespace) -> int:

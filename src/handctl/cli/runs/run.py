@@ -3,12 +3,11 @@
 import argparse
 import sys
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import told
-from handctl.cli.console.options import print_json, run_options
+from handctl.cli.console.options import print_json
 from handctl.cli.console.plan import find_calibration, make_plan
 from handctl.cli.console.verdict import print_summary
 from handctl.cli.runs.owner import Owner
@@ -24,22 +23,6 @@ from handctl.session.plan import Plan, commission_log, default_log
 from handctl.session.run import Outcome, make_controller, refuse_blind_view, run_live
 from handctl.session.tasks import find_task, find_trajectory
 from handctl.session.verdict import judge
-
-EXAMPLE = "handctl run --hand jamia --bus local:demo --task grasp.toml --dry-run"
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    run_options(parser)
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument("--trajectory", type=Path, metavar="FILE", help="trajectory file: angles over time")
-    what.add_argument("--task", type=Path, metavar="FILE", help="task file; without one the hand waits for requests")
-    parser.add_argument(
-        "--truth", type=Path, metavar="FILE", help="truth file of a simulator (default: found by the bus)"
-    )
-    parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
-    text = "stop when standard input ends: for a program that starts this one, and may die"
-    parser.add_argument("--until-eof", action="store_true", help=text)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,38 +6,13 @@ import subprocess
 import sys
 
 from handctl.cli.console.options import (
-    bus_option,
-    hand_option,
-    json_option,
-    perturb_option,
     perturb_words,
     print_json,
-    protocol_option,
-    time_scale_option,
-    wire_option,
     wire_words,
 )
 from handctl.cli.runs.other_protocol import in_protocol, path_in_protocol, write_in_protocol
 from handctl.hand.load import load_hand
 from handctl.session.gains import assignments
-
-EXAMPLE = "handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run"
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    hand_option(parser)
-    protocol_option(parser, "; writes HAND-PROTOCOL.toml, for the --hand of its controller")
-    bus_option(parser)
-    json_option(parser)
-    parser.add_argument("--dry-run", action="store_true", help="check what is given, print the command and end")
-    parser.add_argument("--scene", default="cylinder", help="cylinder, sphere, box, none, or a scene file")
-    parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
-    perturb_option(parser)
-    text = "serial number of the simulated drives: each adds its number on the bus, or of one motor alone"
-    parser.add_argument("--serial", action="append", default=[], metavar="[MOTOR=]NUMBER", help=text)
-    wire_option(parser)
-    time_scale_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -3,17 +3,8 @@
 import argparse
 
 from handctl.cli.console.buses import controller_bus
-from handctl.cli.console.options import bus_option, json_option, print_json
+from handctl.cli.console.options import print_json
 from handctl.runtime.asking import ordered
-
-EXAMPLE = "handctl stop --help   # with a hand running on local:demo: handctl stop --bus local:demo"
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    bus_option(parser)
-    json_option(parser)
-    parser.add_argument("--cut", action="store_true", help="take the torque away at once, without a ramp")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,7 +12,7 @@ from handctl.campaign.page import lines, write_page
 from handctl.campaign.scenarios import ALL, MATRIX, scenarios
 from handctl.campaign.stage import hand_in
 from handctl.campaign.trial import Result
-from handctl.cli.console.options import check_seed, hand_option, json_option, print_json
+from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
@@ -31,24 +31,6 @@ QUICK_CALM_S, CALM_S = 4.0, 60.0
 JOBS_MOST = 64
 FIRST = "bringing the hand to its stages"
 CALM_MOST_S = 86_400.0
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    hand_option(parser)
-    json_option(parser)
-    parser.add_argument("--protocol", default="mit", choices=[*ALL, "all"], help="of the drives (default: mit)")
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="scenarios at a time (default: 2)")
-    parser.add_argument("--quick", action="store_true", help="a sample that takes less than a minute")
-    parser.add_argument("--row", action="append", default=[], metavar="ID", help="only this row; may be repeated")
-    parser.add_argument(
-        "--calm", type=float, metavar="S", help="how long the undisturbed hand is watched (60; quick: 4)"
-    )
-    parser.add_argument("--calm-only", action="store_true", help="nothing but the undisturbed hand")
-    parser.add_argument("--seed", type=int, default=1, help="of the simulated hand (default: 1)")
-    parser.add_argument(
-        "--report", type=Path, metavar="DIR", help="where report.html, report.json and the logs of failures go"
-    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -1,30 +1,17 @@
 """``handctl fault sequences``: random sequences of faults against a simulated hand in lockstep."""
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from handctl.campaign import sequences
-from handctl.campaign.scenarios import ALL
 from handctl.campaign.stage import hand_in
-from handctl.cli.console.options import check_seed, hand_option, json_option, print_json
+from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress
 from handctl.cli.studies.fault_campaign import FIRST, JOBS_MOST, keeper, rate_of, report_folder
 from handctl.errors import ConfigError
 from handctl.session.exit_codes import Exit
 
 COUNT_MOST = 1_000_000
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    hand_option(parser)
-    json_option(parser)
-    parser.add_argument("--protocol", default="mit", choices=ALL, help="of the drives (default: mit)")
-    parser.add_argument("--count", type=int, default=30, metavar="N", help="how many (default: 30)")
-    parser.add_argument("--seed", type=int, default=1, help="of the first; the next ones count on (default: 1)")
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="sequences at a time (default: 2)")
-    parser.add_argument("--report", type=Path, metavar="DIR", help="where the logs of failures go")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -22,8 +22,6 @@ from handctl.paper.page import markdown, plain, report, value
 from handctl.paper.sections import Section, sections, tally
 from handctl.session.exit_codes import Exit
 
-EXAMPLE = "handctl paper --quick"
-WORKERS = 2
 COLOURS = {
     Verdict.EQUAL: "green",
     Verdict.ROUNDED: "blue",
@@ -32,21 +30,6 @@ COLOURS = {
     Verdict.WRONG: "bold red",
     Verdict.UNDECIDABLE: "yellow",
 }
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    kind = parser.add_mutually_exclusive_group()
-    kind.add_argument("--json", action="store_true", help="print the items as JSON on standard output")
-    kind.add_argument("--markdown", action="store_true", help="print the page as Markdown on standard output")
-    parser.add_argument("--figures", type=Path, metavar="DIR", help="write the figures there as PNG and SVG")
-    parser.add_argument("--report", type=Path, metavar="FILE", help="write all of it as one HTML page")
-    parser.add_argument("--export", type=Path, metavar="DIR", help="write the paper's hand there as URDF and MJCF")
-    parser.add_argument(
-        "--results", type=Path, metavar="FILE", help="take the experiments from there, or do them and write them there"
-    )
-    parser.add_argument("--quick", action="store_true", help="leave out the experiments, which take a minute or two")
-    parser.add_argument("--jobs", type=int, default=WORKERS, metavar="N", help="experiments at a time (default: 2)")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.cli.console.buses import controller_bus
-from handctl.cli.console.options import bus_option, gains_options, hand_option, json_option, print_json, say
+from handctl.cli.console.options import print_json, say
 from handctl.cli.console.plan import layered_gains, notice
 from handctl.core.gains.bounds import bounds, flat, with_values
 from handctl.core.gains.gains import Gains, Provenance, load_gains_file
@@ -19,33 +19,8 @@ from handctl.session.gains import assignments, gains_for
 from handctl.session.plan import check_design
 from handctl.tune.gains_store import Entry, GainsStore
 
-EXAMPLE = "handctl gains show --hand jamia"
 TAKEN_OVER_S = 3.0
 """How long a running controller may take to design and take over gains."""
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    what = parser.add_subparsers(dest="what", required=True, metavar="show|diff|apply|rollback|log|set")
-    show = what.add_parser("show", help="every gain, its bounds, and where it comes from")
-    gains_options(show)
-    diff = what.add_parser("diff", help="compare two: a file, a log, a number of the history, present, packaged")
-    diff.add_argument("sides", nargs="*", default=[], metavar="WHICH", help="one or two (default: packaged present)")
-    apply = what.add_parser("apply", help="make the gains of a file those that runs use")
-    apply.add_argument("file", type=Path, help="gains file")
-    for name, meaning in (("fit", "calibration they rest on"), ("study", "search that found them"), ("note", "why")):
-        apply.add_argument(f"--{name}", default="", help=meaning)
-    apply.add_argument("--from-log", dest="log", action="append", type=Path, default=[], help="run they rest on")
-    back = what.add_parser("rollback", help="bring back the gains from before")
-    back.add_argument("--to", type=int, metavar="N", help="number in the history; 0: the packaged gains")
-    log = what.add_parser("log", help="everything that was applied")
-    live = what.add_parser("set", help="change gains of a running controller, without a step in torque")
-    live.add_argument("values", nargs="+", metavar="KEY=VALUE")
-    bus_option(live)
-    for one in (show, diff, apply, back, log, live):
-        json_option(one)
-        if one is not live:  # a running controller knows its hand
-            hand_option(one)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -11,7 +11,7 @@ from typing import Any
 
 from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import told
-from handctl.cli.console.options import check_seed, perturb_option, print_json, run_options, say
+from handctl.cli.console.options import check_seed, print_json, say
 from handctl.cli.console.plan import (
     calibration_path,
     check_bus_only,
@@ -38,29 +38,7 @@ from handctl.tune.identify.excitation import excitation
 from handctl.tune.identify.figure import draw
 from handctl.tune.identify.identify import Found, identify, now, table
 
-EXAMPLE = "handctl identify --hand jamia --lockstep --digits thumb --calibration /tmp/identified.calibration.toml"
 CLEAR_THE_WAY = "expected a digit that touches nothing: move away what it meets, or correct the hand file's springs"
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    run_options(parser, bus_required=False)
-    parser.add_argument(
-        "--digits", nargs="+", action="extend", metavar="DIGIT", help="which (default: all, one after the other)"
-    )
-    parser.add_argument(
-        "--from",
-        dest="logs",
-        nargs="+",
-        action="extend",
-        type=Path,
-        metavar="LOG",
-        help="use recorded runs instead of any new motion",
-    )
-    parser.add_argument("--lockstep", action="store_true", help="the simulated hand in virtual time, without a bus")
-    parser.add_argument("--seed", type=int, default=0, help="of the simulated hand")
-    perturb_option(parser)
-    parser.add_argument("--no-write", action="store_true", help="leave the calibration file as it is")
 
 
 def run(args: argparse.Namespace) -> int:

@@ -31,9 +31,7 @@ HELD_TORQUE_S = 0.05
 
 
 @inner
-def update(
-    x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after: Matrix, information: Vector
-) -> float:
+def update(x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after: Matrix, information: Vector) -> float:
     """Take in encoder and load cell of one tendon; joint encoders keep their steady gain.
 
     Args:

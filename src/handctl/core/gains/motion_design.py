@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import cont2discrete
+from scipy.linalg import expm
 
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.solvable import check_finite, solvable
@@ -94,7 +94,8 @@ def _dlqr(A: NDArray[np.float64], B: NDArray[np.float64], state: list[float], fo
     """Gain (2,) of x' = A x + B u sampled at the period, with Bryson weights."""
     from control import dlqr
 
-    F, G, *_ = cont2discrete((A, B, np.eye(2), np.zeros((2, 1))), period)
+    sampled = expm(period * np.block([[A, B], [np.zeros((1, 3))]]))
+    F, G = sampled[:2, :2], sampled[:2, 2:]
     K, *_ = dlqr(F, G, np.diag([1.0 / x**2 for x in state]), np.array([[1.0 / force**2]]), method="scipy")
     check_finite(K)
     if not np.abs(np.linalg.eigvals(F - G @ K)).max() < 1.0:

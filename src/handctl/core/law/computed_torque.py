@@ -112,9 +112,7 @@ def _derated(x: Tables, c: ConstantTables, n: int) -> float:
 
 
 @inner
-def command(
-    x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_loop: bool, ticks: int
-) -> None:
+def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_loop: bool, ticks: int) -> None:
     """Write the motor torques of this tick, and what the law carries to the next.
 
     Args:

@@ -22,7 +22,6 @@ class Trajectory(Protocol):
         ...
 
 
-
 @dataclass(frozen=True, slots=True)
 class MinimumJerk:
     """A straight move in coordinates with the least jerk, at rest at both ends.
@@ -48,7 +47,6 @@ class MinimumJerk:
         way = np.array(((position,), (velocity,), (acceleration,))) * (self.end - self.start)
         way[0] += self.start
         return way
-
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +86,6 @@ class Curve:
         values = (d + s * (c + s * (b + s * a)), moving * (c + s * (2 * b + s * 3 * a)), moving * (2 * b + 6 * a * s))
         return _alike(values, self.coordinates)
 
-
     def peak_speed(self) -> float:
         """Largest speed on the way [rad/s]: at the ends of a piece or where its acceleration vanishes."""
         a, b, c, _ = self.coefficients
@@ -118,7 +115,6 @@ class Sample:
     def at(self, t: float) -> Vector:
         """See ``Trajectory``; the same at any time."""
         return np.array((self.position, self.velocity, self.acceleration))
-
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +160,6 @@ class Chirp:
         w = math.pi / ramp
         sign = 1.0 if t <= self.duration - t else -1.0
         return 0.5 - 0.5 * math.cos(w * left), sign * 0.5 * w * math.sin(w * left), 0.5 * w * w * math.cos(w * left)
-
 
 
 def _alike(values: tuple[float, float, float], coordinates: int) -> Vector:

@@ -1,0 +1,110 @@
+"""What the verbs take. What they do, and all that it needs, is imported only when one is carried out."""
+
+import argparse
+from pathlib import Path
+
+from handctl.cli.console.options import json_option, run_options
+
+EXAMPLES = {
+    "view": "handctl demo --lockstep --log run.mcap && handctl view run.mcap --save run.rrd",
+    "replay": "handctl demo --lockstep --log run.mcap && handctl replay execute run.mcap",
+    "log": "handctl demo --lockstep --log run.mcap && handctl log info run.mcap",
+    "report": "handctl demo --lockstep --log run.mcap && handctl report run.mcap",
+}
+"""Of each verb, for its help."""
+FORMATS = {
+    "parquet": "one table, a row a tick",
+    "csv": "the same as text",
+    "candump": "all frames as can-utils' log text",
+    "rrd": "for the Rerun viewer",
+    "lerobot": "a LeRobot dataset (3.0) of one episode, in a folder",
+}
+"""That a log is exported to."""
+
+
+def view(parser: argparse.ArgumentParser) -> None:
+    """Declare what ``view`` takes."""
+    parser.add_argument("log", type=Path, metavar="LOG", help="log of a run")
+    parser.add_argument("--save", type=Path, metavar="FILE.rrd", help="write a Rerun recording, open nothing")
+    parser.add_argument(
+        "--png", type=Path, metavar="FILE.png", help="draw the dashboard without a screen, open nothing"
+    )
+    parser.add_argument(
+        "--at", type=float, metavar="SECONDS", help="moment of the picture (default: in the middle of the hold phase)"
+    )
+    parser.add_argument("--follow", action="store_true", help="the log is still being written: show it as it grows")
+    json_option(parser)
+
+
+def replay(parser: argparse.ArgumentParser) -> None:
+    """Declare what ``replay`` takes."""
+    kinds = parser.add_subparsers(dest="kind", required=True, metavar="KIND")
+    _execute(_kind(kinds, "execute", "run the controller on the log's inputs, compare every output byte; no bus"))
+    _drive(_kind(kinds, "drive", "drive the recorded run on the hand again and say how the two differ"))
+    _safety(_kind(kinds, "safety", "judge the recorded run by other limits; no bus"))
+
+
+def _kind(
+    kinds: "argparse._SubParsersAction[argparse.ArgumentParser]", name: str, text: str
+) -> argparse.ArgumentParser:
+    parser = kinds.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+    parser.add_argument("recorded", type=Path, metavar="LOG", help="the log")
+    return parser
+
+
+def _execute(parser: argparse.ArgumentParser) -> None:
+    json_option(parser)
+    parser.add_argument("--gains", type=Path, metavar="FILE", help="what would these gains have commanded here?")
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="of --gains (default: LOG.gains.png)")
+    parser.add_argument("--workers", type=int, metavar="N", help="processes (default: one for each core)")
+    parser.add_argument(
+        "--within",
+        type=float,
+        metavar="X",
+        help="accept numbers that differ by less, relative above 1, if all decisions are equal (other machines)",
+    )
+
+
+def _drive(parser: argparse.ArgumentParser) -> None:
+    run_options(parser)
+    parser.add_argument("--raw", action="store_true", help="follow its tensions; no angle is corrected on the way")
+
+
+def _safety(parser: argparse.ArgumentParser) -> None:
+    json_option(parser)
+    parser.add_argument(
+        "--limits", type=Path, required=True, metavar="FILE", help="TOML file, e.g. tension_trip_N = 60"
+    )
+
+
+def log(parser: argparse.ArgumentParser) -> None:
+    """Declare what ``log`` takes."""
+    kinds = parser.add_subparsers(dest="what", required=True, metavar="WHAT")
+
+    def kind(name: str, text: str) -> argparse.ArgumentParser:
+        one = kinds.add_parser(name, help=text, description=text[0].upper() + text[1:] + ".")
+        json_option(one)
+        one.add_argument("log", type=Path, help="the log")
+        return one
+
+    kind("info", "what is in it: when, which hand, gains, versions, loop, gaps")
+    kind("check", "counters, gaps, clock, hashes, every byte")
+    other = kind("diff", "compare it with another run of the same hand, phase by phase")
+    other.add_argument("other", type=Path, help="the other log")
+    rescue = kind("recover", "write a whole log from a broken one")
+    rescue.add_argument("--output", type=Path, metavar="FILE", help="default: LOG.recovered.mcap")
+    out = kind("export", "write it in a format that other tools read")
+    group = out.add_mutually_exclusive_group(required=True)
+    for name, text in FORMATS.items():
+        group.add_argument(f"--{name}", dest="format", action="store_const", const=name, help=text)
+    out.add_argument("--output", type=Path, metavar="FILE", help="a new file or folder (default: LOG.FORMAT)")
+
+
+def report(parser: argparse.ArgumentParser) -> None:
+    """Declare what ``report`` takes."""
+    json_option(parser)
+    parser.add_argument("log", type=Path, help="the log")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="the page (default: LOG.html)")
+    parser.add_argument(
+        "--truth", type=Path, metavar="FILE", help="truth of a lockstep run, drawn beside the estimates"
+    )

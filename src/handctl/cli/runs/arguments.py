@@ -1,0 +1,111 @@
+"""What the verbs take. What they do, and all that it needs, is imported only when one is carried out."""
+
+import argparse
+from pathlib import Path
+
+from handctl.cli.console.options import (
+    bus_option,
+    dry_run_option,
+    hand_option,
+    json_option,
+    perturb_option,
+    protocol_option,
+    run_options,
+    time_scale_option,
+    wire_option,
+)
+
+EXAMPLES = {
+    "demo": "handctl demo --lockstep",
+    "run": "handctl run --hand jamia --bus local:demo --task grasp.toml --dry-run",
+    "stop": "handctl stop --help   # with a hand running on local:demo: handctl stop --bus local:demo",
+    "clear": "handctl clear --help   # with a hand running on local:demo: handctl clear --bus local:demo",
+    "commission": "handctl commission --hand jamia --bus local:demo --calibration /tmp/jamia.toml --dry-run",
+    "jog": "handctl jog index --tension 8 --hand jamia --bus local:demo --dry-run",
+    "sim": "handctl sim --hand jamia --bus local:demo --scene cylinder --dry-run",
+}
+"""Of each verb, for its help."""
+
+
+def demo(parser: argparse.ArgumentParser) -> None:
+    """Declare what ``demo`` takes."""
+    hand_option(parser)
+    protocol_option(parser)
+    json_option(parser)
+    dry_run_option(parser)
+    parser.add_argument(
+        "--task", type=Path, default=Path("grasp.toml"), metavar="FILE", help="task (default: grasp.toml)"
+    )
+    parser.add_argument(
+        "--scene", default="cylinder", metavar="NAME|FILE", help="what the hand meets (default: cylinder)"
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
+    wire_option(parser)
+    parser.add_argument(
+        "--lockstep", action="store_true", help="virtual time: faster than real time, the same every time"
+    )
+    parser.add_argument("--log", type=Path, metavar="FILE", help="log to write (default: logs/DATE-HAND.mcap)")
+    parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
+    time_scale_option(parser, " (default: 1, and less if this machine cannot keep up)")
+    perturb_option(parser)
+    text = "take what it says was identified; the simulated hand is commissioned all the same"
+    parser.add_argument("--calibration", type=Path, metavar="FILE", help=text)
+    parser.set_defaults(gains=None, rate=None, clear=False)
+
+
+def run(parser: argparse.ArgumentParser) -> None:
+    """Declare what ``run`` takes."""
+    run_options(parser)
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--trajectory", type=Path, metavar="FILE", help="trajectory file: angles over time")
+    what.add_argument("--task", type=Path, metavar="FILE", help="task file; without one the hand waits for requests")
+    parser.add_argument(
+        "--truth", type=Path, metavar="FILE", help="truth file of a simulator (default: found by the bus)"
+    )
+    parser.add_argument("--view", action="store_true", help="show the run live in Rerun")
+    text = "stop when standard input ends: for a program that starts this one, and may die"
+    parser.add_argument("--until-eof", action="store_true", help=text)
+
+
+def stop(parser: argparse.ArgumentParser) -> None:
+    """Declare what ``stop`` takes."""
+    bus_option(parser)
+    json_option(parser)
+    parser.add_argument("--cut", action="store_true", help="take the torque away at once, without a ramp")
+
+
+def clear(parser: argparse.ArgumentParser) -> None:
+    """Declare what ``clear`` takes."""
+    bus_option(parser)
+    json_option(parser)
+
+
+def commission(parser: argparse.ArgumentParser) -> None:
+    """Declare what ``commission`` takes."""
+    run_options(parser)
+
+
+def jog(parser: argparse.ArgumentParser) -> None:
+    """Declare what ``jog`` takes."""
+    run_options(parser)
+    parser.add_argument("digit", help="the digit to move")
+    goal = parser.add_mutually_exclusive_group(required=True)
+    goal.add_argument("--tension", type=float, metavar="N", help="hold this tension in each tendon of the digit")
+    goal.add_argument("--angle", type=float, metavar="DEG", help="move to this joint angle")
+    parser.add_argument("--for", dest="duration", type=float, default=2.0, metavar="S", help="how long (default: 2)")
+
+
+def sim(parser: argparse.ArgumentParser) -> None:
+    """Declare what ``sim`` takes."""
+    hand_option(parser)
+    protocol_option(parser, "; writes HAND-PROTOCOL.toml, for the --hand of its controller")
+    bus_option(parser)
+    json_option(parser)
+    parser.add_argument("--dry-run", action="store_true", help="check what is given, print the command and end")
+    parser.add_argument("--scene", default="cylinder", help="cylinder, sphere, box, none, or a scene file")
+    parser.add_argument("--seed", type=int, default=0, help="of the simulator's noise")
+    perturb_option(parser)
+    text = "serial number of the simulated drives: each adds its number on the bus, or of one motor alone"
+    parser.add_argument("--serial", action="append", default=[], metavar="[MOTOR=]NUMBER", help=text)
+    wire_option(parser)
+    time_scale_option(parser)
