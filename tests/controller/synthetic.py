@@ -5,7 +5,8 @@ puts an estimate into a state, and ``estimate_of`` takes it out again.
 """
 
 import functools
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -88,6 +89,11 @@ def _blank(model: HandModel) -> State:
     return state
 
 
+def interpreted(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function that numba compiles, for what only kernels may call and calls nothing itself."""
+    return getattr(function, "py_func", function)
+
+
 def blank(model: HandModel) -> State:
     """A state of an active hand whose filter runs: every tendon taut and free, off its stop."""
     return _blank(model).copy()
@@ -100,7 +106,7 @@ def constants(model: HandModel) -> tuple[Block, Places]:
 
 def constant_tables_of(model: HandModel) -> ConstantTables:
     """The constants by table, for functions that are run interpreted."""
-    return constant_tables.py_func(*constants(model))
+    return interpreted(constant_tables)(*constants(model))
 
 
 def written(model: HandModel, estimate: Estimate) -> State:
@@ -158,7 +164,7 @@ def load_statics(
 def efficiency(model: HandModel, q: np.ndarray) -> np.ndarray:
     """Fraction of each tendon's tension (N,) that acts at its joints while it winds, at joint angles (J,) [rad]."""
     of = constant_tables_of(model)
-    return np.array([winding_efficiency.py_func(of, n, q) for n in range(model.tendon_count)])
+    return np.array([interpreted(winding_efficiency)(of, n, q) for n in range(model.tendon_count)])
 
 
 def known(model: HandModel, x: np.ndarray) -> Estimate:

@@ -32,6 +32,7 @@ from handctl.programs.live import LiveProgram
 from handctl.programs.program import Progress
 from handctl.safety.judge import Counting, Latched
 from tests.controller.bench import Bench, bench
+from tests.controller.synthetic import interpreted
 from tests.hand.many import fifteen_motors
 
 SEEDS = range(6)
@@ -119,7 +120,7 @@ def test_every_field_is_declared_once_and_found_by_its_name(schema: Schema, modu
 
 
 def test_kernels_see_every_field_where_the_layout_has_it(state: State) -> None:
-    seen = tables.py_func(state.block, state.layout.places)
+    seen = interpreted(tables)(state.block, state.layout.places)
     for field in STATE.fields:
         rows = getattr(seen, field.table)[field.first : field.first + field.rows]
         np.testing.assert_array_equal(rows.ravel(), state.view(field.name).ravel(), err_msg=field.name)
@@ -225,7 +226,7 @@ def test_every_constant_that_kernels_see_is_what_was_packed(hand: str | int, mon
     found, values = packed(model, monkeypatch)
     assert values.keys() == set(names_of(HAND.fields)), "every field is packed"
     assert not found.block.flags.writeable
-    seen = constant_tables.py_func(found.block, found.layout.places)
+    seen = interpreted(constant_tables)(found.block, found.layout.places)
     assert seen.design.shape == (model.tendon_count, KINDS, ELEMENTS)
     for field in HAND.fields:
         view = found.layout.view(found.block, field.name)

@@ -251,7 +251,7 @@ def test_a_goal_without_its_numbers_is_limp(jamia: HandModel, kind: Kind) -> Non
     _, command = step(jamia, LawState.initial(4), estimate, (DigitGoal(kind),) * 4, 0.0)
     assert not command.torque.any()
     state = written(jamia, estimate)
-    commanded(jamia, state, holding(jamia, 30.0), 0.0, Action.PASS)
+    commanded(jamia, state, holding(jamia, 30.0, rate=1e6), 0.0, Action.PASS)
     assert (state.view("torque") > 0.0).all()
     commanded(jamia, state, (DigitGoal(kind),) * 4, 0.0, Action.PASS)
     assert not state.view("torque").any(), "whatever was there before"

@@ -22,7 +22,7 @@ from tests.controller.oracle import (
     measurement_noise,
     over_one_period,
 )
-from tests.controller.synthetic import Readings, blank, nothing_read
+from tests.controller.synthetic import Readings, blank, interpreted, nothing_read
 
 
 def plain_hand(name: str, rate_hz: float) -> HandModel:
@@ -174,7 +174,7 @@ def test_what_is_missing(model: HandModel, column: int | None, regime: Regime, c
         z[-1, column] = np.nan
     state = blank(model)
     state.view("regime")[-1] = regime
-    assert _missing.py_func(tables.py_func(state.block, state.layout.places), z) is counts
+    assert interpreted(_missing)(interpreted(tables)(state.block, state.layout.places), z) is counts
 
 
 def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: HandModel) -> None:

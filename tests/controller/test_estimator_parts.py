@@ -27,7 +27,7 @@ from handctl.core.estimation.take_up import (
 )
 from handctl.core.model import HandModel
 from tests.controller.filter_runs import FilterState, corrected, read, state_of, step, taken
-from tests.controller.synthetic import Estimate, Readings, nothing_read
+from tests.controller.synthetic import Estimate, Readings, interpreted, nothing_read
 
 EVIDENCE = ((TAUT_ABOVE_N, TAUT_AT_ONCE), (LIKELY_ABOVE_N, LIKELY), (POSSIBLE_ABOVE_N, POSSIBLE))
 
@@ -35,7 +35,7 @@ EVIDENCE = ((TAUT_ABOVE_N, TAUT_AT_ONCE), (LIKELY_ABOVE_N, LIKELY), (POSSIBLE_AB
 @pytest.mark.parametrize("was", [False, True])
 def test_a_digit_is_on_its_stop_below_its_limits_and_not_at_them(was: bool) -> None:
     band, most = (STOP_BAND_STAY_M, 10.0 * STOP_PULL_STAY) if was else (STOP_BAND_REST_M, 10.0 * STOP_PULL_REST)
-    at_stop = _at_stop.py_func
+    at_stop = interpreted(_at_stop)
     assert at_stop(was, np.nextafter(band, 0.0), np.nextafter(most, 0.0), 10.0)
     assert not at_stop(was, band, 0.0, 10.0)
     assert not at_stop(was, 0.0, most, 10.0)
@@ -72,7 +72,7 @@ def used(model: HandModel, state: FilterState, measured: Readings) -> np.ndarray
     """The measurements (N, 3) that the filter uses, NaN where none."""
     run = state_of(model, state)
     read(run, measured)
-    return _usable.py_func(tables.py_func(run.block, run.layout.places))
+    return interpreted(_usable)(interpreted(tables)(run.block, run.layout.places))
 
 
 @pytest.mark.parametrize(("x", "s", "o"), [(-3e-4, 0.0, 0.0), (-1e-4, 3e-4, 0.0), (-1e-4, 0.0, 3e-4)])

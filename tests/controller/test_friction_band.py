@@ -13,7 +13,7 @@ from handctl.programs.task import Task
 from tests.controller.goals import moving
 from tests.controller.law_runs import LawState, step
 from tests.controller.plant_run import RATE_HZ, run_on_plant
-from tests.controller.synthetic import under
+from tests.controller.synthetic import interpreted, under
 
 MOVE_S = 0.3
 TURN_S = 0.05
@@ -26,7 +26,7 @@ def follow(model: HandModel, speeds: list[float], begin: float) -> np.ndarray:
     for speed in speeds:
         wound = speed * model.period
         now = [
-            expected.py_func(tension, 12.0, 0.8, wound, stiffness, crept)
+            interpreted(expected)(tension, 12.0, 0.8, wound, stiffness, crept)
             for tension, stiffness in zip(now, model.space.stiffness, strict=True)
         ]
         found.append(now)

@@ -12,7 +12,7 @@ from handctl.core.estimation.tip import tip_force, tip_lever
 from handctl.core.model import HandModel
 from handctl.hand.dynamics import potential_energy, spring_energy, static_torque
 from handctl.hand.kinematics import points, tip_jacobian
-from tests.controller.synthetic import blank, constant_tables_of, constants, efficiency, load_statics
+from tests.controller.synthetic import blank, constant_tables_of, constants, efficiency, interpreted, load_statics
 
 
 def stood(model: HandModel, theta: list[np.ndarray], speed: float = 0.0) -> np.ndarray:
@@ -56,6 +56,23 @@ def test_friction_takes_from_a_closing_tendon_and_gives_to_an_opening_one(model:
     np.testing.assert_array_equal(still.resistance, closing.resistance)
 
 
+def test_pull_is_what_the_capstan_leaves_at_each_pulley(model: HandModel) -> None:
+    """However far friction is developed, of winding and of paying out."""
+    rng = np.random.default_rng(7)
+    theta = [rng.uniform(0.1, 1.4, digit.coupling.shape[1]) for digit in model.digits]
+    q = np.concatenate([digit.coupling @ one for digit, one in zip(model.digits, theta, strict=True)])
+    tension, developed = rng.uniform(5.0, 60.0, model.tendon_count), rng.uniform(-1.0, 1.0, model.tendon_count)
+    torque = np.zeros(len(q))
+    for i, tendon in enumerate(model.hand.tendon):
+        passed = tendon.wrap_angle_rad
+        for j, joint in enumerate(model.hand.joints):
+            arm = tendon.moment_arm_m.get(joint, 0.0)
+            passed += q[j] if arm else 0.0
+            torque[j] += arm * tension[i] * math.exp(-tendon.friction_coefficient * developed[i] * passed)
+    found = load_statics(model, stood(model, theta), tension, developed)
+    np.testing.assert_allclose(found.pull, model.torque_to_tension @ torque, rtol=1e-9)
+
+
 def test_efficiency_is_the_mean_of_the_capstan_over_the_pulleys(model: HandModel) -> None:
     rng = np.random.default_rng(7)
     q = rng.uniform(0.0, 1.4, len(model.hand.joints))
@@ -75,7 +92,7 @@ def test_all_digits_at_once_are_the_digits_one_by_one(model: HandModel) -> None:
     for _ in range(50):
         q, external = rng.uniform(-0.2, 1.8, len(model.hand.joints)), rng.normal(size=model.tendon_count) * 20.0
         torque = np.empty(len(q))
-        statics.static_torque.py_func(constant_tables_of(model), q, torque)
+        interpreted(statics.static_torque)(constant_tables_of(model), q, torque)
         state = blank(model)
         state.view("q")[...], state.view("external")[...] = q, external
         stages.remember(state.block, state.layout.places, *constants(model))

@@ -6,7 +6,7 @@ from handctl.core.block import tables
 from handctl.core.estimation.filter_stack import Regime
 from handctl.core.estimation.take_up import NEAR_M, has_turned, near_taut, turning
 from handctl.core.model import HandModel
-from tests.controller.synthetic import blank
+from tests.controller.synthetic import blank, interpreted
 
 SLACK = int(Regime.SLACK)
 
@@ -15,8 +15,8 @@ SLACK = int(Regime.SLACK)
 def test_a_rope_whose_length_is_known_is_taut_at_the_first_clear_sample(length_is_known: bool, samples: int) -> None:
     """At 200 Hz a rope gains 1 N from one sample to the next, so that each of them counts."""
     points, taken = 0, 0
-    while not has_turned.py_func(SLACK, points):
-        points = turning.py_func(SLACK, points, 0.0, 1.6, 0.0, length_is_known)
+    while not interpreted(has_turned)(SLACK, points):
+        points = interpreted(turning)(SLACK, points, 0.0, 1.6, 0.0, length_is_known)
         taken += 1
     assert taken == samples
 
@@ -26,4 +26,4 @@ def test_a_rope_is_near_from_a_small_length_of_loose_rope_on(model: HandModel) -
     state.view("stretch_offset")[...] = 1e-3
     for hangs, is_near in ((0.9 * NEAR_M, True), (1.1 * NEAR_M, False)):
         state.view("travel")[...] = 1e-3 - hangs
-        assert near_taut.py_func(tables.py_func(state.block, state.layout.places), 1) == is_near
+        assert interpreted(near_taut)(interpreted(tables)(state.block, state.layout.places), 1) == is_near
