@@ -1,0 +1,215 @@
+"""Random hands of any number of tendons, ticked with made-up frames: what the kernels do of them, tick by tick."""
+
+import hashlib
+import json
+import sys
+import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from handctl.campaign.stage import FIRST_NODE, OPTIONS
+from handctl.controller.setup import make_controller
+from handctl.controller.state import State
+from handctl.controller.tick import Controller
+from handctl.core import block as s
+from handctl.core.gains.gains import Gains
+from handctl.core.types import Mode, TickIn
+from handctl.drives.cia402 import codec as cia402
+from handctl.drives.contract import Drive, Phase
+from handctl.drives.frame import Frame
+from handctl.drives.mit import codec as mit
+from handctl.drives.signals import Message, Quantity, Table
+from handctl.hand.description import Hand
+from handctl.hand.load import hand_from, hand_path
+from handctl.programs.live import LiveProgram
+
+RATE_HZ, TICKS = 200.0, 40
+FREE_TICKS = 10
+"""The last ticks, in which faults may end what the hand does; before, it is kept active."""
+LOST, DOUBLE, BROKEN, SKIPPED = 0.03, 0.02, 0.02, 0.03
+"""Fractions of frames that are lost, come twice or have another payload, and of ticks that are skipped."""
+BUSES, ON_A_BUS = ("main", "second"), 12
+Random = np.random.Generator
+
+
+def random_hand(tendons: int, random: Random) -> Hand:
+    """Return a hand of so many tendons: digits of a tendon for each joint, of one tendon, or of one tendon more."""
+    raw = tomllib.loads(hand_path("jamia11").read_text("utf-8"))
+    finger, tendon, motor = raw["digit"][0], raw["tendon"][0], raw["motor"][0]
+    digits, ropes, joints = list[dict[str, Any]](), list[dict[str, Any]](), list[str]()
+    while len(ropes) < tendons:
+        name, left, size = f"d{len(digits)}", tendons - len(ropes), int(random.integers(1, 4))
+        own = [f"{name}_j{j + 1}" for j in range(size)]
+        radii = random.uniform(2e-3, 5e-3, size)
+        kinds = [arms for arms in _arms(own, radii) if len(arms) <= left]
+        arms = kinds[int(random.integers(len(kinds)))]
+        digits.append(_digit(finger, name, size, len(arms) == 1 < size, random))
+        joints += own
+        for moment_arm in arms:
+            varied = {
+                key: tendon[key] * random.uniform(0.8, 1.2) for key in ("stiffness_N_per_m", "friction_coefficient")
+            }
+            number = len(ropes)
+            ropes.append(tendon | varied | {"name": f"t{number}", "motor": f"m{number}", "moment_arm_m": moment_arm})
+    motors = [
+        motor | {"name": f"m{n}", "node_id": n % ON_A_BUS + 1, "bus": BUSES[n // ON_A_BUS]} for n in range(tendons)
+    ]
+    buses = [raw["bus"][0] | {"name": name} for name in BUSES[: -(-tendons // ON_A_BUS)]]
+    read = [joint for joint in joints if random.random() < 0.6]
+    node = raw["sensor_node"] | {"tendons": [rope["name"] for rope in ropes], "joints": read}
+    made = raw | {
+        "name": "random",
+        "bus": buses,
+        "digit": digits,
+        "tendon": ropes,
+        "motor": motors,
+        "sensor_node": node,
+    }
+    hand = hand_from(made, "random.toml")
+    protocol = str(random.choice(["mit", "odrive", "cia402"]))
+    changed = [
+        one.model_copy(
+            update={"protocol": protocol, "node_id": FIRST_NODE + n % ON_A_BUS, "options": OPTIONS[protocol]}
+        )
+        for n, one in enumerate(hand.motor)
+    ]
+    return hand.model_copy(update={"motor": tuple(changed)})
+
+
+def _arms(joints: list[str], radii: np.ndarray) -> Iterator[list[dict[str, float]]]:
+    """Yield the moment arms of each tendon, for each kind of digit."""
+    one = float(radii[0])
+    yield [dict.fromkeys(joints, one)]
+    each = [dict(zip(joints[: i + 1], radii[: i + 1].tolist(), strict=True)) for i in range(len(joints))]
+    yield each
+    yield [*each, {joint: -float(radius) for joint, radius in zip(joints, radii, strict=True)}]
+
+
+def _digit(finger: dict[str, Any], name: str, size: int, coupled: bool, random: Random) -> dict[str, Any]:
+    cut = {key: value[:size] if isinstance(value, list) and key[:5] in ("link_", "joint", "sprin") else value
+           for key, value in finger.items()}  # fmt: skip
+    cut |= {"name": name, "mount_position_m": random.uniform(-0.05, 0.05, 3).tolist()}
+    cut["spring_preload_rad"] = random.uniform(0.4, 0.8, size).tolist()
+    return cut | ({"coupling": [[1.0]] * size} if coupled else {})
+
+
+def _payload(message: Message, given: dict[Quantity, Any], random: Random) -> bytes:
+    """Return the payload of a message with these values; a status is spread over its signals, the first one highest."""
+    values, left = [], sum(one.length for one in message.signals if one.quantity == Quantity.STATUS)
+    for signal in message.signals:
+        value = given.get(signal.quantity, 0.0)
+        if signal.quantity == Quantity.STATUS:
+            left -= signal.length
+            value = float(int(value) >> left & (1 << signal.length) - 1)
+        elif signal.quantity in (Quantity.TENSION, Quantity.ANGLE):
+            value = float(value[signal.channel])
+        values.append(value)
+    data = Table(message).pack(*values)
+    return random.bytes(len(data)) if random.random() < BROKEN else data
+
+
+class Made:
+    """A random hand under torque, and the frames that its nodes might send."""
+
+    def __init__(self, tendons: int, seed: int) -> None:
+        self.random = np.random.default_rng((tendons, seed))
+        hand = random_hand(tendons, self.random)
+        self.controller: Controller = make_controller(hand, Gains(), RATE_HZ, LiveProgram(), None, arm_at_once=True)
+        self.protocol = hand.motor[0].protocol
+        self.state: State = self.controller.initial()
+        self.state.decide(progress=replace(self.state.progress, phase="live"))
+        self.period_ns = round(1e9 / RATE_HZ)
+        for n, drive in enumerate(self.controller.drives):
+            self.controller.keep(self.state, n, _enabled(drive))
+        self.state.mode = Mode.ACTIVE
+        self.position, self.tension = np.zeros(tendons), np.zeros(tendons)
+        self.speed = self.random.normal(0.0, 2.0, tendons)
+        self.angle = np.zeros(len(hand.joints))
+        self.digits = hand.digit_names
+
+    def frames(self, t_ns: int) -> tuple[Frame, ...]:
+        """Return what comes in a tick: motors that wind and pay out, tensions that grow with it, and what goes wrong."""
+        random, period = self.random, 1.0 / RATE_HZ
+        self.speed = 0.9 * self.speed + random.normal(0.0, 1.0, len(self.speed))
+        self.position += self.speed * period
+        self.tension = np.clip(400.0 * self.position + random.normal(0.0, 0.5, len(self.tension)), 0.0, 130.0)
+        self.angle += random.normal(0.01, 0.02, len(self.angle))
+        found = []
+        for n, drive in enumerate(self.controller.drives):
+            given = {
+                Quantity.POSITION: float(self.position[n]), Quantity.VELOCITY: float(self.speed[n]),
+                Quantity.TORQUE: float(random.normal(0.1, 0.05)), Quantity.STATUS: _status(drive, self.protocol),
+                Quantity.TEMPERATURE: float(random.integers(20, 90)),
+            }  # fmt: skip
+            found += [(one, drive.bus, given) for one in drive.cyclic.feedback]
+        sensors = self.controller.sensors
+        counter = self.state.whole(s.SYNC_ASKED) & 0xF
+        for message in sensors.messages:
+            late = random.random() < BROKEN
+            given = {Quantity.COUNTER: counter ^ late, Quantity.TENSION: self.tension, Quantity.ANGLE: self.angle}
+            found += [(message, sensors.bus, given)]
+        out = []
+        for message, bus, given in found:
+            chance = random.random()
+            for _ in range(0 if chance < LOST else 2 if chance < LOST + DOUBLE else 1):
+                data = _payload(message, given, random)
+                out.append(Frame(message.can_id, data, message.flags, bus, t_ns - int(random.integers(1_000_000))))
+        if random.random() < 0.1:
+            out.append(Frame(int(random.integers(0x800)), random.bytes(8), 0, 0, t_ns - 1))
+        return tuple(out)
+
+    def requests(self, i: int) -> tuple[str, ...]:
+        """Return what is asked for: moves of some digits, and tensions of others."""
+        if i % 8 != 2:
+            return ()
+        name = str(self.random.choice(self.digits))
+        if self.random.random() < 0.5:
+            return (json.dumps({"do": "move", "angle_deg": {name: self.random.uniform(0.0, 60.0)}, "duration_s": 0.5}),)
+        return (json.dumps({"do": "hold", "tension_N": {name: self.random.uniform(5.0, 60.0)}}),)
+
+    def ticks(self) -> Iterator[str]:
+        """Tick; yield a hash of the state, all numbers and all frames of each."""
+        k = 0
+        for i in range(TICKS):
+            if i < TICKS - FREE_TICKS:
+                self.state.mode = Mode.ACTIVE
+                self.state.decide(latched=())
+            k += 1 if self.random.random() > SKIPPED else int(self.random.integers(2, 5))
+            t_ns = k * self.period_ns
+            entry = TickIn(k, t_ns, int(self.random.integers(1_000_000)), self.frames(t_ns), (), self.requests(i))
+            self.state, out = self.controller.tick(self.state, entry)
+            parts = [
+                out.state_hash,
+                out.telemetry.packed(),
+                repr(tuple(out.frames)).encode(),
+                repr(out.events).encode(),
+            ]
+            yield hashlib.blake2b(b"".join(parts), digest_size=8).hexdigest()
+
+
+def _status(drive: Any, protocol: str) -> int:
+    """Return the status that a drive reports while it is enabled."""
+    if protocol == "mit":
+        return mit.ENABLED << 4 | drive.node_id & 0xF
+    return cia402.ENABLED_STATUS if protocol == "cia402" else 0
+
+
+def _enabled(drive: Drive) -> Any:
+    """Return a drive that obeys, without the way to it."""
+    known = drive.initial()
+    private: Any = known.private
+    steady = private._replace(asked=True) if hasattr(private, "asked") else private
+    return known._replace(phase=Phase.ENABLED, private=steady)
+
+
+def ticked(tendons: int, seed: int) -> list[str]:
+    """Return the hashes of a random hand's ticks."""
+    with np.errstate(all="ignore"):
+        return list(Made(tendons, seed).ticks())
+
+
+if __name__ == "__main__":
+    print(json.dumps([ticked(*map(int, word.split(":"))) for word in sys.argv[1:]]))
