@@ -2,7 +2,7 @@
 
 import pytest
 
-from handctl.drives import readback, recheck
+from handctl.drives import readback
 from handctl.drives.readback import REQUEST_TIMEOUT_NS, REQUEST_TRIES, Walk
 
 
@@ -41,13 +41,13 @@ def test_what_differs_is_written_and_read_again(writes: int) -> None:
 
 
 def test_a_setting_that_is_read_again_while_enabled() -> None:
-    check, problem = readback.ask_again(recheck.begin(1, 0), "limit", 1, recheck.PERIOD_NS)
+    check, problem = readback.ask_again(readback.begin_recheck(1, 0), "limit", 1, readback.RECHECK_NS)
     assert (check.waiting, check.tries, problem) == (True, 1, "")
     good, problem = readback.take_again(check, 2, True, "limit", "reads 4", "4")
     assert (good.step, good.waiting, good.tries, problem) == (1, False, 0, "")
     lost, problem = readback.take_again(check, 2, False, "limit", "reads 3", "4")
-    assert lost == recheck.Recheck()
+    assert lost == readback.Recheck()
     assert problem == "limit reads 3 while enabled, expected 4: settings are lost"
-    for _ in range(recheck.TRIES - 1):
-        check, problem = readback.ask_again(check, "limit", 1, recheck.PERIOD_NS)
+    for _ in range(readback.RECHECK_TRIES - 1):
+        check, problem = readback.ask_again(check, "limit", 1, readback.RECHECK_NS)
     assert problem == "limit is not answered while enabled"

@@ -9,7 +9,7 @@ import math
 import struct
 from dataclasses import dataclass, field
 
-from handctl.drives import readback, recheck
+from handctl.drives import readback
 from handctl.drives.causes import Cause
 from handctl.drives.cia402 import codec
 from handctl.drives.cia402 import settings as setup
@@ -131,7 +131,7 @@ class Cia402Drive:
     def background(self) -> tuple[tuple[int, bool, float], ...]:
         """Its heartbeat and this host's, and objects that are read again."""
         beats = (1, False, HEARTBEATS_MISSED * 1e9 / self.patience_ns), (1, False, 1e9 / self.beat_every_ns)
-        return (*beats, *((8, False, recheck.PER_SECOND),) * 2)
+        return (*beats, *((8, False, readback.RECHECKS_PER_SECOND),) * 2)
 
     @property
     def host_ids(self) -> frozenset[int]:
@@ -275,7 +275,7 @@ class Cia402Drive:
             return self._start(state, progress, t_ns)
         if want == ENABLE:
             word = codec.NEXT.get(progress.power, codec.DISABLE_VOLTAGE)
-            check = progress.check if progress.asked else recheck.begin(self.node_id, t_ns)
+            check = progress.check if progress.asked else readback.begin_recheck(self.node_id, t_ns)
             return state._replace(private=progress._replace(asked=True, check=check)), (self._rpdo(word, 0.0),)
         return state._replace(private=progress), ()
 

@@ -6,8 +6,7 @@ from handctl.drives.causes import Cause
 from handctl.drives.cia402 import codec
 from handctl.drives.contract import DriveState, Phase
 from handctl.drives.frame import Frame
-from handctl.drives.readback import Walk
-from handctl.drives.recheck import Recheck
+from handctl.drives.readback import Recheck, Walk
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 

@@ -8,7 +8,7 @@ unwrapped: the hand's travel is far inside. Nothing but feedback of state 0, or 
 import math
 from dataclasses import dataclass, field
 
-from handctl.drives import readback, recheck
+from handctl.drives import readback
 from handctl.drives.causes import Cause
 from handctl.drives.contract import UNSTEADY, DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
@@ -99,7 +99,7 @@ class MitDrive:
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
         """Registers that are read again, and the answers; a motor speaks only when spoken to."""
-        return ((8, bool(self.flags), recheck.PER_SECOND),) * 2
+        return ((8, bool(self.flags), readback.RECHECKS_PER_SECOND),) * 2
 
     @property
     def host_ids(self) -> frozenset[int]:
@@ -240,7 +240,7 @@ class MitDrive:
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and want == ENABLE:
-            check = progress.check if progress.asked else recheck.begin(self.node_id, t_ns)
+            check = progress.check if progress.asked else readback.begin_recheck(self.node_id, t_ns)
             asked = state._replace(private=progress._replace(asked=True, check=check))
             return asked, (self._frame(codec.special(codec.ENABLE)),)
         question = self._frame(codec.special(codec.CLEAR)) if progress.clearing else self._refresh()

@@ -8,7 +8,7 @@ even be set: with the endpoints of ``settings`` they are, by SDO. Only a heartbe
 import math
 from dataclasses import dataclass, field
 
-from handctl.drives import readback, recheck
+from handctl.drives import readback
 from handctl.drives.causes import Cause
 from handctl.drives.contract import NEVER_NS, UNSTEADY, DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
@@ -120,7 +120,7 @@ class OdriveDrive:
         """Heartbeat, cyclic position (on by default, used or not), and what is asked for: temperatures, settings."""
         warm = 0.0 if self.old else 1e9 / TEMPERATURE_NS
         told = 1.0 / (self.cyclic_s or codec.ENCODER_MS * 1e-3)
-        again = recheck.PER_SECOND if self.settings else 0.0
+        again = readback.RECHECKS_PER_SECOND if self.settings else 0.0
         beats = HEARTBEATS_MISSED * 1e9 / self.patience_ns + told
         return ((8, False, beats), (0, False, warm), (8, False, warm), (4, False, again), (8, False, again))
 
@@ -282,7 +282,7 @@ class OdriveDrive:
         if not progress.fresh:
             again = progress._replace(walk=Walk(), configured=False)
             return state._replace(phase=CONFIGURING, private=again), asked
-        check = recheck.begin(self.node_id, t_ns)
+        check = readback.begin_recheck(self.node_id, t_ns)
         told = state._replace(private=progress._replace(asked_ns=t_ns, orders=progress.orders + 1, check=check))
         return told, (*self._setup(), self._torque(0.0), self._state(codec.CLOSED_LOOP), *asked)
 
