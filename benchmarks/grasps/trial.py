@@ -9,6 +9,7 @@ import numpy as np
 from firmware_sim.plant.mjcf import STEP_S
 from firmware_sim.plant.plant import Plant
 from handctl.controller.bus_load import bus_loads
+from handctl.core import block as s
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Mode
@@ -101,11 +102,12 @@ def simulate(
         plant, simulation.keep = simulation.peer.world.plant, False
         for entry, out in simulation.ticks(timeout):
             k, state = entry.k, simulation.state
+            states = state.tendon[s.TRAVEL : s.STRETCH_OFFSET + 1].T.ravel()
             force = np.linalg.norm(np.reshape(plant.contact_forces(), (-1, 3)), axis=1)
             pose, numbers = plant.engine.object_pose(), out.telemetry
             rows.append(
                 (k / rate, pose, force, numbers.contact, numbers.tension, numbers.external_tension, numbers.excursion,
-                 state.filter.x, numbers.tip_force, plant.engine.q.copy(), plant.normal_forces())
+                 states, numbers.tip_force, plant.engine.q.copy(), plant.normal_forces())
             )  # fmt: skip
             phases.append(out.phase)
             stages.append(plant.stage)

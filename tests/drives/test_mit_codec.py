@@ -12,7 +12,7 @@ from handctl.drives.frame import FDF, Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit.drive import MitDrive
 from handctl.drives.mit.progress import Progress
-from handctl.drives.mit.settings import Walk
+from handctl.drives.readback import Walk
 from handctl.drives.registry import make_drive
 from handctl.drives.signals import Table
 from handctl.errors import ConfigError

@@ -9,7 +9,7 @@ from handctl.campaign.scenarios import ALL, FREE
 from handctl.campaign.stage import bring, hand_in, started
 from handctl.controller.bus_load import bus_loads
 from handctl.core.types import Mode
-from handctl.drives import recheck
+from handctl.drives import readback
 from handctl.drives.causes import Cause
 from handctl.drives.contract import Phase, Want
 from handctl.drives.frame import Frame
@@ -25,7 +25,7 @@ SEEDS = range(20) if os.environ.get("HANDCTL_NIGHTLY") == "1" else (1,)
 def enabled(node_id: int) -> tuple[MitDrive, object]:
     """Return an enabled MIT drive and its state."""
     drive = MitDrive("m", 0, node_id, node_id + 0x100, codec.Ranges(12.5, 50.0, 0.8), 1, 0.0, 1000)
-    check = recheck.begin(node_id, 0)
+    check = readback.begin_recheck(node_id, 0)
     state = drive.initial()._replace(phase=Phase.ENABLED, private=Progress(configured=True, asked=True, check=check))
     return drive, state
 
@@ -83,12 +83,12 @@ def test_a_lost_register_is_a_mismatch_within_a_second(node_id, lost):
 
 def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
     drive, state = enabled(3)
-    few, _ = run(drive, state, 250 * (recheck.TRIES - 1), GOOD, heard=False)
+    few, _ = run(drive, state, 250 * (readback.RECHECK_TRIES - 1), GOOD, heard=False)
     assert few.phase == Phase.ENABLED
-    many, asked = run(drive, state, 250 * (recheck.TRIES + 1), GOOD, heard=False)
+    many, asked = run(drive, state, 250 * (readback.RECHECK_TRIES + 1), GOOD, heard=False)
     assert many.phase == Phase.FAULT
     assert "not answered while enabled" in many.error_text
-    assert len(asked) == recheck.TRIES - 1
+    assert len(asked) == readback.RECHECK_TRIES - 1
 
 
 @pytest.mark.parametrize("seed", SEEDS)

@@ -9,7 +9,7 @@ import math
 import struct
 from dataclasses import dataclass, field
 
-from handctl.drives import recheck
+from handctl.drives import readback
 from handctl.drives.causes import Cause
 from handctl.drives.cia402 import codec
 from handctl.drives.cia402 import settings as setup
@@ -131,7 +131,7 @@ class Cia402Drive:
     def background(self) -> tuple[tuple[int, bool, float], ...]:
         """Its heartbeat and this host's, and objects that are read again."""
         beats = (1, False, HEARTBEATS_MISSED * 1e9 / self.patience_ns), (1, False, 1e9 / self.beat_every_ns)
-        return (*beats, *((8, False, recheck.PER_SECOND),) * 2)
+        return (*beats, *((8, False, readback.RECHECKS_PER_SECOND),) * 2)
 
     @property
     def host_ids(self) -> frozenset[int]:
@@ -212,21 +212,23 @@ class Cia402Drive:
             return self._take_again(state, progress, reply)
         if reply is None or progress.walk.step >= len(self.steps) or state.phase not in (SILENT, CONFIGURING):
             return state
-        walk, problem = setup.take(progress.walk, self.steps, reply)
-        known = state._replace(phase=CONFIGURING, private=progress._replace(walk=walk))
+        walk, serial, problem = setup.take(progress.walk, self.steps, reply)
+        progress = progress._replace(walk=walk, serial=serial or progress.serial)
+        known = state._replace(phase=CONFIGURING, private=progress)
         return fault(known, MISMATCH, problem) if problem else known
 
     def _take_again(self, state: DriveState, progress: Progress, reply: codec.SdoReply) -> DriveState:
-        """Compare an object that was read again while enabled; another value means that all may be lost."""
+        """Compare an object that was read again while enabled."""
         step = self.guards[progress.check.step]
         if reply[:2] != (step.number, step.sub) or not (reply.raw or reply.abort):
             return state
-        if reply.raw == step.raw:
-            return state._replace(private=progress._replace(check=recheck.agreed(progress.check, len(self.guards))))
-        value = int.from_bytes(reply.raw, "little")
-        read = codec.abort_text(reply.abort) if reply.abort else f"reads {value:#x} while enabled"
-        text = f"{step.name}: {read}, expected {step.value:#x}: settings are lost"
-        return fault(state._replace(private=progress._replace(check=recheck.Recheck())), MISMATCH, text)
+        value, same = int.from_bytes(reply.raw, "little"), reply.raw == step.raw
+        says = f"answers {codec.abort_text(reply.abort)!r}" if reply.abort else f"reads {value:#x}"
+        check, problem = readback.take_again(
+            progress.check, len(self.guards), same, step.name, says, f"{step.value:#x}"
+        )
+        known = state._replace(private=progress._replace(check=check))
+        return fault(known, MISMATCH, problem) if problem else known
 
     def _take_feedback(self, state: DriveState, frame: Frame) -> DriveState:
         """Values and power state; before its objects are known a TPDO may hold anything."""
@@ -273,7 +275,7 @@ class Cia402Drive:
             return self._start(state, progress, t_ns)
         if want == ENABLE:
             word = codec.NEXT.get(progress.power, codec.DISABLE_VOLTAGE)
-            check = progress.check if progress.asked else recheck.begin(self.node_id, t_ns)
+            check = progress.check if progress.asked else readback.begin_recheck(self.node_id, t_ns)
             return state._replace(private=progress._replace(asked=True, check=check)), (self._rpdo(word, 0.0),)
         return state._replace(private=progress), ()
 
@@ -282,10 +284,10 @@ class Cia402Drive:
         if t_ns < progress.check.due_ns:
             return state, ()
         step = self.guards[progress.check.step]
-        check = recheck.asked(progress.check, self.node_id, t_ns)
+        check, problem = readback.ask_again(progress.check, step.name, self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
-        if check.unanswered:
-            state = fault(state, MISMATCH, f"{step.name} is not answered while enabled")
+        if problem:
+            state = fault(state, MISMATCH, problem)
         return state, (Frame(codec.SDO_REQUEST + self.node_id, codec.upload(step.number, step.sub), 0, self.bus),)
 
     def _disable(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
@@ -331,7 +333,7 @@ class Cia402Drive:
 
     def identity(self, state: DriveState) -> str:
         """Object 0x1018:4, which a drive need not have."""
-        return f"{serial:#x}" if (serial := progress_of(state).walk.serial) else f"node {self.node_id}"
+        return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def cause(self, error: int) -> Cause:
         """See ``contract.Drive``."""

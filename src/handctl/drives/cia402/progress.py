@@ -4,10 +4,9 @@ from typing import NamedTuple, cast
 
 from handctl.drives.causes import Cause
 from handctl.drives.cia402 import codec
-from handctl.drives.cia402 import settings as setup
 from handctl.drives.contract import DriveState, Phase
 from handctl.drives.frame import Frame
-from handctl.drives.recheck import Recheck
+from handctl.drives.readback import Recheck, Walk
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
@@ -37,9 +36,10 @@ class Progress(NamedTuple):
         disabling_ns: since when it is told to disable [ns]; -1 if it is not.
         clearing: how many status words may still show the fault that is being cleared.
         check: how far its objects were read again while it is enabled.
+        serial: its serial number; 0 if it has not told one.
     """
 
-    walk: setup.Walk = setup.Walk()
+    walk: Walk = Walk()
     power: str = ""
     code: int = 0
     heard_ns: int = -1
@@ -49,6 +49,7 @@ class Progress(NamedTuple):
     disabling_ns: int = -1
     clearing: int = 0
     check: Recheck = Recheck()
+    serial: int = 0
 
     @property
     def may_be_enabled(self) -> bool:

@@ -7,10 +7,12 @@ of type 1: sampled at SYNC. Loss of the master's heartbeat is a fault of the dri
 import enum
 from typing import NamedTuple
 
+from handctl.drives import readback
 from handctl.drives.cia402 import codec
+from handctl.drives.readback import Walk
 
-REQUEST_TIMEOUT_NS = 20_000_000
-REQUEST_TRIES = 10
+FOREVER = 1 << 62
+"""Requests that never come together."""
 TORQUE_MODE = 10
 PDO_OFF = 1 << 31
 MASTER = 0x7F
@@ -67,24 +69,6 @@ GUARDS = ((0x1016, 1), (0x6072, 0))
 """Objects that make an enabled drive the first guard: loss of this host's heartbeat, and the largest torque."""
 
 
-class Walk(NamedTuple):
-    """How far a drive's objects are known.
-
-    Attributes:
-        step: index of the object.
-        written: whether it has been written.
-        sent_ns: when the open request was sent [ns]; -1 if none is.
-        tries: how often.
-        serial: the drive's serial number; 0 if it has not told one.
-    """
-
-    step: int = 0
-    written: bool = False
-    sent_ns: int = -1
-    tries: int = 0
-    serial: int = 0
-
-
 def steps(node_id: int, rated: int, most: int, watchdog_ms: int, heartbeat_ms: int) -> tuple[Step, ...]:
     """All objects in order.
 
@@ -130,38 +114,46 @@ def _pdo(communication: int, mapping: int, cob: int, kind: int, objects: tuple[i
     )
 
 
-def take(walk: Walk, wanted: tuple[Step, ...], reply: codec.SdoReply) -> tuple[Walk, str]:
+def writes(walk: Walk, step: Step) -> bool:
+    """Return whether the open or the next request writes; an object is written before it is read."""
+    return step.writes and not walk.written
+
+
+def take(walk: Walk, wanted: tuple[Step, ...], reply: codec.SdoReply) -> tuple[Walk, int, str]:
     """Take in a reply; one that was not asked for changes nothing.
 
     Returns:
-        the walk from here, and what is wrong, empty if nothing is.
+        the walk from here; the value of an object that is only told, 0 if it is none; what is wrong, empty if nothing
+        is.
     """
     step = wanted[walk.step]
-    if walk.sent_ns < 0 or reply[:2] != (step.number, step.sub):
-        return walk, ""
-    done = Walk(walk.step + 1, serial=walk.serial)
+    if not walk.waiting or reply[:2] != (step.number, step.sub):
+        return walk, 0, ""
     if reply.abort:
         if reply.abort in (codec.ABSENT, 0x06090011) and step.check >= Check.WRITE_IF_THERE:
-            return done, ""
-        return walk, f"{step.name}: {codec.abort_text(reply.abort)}"
-    if step.writes and not walk.written:
-        return (walk, "") if reply.raw else (Walk(walk.step, written=True, serial=walk.serial), "")
+            return walk.right(), 0, ""
+        return walk, 0, f"{step.name}: {codec.abort_text(reply.abort)}"
+    if writes(walk, step):
+        return walk if reply.raw else walk.wrote(), 0, ""
     if not reply.raw:
-        return walk, ""
+        return walk, 0, ""
     value = int.from_bytes(reply.raw, "little")
     if step.check == Check.TELL_IF_THERE:
-        return done._replace(serial=value), ""
-    good = value & step.value == step.value if step.check == Check.HAS_BITS else value == step.value
-    return (done, "") if good else (walk, f"{step.name} reads {value:#x}, expected {step.value:#x}")
+        return walk.right(), value, ""
+    if (value & step.value == step.value) if step.check == Check.HAS_BITS else value == step.value:
+        return walk.right(), 0, ""
+    walk, problem = readback.differs(walk, step.name, f"{value:#x}", f"{step.value:#x}", 0)
+    return walk, 0, problem
 
 
 def ask(walk: Walk, wanted: tuple[Step, ...], t_ns: int) -> tuple[Walk, bytes, str]:
-    """The request that is due: its payload, empty if an answer is awaited; what is wrong, empty if nothing is."""
-    if walk.sent_ns >= 0 and t_ns - walk.sent_ns < REQUEST_TIMEOUT_NS:
-        return walk, b"", ""
+    """The request that is due: its payload, empty if an answer is awaited; what is wrong, empty if nothing is.
+
+    The first object is asked for until the drive is there.
+    """
     step = wanted[walk.step]
-    if walk.step and walk.tries >= REQUEST_TRIES:
-        return walk, b"", f"{step.name} is not answered"
-    writes = step.writes and not walk.written
-    data = codec.download(step.number, step.sub, step.raw) if writes else codec.upload(step.number, step.sub)
-    return walk._replace(sent_ns=t_ns, tries=walk.tries + 1), data, ""
+    walk, send, problem = readback.ask(walk, step.name, t_ns, readback.REQUEST_TRIES if walk.step else FOREVER)
+    if not send:
+        return walk, b"", problem
+    download = codec.download(step.number, step.sub, step.raw)
+    return walk, download if writes(walk, step) else codec.upload(step.number, step.sub), ""

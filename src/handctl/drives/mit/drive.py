@@ -8,7 +8,7 @@ unwrapped: the hand's travel is far inside. Nothing but feedback of state 0, or 
 import math
 from dataclasses import dataclass, field
 
-from handctl.drives import recheck
+from handctl.drives import readback
 from handctl.drives.causes import Cause
 from handctl.drives.contract import UNSTEADY, DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
@@ -16,8 +16,8 @@ from handctl.drives.frame import BRS, FDF, Frame
 from handctl.drives.mit import codec
 from handctl.drives.mit import settings as registers
 from handctl.drives.mit.progress import CAUSES, CLEAR_TRIES, GONE_NS, MISMATCH, Progress, fault, judge, progress_of
-from handctl.drives.mit.settings import Walk
 from handctl.drives.options import switch
+from handctl.drives.readback import Walk
 from handctl.drives.signals import Cyclic, Table
 from handctl.errors import ConfigError
 
@@ -99,7 +99,7 @@ class MitDrive:
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
         """Registers that are read again, and the answers; a motor speaks only when spoken to."""
-        return ((8, bool(self.flags), recheck.PER_SECOND),) * 2
+        return ((8, bool(self.flags), readback.RECHECKS_PER_SECOND),) * 2
 
     @property
     def host_ids(self) -> frozenset[int]:
@@ -195,12 +195,14 @@ class MitDrive:
         return state._replace(private=progress._replace(walk=walk))
 
     def _take_guard(self, state: DriveState, progress: Progress, reply: codec.RegisterReply) -> DriveState:
-        """Compare a register that was read again while enabled; another value means that all may be lost."""
+        """Compare a register that was read again while enabled."""
         register, value = self.guards[progress.check.step]
-        if reply.raw == codec.register_bytes(register, value):
-            return state._replace(private=progress._replace(check=recheck.agreed(progress.check, len(self.guards))))
-        text = f"{registers.name(register)} reads {reply.value:g} while enabled, expected {value:g}: settings are lost"
-        return fault(state._replace(private=progress._replace(check=recheck.Recheck())), MISMATCH, text)
+        same, says = reply.raw == codec.register_bytes(register, value), f"reads {reply.value:g}"
+        check, problem = readback.take_again(
+            progress.check, len(self.guards), same, registers.name(register), says, f"{value:g}"
+        )
+        known = state._replace(private=progress._replace(check=check))
+        return fault(known, MISMATCH, problem) if problem else known
 
     def _take_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
         """Values of a feedback frame, and what its state nibble means."""
@@ -238,7 +240,7 @@ class MitDrive:
         if state.phase == CONFIGURING or (state.phase == READY and not progress.configured):
             return self._configure(state._replace(phase=CONFIGURING), progress, t_ns)
         if state.phase == READY and want == ENABLE:
-            check = progress.check if progress.asked else recheck.begin(self.node_id, t_ns)
+            check = progress.check if progress.asked else readback.begin_recheck(self.node_id, t_ns)
             asked = state._replace(private=progress._replace(asked=True, check=check))
             return asked, (self._frame(codec.special(codec.ENABLE)),)
         question = self._frame(codec.special(codec.CLEAR)) if progress.clearing else self._refresh()
@@ -253,10 +255,10 @@ class MitDrive:
     def _ask_guard(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, Frame]:
         """Read a register again that makes the enabled drive the first guard."""
         register, _ = self.guards[progress.check.step]
-        check = recheck.asked(progress.check, self.node_id, t_ns)
+        check, problem = readback.ask_again(progress.check, registers.name(register), self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
-        if check.unanswered:
-            state = fault(state, MISMATCH, f"{registers.name(register)} is not answered while enabled")
+        if problem:
+            state = fault(state, MISMATCH, problem)
         return state, self._broadcast(codec.register_request(self.node_id, codec.READ, register))
 
     def _configure(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:

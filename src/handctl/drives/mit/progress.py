@@ -5,8 +5,7 @@ from typing import NamedTuple
 from handctl.drives.causes import Cause
 from handctl.drives.contract import DriveState, Phase
 from handctl.drives.mit import codec
-from handctl.drives.mit.settings import Walk
-from handctl.drives.recheck import Recheck
+from handctl.drives.readback import Recheck, Walk
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 

@@ -8,7 +8,7 @@ even be set: with the endpoints of ``settings`` they are, by SDO. Only a heartbe
 import math
 from dataclasses import dataclass, field
 
-from handctl.drives import recheck
+from handctl.drives import readback
 from handctl.drives.causes import Cause
 from handctl.drives.contract import NEVER_NS, UNSTEADY, DriveState, Phase, Want
 from handctl.drives.description import MotorDescription
@@ -32,6 +32,7 @@ from handctl.drives.odrive.progress import (
     progress_of,
     take_heartbeat,
 )
+from handctl.drives.readback import Walk
 from handctl.drives.signals import Cyclic, Table
 from handctl.errors import ConfigError
 
@@ -119,7 +120,7 @@ class OdriveDrive:
         """Heartbeat, cyclic position (on by default, used or not), and what is asked for: temperatures, settings."""
         warm = 0.0 if self.old else 1e9 / TEMPERATURE_NS
         told = 1.0 / (self.cyclic_s or codec.ENCODER_MS * 1e-3)
-        again = recheck.PER_SECOND if self.settings else 0.0
+        again = readback.RECHECKS_PER_SECOND if self.settings else 0.0
         beats = HEARTBEATS_MISSED * 1e9 / self.patience_ns + told
         return ((8, False, beats), (0, False, warm), (8, False, warm), (4, False, again), (8, False, again))
 
@@ -233,21 +234,21 @@ class OdriveDrive:
             return self._take_again(state, progress, data)
         if state.phase != CONFIGURING or progress.walk.step >= len(self.settings):
             return state
-        walk, write, problem = endpoints.take(progress.walk, self.settings, data)
-        known = state._replace(private=progress._replace(walk=walk, write=write or progress.write))
+        walk, problem = endpoints.take(progress.walk, self.settings, data)
+        known = state._replace(private=progress._replace(walk=walk))
         return fault(known, MISMATCH, problem) if problem else known
 
     def _take_again(self, state: DriveState, progress: Progress, data: bytes) -> DriveState:
-        """Compare a setting that was read again while enabled; another value means that all may be lost."""
+        """Compare a setting that was read again while enabled."""
         setting = self.settings[progress.check.step]
         endpoint, raw = codec.sdo_reply(data)
         if endpoint != setting.endpoint or len(raw) < len(setting.raw):
             return state
-        if raw[: len(setting.raw)] == setting.raw:
-            return state._replace(private=progress._replace(check=recheck.agreed(progress.check, len(self.settings))))
-        values = endpoints.shown(raw, setting), endpoints.shown(setting.raw, setting)
-        text = f"{setting.name} reads {values[0]} while enabled, expected {values[1]}: settings are lost"
-        return fault(state._replace(private=progress._replace(check=recheck.Recheck())), MISMATCH, text)
+        same, says = raw[: len(setting.raw)] == setting.raw, f"reads {endpoints.shown(raw, setting)}"
+        expected = endpoints.shown(setting.raw, setting)
+        check, problem = readback.take_again(progress.check, len(self.settings), same, setting.name, says, expected)
+        known = state._replace(private=progress._replace(check=check))
+        return fault(known, MISMATCH, problem) if problem else known
 
     def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
         """See ``contract.Drive``."""
@@ -279,9 +280,9 @@ class OdriveDrive:
         if progress.asked_ns >= 0:
             return state, (self._torque(0.0), *asked)
         if not progress.fresh:
-            again = progress._replace(walk=endpoints.Walk(), configured=False)
+            again = progress._replace(walk=Walk(), configured=False)
             return state._replace(phase=CONFIGURING, private=again), asked
-        check = recheck.begin(self.node_id, t_ns)
+        check = readback.begin_recheck(self.node_id, t_ns)
         told = state._replace(private=progress._replace(asked_ns=t_ns, orders=progress.orders + 1, check=check))
         return told, (*self._setup(), self._torque(0.0), self._state(codec.CLOSED_LOOP), *asked)
 
@@ -295,13 +296,11 @@ class OdriveDrive:
             return self._ask_version(state, progress, t_ns)
         if progress.asked_serial < SERIAL_TRIES and not self.old:
             return self._ask_serial(state, progress, t_ns)
-        if progress.write:
-            return state._replace(private=progress._replace(write=b"")), (self._frame(codec.RX_SDO, progress.write),)
         if progress.walk.step < len(self.settings):
             walk, data, problem = endpoints.ask(progress.walk, self.settings, t_ns)
             known = state._replace(private=progress._replace(walk=walk))
-            read = (self._frame(codec.RX_SDO, data),) if data else ()
-            return (fault(known, MISMATCH, problem), ()) if problem else (known, read)
+            frames = (self._frame(codec.RX_SDO, data),) if data else ()
+            return (fault(known, MISMATCH, problem), ()) if problem else (known, frames)
         if progress.heard_ns < 0:
             return state, ()
         done = progress._replace(configured=True, fresh=True)
@@ -343,10 +342,10 @@ class OdriveDrive:
         if not self.settings or t_ns < progress.check.due_ns:
             return state, ()
         setting = self.settings[progress.check.step]
-        check = recheck.asked(progress.check, self.node_id, t_ns)
+        check, problem = readback.ask_again(progress.check, setting.name, self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
-        if check.unanswered:
-            state = fault(state, MISMATCH, f"{setting.name} is not answered while enabled")
+        if problem:
+            state = fault(state, MISMATCH, problem)
         return state, (self._frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),)
 
     def _torque(self, torque: float) -> Frame:

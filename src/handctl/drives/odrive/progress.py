@@ -7,8 +7,7 @@ from handctl.drives.contract import DriveState, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.odrive import codec
 from handctl.drives.odrive import firmware_05 as odrive_05
-from handctl.drives.odrive import settings as endpoints
-from handctl.drives.recheck import Recheck
+from handctl.drives.readback import Recheck, Walk
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 DROPPED_OUT, MISMATCH, REFUSED, ENABLED_BY_OTHERS, LOST = (1 << 32 | number for number in range(5))
@@ -39,7 +38,6 @@ class Progress(NamedTuple):
         serial: its serial number; 0 if it has not told one.
         asked_serial: how often it was asked for it; ``SERIAL_TRIES`` and it is not asked again.
         walk: how far the endpoints are known.
-        write: payload of RxSdo that is to be sent next; empty if none.
         configured: whether mode and limits were sent.
         axis: last axis state.
         heard_ns: last heartbeat [ns]; -1 before the first.
@@ -57,8 +55,7 @@ class Progress(NamedTuple):
     version: bool = False
     serial: int = 0
     asked_serial: int = 0
-    walk: endpoints.Walk = endpoints.Walk()
-    write: bytes = b""
+    walk: Walk = Walk()
     configured: bool = False
     axis: int = 0
     heard_ns: int = -1

@@ -8,11 +8,11 @@ import struct
 from collections.abc import MutableMapping
 from typing import Any, NamedTuple
 
+from handctl.drives import readback
 from handctl.drives.odrive import codec
+from handctl.drives.readback import Walk
 from handctl.errors import ConfigError
 
-REQUEST_TIMEOUT_NS = 20_000_000
-REQUEST_TRIES = 10
 WRITES = 3
 """No drive tells that a write has arrived: one that may have been lost is sent again, so often in all."""
 KEYS = ("endpoint_enable_watchdog", "endpoint_watchdog_timeout", "endpoint_torque_max", "endpoint_torque_min")
@@ -24,15 +24,6 @@ class Setting(NamedTuple):
     endpoint: int
     raw: bytes
     name: str
-
-
-class Walk(NamedTuple):
-    """How far the settings are known: index, how often this one was written, when and how often it was asked."""
-
-    step: int = 0
-    written: int = 0
-    sent_ns: int = -1
-    tries: int = 0
 
 
 def take_settings(
@@ -75,33 +66,28 @@ def unverified(settings: tuple[Setting, ...]) -> tuple[str, ...]:
     return tuple(told)
 
 
-def take(walk: Walk, settings: tuple[Setting, ...], data: bytes) -> tuple[Walk, bytes, str]:
-    """Take in a TxSdo.
+def take(walk: Walk, settings: tuple[Setting, ...], data: bytes) -> tuple[Walk, str]:
+    """Take in a TxSdo; one that was not asked for changes nothing.
 
     Returns:
-        the walk from here; payload of RxSdo to send at once, empty if none; what is wrong, empty if nothing is.
+        the walk from here, and what is wrong, empty if nothing is.
     """
     setting = settings[walk.step]
     endpoint, raw = codec.sdo_reply(data)
-    if walk.sent_ns < 0 or endpoint != setting.endpoint or len(raw) < len(setting.raw):
-        return walk, b"", ""
+    if not walk.waiting or endpoint != setting.endpoint or len(raw) < len(setting.raw):
+        return walk, ""
     if raw[: len(setting.raw)] == setting.raw:
-        return Walk(walk.step + 1), b"", ""
-    if walk.written == WRITES:
-        wrong = f"{setting.name} reads {shown(raw, setting)} after writing, expected {shown(setting.raw, setting)}"
-        return walk, b"", wrong
-    write = codec.sdo_request(codec.SDO_WRITE, setting.endpoint, setting.raw)
-    return Walk(walk.step, walk.written + 1), write, ""
+        return walk.right(), ""
+    return readback.differs(walk, setting.name, shown(raw, setting), shown(setting.raw, setting), WRITES)
 
 
 def ask(walk: Walk, settings: tuple[Setting, ...], t_ns: int) -> tuple[Walk, bytes, str]:
-    """The read request that is due; as ``take``."""
+    """The request that is due: its payload, empty if an answer is awaited; what is wrong, empty if nothing is."""
     setting = settings[walk.step]
-    if walk.sent_ns >= 0 and t_ns - walk.sent_ns < REQUEST_TIMEOUT_NS:
-        return walk, b"", ""
-    if walk.tries >= REQUEST_TRIES:
-        return walk, b"", f"endpoint {setting.endpoint} ({setting.name}) is not answered"
-    return walk._replace(sent_ns=t_ns, tries=walk.tries + 1), codec.sdo_request(codec.SDO_READ, setting.endpoint), ""
+    if walk.writing:  # has no answer
+        return walk.wrote(), codec.sdo_request(codec.SDO_WRITE, setting.endpoint, setting.raw), ""
+    walk, send, problem = readback.ask(walk, f"endpoint {setting.endpoint} ({setting.name})", t_ns)
+    return walk, codec.sdo_request(codec.SDO_READ, setting.endpoint) if send else b"", problem
 
 
 def shown(raw: bytes, setting: Setting) -> str:
