@@ -3,7 +3,8 @@
 What users would pick from the package index instead is in ``clients``.
 """
 
-from functools import partial
+from functools import cache
+from pathlib import Path
 
 LIMIT, POSITION, VELOCITY = 0.8, 12.5, 50.0
 REPLY = bytes((0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 31))
@@ -33,64 +34,62 @@ def feedback(motor: int) -> tuple[int, bytes, int]:
     return 0x10 + motor, bytes((0x10 | motor,)) + REPLY, 0
 
 
+RATE_HZ = 200.0
+
+
+@cache
+def enabled(motors):
+    """A controller of a packaged hand with so many MIT motors, and its state once all of them are enabled."""
+    from handctl.core.gains.gains import Gains
+    from handctl.core.model import HandModel
+    from handctl.core.types import Mode
+    from handctl.hand.load import load_hand
+    from handctl.programs.grasp import TaskProgram
+    from handctl.session.simulate import Simulator, homed_controller
+    from handctl.session.tasks import find_task
+
+    name = {4: "jamia", 11: "jamia11"}[motors]
+    model = HandModel.of(load_hand(name), Gains(), RATE_HZ)
+    controller = homed_controller(model, TaskProgram(find_task(Path("grasp"), model.hand)[0]))
+    with Simulator(name, homed=True).against(controller) as run:
+        assert run.until(lambda out: out.mode == Mode.ACTIVE, 20.0)
+        run.tick()
+        return controller, run.state
+
+
 class Ours:
-    """handctl's bus and codec; the frames are those of the drives."""
+    """handctl's bus and compiled codec, with each drive's state, as the tick runs it."""
 
     answer = staticmethod(feedback)
 
     def __init__(self, interface, channel, motors):
-        from handctl.drives.frame import Frame, make
-        from handctl.drives.mit.codec import Ranges, decode_feedback, encode_torque, lines
+        import numpy as np
+
+        from handctl.core import wire
+        from handctl.drives.contract import Want
+        from handctl.drives.records import WORDS
         from handctl.runtime.buses.open import open_bus
 
-        self.bus, self.make = open_bus(f"{interface}:{channel}", 0, 1_000_000), make
-        self.frame, self.encode, self.ids = Frame, encode_torque, range(1, motors + 1)
-        self.decode, self.ranges = decode_feedback, Ranges(POSITION, VELOCITY, LIMIT)
-        self.lines = lines(self.ranges)
+        self.controller, state = enabled(motors)
+        self.state, self.want, self.begin, self.np = state.copy(), Want.ENABLE, wire.begin, np
+        self.shape = 1 + motors, WORDS
+        self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)
+        self.t_ns = self.state.k * round(1e9 / RATE_HZ)
 
     def send(self, torques):
-        frame, encode, make = self.frame, self.encode, self.make
-        self.bus.send([make(frame, (i, encode(t, LIMIT), 0, 0, 0)) for i, t in zip(self.ids, torques, strict=True)])
+        np, state = self.np, self.state
+        out = np.zeros(self.shape, dtype=np.uint64)
+        frames = self.controller._send(state, out, self.want, np.array(torques), self.t_ns)
+        self.bus.send(frames[1:])  # without SYNC
 
     def receive(self):
-        decode, lines = self.decode, self.lines
-        return [decode(frame.data, lines) for frame in self.bus.drain()]
+        frames, state = self.bus.drain(), self.state
+        self.begin(state.block, self.controller.layout.places)
+        self.controller._receive(state, frames)
+        return frames
 
     def close(self):
         self.bus.close()
-
-
-class Drives(Ours):
-    """The same with each drive's state machine, as the tick runs it."""
-
-    def __init__(self, interface, channel, motors):
-        super().__init__(interface, channel, motors)
-        from handctl.drives.contract import DriveState, Phase, Want
-        from handctl.drives.mit.drive import MitDrive
-        from handctl.drives.mit.progress import Progress
-
-        self.want = Want.ENABLE
-        make = partial(MitDrive, bus=0, ranges=self.ranges, direction=1, zero=0.0, timeout=1000)
-        self.drives = [make(name=str(i), node_id=i, reply_id=i + 0x10) for i in self.ids]
-        state = DriveState(phase=Phase.ENABLED, private=Progress(configured=True, asked=True))
-        self.states = [state] * motors
-        self.by_id = {drive.reply_id: i for i, drive in enumerate(self.drives)}
-
-    def send(self, torques):
-        frames, states, want = [], [], self.want
-        for drive, state, torque in zip(self.drives, self.states, torques, strict=True):
-            state, out = drive.advance(state, 0, want, torque)
-            states.append(state)
-            frames += out
-        self.states = states
-        self.bus.send(frames)
-
-    def receive(self):
-        frames, drives, states, by_id = self.bus.drain(), self.drives, self.states, self.by_id
-        for frame in frames:
-            i = by_id[frame[0]]
-            states[i] = drives[i].receive(states[i], frame)
-        return frames
 
 
 class Scalar:
@@ -145,7 +144,6 @@ class Cantools(Scalar):
 
 WAYS = {
     "handctl": Ours,
-    "handctl, drives and all": Drives,
     "python-can, scalar codec": Scalar,
     "python-can, cantools": Cantools,
 }
