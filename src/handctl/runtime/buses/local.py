@@ -9,15 +9,17 @@ import struct
 import time
 from collections.abc import Sequence
 
-from handctl.drives.frame import Frame
-from handctl.drives.records import EMPTY, Frames, frames_of
+from handctl.drives.frame import ERROR, Frame
+from handctl.drives.records import EMPTY, Frames
 from handctl.errors import BusError
 from handctl.runtime.buses.canfd import SIZE, Structs, gathered, without_errors
-from handctl.runtime.buses.contract import Stamp
+from handctl.runtime.buses.contract import Stamp, check_size
 from handctl.runtime.buses.events import BusEvents, Event
 from handctl.runtime.peers import served_by_us
 from handctl.runtime.places import local_bus_path
 
+RECORD = struct.Struct("<IBBH64s")
+"""Identifier with flag bits, length, flags, frames dropped so far modulo 65536, payload: as ``canfd.STRUCT``."""
 BUFFER = 1 << 20
 """Asked of the kernel for either direction [bytes]."""
 MOST = 4096
@@ -137,13 +139,31 @@ class LocalBus:
             frames, errors = without_errors(frames.records)
             for frame in errors:
                 self._told(frame.can_id, frame.data)
-        lost = structs.reserved(count - 1)
-        if lost != self._dropped:
-            self._events.add("dropped", (lost - self._dropped) & 0xFFFF)
-            self._dropped = lost
+        self._count_dropped(structs.reserved(count - 1))
         if self._kept:
             self._buffer[: self._kept] = self._buffer[filled - self._kept : filled]
         return frames
+
+    def receive_one(self) -> Frame | None:
+        """Return the next frame as an object, for programs that take one message at a time; None if there is none."""
+        if self.early:
+            frame, self.early = self.early[0], self.early[1:]
+            return frame
+        filled = self._kept + self._read(self._buffer[self._kept : SIZE])
+        self._kept = filled % SIZE
+        if filled < SIZE:
+            return None
+        can_id, length, flags, lost, data = RECORD.unpack_from(self._buffer)
+        self._count_dropped(lost)
+        if can_id & ERROR:
+            self._told(can_id, data[:length])
+            return None
+        return Frame(can_id, data[:length], flags, self._index, self._stamp(time.monotonic_ns()))
+
+    def _count_dropped(self, lost: int) -> None:
+        if lost != self._dropped:
+            self._events.add("dropped", (lost - self._dropped) & 0xFFFF)
+            self._dropped = lost
 
     def _told(self, can_id: int, data: bytes) -> None:
         """An error frame, or how far the hub has emptied this client's queue."""
@@ -152,7 +172,7 @@ class LocalBus:
         else:
             self._events.error_frame(can_id, data)
 
-    def _fitting(self, frames: Frames) -> Frames:
+    def _fitting(self, frames: Sequence[Frame]) -> Sequence[Frame]:
         """As many of the frames as the queue has room for; the others are refused."""
         if len(frames) > self._room():
             self.early = self.drain()  # it may have been emptied meanwhile
@@ -166,13 +186,9 @@ class LocalBus:
 
     def send(self, frames: Sequence[Frame]) -> int:
         """See ``bus.Bus``."""
-        frames = frames_of(frames)
         if self._depth:
             frames = self._fitting(frames)
-        if len(frames) > self._out_structs.count:
-            self._make_room(2 * len(frames))
-        self._out_structs.write(frames)
-        records = self._out[: SIZE * len(frames)]
+        records = self._packed(frames)
         waiting = self._rest + records if self._rest else records
         if self._gone or not waiting:
             return 0
@@ -190,6 +206,17 @@ class LocalBus:
             accepted = self._sent_partly(waiting, sent, len(frames))
         self._sent += accepted
         return accepted
+
+    def _packed(self, frames: Sequence[Frame]) -> bytes | memoryview:
+        """Return frames as records of the hub; a tool's few objects are packed one by one."""
+        if not isinstance(frames, Frames):
+            for frame in frames:
+                check_size(frame)
+            return b"".join([RECORD.pack(can_id, len(data), flags, 0, data) for can_id, data, flags, _, _ in frames])
+        if len(frames) > self._out_structs.count:
+            self._make_room(2 * len(frames))
+        self._out_structs.write(frames)
+        return self._out[: SIZE * len(frames)]
 
     def _sent_partly(self, waiting: bytes | memoryview, sent: int, frames: int) -> int:
         """Keep the rest of a record that was begun, drop the others; how many frames were accepted."""
