@@ -2,8 +2,8 @@
 
 ``python benchmarks/bus.py [--quick] [--json]``. Four and eleven MIT motors, on the local bus and on vcan (in user-mode
 Linux where the kernel has none); the motors are in the same process and are not timed, so what counts is what the
-host pays. An exchange is: torques to payloads, sending, receiving, payloads to values, in all of them; "drives and all"
-makes each drive's next state besides, as a tick does. What counts are the ratios within a run.
+host pays. An exchange is: torques to payloads, sending, receiving, payloads to values, in all of them; handctl keeps
+each drive's state besides, as a tick does. What counts are the ratios within a run.
 
 The floor is a C program with the same system calls and codec. On the local bus handctl sends a tick's frames in one
 piece, so that floor hardly grows with the motors; what C takes for a packet a frame (sendmmsg, recvmmsg), as a CAN

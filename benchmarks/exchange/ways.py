@@ -3,7 +3,8 @@
 What users would pick from the package index instead is in ``clients``.
 """
 
-from functools import partial
+from functools import cache
+from pathlib import Path
 
 LIMIT, POSITION, VELOCITY = 0.8, 12.5, 50.0
 REPLY = bytes((0x80, 0x10, 0x7F, 0xF8, 0x20, 30, 31))
@@ -33,76 +34,62 @@ def feedback(motor: int) -> tuple[int, bytes, int]:
     return 0x10 + motor, bytes((0x10 | motor,)) + REPLY, 0
 
 
+RATE_HZ = 200.0
+
+
+@cache
+def enabled(motors):
+    """A controller of a packaged hand with so many MIT motors, and its state once all of them are enabled."""
+    from handctl.core.gains.gains import Gains
+    from handctl.core.model import HandModel
+    from handctl.core.types import Mode
+    from handctl.hand.load import load_hand
+    from handctl.programs.grasp import TaskProgram
+    from handctl.session.simulate import Simulator, homed_controller
+    from handctl.session.tasks import find_task
+
+    name = {4: "jamia", 11: "jamia11"}[motors]
+    model = HandModel.of(load_hand(name), Gains(), RATE_HZ)
+    controller = homed_controller(model, TaskProgram(find_task(Path("grasp"), model.hand)[0]))
+    with Simulator(name, homed=True).against(controller) as run:
+        assert run.until(lambda out: out.mode == Mode.ACTIVE, 20.0)
+        run.tick()
+        return controller, run.state
+
+
 class Ours:
-    """handctl's bus and codec; the frames are those of the drives."""
+    """handctl's bus and compiled codec, with each drive's state, as the tick runs it."""
 
     answer = staticmethod(feedback)
 
     def __init__(self, interface, channel, motors):
-        from handctl.drives.frame import Frame, make
-        from handctl.drives.mit.codec import Ranges, command_message, decode_feedback, feedback_message
-        from handctl.drives.signals import Table
+        import numpy as np
+
+        from handctl.core import wire
+        from handctl.drives.contract import Want
+        from handctl.drives.records import WORDS
         from handctl.runtime.buses.open import open_bus
 
-        self.bus, self.make = open_bus(f"{interface}:{channel}", 0, 1_000_000), make
-        self.frame, self.ids, self.ranges = Frame, range(1, motors + 1), Ranges(POSITION, VELOCITY, LIMIT)
-        self.commands = [Table(command_message(i, self.ranges)) for i in self.ids]
-        self.decode, self.table = decode_feedback, Table(feedback_message(0x11, self.ranges))
+        self.controller, state = enabled(motors)
+        self.state, self.want, self.begin, self.np = state.copy(), Want.ENABLE, wire.begin, np
+        self.shape = 1 + motors, WORDS
+        self.bus = open_bus(f"{interface}:{channel}", 0, 1_000_000)
+        self.t_ns = self.state.k * round(1e9 / RATE_HZ)
 
     def send(self, torques):
-        frame, make, words = self.frame, self.make, zip(self.ids, self.commands, torques, strict=True)
-        self.bus.send([make(frame, (i, command.pack(torque), 0, 0, 0)) for i, command, torque in words])
+        np, state = self.np, self.state
+        out = np.zeros(self.shape, dtype=np.uint64)
+        frames = self.controller._send(state, out, self.want, np.array(torques), self.t_ns)
+        self.bus.send(frames[1:])  # without SYNC
 
     def receive(self):
-        decode, table = self.decode, self.table
-        return [decode(frame.data, table) for frame in self.bus.drain()]
+        frames, state = self.bus.drain(), self.state
+        self.begin(state.block, self.controller.layout.places)
+        self.controller._receive(state, frames)
+        return frames
 
     def close(self):
         self.bus.close()
-
-
-class Drives(Ours):
-    """The same as the tick does it: compiled, from records to the values of a block and back."""
-
-    def __init__(self, interface, channel, motors):
-        super().__init__(interface, channel, motors)
-        import numpy as np
-
-        from handctl.core import block as s
-        from handctl.core import wire
-        from handctl.core.block import AXES, STATE
-        from handctl.drives.contract import NEVER_NS, Phase
-        from handctl.drives.mit.drive import MitDrive
-        from handctl.drives.records import WORDS, Frames, frames_of
-        from handctl.drives.sensors.node import SensorNode
-
-        make = partial(MitDrive, bus=0, ranges=self.ranges, direction=1, zero=0.0, timeout=1000)
-        drives = [make(name=str(i), node_id=i, reply_id=i + 0x10) for i in self.ids]
-        self.wire, self.tables = wire, wire.Wire(drives, SensorNode(0, 0x080, (), (), (), 0, (-1,) * motors, 1))
-        lengths = dict.fromkeys(AXES, 1) | {"tendon": motors, "node": motors + 1, "instance": motors + 1}
-        layout = STATE.layout(lengths)
-        self.block, self.places = layout.initial.copy(), layout.places
-        whole = layout.table(self.block, "tendon_int")
-        whole[s.PHASE], whole[s.DUE_NS] = Phase.ENABLED, NEVER_NS
-        whole[s.STATUS_EXPECTED] = [0x10 | i for i in self.ids]
-        self.out, self.array = np.zeros((motors, WORDS), np.uint64), np.array
-        self.frames_of, self.of_rows = frames_of, Frames.of_rows
-
-    def send(self, torques):
-        tables = self.tables
-        self.wire.send(
-            self.block, self.places, self.out, tables.commands, tables.sent_wholes, tables.sent_reals,
-            tables.templates, self.array(torques), 0, 0,
-        )  # fmt: skip
-        self.bus.send(list(self.of_rows(self.out)))
-
-    def receive(self):
-        frames, tables = self.frames_of(self.bus.drain()), self.tables
-        self.wire.begin(self.block, self.places)
-        self.wire.receive(
-            self.block, self.places, frames.rows, tables.keys, tables.entries, tables.wholes, tables.reals, 0
-        )
-        return frames
 
 
 class Scalar:
@@ -157,7 +144,6 @@ class Cantools(Scalar):
 
 WAYS = {
     "handctl": Ours,
-    "handctl, drives and all": Drives,
     "python-can, scalar codec": Scalar,
     "python-can, cantools": Cantools,
 }

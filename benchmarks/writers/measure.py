@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from benchmarks.writers.others import OTHERS, Message
-from benchmarks.writers.sustained import sustained
+from benchmarks.writers.sustained import as_in_the_loop, sustained
 from handctl.log.read.reader import RunLog
 from handctl.log.record import FRAMING, pack
 from handctl.log.write.recorder import Recorder
@@ -36,7 +36,7 @@ def main(about: str) -> None:
 def measure(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
     """All numbers."""
     run = synthetic.header("jamia11", RATE_HZ)
-    ticks = list(synthetic.Synthetic(run, seconds))
+    ticks = [as_in_the_loop(*tick) for tick in synthetic.Synthetic(run, seconds)]
     writers = {"handctl": ours(folder / "ours.mcap", run, ticks)}
     messages = decoded(folder / "ours.mcap")
     for name, make in OTHERS.items():

@@ -16,8 +16,9 @@ import numpy as np
 import psutil
 import synthetic
 
-from handctl.core.types import IoEvent, Mode, TickIn, TickOut
+from handctl.core.types import TELEMETRY_FIELDS, IoEvent, Mode, PackedTelemetry, TickIn, TickOut
 from handctl.drives.frame import Frame
+from handctl.drives.records import Frames, frames_of
 from handctl.log.read.reader import RunLog
 from handctl.log.record import pack
 from handctl.log.write.recorder import Recorder
@@ -41,7 +42,7 @@ def sustained(path: Path, seconds: float) -> dict[str, Any]:
     Returns:
         what is in the log, what was dropped, the recorder's share of one core, lateness of the loop [us].
     """
-    ticks = list(synthetic.Synthetic(synthetic.header(HAND, RATE_HZ), CYCLE_S))
+    ticks = [as_in_the_loop(*tick) for tick in synthetic.Synthetic(synthetic.header(HAND, RATE_HZ), CYCLE_S)]
     recorder = Recorder.start(path, synthetic.header(HAND, RATE_HZ, deterministic=False))
     with _apart(recorder._child.pid) as granted:
         before = _loop(seconds / 2, granted, ticks, lambda entry, out: None, list)
@@ -56,6 +57,17 @@ def sustained(path: Path, seconds: float) -> dict[str, Any]:
     numbers = {name: int(str(summary[name])) for name in ("dropped", "lost", "bytes")}
     late = {"without_us": _marks(before, after), "with_us": _marks(logged)}
     return {"seconds": seconds, "real_time": granted, **found, **numbers, "recorder_core_share": share, **late}
+
+
+def as_in_the_loop(tick_in: TickIn, out: TickOut) -> Tick:
+    """Frames as records and telemetry as one array, as buses and controller give them."""
+    places, at = {}, 0
+    for name, values in zip(TELEMETRY_FIELDS, out.telemetry, strict=True):
+        places[name], at = slice(at, at + len(values)), at + len(values)
+    telemetry = PackedTelemetry(np.concatenate(tuple(out.telemetry)), places)
+    return tick_in._replace(frames=frames_of(tick_in.frames)), out._replace(
+        frames=frames_of(out.frames), telemetry=telemetry
+    )
 
 
 @contextmanager
@@ -79,10 +91,10 @@ class _Ready:
     def __init__(self, ticks: list[Tick]) -> None:
         self._ticks, self._at = ticks, 0
 
-    def drain(self) -> list[Frame]:
+    def drain(self) -> Frames:
         """The frames of the next tick."""
         self._at += 1
-        return list(self._ticks[self._at % len(self._ticks)][0].frames)
+        return frames_of(self._ticks[self._at % len(self._ticks)][0].frames)
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Take all."""

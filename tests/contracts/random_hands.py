@@ -131,7 +131,7 @@ class Made:
         self.digits = hand.digit_names
 
     def frames(self, t_ns: int) -> tuple[Frame, ...]:
-        """Return what comes in a tick: motors that wind and pay out, tensions that grow with it, and what goes wrong."""
+        """Return what comes in a tick: motors that wind and pay out, tensions that follow, and what goes wrong."""
         random, period = self.random, 1.0 / RATE_HZ
         self.speed = 0.9 * self.speed + random.normal(0.0, 1.0, len(self.speed))
         self.position += self.speed * period

@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from handctl.core.types import TELEMETRY_AXES, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
+from handctl.core.types import TELEMETRY_AXES, Event, IoEvent, Mode, PackedTelemetry, Telemetry, TickIn, TickOut
 from handctl.drives.frame import FDF, Frame
-from handctl.log.record import FRAMING, layout, pack, pack_tick, unpack, unpack_tick
+from handctl.drives.records import frames_of
+from handctl.log.record import FRAMING, layout, pack, pack_tick, unpack, unpack_tick, unpack_ticks
 from handctl.safety.action import Action
 
 I64 = st.integers(-(2**63), 2**63 - 1)
@@ -80,6 +81,50 @@ def test_the_layout_agrees_with_the_decoder(tick_in: TickIn, out: TickOut) -> No
     assert message[places.tail + 4 : places.tail + 4 + len(phase)] == phase
 
 
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.tuples(TICK_IN, TICK_OUT), max_size=5))
+def test_ticks_decoded_together_are_those_decoded_one_by_one(ticks: list[tuple[TickIn, TickOut]]) -> None:
+    messages = [pack_tick(*tick) for tick in ticks]
+    together = unpack_ticks(messages)
+    assert together == [unpack_tick(message) for message in messages]
+    for (tick_in, out), again in zip(ticks, together, strict=True):
+        assert again.tick_in.frames.records.tobytes() == frames_of(tick_in.frames).records.tobytes()
+        assert again.frames.records.tobytes() == frames_of(out.frames).records.tobytes()
+
+
+@settings(max_examples=50, deadline=None)
+@given(TICK_IN, TICK_OUT)
+def test_records_are_packed_as_frames_are(tick_in: TickIn, out: TickOut) -> None:
+    as_records = tick_in._replace(frames=frames_of(tick_in.frames)), out._replace(frames=frames_of(out.frames))
+    places, at = {}, 0
+    for name, values in zip(TELEMETRY_AXES, out.telemetry, strict=True):
+        places[name], at = slice(at, at + len(values)), at + len(values)
+    packed = PackedTelemetry(np.concatenate(tuple(out.telemetry)), places)
+    assert pack(as_records[0], as_records[1]._replace(telemetry=packed)) == pack(tick_in, out)
+
+
+def test_what_a_file_has_behind_a_payload_is_not_of_the_frame() -> None:
+    telemetry = Telemetry(**{name: np.zeros(1) for name in TELEMETRY_AXES})
+    frame = Frame(5, b"abc")
+    message = bytearray(
+        pack_tick(TickIn(1, 2, 0, (frame,)), TickOut((), Mode.READY, "", Action.PASS, telemetry, (), bytes(8)))
+    )
+    at = layout(bytes(message)).received.start
+    message[at + 16 + 3 : at + 24] = b"\xff" * 5
+    for tick in (unpack_tick(bytes(message)), *unpack_ticks([bytes(message)])):
+        assert tick.tick_in.frames.records.tobytes() == frames_of([frame]).records.tobytes()
+
+
+def test_a_payload_longer_than_any_frames_is_refused() -> None:
+    telemetry = Telemetry(**{name: np.zeros(1) for name in TELEMETRY_AXES})
+    quiet = TickOut((), Mode.READY, "", Action.PASS, telemetry, (), bytes(8))
+    message = bytearray(pack_tick(TickIn(1, 2, 0, (Frame(5, bytes(64), FDF),)), quiet))
+    message[layout(bytes(message)).received.start + 15] = 65
+    for decode in (unpack_tick, lambda one: unpack_ticks([one])):
+        with pytest.raises(ValueError, match="payload of 65 bytes"):
+            decode(bytes(message))
+
+
 @settings(max_examples=300, deadline=None)
 @given(TICK_IN, TICK_OUT, st.data())
 def test_a_cut_or_changed_message_never_does_worse_than_value_error(
@@ -88,12 +133,14 @@ def test_a_cut_or_changed_message_never_does_worse_than_value_error(
     message = bytearray(pack_tick(tick_in, out))
     if data.draw(st.booleans()):
         del message[data.draw(st.integers(0, len(message) - 1)) :]
-        with pytest.raises(ValueError):
-            unpack_tick(bytes(message))
+        for decode in (unpack_tick, lambda one: unpack_ticks([one])):
+            with pytest.raises(ValueError):
+                decode(bytes(message))
         return
     message[data.draw(st.integers(0, len(message) - 1))] ^= data.draw(st.integers(1, 255))
     with contextlib.suppress(ValueError):
-        unpack_tick(bytes(message))
+        once = unpack_tick(bytes(message))
+        assert unpack_ticks([bytes(message)]) == [once]
 
 
 def test_a_record_says_its_length() -> None:

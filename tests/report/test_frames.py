@@ -38,7 +38,7 @@ def without(ticks: list[TickRecord], at: int) -> tuple[list[TickRecord], object]
     wanted = make_sensors(HAND).ids[0]
     entry = ticks[at].tick_in
     [frame] = [one for one in entry.frames if one.can_id == wanted][:1]
-    rest = tuple(one for one in entry.frames if one is not frame)
+    rest = tuple(one for one in entry.frames if one != frame)
     changed = ticks[at]._replace(tick_in=entry._replace(frames=rest))
     return [*ticks[:at], changed, *ticks[at + 1 :]], frame
 

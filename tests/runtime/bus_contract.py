@@ -50,7 +50,7 @@ class Medium:
 
 def drained(bus: Bus, count: int) -> list[Frame]:
     """At least this many frames, or all that came in time."""
-    frames, end = bus.drain(), time.monotonic() + WAIT_S
+    frames, end = list(bus.drain()), time.monotonic() + WAIT_S
     while len(frames) < count and time.monotonic() < end:
         time.sleep(0.002)
         frames += bus.drain()

@@ -32,7 +32,7 @@ def udp() -> Iterator[tuple[SocketCanBus, socket.socket]]:
 
 
 def waited(bus: SocketCanBus, count: int) -> list[Frame]:
-    frames, end = bus.drain(), time.monotonic() + 20.0
+    frames, end = list(bus.drain()), time.monotonic() + 20.0
     while len(frames) < count and time.monotonic() < end:
         time.sleep(0.001)
         frames += bus.drain()

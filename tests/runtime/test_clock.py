@@ -5,7 +5,8 @@ import time
 
 import pytest
 
-from handctl.drives.frame import Frame
+from handctl.drives.frame import ERROR, Frame
+from handctl.drives.records import Frames, Records, frames_of
 from handctl.errors import ConfigError
 from handctl.runtime.clock import Priority, RealClock
 from handctl.runtime.lockstep import LockstepBus, LockstepClock, load_peer
@@ -142,6 +143,50 @@ def test_a_second_run_goes_on_in_the_peers_time_with_its_own_zero() -> None:
     clock = LockstepClock(peer, PERIOD)
     clock.restart()
     assert (clock.offset_ns, len(peer.steps)) == (0, 5), "before the first run there is nothing to finish"
+
+
+class RecordPeer(Peer):
+    """The same with records."""
+
+    def exchange(self, t_ns: int, records: Records) -> Records:
+        self.steps.append((t_ns, list(Frames(records))))
+        answers = records.copy()
+        answers["can_id"] += 0x10
+        answers["t_ns"] = t_ns + 300
+        answers.flags.writeable = False
+        return answers
+
+    def step(self, t_ns: int, frames: list[Frame]) -> list[tuple[int, bytes, int, int, int]]:
+        raise AssertionError("frames are objects, although the peer takes records")
+
+
+def test_a_peer_with_exchange_gets_and_gives_records_as_one_with_step_does_objects() -> None:
+    runs = []
+    for peer in (Peer(), RecordPeer()):
+        clock = LockstepClock(peer, PERIOD)
+        bus, seen = LockstepBus(clock), []
+        for _ in range(2):
+            for k in range(4):
+                clock.wait(k)
+                seen.append(bus.drain())
+                if k != 2:
+                    bus.send([Frame(k, bytes(range(k))), Frame(0x100 + k, bytes(8), bus=1)])
+                    bus.send(frames_of([Frame(0x200 + k, b"later")]))
+            clock.restart()
+            assert bus.drain() == []
+        runs.append((seen, peer.steps))
+    assert runs[0] == runs[1]
+    assert [len(frames) for frames in runs[0][0]] == [0, 3, 3, 0] * 2
+    assert [frame.bus for frame in runs[0][0][1]] == [0, 1, 0]
+
+
+def test_error_frames_of_a_peer_are_events_of_their_bus() -> None:
+    clock = LockstepClock(RecordPeer(), PERIOD)
+    bus = LockstepBus(clock)
+    bus.send([Frame(1, b"a"), Frame(ERROR | 0x30, bytes(8), bus=1), Frame(2, b"b", bus=1)])
+    clock.wait(1)
+    assert [frame.data for frame in bus.drain()] == [b"a", b"b"]
+    assert ("bus_off", "lockstep:1", 1) in bus.take_events()
 
 
 def test_peers_are_loaded_by_name() -> None:

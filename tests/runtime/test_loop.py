@@ -13,6 +13,7 @@ import pytest
 
 from handctl.core.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
+from handctl.drives.records import Frames, frames_of
 from handctl.errors import PowerError
 from handctl.runtime import loop
 from handctl.runtime.loop import Loop
@@ -51,9 +52,9 @@ class FakeBus:
     happened: list[tuple[str, str, int]] = field(default_factory=list)
     drains: int = 0
 
-    def drain(self) -> list[Frame]:
+    def drain(self) -> Frames:
         self.drains += 1
-        return self.waiting.pop(0) if self.waiting else []
+        return frames_of(self.waiting.pop(0) if self.waiting else ())
 
     def send(self, frames: Sequence[Frame]) -> int:
         self.sent.append(tuple(frames[: self.room]))

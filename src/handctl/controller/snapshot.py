@@ -15,23 +15,20 @@ from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import Chirp, Curve, MinimumJerk, Sample
 from handctl.core.plain import BYTES, plain, register, restored
 from handctl.core.schema import Layout
-from handctl.drives import recheck
 from handctl.drives.cia402 import progress as cia402
-from handctl.drives.cia402 import settings as cia402_settings
 from handctl.drives.contract import DriveState, Phase, Want
 from handctl.drives.mit import cubemars
 from handctl.drives.mit import progress as mit
-from handctl.drives.mit import settings as mit_settings
 from handctl.drives.odrive import progress as odrive
-from handctl.drives.odrive import settings as odrive_settings
+from handctl.drives.readback import Recheck, Walk
 from handctl.programs.grip import Grip
 from handctl.programs.program import Progress
 from handctl.safety.judge import Counting, Latched
 
 register(
     Decisions, DriveState, Phase, Want, Progress, Grip, DigitGoal, Kind, MinimumJerk, Curve, Sample, Chirp, Latched,
-    Counting, Gains, Coming, recheck.Recheck, mit.Progress, cubemars.Progress, odrive.Progress, cia402.Progress,
-    mit_settings.Walk, odrive_settings.Walk, cia402_settings.Walk,
+    Counting, Gains, Coming, Recheck, mit.Progress, cubemars.Progress, odrive.Progress, cia402.Progress,
+    Walk,
 )  # fmt: skip
 
 HEAD = 8

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, TELEMETRY_FIRST
 from handctl.log.header import RunHeader
-from handctl.log.record import FIXED, FRAME, SIZES, TickRecord, layout, unpack_tick
+from handctl.log.record import FIXED, FRAME_SIZE, SIZES, TickRecord, layout, unpack_tick
 
 FRAME_DTYPE = np.dtype(
     [("t_ns", "<i8"), ("can_id", "<u4"), ("flags", "<u2"), ("bus", "u1"), ("length", "u1"), ("data", "u1", (8,))]
@@ -148,7 +148,7 @@ class Batcher:
         places = layout(message)
         for direction, place in ((self._received, places.received), (self._sent, places.sent)):
             direction.parts.append(message[place])
-            direction.counts.append((place.stop - place.start) // FRAME.size)
+            direction.counts.append((place.stop - place.start) // FRAME_SIZE)
         if places.long_data.stop > places.long_data.start:
             self._add_long(message[places.long_data])
         self._add_tail(message, places.tail)

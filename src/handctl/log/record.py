@@ -6,13 +6,24 @@ A record is ``u32 length, u32 kind`` and length bytes. The body of a tick is ``u
 
 import functools
 import struct
-from collections.abc import Iterable
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Event, IoEvent, Mode, Telemetry, TickIn, TickOut
-from handctl.drives.frame import Frame
+from handctl.core.types import (
+    TELEMETRY_AXES,
+    TELEMETRY_FIELDS,
+    Event,
+    IoEvent,
+    Mode,
+    PackedTelemetry,
+    Telemetry,
+    TickIn,
+    TickOut,
+)
+from handctl.drives.records import EMPTY, RECORD, SHORT, Frames, Records, frames_of
 from handctl.log.cdr import ENCAPSULATION, CdrReader, CdrWriter
 from handctl.safety.action import Action
 
@@ -25,12 +36,26 @@ SNAPSHOT_HEAD = struct.Struct("<qq")
 SIZES = struct.Struct("<IHHHH")
 FIXED = struct.Struct("<qqq8sBB2xI")
 """Constant part of the Tick message: k, t_ns, late_ns, state hash, mode, action, number of frames received."""
-FRAME = struct.Struct("<qIHBB8s")
+FRAME_SIZE = SHORT
+"""A frame is the beginning of its record (t_ns, can_id, flags, bus, length, eight bytes of data). What a longer payload
+has beyond them follows all frames."""
+_BEGINNING, _LENGTH_AT, _WORD = np.dtype(f"V{SHORT}"), 15, np.dtype("<u8")
+_DATA_AT, _SHORT_DATA, _LONGEST = 16, 8, 64
+_MASKS = np.array([(1 << 8 * length) - 1 for length in range(_SHORT_DATA + 1)], np.uint64)
+"""Bits of a payload of each length."""
+_BEYOND = np.arange(_SHORT_DATA, _LONGEST)
+_FRAMES_AT = FIXED.size + 4
+"""Place of the frames in a message [bytes]."""
+_Fixed = tuple[int, int, int, bytes, int, int, int]
+"""The constant part, unpacked."""
 _MODES, _ACTIONS = {mode.value: mode for mode in Mode}, {action.value: action for action in Action}
 """Looked up in a quarter of the time that an enumeration takes."""
 make = tuple.__new__
 """A named tuple without its constructor."""
 _COUNT = struct.Struct("<I")
+_NO_LONG_DATA = _COUNT.pack(0)
+_OF_EACH_AXIS = "q", "tension", "motor_torque", "contact"
+"""A field of the telemetry over each of joints, tendons, motors and digits."""
 
 
 class TickRecord(NamedTuple):
@@ -43,7 +68,7 @@ class TickRecord(NamedTuple):
     """
 
     tick_in: TickIn
-    frames: tuple[Frame, ...]
+    frames: Frames
     mode: Mode
     phase: str
     action: Action
@@ -56,13 +81,14 @@ def framed(kind: int, body: bytes) -> bytes:
     return FRAMING.pack(len(body), kind) + body
 
 
-def _frames(frames: Iterable[Frame]) -> bytes:
-    pack = FRAME.pack
-    return b"".join([pack(t_ns, i, flags, bus, len(data), data) for i, data, flags, bus, t_ns in frames])
+def _beyond(records: Records) -> NDArray[np.bool_]:
+    """Return (n, 56): which bytes beyond the eighth belong to each payload."""
+    return np.asarray(records["length"][:, np.newaxis] > _BEYOND)
 
 
-def _long_data(frames: Iterable[Frame]) -> bytes:
-    return b"".join([frame.data[8:] for frame in frames if len(frame.data) > 8])
+def _long_data(records: Records) -> bytes:
+    """Return the bytes beyond the eighth of all payloads."""
+    return bytes(records["data"][:, _SHORT_DATA:][_beyond(records)].tobytes())
 
 
 @functools.lru_cache(maxsize=64)
@@ -98,14 +124,17 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
         ValueError: state_hash is not 8 bytes long.
         struct.error: a number does not fit its field.
     """
-    received, sent = tick_in.frames, out.frames
+    received, sent = frames_of(tick_in.frames).records, frames_of(out.frames).records
     if len(out.state_hash) != 8:
         raise ValueError(f"state hash of {len(out.state_hash)} bytes; expected 8")
     fixed = FIXED.pack(tick_in.k, tick_in.t_ns, tick_in.late_ns, out.state_hash, out.mode, out.action, len(received))
-    long_data = _long_data((*received, *sent))
-    padding = b"\0\0\0\0" if sent else b""
-    long_part = _COUNT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
-    parts = [ENCAPSULATION, fixed, _frames(received), _COUNT.pack(len(sent)), padding, _frames(sent), long_part]
+    beginnings = [records.getfield(_BEGINNING).tobytes() for records in (received, sent)]
+    long_part = _NO_LONG_DATA
+    if max(b"".join([part[_LENGTH_AT::FRAME_SIZE] for part in beginnings]), default=0) > _SHORT_DATA:
+        long_data = _long_data(received) + _long_data(sent)
+        long_part = _COUNT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
+    padding = b"\0\0\0\0" if len(sent) else b""
+    parts = [ENCAPSULATION, fixed, beginnings[0], _COUNT.pack(len(sent)), padding, beginnings[1], long_part]
     if tick_in.io_events or tick_in.requests or out.events:
         parts.append(_tail(sum(map(len, parts)) - 4, out.phase, tick_in, out.events))
     else:
@@ -115,17 +144,21 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
 
 def pack(tick_in: TickIn, out: TickOut) -> bytes:
     """One tick as a record; raises as ``pack_tick``."""
-    message, numbers = pack_tick(tick_in, out), out.telemetry
-    values = numbers.packed()
-    sizes = SIZES.pack(
-        len(message), len(numbers.q), len(numbers.tension), len(numbers.motor_torque), len(numbers.contact)
-    )
+    message, values = pack_tick(tick_in, out), out.telemetry.packed()
+    sizes = SIZES.pack(len(message), *_axes(out.telemetry))
     return b"".join((FRAMING.pack(12 + len(message) + len(values), TICK), sizes, message, values))
 
 
 def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
     """The state after a tick as a record."""
     return framed(SNAPSHOT, SNAPSHOT_HEAD.pack(tick_in.k, tick_in.t_ns) + data)
+
+
+def _axes(numbers: Telemetry | PackedTelemetry) -> list[int]:
+    """Return the numbers of joints, tendons, motors and digits."""
+    if isinstance(numbers, PackedTelemetry):
+        return [place.stop - place.start for place in map(numbers.places.__getitem__, _OF_EACH_AXIS)]
+    return [len(getattr(numbers, name)) for name in _OF_EACH_AXIS]
 
 
 class Layout(NamedTuple):
@@ -150,31 +183,41 @@ def layout(message: bytes) -> Layout:
         struct.error: the message ends early.
     """
     (received,) = _COUNT.unpack_from(message, FIXED.size)
-    start, end = FIXED.size + 4, FIXED.size + 4 + FRAME.size * received
+    start, end = FIXED.size + 4, FIXED.size + 4 + FRAME_SIZE * received
     (sent,) = _COUNT.unpack_from(message, end)
     sent_start = end + 8 if sent else end + 4
-    sent_end = sent_start + FRAME.size * sent
+    sent_end = sent_start + FRAME_SIZE * sent
     (size,) = _COUNT.unpack_from(message, sent_end)
     long_data = slice(sent_end + 4, sent_end + 4 + size)
     return Layout(slice(start, end), slice(sent_start, sent_end), long_data, long_data.stop + -size % 4)
 
 
-def _whole_frames(
-    parts: Iterable[tuple[int, int, int, int, int, bytes]], long_data: bytes
-) -> tuple[list[Frame], bytes]:
-    rows = list(parts)
-    if not long_data and True not in [row[4] > 8 for row in rows]:  # nearly always
-        return [make(Frame, (i, data[:size], flags, bus, t_ns)) for t_ns, i, flags, bus, size, data in rows], b""
-    frames = []
-    for t_ns, can_id, flags, bus, length, data in rows:
-        if length <= 8:
-            frames.append(Frame(can_id, data[:length], flags, bus, t_ns))
-            continue
-        if length - 8 > len(long_data):
+def _whole_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
+    """Return frames and what is left of the bytes beyond the eighth."""
+    lengths, count = beginnings[_LENGTH_AT::FRAME_SIZE], len(beginnings) // FRAME_SIZE
+    if not count:
+        return EMPTY, long_data
+    records = np.zeros(count, RECORD)
+    records.setfield(np.frombuffer(beginnings, _BEGINNING), _BEGINNING, 0)
+    longest = max(lengths)
+    if longest > _LONGEST:
+        raise ValueError(f"payload of {longest} bytes, expected at most {_LONGEST}")
+    if lengths.count(_SHORT_DATA) < count:
+        _cut_payloads(records)
+    if longest > _SHORT_DATA:
+        beyond = _beyond(records)
+        size = int(beyond.sum())
+        if size > len(long_data):
             raise ValueError("less data than frames")
-        frames.append(Frame(can_id, data + long_data[: length - 8], flags, bus, t_ns))
-        long_data = long_data[length - 8 :]
-    return frames, long_data
+        records["data"][:, _SHORT_DATA:][beyond] = np.frombuffer(long_data[:size], np.uint8)
+        long_data = long_data[size:]
+    return Frames(records), long_data
+
+
+def _cut_payloads(records: Records) -> None:
+    """Make zeros of what is beyond each payload in its first eight bytes; a bad file may have anything there."""
+    words = records.getfield(_WORD, _DATA_AT)
+    words &= _MASKS[np.minimum(records["length"], _SHORT_DATA)]
 
 
 @functools.lru_cache(maxsize=256)
@@ -193,28 +236,84 @@ def unpack_tick(message: bytes) -> TickRecord:
     if message[:4] != ENCAPSULATION:
         raise ValueError("not little-endian CDR")
     try:
-        k, t_ns, late_ns, state_hash, mode, action, _ = FIXED.unpack_from(message, 4)
         places = layout(message)
-        received = FRAME.iter_unpack(message[places.received])
-        frames_in, rest = _whole_frames(received, message[places.long_data])
-        frames_out, rest = _whole_frames(FRAME.iter_unpack(message[places.sent]), rest)
+        frames_in, rest = _whole_frames(message[places.received], message[places.long_data])
+        frames_out, rest = _whole_frames(message[places.sent], rest)
+        if rest:
+            raise ValueError("more data than frames")
+        return _tick(FIXED.unpack_from(message, 4), frames_in, frames_out, message, places.tail)
     except struct.error as error:
         raise ValueError(f"the message ends early: {error}") from None
-    if rest:
-        raise ValueError("more data than frames")
-    phase = _quiet_phase(message[places.tail :])
+
+
+def _tick(fixed: _Fixed, received: Frames, sent: Frames, message: bytes, tail: int) -> TickRecord:
+    """Put a tick together.
+
+    Args:
+        fixed: constant part of the message.
+        received, sent: its frames.
+        message: all of it.
+        tail: start of the phase.
+    """
+    phase = _quiet_phase(message[tail:])
     if phase is not None:
-        tick_in = TickIn(k, t_ns, late_ns, tuple(frames_in))
-        known_mode, known_action = _MODES.get(mode) or Mode(mode), _ACTIONS.get(action) or Action(action)
-        return TickRecord(tick_in, tuple(frames_out), known_mode, phase, known_action, (), state_hash)
+        return _quiet_tick(fixed, received, sent, phase)
+    k, t_ns, late_ns, state_hash, mode, action, _ = fixed
     reader = CdrReader(message)
-    reader.take(places.tail - 4)
+    reader.take(tail - 4)
     phase = reader.text()
     io_events = tuple(IoEvent(reader.text(), reader.text(), reader.i64()) for _ in range(reader.count()))
     requests = tuple(reader.text() for _ in range(reader.count()))
     events = tuple(Event(reader.text(), reader.text(), reader.text(), reader.text()) for _ in range(reader.count()))
-    tick_in = TickIn(k, t_ns, late_ns, tuple(frames_in), io_events, requests)
-    return TickRecord(tick_in, tuple(frames_out), Mode(mode), phase, Action(action), events, state_hash)
+    tick_in = TickIn(k, t_ns, late_ns, received, io_events, requests)
+    return TickRecord(tick_in, sent, Mode(mode), phase, Action(action), events, state_hash)
+
+
+def _quiet_tick(fixed: _Fixed, received: Frames, sent: Frames, phase: str) -> TickRecord:
+    """Put a tick together of which there is nothing to tell but its phase."""
+    k, t_ns, late_ns, state_hash, mode, action, _ = fixed
+    tick_in = make(TickIn, (k, t_ns, late_ns, received, (), ()))
+    known_mode, known_action = _MODES.get(mode) or Mode(mode), _ACTIONS.get(action) or Action(action)
+    return make(TickRecord, (tick_in, sent, known_mode, phase, known_action, (), state_hash))
+
+
+def unpack_ticks(messages: list[bytes]) -> list[TickRecord]:
+    """Decode messages, as of a chunk, whose frames become parts of one array.
+
+    Raises:
+        ValueError: one is not a Tick message.
+    """
+    quick = _unpack_short(messages)
+    return quick if quick is not None else [unpack_tick(message) for message in messages]
+
+
+def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
+    """Decode messages without a long payload; None if there is one, or a message that ends early."""
+    parts, ends, fixed, tails, end = list[bytes](), [0], list[_Fixed](), list[int](), 0
+    for message in messages:
+        if message[:4] != ENCAPSULATION:
+            return None
+        try:
+            one = FIXED.unpack_from(message, 4)
+            sent_count = _FRAMES_AT + FRAME_SIZE * one[6]
+            (sent,) = _COUNT.unpack_from(message, sent_count)
+        except struct.error:
+            return None
+        start = sent_count + 8 if sent else sent_count + 4
+        long_count = start + FRAME_SIZE * sent
+        if message[long_count : long_count + 4] != _NO_LONG_DATA:
+            return None
+        parts += message[_FRAMES_AT:sent_count], message[start:long_count]
+        ends += end + one[6], end + one[6] + sent
+        end = ends[-1]
+        fixed.append(one)
+        tails.append(long_count + 4)
+    beginnings = b"".join(parts)
+    if max(beginnings[_LENGTH_AT::FRAME_SIZE], default=0) > _SHORT_DATA:
+        return None
+    records = _whole_frames(beginnings, b"")[0].records
+    frames = [Frames(records[first:last]) for first, last in pairwise(ends)]
+    return list(map(_tick, fixed, frames[::2], frames[1::2], messages, tails))
 
 
 def unpack(record: bytes) -> tuple[TickIn, TickOut]:

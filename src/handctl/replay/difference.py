@@ -10,6 +10,7 @@ from handctl.controller.state import Decisions, State
 from handctl.core.plain import plain_bytes
 from handctl.core.types import TELEMETRY_AXES, TELEMETRY_FIELDS, Event, TickOut
 from handctl.drives.frame import Frame
+from handctl.drives.records import frames_of
 from handctl.log.header import RunHeader
 from handctl.log.record import TickRecord
 
@@ -111,7 +112,7 @@ def same(logged: TickRecord, numbers: bytes, computed: TickOut) -> bool:
     """Whether every output byte of a tick is equal."""
     return (
         logged.state_hash == computed.state_hash
-        and logged.frames == computed.frames
+        and logged.frames.records.tobytes() == frames_of(computed.frames).records.tobytes()
         and numbers == computed.telemetry.packed()[: len(numbers)]
         and (logged.mode, logged.action, logged.phase, logged.events)
         == (computed.mode, computed.action, computed.phase, computed.events)

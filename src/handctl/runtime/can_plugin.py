@@ -65,8 +65,9 @@ class LocalCanBus(can.BusABC):
         return message_of(frame, frame.t_ns / 1e9), False
 
     def _read(self) -> None:
-        frames = self._link.drain()
-        self._waiting.extend(frame for frame in frames if self._fd or not frame.flags & FDF)
+        frame = self._link.receive_one()
+        if frame is not None and (self._fd or not frame.flags & FDF):
+            self._waiting.append(frame)
         self._raise_if_gone()
 
     def _raise_if_gone(self) -> None:

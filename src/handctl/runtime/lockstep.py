@@ -1,14 +1,20 @@
 """Virtual time: the peer on the other side of the wire is stepped by the loop itself, and nobody sleeps.
 
 The peer is an object with ``step(t_ns, frames) -> frames``, loaded by name, so that handctl never imports a simulator.
+If it has ``exchange(t_ns, records) -> records`` besides, this is called instead, and no frame becomes an object.
 """
 
 import importlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Protocol
 
+import numpy as np
+
 from handctl.drives.frame import ERROR, Frame
+from handctl.drives.records import Frames, Records, frames_of
 from handctl.errors import ConfigError
+from handctl.runtime.buses.canfd import gathered, without_errors
 from handctl.runtime.buses.events import BusEvents
 
 SIMULATED_HAND = "firmware_sim.rig:Rig"
@@ -25,6 +31,11 @@ class Peer(Protocol):
     def close(self) -> None:
         """Finish files."""
         ...
+
+
+def _exchange_objects(peer: Peer, t_ns: int, records: Records) -> Records:
+    """Exchange records with a peer that knows frames only as objects."""
+    return frames_of(Frame(*reply) for reply in peer.step(t_ns, list(Frames(records)))).records
 
 
 def load_peer(entry: str, **options: object) -> Peer:
@@ -54,8 +65,10 @@ class LockstepClock:
 
     def __init__(self, peer: Peer, period_ns: int) -> None:
         self.peer, self.period_ns = peer, period_ns
-        self.outgoing: list[Frame] = []
-        self.incoming: list[Frame] = []
+        self._exchange: Callable[[int, Records], Records]
+        self._exchange = getattr(peer, "exchange", None) or partial(_exchange_objects, peer)
+        self.outgoing: list[Frames] = []
+        self.incoming: list[Frames] = []
         self.k = 0
         self.offset_ns = 0
 
@@ -77,9 +90,12 @@ class LockstepClock:
     def wait(self, k: int) -> int:
         """Step the peer from the last tick to tick k; never late."""
         if k > 0:
-            replies = self.peer.step(self.offset_ns + (k - 1) * self.period_ns, self.outgoing)
-            begin_ns = self.offset_ns
-            self.incoming += [Frame(can_id, data, flags, bus, t - begin_ns) for can_id, data, flags, bus, t in replies]
+            frames = self.outgoing[0] if len(self.outgoing) == 1 else gathered(self.outgoing)
+            replies = self._exchange(self.offset_ns + (k - 1) * self.period_ns, frames.records)
+            if self.offset_ns:
+                replies = replies.copy()
+                replies["t_ns"] -= self.offset_ns
+            self.incoming.append(Frames(replies))
             self.outgoing = []
         self.k = k
         return 0
@@ -98,20 +114,21 @@ class LockstepBus:
         self.clock = clock
         self._events: dict[int, BusEvents] = {}
 
-    def drain(self) -> list[Frame]:
+    def drain(self) -> Frames:
         """Frames that the peer answered; error frames become events."""
-        frames, self.clock.incoming = self.clock.incoming, []
-        if not any(frame.can_id & ERROR for frame in frames):
+        parts, self.clock.incoming = self.clock.incoming, []
+        frames = parts[0] if len(parts) == 1 else gathered(parts)
+        if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR:
             return frames
-        for frame in frames:
-            if frame.can_id & ERROR:
-                events = self._events.setdefault(frame.bus, BusEvents(f"{self.name}:{frame.bus}"))
-                events.error_frame(frame.can_id, frame.data)
-        return [frame for frame in frames if not frame.can_id & ERROR]
+        frames, errors = without_errors(frames.records)
+        for frame in errors:
+            events = self._events.setdefault(frame.bus, BusEvents(f"{self.name}:{frame.bus}"))
+            events.error_frame(frame.can_id, frame.data)
+        return frames
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Keep frames for the peer's next step; all are accepted."""
-        self.clock.outgoing.extend(frames)
+        self.clock.outgoing.append(frames_of(frames))
         return len(frames)
 
     def take_events(self) -> list[tuple[str, str, int]]:

@@ -17,8 +17,10 @@ from typing import Generic, Protocol, TypeVar
 
 from handctl.core.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
+from handctl.drives.records import Frames, frames_of
 from handctl.errors import REMOVE_POWER, PowerError
 from handctl.handlers import handling
+from handctl.runtime.buses.canfd import gathered
 from handctl.runtime.clock import Clock
 from handctl.runtime.mailbox import CUT, STOP
 
@@ -41,7 +43,7 @@ KEPT = 1 << 18
 class LoopBus(Protocol):
     """What the loop asks of a bus; see ``runtime.buses.contract``."""
 
-    def drain(self) -> list[Frame]: ...
+    def drain(self) -> Frames: ...
     def send(self, frames: Sequence[Frame]) -> int: ...
     def take_events(self) -> list[tuple[str, str, int]]: ...
 
@@ -231,18 +233,21 @@ class Loop(Generic[S]):
         return last[0]
 
     def _collect(self, k: int, late_ns: int) -> TickIn:
-        frames: list[Frame] = []
+        parts: list[Frames] = []
         events = self.host_events()
         for bus in self.buses:
-            frames += bus.drain()
+            parts.append(bus.drain())
             events += [IoEvent(*event) for event in bus.take_events()]
-        return TickIn(k, k * self.period_ns, late_ns, tuple(frames), tuple(events), self.requests())
+        frames = parts[0] if len(parts) == 1 else gathered(parts)
+        return TickIn(k, k * self.period_ns, late_ns, frames, tuple(events), self.requests())
 
     def _send(self, frames: Sequence[Frame]) -> None:
         if len(self.buses) == 1:
             accepted = self.buses[0].send(frames)
         else:
-            shares = [[frame for frame in frames if frame.bus == index] for index in range(len(self.buses))]
+            records = frames_of(frames).records
+            wires = records["bus"]
+            shares = [Frames(records[wires == index]) for index in range(len(self.buses))]
             accepted = sum(bus.send(share) for bus, share in zip(self.buses, shares, strict=True))
         self.stats.frames_tx += accepted
         self.stats.refused += len(frames) - accepted

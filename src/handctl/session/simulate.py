@@ -207,7 +207,7 @@ class Simulation:
         return False
 
     def _decide(self, io: tuple[IoEvent, ...], requests: tuple[str, ...], late_ns: int) -> tuple[TickIn, TickOut]:
-        frames = tuple(self._bus.drain())
+        frames = self._bus.drain()
         wires = tuple(IoEvent(*event) for event in self._bus.take_events())
         entry = TickIn(self.k, self.k * self.period_ns, late_ns, frames, wires + io, requests)
         self.state, self.out = self.controller.tick(self.state, entry)

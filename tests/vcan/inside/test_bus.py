@@ -35,7 +35,7 @@ def peer() -> Iterator[Bus]:
 
 def drained(bus: Bus, count: int) -> list[Frame]:
     """At least this many frames, or all that came in time."""
-    frames, end = bus.drain(), time.monotonic() + WAIT_S
+    frames, end = list(bus.drain()), time.monotonic() + WAIT_S
     while len(frames) < count and time.monotonic() < end:
         time.sleep(0.005)
         frames += bus.drain()
@@ -130,7 +130,7 @@ def test_an_error_frame_of_the_kernel_is_an_event_and_no_frame(bus: Bus) -> None
 
 def wait_for(bus: Bus, kind: str) -> list[Frame]:
     """Frames that came before an event of this kind did."""
-    frames, end = bus.drain(), time.monotonic() + WAIT_S
+    frames, end = list(bus.drain()), time.monotonic() + WAIT_S
     while kind not in {told for told, _, _ in bus.take_events()}:
         assert time.monotonic() < end, f"no {kind} in {WAIT_S} s"
         time.sleep(0.005)

@@ -12,10 +12,13 @@ MAX_CHANNELS = 1000
 """Schemas, and channels, that a chunk may define."""
 MIN_RUNS, BYTES_PER_RUN = 128, 16
 """Runs that a chunk may have at least, and one more for so many compressed bytes."""
+FEW = 8
+"""Equal records that are counted one by one; of more, numpy finds the end."""
 _RECORD, _CHANNEL = struct.Struct("<BQ"), struct.Struct("<H")
 MESSAGE = int(Opcode.MESSAGE)
 _HEADER = 11
 """Opcode, length and channel: what the messages of a run have in common."""
+_HEADS = (np.dtype("<u8"), 0), (np.dtype("<u4"), 7)
 _BODY = 31
 """Start of a message's data within its record."""
 
@@ -89,8 +92,7 @@ def rows(content: bytes, packed: int, wanted: frozenset[int] | None = None) -> I
         if code == MESSAGE:
             if size < _BODY:
                 raise ValueError("a message that is too short")
-            if content[at : at + _HEADER] == content[at + size : at + size + _HEADER]:
-                count = _run(raw[at:], size)
+            count = _run(content, at, size)
             (channel,) = _CHANNEL.unpack_from(content, at + 9)
             if wanted is None or channel in wanted:
                 yield Rows(channel, at, raw[at : at + count * size].reshape(count, size))
@@ -103,15 +105,30 @@ def rows(content: bytes, packed: int, wanted: frozenset[int] | None = None) -> I
         at += count * size
 
 
-def _run(raw: NDArray[np.uint8], size: int) -> int:
-    """How many records follow that have the size and channel of the first."""
-    most, count, step = len(raw) // size, 1, 8
+def _run(content: bytes, at: int, size: int) -> int:
+    """Return how many records follow one another that have the size and channel of the first.
+
+    Args:
+        content: the chunk.
+        at: start of the first record in it.
+        size: of a record.
+    """
+    most, count, step = (len(content) - at) // size, 1, 64
+    head, after = content[at : at + _HEADER], at + size
+    while count < min(FEW, most):
+        if content[after : after + _HEADER] != head:
+            return count
+        count, after = count + 1, after + size
     while count < most:
-        heads = raw[count * size : min(count + step, most) * size].reshape(-1, size)[:, :_HEADER]
-        equal = (heads == raw[:_HEADER]).all(axis=1)
-        if not equal.all():
-            return count + int(equal.argmin())
-        count, step = count + len(equal), 4 * step
+        number = min(step, most - count)
+        # opcode, length and channel as two overlapping numbers
+        parts = [np.ndarray(number, kind, content, at + count * size + place, (size,)) for kind, place in _HEADS]
+        differ = parts[0] != _HEADS[0][0].type(int.from_bytes(content[at : at + 8], "little"))
+        differ |= parts[1] != _HEADS[1][0].type(int.from_bytes(content[at + 7 : at + 11], "little"))
+        first = int(differ.argmax())
+        if differ[first]:
+            return count + first
+        count, step = count + number, 4 * step
     return count
 
 

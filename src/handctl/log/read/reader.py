@@ -18,7 +18,7 @@ from handctl.log.read.logfile import ChunkPlace, LogFile, Reading
 from handctl.log.read.messages_in import Definitions, Rows, definitions, rows
 from handctl.log.read.moments import Gap, LoggedEvent, PhaseChange
 from handctl.log.read.scan import Scan, scan
-from handctl.log.record import TickRecord, layout, unpack_tick
+from handctl.log.record import TickRecord, layout, unpack_tick, unpack_ticks
 from handctl.log.topics.all import TICK_TOPIC, VALUES_TOPIC
 from handctl.log.topics.chain import SIZE
 from handctl.log.topics.chain import TOPIC as CHAIN_TOPIC
@@ -69,6 +69,7 @@ class RunLog:
             LogError: not a log of handctl, damaged, or beyond a limit. A file that only ends early is no error.
         """
         self._file = LogFile(path)
+        self._latest: tuple[ChunkPlace, dict[int, list[Rows]]] | None = None
         try:
             found = Scan()
             scan(self._file, found, checked)
@@ -105,10 +106,18 @@ class RunLog:
 
     def _rows(self, channel: int, chunks: slice = slice(None)) -> Iterator[tuple[ChunkPlace, Rows]]:
         for place in self._chunks[chunks]:
+            yield from ((place, one) for one in self._rows_of(place, channel))
+
+    def _rows_of(self, place: ChunkPlace, channel: int) -> list[Rows]:
+        """Return a channel's messages of a chunk; who reads several channels side by side has them found once."""
+        if self._latest is None or self._latest[0] is not place:
             content = self._file.content(place)
+            found: dict[int, list[Rows]] = {}
             with Reading(self._file.at(place.offset)):
-                found = list(rows(content, place.end - place.data, frozenset((channel,))))
-            yield from ((place, one) for one in found)
+                for one in rows(content, place.end - place.data):
+                    found.setdefault(one.channel, []).append(one)
+            self._latest = place, found
+        return self._latest[1].get(channel, [])
 
     @functools.cached_property
     def _fixed(self) -> NDArray[np.void]:
@@ -278,9 +287,10 @@ class RunLog:
 
     def ticks(self, chunks: slice = slice(None)) -> Iterator[TickRecord]:
         """All ticks in order, or those of some chunks, for re-execution."""
-        for place, one in self._rows(self._tick, chunks):
+        for place in self._chunks[chunks]:
             with Reading(self._file.at(place.offset)):
-                ticks = [unpack_tick(message) for message in one.messages()]
+                messages = [message for one in self._rows_of(place, self._tick) for message in one.messages()]
+                ticks = unpack_ticks(messages)
             yield from ticks
 
     @functools.cached_property

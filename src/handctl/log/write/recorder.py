@@ -47,6 +47,8 @@ class Recorder:
         self._announced = self.dropped = 0
         self._messages: list[dict[str, object]] = []
         os.set_blocking(self._notes, False)
+        self._poll = select.poll()
+        self._poll.register(self._notes, select.POLLIN)
 
     @classmethod
     def start(cls, path: Path, header: RunHeader, floor_bytes: int = FLOOR_BYTES) -> Self:
@@ -143,8 +145,11 @@ class Recorder:
         """
         found = []
         if not self._gone:
-            self._read_notes(0.0)
+            if self._poll.poll(0):
+                self._read_notes(0.0)
             found += self._filling_event()
+        if not self._messages and self.dropped == self._announced and not self._gone:
+            return tuple(found)
         found += [IoEvent("recorder", str(n["event"]), int(str(n["number"]))) for n in self._messages if "event" in n]
         self._messages = [note for note in self._messages if "event" not in note]
         if self.dropped > self._announced:

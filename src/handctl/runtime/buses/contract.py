@@ -4,10 +4,11 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from handctl.drives.frame import FDF, Frame
+from handctl.drives.records import Frames
 from handctl.runtime.buses.events import Event
 
 Stamp = Callable[[int], int]
-"""Time of the run [ns] from a CLOCK_MONOTONIC time [ns]."""
+"""Time of the run [ns] from a CLOCK_MONOTONIC time [ns], which it grows with at a constant rate."""
 
 
 class Bus(Protocol):
@@ -20,12 +21,15 @@ class Bus(Protocol):
     @property
     def name(self) -> str: ...
 
-    def drain(self) -> list[Frame]:
+    def drain(self) -> Frames:
         """All frames that are there, oldest first, with bus index and time of reception."""
         ...
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch; how many frames were accepted, from the first on. The rest is dropped, never kept for later.
+
+        Args:
+            frames: sent as they are if they are ``Frames``, as the loop's are. Frames of a tool are made records first.
 
         Raises:
             ValueError: a payload longer than its kind of frame can carry.

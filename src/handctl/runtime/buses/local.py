@@ -4,39 +4,31 @@ A record has 72 bytes and the layout of Linux's ``struct canfd_frame``; its two 
 hub has dropped for this receiver. There are no receive stamps: frames bear the time at which they were read.
 """
 
-import functools
 import socket
 import struct
 import time
 from collections.abc import Sequence
 
-from handctl.drives.frame import ERROR, Frame, make
+from handctl.drives.frame import ERROR, Frame
+from handctl.drives.records import EMPTY, Frames
 from handctl.errors import BusError
+from handctl.runtime.buses.canfd import SIZE, Structs, gathered, without_errors
 from handctl.runtime.buses.contract import Stamp, check_size
 from handctl.runtime.buses.events import BusEvents, Event
 from handctl.runtime.peers import served_by_us
 from handctl.runtime.places import local_bus_path
 
 RECORD = struct.Struct("<IBBH64s")
-"""Identifier with flag bits, length, flags, frames dropped so far modulo 65536, payload."""
-SIZE = RECORD.size
-
-
-@functools.lru_cache(maxsize=64)
-def batch(count: int) -> struct.Struct:
-    """So many records as one struct: a tick sends the same number again and again."""
-    return struct.Struct("<" + RECORD.format.removeprefix("<") * count)
-
-
+"""Identifier with flag bits, length, flags, frames dropped so far modulo 65536, payload: as ``canfd.STRUCT``."""
 BUFFER = 1 << 20
 """Asked of the kernel for either direction [bytes]."""
 MOST = 4096
 """Records of one read."""
+ROOM = 64
+"""Records that there is room for in a batch to be sent at first."""
 QUEUE_TOLD, QUEUE = 0xE0000000, struct.Struct("<II")
 """Record by which a hub with a simulated wire tells how many of this client's frames have left their queue, modulo
 2**32, and how many the queue holds. A hub without a wire never does, and its clients have no queue."""
-CLASSICAL_MOST = 8
-"""Payload that any frame can carry [bytes]."""
 READS = 4
 """Reads of one drain: a flood cannot make a tick long."""
 CONNECT_TIMEOUT_S = 2.0
@@ -89,26 +81,33 @@ class LocalBus:
         self.name = f"local:{channel}"
         self._index, self._stamp = index, stamp
         self._events = BusEvents(self.name)
-        self._buffer = memoryview(bytearray(most * SIZE))
+        memory = bytearray(most * SIZE)
+        self._buffer, self._structs = memoryview(memory), Structs(memory)
+        self._make_room(ROOM)
         self._reads = min(READS, most)
         self._kept = 0
         self._rest = b""
         self._dropped = 0
-        self.early: list[Frame] = []
+        self.early = EMPTY
         self._sent = self._taken = self._depth = 0
         self._gone = False
 
-    def drain(self) -> list[Frame]:
+    def _make_room(self, count: int) -> None:
+        memory = bytearray(count * SIZE)
+        self._out, self._out_structs = memoryview(memory), Structs(memory)
+
+    def drain(self) -> Frames:
         """See ``bus.Bus``."""
-        frames, self.early = self.early, []
+        parts = [self.early] if self.early else []
+        self.early = EMPTY
         for _ in range(self._reads):
             kept = self._kept
             size = self._read(self._buffer[kept:] if kept else self._buffer)
             if size:
-                self._take(frames, kept + size)
+                parts.append(self._take(kept + size))
             if size < len(self._buffer) - kept:
                 break
-        return frames
+        return parts[0] if len(parts) == 1 else gathered(parts)
 
     def _read(self, room: memoryview) -> int:
         """Bytes read; 0 if there is nothing."""
@@ -128,21 +127,43 @@ class LocalBus:
         self._gone = True
         self._events.lasting("enodev", True)
 
-    def _take(self, frames: list[Frame], filled: int) -> None:
+    def _take(self, filled: int) -> Frames:
         """Take the whole records out of the first ``filled`` bytes, keep the beginning of the next."""
-        whole = filled - filled % SIZE
-        t_ns, index, lost, error = self._stamp(time.monotonic_ns()), self._index, self._dropped, ERROR
-        for can_id, length, flags, lost, data in RECORD.iter_unpack(self._buffer[:whole]):  # noqa: B007
-            if can_id & error:
-                self._told(can_id, data[:length])
-            else:
-                frames.append(make(Frame, (can_id, data[:length], flags, index, t_ns)))
+        count, self._kept = divmod(filled, SIZE)
+        if not count:
+            return EMPTY
+        structs = self._structs
+        found = structs.found(count, self._index)
+        frames = Frames(structs.read(count, found, self._stamp(time.monotonic_ns())))
+        if found.errors:
+            frames, errors = without_errors(frames.records)
+            for frame in errors:
+                self._told(frame.can_id, frame.data)
+        self._count_dropped(structs.reserved(count - 1))
+        if self._kept:
+            self._buffer[: self._kept] = self._buffer[filled - self._kept : filled]
+        return frames
+
+    def receive_one(self) -> Frame | None:
+        """Return the next frame as an object, for programs that take one message at a time; None if there is none."""
+        if self.early:
+            frame, self.early = self.early[0], self.early[1:]
+            return frame
+        filled = self._kept + self._read(self._buffer[self._kept : SIZE])
+        self._kept = filled % SIZE
+        if filled < SIZE:
+            return None
+        can_id, length, flags, lost, data = RECORD.unpack_from(self._buffer)
+        self._count_dropped(lost)
+        if can_id & ERROR:
+            self._told(can_id, data[:length])
+            return None
+        return Frame(can_id, data[:length], flags, self._index, self._stamp(time.monotonic_ns()))
+
+    def _count_dropped(self, lost: int) -> None:
         if lost != self._dropped:
             self._events.add("dropped", (lost - self._dropped) & 0xFFFF)
             self._dropped = lost
-        self._kept = filled - whole
-        if whole < filled:
-            self._buffer[: self._kept] = self._buffer[whole:filled]
 
     def _told(self, can_id: int, data: bytes) -> None:
         """An error frame, or how far the hub has emptied this client's queue."""
@@ -167,14 +188,7 @@ class LocalBus:
         """See ``bus.Bus``."""
         if self._depth:
             frames = self._fitting(frames)
-        values: list[int | bytes] = []
-        for frame in frames:
-            can_id, data, flags, _, _ = frame
-            size = len(data)
-            if size > CLASSICAL_MOST:
-                check_size(frame)
-            values += (can_id, size, flags, 0, data)
-        records = batch(len(frames)).pack(*values)
+        records = self._packed(frames)
         waiting = self._rest + records if self._rest else records
         if self._gone or not waiting:
             return 0
@@ -193,11 +207,22 @@ class LocalBus:
         self._sent += accepted
         return accepted
 
-    def _sent_partly(self, waiting: bytes, sent: int, frames: int) -> int:
+    def _packed(self, frames: Sequence[Frame]) -> bytes | memoryview:
+        """Return frames as records of the hub; a tool's few objects are packed one by one."""
+        if not isinstance(frames, Frames):
+            for frame in frames:
+                check_size(frame)
+            return b"".join([RECORD.pack(can_id, len(data), flags, 0, data) for can_id, data, flags, _, _ in frames])
+        if len(frames) > self._out_structs.count:
+            self._make_room(2 * len(frames))
+        self._out_structs.write(frames)
+        return self._out[: SIZE * len(frames)]
+
+    def _sent_partly(self, waiting: bytes | memoryview, sent: int, frames: int) -> int:
         """Keep the rest of a record that was begun, drop the others; how many frames were accepted."""
         before = len(self._rest)
         accepted = max(0, -((before - sent) // SIZE))
-        self._rest = waiting[sent : before + accepted * SIZE]
+        self._rest = bytes(waiting[sent : before + accepted * SIZE])
         if frames > accepted:
             self._events.add("enobufs", frames - accepted)
         return accepted

@@ -9,6 +9,9 @@ import errno
 import socket
 import struct
 
+import numpy as np
+from numpy.typing import NDArray
+
 SO_RCVBUFFORCE = 33
 SO_TIMESTAMPNS = 35
 SO_RXQ_OVFL = 40
@@ -38,8 +41,8 @@ class _Header(ctypes.Structure):
 
 CONTROL = struct.Struct("@NiillNiiI12x")
 """A time stamp's control message (length, level, type, s, ns) and, behind it, that of a drop counter."""
-STAMP = struct.Struct(f"@{struct.calcsize('@Nii')}xll{CONTROL.size - struct.calcsize('@Niill')}x")
-"""Seconds and nanoseconds of the same, where a stamp is known to be there."""
+STAMP_AT = struct.calcsize("@Nii")
+"""Place of seconds and nanoseconds in it [bytes]."""
 STAMPED, COUNTED = struct.calcsize("@Niill"), struct.calcsize("@NiillNiiI")
 """Lengths of the control messages with the stamp, and with stamp and counter [bytes]. A counter alone is shorter."""
 _TAIL = ctypes.sizeof(_Header) - _Header.size.offset - ctypes.sizeof(ctypes.c_uint)
@@ -53,6 +56,7 @@ _libc.sendmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.
 _libc.recvmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p)
 
 
+SECOND_NS = np.int64(1_000_000_000)
 Datagram = tuple[int, int, int]
 """Size [bytes], CLOCK_REALTIME of reception [ns] (0 if not told), and how many datagrams the socket has lost so far,
 modulo 2**32 (0 if not told: none so far)."""
@@ -84,9 +88,11 @@ class Slots:
         self.data, self.control = memoryview(store).cast("B"), memoryview(messages).cast("B")
         self.headers = ctypes.addressof(headers)
         self._view = memoryview(headers).cast("B")
+        self._sizes = np.frombuffer(memoryview(self._iovecs).cast("B"), np.uintp).reshape(count, 2)[:, 1]
+        longs = np.frombuffer(self.control, "l").reshape(count, -1)
+        at = STAMP_AT // longs.itemsize
+        self._seconds, self._nanoseconds = longs[:, at], longs[:, at + 1]
         self._fresh = bytes(self._view)
-        self._lengths = [size] * count
-        self._equal = count, size
         self._usual: tuple[bytes, int] = (b"", 0)
 
     def even(self, count: int) -> int:
@@ -117,18 +123,15 @@ class Slots:
         end = count * _HEADER.size
         self._view[:end] = self._fresh[:end]
 
-    def set_length(self, i: int, length: int) -> None:
-        """Set how much of a slot is sent."""
-        if self._lengths[i] != length:
-            self._lengths[i] = self._iovecs[i].len = length
-            self._equal = 0, 0
+    def stamps(self, count: int) -> NDArray[np.int64]:
+        """Return the CLOCK_REALTIME of the first datagrams, which all have one [ns]."""
+        times: NDArray[np.int64] = self._seconds[:count] * SECOND_NS
+        times += self._nanoseconds[:count]
+        return times
 
-    def set_lengths(self, count: int, length: int) -> None:
-        """Set how much of each of the first slots is sent."""
-        if count > self._equal[0] or length != self._equal[1]:
-            for i in range(count):
-                self.set_length(i, length)
-            self._equal = count, length
+    def set_lengths(self, lengths: NDArray[np.uint64]) -> None:
+        """Set how much of each of the first slots is sent [bytes]."""
+        self._sizes[: len(lengths)] = lengths
 
 
 def receive(fd: int, slots: Slots) -> int:

@@ -10,6 +10,7 @@ from typing import Any
 import can
 
 from handctl.drives.frame import BRS, ERROR, ESI, EXTENDED, FDF, REMOTE, Frame
+from handctl.drives.records import Frames, frames_of
 from handctl.errors import BusError
 from handctl.runtime.buses.contract import Stamp, check_size
 from handctl.runtime.buses.events import BusEvents, Event
@@ -97,7 +98,7 @@ class PythonCanBus:
         self._events = BusEvents(self.name)
         self._bus = open_can(interface, channel, bitrate, data_bitrate)
 
-    def drain(self) -> list[Frame]:
+    def drain(self) -> Frames:
         """See ``bus.Bus``."""
         frames: list[Frame] = []
         for _ in range(MOST):
@@ -112,7 +113,7 @@ class PythonCanBus:
             if message is None:
                 break
             self._take(frames, message)
-        return frames
+        return frames_of(frames)
 
     def _take(self, frames: list[Frame], message: can.Message) -> None:
         if message.is_error_frame:

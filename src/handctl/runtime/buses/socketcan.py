@@ -1,39 +1,26 @@
 """Linux SocketCAN, classical and FD: raw socket, whole batches in one system call, the kernel's receive stamps."""
 
 import fcntl
-import functools
 import os
 import socket
 import struct
 import time
-from collections.abc import Iterator, Sequence
-from typing import Any
+from collections.abc import Sequence
 
-from handctl.drives.frame import ERROR, FDF, Frame, make
+import numpy as np
+
+from handctl.drives.frame import ERROR, FDF, Frame
+from handctl.drives.records import Frames, frames_of
 from handctl.errors import BusError
 from handctl.runtime.buses import mmsg
-from handctl.runtime.buses.contract import Stamp, check_size
+from handctl.runtime.buses.canfd import SIZE, Structs, gathered
+from handctl.runtime.buses.contract import Stamp
 from handctl.runtime.buses.events import BusEvents, Event
 from handctl.runtime.buses.interface import wrong_rate
 from handctl.runtime.buses.wall import WallOffset
 
 SLOTS = 128
 """Frames of one system call."""
-CLASSICAL = struct.Struct("=IB3x8s")
-FD = struct.Struct("=IBB2x64s")
-"""``struct can_frame`` and ``struct canfd_frame``. Source: Linux ``can.h``."""
-_SLOT = struct.Struct("=IBB2x8s56x")
-"""Either of them on a socket that gets classical frames only: 8 bytes of payload are all there can be."""
-
-
-@functools.lru_cache(maxsize=SLOTS)
-def _batch(count: int) -> struct.Struct:
-    """So many classical frames in slots as one struct: a tick sends the same number again and again."""
-    return struct.Struct("=" + "IB3x8s56x" * count)
-
-
-CLASSICAL_MOST = 8
-"""Payload that any frame can carry [bytes]."""
 READS = 64
 """Reads of one drain: a flood cannot make a tick long."""
 RECEIVE_BUFFER = 4 << 20
@@ -67,15 +54,16 @@ class SocketCanBus:
         self.name = name
         self._socket, self._index, self._fd_mode, self._stamp = link, index, fd_mode, stamp
         self._events = BusEvents(name)
-        self._in = mmsg.Slots(SLOTS, FD.size, control=True)
-        self._out = mmsg.Slots(SLOTS, FD.size, control=False)
+        self._in = mmsg.Slots(SLOTS, SIZE, control=True)
+        self._out = mmsg.Slots(SLOTS, SIZE, control=False)
+        self._structs, self._out_structs = Structs(self._in.data), Structs(self._out.data)
         self._dropped = 0
         self._latest = 0
         self._offset = WallOffset()
 
-    def drain(self) -> list[Frame]:
+    def drain(self) -> Frames:
         """See ``bus.Bus``."""
-        frames: list[Frame] = []
+        parts: list[Frames] = []
         for _ in range(READS):
             try:
                 count = mmsg.receive(self._socket.fileno(), self._in)
@@ -83,90 +71,77 @@ class SocketCanBus:
                 self._events.failed(error.errno, "enodev")
                 break
             if count:
-                self._take(frames, count)
+                parts.append(self._take(count))
                 self._in.renew(count)
             if count < SLOTS:
                 break
-        return frames
+        return parts[0] if len(parts) == 1 else gathered(parts)
 
-    def _take(self, frames: list[Frame], count: int) -> None:
+    def _take(self, count: int) -> Frames:
         """Make frames of what was received; usually all datagrams are alike, and their stamps follow the last ones."""
         size = self._in.even(count)
-        if not (size and self._take_even(frames, count, FDF if size == FD.size else 0)):
+        frames = self._take_even(count, FDF if size == SIZE else 0) if size else None
+        if frames is None:
             self._offset.renew()
-            self._take_each(frames, self._in.datagrams(count), time.monotonic_ns())
+            frames = self._take_each(self._in.datagrams(count), time.monotonic_ns())
+        return frames
 
-    def _rows(self, count: int) -> Iterator[tuple[Any, ...]]:
-        """Identifier, length, flags and padded payload of the frames received."""
-        return (FD if self._fd_mode else _SLOT).iter_unpack(self._in.data[: count * FD.size])
+    def _take_even(self, count: int, fd_flag: int) -> Frames | None:
+        """Frames of one kind, all stamped; None if one is an error frame or a stamp needs a look."""
+        found = self._structs.found(count, self._index, 0xFF if fd_flag else 0, fd_flag)
+        if found.errors:
+            return None
+        times = self._in.stamps(count)
+        times += self._offset.ns()
+        each, earliest = times.tolist(), self._latest
+        first, last = min(each), max(each)
+        if not earliest <= first <= last <= earliest + AHEAD_NS:
+            return None
+        begin, stamp = self._stamp(first), self._stamp
+        if stamp(last) - begin == last - first:  # the run's time is not slowed
+            times += begin - first
+        else:
+            times = np.array([stamp(t_ns) for t_ns in each])
+        self._latest = each[-1]
+        return Frames(self._structs.read(count, found, times))
 
-    def _take_even(self, frames: list[Frame], count: int, fd_flag: int) -> bool:
-        """Frames of one kind, all stamped; False, and none taken, if one is an error frame or a stamp needs a look."""
-        index, stamp, error, kept_flags = self._index, self._stamp, ERROR, 0xFF if fd_flag else 0
-        t_ns, earliest, offset, taken = 0, self._latest, self._offset.ns(), []
-        latest = earliest + AHEAD_NS
-        stamps = mmsg.STAMP.iter_unpack(self._in.control[: count * mmsg.CONTROL.size])
-        for (s, ns), (can_id, length, flags, data) in zip(stamps, self._rows(count), strict=True):
-            t_ns = s * 1_000_000_000 + ns + offset
-            if can_id & error or not earliest <= t_ns <= latest:
-                return False
-            taken.append(make(Frame, (can_id, data[:length], flags & kept_flags | fd_flag, index, stamp(t_ns))))
-        frames += taken
-        self._latest = t_ns
-        return True
-
-    def _take_each(self, frames: list[Frame], told: list[mmsg.Datagram], now: int) -> None:
-        """Frames of any kind, error frames, and the count of what was lost."""
+    def _take_each(self, told: list[mmsg.Datagram], now: int) -> Frames:
+        """Frames of any kind one by one, error frames, and the count of what was lost."""
         index, stamp, earliest, offset = self._index, self._stamp, self._latest, self._offset.ns()
-        for (size, realtime, dropped), (can_id, length, flags, data) in zip(told, self._rows(len(told)), strict=True):
+        count, stamps = len(told), []
+        frames = Frames(self._structs.read(count, self._structs.found(count, index), 0))
+        kept = np.ones(count, bool)
+        for i, ((size, realtime, dropped), frame) in enumerate(zip(told, frames, strict=True)):
             if dropped != self._dropped and dropped:
                 self._events.add("dropped", (dropped - self._dropped) & 0xFFFFFFFF)
                 self._dropped = dropped
-            if can_id & ERROR:
-                self._events.error_frame(can_id, data[:length])
+            if frame.can_id & ERROR:
+                self._events.error_frame(frame.can_id, frame.data)
+                kept[i] = False
                 continue
-            fd_flags = flags | FDF if size == FD.size else 0
+            frames.records["flags"][i] = frame.flags | FDF if size == SIZE else 0
             t_ns = realtime + offset
             if not earliest <= t_ns <= now:
                 t_ns = now  # not told, or the wall clock was set meanwhile
-            frames.append(Frame(can_id, data[:length], fd_flags, index, stamp(t_ns)))
+            stamps.append(stamp(t_ns))
             self._latest = max(self._latest, t_ns)
+        records = frames.records[kept]
+        records["t_ns"] = stamps
+        return Frames(records)
 
     def send(self, frames: Sequence[Frame]) -> int:
         """See ``bus.Bus``."""
+        frames = frames_of(frames)
         accepted = 0
         for first in range(0, len(frames), SLOTS):
-            batch = frames[first : first + SLOTS]
-            self._pack(batch)
+            batch = frames[first : first + SLOTS] if len(frames) > SLOTS else frames
+            self._out.set_lengths(self._out_structs.write(batch).sizes)
             sent, code = mmsg.send(self._socket.fileno(), self._out, 0, len(batch))
             accepted += sent
             if code:
                 self._events.failed(code, "enobufs", len(frames) - accepted)
                 break
         return accepted
-
-    def _pack(self, frames: Sequence[Frame]) -> None:
-        """Fill the slots; classical frames, as nearly always, in one go."""
-        values: list[int | bytes] = []
-        for can_id, data, flags, _, _ in frames:
-            size = len(data)
-            if flags or size > CLASSICAL_MOST:
-                return self._pack_each(frames)
-            values += (can_id, size, data)
-        _batch(len(frames)).pack_into(self._out.data, 0, *values)
-        self._out.set_lengths(len(frames), CLASSICAL.size)
-        return None
-
-    def _pack_each(self, frames: Sequence[Frame]) -> None:
-        buffer, offset = self._out.data, 0
-        for i, frame in enumerate(frames):
-            can_id, data, flags, _, _ = frame
-            check_size(frame)
-            layout = FD if flags & FDF else CLASSICAL
-            values = (can_id, len(data), flags, data) if layout is FD else (can_id, len(data), data)
-            layout.pack_into(buffer, offset, *values)
-            self._out.set_length(i, layout.size)
-            offset += FD.size
 
     def take_events(self) -> list[Event]:
         """See ``bus.Bus``."""
@@ -231,7 +206,7 @@ def _problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
     """What is wrong with an interface that exists; empty if nothing is."""
     if not _ask(link, channel, SIOCGIFFLAGS) & IFF_UP:
         return "the interface is down"
-    if fd_mode and _ask(link, channel, SIOCGIFMTU) < FD.size:
+    if fd_mode and _ask(link, channel, SIOCGIFMTU) < SIZE:
         return "the interface is not in CAN FD mode"
     if 0 < (length := _ask(link, channel, SIOCGIFTXQLEN)) < QUEUE:
         return f"its transmit queue holds {length} frames, less than a tick may send at once"

@@ -1,0 +1,209 @@
+"""Batches of frames between records and Linux's ``struct canfd_frame``, without an object or a loop per frame.
+
+    can_id 32 | length 8 | flags 8 | reserved 16 | data 64 x 8
+
+The local bus sends this struct. A CAN socket receives a classical frame into its first 16 bytes. Ticks exchange the
+same identifiers, flags and lengths again and again. The converted heads of a batch are therefore kept, and a tick
+copies only payloads. Source: Linux ``can.h``.
+"""
+
+import functools
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from handctl.drives.frame import ERROR, FDF, Frame
+from handctl.drives.records import RECORD, Frames, Records
+from handctl.runtime.buses.contract import check_size
+
+STRUCT = np.dtype([("can_id", "<u4"), ("length", "u1"), ("flags", "u1"), ("reserved", "<u2"), ("data", "<u8", (8,))])
+SIZE, CLASSICAL_SIZE = STRUCT.itemsize, 16
+"""Bytes of ``struct canfd_frame`` and ``struct can_frame``."""
+LONGEST = 64
+"""Payload of the longest frame [bytes]."""
+KEPT = 256
+"""Batches whose heads are kept."""
+LONGEST_KEPT = 128
+"""Frames of such a batch: a flood cannot fill the memory."""
+WORD, PAYLOAD = np.dtype("<u8"), np.dtype(("<u8", (8,)))
+_HEAD = np.dtype(STRUCT.descr[:-1])
+T_NS_AT, HEAD_AT, DATA_AT = (RECORD.fields[name][1] for name in ("t_ns", "can_id", "data"))  # type: ignore[index]
+"""Places of the time, of identifier to length, and of the payload in a record [bytes]."""
+
+Words = NDArray[np.uint64]
+
+
+def _masks() -> Words:
+    """Return (LONGEST + 1, 8): all bits of a payload of each length."""
+    masks = np.zeros((LONGEST + 1, LONGEST), np.uint8)
+    for length in range(LONGEST + 1):
+        masks[length, :length] = 0xFF
+    return masks.view(np.uint64)
+
+
+MASKS = _masks()
+_LENGTHS = bytes(min(length, LONGEST) for length in range(256))
+_ERRORS = bytes((highest << 24 & ERROR) != 0 for highest in range(256))
+"""By the highest byte of an identifier: whether it is an error frame's."""
+
+
+class Received(NamedTuple):
+    """What the heads of received structs say.
+
+    Attributes:
+        heads: (n,) the same in records: identifier, flags, bus, length.
+        words: most words of eight bytes that a payload takes, at least 1.
+        masks: bits of each payload, (n,) for one word and (n, words) for more; None if all payloads are full.
+        errors: whether one is an error frame.
+    """
+
+    heads: Words
+    words: int
+    masks: Words | None
+    errors: bool
+
+
+@functools.lru_cache
+def _flags(kept: int, more: int) -> bytes:
+    """Return the flags of a record by those of a struct."""
+    return bytes(flags & kept | more for flags in range(256))
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _received(raw: bytes, bus: int, kept_flags: int, more_flags: int) -> Received:
+    """Convert heads of structs: by columns of bytes, which is quicker than numpy for a batch that never came before."""
+    lengths, count = raw[4::8].translate(_LENGTHS), len(raw) // 8
+    heads = bytearray(len(raw))
+    for i in range(4):
+        heads[i::8] = raw[i::8]
+    heads[4::8] = raw[5::8].translate(_flags(kept_flags, more_flags))
+    heads[6::8] = bytes((bus,)) * count
+    heads[7::8] = lengths
+    words = max(1, -(-max(lengths, default=0) // 8))
+    masks = None
+    if lengths.count(8 * words) < count:
+        masks = MASKS[:, 0] if words == 1 else MASKS[:, :words]
+        masks = masks.take(np.frombuffer(lengths, np.uint8), axis=0)
+    return Received(np.frombuffer(heads, WORD), words, masks, 1 in raw[3::8].translate(_ERRORS))
+
+
+class Sent(NamedTuple):
+    """What the heads of records to be sent say.
+
+    Attributes:
+        heads: (n,) the same in structs.
+        words: most words of eight bytes that a payload takes, at least 1.
+        sizes: (n,) bytes of the struct of each: ``can_frame`` or ``canfd_frame``.
+    """
+
+    heads: Words
+    words: int
+    sizes: Words
+
+
+@functools.lru_cache(maxsize=KEPT)
+def _sent(raw: bytes) -> Sent:
+    """Convert heads of records: the eight bytes from the identifier to the length of each.
+
+    Raises:
+        ValueError: a payload longer than its kind of frame can carry.
+    """
+    words = np.frombuffer(raw, WORD)
+    records = np.zeros(len(words), RECORD)
+    records.setfield(words, WORD, HEAD_AT)
+    fd = (records["flags"] & FDF) != 0
+    lengths = records["length"]
+    for i in np.flatnonzero(lengths > np.where(fd, LONGEST, 8))[:1]:
+        check_size(Frame(int(records["can_id"][i]), bytes(int(lengths[i])), int(records["flags"][i])))
+    heads = np.zeros(len(records), _HEAD)
+    heads["can_id"], heads["length"] = records["can_id"], lengths
+    heads["flags"] = np.where(fd, records["flags"], 0)
+    longest = max(1, -(-int(lengths.max(initial=0)) // 8))
+    return Sent(heads.view(WORD), longest, np.where(fd, SIZE, CLASSICAL_SIZE).astype(np.uint64))
+
+
+class Structs:
+    """A row of structs in memory, read and written as columns.
+
+    Attributes:
+        count: number of structs.
+    """
+
+    def __init__(self, memory: Any) -> None:
+        """Args: memory: writable buffer of a whole number of structs."""
+        rows = np.frombuffer(memory, WORD).reshape(-1, SIZE // 8)
+        self.count = len(rows)
+        self._heads, self._data, self._first = rows[:, 0], rows[:, 1:], rows[:, 1]
+        self._written = 8
+
+    def found(self, count: int, bus: int, kept_flags: int = 0xFF, more_flags: int = 0) -> Received:
+        """Return what the heads of the first structs say.
+
+        Args:
+            count: of structs.
+            bus: index of the bus.
+            kept_flags: of the flags of the structs.
+            more_flags: flags that all frames have besides.
+        """
+        convert = _received if count <= LONGEST_KEPT else _received.__wrapped__
+        return convert(self._heads[:count].tobytes(), bus, kept_flags, more_flags)
+
+    def reserved(self, at: int) -> int:
+        """Return the reserved number of a struct."""
+        return int(self._heads[at]) >> 48
+
+    def read(self, count: int, found: Received, t_ns: "int | NDArray[np.int64]") -> Records:
+        """Return the first structs as records.
+
+        Args:
+            count: of structs.
+            found: of their heads.
+            t_ns: time of reception, of all or of each [ns].
+        """
+        records: Records = np.zeros(count, RECORD)
+        records.setfield(t_ns, np.dtype("<i8"), T_NS_AT)
+        records.setfield(found.heads, WORD, HEAD_AT)
+        if found.words == 1:
+            first = self._first[:count]
+            records.setfield(first if found.masks is None else first & found.masks, WORD, DATA_AT)
+        else:
+            data = self._data[:count, : found.words]
+            payload = records.getfield(PAYLOAD, DATA_AT)[:, : found.words]
+            payload[...] = data if found.masks is None else data & found.masks
+        return records
+
+    def write(self, frames: Frames) -> Sent:
+        """Write frames into the first structs, with zeros behind each payload.
+
+        Raises:
+            ValueError: a payload longer than its kind of frame can carry; nothing is written then.
+        """
+        records = frames.records
+        count = len(records)
+        convert = _sent if count <= LONGEST_KEPT else _sent.__wrapped__
+        what = convert(records.getfield(WORD, HEAD_AT).tobytes())
+        self._heads[:count] = what.heads
+        if what.words < self._written:
+            self._data[:, what.words :] = 0
+        self._written = what.words
+        if what.words == 1:
+            self._first[:count] = records.getfield(WORD, DATA_AT)
+        else:
+            self._data[:count, : what.words] = records.getfield(PAYLOAD, DATA_AT)[:, : what.words]
+        return what
+
+
+def gathered(parts: list[Frames]) -> Frames:
+    """Return the frames of several sequences, one after the other."""
+    some = [part for part in parts if len(part)]
+    if len(some) == 1:
+        return some[0]
+    words = np.concatenate([part.records.view(WORD) for part in some]) if some else np.empty(0, WORD)
+    return Frames(words.view(RECORD))
+
+
+def without_errors(records: Records) -> tuple[Frames, list[Frame]]:
+    """Split records into data frames and error frames."""
+    errors = (records["can_id"] & ERROR) != 0
+    return Frames(records[~errors]), list(Frames(records[errors]))

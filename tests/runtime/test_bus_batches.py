@@ -1,0 +1,252 @@
+"""Odd batches on the buses: kinds mixed, lengths from 0 to 64, more frames than a buffer, error frames between."""
+
+import random
+import socket
+import struct
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, Frame
+from handctl.drives.records import WORDS, Frames, frames_of
+from handctl.runtime.buses import canfd
+from handctl.runtime.buses.contract import Bus
+from handctl.runtime.buses.open import open_bus
+from handctl.runtime.buses.socketcan import SLOTS, SocketCanBus
+from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, record
+
+CLASSICAL, FD = struct.Struct("=IB3x8s"), struct.Struct("=IBB2x64s")
+"""Source: Linux ``can.h``."""
+SIZES = (0, 1, 7, 8)
+LONG_SIZES = (0, 8, 12, 64)
+INDEX = 3
+
+
+def mixed(count: int, seed: int) -> list[Frame]:
+    """Classical and FD frames of all lengths in any order."""
+    rng = random.Random(seed)
+    frames = []
+    for number in range(count):
+        can_id = rng.choice((number & 0x7FF, number | EXTENDED))
+        fd = rng.random() < 0.5
+        size = rng.choice(LONG_SIZES if fd else SIZES)
+        frames.append(Frame(can_id, rng.randbytes(size), (FDF | rng.choice((0, BRS))) if fd else 0, INDEX))
+    return frames
+
+
+def of_one_kind(size: int, flags: int) -> list[Frame]:
+    return [Frame(number, bytes([number + 1] * size), flags, INDEX) for number in range(11)]
+
+
+BATCHES = {
+    **{f"classical of {size}": of_one_kind(size, 0) for size in SIZES},
+    **{f"FD of {size}": of_one_kind(size, FDF) for size in LONG_SIZES},
+    "one frame": of_one_kind(8, 0)[:1],
+    "mixed": mixed(40, 1),
+    "mixed, more than a buffer": mixed(2 * SLOTS + 44, 2),
+}
+
+
+def contents(frames: Frames) -> list[tuple[int, bytes, int, int]]:
+    return [frame[:4] for frame in frames]
+
+
+def zero_behind_payloads(frames: Frames) -> bool:
+    """Return whether records are as kernels and the log take them: contiguous, zeros behind each payload."""
+    assert frames.rows.shape == (len(frames), WORDS)
+    behind = np.arange(64) >= frames.records["length"][:, np.newaxis]
+    return not frames.records["data"][behind].any()
+
+
+@pytest.fixture
+def local(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Bus, socket.socket]]:
+    monkeypatch.setenv(RUN_DIR, str(tmp_path))
+    served = ScriptedHub(tmp_path, "x")
+    bus = open_bus("local:x", INDEX, 1_000_000)
+    link = served.accept()
+    yield bus, link
+    bus.close()
+    link.close()
+    served.close()
+
+
+@pytest.fixture
+def udp() -> Iterator[tuple[SocketCanBus, socket.socket]]:
+    near, far = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    near.bind(("127.0.0.1", 0))
+    far.bind(("127.0.0.1", 0))
+    near.connect(far.getsockname())
+    far.connect(near.getsockname())
+    far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+    far.settimeout(20.0)
+    bus = SocketCanBus(near, "socketcan:test", INDEX, fd_mode=True, stamp=int)
+    yield bus, far
+    bus.close()
+    far.close()
+
+
+def drained(bus: Bus, count: int) -> Frames:
+    parts, end = [bus.drain()], time.monotonic() + 20.0
+    while sum(map(len, parts)) < count and time.monotonic() < end:
+        time.sleep(0.001)
+        parts.append(bus.drain())
+    return canfd.gathered(parts)
+
+
+def datagram(frame: Frame, garbage: bytes = b"") -> bytes:
+    """A frame as the kernel gives it; a classical one of a driver may have anything behind its payload."""
+    can_id, data, flags, *_ = frame
+    if flags & FDF:
+        return FD.pack(can_id, len(data), flags, data + garbage[: 64 - len(data)])
+    return CLASSICAL.pack(can_id, len(data), data + garbage[: 8 - len(data)])
+
+
+@pytest.mark.parametrize("name", BATCHES)
+def test_a_local_bus_carries_it_both_ways(local: tuple[Bus, socket.socket], name: str) -> None:
+    bus, link = local
+    batch = BATCHES[name]
+    whole = b"".join(record(frame.can_id, frame.data, frame.flags) for frame in batch)
+    assert bus.send(frames_of(batch)) == len(batch)
+    sent = b""
+    while len(sent) < len(whole):
+        sent += link.recv(1 << 20)
+    assert sent == whole
+    link.sendall(whole)
+    got = drained(bus, len(batch))
+    assert contents(got) == [frame[:4] for frame in batch]
+    assert zero_behind_payloads(got)
+    assert bus.take_events() == []
+
+
+@pytest.mark.parametrize("name", BATCHES)
+def test_a_can_socket_carries_it_both_ways(udp: tuple[SocketCanBus, socket.socket], name: str) -> None:
+    bus, far = udp
+    batch = BATCHES[name]
+    assert bus.send(frames_of(batch)) == len(batch)
+    assert [far.recv(100) for _ in batch] == [datagram(frame) for frame in batch]
+    for frame in batch:
+        far.send(datagram(frame))
+    got = drained(bus, len(batch))
+    assert contents(got) == [frame[:4] for frame in batch]
+    assert zero_behind_payloads(got)
+
+
+def test_batches_of_all_kinds_in_turn_leave_nothing_of_one_another(
+    local: tuple[Bus, socket.socket], udp: tuple[SocketCanBus, socket.socket]
+) -> None:
+    for batch in [*BATCHES.values(), *reversed(BATCHES.values())]:
+        test_batch = batch[:SLOTS]
+        for bus, link in (local, udp):
+            assert bus.send(frames_of(test_batch)) == len(test_batch)
+            if bus is local[0]:
+                whole = b"".join(record(frame.can_id, frame.data, frame.flags) for frame in test_batch)
+                sent = b""
+                while len(sent) < len(whole):
+                    sent += link.recv(1 << 20)
+                assert sent == whole
+                link.sendall(whole)
+            else:
+                assert [link.recv(100) for _ in test_batch] == [datagram(frame) for frame in test_batch]
+                for frame in test_batch:
+                    link.send(datagram(frame))
+            got = drained(bus, len(test_batch))
+            assert contents(got) == [frame[:4] for frame in test_batch]
+            assert zero_behind_payloads(got)
+
+
+def test_what_is_behind_a_payload_is_not_taken_in(
+    local: tuple[Bus, socket.socket], udp: tuple[SocketCanBus, socket.socket]
+) -> None:
+    garbage = b"\xff" * 64
+    batch = [*of_one_kind(3, 0), *of_one_kind(12, FDF), *of_one_kind(0, 0)]
+    bus, link = local
+    for frame in batch:
+        whole = record(frame.can_id, frame.data, frame.flags)
+        link.sendall(whole[: 8 + len(frame.data)] + garbage[: 64 - len(frame.data)])
+    got = drained(bus, len(batch))
+    assert contents(got) == [frame[:4] for frame in batch]
+    assert zero_behind_payloads(got)
+    can, far = udp
+    for part in (batch[:11], batch[11:22], batch):
+        for frame in part:
+            far.send(datagram(frame, garbage))
+        got = drained(can, len(part))
+        assert contents(got) == [frame[:4] for frame in part]
+        assert zero_behind_payloads(got)
+
+
+def test_error_frames_between_others_become_events_and_keep_the_order(
+    local: tuple[Bus, socket.socket], udp: tuple[SocketCanBus, socket.socket]
+) -> None:
+    batch = mixed(20, 3)
+    bus_off = Frame(ERROR | 0x40, bytes(8))
+    bus, link = local
+    link.sendall(b"".join(record(f.can_id, f.data, f.flags) + record(bus_off.can_id, bus_off.data) for f in batch))
+    assert contents(drained(bus, len(batch))) == [frame[:4] for frame in batch]
+    assert bus.take_events() == [("error_frame", "local:x bus off", 20), ("bus_off", "local:x", 1)]
+    can, far = udp
+    for frame in batch:
+        far.send(datagram(frame))
+        far.send(datagram(bus_off))
+    assert contents(drained(can, len(batch))) == [frame[:4] for frame in batch]
+    events = [("error_frame", "socketcan:test bus off", 20), ("bus_off", "socketcan:test", 1)]
+    assert can.take_events() == events
+    link.sendall(record(bus_off.can_id, bus_off.data))
+    far.send(datagram(bus_off))
+    time.sleep(0.05)
+    assert len(bus.drain()) == len(can.drain()) == 0
+    assert bus.take_events()
+    assert can.take_events()
+
+
+def test_a_record_torn_within_an_odd_batch_comes_out_whole(local: tuple[Bus, socket.socket]) -> None:
+    bus, link = local
+    batch = mixed(30, 4)
+    whole = b"".join(record(frame.can_id, frame.data, frame.flags) for frame in batch)
+    parts, at = [], 0
+    for cut in (1, 71, 72, 73, 100, 500, 700, len(whole)):
+        link.sendall(whole[at : at + cut])
+        parts.append(bus.drain())
+        at += cut
+        assert sum(map(len, parts)) == min(at, len(whole)) // 72
+    assert contents(canfd.gathered(parts)) == [frame[:4] for frame in batch]
+
+
+@pytest.mark.parametrize("size", [9, 12, 64])
+def test_a_classical_frame_that_is_too_long_is_refused_as_record_too(
+    local: tuple[Bus, socket.socket], udp: tuple[SocketCanBus, socket.socket], size: int
+) -> None:
+    good = [Frame(1, b"good")]
+    for bus, link in (local, udp):
+        for _ in range(2):
+            with pytest.raises(ValueError, match=f"payload of {size} bytes in frame 0x7"):
+                bus.send(frames_of([*good, Frame(7, bytes(size)), *good]))
+        assert bus.send(good) == 1
+        assert link.recv(1000).startswith(struct.pack("<IB", 1, 4))
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.1, 3.0])
+def test_the_kernels_stamps_become_the_runs_time(udp: tuple[SocketCanBus, socket.socket], scale: float) -> None:
+    bus, far = udp
+    bus._stamp = lambda t_ns: int((t_ns - 1000) * scale)
+    time.sleep(0.3)  # the kernel begins to stamp a little after it was asked for it
+    for _ in range(3):
+        before = time.monotonic_ns()
+        for number in range(11):
+            far.send(CLASSICAL.pack(number, 8, bytes(8)))
+        after = time.monotonic_ns()
+        stamps = [frame.t_ns for frame in drained(bus, 11)]
+        slack = 5_000_000
+        assert (before - slack) * scale <= stamps[0] <= stamps[-1] <= (after + slack) * scale
+        assert stamps == sorted(stamps)
+        assert len(set(stamps)) > 1
+
+
+def test_a_flood_of_batches_that_never_came_before_keeps_nothing_large() -> None:
+    structs = canfd.Structs(bytearray(4096 * canfd.SIZE))
+    before = canfd._received.cache_info().currsize
+    assert len(structs.read(4096, structs.found(4096, 0), 0)) == 4096
+    assert canfd._received.cache_info().currsize == before
