@@ -196,8 +196,8 @@ def test_a_tendon_whose_regime_changes_begins_with_the_steady_covariance(model: 
     answers = []
     for covariance in (after.covariance, None):
         here = after._replace(x=x.ravel(), covariance=covariance)
-        told = (readings(model, x, force)._replace(travel=x[:, X] + way) for way in (0.0, 1e-7))
-        moved = [corrected(model, here, each).view("travel") for each in told]
+        samples = (readings(model, x, force)._replace(travel=x[:, X] + way) for way in (0.0, 1e-7))
+        moved = [corrected(model, here, each).view("travel") for each in samples]
         answers.append(moved[1] - moved[0])
     np.testing.assert_allclose(answers[0][first], answers[1][first], rtol=1e-6)
     assert answers[0][last] > answers[1][last], "and a reading is believed more"

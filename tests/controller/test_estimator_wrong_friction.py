@@ -20,7 +20,7 @@ from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from tests.controller.filter_runs import all_in, nowhere, readings, resting, step
 from tests.controller.plant_run import PlantRun, model_of, run_on_plant
-from tests.controller.synthetic import blank, constants
+from tests.controller.synthetic import blank, constants, interpreted
 
 HANDS = ("jamia", "jamia11", "jamia_bench")
 FRICTION = (0.5, 1.0, 1.5, 2.0)
@@ -127,6 +127,12 @@ def test_doubt_ends_and_missing_samples_say_nothing(jamia11: HandModel) -> None:
     for _ in range(2):
         lately, wary = caution(jamia11, lately, wary, np.full(n, 2.0))
     assert not wary.any()
+    state = blank(jamia11)
+    state.view("regime")[...] = regimes = np.arange(n) % len(Regime)
+    x = interpreted(tables)(state.block, state.layout.places)
+    assert [interpreted(kalman.kind_of)(x, i) for i in range(n)] == regimes.tolist()
+    state.view("wary")[...] = 1e-9
+    assert [interpreted(kalman.kind_of)(x, i) for i in range(n)] == (regimes + len(Regime)).tolist()
 
 
 @pytest.mark.parametrize("hand", HANDS)
