@@ -17,8 +17,9 @@ from handctl.controller.tick import Controller
 from handctl.core import block as s
 from handctl.core.gains.gains import Gains
 from handctl.core.types import Mode, TickIn
+from handctl.drives import recheck
 from handctl.drives.cia402 import codec as cia402
-from handctl.drives.contract import Drive, Phase
+from handctl.drives.contract import DriveState, Phase
 from handctl.drives.frame import Frame
 from handctl.drives.mit import codec as mit
 from handctl.drives.signals import Message, Quantity, Table
@@ -100,6 +101,8 @@ def _payload(message: Message, given: dict[Quantity, Any], random: Random) -> by
     """Return the payload of a message with these values; a status is spread over its signals, the first one highest."""
     values, left = [], sum(one.length for one in message.signals if one.quantity == Quantity.STATUS)
     for signal in message.signals:
+        if signal.quantity == Quantity.UNUSED:
+            continue
         value = given.get(signal.quantity, 0.0)
         if signal.quantity == Quantity.STATUS:
             left -= signal.length
@@ -123,7 +126,7 @@ class Made:
         self.state.decide(progress=replace(self.state.progress, phase="live"))
         self.period_ns = round(1e9 / RATE_HZ)
         for n, drive in enumerate(self.controller.drives):
-            self.controller.keep(self.state, n, _enabled(drive))
+            self.controller.keep(self.state, n, _enabled(drive, self.protocol))
         self.state.mode = Mode.ACTIVE
         self.position, self.tension = np.zeros(tendons), np.zeros(tendons)
         self.speed = self.random.normal(0.0, 2.0, tendons)
@@ -131,7 +134,7 @@ class Made:
         self.digits = hand.digit_names
 
     def frames(self, t_ns: int) -> tuple[Frame, ...]:
-        """Return what comes in a tick: motors that wind and pay out, tensions that follow, and what goes wrong."""
+        """Return what comes in a tick: motors wind, tensions follow, and something goes wrong now and then."""
         random, period = self.random, 1.0 / RATE_HZ
         self.speed = 0.9 * self.speed + random.normal(0.0, 1.0, len(self.speed))
         self.position += self.speed * period
@@ -197,12 +200,18 @@ def _status(drive: Any, protocol: str) -> int:
     return cia402.ENABLED_STATUS if protocol == "cia402" else 0
 
 
-def _enabled(drive: Drive) -> Any:
-    """Return a drive that obeys, without the way to it."""
+def _enabled(drive: Any, protocol: str) -> DriveState:
+    """Return what is known of a drive that was configured and obeys, without the way to it."""
     known = drive.initial()
     private: Any = known.private
-    steady = private._replace(asked=True) if hasattr(private, "asked") else private
-    return known._replace(phase=Phase.ENABLED, private=steady)
+    if protocol != "odrive":
+        private = private._replace(asked=True, check=recheck.begin(drive.node_id, 0))
+    if protocol == "mit":
+        private = private._replace(configured=True)
+    if protocol == "cia402":
+        walk = private.walk._replace(step=len(drive.steps))
+        private = private._replace(walk=walk, power=cia402.OPERATION_ENABLED, heard_ns=0)
+    return known._replace(phase=Phase.ENABLED, private=private)
 
 
 def ticked(tendons: int, seed: int) -> list[str]:

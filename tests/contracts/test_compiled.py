@@ -1,4 +1,4 @@
-"""Kernels: compiled and interpreted give the same bytes, none compiles in a tick, none is an old one."""
+"""The kernels: compiled and interpreted give the same bytes, none compiles in a tick, none is an old one."""
 
 import ast
 import inspect

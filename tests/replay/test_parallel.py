@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
+from handctl.campaign.stage import hand_in, started
 from handctl.controller.snapshot import restore, snapshot
 from handctl.controller.state import State
 from handctl.controller.tick import Controller
-from handctl.core.types import TickIn, TickOut
+from handctl.core.plain import plain_bytes
+from handctl.core.types import Mode, TickIn, TickOut
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
 from handctl.log.topics.snapshots import Snapshot
@@ -71,6 +73,20 @@ def test_a_state_comes_out_of_its_snapshot_as_it_went_in(fresh: Path) -> None:
             other, same = controller.tick(again, logged.tick_in)
             state, out = controller.tick(state, logged.tick_in)
             assert (same.state_hash, other.digest()) == (out.state_hash, logged.state_hash)
+
+
+@pytest.mark.parametrize("protocol", ["mit", "odrive", "cia402"])
+def test_a_state_of_every_protocol_comes_out_of_its_snapshot(protocol: str) -> None:
+    with started(hand_in("jamia", protocol), 250.0, 0) as course:
+        seen = set()
+        for _ in course.ticks(limit_s=10.0):
+            if course.state.mode == Mode.ACTIVE:
+                break
+            seen.add(course.state.mode)
+            again = restore(course.controller.layout, snapshot(course.state))
+            assert plain_bytes(again.decisions) == plain_bytes(course.state.decisions)
+            assert again.digest() == course.state.digest()
+    assert {Mode.SILENT, Mode.INVENTORY, Mode.ARMING} <= seen
 
 
 def test_a_log_has_a_snapshot_every_second(fresh: Path) -> None:
