@@ -12,13 +12,13 @@ MAX_CHANNELS = 1000
 """Schemas, and channels, that a chunk may define."""
 MIN_RUNS, BYTES_PER_RUN = 128, 16
 """Runs that a chunk may have at least, and one more for so many compressed bytes."""
-FEW = 8
+FEW = 4
 """Equal records that are counted one by one; of more, numpy finds the end."""
 _RECORD, _CHANNEL = struct.Struct("<BQ"), struct.Struct("<H")
 MESSAGE = int(Opcode.MESSAGE)
 _HEADER = 11
 """Opcode, length and channel: what the messages of a run have in common."""
-_HEADS = (np.dtype("<u8"), 0), (np.dtype("<u4"), 7)
+_HEADS = np.dtype(f"V{_HEADER}")
 _BODY = 31
 """Start of a message's data within its record."""
 
@@ -113,7 +113,7 @@ def _run(content: bytes, at: int, size: int) -> int:
         at: start of the first record in it.
         size: of a record.
     """
-    most, count, step = (len(content) - at) // size, 1, 64
+    most, count, step = (len(content) - at) // size, 1, 16
     head, after = content[at : at + _HEADER], at + size
     while count < min(FEW, most):
         if content[after : after + _HEADER] != head:
@@ -121,15 +121,24 @@ def _run(content: bytes, at: int, size: int) -> int:
         count, after = count + 1, after + size
     while count < most:
         number = min(step, most - count)
-        # opcode, length and channel as two overlapping numbers
-        parts = [np.ndarray(number, kind, content, at + count * size + place, (size,)) for kind, place in _HEADS]
-        differ = parts[0] != _HEADS[0][0].type(int.from_bytes(content[at : at + 8], "little"))
-        differ |= parts[1] != _HEADS[1][0].type(int.from_bytes(content[at + 7 : at + 11], "little"))
-        first = int(differ.argmax())
-        if differ[first]:
-            return count + first
-        count, step = count + number, 4 * step
+        heads = np.ndarray(number, _HEADS, content, at + count * size, (size,)).tobytes()
+        equal = number if heads == head * number else _equal(heads, head, number)
+        count, step = count + equal, 4 * step
+        if equal < number:
+            return count
     return count
+
+
+def _equal(heads: bytes, head: bytes, number: int) -> int:
+    """Return how many of the heads are equal to this one, from the first on; not all of them are."""
+    low = 0
+    while number - low > 1:
+        middle = (low + number) // 2
+        if heads[: middle * _HEADER] == head * middle:
+            low = middle
+        else:
+            number = middle
+    return low
 
 
 def definitions(content: bytes) -> Definitions:
