@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from handctl.compiled import prepare
+from handctl.controller.answers import clear
+from handctl.controller.state import Decisions, State
 from handctl.core import block as s
 from handctl.core import stages
 from handctl.core.block import STATE, Tables, tables
@@ -163,9 +165,11 @@ class Monitor:
         return verdict
 
     def clear(self) -> None:
-        """Let an operator clear what is latched, as a new run does: no fault has been present before it."""
-        self.latched, self.counting = (), ()
-        self.set({"fault_ticks": 0})
+        """Let an operator clear what is latched."""
+        decisions = Decisions((), None, self.latched, self.counting)  # type: ignore[arg-type]
+        state = State(self.layout, self.block, decisions)
+        clear(state)
+        self.latched, self.counting = state.latched, state.decisions.counting
 
     def name(self, kind: str, i: int) -> str:
         """Return the name of an instance; empty for one of a whole hand."""

@@ -116,9 +116,11 @@ def test_what_latches_stays_until_a_person_clears_it(id_: str) -> None:
 def test_clearing_what_is_still_there_does_not_help(id_: str) -> None:
     case = CASES[id_]
     monitor, _, _ = alone(id_, *[case.present] * (case.debounce + 3))
-    monitor.latched = ()
+    monitor.clear()
     _, actions, _ = alone(id_, case.present, monitor=monitor)
     assert actions == [case.action]
+    _, actions, _ = alone(id_, REST, monitor=monitor)
+    assert actions == [case.action], "it has latched again"
 
 
 @pytest.mark.parametrize("id_", CASES)

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from handctl.controller import retune
 from handctl.controller.modes import Wishes
 from handctl.controller.state import State
@@ -11,6 +13,7 @@ from handctl.programs.commission import CommissionProgram
 from handctl.programs.live import LiveProgram, apply_goal
 from handctl.programs.program import Program
 from handctl.programs.requests import Arm, Clear, Cut, HoldTension, MoveDigits, SetGains, Stop, parse_request, taken
+from handctl.safety.faults.table import BY_ID, DEBOUNCE
 
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
 """Modes in which an order to clear also clears the drives."""
@@ -41,7 +44,7 @@ def answer(
         elif isinstance(request, Arm):
             state.armed = True
         elif isinstance(request, Clear):
-            state.decide(latched=())
+            clear(state)
             state.clearing = state.mode in BEFORE_READY
         elif isinstance(request, SetGains) and isinstance(program, CommissionProgram):
             events.append(Event("warn", "request", "", "refused: the hand is being commissioned"))
@@ -66,3 +69,11 @@ def _set_goal(model: HandModel, program: Program, state: State, request: MoveDig
     progress, told = apply_goal(model, state.progress, request, state.estimate, state.goal_time)
     state.decide(progress=progress)
     return told
+
+
+def clear(state: State) -> None:
+    """Drop all latches on an operator's order. What is still present counts anew in this tick, and latches again."""
+    ticks = state.view("fault_ticks")[: len(DEBOUNCE)]
+    np.minimum(ticks, DEBOUNCE[:, None] - 1, out=ticks)
+    counting = [one._replace(ticks=min(one.ticks, BY_ID[one.id].debounce - 1)) for one in state.decisions.counting]
+    state.decide(latched=(), counting=tuple(counting))
