@@ -11,12 +11,14 @@ of another version. Where no folder can be written, each process compiles anew.
 """
 
 import contextlib
+import fcntl
 import hashlib
 import os
 import shutil
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import IO, Any, NamedTuple, TypeVar, cast
 
 from numba import njit, types
 from numba.core import config as _config
@@ -29,6 +31,8 @@ SOURCES = ("compiled.py", "core", "drives", "hand", "safety")
 """Files and folders of this package whose functions and constants kernels are made of."""
 KEPT_FOLDERS = 16
 """Versions whose code is kept; older ones are removed."""
+MOST_WORKERS, LOOK_S = 8, 0.1
+"""Processes that compile, and the time between two looks at how far they are [s]."""
 
 _KERNELS: dict[str, tuple[Any, tuple[Any, ...]]] = {}
 """Name of each kernel to its dispatcher and the types of its arguments."""
@@ -136,15 +140,81 @@ def square(value: float) -> float:
     return value * value
 
 
+class _Waiting(NamedTuple):
+    """A kernel that is not ready: its name, its dispatcher, and the types of its arguments."""
+
+    name: str
+    code: Any
+    types: tuple[Any, ...]
+
+
 def prepare(progress: Callable[[int, int], None] | None = None) -> None:
     """Compile every kernel that has been imported, or load its code; afterwards none compiles in a tick.
 
     Args:
-        progress: called before each with the number that are ready and the number of all.
+        progress: called now and then with the number that are ready and the number of all.
     """
-    waiting = [(code, types_) for code, types_ in _KERNELS.values() if not getattr(code, "signatures", True)]
-    for done, (code, types_) in enumerate(waiting):
-        if progress:
-            progress(done, len(waiting))
-        code.compile(types_)
-        code.disable_compile()
+    told = progress or _untold
+    all_of_them = [_Waiting(name, *kernel) for name, kernel in _KERNELS.items()]
+    waiting = [one for one in all_of_them if not getattr(one.code, "signatures", True)]
+    if _FOLDER and _kept(_FOLDER, waiting) < len(waiting):
+        _compile_together(_FOLDER, waiting, told)
+    for done, one in enumerate(waiting):
+        told(done, len(waiting))
+        one.code.compile(one.types)
+        one.code.disable_compile()
+
+
+def _untold(done: int, most: int) -> None:
+    """Tell nobody."""
+
+
+def _kept(folder: Path, kernels: Sequence[_Waiting]) -> int:
+    """Return how many of these kernels have code in a folder, by the names that numba gives to its files."""
+    kept = {path.name.partition("-")[0] for path in folder.rglob("*.nbi")}
+    return sum(".".join(one.name.rsplit(".", 2)[1:]) in kept for one in kernels)
+
+
+def _compile_together(folder: Path, waiting: Sequence[_Waiting], told: Callable[[int, int], None]) -> None:
+    """Fill the folder by a process for each core; who comes meanwhile waits. What fails here fails in ``prepare``.
+
+    Args:
+        folder: of the code. waiting: what it lacks. told: as in ``prepare``.
+    """
+    order = sorted(range(len(waiting)), key=lambda i: len(waiting[i].code.py_func.__code__.co_names), reverse=True)
+    with contextlib.suppress(OSError), open(folder / "lock", "w") as lock:
+        while not _locked(lock):
+            told(_kept(folder, waiting), len(waiting))
+            time.sleep(LOOK_S)
+        if _kept(folder, waiting) == len(waiting):
+            return
+        todo, giving = os.pipe()
+        os.write(giving, bytes(order))  # a byte is a kernel; whoever reads it compiles it
+        os.close(giving)
+        workers = [_worker(todo, waiting) for _ in range(min(os.cpu_count() or 1, MOST_WORKERS))]
+        os.close(todo)
+        while workers:
+            workers = [one for one in workers if os.waitpid(one, os.WNOHANG)[0] == 0]
+            told(_kept(folder, waiting), len(waiting))
+            time.sleep(LOOK_S)
+
+
+def _locked(lock: IO[str]) -> bool:
+    """Return whether the lock could be had."""
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def _worker(todo: int, waiting: Sequence[_Waiting]) -> int:
+    """Return a copy of this process that compiles one kernel after the other, and ends."""
+    process = os.fork()
+    if process:
+        return process
+    try:
+        while number := os.read(todo, 1):
+            waiting[number[0]].code.compile(waiting[number[0]].types)
+    finally:
+        os._exit(0)

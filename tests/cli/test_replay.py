@@ -26,9 +26,9 @@ def test_execute_tells_programs_what_it_found(capsys: pytest.CaptureFixture[str]
 def test_numbers_of_another_machine_are_told_apart(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("handctl.replay.execute.same", lambda logged, numbers, out: logged.tick_in.k != 100)
+    monkeypatch.setattr("handctl.replay.course.same", lambda logged, numbers, out: logged.tick_in.k != 100)
     found = Difference(100, 0.5, "nis", "index_tendon", 0.5, 0.5 + 1e-15, 9)
-    monkeypatch.setattr("handctl.replay.execute.differences", lambda *what: iter([found]))
+    monkeypatch.setattr("handctl.replay.course.differences", lambda *what: iter([found]))
     assert main(["replay", "execute", GRASP]) == 1
     assert "--within 1e-9" in capsys.readouterr().out
     assert main(["replay", "execute", GRASP, "--within", "1e-9"]) == 0

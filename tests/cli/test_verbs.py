@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from handctl.cli.console.options import PROTOCOLS
+from handctl.cli.console.options import SPOKEN
 from handctl.cli.main import VERBS, main
 from handctl.drives import registry
 from handctl.log.read.reader import RunLog
@@ -48,7 +48,7 @@ for words in {words!r}:
 
 
 def test_the_protocols_to_choose_are_those_that_there_are():
-    assert sorted(PROTOCOLS) == sorted(registry.PROTOCOLS)
+    assert sorted(SPOKEN) == sorted(registry.PROTOCOLS)
 
 
 OF_A_LOG = ("log", "replay", "report", "view")

@@ -17,7 +17,7 @@ from handctl.controller.tick import Controller
 from handctl.core import block as s
 from handctl.core.gains.gains import Gains
 from handctl.core.types import Mode, TickIn
-from handctl.drives import recheck
+from handctl.drives import readback
 from handctl.drives.cia402 import codec as cia402
 from handctl.drives.contract import DriveState, Phase
 from handctl.drives.frame import Frame
@@ -205,7 +205,7 @@ def _enabled(drive: Any, protocol: str) -> DriveState:
     known = drive.initial()
     private: Any = known.private
     if protocol != "odrive":
-        private = private._replace(asked=True, check=recheck.begin(drive.node_id, 0))
+        private = private._replace(asked=True, check=readback.begin_recheck(drive.node_id, 0))
     if protocol == "mit":
         private = private._replace(configured=True)
     if protocol == "cia402":

@@ -109,8 +109,11 @@ layout = s.STATE.layout(dict.fromkeys(s.AXES, 1))
 block = layout.initial.copy()
 layout.view(block, "lost")[0] = 0b1010101010101
 compiled._KERNELS = {name: one for name, one in compiled._KERNELS.items() if "probe" in name}
+folder = compiled._FOLDER
+before = [] if folder is None else list(folder.rglob("probe.misses-*.nbi"))
 compiled.prepare()
-print(bool(misses(block, layout.places)), sum(misses.stats.cache_hits.values()), compiled._FOLDER is not None)
+assert bool(misses.stats.cache_hits) == (folder is not None), "compiled by another process, and loaded by this one"
+print(bool(misses(block, layout.places)), len(before), folder is not None)
 """
 
 

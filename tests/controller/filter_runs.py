@@ -11,9 +11,10 @@ from handctl.controller.state import State
 from handctl.core import block as s
 from handctl.core import stages
 from handctl.core.estimation.filter_stack import STATES, Regime, S, X
+from handctl.core.estimation.prediction import predict
 from handctl.core.model import HandModel
 from handctl.core.types import Mode
-from tests.controller.synthetic import Estimate, Readings, blank, constants, controller_of, estimate_of, nothing_read
+from tests.controller.synthetic import Estimate, Readings, blank, constants, estimate_of, nothing_read
 
 
 class FilterState(NamedTuple):
@@ -118,7 +119,7 @@ def tick(
         friction_state: (N,) how far friction is developed where that is known.
         missed: ticks that were skipped since.
     """
-    run, controller = state_of(model, state), controller_of(model)
+    run = state_of(model, state)
     read(run, measured)
     run.view("force")[...], run.view("rate")[...] = force, rate
     run.view("planned_contact")[...] = contact
@@ -127,7 +128,7 @@ def tick(
     run.set_whole(s.MISSED, missed)
     stages.correct(run.block, run.layout.places, *constants(model))
     if run.started:
-        controller._predict(run, missed)
+        predict(model, run.layout, run.block, missed)
     stages.conclude(run.block, run.layout.places, *constants(model))
     return taken(run), estimate_of(run)
 

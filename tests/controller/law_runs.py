@@ -14,6 +14,7 @@ from handctl.core.constants import constant_tables
 from handctl.core.law import computed_torque, reference
 from handctl.core.law.goal import DigitGoal
 from handctl.core.law.goals import write_goals
+from handctl.core.law.loads import allocate
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Places
 from handctl.safety.action import Action
@@ -144,7 +145,7 @@ def load_of(model: HandModel, goals: tuple[DigitGoal, ...], way: np.ndarray) -> 
     state = blank(model)
     write_goals(model, state.layout, state.block, goals)
     undecided = _required(state.block, state.layout.places, *constants(model), way)
-    controller_of(model)._allocate(state, undecided)
+    allocate(model, state.layout, state.block, undecided)
     return state.view("load")
 
 

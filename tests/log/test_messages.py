@@ -10,13 +10,18 @@ from oracle import Ros2Support, Rosbags, by_topic, oracles
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from handctl.log.messages import DEFINITIONS, schema_name, schema_text
-from handctl.log.record import pack
+from handctl.log.read.reader import RunLog
+from handctl.log.record import pack, pack_snapshot
 from handctl.log.topics.can import fd_frame
 from handctl.log.topics.events import labelled, parameter_event, rosout
 from handctl.log.topics.health import Status, diagnostic_array
 from handctl.log.write.recorder import Recorder
 
 STANDARD = ("builtin_interfaces", "std_msgs", "geometry_msgs", "tf2_msgs", "sensor_msgs", "diagnostic_msgs")
+
+
+STATES = {30: b"one state", 136: bytes(range(256)) * 100}
+"""Snapshots of the run, by the ticks that they follow."""
 
 
 @pytest.fixture(scope="module")
@@ -26,6 +31,8 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     recorder = Recorder.start(path, run)
     for tick_in, out in lively.ticks(run):
         assert recorder.record(pack(tick_in, out))
+        if tick_in.k in STATES:
+            assert recorder.record(pack_snapshot(tick_in, STATES[tick_in.k]))
     assert recorder.close("finished")["complete"]
     return path
 
@@ -47,6 +54,11 @@ def test_every_topic_is_alive_in_the_lively_run(log: Path) -> None:
     parts = {"Time", "Header", "Vector3", "Quaternion", "Transform", "TransformStamped", "Wrench", "KeyValue"}
     parts |= {"DiagnosticStatus", "ParameterValue", "Parameter", "CanFrame", "IoEvent", "Event"}
     assert used == {schema_name(name) for name in DEFINITIONS if name.split("/")[1] not in parts}
+
+
+def test_a_snapshot_is_read_as_it_was_written(log: Path) -> None:
+    with RunLog(log) as run:
+        assert {one.k: one.data for one in run.snapshots()} == STATES
 
 
 def test_both_serialisers_give_back_every_message(log: Path) -> None:

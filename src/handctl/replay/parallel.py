@@ -70,6 +70,11 @@ class Counts:
         self._told(int(self._done.sum()))
 
 
+def cores() -> int:
+    """Return the number of cores on which this process may run."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def run_parallel(course: Course, workers: int, told: Callable[[int], None]) -> Tally:
     """Execute a whole log in up to so many processes; raises as ``Course.run``.
 

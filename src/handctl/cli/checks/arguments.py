@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from handctl.cli.console.options import PROTOCOLS, bitrate_options, bus_option, gains_options, hand_option, json_option
+from handctl.cli.console.options import SPOKEN, bitrate_options, bus_option, gains_options, hand_option, json_option
 
 EXAMPLES = {
     "config": "handctl config show --hand jamia",
@@ -57,7 +57,7 @@ def scan(parser: argparse.ArgumentParser) -> None:
 def conformance(parser: argparse.ArgumentParser) -> None:
     """Declare what ``conformance`` takes."""
     add = parser.add_argument
-    add("--drive", required=True, choices=PROTOCOLS, help="what it speaks")
+    add("--drive", required=True, choices=sorted(SPOKEN), help="what it speaks")
     add("--node", required=True, type=lambda word: int(word, 0), metavar="N", help="its number on the bus")
     add("--bus", required=True, metavar="SPEC", help="local:NAME, socketcan:can0 or any python-can interface:channel")
     add("--torque-limit-Nm", required=True, type=float, metavar="X", dest="limit",

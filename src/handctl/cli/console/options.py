@@ -13,6 +13,8 @@ from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import Exit
 
 PROTOCOLS = ("mit", "odrive", "cia402")
+"""What simulated drives may speak."""
+SPOKEN = (*PROTOCOLS, "cubemars")
 """What drives may speak; the names of ``drives.registry``, which takes longer to import than a help may take."""
 
 
@@ -38,6 +40,17 @@ def check_seed(seed: int) -> None:
     """
     if seed < 0:
         raise ConfigError(f"{seed}", "--seed", "0 or more")
+
+
+def checked_count(number: int, option: str, most: int) -> int:
+    """A count from the command line.
+
+    Raises:
+        ConfigError: it is not between 1 and ``most``.
+    """
+    if not 1 <= number <= most:
+        raise ConfigError(str(number), option, f"1 to {most}")
+    return number
 
 
 def protocol_option(parser: argparse.ArgumentParser, more: str = "") -> None:

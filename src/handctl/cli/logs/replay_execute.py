@@ -6,9 +6,8 @@ This module and all that it imports know no bus.
 import argparse
 from typing import Any
 
-from handctl.cli.console.options import print_json, say, tell_lossy
+from handctl.cli.console.options import checked_count, print_json, say, tell_lossy
 from handctl.cli.console.progress import progress
-from handctl.cli.tuning.tune_files import checked_count
 from handctl.errors import ConfigError, LogError
 from handctl.output import check_output, named_after
 from handctl.session.exit_codes import Exit
@@ -37,9 +36,9 @@ def _same(args: argparse.Namespace, log: Any) -> bool:
 
     from handctl.log.code import code_identity
     from handctl.replay.execute import acceptable, execute
-    from handctl.runtime.clock import cores
+    from handctl.replay.parallel import cores
 
-    workers = len(cores()) if args.workers is None else checked_count(args.workers, "--workers", 64)
+    workers = cores() if args.workers is None else checked_count(args.workers, "--workers", 64)
     with progress("executing", len(log), args.json) as told:
         found = execute(log, told=told, workers=workers)
     good = not found.differing if args.within is None else acceptable(found, args.within)

@@ -5,7 +5,7 @@ import shlex
 from pathlib import Path
 from typing import NamedTuple
 
-from handctl.cli.console.options import perturb_words
+from handctl.cli.console.options import checked_count, perturb_words
 from handctl.cli.console.plan import check_perturb
 from handctl.core.gains.gains import Gains, Provenance, gains_text
 from handctl.core.identified import identified_hand
@@ -32,17 +32,6 @@ def output_files(args: argparse.Namespace, hand: str, kind: str) -> tuple[Path, 
     if picture.resolve() == out.resolve():
         raise ConfigError("is the name of the picture, too", f"--out {out}", "another --out or --picture")
     return out, picture
-
-
-def checked_count(number: int, option: str, most: int) -> int:
-    """A count from the command line.
-
-    Raises:
-        ConfigError: it is not between 1 and ``most``.
-    """
-    if not 1 <= number <= most:
-        raise ConfigError(str(number), option, f"1 to {most}")
-    return number
 
 
 def plants_of(args: argparse.Namespace, spread: dict[str, float], most: int) -> tuple[dict[str, float], ...]:

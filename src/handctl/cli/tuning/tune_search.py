@@ -6,10 +6,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from handctl.cli.console.options import print_json
+from handctl.cli.console.options import checked_count, print_json
 from handctl.cli.console.plan import layered_gains
 from handctl.cli.console.screen import screen
-from handctl.cli.tuning.tune_files import checked_count, output_files, plants_of, subject, verify_command, write_gains
+from handctl.cli.tuning.tune_files import output_files, plants_of, subject, verify_command, write_gains
 from handctl.controller.bus_load import bus_loads
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel

@@ -9,10 +9,9 @@ from typing import Any
 
 from handctl.cli.console.begin import announce
 from handctl.cli.console.dry_run import told
-from handctl.cli.console.options import print_json
+from handctl.cli.console.options import checked_count, print_json
 from handctl.cli.console.plan import check_bus_only, check_perturb, find_calibration, make_plan
 from handctl.cli.console.screen import screen
-from handctl.cli.tuning.tune_files import checked_count
 from handctl.errors import ConfigError
 from handctl.session.calibration import ensure_calibration, homed, identified_in
 from handctl.session.exit_codes import Exit

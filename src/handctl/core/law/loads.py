@@ -17,13 +17,23 @@ def write_loads(model: HandModel, layout: Layout, constants: HandConstants, bloc
     """
     known = constants.block, constants.layout.places
     undecided = stages.refer(block, layout.places, *known, action)
-    required, load = layout.view(block, "joint_required"), layout.view(block, "load")
+    required = layout.view(block, "joint_required")
     if model.inverse is not required_torque:  # another law of the digits, for experiments
         way = stages.on_joints(block, layout.places, *known)
         for digit in model.digits:
             required[digit.joints] = model.inverse(digit, *(row[digit.joints].tolist() for row in way))
         undecided = stages.load(block, layout.places, *known)
-    # Tensions that leave their bounds, or are not the only ones: the bounded least-squares problem decides.
+    allocate(model, layout, block, undecided)
+
+
+def allocate(model: HandModel, layout: Layout, block: Block, undecided: int) -> None:
+    """Solve the bounded least-squares problem of digits whose tensions leave their bounds, or are not the only ones.
+
+    Args:
+        model: the hand. layout: of the block. block: the state, changed.
+        undecided: a bit for each such digit.
+    """
+    required, load = layout.view(block, "joint_required"), layout.view(block, "load")
     for d, digit in enumerate(model.digits):
         if undecided >> d & 1:
             tendons = digit.tendons
