@@ -142,7 +142,7 @@ class Made:
         self.angle += random.normal(0.01, 0.02, len(self.angle))
         found = []
         for n, drive in enumerate(self.controller.drives):
-            given = {
+            given: dict[Quantity, Any] = {
                 Quantity.POSITION: float(self.position[n]), Quantity.VELOCITY: float(self.speed[n]),
                 Quantity.TORQUE: float(random.normal(0.1, 0.05)), Quantity.STATUS: _status(drive, self.protocol),
                 Quantity.TEMPERATURE: float(random.integers(20, 90)),
@@ -196,13 +196,13 @@ class Made:
 def _status(drive: Any, protocol: str) -> int:
     """Return the status that a drive reports while it is enabled."""
     if protocol == "mit":
-        return mit.ENABLED << 4 | drive.node_id & 0xF
-    return cia402.ENABLED_STATUS if protocol == "cia402" else 0
+        return int(mit.ENABLED << 4 | drive.node_id & 0xF)
+    return int(cia402.ENABLED_STATUS) if protocol == "cia402" else 0
 
 
 def _enabled(drive: Any, protocol: str) -> DriveState:
     """Return what is known of a drive that was configured and obeys, without the way to it."""
-    known = drive.initial()
+    known: DriveState = drive.initial()
     private: Any = known.private
     if protocol != "odrive":
         private = private._replace(asked=True, check=readback.begin_recheck(drive.node_id, 0))

@@ -89,7 +89,7 @@ class Hand:
         self.clock.wait(self.k)
         for frame in [frame for bus in self.buses for frame in bus.drain()]:
             self.states = [d.receive(s, frame) for d, s in zip(self.drives, self.states, strict=True)]
-        self.buses[self.sensors.bus].send([self.sensors.sync(self.sensors.initial(), self.k)[1]])
+        self.buses[self.sensors.bus].send([self.sensors.sync(self.k)])
         for i, drive in enumerate(self.drives):
             self.states[i], frames = drive.advance(self.states[i], self.k * PERIOD_NS, want, torque)
             assert self.buses[drive.bus].send(frames) == len(frames)
