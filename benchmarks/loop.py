@@ -47,6 +47,15 @@ def measure(seconds: float, quick: bool) -> dict:
                 ours = child("ours", hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
                 bare = child("bare", hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
                 result["lateness_us"] = {"rate_hz": LATENESS_HZ, "handctl": ours, "bare_sleep": bare}
+            if motors == 11:
+                result["at_rate"] = {
+                    rate: child("ours", hand, bus, 2 * seconds if quick else 30.0, rate) for rate in (500.0, 1000.0)
+                }
+                with both_cores_loaded():
+                    result["loaded_us"] = {
+                        which: child(which, hand, bus, 2 * seconds, LATENESS_HZ)["late_us"]
+                        for which in ("ours", "bare_spin")
+                    }
             rates = {which: free_and_held(which, hand, bus, seconds, quick) for which in ("ours", "usual")}
         result["motors"][motors] = rates | {f"{name}_ratio": ratio(rates, name) for name in ("free_hz", "held_hz")}
     return result
@@ -83,13 +92,50 @@ def one(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
     sys.path.insert(0, str(Path(__file__).parent))
     log = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{os.getpid()}.log"
     if which == "bare":
-        hz, missed, late = bare_sleep(float(seconds), float(rate))
+        found = bare_sleep(float(seconds), float(rate))
+    elif which == "bare_spin":
+        found = bare_spin(float(seconds), float(rate))
     else:
         run = __import__(f"loops.{which}", fromlist=["run"]).run
-        hz, missed, late = run(hand, bus, float(seconds), float(rate) or None, log)
-    marks = np.percentile(late, [50, 99, 99.9, 100]) / 1e3 if late else [0.0] * 4
-    named = zip(("p50", "p99", "p99_9", "max"), (float(mark) for mark in marks), strict=True)
-    return {"hz": hz, "missed": missed, "late_us": dict(named)}
+        found = run(hand, bus, float(seconds), float(rate) or None, log)
+    hz, missed, late, *more = found
+    result = {"hz": hz, "missed": missed, "late_us": marks(late)}
+    if more:
+        took, cpu = more
+        result |= {"tick_us": marks(took), "cpu": cpu}
+    return result
+
+
+def marks(times_ns: list[int]) -> dict:
+    """Percentiles in us."""
+    found = np.percentile(times_ns, [50, 99, 99.9, 100]) / 1e3 if times_ns else [0.0] * 4
+    return dict(zip(("p50", "p99", "p99_9", "max"), (float(mark) for mark in found), strict=True))
+
+
+def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
+    """The clock of the loop, which sleeps and then spins where it has priority, and nothing to do."""
+    from handctl.runtime.clock import RealClock, take_priority
+
+    clock = RealClock(round(1e9 / rate_hz))
+    clock.spin = take_priority().realtime
+    clock.begin()
+    late, k = [], 1
+    while k < seconds * rate_hz:
+        late.append(clock.wait(k))
+        k += 1 + late[-1] // round(1e9 / rate_hz)
+    return rate_hz, 0.0, late
+
+
+@contextmanager
+def both_cores_loaded():
+    """Two processes that compute."""
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
+    try:
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
 
 
 def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
@@ -125,6 +171,16 @@ def show(result: dict) -> None:
     print(f"lateness at {late['rate_hz']:g} Hz [us]       p50     p99   p99.9     max")
     for name in ("handctl", "bare_sleep"):
         print(f"  {name:<24}" + "".join(f"{value:8.1f}" for value in late[name].values()))
+    loaded = result["loaded_us"]
+    print("lateness, cores loaded [us]     p50     p99   p99.9     max")
+    for name, label in (("ours", "handctl"), ("bare_spin", "bare sleep and spin")):
+        print(f"  {label:<24}" + "".join(f"{value:8.1f}" for value in loaded[name].values()))
+    for rate, found in result["at_rate"].items():
+        tick = found["tick_us"]
+        print(
+            f"11 motors at {rate:g} Hz: {100 * found['cpu']:.0f} % of a core, {100 * found['missed']:.2f} % missed, "
+            f"a tick {tick['p50']:.0f} us, p99 {tick['p99']:.0f} us"
+        )
     print("rate [Hz]                 handctl   usual   ratio")
     for motors, rates in result["motors"].items():
         for kind in ("free_hz", "held_hz"):

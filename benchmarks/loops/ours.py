@@ -1,6 +1,7 @@
 """handctl's own loop, whole: bus, filter, law, safety, encoding, log; only the deadlines are chosen here."""
 
 import select
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -63,7 +64,8 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
         log: file, new.
 
     Returns:
-        ticks a second while active, share of deadlines missed, lateness of every active tick [ns].
+        ticks a second while active, share of deadlines missed, lateness of every active tick [ns], wall time of each
+        in the controller [ns], and CPU time of the control process for each second.
     """
     hand = load_hand(hand_name)
     rate = rate_hz or DESIGN_HZ
@@ -82,8 +84,16 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
     def record(entry, out):
         recorder.record(pack(entry, out))
 
+    took = []
+
+    def tick(state, entry):
+        began = _now()
+        result = controller.tick(state, entry)
+        took.append(_now() - began)
+        return result
+
     loop = Loop(
-        clock, plan.period_ns, [bus], controller.tick, cut, counter.requests, lambda: list(recorder.events()), record,
+        clock, plan.period_ns, [bus], tick, cut, counter.requests, lambda: list(recorder.events()), record,
         counter,
     )  # fmt: skip
     state = loop.run(controller.initial())
@@ -93,7 +103,8 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
     if not counter.ticks:
         raise RuntimeError(f"never active: {state.failure}")
     span = (counter.last_ns - counter.first_ns) / 1e9
-    return counter.ticks / span, (counter.last_k - counter.first_k - counter.ticks) / counter.ticks, counter.late
+    missed = (counter.last_k - counter.first_k - counter.ticks) / counter.ticks
+    return counter.ticks / span, missed, counter.late, took[-counter.ticks :], counter.cpu_s / span
 
 
 class Counter:
@@ -102,13 +113,16 @@ class Counter:
     def __init__(self, seconds: float) -> None:
         self.seconds, self.ticks, self.late = seconds, 0, []
         self.first_ns = self.last_ns = self.first_k = self.last_k = 0
+        self.cpu_s = self.first_cpu_s = 0.0
         self.stopped = False
 
     def __call__(self, entry, out) -> None:
         if out.mode != Mode.ACTIVE or self.stopped:
             return
         self.last_ns, self.last_k = _now(), entry.k
+        self.cpu_s = time.process_time() - self.first_cpu_s
         if not self.first_ns:
+            self.first_cpu_s = time.process_time()
             self.first_ns, self.first_k = self.last_ns, self.last_k
             return
         self.ticks += 1
@@ -122,6 +136,4 @@ class Counter:
 
 
 def _now() -> int:
-    import time
-
     return time.monotonic_ns()
