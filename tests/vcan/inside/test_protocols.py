@@ -18,6 +18,7 @@ import pytest
 
 from firmware_sim.__main__ import main as firmware_sim
 from firmware_sim.truth import Truth, read_truth
+from handctl.compiled import prepare
 from handctl.controller.bus_load import bus_loads
 from handctl.controller.setup import make_drives, make_sensors
 from handctl.core.gains.gains import Gains
@@ -83,6 +84,7 @@ class Hand:
         self.drives, self.sensors = make_drives(hand), make_sensors(hand)
         self.states = [drive.initial() for drive in self.drives]
         self.k = 0
+        prepare()  # as a controller does: else the first command compiles, and watchdogs do not wait
         self.clock.begin()
 
     def tick(self, want: Want, torque: float = 0.0) -> None:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Sequence
 
+from handctl.compiled import prepare
 from handctl.drives.contract import Drive, DriveState, Phase, Want
 from handctl.drives.frame import Frame
 from handctl.runtime.buses.contract import Bus
@@ -24,6 +25,7 @@ class DriveRig:
     """
 
     def __init__(self, drive: Drive, bus: Bus, clock: Clock) -> None:
+        prepare()  # else the first command compiles, and the drive's watchdog does not wait for that
         """Args: drive; its open bus; a clock with PERIOD_NS, which begins now."""
         self.drive, self._bus, self._clock = drive, bus, clock
         self.state: DriveState = drive.initial()

@@ -1,0 +1,21 @@
+"""A drive that is driven without a controller, for the conformance check."""
+
+import pytest
+
+from handctl.drives.mit.codec import Ranges
+from handctl.drives.mit.drive import MitDrive
+from handctl.runtime.diagnostics import drive_rig
+
+
+def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first command once compiled for a second, and the drive's watchdog fired."""
+    order = []
+
+    class Clock:
+        def begin(self) -> None:
+            order.append("begin")
+
+    monkeypatch.setattr(drive_rig, "prepare", lambda: order.append("prepare"))
+    drive = MitDrive("m", 0, 1, 0x101, Ranges(12.5, 50.0, 0.8), 1, 0.0, 1000)
+    drive_rig.DriveRig(drive, None, Clock())  # type: ignore[arg-type]
+    assert order == ["prepare", "begin"]
