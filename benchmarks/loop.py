@@ -97,7 +97,10 @@ def one(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
         found = bare_spin(float(seconds), float(rate))
     else:
         run = __import__(f"loops.{which}", fromlist=["run"]).run
-        found = run(hand, bus, float(seconds), float(rate) or None, log)
+        try:
+            found = run(hand, bus, float(seconds), float(rate) or None, log)
+        except RuntimeError:  # a rate at which the drives cannot even be set up
+            found = 0.0, 1.0, []
     hz, missed, late, *more = found
     result = {"hz": hz, "missed": missed, "late_us": marks(late)}
     if more:
