@@ -47,7 +47,7 @@ def _chunk_starts(path: Path) -> dict[int, int]:
     with RunLog(path) as log:
         for n in range(1, len(found.chunks) + 1):
             log._chunks = found.chunks[:n]
-            log.__dict__.pop("_fixed", None)
+            log.__dict__.pop("_index", None)
             ticks[n] = len(log)
     return ticks
 

@@ -16,7 +16,6 @@ from handctl.core.plain import plain_bytes
 from handctl.core.types import Mode, TickIn, TickOut
 from handctl.errors import LogError
 from handctl.log.read.reader import RunLog
-from handctl.log.topics.snapshots import Snapshot
 from handctl.replay import course as courses
 from handctl.replay import parallel
 from handctl.replay.difference import of_states
@@ -92,7 +91,7 @@ def test_a_state_of_every_protocol_comes_out_of_its_snapshot(protocol: str) -> N
 def test_a_log_has_a_snapshot_every_second(fresh: Path) -> None:
     with RunLog(fresh) as log:
         times = dict(zip(log.k.tolist(), log.times.tolist(), strict=True))
-        found = [times[one.k] for one in log.snapshots()]
+        found = [times[k] for k in log.snapshots]
         assert found == pytest.approx(np.arange(1, int(log.times[-1]) + 1))
 
 
@@ -151,7 +150,7 @@ def test_a_snapshot_that_is_not_the_logs_state_is_not_started_from(
         assert len(parallel.split(replace(course, snapshots=bent), 3)) == 1
         strange = dict.fromkeys(course.snapshots, b"x" * 40)
         assert len(parallel.split(replace(course, snapshots=strange), 3)) == 1
-        monkeypatch.setattr(RunLog, "snapshots", lambda log: iter([Snapshot(k, data) for k, data in bent.items()]))
+        monkeypatch.setattr(RunLog, "snapshots", bent)
         assert execute(log, workers=3).differing == 0
 
 

@@ -92,7 +92,7 @@ class Course:
     @staticmethod
     def of(log: RunLog, gains: Gains | None = None) -> "Course":
         """Put the controller of a log together, or the same with other gains; raises as ``rebuild``."""
-        snapshots = {} if gains else dict(log.snapshots())
+        snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
         return Course(log, rebuild(log, gains), Columns.of(log.header), snapshots)
 
     def run(self, start: int, stop: int, state: State, watch: Watch | None, told: Told | None) -> tuple[State, Tally]:

@@ -2,10 +2,10 @@
 
 import functools
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +25,7 @@ from handctl.log.topics.chain import TOPIC as CHAIN_TOPIC
 from handctl.log.topics.clock_pairs import TOPIC as CLOCK_TOPIC
 from handctl.log.topics.clock_pairs import ClockPair, pair_of
 from handctl.log.topics.snapshots import TOPIC as SNAPSHOT_TOPIC
-from handctl.log.topics.snapshots import Snapshot, snapshot_of
+from handctl.log.topics.snapshots import snapshot_of
 from handctl.log.write.writer import SCHEMA
 from handctl.printing import printable
 
@@ -45,6 +45,40 @@ def _header(found: Scan) -> RunHeader:
         raise ValueError(f"log of version {schema}; this reader knows {SCHEMA}")
     attachments = {name: data for name, (_, _, data) in found.attachments.items()}
     return RunHeader.of_record(record, found.metadata, attachments)
+
+
+_SEQUENCE = 0xFFFF_FFFF
+"""Bits of a tick's number that are the sequence number of its messages."""
+
+
+class _Index(NamedTuple):
+    """What is known of all chunks.
+
+    Attributes:
+        fixed: (ticks,) constant parts of all ticks.
+        first_of_chunk: (chunks + 1,) index of the first tick of each; the last is the number of ticks.
+        snapshots: chunk of each snapshot, by its sequence number.
+    """
+
+    fixed: NDArray[np.void]
+    first_of_chunk: NDArray[np.intp]
+    snapshots: dict[int, int]
+
+
+class _Snapshots(Mapping[int, bytes]):
+    """Snapshots by their ticks; a day has more of them than fit into memory."""
+
+    def __init__(self, chunks: dict[int, int], read: Callable[[int, int], bytes]) -> None:
+        self._chunks, self._read = chunks, read
+
+    def __getitem__(self, k: int) -> bytes:
+        return self._read(k, self._chunks[k])
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._chunks)
+
+    def __len__(self) -> int:
+        return len(self._chunks)
 
 
 class RunLog:
@@ -120,16 +154,26 @@ class RunLog:
         return self._latest[1].get(channel, [])
 
     @functools.cached_property
+    def _index(self) -> _Index:
+        """What one look at every chunk tells."""
+        parts, counts, snapshots = [np.empty(0, FIXED_DTYPE)], [0], dict[int, int]()
+        for i, place in enumerate(self._chunks):
+            before = len(parts)
+            for one in self._rows_of(place, self._tick):
+                data = one.data()
+                with Reading(self._file.at(place.offset)):
+                    if data.shape[1] < 4 + FIXED_DTYPE.itemsize:
+                        raise ValueError("a tick that is too short")
+                    parts.append(np.ascontiguousarray(data[:, 4 : 4 + FIXED_DTYPE.itemsize]).view(FIXED_DTYPE)[:, 0])
+            counts.append(sum(map(len, parts[before:])))
+            for one in self._rows_of(place, self._others.get(SNAPSHOT_TOPIC, -1)):
+                snapshots |= dict.fromkeys(one.sequence().tolist(), i)
+        return _Index(np.concatenate(parts), np.cumsum(counts), snapshots)
+
+    @property
     def _fixed(self) -> NDArray[np.void]:
         """(ticks,) constant parts of all ticks."""
-        parts = [np.empty(0, FIXED_DTYPE)]
-        for place, one in self._rows(self._tick):
-            data = one.data()
-            with Reading(self._file.at(place.offset)):
-                if data.shape[1] < 4 + FIXED_DTYPE.itemsize:
-                    raise ValueError("a tick that is too short")
-                parts.append(np.ascontiguousarray(data[:, 4 : 4 + FIXED_DTYPE.itemsize]).view(FIXED_DTYPE)[:, 0])
-        return np.concatenate(parts)
+        return self._index.fixed
 
     def __len__(self) -> int:
         """Number of ticks."""
@@ -262,13 +306,27 @@ class RunLog:
                     found += [pair_of(row.tobytes(), self.header.offset_ns) for row in one.data()]
         return found
 
-    def snapshots(self) -> Iterator[Snapshot]:
-        """States of the controller, one a second; none in a log of a version that did not keep them."""
-        if SNAPSHOT_TOPIC in self._others:
-            for place, one in self._rows(self._others[SNAPSHOT_TOPIC]):
-                with Reading(self._file.at(place.offset)):
-                    found = [snapshot_of(row.tobytes()) for row in one.data()]
-                yield from found
+    @functools.cached_property
+    def snapshots(self) -> Mapping[int, bytes]:
+        """States of the controller by the ticks that they follow, one a second; each is read when it is asked for.
+
+        Empty for a log of a version that did not keep them.
+        """
+        chunks = self._index.snapshots
+        kept = self.k[np.isin(self.k & _SEQUENCE, list(chunks))].tolist()
+        return _Snapshots({k: chunks[k & _SEQUENCE] for k in kept}, self._snapshot)
+
+    def _snapshot(self, k: int, chunk: int) -> bytes:
+        """Return the snapshot behind a tick out of its chunk.
+
+        Raises:
+            LogError: it is damaged.
+        """
+        place = self._chunks[chunk]
+        with Reading(self._file.at(place.offset)):
+            rows_of_it = self._rows_of(place, self._others[SNAPSHOT_TOPIC])
+            found = dict(snapshot_of(row.tobytes()) for one in rows_of_it for row in one.data())
+            return found[k]
 
     def names(self, field: str) -> tuple[str, ...]:
         """Names of the columns of a field."""
@@ -278,12 +336,10 @@ class RunLog:
         for place, one in self._rows(self._tick):
             yield from ((place, message) for message in one.messages())
 
-    @functools.cached_property
+    @property
     def first_of_chunk(self) -> NDArray[np.intp]:
         """(chunks + 1,) index of the first tick of each chunk; the last is the number of ticks."""
-        counts = [sum(len(one.records) for _, one in self._rows(self._tick, slice(i, i + 1)))
-                  for i in range(len(self._chunks))]  # fmt: skip
-        return np.cumsum([0, *counts])
+        return self._index.first_of_chunk
 
     def ticks(self, chunks: slice = slice(None)) -> Iterator[TickRecord]:
         """All ticks in order, or those of some chunks, for re-execution."""
