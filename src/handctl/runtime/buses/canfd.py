@@ -194,15 +194,6 @@ class Structs:
         return what
 
 
-def gathered(parts: list[Frames]) -> Frames:
-    """Return the frames of several sequences, one after the other."""
-    some = [part for part in parts if len(part)]
-    if len(some) == 1:
-        return some[0]
-    words = np.concatenate([part.records.view(WORD) for part in some]) if some else np.empty(0, WORD)
-    return Frames(words.view(RECORD))
-
-
 def without_errors(records: Records) -> tuple[Frames, list[Frame]]:
     """Split records into data frames and error frames."""
     errors = (records["can_id"] & ERROR) != 0

@@ -10,9 +10,9 @@ import time
 from collections.abc import Sequence
 
 from handctl.drives.frame import ERROR, Frame
-from handctl.drives.records import EMPTY, Frames
+from handctl.drives.records import EMPTY, Frames, joined
 from handctl.errors import BusError
-from handctl.runtime.buses.canfd import SIZE, Structs, gathered, without_errors
+from handctl.runtime.buses.canfd import SIZE, Structs, without_errors
 from handctl.runtime.buses.contract import Stamp, check_size
 from handctl.runtime.buses.events import BusEvents, Event
 from handctl.runtime.peers import served_by_us
@@ -107,7 +107,7 @@ class LocalBus:
                 parts.append(self._take(kept + size))
             if size < len(self._buffer) - kept:
                 break
-        return parts[0] if len(parts) == 1 else gathered(parts)
+        return joined(parts)
 
     def _read(self, room: memoryview) -> int:
         """Bytes read; 0 if there is nothing."""

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from handctl.drives.frame import ERROR, FDF, Frame
-from handctl.drives.records import Frames, frames_of
+from handctl.drives.records import Frames, frames_of, joined
 from handctl.errors import BusError
 from handctl.runtime.buses import mmsg
-from handctl.runtime.buses.canfd import SIZE, Structs, gathered
+from handctl.runtime.buses.canfd import SIZE, Structs
 from handctl.runtime.buses.contract import Stamp
 from handctl.runtime.buses.events import BusEvents, Event
 from handctl.runtime.buses.interface import wrong_rate
@@ -75,7 +75,7 @@ class SocketCanBus:
                 self._in.renew(count)
             if count < SLOTS:
                 break
-        return parts[0] if len(parts) == 1 else gathered(parts)
+        return joined(parts)
 
     def _take(self, count: int) -> Frames:
         """Make frames of what was received; usually all datagrams are alike, and their stamps follow the last ones."""
