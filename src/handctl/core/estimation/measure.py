@@ -2,6 +2,9 @@
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 from handctl.compiled import inner
 from handctl.core import block as s
 from handctl.core import constants as h
@@ -41,29 +44,47 @@ def screen(x: Tables, c: ConstantTables, missed: int) -> None:
             question of before them.
     """
     for n in range(x.tendon.shape[1]):
-        value = x.tendon[s.MEASURED_POSITION, n]
-        step, gap = abs(value - x.tendon[s.ACCEPTED, n]), x.tendon[s.ACCEPTED_GAP, n] + 1.0 + missed
-        x.tendon[s.JUMP, n] = 0.0
-        if step > c.tendon[h.STEP_LIMIT, n] * gap:
-            x.tendon[s.JUMP, n] = step
-            x.tendon[s.DROPPED, n] += 1.0
-            x.tendon[s.MEASURED_POSITION, n] = math.nan
-        elif not math.isnan(value):
-            x.tendon[s.ACCEPTED, n], x.tendon[s.DROPPED, n] = value, 0.0
-            gap = float(missed)
-        x.tendon[s.ACCEPTED_GAP, n] = gap
+        _screened(
+            x.tendon, n, s.MEASURED_POSITION, s.ACCEPTED, s.ACCEPTED_GAP, s.JUMP, s.DROPPED,
+            c.tendon[h.STEP_LIMIT, n], missed,
+        )  # fmt: skip
     for j in range(x.joint.shape[1]):
-        value = x.joint[s.MEASURED_JOINT, j]
-        step, gap = abs(value - x.joint[s.JOINT_ACCEPTED, j]), x.joint[s.JOINT_GAP, j] + 1.0 + missed
-        x.joint[s.JOINT_JUMP, j] = 0.0
-        if step > c.joint[h.JOINT_STEP_LIMIT, j] * gap:
-            x.joint[s.JOINT_JUMP, j] = step
-            x.joint[s.JOINT_DROPPED, j] += 1.0
-            x.joint[s.MEASURED_JOINT, j] = math.nan
-        elif not math.isnan(value):
-            x.joint[s.JOINT_ACCEPTED, j], x.joint[s.JOINT_DROPPED, j] = value, 0.0
-            gap = float(missed)
-        x.joint[s.JOINT_GAP, j] = gap
+        _screened(
+            x.joint, j, s.MEASURED_JOINT, s.JOINT_ACCEPTED, s.JOINT_GAP, s.JOINT_JUMP, s.JOINT_DROPPED,
+            c.joint[h.JOINT_STEP_LIMIT, j], missed,
+        )  # fmt: skip
+
+
+@inner
+def _screened(
+    table: NDArray[np.float64],
+    i: int,
+    measured: int,
+    accepted: int,
+    gap_row: int,
+    jump: int,
+    dropped: int,
+    limit: float,
+    missed: int,
+) -> None:
+    """Drop a position that is too far from the last one that was accepted.
+
+    Args:
+        table: of the position, (rows, n). i: its column.
+        measured, accepted, gap_row, jump, dropped: rows of what is kept of it.
+        limit: largest step in a period [rad]. missed: as in ``screen``.
+    """
+    value = table[measured, i]
+    step, gap = abs(value - table[accepted, i]), table[gap_row, i] + 1.0 + missed
+    table[jump, i] = 0.0
+    if step > limit * gap:
+        table[jump, i] = step
+        table[dropped, i] += 1.0
+        table[measured, i] = math.nan
+    elif not math.isnan(value):
+        table[accepted, i], table[dropped, i] = value, 0.0
+        gap = float(missed)
+    table[gap_row, i] = gap
 
 
 @inner
