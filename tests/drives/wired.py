@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from handctl.controller.state import drive_values
 from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core import stages, wire
@@ -112,16 +113,8 @@ class Wired:
 
     def drive(self, i: int) -> DriveState:
         """A drive's state with the values of the block."""
-        whole, table = (self.layout.table(self.block, name) for name in ("tendon_int", "tendon"))
-        position, velocity, torque, temperature = table[s.POSITION : s.POSITION + 4, i].tolist()
-        return self.states[i]._replace(
-            position=position,
-            velocity=velocity,
-            torque=torque,
-            temperature=temperature,
-            feedback_t_ns=int(whole[s.FEEDBACK_NS, i]),
-            feedback_count=int(whole[s.FEEDBACKS, i]),
-        )
+        table, whole = (self.layout.table(self.block, name) for name in ("tendon", "tendon_int"))
+        return self.states[i].with_values(*drive_values(table, whole, i))
 
     # The sensor node's part.
 

@@ -76,6 +76,14 @@ def layout_of(model: HandModel, groups: int) -> Layout:
     })  # fmt: skip
 
 
+def drive_values(
+    tendon: NDArray[np.float64], tendon_int: NDArray[np.int64], n: int
+) -> tuple[float, float, float, float, int, int]:
+    """Return what the block has of a drive, as ``DriveState.with_values`` takes it."""
+    position, velocity, torque, temperature = tendon[s.POSITION : s.POSITION + 4, n].tolist()
+    return position, velocity, torque, temperature, int(tendon_int[s.FEEDBACK_NS, n]), int(tendon_int[s.FEEDBACKS, n])
+
+
 class State:
     """Everything that one tick hands to the next.
 
@@ -228,16 +236,7 @@ class State:
 
     def drive(self, n: int) -> DriveState:
         """Return what is known of a drive."""
-        table, whole = self.tendon, self.tendon_int
-        position, velocity, torque, temperature = table[s.POSITION : s.POSITION + 4, n].tolist()
-        return self.decisions.drives[n]._replace(
-            position=position,
-            velocity=velocity,
-            torque=torque,
-            temperature=temperature,
-            feedback_t_ns=int(whole[s.FEEDBACK_NS, n]),
-            feedback_count=int(whole[s.FEEDBACKS, n]),
-        )
+        return self.decisions.drives[n].with_values(*drive_values(self.tendon, self.tendon_int, n))
 
     @property
     def drives(self) -> tuple[DriveState, ...]:

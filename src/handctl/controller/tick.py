@@ -44,8 +44,6 @@ from handctl.safety.judge import Finding, alone, begun, foreign, judge
 from handctl.safety.limits import Limits
 
 ACTIVE, CUT, DONE, RELAX, SILENT = Mode.ACTIVE, Mode.CUT, Mode.DONE, Mode.RELAX, Mode.SILENT
-STRIPPED = DriveState()
-"""Values of a drive among the decisions: they are in the block."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +106,7 @@ class Controller:
     def initial(self) -> State:
         """Return the state before the first tick, the same for the same configuration."""
         drives = tuple(drive.initial() for drive in self.drives)
-        decisions = Decisions(tuple(map(_stripped, drives)), self.program.begin(self.model))
+        decisions = Decisions(tuple(known.with_values() for known in drives), self.program.begin(self.model))
         state = State(self.layout, self.layout.initial.copy(), decisions)
         state.armed = self.arm_at_once
         state.view("turn_sigma")[...] = self.constants.layout.view(self.constants.block, "range_sigma")
@@ -209,7 +207,7 @@ class Controller:
         whole[s.PHASE, n], whole[s.FAULT_CODE, n] = known.phase, known.error
         whole[s.FAULT_CAUSE, n] = drive.cause(known.error) if known.phase == Phase.FAULT else -1
         whole[s.STATUS_EXPECTED, n], whole[s.DUE_NS, n] = drive.steady_status(known), drive.due_ns(known)
-        stripped = _stripped(known)
+        stripped = known.with_values()  # they are in the block
         if stripped != before:
             drives = state.decisions.drives
             state.decide(drives=(*drives[:n], stripped, *drives[n + 1 :]))
@@ -352,18 +350,6 @@ class Controller:
             first += 1
         rest = Frames.of_rows(out[begun_at:count])
         return joined([*parts, rest]) if parts else rest
-
-
-def _stripped(known: DriveState) -> DriveState:
-    """Return the set-up of a drive without the values that are in the block."""
-    return known._replace(
-        position=STRIPPED.position,
-        velocity=STRIPPED.velocity,
-        torque=STRIPPED.torque,
-        temperature=STRIPPED.temperature,
-        feedback_t_ns=STRIPPED.feedback_t_ns,
-        feedback_count=STRIPPED.feedback_count,
-    )
 
 
 _ACTIONS = {int(action): action for action in Action}

@@ -77,6 +77,25 @@ class DriveState(NamedTuple):
     misread: int = 0
     private: Any = ()
 
+    def with_values(
+        self,
+        position: float = math.nan,
+        velocity: float = math.nan,
+        torque: float = math.nan,
+        temperature: float = math.nan,
+        feedback_t_ns: int = -1,
+        feedback_count: int = 0,
+    ) -> "DriveState":
+        """Return the state with these values of its feedback; by default as before the first one."""
+        return self._replace(
+            position=position,
+            velocity=velocity,
+            torque=torque,
+            temperature=temperature,
+            feedback_t_ns=feedback_t_ns,
+            feedback_count=feedback_count,
+        )
+
 
 class Drive(Protocol):
     """One motor as its protocol speaks; immutable.
