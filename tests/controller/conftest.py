@@ -4,7 +4,10 @@ import pytest
 
 from handctl.core.gains.gains import Gains
 from handctl.core.model import HandModel
+from handctl.core.types import Mode
 from handctl.hand.load import load_hand
+from handctl.programs.live import LiveProgram
+from tests.controller.bench import Bench, bench
 
 DEFAULT_RATES = {"jamia": 500.0, "jamia11": 200.0}
 """Control rates that the bus load allows [Hz]."""
@@ -27,3 +30,15 @@ def model(request: pytest.FixtureRequest) -> HandModel:
     """Every packaged hand."""
     found: HandModel = request.getfixturevalue(request.param)
     return found
+
+
+@pytest.fixture(scope="module")
+def active() -> Bench:
+    """A hand in action that holds something."""
+    run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
+    run.until(Mode.ACTIVE)
+    run.run(1.0)
+    run.tick('{"do": "move", "angle_deg": {"middle": 20}, "duration_s": 5}')
+    run.tick('{"do": "hold", "tension_N": {"index": 30}}')
+    run.run(0.1)
+    return run

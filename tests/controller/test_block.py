@@ -24,14 +24,12 @@ from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import MinimumJerk
 from handctl.core.model import HandModel
 from handctl.core.schema import INT, Field, Schema
-from handctl.core.types import Mode
 from handctl.drives.contract import DriveState, Phase
 from handctl.hand.load import hand_from, hand_path, load_hand, packaged_hands
 from handctl.programs.grip import Grip
-from handctl.programs.live import LiveProgram
 from handctl.programs.program import Progress
 from handctl.safety.judge import Counting, Latched
-from tests.controller.bench import Bench, bench
+from tests.controller.bench import Bench
 from tests.controller.synthetic import interpreted
 from tests.hand.many import fifteen_motors
 
@@ -241,18 +239,6 @@ def test_every_constant_that_kernels_see_is_what_was_packed(hand: str | int, mon
 
 
 # Digest.
-
-
-@pytest.fixture(scope="module")
-def active() -> Bench:
-    """A hand in action that holds something."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
-    run.until(Mode.ACTIVE)
-    run.run(1.0)
-    run.tick('{"do": "move", "angle_deg": {"middle": 20}, "duration_s": 5}')
-    run.tick('{"do": "hold", "tension_N": {"index": 30}}')
-    run.run(0.1)
-    return run
 
 
 @pytest.mark.parametrize("field", STATE.fields, ids=names_of(STATE.fields))

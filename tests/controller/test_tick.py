@@ -181,18 +181,6 @@ def test_load_cells_wired_in_another_order_belong_to_their_tendons() -> None:
     assert lost == set(run.controller.model.hand.tendon_names[::-1][5:10])
 
 
-@pytest.fixture(scope="module")
-def active() -> Bench:
-    """A hand in action that holds something."""
-    run = bench(HandModel.of(load_hand("jamia"), Gains(), 200.0), LiveProgram())
-    run.until(Mode.ACTIVE)
-    run.run(1.0)
-    run.tick('{"do": "move", "angle_deg": {"middle": 20}, "duration_s": 5}')
-    run.tick('{"do": "hold", "tension_N": {"index": 30}}')
-    run.run(0.1)
-    return run
-
-
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
 def test_nan_never_reaches_a_wire(active: Bench, bad: float) -> None:
     state = active.state.copy()

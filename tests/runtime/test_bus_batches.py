@@ -17,6 +17,7 @@ from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.buses.socketcan import SLOTS, SocketCanBus
 from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, record
+from tests.runtime.datagrams import datagram_bus
 
 CLASSICAL, FD = struct.Struct("=IB3x8s"), struct.Struct("=IBB2x64s")
 """Source: Linux ``can.h``."""
@@ -75,17 +76,8 @@ def local(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Bus
 
 @pytest.fixture
 def udp() -> Iterator[tuple[SocketCanBus, socket.socket]]:
-    near, far = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
-    near.bind(("127.0.0.1", 0))
-    far.bind(("127.0.0.1", 0))
-    near.connect(far.getsockname())
-    far.connect(near.getsockname())
-    far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-    far.settimeout(20.0)
-    bus = SocketCanBus(near, "socketcan:test", INDEX, fd_mode=True, stamp=int)
-    yield bus, far
-    bus.close()
-    far.close()
+    with datagram_bus(INDEX) as pair:
+        yield pair
 
 
 def drained(bus: Bus, count: int) -> Frames:

@@ -9,6 +9,7 @@ import pytest
 
 from handctl.drives.frame import BRS, ERROR, EXTENDED, FDF, Frame
 from handctl.runtime.buses.socketcan import SocketCanBus
+from tests.runtime.datagrams import datagram_bus
 
 CLASSICAL = struct.Struct("=IB3x8s")
 FD = struct.Struct("=IBB2x64s")
@@ -18,17 +19,8 @@ FD = struct.Struct("=IBB2x64s")
 @pytest.fixture
 def udp() -> Iterator[tuple[SocketCanBus, socket.socket]]:
     """UDP stamps datagrams and counts drops as CAN does."""
-    near, far = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
-    near.bind(("127.0.0.1", 0))
-    far.bind(("127.0.0.1", 0))
-    near.connect(far.getsockname())
-    far.connect(near.getsockname())
-    far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
-    far.settimeout(20.0)
-    bus = SocketCanBus(near, "socketcan:test", 1, fd_mode=True, stamp=int)
-    yield bus, far
-    bus.close()
-    far.close()
+    with datagram_bus(1) as pair:
+        yield pair
 
 
 def waited(bus: SocketCanBus, count: int) -> list[Frame]:

@@ -1,0 +1,23 @@
+"""A SocketCAN bus over datagram sockets, which stamp and count drops as CAN does."""
+
+import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from handctl.runtime.buses.socketcan import SocketCanBus
+
+
+@contextmanager
+def datagram_bus(index: int) -> Iterator[tuple[SocketCanBus, socket.socket]]:
+    """A bus of this index, and the socket of who is at its other end."""
+    near, far = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    near.bind(("127.0.0.1", 0))
+    far.bind(("127.0.0.1", 0))
+    near.connect(far.getsockname())
+    far.connect(near.getsockname())
+    far.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+    far.settimeout(20.0)
+    bus = SocketCanBus(near, "socketcan:test", index, fd_mode=True, stamp=int)
+    yield bus, far
+    bus.close()
+    far.close()
