@@ -1,9 +1,8 @@
 """What is behind the wire in lockstep beside the bare ``mj_step``: drives, sensors, codec, bus stamps, tendons, rotors.
 
 ``python benchmarks/behind.py [--quick] [--json]``. The whole stack runs, so that the controller drives code and data of
-the simulator out of the caches. In each tick the CPU time of ``Rig.exchange`` is taken; frames become records, and
-records frames, outside of it. The bare rollout of the same motion is subtracted. Every run is the same to the bit, so
-the least that each tick took counts.
+the simulator out of the caches. In each tick the CPU time of ``Rig.exchange`` is taken, and the bare rollout of the
+same motion is subtracted. Every run is the same to the bit, so the least that each tick took counts.
 """
 
 import argparse
@@ -15,7 +14,6 @@ from pathlib import Path
 from lockstep import SCENES, least, repeated, written_down
 from stack import RATES, Stack
 
-from firmware_sim.bus.records import to_frames, to_records
 from handctl.campaign.stage import hand_in
 
 PROTOCOLS = ("mit", "odrive", "cia402")
@@ -51,7 +49,7 @@ def measure(hand: str, protocol: str, scene: str, seconds: float) -> dict:
 
         rollout = written_down(stack(), seconds)
         bare = least(repeated(stack(), rollout) for _ in range(PASSES))
-        peer = least(exchanged(stack(), seconds) for _ in range(PASSES))
+        peer = least(stack().behind_the_wire(seconds) for _ in range(PASSES))
     ticks, steps = round(seconds * RATES[hand]), len(rollout.torque)
     bare_us = (bare - steps * clock_s()) / ticks * 1e6
     exchange_us = (peer - ticks * clock_s()) / ticks * 1e6
@@ -63,22 +61,6 @@ def measure(hand: str, protocol: str, scene: str, seconds: float) -> dict:
         "exchange_us_per_tick": exchange_us,
         "behind_the_wire_us_per_tick": exchange_us - bare_us,
     }
-
-
-def exchanged(stack: Stack, seconds: float) -> list[float]:
-    """Run the stack; return the CPU time of ``Rig.exchange`` in each tick [s]."""
-    exchange, took, now = stack.peer.exchange, [], time.process_time
-
-    def step(t_ns: int, frames: list) -> list:
-        records = to_records(frames)
-        before = now()
-        answers = exchange(t_ns, records)
-        took.append(now() - before)
-        return to_frames(answers)
-
-    stack.peer.step = step
-    stack.run(seconds)
-    return took
 
 
 def clock_s() -> float:

@@ -57,7 +57,7 @@ def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
     rollout = written_down(Stack(hand, rate_hz, made), seconds)
     bare = least(repeated(Stack(hand, rate_hz, made), rollout) for _ in range(PASSES))
     whole = least(Stack(hand, rate_hz, made).run(seconds) for _ in range(PASSES))
-    peer = least(behind_the_wire(Stack(hand, rate_hz, made), seconds) for _ in range(PASSES // 2))
+    peer = least(Stack(hand, rate_hz, made).behind_the_wire(seconds) for _ in range(PASSES // 2))
     ticks = round(seconds * rate_hz)
     return {
         "rate_hz": rate_hz,
@@ -76,21 +76,6 @@ def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
 def least(runs: Iterable[list[float]]) -> float:
     """Sum of the least that each piece of the runs took [s]."""
     return sum(map(min, zip(*runs, strict=True)))
-
-
-def behind_the_wire(stack: Stack, seconds: float) -> list[float]:
-    """The same run; CPU time that the other side of the wire takes of each tick, steps of the plant included [s]."""
-    step, took, now = stack.peer.step, [], time.process_time
-
-    def timed(*question: object) -> object:
-        before = now()
-        answer = step(*question)
-        took.append(now() - before)
-        return answer
-
-    stack.peer.step = timed
-    stack.run(seconds)
-    return took
 
 
 def written_down(stack: Stack, seconds: float) -> Rollout:

@@ -7,6 +7,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import ClassVar
 
+import numpy as np
+
 from handctl.controller.setup import make_controller
 from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
@@ -72,4 +74,19 @@ class Stack:
             before = now()
             tick()
             took.append(now() - before)
+        return took
+
+    def behind_the_wire(self, seconds: float) -> list[float]:
+        """The same run; CPU time of the other side in each tick, steps of the plant included [s]."""
+        clock, took, now = self.simulation._clock, [], time.process_time
+        exchange = clock._exchange
+
+        def timed(t_ns: int, records: np.ndarray) -> np.ndarray:
+            before = now()
+            answers = exchange(t_ns, records)
+            took.append(now() - before)
+            return answers
+
+        clock._exchange = timed
+        self.run(seconds)
         return took
