@@ -59,7 +59,7 @@ def test_the_pace_that_is_advised_is_measured(
     """It always said 0.5, also where a grasp ran at 0.01 only. The run took 2 s: 1,000 ticks at 500 Hz."""
     told = {"pace": {"advice": advice, "plant_s_per_cpu_s": capacity}}
     monkeypatch.setattr(pace, "ask_simulator", lambda path, question: told if question == {"pace": True} else {})
-    monkeypatch.setattr(pace, "cores", lambda: {0, 1})
+    monkeypatch.setattr(pace, "cores", lambda: 2)
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
     assert remedy(plan, ended(*LATE, cpu_s=cpu_s)).endswith(f"--time-scale {number:g} on both sides")
 
@@ -67,7 +67,7 @@ def test_the_pace_that_is_advised_is_measured(
 def test_simulator_and_controller_share_a_core(monkeypatch: pytest.MonkeyPatch) -> None:
     told = {"pace": {"advice": None, "plant_s_per_cpu_s": 2.0}}
     monkeypatch.setattr(pace, "ask_simulator", lambda path, question: told)
-    monkeypatch.setattr(pace, "cores", lambda: {0})
+    monkeypatch.setattr(pace, "cores", lambda: 1)
     plan = Plan(load_hand("jamia"), Gains(), 500.0, (0.6,), ("local:lab",))
     assert pace.slower(plan, ended(*LATE, cpu_s=1.8)) == 0.5
 

@@ -2,8 +2,6 @@
 
 import json
 import os
-import signal
-import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -17,6 +15,7 @@ from handctl.core.types import Mode
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.load import load_hand
+from handctl.processes import in_copy
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.task import Task
 from handctl.session.simulate import Simulation, Simulator
@@ -153,12 +152,7 @@ def branch(
     while waiting or running:
         while waiting and len(running) < jobs:
             one = waiting.pop(0)
-            reading, writing = os.pipe()
-            child = os.fork()
-            if child == 0:
-                os.close(reading)
-                _in_copy(partial(attempt, course, one), writing, partial(keep, course))
-            os.close(writing)
+            child, reading = in_copy(partial(_tried, partial(attempt, course, one), partial(keep, course)))
             running[child] = (reading, one)
         child, status = os.wait()
         if child in running:
@@ -166,22 +160,12 @@ def branch(
             told(_result(reading, one, status))
 
 
-def _in_copy(attempt: Callable[[], Result], writing: int, keep: Callable[[Result], None]) -> None:
-    """Try one out, hand its result over, and end this process without anything of the original's."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_DFL)
-    code = 1
-    try:
-        result = attempt()
-        if not result.ok:
-            keep(result)
-        with os.fdopen(writing, "w") as pipe:
-            json.dump(result.plain(), pipe)
-        code = 0
-    finally:
-        if code:
-            traceback.print_exc()
-        os._exit(code)
+def _tried(attempt: Callable[[], Result], keep: Callable[[Result], None]) -> str:
+    """Try one out, keep it if it failed, and return its result as text."""
+    result = attempt()
+    if not result.ok:
+        keep(result)
+    return json.dumps(result.plain())
 
 
 def _result(reading: int, one: Trial, status: int) -> Result:

@@ -10,9 +10,7 @@ import mmap
 import os
 import select
 import signal
-import traceback
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import astuple
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -23,6 +21,7 @@ from numpy.typing import NDArray
 from handctl.controller.snapshot import restore, snapshot
 from handctl.controller.state import State
 from handctl.errors import LogError
+from handctl.processes import in_copy
 from handctl.replay.course import Course, Tally
 from handctl.replay.difference import Difference
 
@@ -68,11 +67,6 @@ class Counts:
     def tell(self) -> None:
         """Tell how many ticks were executed."""
         self._told(int(self._done.sum()))
-
-
-def cores() -> int:
-    """Return the number of cores on which this process may run."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def run_parallel(course: Course, workers: int, told: Callable[[int], None]) -> Tally:
@@ -129,30 +123,19 @@ def _state_behind(course: Course, index: int) -> State | None:
 
 def _start(course: Course, part: Part, count: Callable[[int], None]) -> Running:
     """Execute a part in a copy of this process."""
-    reading, writing = os.pipe()
-    process = os.fork()
-    if process == 0:
-        os.close(reading)
-        _in_copy(course, part, count, writing)
-    os.close(writing)
-    return Running(process, reading, part)
+    return Running(*in_copy(lambda: _found(course, part, count)), part)
 
 
-def _in_copy(course: Course, part: Part, count: Callable[[int], None], writing: int) -> None:
-    """Execute a part, hand over what was found, and end this process without anything of the original's."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_DFL)
-    ended = False
+def _found(course: Course, part: Part, count: Callable[[int], None]) -> str:
+    """Execute a part and return what was found; nothing if the log is damaged there.
+
+    The process that asked then comes to it as well, and tells.
+    """
     try:
-        with suppress(LogError):  # the process that asked comes to it as well, and tells
-            state, tally = course.run(*part, None, count)
-            with os.fdopen(writing, "w") as pipe:
-                json.dump({"state": snapshot(state).hex(), "tally": astuple(tally)}, pipe)
-        ended = True
-    finally:
-        if not ended:
-            traceback.print_exc()
-        os._exit(0)
+        state, tally = course.run(*part, None, count)
+    except LogError:
+        return ""
+    return json.dumps({"state": snapshot(state).hex(), "tally": astuple(tally)})
 
 
 def _result(course: Course, one: Running, counts: Counts) -> tuple[State, Tally] | None:

@@ -97,13 +97,6 @@ def prepare_priority() -> Priority:
         return Priority(granted, locked)
 
 
-def cores() -> set[int]:
-    """Return the cores on which this process may run."""
-    import os
-
-    return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
-
-
 @contextmanager
 def urgent(level: int = 60) -> Iterator[bool]:
     """SCHED_FIFO for a block; whether it was granted."""

@@ -4,7 +4,7 @@ import math
 from contextlib import suppress
 
 from handctl.errors import HandctlError
-from handctl.runtime.clock import cores
+from handctl.processes import cores
 from handctl.runtime.simulator import ask_simulator, find_simulator
 from handctl.session.plan import Plan
 from handctl.session.run import Outcome
@@ -37,7 +37,7 @@ def slower(plan: Plan, outcome: Outcome) -> float:
         told = ask_simulator(find_simulator(plan.buses[0]), {"pace": True}).get("pace", {})
     capacity = told.get("plant_s_per_cpu_s") or math.inf
     loads = (own, 1.0 / capacity)
-    load = sum(loads) if len(cores()) == 1 else max(loads)
+    load = sum(loads) if cores() == 1 else max(loads)
     limits = [NOT_KEPT * plan.time_scale, told.get("advice") or math.inf, LOAD / load if load > 0.0 else math.inf]
     return one_digit(max(0.001, min(limits)))
 

@@ -10,6 +10,7 @@ from handctl.cli.console.options import checked_count, print_json, say, tell_los
 from handctl.cli.console.progress import progress
 from handctl.errors import ConfigError, LogError
 from handctl.output import check_output, named_after
+from handctl.processes import cores
 from handctl.session.exit_codes import Exit
 
 
@@ -36,7 +37,6 @@ def _same(args: argparse.Namespace, log: Any) -> bool:
 
     from handctl.log.code import code_identity
     from handctl.replay.execute import acceptable, execute
-    from handctl.replay.parallel import cores
 
     workers = cores() if args.workers is None else checked_count(args.workers, "--workers", 64)
     with progress("executing", len(log), args.json) as told:
