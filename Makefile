@@ -4,6 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.handctl-installed
+DEMO := $(VENV)/.handctl-demo
 EXTRA := $(VENV)/.handctl-extra
 PYTEST ?= $(BIN)/python -m pytest
 PYTEST_FLAGS ?=
@@ -18,19 +19,26 @@ help: ## list these commands
 
 env: $(STAMP) ## create .venv with the locked, hashed dependencies and handctl in editable form
 
-$(STAMP): requirements-dev.lock pyproject.toml
+INSTALL = $(BIN)/python -m pip --disable-pip-version-check install --quiet
+
+# The controller and the simulated hand: a third of what developers need.
+$(DEMO): requirements-demo.lock pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
 	  { echo "handctl needs Python 3.11 or later as '$(PYTHON)', which is $$($(PYTHON) -V 2>&1 | head -n 1); try: make env PYTHON=python3.11" >&2; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip --disable-pip-version-check install --quiet --require-hashes --no-deps -r requirements-dev.lock
-	$(BIN)/python -m pip --disable-pip-version-check install --quiet --no-deps --no-build-isolation --editable .
+	$(INSTALL) --require-hashes --no-deps -r requirements-demo.lock
+	$(INSTALL) --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(STAMP): $(DEMO) requirements-dev.lock
+	$(INSTALL) --require-hashes --no-deps -r requirements-dev.lock
 	@touch $@
 
 $(EXTRA): $(STAMP) requirements-extra.lock
-	$(BIN)/python -m pip --disable-pip-version-check install --quiet --require-hashes --no-deps -r requirements-extra.lock
+	$(INSTALL) --require-hashes --no-deps -r requirements-extra.lock
 	@touch $@
 
-demo: env ## the arrival scenario in simulation: arm, grasp, hold, release, log, picture
+demo: $(DEMO) ## the arrival scenario in simulation: arm, grasp, hold, release, log, picture
 	$(BIN)/handctl demo
 
 test: lint unit realtime ## all checks and tests, real SocketCAN included where it can be had
@@ -80,10 +88,11 @@ soak: env ## simulator and controller in real time for HOURS=, a random fault a 
 golden: env ## write the golden logs anew, after a change of the controller that is meant
 	$(BIN)/python tests/replay/runs.py logs/golden
 
-lock: env ## write both lock files anew; LOCK_FLAGS=--upgrade takes newer releases
+lock: env ## write the lock files anew; LOCK_FLAGS=--upgrade takes newer releases
 	$(LOCK) pyproject.toml --output-file requirements.lock
-	$(LOCK) pyproject.toml --group dev --constraint requirements.lock --output-file requirements-dev.lock
-	$(LOCK) pyproject.toml --group dev --group extra --constraint requirements-dev.lock --output-file requirements-extra.lock
+	$(LOCK) pyproject.toml --extra sim --group build --constraint requirements.lock --output-file requirements-demo.lock
+	$(LOCK) pyproject.toml --extra all --group dev --constraint requirements-demo.lock --output-file requirements-dev.lock
+	$(LOCK) pyproject.toml --extra all --group dev --group extra --constraint requirements-dev.lock --output-file requirements-extra.lock
 
 # One version for all Pythons (fork-strategy fewest), so that numbers agree between them.
 LOCK = $(BIN)/uv pip compile --quiet --no-config --universal --python-version 3.11 --fork-strategy fewest \

@@ -6,6 +6,9 @@ from firmware_sim.command import check_words
 from firmware_sim.description import SimulatorError
 from firmware_sim.printing import one_line
 
+OPTIONAL = ("mujoco",)
+"""Import names of the packages that the extra ``sim`` installs."""
+
 
 def main(words: list[str]) -> int:
     """Run; return the exit code: 0 after SIGTERM or SIGINT, 2 for arguments that cannot be served."""
@@ -23,6 +26,11 @@ def main(words: list[str]) -> int:
             from firmware_sim.programs import hand as simulate
 
             simulate.run(words)
+    except ModuleNotFoundError as error:
+        if error.name not in OPTIONAL:
+            raise
+        print(f"firmware_sim: a simulated hand needs {error.name}: pip install 'handctl[sim]'", file=sys.stderr)
+        return 2
     except SimulatorError as error:
         print(f"firmware_sim: {one_line(str(error))}", file=sys.stderr)
         return 2

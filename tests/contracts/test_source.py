@@ -9,6 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 LOOP = Path("src/handctl/runtime/loop.py")
+LOCKS = ("requirements.lock", "requirements-demo.lock", "requirements-dev.lock", "requirements-extra.lock")
 BROAD = {"Exception", "BaseException"}
 OURS = {"handctl", "firmware_sim", "tests", "fuzz", "benchmarks"}
 
@@ -85,7 +86,7 @@ def test_no_rubbish_drawers_and_nothing_left_for_later() -> None:
 
 
 def test_the_locks_name_no_place_and_hash_every_package() -> None:
-    for name in ("requirements.lock", "requirements-dev.lock", "requirements-extra.lock"):
+    for name in LOCKS:
         text = (ROOT / name).read_text(encoding="utf-8")
         assert "://" not in text, name
         assert "--index" not in text, name

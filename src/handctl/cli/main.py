@@ -12,9 +12,11 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from handctl.cli.console.ended import Terminated, ended_by_signals, give_bugs_a_code
+from handctl.cli.console.needs import optional_packages
 from handctl.cli.console.parser import Parser, check_words
 from handctl.cli.console.streams import flush, give_up_output, make_usable
 from handctl.errors import ConfigError, HandctlError, IncomparableError, LogError, PowerError
+from handctl.extras import missing_extra, require
 from handctl.printing import escaped_streams, message
 from handctl.session.exit_codes import Exit
 
@@ -83,6 +85,11 @@ def _ended(words: list[str]) -> int:
         return _say(error, Exit.NOT_COMPARABLE)
     except (ConfigError, LogError) as error:
         return _say(error, Exit.BAD_INPUT)
+    except ModuleNotFoundError as error:
+        missing = missing_extra(words[0], error)
+        if missing is None:
+            raise
+        return _say(missing, Exit.BAD_INPUT)
     except PowerError as error:
         if error.__cause__:  # a bug in handctl
             traceback.print_exception(error.__cause__)
@@ -142,6 +149,7 @@ def _verb(name: str, words: list[str]) -> int:
     )
     getattr(arguments, name)(parser)
     args = parser.parse_args(words)
+    require(name, *optional_packages(name, args))
     code: int = importlib.import_module(f"{folder}.{name}").run(args)
     return code
 

@@ -14,6 +14,7 @@ import numpy as np
 from handctl.drives.frame import ERROR, Frame
 from handctl.drives.records import Frames, Records, frames_of, joined
 from handctl.errors import ConfigError
+from handctl.extras import missing_extra
 from handctl.runtime.buses.canfd import without_errors
 from handctl.runtime.buses.events import BusEvents
 
@@ -48,7 +49,8 @@ def load_peer(entry: str, **options: object) -> Peer:
     try:
         factory = getattr(importlib.import_module(module), name)
     except (ImportError, AttributeError) as error:
-        raise ConfigError(f"cannot load the lockstep peer: {error}", entry, "module:Class") from None
+        missing = missing_extra("the simulated hand", error) if isinstance(error, ImportError) else None
+        raise missing or ConfigError(f"cannot load the lockstep peer: {error}", entry, "module:Class") from None
     try:
         peer: Peer = factory(**options)
     except (ValueError, OSError) as error:

@@ -10,6 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import IO, Any, Protocol
 
 from handctl.errors import ConfigError
+from handctl.extras import require
 from handctl.tune.trial import evaluate
 
 Job = dict[str, Any]
@@ -129,10 +130,9 @@ class Cluster:
     """
 
     def __init__(self, address: str) -> None:
-        try:
-            from distributed import Client
-        except ImportError:
-            raise ConfigError("dask is not installed", "--scheduler", "pip install 'handctl[dask]'") from None
+        require("tune search --scheduler", "distributed")
+        from distributed import Client
+
         try:
             self._client = Client(address, timeout="10s")
         except (OSError, ValueError) as error:

@@ -1,0 +1,31 @@
+"""Optional packages of each verb, so that a missing one is reported before the verb begins."""
+
+import argparse
+
+
+def optional_packages(verb: str, args: argparse.Namespace) -> tuple[str, ...]:
+    """Return the import names of the optional packages that a command line needs.
+
+    Args:
+        verb: name of the verb.
+        args: its parsed arguments.
+    """
+    packages: list[str] = []
+    if verb == "view" or getattr(args, "view", False):
+        packages.append("rerun")
+    if _needs_simulator(verb, args):
+        packages.append("mujoco")
+    if verb == "tune" and args.kind == "search":
+        packages += ["optuna", *["distributed"] * bool(args.scheduler)]
+    if verb == "log" and args.what == "export":
+        packages += {"rrd": ["rerun"], "parquet": ["pyarrow"], "lerobot": ["pyarrow"]}.get(args.format, [])
+    return tuple(packages)
+
+
+def _needs_simulator(verb: str, args: argparse.Namespace) -> bool:
+    """Return whether a command line starts a simulated hand."""
+    if verb in ("demo", "sim") or getattr(args, "lockstep", False):
+        return True
+    if verb == "paper":  # results of earlier experiments are read from their file
+        return not (args.quick or (args.results and args.results.exists()))
+    return (verb == "fault" and args.action in ("campaign", "sequences")) or (verb == "tune" and args.kind == "search")

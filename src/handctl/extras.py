@@ -1,0 +1,60 @@
+"""Optional packages: which verb needs which, and which extra of handctl installs it.
+
+``pip install handctl`` installs what a controller on a real bus needs. Everything else is an extra in pyproject.toml.
+"""
+
+import sys
+from importlib.util import find_spec
+
+from handctl.errors import ConfigError
+
+EXTRAS = {
+    "mujoco": "sim",
+    "rerun": "view",
+    "rerun_cli": "view",
+    "pyarrow": "export",
+    "optuna": "tune",
+    "distributed": "dask",
+}
+"""Import name of each optional package, and the extra that installs it."""
+
+
+class MissingExtraError(ConfigError):
+    """An optional package that is not installed.
+
+    Args:
+        user: what needs the package, e.g. a verb.
+        package: import name.
+    """
+
+    def __init__(self, user: str, package: str) -> None:
+        super().__init__(f"{user} needs {package}: pip install 'handctl[{EXTRAS[package]}]'")
+
+
+def require(user: str, *packages: str) -> None:
+    """Check that optional packages are installed, without importing them.
+
+    Args:
+        user: what needs the packages, e.g. a verb.
+        packages: import names, keys of ``EXTRAS``.
+
+    Raises:
+        MissingExtraError: one is not installed.
+    """
+    for package in packages:
+        if (package not in sys.modules and find_spec(package) is None) or sys.modules.get(package, True) is None:
+            raise MissingExtraError(user, package)
+
+
+def missing_extra(user: str, error: ImportError) -> MissingExtraError | None:
+    """Translate a failed import.
+
+    Args:
+        user: what needs the package, e.g. a verb.
+        error: the failed import.
+
+    Returns:
+        The error that names the extra; None if the package is not an optional one.
+    """
+    package = (error.name or "").partition(".")[0]
+    return MissingExtraError(user, package) if package in EXTRAS else None

@@ -1,0 +1,132 @@
+"""An optional package that is not installed is reported in one line, before the verb begins."""
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+from firmware_sim.__main__ import OPTIONAL
+from firmware_sim.__main__ import main as firmware_sim
+from handctl.cli.main import FOLDERS, VERBS, main
+from handctl.extras import EXTRAS, MissingExtraError, missing_extra, require
+
+ROOT = Path(__file__).parents[2]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+HOMES = ("src/handctl/view/", "src/handctl/log/export/", "src/handctl/tune/search/")
+"""Where optional packages are imported."""
+PARTS = {"pydantic_core"}
+"""Packages that another dependency pins to one version."""
+HIDE = f"import sys\nsys.modules.update(dict.fromkeys({list(EXTRAS)}))\n"
+"""Code that hides every optional package from a process."""
+
+COMMANDS = [
+    ("demo --lockstep", "mujoco", "demo needs mujoco", "sim"),
+    ("sim --hand jamia --bus local:x", "mujoco", "sim needs mujoco", "sim"),
+    ("identify --hand jamia --lockstep", "mujoco", "identify needs mujoco", "sim"),
+    ("fault campaign --quick", "mujoco", "fault needs mujoco", "sim"),
+    ("fault sequences", "mujoco", "fault needs mujoco", "sim"),
+    ("paper --results no.json", "mujoco", "paper needs mujoco", "sim"),
+    ("tune search --hand jamia", "optuna", "tune needs optuna", "tune"),
+    ("tune search --hand jamia --scheduler tcp://h:1", "distributed", "tune needs distributed", "dask"),
+    ("tune verify g.toml --hand jamia --lockstep", "mujoco", "tune needs mujoco", "sim"),
+    ("view no.mcap", "rerun", "view needs rerun", "view"),
+    ("run --hand jamia --bus local:x --view", "rerun", "run needs rerun", "view"),
+    ("log export no.mcap --parquet", "pyarrow", "log needs pyarrow", "export"),
+    ("log export no.mcap --lerobot", "pyarrow", "log needs pyarrow", "export"),
+    ("log export no.mcap --rrd", "rerun", "log needs rerun", "view"),
+]
+
+
+@pytest.mark.parametrize(("words", "package", "need", "extra"), COMMANDS, ids=[row[0] for row in COMMANDS])
+def test_a_missing_extra_is_one_line_that_names_it(
+    words: str,
+    package: str,
+    need: str,
+    extra: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.chdir(tmp_path)
+    assert main(words.split()) == 2
+    assert capsys.readouterr() == ("", f"handctl: {need}: pip install 'handctl[{extra}]'\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_simulator_names_its_extra_as_well() -> None:
+    code = f"{HIDE}from firmware_sim.__main__ import main\nsys.exit(main(['--hand', 'jamia', '--bus', 'local:x']))"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    expected = "firmware_sim: a simulated hand needs mujoco: pip install 'handctl[sim]'\n"
+    assert (ran.returncode, ran.stderr) == (2, expected)
+    assert {EXTRAS[package] for package in OPTIONAL} == {"sim"}
+    assert callable(firmware_sim)
+
+
+def test_the_api_names_the_extra_of_the_simulated_hand() -> None:
+    code = f"{HIDE}from handctl.session.simulate import Simulator\nSimulator('jamia').check()"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert ran.stderr.splitlines()[-1].endswith("the simulated hand needs mujoco: pip install 'handctl[sim]'")
+
+
+def test_an_import_that_fails_in_the_middle_is_translated_as_well() -> None:
+    found = missing_extra("log", ModuleNotFoundError("no", name="pyarrow.parquet"))
+    assert str(found) == "log needs pyarrow: pip install 'handctl[export]'"
+    assert missing_extra("log", ModuleNotFoundError("no", name="numpy")) is None
+
+
+def test_what_is_installed_is_not_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    require("view", *EXTRAS)
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(MissingExtraError):
+        require("view", "pyarrow", "rerun")
+
+
+def test_no_verb_s_help_or_module_needs_an_extra() -> None:
+    modules = [f"handctl.cli.{folder}.{verb}" for folder, verbs in FOLDERS.items() for verb in verbs]
+    code = (
+        f"{HIDE}import importlib\nfrom handctl.cli.main import main\n"
+        f"for name in {list(VERBS)}:\n    try:\n        main([name, '--help'])\n    except SystemExit:\n        pass\n"
+        f"for name in {modules}:\n    importlib.import_module(name)\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_each_extra_installs_what_it_is_named_for() -> None:
+    extras = PROJECT["optional-dependencies"]
+    distributions = packages_distributions()
+    for package, extra in EXTRAS.items():
+        names = {re.split(r"[=<>\[]", line)[0] for line in extras[extra]}
+        assert names & set(distributions[package]), f"{extra} does not install {package}"
+    listed = set(re.split(r"[\[\],]", extras["all"][0])[1:-1])
+    assert listed == set(extras) - {"all"}
+
+
+def test_optional_packages_are_imported_in_few_places_and_nothing_else_is_undeclared() -> None:
+    declared = {re.split(r"[=<>]", line)[0] for line in PROJECT["dependencies"]}
+    distributions = packages_distributions()
+    for path in sorted((ROOT / "src").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            for name in imported(node):
+                if name in {*sys.stdlib_module_names, *PARTS, "handctl"}:
+                    continue
+                place = str(path.relative_to(ROOT))
+                if name in EXTRAS:
+                    assert place.startswith(HOMES), f"{place} imports {name}"
+                else:
+                    assert declared & set(distributions[name]), f"{place} imports {name}, which is not a dependency"
+
+
+def imported(node: ast.AST) -> list[str]:
+    """Return the top-level packages that a node imports."""
+    match node:
+        case ast.Import(names=aliases):
+            return [alias.name.partition(".")[0] for alias in aliases]
+        case ast.ImportFrom(module=str(module), level=0):
+            return [module.partition(".")[0]]
+    return []
