@@ -1,0 +1,1 @@
+"""The pure controller: ``tick``, modes, state, requests, retuning and shutdown."""

@@ -1,4 +1,4 @@
-"""What people and programs asked in a tick, turned into the controller's state."""
+"""Requests of operators and programs, applied to the controller's state."""
 
 from dataclasses import replace
 
@@ -16,19 +16,22 @@ from handctl.programs.requests import Arm, Clear, Cut, HoldTension, MoveDigits, 
 from handctl.safety.faults.table import BY_ID, DEBOUNCE
 
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
-"""Modes in which an order to clear also clears the drives."""
+"""Modes in which a request to clear also clears the drives."""
 
 
 def answer(
     model: HandModel, program: Program, state: State, requests: tuple[str, ...]
 ) -> tuple[Wishes, tuple[Event, ...]]:
-    """Take in the requests of one tick, in order; what is no request becomes a line in the log.
+    """Apply the requests of one tick, in order. Other text becomes a warning event.
 
     Args:
         model: the hand.
-        program: that decides the goals.
-        state: of this tick, in which they are carried out.
-        requests: JSON text each.
+        program: source of the goals.
+        state: of the tick, modified in place.
+        requests: JSON texts.
+
+    Returns:
+        Stop and cut requests, and events for each request.
     """
     wishes, events = Wishes(), list[Event]()
     for text in requests:
@@ -59,7 +62,7 @@ def answer(
 
 
 def _set_goal(model: HandModel, program: Program, state: State, request: MoveDigits | HoldTension) -> tuple[Event, ...]:
-    """Set a live goal if the run waits for one; a hand that lets go or is commissioned must not pull."""
+    """Set a live goal if the run accepts live goals. A relaxing or commissioning hand must not pull."""
     if state.mode in LETTING_GO:
         return (Event("info", "request", "", "refused: the hand is letting go"),)
     if not isinstance(program, LiveProgram):
@@ -72,8 +75,12 @@ def _set_goal(model: HandModel, program: Program, state: State, request: MoveDig
 
 
 def clear(state: State) -> None:
-    """Drop all latches on an operator's order. What is still present counts anew in this tick, and latches again."""
+    """Drop all latches by request of the operator.
+
+    A fault still present counts anew in the tick, and latches again.
+    """
     ticks = state.view("fault_ticks")[: len(DEBOUNCE)]
+    # One tick below the debounce: a present fault counts again in this tick, an absent one is reset.
     np.minimum(ticks, DEBOUNCE[:, None] - 1, out=ticks)
     counting = [one._replace(ticks=min(one.ticks, BY_ID[one.id].debounce - 1)) for one in state.decisions.counting]
     state.decide(latched=(), counting=tuple(counting))

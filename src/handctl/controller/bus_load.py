@@ -1,4 +1,4 @@
-"""How full each bus of a hand is: what is on it, frame by frame, in the worst case."""
+"""Load of each bus of a hand: all frames in the worst case."""
 
 from dataclasses import dataclass
 
@@ -12,13 +12,15 @@ from handctl.hand.file.sections import Bus
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """Frames of one kind.
+    """Frames of a kind.
 
     Attributes:
-        what: motor, or part of the sensor node.
-        size: payload [bytes]. fd: whether CAN FD.
-        per_tick, per_second: how many with every tick, and how many by time.
-        frame_s: longest time of one [s].
+        what: name of the motor, or part of the sensor node.
+        size: payload [bytes].
+        fd: True for CAN FD.
+        per_tick: number of frames in every tick.
+        per_second: number of frames per second without relation to the tick.
+        frame_s: longest duration of a frame [s].
     """
 
     what: str
@@ -31,10 +33,12 @@ class Row:
 
 @dataclass(frozen=True, slots=True)
 class BusLoad:
-    """One bus.
+    """Load of a bus.
 
     Attributes:
-        name: of the bus. motors: how many are on it. rows: what is on it.
+        name: of the bus.
+        motors: number of motors on the bus.
+        rows: kinds of frames on the bus.
     """
 
     name: str
@@ -43,38 +47,38 @@ class BusLoad:
 
     @property
     def tick_s(self) -> float:
-        """Time of one tick's frames [s]."""
+        """Return the duration of a tick's frames [s]."""
         return sum(row.per_tick * row.frame_s for row in self.rows)
 
     @property
     def share(self) -> float:
-        """Share of the bus that frames take which come by time."""
+        """Return the fraction of bus time for frames without relation to the tick."""
         return sum(row.per_second * row.frame_s for row in self.rows)
 
     def at(self, rate_hz: float) -> float:
-        """Share of the bus at a control rate [Hz]."""
+        """Return the bus load at a control rate [Hz], as a fraction."""
         return rate_hz * self.tick_s + self.share
 
     def highest(self, most: float) -> float:
-        """Control rate at which it is as full as ``most`` [Hz]; infinity if nothing comes with a tick."""
+        """Return the control rate at which the load is ``most`` [Hz]. Infinity without frames per tick."""
         return max(0.0, most - self.share) / self.tick_s if self.tick_s else float("inf")
 
 
 def bus_loads(hand: Hand) -> tuple[BusLoad, ...]:
-    """Load of each bus.
+    """Return the load of each bus.
 
     Raises:
-        ConfigError: a motor is set to CAN FD and its bus has no data bit rate.
+        ConfigError: if a motor is set to CAN FD and the bus has no data bit rate.
     """
     drives = make_drives(hand)
     return tuple(_load(hand, index, bus, drives) for index, bus in enumerate(hand.bus))
 
 
 def drive_rows(drive: Drive, bus: Bus) -> tuple[Row, ...]:
-    """What one motor puts on a bus.
+    """Return the frames of a motor on a bus.
 
     Raises:
-        ConfigError: it speaks CAN FD and the bus does not.
+        ConfigError: if the motor is set to CAN FD and the bus is not.
     """
     kinds = [(size, fd, 1.0, 0.0) for size, fd in drive.exchange]
     kinds += [(size, fd, 0.0, number) for size, fd, number in drive.background]
@@ -87,7 +91,7 @@ def drive_rows(drive: Drive, bus: Bus) -> tuple[Row, ...]:
 
 
 def sensor_rows(hand: Hand, bus: Bus) -> tuple[Row, ...]:
-    """What the sensor node and its SYNC put on a bus."""
+    """Return the frames of sensor node and SYNC on a bus."""
     node = make_sensors(hand)
     names = ["SYNC"] + ["tensions"] * node.tension_frames + ["joint angles"] * (len(node.ids) - node.tension_frames)
     return tuple(
@@ -105,14 +109,15 @@ def _load(hand: Hand, index: int, bus: Bus, drives: tuple[Drive, ...]) -> BusLoa
 
 
 def split(hand: Hand, rate_hz: float) -> list[list[str]]:
-    """Motors on as few buses as hold them at a rate [Hz], all with the bit rates of the hand's first bus.
+    """Distribute the motors over the least number of buses at a rate [Hz].
 
-    The load cells stay on the first bus and take their share of it.
+    All buses have the bit rates of the hand's first bus. The load cells stay on the first bus.
 
     Returns:
-        names of the motors of each bus; empty if a single motor is too much.
+        Names of the motors of each bus. Empty if a single motor exceeds a bus.
     """
     first = hand.bus[0]
+    # The first bus also carries SYNC and load cells, so it has less room for motors.
     left, buses = MOST - BusLoad("", 0, sensor_rows(hand, first)).at(rate_hz), list[list[str]]([[]])
     for drive in make_drives(hand):
         share = BusLoad("", 1, drive_rows(drive, first)).at(rate_hz)

@@ -1,4 +1,4 @@
-"""Gains that are requested while the controller runs, and being designed."""
+"""Requested gains in design while the controller runs."""
 
 from dataclasses import dataclass
 
@@ -7,11 +7,11 @@ from handctl.core.gains.gains import Gains
 
 @dataclass(frozen=True, slots=True)
 class Coming:
-    """Gains that somebody has requested.
+    """Requested gains.
 
     Attributes:
-        gains: all of them, with those that change.
-        step: pieces of the design that are done.
+        gains: all gains, with the changes.
+        step: number of designed pieces.
     """
 
     gains: Gains

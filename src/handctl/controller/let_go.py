@@ -1,4 +1,4 @@
-"""After an error inside a tick: every drive is told to disable until it has said that it is off."""
+"""Shutdown after an exception inside a tick: command every drive to disable until confirmation."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -11,12 +11,12 @@ from handctl.drives.frame import Frame
 
 
 class LettingGo(NamedTuple):
-    """One step of it.
+    """Result of a shutdown step.
 
     Attributes:
-        state: with what the drives have said since.
+        state: with the drives' latest replies.
         frames: to be sent.
-        enabled: motors that have not said yet that they are off, of those that may be on.
+        enabled: motors possibly on, without a confirmation of the contrary.
     """
 
     state: State
@@ -25,13 +25,18 @@ class LettingGo(NamedTuple):
 
 
 def let_go(controller: Controller, state: State, t_ns: int, heard: Sequence[Frame]) -> LettingGo:
-    """Take in what was heard, and tell every drive to disable; SYNC goes on, at which some of them speak.
+    """Take in received frames and command every drive to disable.
+
+    SYNC continues, because some drives reply to SYNC.
 
     Args:
-        controller: whose drives they are.
-        state: from the last tick that was whole, or from the step before.
+        controller: with the drives.
+        state: from the last complete tick, or from the step before.
         t_ns: time of the step [ns].
-        heard: frames since the step before.
+        heard: frames received since the step before.
+
+    Returns:
+        The next state, the frames to send, and the unconfirmed motors.
     """
     after, enabled = state.copy(), []
     after.set_whole(s.K, state.k + 1)
@@ -40,6 +45,7 @@ def let_go(controller: Controller, state: State, t_ns: int, heard: Sequence[Fram
         known = after.drive(n)
         for frame in heard:
             known = drive.receive(known, frame)
+        # Repeated in every step until confirmed: a disable frame may be lost.
         known, told = drive.advance(known, t_ns, Want.DISABLE, 0.0)
         controller.keep(after, n, known)
         frames += told

@@ -1,7 +1,8 @@
-"""The hand's mode: from silence by inventory and arming to action, and back to a confirmed standstill.
+"""Mode machine of the hand: from silence through inventory and arming to action, and back to a confirmed standstill.
 
-SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE, with CUT from anywhere that torque acts.
-Each mode is one small function that says which mode comes next, and why if that is a failure.
+SILENT -> INVENTORY -> READY -> ARMING -> ACTIVE -> RELAX -> DISARM -> DONE. CUT is reached from
+every mode with torque. Each mode is a small function. The function returns the next mode, and the
+reason of a failure.
 """
 
 import math
@@ -19,39 +20,41 @@ from handctl.errors import REMOVE_POWER
 from handctl.safety.action import Action
 
 LISTEN_S = 0.5
-"""Silence before the first frame: a second controller would be heard in it."""
+"""Silence before the first frame, to notice a second controller [s]."""
 INVENTORY_TIMEOUT_S = 3.0
 LOOK_FIRST = " (when you have looked why: --clear)"
-"""What a person may do about a drive that has latched an error."""
+"""Advice for a drive with a latched error."""
 STILL_LATCHED = " (or an error that does not clear)"
 READY_S = 0.1
-"""Time for the filter to see a few measurements before arming."""
+"""Time for a few measurements of the filter before arming [s]."""
 ARMING_TIMEOUT_S = 1.0
 RELAX_TIMEOUT_S = 1.0
 DISARM_TIMEOUT_S = 1.0
 CUT_S = 0.1
-"""Cut frames are repeated for this long."""
+"""Duration of repeated cut frames [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Wishes:
-    """What people asked in this tick."""
+    """Stop and cut requests of the operator in the tick."""
 
     stop: bool = False
     cut: bool = False
 
 
 class Circumstances(NamedTuple):
-    """What a mode may look at besides the state.
+    """Inputs of the mode machine besides the state.
 
     Attributes:
         model: the hand.
-        drives: one per motor.
+        drives: of the motors.
         elapsed: time in the present mode [s].
-        action: what safety demands.
-        wishes: what people asked.
-        foreign: signs of a second controller: identifiers that only a host sends, motors that nobody here has asked.
-        identities: of the drives that the calibration was made with, as ``Drive.identity``; empty where unknown.
+        action: reaction demanded by safety.
+        wishes: requests of the operator.
+        foreign: signs of a second controller: identifiers only sent by a host, and replies of
+            motors without a request of this host.
+        identities: of the drives at calibration, as ``Drive.identity``. Empty
+            where unknown.
     """
 
     model: HandModel
@@ -64,22 +67,22 @@ class Circumstances(NamedTuple):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the motors."""
+        """Return the names of the motors."""
         return tuple(drive.name for drive in self.drives)
 
     @property
     def nothing_special(self) -> bool:
-        """Whether nobody demands anything."""
+        """Return True if neither safety nor the operator overrides the mode."""
         return self.action < RELAX and not (self.foreign or self.wishes.stop or self.wishes.cut)
 
 
 RELAX = Action.RELAX
 Next = tuple[Mode, str]
-"""The next mode, and why if the run has failed."""
+"""The next mode, and the reason if the run has failed."""
 
 
 def wanted_of_drives(mode: Mode) -> Want:
-    """What a mode wants of every drive."""
+    """Return the target state of every drive in a mode."""
     return _WANTED[mode]
 
 
@@ -97,7 +100,10 @@ _WANTED = {
 
 
 def farewell(drives: tuple[Drive, ...], state: State) -> tuple[Frame, ...]:
-    """Return what drives are sent at the end of a run; nothing after a failure, when they stay as they are."""
+    """Return the frames for the release of the drives at the end of a run.
+
+    No frames follow a failure: the drives stay as they are.
+    """
     if state.mode != Mode.DONE or state.failure:
         return ()
     return tuple(frame for drive, known in zip(drives, state.drives, strict=True) for frame in drive.leave(known))
@@ -113,17 +119,20 @@ def next_mode(
     t: float,
     identities: tuple[str, ...] = (),
 ) -> tuple[Event, ...]:
-    """Decide the mode of this tick, and set it.
+    """Decide and set the mode of the tick.
 
     Args:
         model: the hand.
-        drives: one per motor.
-        state: with this tick's drive and filter states.
-        action: what safety demands.
-        wishes: what the operator asked.
+        drives: of the motors.
+        state: with the tick's drive and filter states, modified in place.
+        action: reaction demanded by safety.
+        wishes: requests of the operator.
         foreign: signs of a second controller, as text.
         t: time of the tick [s].
-        identities: of the drives that the calibration names; empty if it names none.
+        identities: of the drives in the calibration. May be empty.
+
+    Returns:
+        The event of a change of mode. Empty without a change.
     """
     seen = Circumstances(model, drives, t - state.mode_since, action, wishes, foreign, identities)
     before = state.mode
@@ -149,7 +158,7 @@ def next_mode(
 
 
 def _demanded(state: State, seen: Circumstances) -> Next | None:
-    """What safety or a person demands, whatever the mode."""
+    """Return the mode demanded by safety or the operator, else None."""
     acting = state.mode in ACTING
     if acting and (seen.wishes.cut or seen.action == Action.CUT):
         return Mode.CUT, _latched(state)
@@ -161,7 +170,7 @@ def _demanded(state: State, seen: Circumstances) -> Next | None:
 
 
 def _before_arming(state: State, seen: Circumstances) -> Next | None:
-    """What ends a run before any torque."""
+    """Return the end of a run before any torque, None if the run continues."""
     if seen.wishes.stop or seen.wishes.cut:
         return Mode.DONE, ""
     if seen.foreign:
@@ -170,11 +179,14 @@ def _before_arming(state: State, seen: Circumstances) -> Next | None:
 
 
 _AWAY = {Mode.ARMING: Mode.DISARM, Mode.ACTIVE: Mode.RELAX}
-"""Where a fault or a stop leads; while arming no tension was asked for yet, and no drive more shall be enabled."""
+"""Mode after a fault or a stop.
+
+ARMING leads to DISARM: no tension was commanded yet, and no further drive may be enabled.
+"""
 
 
 def _latched(state: State) -> str:
-    """The faults that only a person ends, as a reason; empty if there are none."""
+    """Return the latched faults as the reason of a failure. May be empty."""
     if not state.latched:
         return ""
     return "fault " + ", ".join(f"{mark.id} {mark.instance}" for mark in state.latched)
@@ -202,7 +214,7 @@ def _inventory(state: State, seen: Circumstances) -> Next:
 
 
 def _unread(state: State, seen: Circumstances) -> list[str]:
-    """What the filter cannot begin without, although every drive is ready and every frame of the node was heard."""
+    """Return the missing inputs of the filter, where all drives are ready and all sensor frames were received."""
     blind = [name for name, drive in _named(state, seen) if drive.phase == Phase.READY and math.isnan(drive.position)]
     sensed = seen.model.hand.sensor_node.tendons
     bare = [name for name in seen.model.hand.tendon_names if name not in sensed]
@@ -217,7 +229,11 @@ def _ready(state: State, seen: Circumstances) -> Next:
 
 
 def _strange(state: State, seen: Circumstances) -> str:
-    """Return which drives are not those that the calibration was made with; empty if all are, or it names none."""
+    """Return the drives other than at calibration.
+
+    Returns:
+        A phrase per drive. Empty if all are equal, or the calibration names no drives.
+    """
     there = [drive.identity(known) for drive, known in zip(seen.drives, state.drives, strict=True)]
     pairs = zip(seen.names, there, seen.identities, strict=False)
     others = [(name, now, then) for name, now, then in pairs if then not in ("", now)]
@@ -281,19 +297,23 @@ def _named(state: State, seen: Circumstances) -> Iterator[tuple[str, DriveState]
 
 
 def _enabled(state: State, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Motors that have not said that they are disabled."""
+    """Return the motors without a confirmed disable."""
     disabled = (Phase.READY, Phase.FAULT)
     return tuple(name for name, drive in zip(names, state.drives, strict=True) if drive.phase not in disabled)
 
 
 def _pulling(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Motors whose tendon still bears tension after the torque was cut (N16)."""
+    """Return the motors whose tendon is still loaded after the torque was cut (N16)."""
     tendons = {mark.instance for mark in state.latched if mark.id == "N16"}
     return tuple(name for name, tendon in zip(names, model.hand.tendon_names, strict=True) if tendon in tendons)
 
 
 def _may_pull(model: HandModel, state: State, names: tuple[str, ...]) -> tuple[str, ...]:
-    """Motors that may have torque at the end of a run; one that was never enabled by it only if it says so."""
+    """Return the motors with possible torque at the end of a run.
+
+    A run ending before arming has enabled no motor. Only a motor reporting to be enabled
+    counts then.
+    """
     if state.mode not in BEFORE_ARMING:
         return tuple(dict.fromkeys((*_enabled(state, names), *_pulling(model, state, names))))
     return tuple(name for name, drive in zip(names, state.drives, strict=True) if drive.phase == Phase.ENABLED)

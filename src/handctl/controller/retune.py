@@ -1,8 +1,9 @@
-"""Gains that change while the controller runs: designed a piece a tick, then taken over without a step in torque.
+"""Change of gains while the controller runs: a piece of design per tick, then a takeover without torque step.
 
-The design of a loop takes about a millisecond, so a running controller does one a tick and takes all of them over at
-once. When it does, the motor force that the old gains ask for in that tick less what the new ones ask for is kept as
-a trim and fades. Integrals are kept in newtons, not as an integral of the error, so they need no rescaling.
+The design of a loop takes about a millisecond. A running controller therefore designs a loop
+per tick, and takes all loops over at once. At the takeover, the motor force commanded by the old
+gains minus the force commanded by the new gains becomes a fading trim (bumpless transfer).
+Integrals are in newtons, not integrals of the error, and need no rescaling.
 """
 
 from dataclasses import dataclass, field, replace
@@ -18,18 +19,18 @@ from handctl.errors import ConfigError
 from handctl.programs.requests import REFUSED
 
 Controller = TypeVar("Controller")
-"""``controller.tick.Controller``: a dataclass with a ``model``."""
+"""``controller.tick.Controller``, or another dataclass with a ``model``."""
 
 KEPT = 8
-"""Gains whose designs are remembered: those of a run, those that are coming, and some to go back to."""
+"""Size of the design cache: the gains of a run, the pending gains, and some earlier gains to return to."""
 
 
 class Unfinished(NamedTuple):
-    """A design that is not complete.
+    """An incomplete design.
 
     Attributes:
-        coming: how far it is; None if no gains follow from these weights.
-        told: says so.
+        coming: progress of the design. None if these weights lead to no gains.
+        told: events of the failure.
     """
 
     coming: Coming | None
@@ -38,12 +39,12 @@ class Unfinished(NamedTuple):
 
 @dataclass(slots=True)
 class Designs:
-    """Designs that were made already, by gains: only a memory, for what is missing in it is made again.
+    """Cache of designs by gains. A missing design is computed again.
 
     Attributes:
-        found: pieces so far, of the ``KEPT`` gains that were asked for last.
-        controllers: with whole designs.
-        used: gains whose controller was asked for last.
+        found: pieces designed so far, for the last ``KEPT`` requests.
+        controllers: with complete designs.
+        used: gains of the last requested controller.
     """
 
     found: dict[Gains, list[Vector]] = field(default_factory=dict)
@@ -51,7 +52,7 @@ class Designs:
     used: Gains | None = None
 
     def advance(self, model: HandModel, coming: Coming) -> Unfinished | None:
-        """Design one piece more; None when the design is complete."""
+        """Design a further piece. Return None when the design is complete."""
         try:
             done = self._up_to(model, coming.gains, coming.step + 1)
         except ConfigError as error:
@@ -59,7 +60,7 @@ class Designs:
         return None if len(done) >= pieces(model.space) else Unfinished(replace(coming, step=coming.step + 1))
 
     def controller(self, controller: Controller, gains: Gains) -> Controller:
-        """Return the controller with other gains; those that a run uses are not forgotten."""
+        """Return the controller with other gains, and keep these gains in the cache."""
         self.used = gains
         if gains not in self.controllers:
             old: Any = controller
@@ -71,8 +72,10 @@ class Designs:
         return made
 
     def _up_to(self, model: HandModel, gains: Gains, count: int) -> list[Vector]:
+        """Return the first ``count`` pieces or more, with missing pieces designed."""
         found = self.found.setdefault(gains, [])
         if len(self.found) > KEPT:
+            # Dictionaries keep insertion order, so the first entry is the oldest. The gains in use stay.
             oldest = next(one for one in self.found if one != self.used)
             self.controllers.pop(oldest, None)
             del self.found[oldest]
@@ -82,11 +85,14 @@ class Designs:
 
 
 def asked(present: Gains, values: dict[str, float]) -> tuple[Coming | None, tuple[Event, ...]]:
-    """What a request for other gains leads to: their design, or one line that says why not.
+    """Begin the design of requested gains.
 
     Args:
         present: gains to change.
-        values: by key.
+        values: requested values by key.
+
+    Returns:
+        The pending gains, or None with an event stating the reason.
     """
     try:
         return Coming(with_values(present, values, "gains", live=True)), ()
@@ -95,7 +101,7 @@ def asked(present: Gains, values: dict[str, float]) -> tuple[Coming | None, tupl
 
 
 def changes(before: Gains, after: Gains) -> tuple[Event, ...]:
-    """An event for every key whose value is another, and one that says that the new gains act from now on."""
+    """Return an event for each changed gain, then an event for the takeover."""
     old, new = flat(before), flat(after)
     changed = tuple(Event("info", GAIN_EVENT, key, repr(value)) for key, value in new.items() if value != old[key])
     return *changed, Event("info", "gains", "", f"taken over: {len(changed)} changed")

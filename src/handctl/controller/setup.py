@@ -1,4 +1,4 @@
-"""Putting a controller together from data, so that a log can put the same one together again."""
+"""Construction of a controller from data, so a log can construct the same controller again."""
 
 from collections.abc import Iterable
 from dataclasses import replace
@@ -30,24 +30,24 @@ from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.programs.task import Task
 
 ATTACHMENT = "setup.json"
-"""Name under which a log keeps its ``Setup``."""
+"""Name of the ``Setup`` attachment in a log."""
 
 
 class TaskSetup(Document):
-    """A task file's program."""
+    """Program of a task file."""
 
     program: Literal["task"] = "task"
     task: Task
 
 
 class LiveSetup(Document):
-    """Waits for requests."""
+    """Program waiting for requests."""
 
     program: Literal["live"] = "live"
 
 
 class JogSetup(Document):
-    """One goal for a while."""
+    """Program with a single goal for a duration."""
 
     program: Literal["jog"] = "jog"
     request: Annotated[MoveDigits | HoldTension, Field(discriminator="do")]
@@ -55,13 +55,13 @@ class JogSetup(Document):
 
 
 class CommissionSetup(Document):
-    """Commissioning."""
+    """Program for commissioning the hand."""
 
     program: Literal["commission"] = "commission"
 
 
 class PlaybackSetup(Document):
-    """A recorded run done again; ``rows`` is ``Recording.text``."""
+    """Program repeating a recorded run. ``rows`` is ``Recording.text``."""
 
     program: Literal["playback"] = "playback"
     raw: bool
@@ -69,14 +69,14 @@ class PlaybackSetup(Document):
 
 
 class ExerciseSetup(Document):
-    """The exercise by which gains are judged."""
+    """Program with motions for the evaluation of gains."""
 
     program: Literal["exercise"] = "exercise"
     amplitudes: tuple[float, ...]
 
 
 class ExciteSetup(Document):
-    """Identification."""
+    """Program exciting the hand for identification."""
 
     program: Literal["excite"] = "excite"
     steps: tuple[ExciteStep, ...]
@@ -87,7 +87,7 @@ ProgramSetup = Annotated[AnySetup, Field(discriminator="program")]
 
 
 class Setup(Document):
-    """What a controller was made from besides the hand and the gains; floats read back bit for bit."""
+    """Data of a controller besides the hand and the gains. Floats are restored to the bit."""
 
     schema_: int = Field(1, alias="schema", ge=1, le=1)
     rate_hz: float = Field(gt=0, le=100_000)
@@ -95,18 +95,18 @@ class Setup(Document):
     tare_N: tuple[float, ...]
     """(N,) load-cell tare, in the order of the tendons."""
     zero_rad: tuple[Annotated[float, Field(ge=-1000, le=1000)], ...]
-    """(N,) motor zero, as far as a calibration may have it."""
+    """(N,) motor zero within the range of a calibration [rad]."""
     identities: tuple[str, ...] = ()
-    """Of the drives that the calibration was made with; empty: unknown."""
+    """Identities of the drives at calibration. Empty: unknown."""
     program: ProgramSetup
     identified_hand: str = ""
-    """The hand as identified, TOML; empty: as its file says."""
+    """The identified hand as TOML. Empty: the hand file's values apply."""
     torque_gain: tuple[float, ...] = ()
-    """(N,) as identified; empty: 1."""
+    """(N,) identified torque gains. Empty: 1."""
 
     @staticmethod
     def of(controller: Controller, rate_hz: float) -> "Setup":
-        """Setup of a controller that runs at ``rate_hz`` [Hz]."""
+        """Return the setup of a controller running at ``rate_hz`` [Hz]."""
         return Setup(
             rate_hz=rate_hz,
             arm_at_once=controller.arm_at_once,
@@ -119,7 +119,7 @@ class Setup(Document):
         )
 
     def controller(self, hand: Hand, gains: Gains) -> Controller:
-        """The controller again; designs all gains."""
+        """Construct the controller again, including the design of all gains."""
         identified = parse_toml(self.identified_hand, ATTACHMENT)
         known = hand_from(identified, ATTACHMENT) if identified else hand
         model = HandModel.of(known, gains, self.rate_hz, np.array(self.torque_gain) if self.torque_gain else None)
@@ -130,15 +130,15 @@ class Setup(Document):
 
 
 def caveats(drives: Iterable[Drive]) -> tuple[str, ...]:
-    """Guards of drives that no read-back can verify, a line each, for a person to read before arming."""
+    """Return the drives' guards without read-back, a line each, for the operator to read before arming."""
     return tuple(f"{drive.name}: {text}" for drive in drives for text in drive.caveats)
 
 
 def make_drives(hand: Hand) -> tuple[Drive, ...]:
-    """The motor of each tendon, in the order of the tendons.
+    """Return the motor of each tendon, in the order of the tendons.
 
     Raises:
-        ConfigError: an option that a drive does not have, or an identifier with two meanings.
+        ConfigError: for an option unknown to a drive, or an identifier with two meanings.
     """
     buses = hand.bus_names
     motors = [hand.motor_of(name) for name in hand.tendon_names]
@@ -149,16 +149,17 @@ def make_drives(hand: Hand) -> tuple[Drive, ...]:
 
 
 def make_sensors(hand: Hand) -> SensorNode:
-    """The hand's sensor node."""
+    """Return the hand's sensor node."""
     return SensorNode.of(hand.sensor_node, hand.bus_names.index(hand.sensor_node.bus), hand.tendon_names, hand.joints)
 
 
 def make_controller(
     hand: Hand, gains: Gains, rate_hz: float, program: Program, calibration: Calibration | None, arm_at_once: bool
 ) -> Controller:
-    """Design the gains and put the controller together; without a calibration nothing is tared.
+    """Design the gains and construct the controller. Without a calibration tare and zero are 0.
 
-    What a calibration has identified takes the place of what the hand file says; drives and limits stay the file's.
+    Values identified by the calibration replace values of the hand file. Drives and limits stay
+    as in the file.
     """
     n = len(hand.tendon)
     tare = calibration.tare(hand) if calibration else np.zeros(n)
@@ -173,6 +174,7 @@ def make_controller(
 
 
 def _described(program: Program) -> AnySetup:
+    """Return the setup of a program."""
     match program:
         case TaskProgram(task):
             return TaskSetup(task=task)
@@ -192,6 +194,7 @@ def _described(program: Program) -> AnySetup:
 
 
 def _made(setup: AnySetup, hand: Hand) -> Program:
+    """Return the program of a setup."""
     match setup:
         case TaskSetup():
             return TaskProgram(setup.task)

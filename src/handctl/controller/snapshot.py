@@ -1,7 +1,7 @@
-"""A state as bytes, from which a log can be executed again from the middle: the block itself, and the decisions.
+"""State as bytes, for re-execution of a log from the middle: the block, and the decisions.
 
-A snapshot is the identity of the layout (8 bytes), the block, and the plain form of the decisions as JSON. Only code
-with the same schema can read it.
+A snapshot consists of the layout's identity (8 bytes), the block, and the decisions as plain JSON.
+Only code with the same schema can read a snapshot.
 """
 
 import json
@@ -32,7 +32,7 @@ register(
 )  # fmt: skip
 
 HEAD = 8
-"""Bytes of the layout's identity."""
+"""Size of the layout's identity [bytes]."""
 
 
 def snapshot(state: State) -> bytes:
@@ -42,7 +42,7 @@ def snapshot(state: State) -> bytes:
 
 
 def _marked(value: object) -> tuple[str, str]:
-    """Return bytes as what JSON can hold."""
+    """Return bytes in a form for JSON."""
     assert isinstance(value, bytes)
     return BYTES, value.hex()
 
@@ -51,11 +51,13 @@ def restore(layout: Layout, data: bytes) -> State:
     """Return the state of a snapshot.
 
     Args:
-        layout: of the controller that wrote it. data: the snapshot.
+        layout: of the writing controller.
+        data: the snapshot.
 
     Raises:
-        ValueError: it is not one of this controller.
+        ValueError: if the data is no snapshot of the controller.
     """
+    # The block consists of 8-byte numbers.
     end = HEAD + 8 * layout.size
     if data[:HEAD] != layout.identity or len(data) < end:
         raise ValueError(f"a snapshot of {len(data)} bytes of another schema or hand")

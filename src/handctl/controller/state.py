@@ -1,4 +1,4 @@
-"""The whole state of a controller: a block of numbers, and the decisions that are no numbers."""
+"""State of a controller: a block of numbers, and decisions other than numbers."""
 
 from typing import Any, NamedTuple
 
@@ -22,18 +22,18 @@ from handctl.safety.judge import Counting, Latched
 
 
 class Decisions(NamedTuple):
-    """What a tick hands to the next beside the block. It changes when something happens, not in every tick.
+    """State outside the block, changed by events, not in every tick.
 
     Attributes:
-        drives: set-up of each drive; its values are in the block, NaN and 0 here.
+        drives: set-up of each drive. The values of a drive are in the block, and NaN or 0 here.
         progress: of the program.
-        latched: faults that only an operator clears.
-        counting: faults that are reported by buses and host, and for how many ticks in a row.
-        refusals: ticks of the last second in which a live goal was refused.
-        failure: why the run ends early, one line; empty if it does not.
-        unconfirmed: motors that have not confirmed that they are disabled.
-        gains: set since the start; None before.
-        coming: gains that are requested and being designed.
+        latched: latched faults.
+        counting: faults reported by buses and host, with consecutive ticks.
+        refusals: ticks of the last second with a refused live goal.
+        failure: reason of an early end of the run, a line. Empty without failure.
+        unconfirmed: motors without a confirmed disable.
+        gains: replacement of the gains at the start. None before a change.
+        coming: requested gains in design.
     """
 
     drives: tuple[DriveState, ...]
@@ -47,11 +47,12 @@ class Decisions(NamedTuple):
     coming: Coming | None = None
 
 
+# Serialized parts by identity: most decisions are the same objects from tick to tick.
 _parts = Kept[Any](plain_bytes)
 
 
 def _decided(decisions: Decisions) -> bytes:
-    """Return 8 bytes that change with every decision; parts that are the same objects are not written again."""
+    """Hash the decisions to 8 bytes. Only a new object is serialized again."""
     drives = b"".join([_parts(drive) for drive in decisions.drives])
     goals = b"".join([_parts(goal) for goal in decisions.progress.goals])
     rest = [_parts(part) for part in decisions[1:]]
@@ -62,7 +63,12 @@ _decisions = Kept[Decisions](_decided)
 
 
 def layout_of(model: HandModel, groups: int) -> Layout:
-    """Return the layout of a hand's state; ``groups``: frame groups of its sensor node."""
+    """Return the layout of a hand's state.
+
+    Args:
+        model: the hand.
+        groups: number of frame groups of the sensor node.
+    """
     n, joints = model.tendon_count, len(model.hand.joints)
     return Layout(STATE, {
         "tendon": n,
@@ -79,47 +85,57 @@ def layout_of(model: HandModel, groups: int) -> Layout:
 def drive_values(
     tendon: NDArray[np.float64], tendon_int: NDArray[np.int64], n: int
 ) -> tuple[float, float, float, float, int, int]:
-    """Return what the block has of a drive, as ``DriveState.with_values`` takes it."""
+    """Return the block's values of a drive, as arguments of ``DriveState.with_values``."""
     position, velocity, torque, temperature = tendon[s.POSITION : s.POSITION + 4, n].tolist()
     return position, velocity, torque, temperature, int(tendon_int[s.FEEDBACK_NS, n]), int(tendon_int[s.FEEDBACKS, n])
 
 
 class State:
-    """Everything that one tick hands to the next.
+    """State between ticks.
 
-    A tick works on a copy: the block is copied as a whole, decisions are immutable and shared.
+    A tick works on a copy. The block is copied as a whole. Decisions are immutable and shared.
 
     Attributes:
-        layout: of the block. block: see ``core.block``.
-        decisions: see there.
-        tendon, tendon_int: (rows, N) tables of the block.
+        layout: of the block.
+        block: see ``core.block``.
+        decisions: see ``Decisions``.
+        tendon: (rows, N) table of real numbers in the block.
+        tendon_int: (rows, N) table of integers in the block.
     """
 
     __slots__ = ("_run", "_run_int", "block", "decisions", "layout", "tendon", "tendon_int")
 
     def __init__(self, layout: Layout, block: Block, decisions: Decisions) -> None:
+        """Make views of the tables in a block.
+
+        Args:
+            layout: of the block.
+            block: numbers of the state, not copied.
+            decisions: see ``Decisions``.
+        """
         self.layout, self.block, self.decisions = layout, block, decisions
         self.tendon: NDArray[np.float64] = layout.table(block, "tendon")
         self.tendon_int: NDArray[np.int64] = layout.table(block, "tendon_int")
+        # "run" has one column, so a row number is directly the position.
         self._run = block[layout.start("run") :]
         self._run_int = block[layout.start("run_int") :].view(np.int64)
 
     def copy(self) -> "State":
-        """Return a state that can be changed without changing this one."""
+        """Return an independent copy."""
         return State(self.layout, self.block.copy(), self.decisions)
 
     def decide(self, **changes: Any) -> None:
-        """Change decisions."""
+        """Replace some of the decisions."""
         self.decisions = self.decisions._replace(**changes)
 
     def digest(self) -> bytes:
-        """Return 8 bytes that change with every part of the state."""
+        """Return a hash of 8 bytes over the whole state."""
         return xxhash.xxh3_64_digest(self.block.data, int.from_bytes(_decisions(self.decisions), "little"))
 
     # Tables and single numbers of the block.
 
     def view(self, name: str) -> NDArray[Any]:
-        """Return a field of the block by its name."""
+        """Return a field of the block by name."""
         return self.layout.view(self.block, name)
 
     def number(self, row: int) -> float:
@@ -131,11 +147,11 @@ class State:
         self._run[row] = value
 
     def whole(self, row: int) -> int:
-        """Return a whole number of the run."""
+        """Return an integer of the run."""
         return int(self._run_int[row])
 
     def set_whole(self, row: int, value: int) -> None:
-        """Set a whole number of the run."""
+        """Set an integer of the run."""
         self._run_int[row] = value
 
     @property
@@ -145,7 +161,7 @@ class State:
 
     @property
     def mode(self) -> Mode:
-        """Of the hand."""
+        """Return the mode of the hand."""
         return _MODES[self.whole(s.MODE)]
 
     @mode.setter
@@ -154,7 +170,7 @@ class State:
 
     @property
     def mode_since(self) -> float:
-        """When the mode began [s]."""
+        """Return the start of the mode [s]."""
         return self.number(s.MODE_SINCE)
 
     @mode_since.setter
@@ -163,7 +179,7 @@ class State:
 
     @property
     def goal_time(self) -> float:
-        """Time that the program was given [s]; stands still while safety holds."""
+        """Return the program's time [s], stopped while safety holds the hand."""
         return self.number(s.GOAL_TIME)
 
     @goal_time.setter
@@ -172,7 +188,7 @@ class State:
 
     @property
     def armed(self) -> bool:
-        """Whether arming is requested."""
+        """Return True if arming is requested."""
         return bool(self.whole(s.ARMED))
 
     @armed.setter
@@ -181,7 +197,7 @@ class State:
 
     @property
     def clearing(self) -> bool:
-        """Whether what the drives have latched is being cleared, before they are armed."""
+        """Return True while latched errors of the drives are being cleared, before arming."""
         return bool(self.whole(s.CLEARING))
 
     @clearing.setter
@@ -190,62 +206,62 @@ class State:
 
     @property
     def started(self) -> bool:
-        """Whether encoder and load cell of every tendon were read once."""
+        """Return True if encoder and load cell of every tendon have been read once."""
         return bool(self.whole(s.STARTED))
 
     @property
     def estimate(self) -> Estimate:
-        """What programs read of the present instant."""
+        """Return the present estimates, for programs."""
         layout, block = self.layout, self.block
         joint, digit = layout.table(block, "joint"), layout.table(block, "digit")
         return Estimate(self.tendon, joint, digit, self.tendon_int[s.REGIME])
 
     @property
     def measured(self) -> Measured:
-        """Measurements of the present tick."""
+        """Return the measurements of the tick."""
         return Measured(self.tendon, self.layout.table(self.block, "joint"))
 
     @property
     def sensor_counts(self) -> tuple[int, int, int]:
-        """SYNCs sent, tension frames accepted, and frames that answered an older SYNC."""
+        """Count SYNCs sent, accepted tension frames, and frames in reply to an older SYNC."""
         return self.whole(s.SYNCS), self.whole(s.TENSION_FRAMES), self.whole(s.STALE)
 
     # Decisions by their names.
 
     @property
     def progress(self) -> Progress:
-        """Of the program."""
+        """Return the progress of the program."""
         return self.decisions.progress
 
     @property
     def latched(self) -> tuple[Latched, ...]:
-        """Faults that only an operator clears."""
+        """Return the latched faults."""
         return self.decisions.latched
 
     @property
     def failure(self) -> str:
-        """Why the run ends early, one line; empty if it does not."""
+        """Return the reason of an early end of the run, one line. Empty without failure."""
         return self.decisions.failure
 
     @property
     def unconfirmed(self) -> tuple[str, ...]:
-        """Motors that have not confirmed that they are disabled."""
+        """Return the motors without a confirmed disable."""
         return self.decisions.unconfirmed
 
     # Drives: set-up from the decisions, values from the block.
 
     def drive(self, n: int) -> DriveState:
-        """Return what is known of a drive."""
+        """Return a drive's state."""
         return self.decisions.drives[n].with_values(*drive_values(self.tendon, self.tendon_int, n))
 
     @property
     def drives(self) -> tuple[DriveState, ...]:
-        """What is known of all drives."""
+        """Return the states of all drives."""
         return tuple([self.drive(n) for n in range(len(self.decisions.drives))])
 
     @property
     def phases(self) -> tuple[Phase, ...]:
-        """Where each drive stands."""
+        """Return the phase of each drive."""
         return tuple([drive.phase for drive in self.decisions.drives])
 
 

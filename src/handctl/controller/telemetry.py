@@ -1,4 +1,4 @@
-"""The numbers of one tick for the log: which fields of the block they are, in which order."""
+"""Telemetry of a tick for the log: selection of fields from the state block."""
 
 import numpy as np
 
@@ -14,13 +14,19 @@ FIELD_OF = {
     "motor_torque_goal": "torque",
     "motor_temperature": "temperature",
 }
-"""Fields of the block for those of the telemetry that have another name there."""
+"""Block fields of the telemetry fields with another name in the block."""
 
 
 class Gather:
-    """Takes the telemetry of a hand out of its block."""
+    """Gather the telemetry of a hand from the state block."""
 
     def __init__(self, layout: Layout) -> None:
+        """Compute the index of each telemetry number within a block.
+
+        Args:
+            layout: of the state block.
+        """
+        # A block that holds its own positions: a view of a field then yields the field's indices.
         numbered = np.arange(layout.size, dtype=np.float64)
         parts = [layout.view(numbered, FIELD_OF.get(name, name)) for name in TELEMETRY_FIELDS]
         ends = np.cumsum([0, *map(len, parts)]).tolist()
@@ -30,5 +36,5 @@ class Gather:
         }
 
     def __call__(self, block: Block) -> PackedTelemetry:
-        """Return the numbers of a block."""
+        """Return the telemetry of a block."""
         return PackedTelemetry(block.take(self._index), self._places)

@@ -1,14 +1,14 @@
-"""One tick: frames in, frames out, and nothing else. Every fact that can change a decision enters by ``TickIn``.
+"""A tick: frames in, frames out, as a pure function. ``TickIn`` has every fact behind a decision.
 
 receive   frames -> values of drives and sensors
 estimate  values -> tension, excursion, contact
-judge     faults -> what safety demands
+judge     faults -> action demanded by safety
 decide    requests, safety, mode, program -> goals
 command   goals -> tension -> motor torque
 encode    motor torque -> frames
 
-The numbers are computed by compiled stages (``core.stages``) on the block of the state; what is here decides, and calls
-them in order. A tick works on a copy of the state, so that it is a pure function.
+Compiled stages (``core.stages``) compute the numbers on the state block. ``tick`` decides, and
+calls the stages in order. A tick works on a copy of the state.
 """
 
 from dataclasses import dataclass, field
@@ -48,21 +48,26 @@ ACTIVE, CUT, DONE, RELAX, SILENT = Mode.ACTIVE, Mode.CUT, Mode.DONE, Mode.RELAX,
 
 @dataclass(frozen=True, slots=True)
 class Controller:
-    """All that is constant in a run; ``tick`` is a pure function of it, a state and a ``TickIn``.
+    """Constants of a run. ``tick`` is a pure function of a controller, a state and a ``TickIn``.
 
     Attributes:
-        model: the hand, its gains and designs.
+        model: the hand, with gains and designs.
         drives: the motor of each tendon, in the order of the tendons.
         sensors: the sensor node.
-        program: what decides the goals.
+        program: source of the goals.
         tare: (N,) load-cell tare [N].
         zero: (N,) motor zero [rad].
-        arm_at_once: arm as soon as everything has answered, without a request.
-        identities: of the drives that tare and zero were found with; empty if unknown.
-        other_limits: to be judged by instead of the hand's own; None for these.
-        designs: of gains that were set in a run.
+        arm_at_once: True: arm as soon as every node has replied, without a request.
+        identities: of the drives at calibration. Empty if unknown.
+        other_limits: thresholds in place of the hand's own. None: the hand's own.
+        designs: cache of the gains set in a run.
         limits: thresholds of the monitor.
-        layout, constants, wire, gather: what follows from all that.
+        layout: of the state block.
+        constants: of the compiled code.
+        wire: tables of the drives' cyclic frames.
+        gather: selection of the telemetry.
+        owners: index of the drive of each bus and identifier.
+        sync_row: SYNC frame as a record.
     """
 
     model: HandModel
@@ -85,6 +90,7 @@ class Controller:
     sync_row: Rows = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
+        """Compute the derived attributes."""
         prepare()
         limits = self.other_limits or limits_of(self.model, self.drives, self.sensors)
         layout = layout_of(self.model, len(self.sensors.ids))
@@ -104,7 +110,7 @@ class Controller:
             object.__setattr__(self, name, value)
 
     def initial(self) -> State:
-        """Return the state before the first tick, the same for the same configuration."""
+        """Return the state before the first tick, as determined by the configuration."""
         drives = tuple(drive.initial() for drive in self.drives)
         decisions = Decisions(tuple(known.with_values() for known in drives), self.program.begin(self.model))
         state = State(self.layout, self.layout.initial.copy(), decisions)
@@ -116,18 +122,21 @@ class Controller:
         return state
 
     def cut_frames(self) -> tuple[Frame, ...]:
-        """Return the frames that take the torque of every motor away."""
+        """Return the frames for removing the torque of every motor."""
         return tuple(frame for drive in self.drives for frame in drive.cut())
 
     def tick(self, before: State, entry: TickIn) -> tuple[State, TickOut]:
-        """Run one tick.
+        """Run a tick.
 
         Args:
-            before: from the tick before.
-            entry: everything that is new.
+            before: state of the tick before.
+            entry: all new facts.
+
+        Returns:
+            The state after the tick, and the output.
 
         Raises:
-            ValueError: a command that cannot be encoded; it never reaches a wire.
+            ValueError: for a command without an encoding. The command is never sent.
         """
         gains = before.decisions.gains
         if gains is None or gains is self.model.gains:
@@ -159,7 +168,7 @@ class Controller:
     # receive, estimate
 
     def _take_in(self, before: State, state: State, entry: TickIn, frames: Frames) -> tuple[str, ...]:
-        """Take in frames, correct and predict the filter; return the signs of a second controller."""
+        """Take in frames, correct and predict the filter. Return the signs of a second controller."""
         block, places, missed = state.block, self.layout.places, entry.k - before.k - 1
         wire.begin(block, places)
         state.set_whole(s.K, entry.k)
@@ -177,7 +186,7 @@ class Controller:
         return signs
 
     def _receive(self, state: State, frames: Frames) -> tuple[str, ...]:
-        """Take in frames; return the identifiers that only this host may send, each once."""
+        """Take in frames. Return received identifiers of this host's own frames, each once."""
         tables, signs, at, rows = self.wire, list[str](), 0, frames.rows
         while True:
             at = wire.receive(
@@ -194,7 +203,7 @@ class Controller:
             at += 1
 
     def keep(self, state: State, n: int, known: DriveState) -> None:
-        """Write what is known of a drive after its state machine has acted."""
+        """Write the state of a drive into the block and the decisions after the state machine has acted."""
         table, whole = state.tendon, state.tendon_int
         table[s.POSITION : s.POSITION + 4, n] = known[1:5]
         came = known.feedback_count - whole[s.FEEDBACKS, n]
@@ -215,7 +224,7 @@ class Controller:
     # judge, decide
 
     def _count_refusals(self, state: State, asked: tuple[Event, ...]) -> None:
-        """Count the live goals that were refused within a second."""
+        """Count the live goals refused within the last second."""
         refused = sum(event.level == "warn" for event in asked)
         lately = state.decisions.refusals
         if refused or lately:
@@ -243,12 +252,12 @@ class Controller:
         return verdict.action, verdict.findings
 
     def _heard(self, state: State) -> bool:
-        """Return whether any node has ever answered, or torque may act."""
+        """Return True if any node has ever answered, or torque may act."""
         heard = any(phase != Phase.SILENT for phase in state.phases) or bool(state.view("group_frames").any())
         return heard or Mode.ARMING <= state.mode <= RELAX
 
     def _program(self, state: State, action: Action) -> tuple[Event, ...]:
-        """Let the program go on while the hand is active; when safety holds, its time stands still."""
+        """Advance the program while the hand is active. The program's time stops while safety holds."""
         if state.mode != ACTIVE or action >= Action.HOLD:
             return ()
         t = state.goal_time + self.model.period
@@ -259,7 +268,7 @@ class Controller:
         return events
 
     def _write_progress(self, state: State, before: State | None) -> None:
-        """Write what the program wants into the block, where it has changed."""
+        """Write changed goals of the program into the block."""
         progress, old = state.progress, before.progress if before else None
         if progress is old:
             return
@@ -275,7 +284,7 @@ class Controller:
     # command
 
     def _command(self, state: State, action: Action, ticks: int) -> None:
-        """Command the motor torques of this tick; none unless active or relaxing."""
+        """Compute the motor torques of the tick, 0 unless the hand is active or relaxing."""
         block, places, mode = state.block, self.layout.places, state.mode
         if mode in (ACTIVE, RELAX):
             sample(self.model, self.layout, block, state.progress.goals, state.goal_time)
@@ -285,10 +294,12 @@ class Controller:
         stages.act(block, places, *self._constants, rate, int(opened), ticks)
 
     def _retune(self, unchanged: State, state: State, action: Action, ticks: int) -> tuple[Event, ...]:
-        """Design a piece of the gains that are coming; take them over from the next tick on when all is designed.
+        """Design a piece of the pending gains. Take complete gains over from the next tick on.
 
         Args:
-            unchanged: the state before it was commanded. state: after that. action: what safety demands.
+            unchanged: the state before the command.
+            state: the state after the command.
+            action: reaction demanded by safety.
             ticks: periods since the last tick.
         """
         coming = state.decisions.coming
@@ -308,7 +319,7 @@ class Controller:
     # encode
 
     def _encode(self, state: State, t_ns: int) -> Frames:
-        """Return SYNC for the sensors, then what each drive shall do; a cut goes before everything else."""
+        """Return the SYNC for the sensors, then the command of each drive. The frames of a cut go first."""
         mode = state.mode
         if mode in (SILENT, DONE):
             return frames_of(modes.farewell(self.drives, state))
@@ -326,7 +337,7 @@ class Controller:
         return joined([frames_of(self.cut_frames()), Frames.of_rows(out[:1])]) if mode == CUT else sent
 
     def _send(self, state: State, out: Rows, want: Want, torque: Vector, t_ns: int) -> Frames:
-        """Write commands behind the SYNC in ``out``, through the state machines of drives that are not steady."""
+        """Write commands behind the SYNC in ``out``. Drives in transition go through their state machines."""
         tables, parts, first, begun_at, count = self.wire, list[Frames](), 0, 0, 1
         clearing = state.clearing and state.mode == Mode.INVENTORY
         n = len(self.drives)
@@ -356,6 +367,7 @@ _ACTIONS = {int(action): action for action in Action}
 
 
 def _told(finding: Finding) -> Event:
+    """Return the event of a finding."""
     fault = finding.fault
     level = "error" if fault.action >= Action.RELAX else "warn"
     text = f"{fault.id} {fault.title}: {finding.instance} ({finding.value:g}): {fault.action.name}"

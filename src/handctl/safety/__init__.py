@@ -1,0 +1,1 @@
+"""Fault declarations, reactions, thresholds, and the judge: faults in, a reaction out."""

@@ -1,28 +1,28 @@
-"""What safety can demand, ordered: the largest wins."""
+"""Reactions of safety, in order of severity: the largest wins."""
 
 import enum
 
 
 class Action(enum.IntEnum):
-    """Reaction to a fault. Each larger one includes taking away what the smaller left."""
+    """Reaction to a fault. Each action includes every restriction of the weaker actions."""
 
     PASS = 0
     WARN = 1
-    """Go on and say so."""
+    """Continue, and log a warning."""
     HOLD = 2
-    """Freeze the goal, limit the tension to the present one; ends by itself."""
+    """Freeze the goals and limit the tension to the present value. Ends as soon as the fault is gone."""
     RELAX = 3
-    """Ramp every tension to the floor, disable, stay silent until a person clears it."""
+    """Ramp every tension to the floor, disable the drives, stay silent until an operator clears the fault."""
     CUT = 4
-    """Take the torque away at once, for where commands cannot be trusted to arrive."""
+    """Remove the torque at once, where commands cannot be trusted to arrive."""
 
 
 class Release(enum.Enum):
-    """How RELAX takes the torque away. Whatever it is, the torque commanded to a motor never rises (``relaxing``)."""
+    """Method of removing the torque in RELAX. No method raises a commanded torque (``relaxing``)."""
 
     LOOP = "RELAX"
-    """The tension loop, which may only go below the envelope of 500 N/s."""
+    """The tension loop, limited by an envelope falling by 500 N/s."""
     FAST = "RELAX fast"
-    """The same with 2,000 N/s, for a tendon that bears too much."""
+    """The tension loop, limited by an envelope falling by 2,000 N/s, for an overloaded tendon."""
     OPEN = "RELAX open loop"
-    """The envelope itself. No measurement has a part in it, for a fault that makes the loop doubtful."""
+    """The envelope itself as the command, without feedback, for faults of the loop."""

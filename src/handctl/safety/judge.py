@@ -1,7 +1,7 @@
-"""Latches, reports of buses and host, and the largest action wins: the last word before encoding.
+"""Latches, faults reported by buses and host, and the choice of a reaction in each tick.
 
-What detectors find is debounced by compiled code (``core.detectors.judge``). Here the faults that begin to count get
-their names, what latches stays until an operator clears it, and reports are counted.
+Compiled code (``core.detectors.judge``) debounces the detected faults. This module names
+newly counting faults, latches faults until an operator clears them, and counts the reports.
 """
 
 from collections.abc import Iterable, Sequence
@@ -18,19 +18,19 @@ from handctl.safety.faults.table import BY_ID, DEBOUNCE, FOUND, REPORTS
 from handctl.safety.limits import Limits
 
 Report = tuple[str, str, float]
-"""Kind of event, where, and its number."""
+"""Kind of event, location, and number."""
 ALONE = BY_ID["B18"]
 
 
 class Latched(NamedTuple):
-    """A fault that has counted, and counts until an operator clears it."""
+    """A fault that counts until an operator clears it."""
 
     id: str
     instance: str
 
 
 class Counting(NamedTuple):
-    """A reported fault that is present, and for how many ticks in a row."""
+    """A present, reported fault, with the number of consecutive ticks."""
 
     id: str
     instance: str
@@ -38,7 +38,7 @@ class Counting(NamedTuple):
 
 
 class Finding(NamedTuple):
-    """A fault that has just begun to count."""
+    """A newly counting fault."""
 
     fault: Fault
     instance: str
@@ -46,13 +46,13 @@ class Finding(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """The judgement of one tick.
+    """The judgement of a tick.
 
     Attributes:
         action: the largest action demanded.
-        findings: faults that began to count in this tick.
-        latched: faults that only an operator clears, after this tick.
-        counting: reported faults that are present.
+        findings: newly counting faults.
+        latched: latched faults after the tick.
+        counting: reported faults present in the tick.
     """
 
     action: Action
@@ -71,15 +71,17 @@ def judge(
     demanded: int,
     reports: Iterable[Report],
 ) -> Verdict:
-    """Judge one tick.
+    """Judge a tick: add the reported faults, latch, and choose the largest action.
 
     Args:
-        latched, counting: from the last tick.
-        found: faults of the detectors that begin to count; see ``begun``.
-        demanded: largest action of those that count.
-        reports: of buses, host and recorder in this tick; see ``reported``.
+        latched: latched faults of the last tick.
+        counting: reported faults of the last tick.
+        found: newly counting faults of the detectors, from ``begun``.
+        demanded: largest action of all counting detected faults.
+        reports: of buses, host and recorder in the tick, for ``reported``.
     """
     action, findings, still = demanded, list(found), []
+    # A report that is absent in this tick is not carried over: its count starts again at 1.
     before = {(one.id, one.instance): one.ticks for one in counting}
     for fault, where, value in reported(reports):
         ticks = before.get((fault.id, where), 0) + 1
@@ -88,6 +90,7 @@ def judge(
             action = max(action, fault.action)
         if ticks == fault.debounce:
             findings.append(Finding(fault, where, value))
+    # A latched fault is found again in every tick while present. It is logged once only.
     fresh = [one for one in findings if Latched(one.fault.id, one.instance) not in latched]
     latched += tuple(dict.fromkeys(Latched(one.fault.id, one.instance) for one in fresh if one.fault.latched))
     action = max([action, *(BY_ID[mark.id].action for mark in latched)])
@@ -96,13 +99,14 @@ def judge(
 
 
 def begun(limits: Limits, found: NDArray[np.float64], ticks: NDArray[np.int64]) -> list[Finding]:
-    """Return the faults that begin to count in this tick, in the order of the table.
+    """Return the newly counting faults, in the order of the fault table.
 
     Args:
-        limits: names of the hand.
-        found: (rows, instances) values that show faults, NaN where there is none.
-        ticks: (rows, instances) for how long each is present.
+        limits: names of tendons, motors, joints and nodes.
+        found: (rows, instances) evidence of each fault, NaN where the fault is absent.
+        ticks: (rows, instances) consecutive ticks with each fault.
     """
+    # The compiled judge counts on after the debounce, so equality holds in a single tick.
     rows, instances = np.nonzero((ticks[: len(DEBOUNCE)] == DEBOUNCE[:, None]) & ~np.isnan(found))
     pairs = zip(rows.tolist(), instances.tolist(), strict=True)
     return [Finding(FOUND[row][0], _name(limits, *FOUND[row], i), float(found[row, i])) for row, i in pairs]
@@ -115,9 +119,10 @@ def _name(limits: Limits, fault: Fault, kind: str, i: int) -> str:
 
 
 def reported(reports: Iterable[Report]) -> list[tuple[Fault, str, float]]:
-    """Return the faults that reports mean, each with where and its value; those of one kind and place once."""
+    """Return fault, location and value of each report. The last report of a fault at a location counts."""
     found: dict[tuple[str, str], tuple[Fault, str, float]] = {}
     for kind, where, value in reports:
+        # The location of a recorder event is its kind ("disk_full"), so it is a part of the key.
         key = f"{kind}:{where}" if kind == "recorder" else kind
         for fault in REPORTS.get(key, ()):
             name = where or kind
@@ -125,14 +130,16 @@ def reported(reports: Iterable[Report]) -> list[tuple[Fault, str, float]]:
     return sorted(found.values(), key=lambda one: _ORDER[one[0].id])
 
 
+# Position in the fault table, which sorts simultaneous faults as the detectors do.
 _ORDER = {id_: place for place, id_ in enumerate(BY_ID)}
 
 
 def alone(reports: Iterable[Report], heard: bool) -> list[Report]:
-    """Return the reports without error frames, but for the first that says that nobody hears this host (B18).
+    """Drop error frames from the reports, except the first unacknowledged frame (B18).
 
     Args:
-        reports: of this tick. heard: whether any node has ever answered, or torque may act.
+        reports: of the tick.
+        heard: True if any node has ever answered, or torque may act. B18 is then impossible.
     """
     kept, error = [], None
     for one in reports:
@@ -144,5 +151,5 @@ def alone(reports: Iterable[Report], heard: bool) -> list[Report]:
 
 
 def foreign(signs: Iterable[str]) -> list[Report]:
-    """Return the reports of a second controller (H13), one for each sign of it."""
+    """Return a report of a second controller (H13) for each sign."""
     return [(FOREIGN, sign, 1.0) for sign in signs]

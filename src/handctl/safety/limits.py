@@ -1,42 +1,48 @@
-"""Thresholds of one hand: what its drives, its sensors and its model allow."""
+"""Thresholds of a hand, from drives, sensors and model."""
 
 import math
 from dataclasses import dataclass
 
 LOAD_CELLS = "load cells"
-"""The sensor node among the nodes."""
+"""Name of the sensor node among the nodes."""
 
 SILENT_S, STALLED_S = 0.030, 0.025
-"""How long a node may be silent, and the host stand still: less than the drives' watchdog of 50 ms."""
+"""Longest silence of a node, and longest standstill of the host [s]. Both are below the drives' watchdog of 50 ms."""
 SILENT_TICKS_LEAST, STALLED_TICKS_LEAST = 4, 3
-"""The same in ticks at least, for slow rates."""
+"""Minimum of these two times in ticks, for slow control rates."""
 FRAMES_LEAST = 64
-"""Frames in one tick that no hand of few motors sends."""
+"""Minimum of the flood threshold: more frames per tick than a small hand sends."""
 TEMPERATURE_SOFT_DEGC, TEMPERATURE_HARD_DEGC = 70.0, 85.0
-"""Temperature of a drive from which on its tendon's limit falls, and at which it has fallen to the floor."""
+"""Drive temperatures where derating of the tension limit begins, and where the limit reaches the floor [degC]."""
 
 
 def ticks_for(seconds: float, period: float, least: int) -> int:
-    """Return a time as whole ticks of a period [s], at least ``least``."""
+    """Return a time [s] as a number of ticks of a period [s], rounded up, at least ``least``."""
+    # Rounded up: a limit must never be shorter than stated.
     return max(least, math.ceil(seconds / period))
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Thresholds of one hand.
+    """Thresholds of a hand.
 
     Attributes:
-        tendons: names, (N,). motors: names, (N,). joints: names, (J,).
-        tension_trip: (N,) tension of one sample that means relax [N].
-        drive_limit: (N,) tension that the drive's own torque limit can make; above it, cut [N].
-        tension_rail: reading at which a load cell is saturated [N].
-        tension_low: reading, after any tare, that no tendon can make: a broken wire or a sensor without supply [N].
-        silent_ticks: replies in a row that may be missing before a node counts as silent.
-        one_silent_ticks: the same for a motor while another one answers.
-        stalled_ticks: ticks in a row that may be missed before the host counts as standing still.
-        temperature_soft, temperature_hard: of a drive [degC].
-        frames: frames in one tick that are more than all nodes together can have sent; of a big hand more.
-        noise: mean squared jerk of a motor's position that means a noise burst [rad^2].
+        tendons: names, (N,).
+        motors: names, (N,).
+        joints: names, (J,).
+        tension_trip: (N,) tension limit of each sample, above: RELAX [N].
+        drive_limit: (N,) tension at the drive's own torque limit, above: CUT
+            [N].
+        tension_rail: reading of a saturated load cell [N].
+        tension_low: reading below the range of any tendon and tare: a broken wire or a sensor
+            without supply [N].
+        silent_ticks: consecutive missing replies of a silent node.
+        one_silent_ticks: the same for a motor while another motor answers.
+        stalled_ticks: consecutive missed ticks of a stalled host.
+        temperature_soft: drive temperature where derating begins [degC].
+        temperature_hard: drive temperature where derating ends at the floor [degC].
+        frames: frames per tick of a flooded bus: more than all nodes together can send.
+        noise: mean squared jerk of a motor's position in a noise burst [rad^2].
     """
 
     tendons: tuple[str, ...]
@@ -56,5 +62,5 @@ class Limits:
 
     @property
     def nodes(self) -> tuple[str, ...]:
-        """All that answers in every tick: the motors, then the load cells."""
+        """Return the names of all nodes: the motors, then the load cells."""
         return (*self.motors, LOAD_CELLS)

@@ -1,1 +1,1 @@
-"""What a tick shows to safety, and how much tension may be commanded then."""
+"""Inputs of the safety monitor: the thresholds of a hand, and replies beyond the requests."""

@@ -1,9 +1,10 @@
-"""Answers that nobody asked for: one too many from a node that was asked, or any at all from one that was not.
+"""Unsolicited and duplicate replies: a node sends more replies than this host has sent requests.
 
-A motor that answers although this host has asked it nothing yet was asked by another one: H13, the second controller,
-of which one frame is enough, as one of its own frames is. One answer more than questions is a duplicate (B05) or, with
-other bytes, a masquerade (B06). What counts as an answer is what drive and sensor node accept as one: a heartbeat
-beside it, or a frame with an old counter, is none. This runs only in ticks in which some node answered too often.
+A motor replying before the first request of this host was addressed by a second controller
+(H13). A single frame is enough, as for the second controller's own frames. A reply more than
+requests is a duplicate (B05), or a masquerade if the bytes differ (B06). Only frames accepted
+as a reply by the drive or the sensor node count. A heartbeat or a frame with an old counter does not.
+The code runs only in ticks with excess replies.
 """
 
 from collections.abc import Sequence
@@ -18,19 +19,22 @@ from handctl.drives.sensors.node import SensorNode
 def unsolicited(
     drives: tuple[Drive, ...], sensors: SensorNode, before: State, state: State, frames: Sequence[Frame]
 ) -> tuple[str, ...]:
-    """Judge the surplus of one tick; write duplicates into ``TWICE``.
+    """Judge the excess replies of a tick, and write duplicates into ``TWICE``.
 
     Args:
-        drives, sensors: of the hand.
-        before: state before the tick. state: with what was received in it.
-        frames: received in it.
+        drives: of the hand.
+        sensors: of the hand.
+        before: state before the tick.
+        state: with the data received in the tick.
+        frames: received in the tick.
 
     Returns:
-        of motors that were asked nothing and answered, a phrase each.
+        A phrase for each motor replying without a request.
     """
     twice, surplus = state.view("twice"), state.view("surplus").tolist()
     signs = []
     for n, count in enumerate(surplus):
+        # 1: replied without a request. More: number of replies to one request.
         if count == 1:
             signs.append(f"{drives[n].name} answering it")
         elif count:
@@ -38,6 +42,7 @@ def unsolicited(
     for group, count in enumerate(state.view("group_answered").tolist()):
         if count > 1:
             asked, can_id = before.whole(s.SYNC_ASKED), sensors.ids[group]
+            # The low four bits of the first payload byte echo the counter of the SYNC.
             fresh = [
                 frame.data
                 for frame in frames
@@ -48,12 +53,12 @@ def unsolicited(
 
 
 def _differ(payloads: list[bytes], due: int) -> int:
-    """Return 2 if what came beyond the questions is not all as the last answer that was due, else 1."""
+    """Return 2 if the excess replies differ from the last due reply, else 1."""
     return 2 if len(set(payloads[due - 1 :])) > 1 else 1
 
 
 def _answers(drive: Drive, before: State, n: int, frames: Sequence[Frame]) -> list[bytes]:
-    """Return the payloads of the frames that a drive's state machine counts as an answer, in order."""
+    """Return the payloads counted as replies by a drive's state machine, in order."""
     known, taken = before.drive(n), []
     for frame in frames:
         after = drive.receive(known, frame)

@@ -1,4 +1,4 @@
-"""Thresholds of the monitor for one hand: what its drives, its sensors and its model allow."""
+"""Thresholds of the safety monitor for a hand, from drives, sensors and model."""
 
 from collections.abc import Sequence
 
@@ -21,11 +21,14 @@ from handctl.safety.limits import (
 )
 
 JUMP_MARGIN = 1.5
-"""A position may step by so many times what the drive's top speed allows in a period."""
+"""Largest plausible step of a position, as a multiple of the drive's top speed times the period."""
 JOINT_RATE_RAD_S = 60.0
-"""Faster than any joint of a hand. Source: spool speed of the packaged hands over their smallest moment arm."""
+"""Speed above the range of any joint [rad/s].
+
+Source: spool speed of the packaged hands over their smallest moment arm.
+"""
 NOISE_STEPS = 6.0
-"""Counts of rounding in a jerk."""
+"""Encoder counts of rounding in the mean squared jerk."""
 
 
 def limits_of(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) -> Limits:
@@ -49,11 +52,15 @@ def limits_of(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) 
 def constants_of(
     model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode, limits: Limits, tare: Vector, zero: Vector
 ) -> HandConstants:
-    """Return the constants that the kernels read.
+    """Return the constants for the compiled code.
 
     Args:
-        model: the hand. drives, sensors: of it. limits: thresholds.
-        tare: (N,) load-cell tare [N]. zero: (N,) motor zero [rad].
+        model: the hand.
+        drives: of the hand.
+        sensors: of the hand.
+        limits: thresholds.
+        tare: (N,) load-cell tare [N].
+        zero: (N,) motor zero [rad].
     """
     hand, period = model.hand, model.period
     motor_period = np.array([max(period, drive.feedback_period_s) for drive in drives])
@@ -89,16 +96,18 @@ def constants_of(
 
 
 def frames_limit(drives: Sequence[Drive], sensors: SensorNode) -> int:
-    """Return how many frames in one tick are more than these nodes can have sent: twice what they answer."""
+    """Return the number of frames per tick of a flooded bus: twice the replies of all nodes."""
     return max(FRAMES_LEAST, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids))
 
 
 def _noise_limit(model: HandModel) -> float:
-    """Return the mean squared jerk of a motor's position that only noise makes [rad^2].
+    """Return the mean squared jerk of a motor's position in a noise burst [rad^2].
 
-    The drive's torque both ways on the bare rotor, and rounding.
+    The limit contains the drive's torque in alternating direction on the bare rotor, and encoder
+    rounding.
     """
     space, period = model.space, model.period
+    # Acceleration of the bare rotor at full torque [rad/s^2]: torque / spool = force, / mass, / spool.
     torque = float((model.torque_limit / space.spool / space.motor_mass / space.spool).max())
     rounding = NOISE_STEPS * float((space.encoder_step / space.spool).max()) ** 2
     return NOISE_FACTOR * ((0.1 * torque * period**2) ** 2 + rounding)

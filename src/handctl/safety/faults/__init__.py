@@ -1,3 +1,3 @@
-"""The fault declarations, imported in the order of the catalogue, which gives each fault its index."""
+"""Fault declarations, imported in the order of the catalogue, by which faults are indexed."""
 
 from handctl.safety.faults import bus, node, tendon, host  # noqa: F401, I001 - their order is that of the catalogue

@@ -1,4 +1,4 @@
-"""Rows B01 to B18: what goes wrong on the way."""
+"""Rows B01 to B18: faults of the bus."""
 
 from handctl.safety.action import Action, Release
 from handctl.safety.faults.fault import (
@@ -17,16 +17,17 @@ from handctl.safety.faults.fault import (
 from handctl.safety.limits import LOAD_CELLS, SILENT_S, SILENT_TICKS_LEAST
 
 WINDOW, SHORT = 100, 20
-"""Ticks over which losses, and misshapen frames, are counted."""
+"""Windows for the count of losses, and of malformed frames [ticks]."""
 LOST_SOME, LOST_MANY = 20, 40
-"""Losses of the last ``WINDOW`` ticks that hold the hand, and that relax it."""
+"""Losses within ``WINDOW`` ticks: above the first HOLD, above the second RELAX."""
 MISSHAPEN_LIMIT = 3
-"""Misshapen frames of a node in ``SHORT`` ticks."""
+"""Malformed frames of a node within ``SHORT`` ticks."""
 UNKNOWN_LIMIT = 50.0
-"""Frames with unknown identifiers a second."""
+"""Frames with unknown identifiers per second."""
 UNANSWERED = ("no acknowledge", "bus error", "protocol")
-"""Error frames of a bus on which nobody hears this host."""
+"""Texts of error frames without a receiver on the bus."""
 
+# Texts of the catalogue's columns for protocols without a direct sign.
 _COUNTER = f"{REPLACED}: load cells by their counter; a drive's answer has none, N14"
 _ORDER = f"{REPLACED}: load cells by their counter; drives have none"
 _CRC = f"{REPLACED}: no checksum of its own; wrong length, numbers that are none, and jumps (N05) are noticed"
@@ -76,6 +77,7 @@ B10 = fault("B10", "unknown identifiers", f"more than {UNKNOWN_LIMIT:g} frames a
 row("B11", "babbling idiot", ticks=3, asked=3)
 B11A = fault("B11a", "a flooded bus", "more frames than all nodes can send, two ticks", Action.RELAX, OPERATOR, HAND,
              debounce=2, name="bus")  # fmt: skip
+# Same condition as B11a. The longer debounce makes it the second stage.
 B11B = fault("B11b", "a flood that lasts", "the same for ten ticks", Action.CUT, OPERATOR, HAND, debounce=10,
              name="bus")  # fmt: skip
 

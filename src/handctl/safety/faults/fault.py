@@ -1,11 +1,13 @@
-"""What a fault is, and where faults are declared.
+"""Faults and rows of the catalogue, and their declaration.
 
-A row of the catalogue is something that can go wrong. A fault is a row that a tick can judge, or a stage of one. Both
-are declared once, in the file of their kind: ``bus``, ``node``, ``tendon``, ``host``. Tables in README and docs, the
-campaign's deadlines, the text of an event and the reaction follow from the declaration.
+A row of the catalogue is a possible failure. A fault is a row, or a stage of a row, judged in every
+tick. Each row and each fault is declared once, in the module of its kind: ``bus``,
+``node``, ``tendon``, ``host``. The tables in README and docs, the campaign's deadlines, the text of
+an event and the reaction follow from the declaration.
 
-A fault with ``per`` is found by a compiled detector in ``core.detectors``. Its declaration returns the index by which
-the detector addresses it, ``found[N07, motor]``. A fault with ``reports`` is told by a bus, the host or the recorder.
+A compiled detector in ``core.detectors`` finds a fault with ``per``. The declaration returns
+the index of the fault for the detector: ``found[N07, motor]``. A bus, the host or the
+recorder reports a fault with ``reports``.
 """
 
 from dataclasses import dataclass
@@ -14,29 +16,34 @@ from typing import NamedTuple
 from handctl.safety.action import Action, Release
 
 OPERATOR, ITSELF = "a person", "by itself"
-"""Who ends a fault: an operator, for what is latched, or the fault by going away."""
+"""Who ends a fault: an operator clears a latched fault, any other fault ends with the cause."""
 
 TENDON, MOTOR, JOINT, NODE, HAND = "tendon", "motor", "joint", "node", "hand"
-"""What the instances of a fault are. ``NODE``: motors, then the load cells. ``HAND``: a single one."""
+"""Kinds of instances of a fault. ``NODE``: the motors, then the load cells. ``HAND``: a single instance."""
 
 DETECTED, REPLACED, LOST = "detected", "replaced", "lost"
-"""How far a protocol shows a fault: it does, a weaker sign takes its place, or it does not."""
+"""Visibility of a fault in a protocol: visible, replaced by a weaker sign, or invisible."""
 TICK, ARMING, DRIVE, LOOP, FILES = "fault table", "before arming", "the drive itself", "loop and recorder", "files"
-"""Where a row is judged."""
+"""Places where a row is judged."""
 
 
 class Row(NamedTuple):
-    """One row of the catalogue.
+    """A row of the catalogue.
 
     Attributes:
-        id: of the row. title: what goes wrong.
-        where: it is judged.
-        mit, odrive, cia402: how far each protocol shows it; detected, or "replaced: by what", or "lost: why".
-        ticks, ms: latest reaction, together: so many ticks, and a time besides.
-        odrive_ms: what an ODrive needs besides, since it tells its state every 100 ms [ms].
-        asked: ticks of 5 ms that the project's fault catalogue gives an ideal drive; 0: none given, as before torque.
-        why: more ticks are needed than that; empty if not.
-        tried: ``campaign``, or the test that produces it.
+        id: of the row.
+        title: the failure.
+        where: place where the row is judged.
+        mit: visibility with the MIT protocol: detected, "replaced: SIGN" or "lost: REASON".
+        odrive: visibility with ODrive.
+        cia402: visibility with CiA 402.
+        ticks: latest reaction in ticks, plus ``ms``.
+        ms: time in addition to ``ticks`` [ms].
+        odrive_ms: additional time of an ODrive, with a heartbeat every 100 ms [ms].
+        asked: ticks of 5 ms for an ideal drive in the project's fault catalogue. 0: no time is
+            given, as before torque.
+        why: reason for more ticks than ``asked``, else empty.
+        tried: ``campaign``, or the test with the fault.
     """
 
     id: str
@@ -53,24 +60,26 @@ class Row(NamedTuple):
     tried: str = "campaign"
 
     def latest_ms(self, rate_hz: float) -> float:
-        """Return the latest reaction at a control rate [ms]; an ODrive's may take ``odrive_ms`` more."""
+        """Return the latest reaction at a control rate [ms]. An ODrive may take ``odrive_ms`` more."""
         return self.ticks * 1e3 / rate_hz + self.ms
 
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """A row that a tick can judge, or a stage of one.
+    """A row judged in every tick, or a stage of the row.
 
     Attributes:
-        id: row of the catalogue; a letter behind it tells its stages apart.
-        title: what it is, for an operator.
-        detection: how it is noticed.
-        action: what happens.
-        clears: who ends it, ``OPERATOR`` or ``ITSELF``.
-        debounce: consecutive ticks before it counts.
-        release: how RELAX takes the torque away because of this fault.
-        per: what its instances are; empty if it is reported. name: of the single instance of ``HAND``.
-        reports: kinds of events of buses and host that mean it; those of the recorder as ``recorder:WHAT``.
+        id: row of the catalogue, followed by a letter if the row has stages.
+        title: name for an operator.
+        detection: condition of the fault.
+        action: reaction.
+        clears: who ends the fault, ``OPERATOR`` or ``ITSELF``.
+        debounce: consecutive ticks before the fault counts.
+        release: method of removing the torque in RELAX.
+        per: kinds of instances, empty for a reported fault.
+        name: of the single instance of ``HAND``.
+        reports: kinds of bus and host events of the fault. Kinds of recorder events
+            begin with ``recorder:``.
     """
 
     id: str
@@ -86,30 +95,31 @@ class Fault:
 
     @property
     def reaction(self) -> str:
-        """Return the action as tables name it, with the way to relax."""
+        """Return the action as in the tables, with the method of relaxing."""
         return self.release.value if self.action == Action.RELAX else self.action.name
 
     @property
     def latched(self) -> bool:
-        """Whether the action stays until an operator clears it."""
+        """Return True if the action stays until an operator clears the fault."""
         return self.clears == OPERATOR
 
     @property
     def row(self) -> str:
-        """The row of the catalogue, without the stage."""
+        """Return the row of the catalogue, without the stage."""
+        # Stages are marked by a letter a to d behind the two digits.
         return self.id.rstrip("abcd")
 
 
 CATALOGUE: list[Row] = []
 """All rows, in the order of their declaration."""
 TABLE: list[Fault] = []
-"""All faults, likewise."""
+"""All faults, in the order of their declaration."""
 FOUND: list[tuple[Fault, str]] = []
-"""Fault and kind of instance of each row of what the detectors find; a fault of several kinds has one after another."""
+"""Fault and kind of instance of each row of the detectors' result table. The kinds of a fault follow each other."""
 
 
 def row(*args: object, **details: object) -> None:
-    """Declare a row of the catalogue; see ``Row``."""
+    """Declare a row of the catalogue. Arguments: see ``Row``."""
     CATALOGUE.append(Row(*args, **details))  # type: ignore[arg-type]
 
 
@@ -125,13 +135,15 @@ def fault(
     name: str = "",
     reports: tuple[str, ...] = (),
 ) -> int:
-    """Declare a fault; see ``Fault``.
+    """Declare a fault. Arguments: see ``Fault``.
 
     Returns:
-        the index of its row for detectors, that of the first kind of instance; -1 for a fault that is reported.
+        Row index of the fault's first kind of instance in the detectors' result table. -1 for a
+            reported fault.
     """
     one = Fault(id_, title, detection, action, clears, debounce, release, per, name, reports)
     TABLE.append(one)
+    # One detector row for each kind of instance. Detectors use the index of the first kind plus 1.
     first = len(FOUND)
     FOUND.extend((one, kind) for kind in per)
     return first if per else -1

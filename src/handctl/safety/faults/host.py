@@ -1,4 +1,4 @@
-"""Rows H01 to H15 and I01 to I10: what goes wrong on this side."""
+"""Rows H01 to H15 and I01 to I10: faults of the host, and of files and inputs."""
 
 from handctl.safety.action import Action, Release
 from handctl.safety.faults.fault import (
@@ -95,4 +95,4 @@ ON_HARDWARE: tuple[tuple[str, str], ...] = (
     ("T01", "cut a tendon in a grasp, from behind a screen"),
     ("H05", "kill -9 in a grasp; time the drives with a current probe"),
 )
-"""What only hardware can show; done with a date in ``docs/faults.md``."""
+"""Tests on hardware. ``docs/faults.md`` has them as a checklist with dates."""

@@ -1,27 +1,28 @@
-"""The fault table and the catalogue as pages, so that what README and docs promise is what the code does."""
+"""Tables of README and docs in Markdown, generated from the fault declarations."""
 
 from handctl.safety.faults.fault import TICK, Fault, Row
 from handctl.safety.faults.host import ON_HARDWARE
 from handctl.safety.faults.table import CATALOGUE, TABLE
 
 ASKED_MS = 5.0
-"""A tick of the ideal drive for which the project's fault catalogue is written."""
+"""Tick of the ideal drive in the project's fault catalogue [ms]."""
 RATE_HZ = 500.0
-"""Rate for which the catalogue gives times; that of the packaged hand with one motor a digit."""
+"""Control rate of the catalogue's times [Hz], as of the packaged hand with a motor per digit."""
 
 
 def fault_table(table: tuple[Fault, ...] = TABLE) -> str:
-    """The table in Markdown, a row a fault."""
+    """Return the fault table in Markdown, a row per fault."""
     rows = [f"| {f.id} | {f.title} | {f.detection} | {f.reaction} | {f.clears} |" for f in table]
     return "\n".join(["| id | fault | noticed by | action | ended |", "|---|---|---|---|---|", *rows])
 
 
 def catalogue(entries: tuple[Row, ...] = CATALOGUE) -> str:
-    """The catalogue in Markdown, with what each protocol can show."""
+    """Return the catalogue in Markdown, with the visibility of each row in each protocol."""
     head = "| id | fault | judged by | MIT | ODrive | CiA 402 | at the latest | tried by |"
     return "\n".join([head, "|---|---|---|---|---|---|---|---|", *map(_row, entries)])
 
 
+# A row may have several faults (its stages), or none if it is judged outside of ticks.
 def _row(entry: Row) -> str:
     judged = ", ".join(f"{f.id} {f.action.name}" for f in TABLE if f.row == entry.id) or entry.where
     latest = f"{entry.latest_ms(RATE_HZ):g} ms, {_ticks(entry)} ticks"
@@ -38,12 +39,15 @@ def _ticks(entry: Row) -> int:
 
 
 def late(entry: Row) -> bool:
-    """Whether a row takes more ticks than the project's fault catalogue gives it; never if it gives none."""
+    """Return True if a row takes more ticks than the project's fault catalogue allows.
+
+    A row without a time in the catalogue is never late.
+    """
     return 0 < entry.asked < _ticks(entry)
 
 
 def later(entries: tuple[Row, ...] = CATALOGUE) -> str:
-    """Rows that take more ticks than were asked for, and why, in Markdown."""
+    """Return the rows with a later reaction than in the project's fault catalogue, with reasons, in Markdown."""
     rows = [
         f"| {e.id} | {e.title} | {e.asked} | {_ticks(e)} | {e.asked * ASKED_MS:g} ms | {e.latest_ms(RATE_HZ):g} ms "
         f"| {e.why} |"
@@ -55,6 +59,6 @@ def later(entries: tuple[Row, ...] = CATALOGUE) -> str:
 
 
 def checklist() -> str:
-    """What hardware has to show, in Markdown."""
+    """Return the tests on hardware, in Markdown."""
     rows = [f"| {id_} | {text} |" for id_, text in ON_HARDWARE]
     return "\n".join(["| id | what to do |", "|---|---|", *rows])

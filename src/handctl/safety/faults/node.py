@@ -1,4 +1,4 @@
-"""Rows N01 to N17: what goes wrong in drives and sensors. N03 and N12 before arming are judged by the inventory."""
+"""Rows N01 to N17: faults of drives and sensors. The inventory judges N03, and N12 before arming."""
 
 from handctl.safety.action import Action, Release
 from handctl.safety.faults.bus import SHORT, SILENT_WHY
@@ -20,26 +20,37 @@ from handctl.safety.faults.fault import (
 from handctl.safety.limits import SILENT_S, SILENT_TICKS_LEAST
 
 STUCK_S, STUCK_GOAL_M, STUCK_TENSION_N, STUCK_JOINT_DEG = 0.1, 0.5e-3, 8.0, 10.0
-"""A motor's reading may be constant so long while its goal moves by so much, or the tension (a stretch of 80 um); a
-joint's while the spools turn it by so much."""
+"""Longest time of a constant reading while a reference moves, and the motion of each reference.
+
+For a motor: 0.5 mm of goal, or 8 N of tension (a stretch of 80 um). For a joint: 10 degrees
+as turned by the spools.
+"""
 SLIP_WARN_DEG, SLIP_TRIP_DEG = 3.0, 6.0
 NOISE_FACTOR = 9.0
-"""A noise burst has so many times the variance of: drive torque on the bare rotor, and so many counts of rounding."""
+"""Variance of a noise burst, as a multiple of the variance from drive torque on the bare rotor and encoder rounding."""
 WARM_TICKS = 20
 DISOBEYED_N = 15.0
 SWING_N, SWING_S, SWING_HZ = 8.0, 0.25, 8.0
-"""RMS of a swing [N], 11 N of amplitude, how long it lasts until it relaxes [s], and the frequency above which it
-counts [Hz]. A step of the command by 75 N at 5000 N/s is above it for 0.15 s."""
+"""RMS of a swing of tension [N] (an amplitude of 11 N), duration until the hand relaxes [s], and lowest
+frequency [Hz].
+
+A command step of 75 N at 5000 N/s exceeds the RMS for 0.15 s.
+"""
 HALVED_MISSES = 7
-"""So many of ``SHORT`` ticks a node misses that answers every second one; where its turn shifts, two in a row."""
+"""Misses within ``SHORT`` ticks of a node at half rate.
+
+Two misses in a row occur where the phase shifts.
+"""
 LIMP_AFTER_S, LIMP_FRACTION, LIMP_N = 0.1, 0.5, 10.0
-"""A tendon that still bears this fraction, and so much, so long after the torque was cut is being pulled.
+"""Time after a cut of the torque [s], and least fraction and tension [N] of a tendon still pulled then.
 
-In a grasp that lets go, the packaged hands' tendons bear at most a third by then, and a motor that holds on at least
-0.74."""
+In a released grasp, the packaged hands' tendons bear at most a third after this time. With a motor
+still pulling, at least 0.74.
+"""
 REPORTED_PART, REPORTED_S = 0.4, 0.25
-"""Fraction of the command's changes that a drive must report, and time constant over which it is judged [s]."""
+"""Least reported fraction of the command's changes, and time constant of the comparison [s]."""
 
+# Texts of the catalogue's columns for protocols without a direct sign.
 _BEAT = f"{DETECTED}: by the heartbeat, every 100 ms"
 _BESIDE = f"{LOST}: cyclic messages come beside the answers"
 _JOINTS = f"{REPLACED}: only where there are joint encoders; else the motor's encoder has no second"

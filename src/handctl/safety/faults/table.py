@@ -1,4 +1,4 @@
-"""The fault table as it was declared, and what the compiled judgement needs of it."""
+"""The fault table and the catalogue as declared, and arrays for the compiled judge."""
 
 import numpy as np
 
@@ -12,13 +12,14 @@ CATALOGUE: tuple[Row, ...] = tuple(declared.CATALOGUE)
 """All rows of the catalogue."""
 
 FOUND: tuple[tuple[Fault, str], ...] = tuple(declared.FOUND)
-"""Fault and kind of instance of each row of what the detectors find."""
+"""Fault and kind of instance of each row of the detectors' result table."""
 DEBOUNCE = np.array([fault.debounce for fault, _ in FOUND], dtype=np.int64)
+"""(rows,) consecutive ticks before a fault counts."""
 ACTIONS = np.array([int(fault.action) for fault, _ in FOUND], dtype=np.int64)
-"""(rows,) consecutive ticks before each counts, and what it demands."""
+"""(rows,) action of the fault."""
 
 REPORTS: dict[str, tuple[Fault, ...]] = {
     kind: tuple(fault for fault in TABLE if kind in fault.reports)
     for kind in dict.fromkeys(kind for fault in TABLE for kind in fault.reports)
 }
-"""Faults that a report of a bus, the host or the recorder means."""
+"""Faults of each kind of report from a bus, the host or the recorder."""

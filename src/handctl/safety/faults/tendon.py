@@ -1,24 +1,31 @@
-"""Rows T01 to T09: what goes wrong with tendons and their load cells. T07 is judged by commissioning."""
+"""Rows T01 to T09: faults of tendons and their load cells. Commissioning judges T07."""
 
 from handctl.safety.action import Action, Release
 from handctl.safety.faults.fault import ARMING, DETECTED, ITSELF, OPERATOR, REPLACED, TENDON, TICK, fault, row
 
 TAUT_N, SLACK_N = 2.5, 2.0
-"""Filtered tension above which a tendon is taut, and below which it is slack."""
+"""Filtered tension of a taut tendon (above the first), and of a slack tendon (below the second) [N]."""
 SNAP_FRACTION, SNAP_N, SNAP_SPEED, SNAP_MEMORY_S = 0.2, 8.0, 0.03, 0.1
-"""A tendon has snapped if it bears less than this fraction of at least so much, its spool winds at least so fast [m/s],
-and it was taut not longer ago than this [s]: one that is taken up was not taut; one that lost its load still is."""
+"""Thresholds of a snapped tendon: tension fraction, least tension before [N], spool speed [m/s], memory [s].
+
+A tendon has snapped if the tension is less than the fraction of at least ``SNAP_N``, the spool
+winds at least at ``SNAP_SPEED``, and the tendon was taut within the last ``SNAP_MEMORY_S``. A
+tendon in take-up was not taut before. A tendon without load is still taut.
+"""
 SLACK_WARN_S, SLACK_TRIP_S = 0.05, 0.5
 RELAXED_S = 0.1
-"""After so long of relaxing no tendon of a motor that obeys is above its trip [s]."""
+"""Time from the start of relaxing until every tendon of an obeying motor is below the trip limit [s]."""
 RESIDUAL_WARN_N, RESIDUAL_TRIP_N, FRICTION_WARN_N = 5.0, 10.0, 3.0
 CELL_TICKS, CELL_FORCE_N = 40, 5.0
-"""A load cell may repeat one count so often while the motor's force moves by so much; its noise is eight counts."""
+"""Equal counts in a row of a stuck load cell, and motion of the motor's force meanwhile [N].
+
+The noise of a healthy cell is eight counts.
+"""
 SAME_LEAST, SAME_WINDOW = 8, 16
-"""Readings in a row that are as they were, from which on chance is asked; readings from which chance is estimated."""
+"""Repeated readings in a row before the test for chance, and number of readings in the estimate of chance."""
 SATURATED_TICKS = 3
 DERAILED_DEG, DERAILED_READINGS = 15.0, 3
-"""Joint against spool, unfiltered, beyond any stretch of a tendon; and in so many readings in a row."""
+"""Difference of joint and spool, unfiltered, beyond any stretch of a tendon [deg], and consecutive readings."""
 
 _SLACK = f"{REPLACED}: only where there are joint encoders, by three readings; else by slack (T02)"
 _ODRIVE = f"{DETECTED}: against the commanded torque"
