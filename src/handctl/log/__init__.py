@@ -1,1 +1,1 @@
-"""The log room: recorder, topics, reader and recovery of MCAP files that common robotics tools just open."""
+"""Recorder, topics, reader and recovery of MCAP logs. Common robotics tools open the logs as they are."""

@@ -1,4 +1,4 @@
-"""Records of many ticks, turned into arrays at once."""
+"""Batches of ticks: the records of many ticks as arrays."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -13,6 +13,7 @@ from handctl.log.record import FIXED, FRAME_SIZE, SIZES, TickRecord, layout, unp
 FRAME_DTYPE = np.dtype(
     [("t_ns", "<i8"), ("can_id", "<u4"), ("flags", "<u2"), ("bus", "u1"), ("length", "u1"), ("data", "u1", (8,))]
 )
+"""Layout of a CAN frame in a Tick message, 24 bytes little-endian."""
 FIXED_DTYPE = np.dtype(
     {
         "names": ["k", "t_ns", "late_ns", "state_hash", "mode", "action"],
@@ -21,7 +22,9 @@ FIXED_DTYPE = np.dtype(
         "itemsize": FIXED.size,
     }
 )
+"""Layout of the constant part of a Tick message. The hash is opaque bytes (V8)."""
 _QUIET_LIMIT = 256
+"""Maximum number of cached message tails. A log without events has one tail per phase."""
 
 
 class Frames(NamedTuple):
@@ -29,7 +32,7 @@ class Frames(NamedTuple):
 
     Attributes:
         frames: (m,) FRAME_DTYPE.
-        tick: (m,) index of the tick each belongs to.
+        tick: (m,) index of the tick of each frame.
         long_data: bytes beyond the eighth of each longer frame, in order.
     """
 
@@ -42,10 +45,11 @@ class Batch(NamedTuple):
     """n ticks as arrays.
 
     Attributes:
-        messages: the Tick message of each.
-        k, t_ns, late_ns: (n,) int64.
+        messages: the Tick message of each tick.
+        k: (n,) tick numbers.
+        t_ns, late_ns: (n,) time since the start of the run, and lateness [ns].
         mode, action: (n,) uint8.
-        phases: grasp phase of each.
+        phases: grasp phase of each tick.
         numbers: (n, columns) telemetry in the order of Telemetry.packed.
         received, sent: the frames.
         notable: index -> decoded record of each tick with events, requests or io events.
@@ -65,10 +69,12 @@ class Batch(NamedTuple):
 
 
 def layout_of(header: RunHeader, width: int) -> tuple[str, ...]:
-    """Return the fields of a telemetry row of so many columns: logs of earlier versions lack the last ones.
+    """Return the fields of a telemetry row with `width` columns.
+
+    Logs of earlier versions lack the last fields.
 
     Args:
-        header: of the run.
+        header: header of the run.
         width: columns of a row.
     """
     earlier = TELEMETRY_FIELDS[:TELEMETRY_FIRST]
@@ -76,16 +82,16 @@ def layout_of(header: RunHeader, width: int) -> tuple[str, ...]:
 
 
 def columns_of(header: RunHeader, fields: tuple[str, ...]) -> int:
-    """Return how many columns these fields take."""
+    """Return the number of columns of the given fields."""
     return sum(len(header.axis(TELEMETRY_AXES[name])) for name in fields)
 
 
 def columns(header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIELDS) -> dict[str, slice]:
-    """Return where each field of the telemetry is in a row.
+    """Return the columns of each telemetry field in a row.
 
     Args:
-        header: of the run.
-        fields: of the row, in order.
+        header: header of the run.
+        fields: fields of the row, in order.
     """
     places, at = {}, 0
     for name in fields:
@@ -97,23 +103,38 @@ def columns(header: RunHeader, fields: tuple[str, ...] = TELEMETRY_FIELDS) -> di
 
 @dataclass(slots=True)
 class _Direction:
+    """Frames of one direction, collected tick by tick.
+
+    Attributes:
+        parts: frames of each tick as FRAME_DTYPE bytes.
+        counts: number of frames of each tick.
+        long_parts: bytes beyond the eighth.
+    """
+
     parts: list[bytes] = field(default_factory=list)
     counts: list[int] = field(default_factory=list)
     long_parts: list[bytes] = field(default_factory=list)
 
     def frames(self) -> Frames:
+        """Return the collected frames."""
         tick = np.repeat(np.arange(len(self.counts)), self.counts)
         return Frames(np.frombuffer(b"".join(self.parts), FRAME_DTYPE), tick, b"".join(self.long_parts))
 
 
 class Batcher:
-    """Collects bodies of tick records until they are taken as a batch.
+    """Collects bodies of tick records until a batch is taken.
 
-    Args:
-        header: gives the number of columns of the telemetry.
+    Attributes:
+        misshapen: ticks whose telemetry had another shape than the header describes.
+        size: bytes of the records collected so far.
     """
 
     def __init__(self, header: RunHeader) -> None:
+        """Start with an empty batch.
+
+        Args:
+            header: header of the run. Gives the number of telemetry columns.
+        """
         self._sizes = tuple(len(header.axis(name)) for name in ("joint", "tendon", "motor", "digit"))
         self._width = sum(len(header.axis(axis)) for axis in TELEMETRY_AXES.values())
         self._quiet: dict[bytes, str] = {}
@@ -129,10 +150,17 @@ class Batcher:
         self.size = 0
 
     def __len__(self) -> int:
+        """Return the number of ticks in the batch."""
         return len(self._messages)
 
     def add(self, body: bytes) -> int:
-        """Take in one tick and return its t_ns; telemetry of a wrong shape becomes NaN and is counted."""
+        """Add one tick and return its t_ns.
+
+        Telemetry of a wrong shape becomes NaN and is counted in `misshapen`.
+
+        Args:
+            body: body of a tick record, see `handctl.log.record`.
+        """
         size, *sizes = SIZES.unpack_from(body)
         message, numbers = body[SIZES.size : SIZES.size + size], body[SIZES.size + size :]
         if tuple(sizes) != self._sizes or len(numbers) != 8 * self._width:
@@ -145,6 +173,7 @@ class Batcher:
         return int(FIXED.unpack_from(message, 4)[1])
 
     def _add_frames(self, message: bytes) -> None:
+        """Append the frames of a Tick message to both directions, then its events."""
         places = layout(message)
         for direction, place in ((self._received, places.received), (self._sent, places.sent)):
             direction.parts.append(message[place])
@@ -154,12 +183,22 @@ class Batcher:
         self._add_tail(message, places.tail)
 
     def _add_long(self, data: bytes) -> None:
+        """Split the bytes beyond the eighth into those of received and of sent frames."""
         lengths = np.frombuffer(self._received.parts[-1], FRAME_DTYPE)["length"].astype(int)
+        # The message has the bytes of all received frames first, then those of all sent frames.
         split = int(np.maximum(lengths - 8, 0).sum())
         self._received.long_parts.append(data[:split])
         self._sent.long_parts.append(data[split:])
 
     def _add_tail(self, message: bytes, at: int) -> None:
+        """Append the phase of a Tick message. Keep the decoded tick if it has events, requests or io events.
+
+        Args:
+            message: the Tick message.
+            at: start of the phase in the message [bytes].
+        """
+        # Nearly all ticks have no event, and their tails (phase, empty lists) are equal. The cache avoids
+        # decoding CDR text for each of them.
         tail = message[at:]
         phase = self._quiet.get(tail)
         if phase is None:
@@ -172,7 +211,8 @@ class Batcher:
         self._phases.append(phase)
 
     def take(self) -> Batch:
-        """Everything collected since the last call."""
+        """Return the batch of all ticks since the last call, and begin a new one."""
+        # Four bytes of CDR encapsulation precede the constant part.
         fixed = np.frombuffer(b"".join([message[4 : 4 + FIXED.size] for message in self._messages]), FIXED_DTYPE)
         numbers = np.frombuffer(b"".join(self._numbers), "<f8").reshape(len(fixed), self._width)
         batch = Batch(

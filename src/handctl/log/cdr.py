@@ -1,73 +1,89 @@
-"""CDR, the encoding of ROS 2 messages: a small writer and reader, and templates whose layout never changes.
+"""CDR, the encoding of ROS 2 messages: a writer, a reader, and templates of constant layout.
 
-Source: OMG CORBA 3.0, section 15.3 (alignment relative to the byte after the encapsulation header), as rosbags and
-mcap-ros2-support implement it: an empty sequence is its length only, a string's length counts its NUL.
+Encapsulation (4 bytes: 0x00, 0x01 for little-endian plain CDR, two option bytes), then the fields in order. A number of
+n bytes is aligned to a multiple of n, counted from the byte after the encapsulation. A string is its length as uint32
+with the closing NUL counted, the bytes, and the NUL. A sequence is its length as uint32 and the elements. An empty
+sequence is only its length.
+
+Source: OMG CORBA 3.0, section 15.3, as rosbags and mcap-ros2-support implement it.
 """
 
 import struct
 from dataclasses import dataclass
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
-"""Little-endian plain CDR."""
+"""Encapsulation header of little-endian plain CDR."""
 
 _U32, _I64 = struct.Struct("<I"), struct.Struct("<q")
 
 
 class CdrWriter:
-    """Appends aligned values to ``data``.
-
-    Args:
-        start: offset of the first byte within the message body, for a part that is appended to others.
-    """
+    """Appends aligned values to `data`."""
 
     def __init__(self, start: int = 0) -> None:
+        """Start an empty message, or a part of one.
+
+        Args:
+            start: offset of the first byte within the message body, for a part that is appended to other parts.
+        """
         self.data = bytearray()
         self._start = start
 
     def align(self, size: int) -> None:
-        """Pad with zeros to a multiple of size."""
+        """Put zeros up to a multiple of `size` bytes."""
+        # In Python -n % size is the distance from n up to the next multiple of size.
         self.data += bytes(-(self._start + len(self.data)) % size)
 
     def put(self, code: str, value: float) -> None:
-        """One number, as a ``struct`` format character."""
+        """Append one number.
+
+        Args:
+            code: `struct` format character.
+            value: the number.
+        """
         self.align(struct.calcsize("<" + code))
         self.data += struct.pack("<" + code, value)
 
     def count(self, number: int) -> None:
-        """Length of a sequence."""
+        """Append the length of a sequence."""
         self.put("I", number)
 
     def text(self, value: str) -> None:
-        """A string; a lone surrogate, which no other reader could decode, is escaped."""
+        """Append a string. A lone surrogate is escaped because other readers cannot decode it."""
         raw = value.encode("utf-8", "backslashreplace")
         self.count(len(raw) + 1)
         self.data += raw + b"\0"
 
     def texts(self, values: tuple[str, ...]) -> None:
-        """A sequence of strings."""
+        """Append a sequence of strings."""
         self.count(len(values))
         for value in values:
             self.text(value)
 
     def message(self) -> bytes:
-        """The whole message with its encapsulation header."""
+        """Return the whole message with its encapsulation header."""
         return ENCAPSULATION + bytes(self.data)
 
 
 class CdrReader:
-    """Reads aligned values and never beyond the end.
+    """Reads aligned values and stops at the end of the message.
 
     Raises:
-        ValueError: from every method, when the message is shorter than it says.
+        ValueError: from every method, if the message ends before the value.
     """
 
     def __init__(self, message: bytes) -> None:
+        """Start after the encapsulation.
+
+        Raises:
+            ValueError: the message is not little-endian plain CDR.
+        """
         if message[:4] != ENCAPSULATION:
             raise ValueError("not little-endian CDR")
         self._data, self._at = message, 4
 
     def take(self, size: int) -> bytes:
-        """The next size bytes, unaligned."""
+        """Return the next `size` bytes, without alignment."""
         end = self._at + size
         if end > len(self._data):
             raise ValueError(f"message ends {end - len(self._data)} bytes early")
@@ -75,33 +91,34 @@ class CdrReader:
         return part
 
     def align(self, size: int) -> None:
-        """Skip the padding."""
+        """Move to a multiple of `size` bytes."""
         self._at += -(self._at - 4) % size
 
     def count(self) -> int:
-        """Length of a sequence."""
+        """Read the length of a sequence."""
         self.align(4)
         return int(_U32.unpack(self.take(4))[0])
 
     def i64(self) -> int:
-        """A signed 64-bit integer."""
+        """Read a signed 64-bit integer."""
         self.align(8)
         return int(_I64.unpack(self.take(8))[0])
 
     def text(self) -> str:
-        """A string."""
+        """Read a string."""
         size = self.count()
+        # The length counts the closing NUL. An empty string of some writers has length 0.
         return self.take(size)[: max(size - 1, 0)].decode()
 
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """A message of constant layout: only the marked places change.
+    """A message of constant layout in which only the listed fields change.
 
     Attributes:
-        data: the message, all variable places zero.
+        data: the message with zeros in all variable fields.
         stamps: offsets of the 8-byte time stamps.
-        places: name -> (offset, numpy format, number of values) of everything else that changes.
+        places: name -> (offset, numpy format, number of values) of every other variable field.
     """
 
     data: bytes
@@ -110,26 +127,34 @@ class Template:
 
 
 class TemplateWriter(CdrWriter):
-    """Builds a template."""
+    """Builds a template: like CdrWriter, with variable fields."""
 
     def __init__(self) -> None:
+        """Start with an empty message."""
         super().__init__()
         self._stamps: list[int] = []
         self._places: dict[str, tuple[int, str, int]] = {}
 
     def stamp(self) -> None:
-        """Place of a builtin_interfaces/Time."""
+        """Append a builtin_interfaces/Time that changes."""
         self.align(4)
+        # Offsets count from the start of the message. The encapsulation is 4 bytes long.
         self._stamps.append(len(self.data) + 4)
         self.data += bytes(8)
 
     def header(self, frame_id: str = "") -> None:
-        """A std_msgs/Header with constant frame_id."""
+        """Append a std_msgs/Header with a constant frame_id."""
         self.stamp()
         self.text(frame_id)
 
     def place(self, name: str, code: str, number: int = 1) -> None:
-        """Place of number values of one numpy format, e.g. "<f8"."""
+        """Append a variable field.
+
+        Args:
+            name: name of the field.
+            code: numpy format, for example "<f8".
+            number: number of values.
+        """
         size = int(code[-1])
         if number:
             self.align(size)
@@ -137,11 +162,11 @@ class TemplateWriter(CdrWriter):
         self.data += bytes(size * number)
 
     def floats(self, name: str, number: int) -> None:
-        """A float64 sequence of constant length; no place if it is empty."""
+        """Append a float64 sequence of constant length. An empty sequence has no variable field."""
         self.count(number)
         if number:
             self.place(name, "<f8", number)
 
     def template(self) -> Template:
-        """The finished template."""
+        """Return the finished template."""
         return Template(self.message(), tuple(self._stamps), dict(self._places))

@@ -1,8 +1,8 @@
-"""Where the chunks of a log are, kept small until its end: a log of a day has a third of a million of them.
+"""Compact table of the chunks of a log that is being written. A log of one day has about 350,000 chunks.
 
-MCAP wants an index of all chunks behind the last one. As records of the mcap package they took 2 KB each, which is
-30 MB an hour; here a chunk takes 64 bytes, for how its channels lie behind it repeats itself, and a third of that from
-the next full block on: its numbers hardly differ from those of the chunk before.
+MCAP requires an index of all chunks behind the last chunk. As records of the mcap package the index takes 2 KB per
+chunk, which is 30 MB per hour. Here a chunk takes 64 bytes, because few arrangements of message indexes occur and each
+is stored once. Full blocks are compressed to a third, because successive chunks have similar numbers.
 """
 
 import struct
@@ -13,17 +13,21 @@ from typing import NamedTuple
 from mcap.records import ChunkIndex
 
 _CHUNK = struct.Struct("<QQQQQQQQ")
+"""ChunkAt, then the number of the arrangement of message indexes."""
 _CHANNEL = struct.Struct("<HQ")
+"""Channel id, offset of its message index behind the chunk's end."""
 BLOCK = 512
-"""Chunks that are packed together."""
+"""Chunks per compressed block."""
 
 
 class ChunkAt(NamedTuple):
     """One chunk.
 
     Attributes:
-        start, length: of its record. packed, size: bytes of its messages, compressed and not.
-        first, last: times of its messages [ns]. indexes: length of the message indexes behind it.
+        start, length: position of its record in the file [bytes].
+        packed, size: size of its messages, compressed and uncompressed [bytes].
+        first, last: times of its messages [ns].
+        indexes: length of the message indexes behind the chunk [bytes].
     """
 
     start: int
@@ -36,31 +40,34 @@ class ChunkAt(NamedTuple):
 
 
 class ChunkPlaces:
-    """All chunks so far, in the order of the file."""
+    """All chunks written so far, in the order of the file."""
 
     def __init__(self) -> None:
+        """Start with an empty table."""
         self._packed: list[bytes] = []
         self._latest = bytearray()
         self._layouts: dict[bytes, int] = {}
 
     def __len__(self) -> int:
+        """Return the number of chunks."""
         return BLOCK * len(self._packed) + len(self._latest) // _CHUNK.size
 
     def add(self, chunk: ChunkAt, behind: dict[int, int]) -> None:
-        """One more chunk.
+        """Append a chunk.
 
         Args:
-            chunk: where it is.
-            behind: by channel, how far behind the chunk's end its message index begins.
+            chunk: the chunk.
+            behind: channel -> distance from the chunk's end to the message index of the channel [bytes].
         """
         layout = b"".join([_CHANNEL.pack(*one) for one in behind.items()])
+        # `setdefault` numbers the arrangements in the order of their first use.
         self._latest += _CHUNK.pack(*chunk, self._layouts.setdefault(layout, len(self._layouts)))
         if len(self._latest) == BLOCK * _CHUNK.size:
             self._packed.append(zlib.compress(self._latest))
             self._latest.clear()
 
     def indexes(self) -> Iterator[ChunkIndex]:
-        """The record of each."""
+        """Yield the ChunkIndex record of each chunk."""
         layouts = [tuple(_CHANNEL.iter_unpack(layout)) for layout in self._layouts]
         for *fields, layout in self._rows():
             chunk = ChunkAt(*fields)
@@ -78,5 +85,6 @@ class ChunkPlaces:
             )
 
     def _rows(self) -> Iterator[tuple[int, ...]]:
+        """Yield the stored numbers of each chunk."""
         for block in (*map(zlib.decompress, self._packed), bytes(self._latest)):
             yield from _CHUNK.iter_unpack(block)

@@ -1,6 +1,12 @@
-"""The MCAP container: whole runs of messages at once, because one call per message is what costs in Python.
+"""The MCAP container. Messages are written in blocks, because one call per message is expensive in Python.
 
-Rare records are written by the mcap package; chunks and message indexes, the only ones that matter for speed, here.
+The mcap package writes the rare records. Chunks and message indexes dominate the time and are written here:
+
+Chunk: opcode u8, length u64, first time u64 [ns], last time u64 [ns], uncompressed size u64, CRC-32 u32, compression
+as a text (u32 length), compressed size u64, compressed records.
+MessageIndex: opcode u8, length u64, channel u16, size of the entries u32, entries (log time u64 [ns], offset in the
+uncompressed chunk u64).
+
 Source: MCAP specification, sections Records and Chunk.
 """
 
@@ -36,21 +42,24 @@ from handctl.log.chunk_places import ChunkAt, ChunkPlaces
 
 MAGIC = b"\x89MCAP0\r\n"
 MESSAGE = struct.Struct("<BQHIQQ")
-"""Start of a Message record: opcode, length, channel, sequence, log time, publish time."""
+"""Start of a Message record: opcode, length, channel, sequence, log time [ns], publish time [ns]."""
 _RECORD = struct.Struct("<BQ")
+"""Start of every record: opcode, length."""
 _CHUNK = struct.Struct("<QQQII3sQ")
+"""Start of a Chunk record after `_RECORD`, with the compression "lz4"."""
 _INDEX = struct.Struct("<BQHI")
+"""Start of a MessageIndex record: opcode, length, channel, size of the entries."""
 _INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
 
 
 class Run(NamedTuple):
-    """Message records of one channel, one after the other.
+    """Consecutive Message records of one channel.
 
     Attributes:
         channel: channel id.
         data: the records, each with its Message header.
         log_times: (n,) uint64 [ns].
-        offsets: (n,) start of each record within data.
+        offsets: (n,) start of each record within data [bytes].
     """
 
     channel: int
@@ -60,7 +69,7 @@ class Run(NamedTuple):
 
 
 def serialised(records: Iterable[McapRecord]) -> bytes:
-    """The records as bytes."""
+    """Return the records as bytes."""
     builder = RecordBuilder()
     for record in records:
         record.write(builder)
@@ -69,6 +78,8 @@ def serialised(records: Iterable[McapRecord]) -> bytes:
 
 @dataclass(slots=True)
 class _Summary:
+    """Contents of the summary section, collected while the file is written."""
+
     schemas: list[McapRecord] = field(default_factory=list)
     channels: list[McapRecord] = field(default_factory=list)
     chunks: ChunkPlaces = field(default_factory=ChunkPlaces)
@@ -80,36 +91,44 @@ class _Summary:
 
 
 class Container:
-    """An MCAP file being written, unbuffered; ``good`` is its length up to the last complete record.
+    """An MCAP file being written, without a buffer.
 
-    Args:
-        descriptor: file descriptor open for writing, at its start.
+    Attributes:
+        good: length of the file up to the last complete record [bytes].
 
     Raises:
-        OSError: from every method that writes; then only ``cut_back`` may follow.
+        OSError: from every method that writes. Afterwards only `cut_back` may follow.
     """
 
     def __init__(self, descriptor: int) -> None:
+        """Write the header of the file.
+
+        Args:
+            descriptor: file descriptor open for writing, at its start.
+        """
         self._fd, self._crc, self._at, self.good = descriptor, 0, 0, 0
         self._summary = _Summary()
         self._put(MAGIC + serialised([Header("ros2", "handctl")]))
 
     @property
     def messages(self) -> int:
-        """Messages written so far."""
+        """Return the number of messages written so far."""
         return self._summary.counts.total()
 
     def _put(self, data: bytes) -> int:
+        """Write all bytes and return their offset in the file."""
         start, view = self._at, memoryview(data)
         while view:
+            # A write may be short, for example on a nearly full disk.
             written = os.write(self._fd, view)
             self._at, view = self._at + written, view[written:]
         self._crc = zlib.crc32(data, self._crc)
+        # Set only after the last byte: `cut_back` returns to here.
         self.good = self._at
         return start
 
     def cut_back(self) -> None:
-        """Drop what a failed write left behind the last complete record."""
+        """Remove the remains of a failed write behind the last complete record."""
         os.ftruncate(self._fd, self.good)
         os.lseek(self._fd, self.good, os.SEEK_SET)
         self._at = self.good
@@ -136,7 +155,7 @@ class Container:
         self._summary.metadata.append(MetadataIndex(offset=self._put(raw), length=len(raw), name=name))
 
     def chunk(self, runs: Sequence[Run], schemas: Sequence[Schema] = (), channels: Sequence[Channel] = ()) -> None:
-        """Write one compressed chunk with its message indexes; new schemas and channels come first in it."""
+        """Write one compressed chunk with its message indexes. New schemas and channels come first in the chunk."""
         head = serialised([*schemas, *channels])
         content = b"".join([head, *(run.data for run in runs)])
         packed = lz4.frame.compress(content)
@@ -158,11 +177,13 @@ class Container:
         """Write the summary and the footer."""
         self._put(serialised([DataEnd(self._crc)]))
         body, offset_start = self._summary_section(self._at)
+        # The CRC of the summary covers the footer up to its own field: opcode, length 20, and both offsets.
         fields = struct.pack("<BQQQ", Opcode.FOOTER, 20, self._at, offset_start)
         footer = serialised([Footer(self._at, offset_start, zlib.crc32(fields, zlib.crc32(body)))])
         self._put(body + footer + MAGIC)
 
     def _statistics(self) -> Statistics:
+        """Return the Statistics record."""
         one = self._summary
         return Statistics(
             attachment_count=len(one.attachments),
@@ -177,6 +198,11 @@ class Container:
         )
 
     def _summary_section(self, start: int) -> tuple[bytes, int]:
+        """Return the summary section and the offset of its SummaryOffset records in the file.
+
+        Args:
+            start: offset of the section in the file [bytes].
+        """
         one, body = self._summary, b""
         offsets: list[McapRecord] = []
         groups: list[tuple[Opcode, Iterable[McapRecord]]] = [
@@ -196,7 +222,12 @@ class Container:
 
 
 def _indexes(runs: Sequence[Run], base: int) -> tuple[bytes, dict[int, int]]:
-    """Message indexes of runs that begin at ``base`` in their chunk, and where in them that of each channel begins."""
+    """Return the message indexes behind a chunk, and the offset of each channel's index within them.
+
+    Args:
+        runs: the messages of the chunk.
+        base: start of the first message in the uncompressed chunk [bytes].
+    """
     entries: dict[int, list[NDArray[np.void]]] = {}
     for run in runs:
         part = np.empty(len(run.offsets), _INDEX_ENTRY)

@@ -1,4 +1,4 @@
-"""What is known of a run before its first tick."""
+"""Header of a run: everything known before the first tick."""
 
 import json
 import tomllib
@@ -11,31 +11,31 @@ from handctl.hand.file.quantities import NAME_PATTERN
 from handctl.printing import encodable
 
 TRUTH_OFFSET = "truth_offset_ns"
-"""In the metadata of a lockstep run: its t = 0 on the simulator's clock, which commissioning has moved on [ns]."""
+"""Metadata key of a lockstep run: t = 0 of the run on the simulator's clock [ns]. Commissioning advances this clock."""
 PERIODS_NS = (10_000, 10_000_000_000)
 """Shortest and longest period of a tick in a log [ns]."""
 LATEST_NS = 1 << 62
-"""Latest time in a log [ns]: the sum of two of them, and UNIX time until 2116, fit into 64 bits."""
+"""Latest time in a log [ns]. The sum of two such times, and UNIX time until 2116, fits into 64 bits."""
 NAMES = ("joints", "tendons", "motors", "digits", "buses")
 """Lists of names in a header."""
 MAX_NAMES = 1000
-"""Names in one list."""
+"""Maximum length of a list of names."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunHeader:
-    """Written first, so that it survives whatever ends the run.
+    """Header of a run. It is written first and survives whatever ends the run.
 
     Attributes:
-        hand_toml: the hand's description, resolved.
+        hand_toml: the resolved description of the hand.
         joints, tendons, motors, digits, buses: names in the order of the hand file.
         period_ns: period of the tick [ns].
-        offset_ns: UNIX time at t = 0 [ns]; one per run; 0 in a deterministic run.
-        metadata: version, bus, seed, operator's note ...: the metadata record ``handctl``.
-        gains: name -> value at the start: the metadata record ``handctl.gains`` and the first parameter event.
+        offset_ns: UNIX time at t = 0 [ns], one per run. 0 in a deterministic run.
+        metadata: version, bus, seed, operator's note ...: the metadata record `handctl`.
+        gains: name -> value at the start: the metadata record `handctl.gains` and the first parameter event.
         attachments: file name -> bytes, e.g. hand.urdf, gains.toml, calibration.toml, task.toml, initial_state.
-        wall: all that depends on the machine or the wall clock: the metadata record ``handctl.wall``.
-        deterministic: a lockstep run: nothing is dropped, no clock is read, equal runs give equal streams.
+        wall: facts of the machine and the wall clock: the metadata record `handctl.wall`.
+        deterministic: a lockstep run. No tick is dropped, no clock is read, equal runs give equal streams.
     """
 
     hand_toml: str
@@ -54,7 +54,13 @@ class RunHeader:
 
     @classmethod
     def of_hand(cls, hand_toml: str, period_ns: int, **more: object) -> Self:
-        """Header with all names taken from the hand's description; ``more`` as the other attributes."""
+        """Create a header with all names from the hand's description.
+
+        Args:
+            hand_toml: the description.
+            period_ns: period of the tick [ns].
+            more: the other attributes.
+        """
         hand = tomllib.loads(hand_toml)
         joints = tuple(f"{d['name']}_j{i + 1}" for d in hand["digit"] for i in range(len(d["link_length_m"])))
         names = {part: tuple(one["name"] for one in hand[part]) for part in ("tendon", "motor", "digit", "bus")}
@@ -76,15 +82,15 @@ class RunHeader:
         metadata: Mapping[str, dict[str, str]],
         attachments: dict[str, bytes],
     ) -> Self:
-        """Read a header from the records of a log, and check every value that others count with.
+        """Read a header from the records of a log, and check every value used in arithmetic.
 
         Args:
-            record: metadata record ``handctl.run``, a JSON text by name.
+            record: metadata record `handctl.run`, a JSON text by name.
             metadata: all metadata records.
             attachments: all attachments.
 
         Raises:
-            ValueError: a value has another type than a header has, or is out of its range.
+            ValueError: a value has another type than in a header, or is out of its range.
             KeyError: a value is missing.
         """
         run = {name: json.loads(text) for name, text in record.items()}
@@ -103,10 +109,10 @@ class RunHeader:
 
     @property
     def truth_offset_ns(self) -> int:
-        """Time of t = 0 on the simulator's clock [ns]; 0 of a run that was not in lockstep.
+        """Return the time of t = 0 on the simulator's clock [ns]. A run outside lockstep has 0.
 
         Raises:
-            LogError: the log states something else.
+            LogError: the value in the log is not such a time.
         """
         text = self.metadata.get(TRUTH_OFFSET, "0")
         if not (text.isascii() and text.isdecimal() and len(text) < 20 and int(text) <= LATEST_NS):
@@ -114,11 +120,11 @@ class RunHeader:
         return int(text)
 
     def axis(self, name: str) -> tuple[str, ...]:
-        """Names along an axis of the telemetry: joint, tendon, motor or digit."""
+        """Return the names along a telemetry axis: joint, tendon, motor or digit."""
         return {"joint": self.joints, "tendon": self.tendons, "motor": self.motors, "digit": self.digits}[name]
 
     def dump(self) -> bytes:
-        """For the pipe: one line of JSON, then the attachments one after the other."""
+        """Encode the header for the pipe: one line of JSON, then the attachments in order."""
         sizes = {name: len(data) for name, data in self.attachments.items()}
         plain = asdict(self) | {"attachments": sizes}
         for table in ("metadata", "gains", "wall"):
@@ -127,7 +133,7 @@ class RunHeader:
 
     @classmethod
     def load(cls, data: bytes) -> Self:
-        """Inverse of ``dump``."""
+        """Decode a header, the inverse of `dump`."""
         line, _, rest = data.partition(b"\n")
         plain = json.loads(line)
         attachments, at = {}, 0
@@ -138,14 +144,23 @@ class RunHeader:
 
 
 def _whole(key: str, value: Any, low: int, high: int) -> int:
-    """Check a whole number of a log's header."""
+    """Return a whole number of a log's header after a check.
+
+    Raises:
+        ValueError: the value is not a whole number from `low` to `high`.
+    """
+    # `isinstance` would accept True, which JSON distinguishes from 1.
     if type(value) is not int or not low <= value <= high:
         raise ValueError(f"{key} is {_brief(value)}, not a whole number from {low} to {high}")
     return value
 
 
 def _names(key: str, value: Any) -> tuple[str, ...]:
-    """Check a list of names of a log's header: each as a hand file can have it, and none twice."""
+    """Return a list of names of a log's header after a check: valid in a hand file, and distinct.
+
+    Raises:
+        ValueError: the value is not such a list.
+    """
     if not isinstance(value, list) or len(value) > MAX_NAMES:
         raise ValueError(f"{key} is {_brief(value)}, not a list of at most {MAX_NAMES} names")
     for name in value:
@@ -157,6 +172,6 @@ def _names(key: str, value: Any) -> tuple[str, ...]:
 
 
 def _brief(value: Any) -> str:
-    """Write a value of a header for a message."""
+    """Format a header value for a message, at most 40 characters."""
     text = json.dumps(value)
     return text if len(text) <= 40 else text[:37] + "..."

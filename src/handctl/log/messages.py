@@ -1,7 +1,9 @@
-"""The message types of the log, as ROS 2 interface text.
+"""Message types of the log as ROS 2 interface text.
 
-Source: the fields are those of the ROS 2 interface packages (common_interfaces, rcl_interfaces, geometry2,
-can_msgs, ros2_socketcan_msgs, pal_statistics_msgs); ``handctl_msgs`` is ours.
+The names and fields are part of the log format and must not change.
+
+Source: the fields are those of the ROS 2 interface packages common_interfaces, rcl_interfaces, geometry2, can_msgs,
+ros2_socketcan_msgs and pal_statistics_msgs. `handctl_msgs` belongs to handctl.
 """
 
 from handctl.core.types import Mode
@@ -14,11 +16,12 @@ PHASES = {
         "silent", "inventory", "ready", "arming", "relax", "disarm", "cut", "done",
     ))
 }  # fmt: skip
-"""Grasp phases that have a number; a task may name its phases otherwise, those are logged as OTHER."""
+"""Numbers of the grasp phases. A phase with another name, from a task, is logged as OTHER_PHASE."""
 OTHER_PHASE = 255
 
 
 def _constants(values: dict[str, int]) -> str:
+    """Return constants of a message type, one line each."""
     return "".join(f"uint8 {name.upper()}={value}\n" for name, value in values.items())
 
 
@@ -86,12 +89,20 @@ DEFINITIONS = {
     "handctl_msgs/CanFrame[] received\nhandctl_msgs/CanFrame[] sent\nuint8[] long_data\nstring phase\n"
     "handctl_msgs/IoEvent[] io_events\nstring[] requests\nhandctl_msgs/Event[] events\n",
 }
+"""Message type -> its definition."""
 
 _SEPARATOR = "=" * 80 + "\n"
 
 
 def _dependencies(name: str, found: dict[str, None]) -> None:
+    """Collect the types used in a definition, depth first, each once.
+
+    Args:
+        name: message type.
+        found: the types so far, in order. Extended in place.
+    """
     for line in DEFINITIONS[name].splitlines():
+        # "uint8[<=64] data": type before the bracket, then the field name.
         field_type = line.split(" ")[0].split("[")[0]
         if field_type in DEFINITIONS and field_type not in found:
             found[field_type] = None
@@ -99,13 +110,17 @@ def _dependencies(name: str, found: dict[str, None]) -> None:
 
 
 def schema_text(name: str) -> str:
-    """Definition of a type such as "sensor_msgs/JointState" followed by all it depends on, as MCAP's ros2msg wants."""
+    """Return the definition of a type and of all types in it, in the form of MCAP's ros2msg encoding.
+
+    Args:
+        name: message type, for example "sensor_msgs/JointState".
+    """
     found: dict[str, None] = {}
     _dependencies(name, found)
     return DEFINITIONS[name] + "".join(f"{_SEPARATOR}MSG: {other}\n{DEFINITIONS[other]}" for other in found)
 
 
 def schema_name(name: str) -> str:
-    """The name as ROS 2 writes it: "sensor_msgs/msg/JointState"."""
+    """Return the name in ROS 2 notation: "sensor_msgs/msg/JointState"."""
     package, kind = name.split("/")
     return f"{package}/msg/{kind}"

@@ -1,7 +1,22 @@
-"""One tick as one record for the pipe: a ``handctl_msgs/Tick`` ready for the log, then the telemetry.
+"""Records of the pipe to the recorder. A tick is a `handctl_msgs/Tick` ready for the log, then the telemetry.
 
-A record is ``u32 length, u32 kind`` and length bytes. The body of a tick is ``u32 size of the Tick message``, four
-``u16`` sizes of the telemetry's axes, the message, and the float64 of the telemetry in order.
+All numbers are little-endian.
+
+Record: length u32 (without these 8 bytes), kind u32, body.
+
+Body of a tick: size of the Tick message u32, lengths of the telemetry axes joint, tendon, motor, digit u16 each, the
+Tick message, the telemetry float64 in order.
+
+Tick message:
+    CDR encapsulation, 4 bytes.
+    k i64, t_ns i64, late_ns i64, state hash 8 bytes, mode u8, action u8, padding 2 bytes.
+    Number of received frames u32, received frames.
+    Number of sent frames u32, padding 4 bytes if there are any, sent frames.
+    Number of long bytes u32, long bytes, padding to 4 bytes.
+    Phase, io events, requests, events.
+
+Frame, 24 bytes: t_ns i64, can_id u32, flags u16, bus u8, length u8, data 8 bytes. The long bytes are the bytes beyond
+the eighth of all frames, in order.
 """
 
 import functools
@@ -31,38 +46,41 @@ FRAMING = struct.Struct("<II")
 HEADER, TICK, END, SNAPSHOT = 1, 2, 3, 4
 """Kinds of records."""
 SNAPSHOT_HEAD = struct.Struct("<qq")
-"""Number and time [ns] of the tick whose state it is."""
+"""Number and time [ns] of the tick after which the state was taken."""
 
 SIZES = struct.Struct("<IHHHH")
+"""Start of a tick's body: size of the Tick message, lengths of the telemetry axes."""
 FIXED = struct.Struct("<qqq8sBB2xI")
-"""Constant part of the Tick message: k, t_ns, late_ns, state hash, mode, action, number of frames received."""
+"""Constant part of the Tick message: k, t_ns, late_ns, state hash, mode, action, number of received frames."""
 FRAME_SIZE = SHORT
-"""A frame is the beginning of its record (t_ns, can_id, flags, bus, length, eight bytes of data). What a longer payload
-has beyond them follows all frames."""
+"""Size of a frame in a Tick message: the beginning of its record, up to eight data bytes."""
 _BEGINNING, _LENGTH_AT, _WORD = np.dtype(f"V{SHORT}"), 15, np.dtype("<u8")
+"""A frame as opaque bytes, offset of its length byte, its data as one word."""
 _DATA_AT, _SHORT_DATA, _LONGEST = 16, 8, 64
+"""Offset of the data in a frame, data bytes in a frame, data bytes of the longest CAN FD frame."""
 _MASKS = np.array([(1 << 8 * length) - 1 for length in range(_SHORT_DATA + 1)], np.uint64)
-"""Bits of a payload of each length."""
+"""Bits of the data word within a payload of each length, 0 to 8 bytes."""
 _BEYOND = np.arange(_SHORT_DATA, _LONGEST)
+"""Indexes of the data bytes beyond the eighth."""
 _FRAMES_AT = FIXED.size + 4
-"""Place of the frames in a message [bytes]."""
+"""Offset of the received frames in a message [bytes]."""
 _Fixed = tuple[int, int, int, bytes, int, int, int]
 """The constant part, unpacked."""
 _MODES, _ACTIONS = {mode.value: mode for mode in Mode}, {action.value: action for action in Action}
-"""Looked up in a quarter of the time that an enumeration takes."""
+"""Enumeration members by value. A dictionary is four times as fast as a call of the enumeration."""
 make = tuple.__new__
-"""A named tuple without its constructor."""
+"""Creates a named tuple without its constructor, for speed."""
 _COUNT = struct.Struct("<I")
 _NO_LONG_DATA = _COUNT.pack(0)
 _OF_EACH_AXIS = "q", "tension", "motor_torque", "contact"
-"""A field of the telemetry over each of joints, tendons, motors and digits."""
+"""One telemetry field of each axis: joint, tendon, motor, digit."""
 
 
 class TickRecord(NamedTuple):
-    """What the log keeps of a tick besides its telemetry.
+    """A tick in the log without its telemetry.
 
     Attributes:
-        tick_in: exactly what the tick knew.
+        tick_in: all inputs of the tick.
         frames: frames sent, in order.
         mode, phase, action, events, state_hash: as in TickOut.
     """
@@ -77,12 +95,12 @@ class TickRecord(NamedTuple):
 
 
 def framed(kind: int, body: bytes) -> bytes:
-    """A record of this kind."""
+    """Return a record of the given kind."""
     return FRAMING.pack(len(body), kind) + body
 
 
 def _beyond(records: Records) -> NDArray[np.bool_]:
-    """Return (n, 56): which bytes beyond the eighth belong to each payload."""
+    """Return (n, 56) whether each byte beyond the eighth belongs to the payload."""
     return np.asarray(records["length"][:, np.newaxis] > _BEYOND)
 
 
@@ -93,7 +111,10 @@ def _long_data(records: Records) -> bytes:
 
 @functools.lru_cache(maxsize=64)
 def _quiet_tail(phase: str) -> bytes:
-    """Phase and three empty sequences: the same bytes at every offset that is a multiple of four."""
+    """Return the end of a message without events: the phase and three empty sequences.
+
+    These bytes are equal at every offset divisible by four, therefore they are cached.
+    """
     out = CdrWriter()
     out.text(phase)
     for _ in range(3):
@@ -102,6 +123,14 @@ def _quiet_tail(phase: str) -> bytes:
 
 
 def _tail(start: int, phase: str, tick_in: TickIn, events: tuple[Event, ...]) -> bytes:
+    """Return the end of a message: phase, io events, requests, events.
+
+    Args:
+        start: offset of the end in the message body, for alignment [bytes].
+        phase: grasp phase.
+        tick_in: inputs of the tick.
+        events: events of the tick.
+    """
     out = CdrWriter(start)
     out.text(phase)
     out.count(len(tick_in.io_events))
@@ -118,7 +147,7 @@ def _tail(start: int, phase: str, tick_in: TickIn, events: tuple[Event, ...]) ->
 
 
 def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
-    """The handctl_msgs/Tick message.
+    """Encode a tick as a handctl_msgs/Tick message.
 
     Raises:
         ValueError: state_hash is not 8 bytes long.
@@ -130,9 +159,11 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
     fixed = FIXED.pack(tick_in.k, tick_in.t_ns, tick_in.late_ns, out.state_hash, out.mode, out.action, len(received))
     beginnings = [records.getfield(_BEGINNING).tobytes() for records in (received, sent)]
     long_part = _NO_LONG_DATA
+    # A slice with a stride reads the length bytes of all frames without decoding the frames.
     if max(b"".join([part[_LENGTH_AT::FRAME_SIZE] for part in beginnings]), default=0) > _SHORT_DATA:
         long_data = _long_data(received) + _long_data(sent)
         long_part = _COUNT.pack(len(long_data)) + long_data + bytes(-len(long_data) % 4)
+    # The first member of a frame is an int64, therefore CDR aligns the frames to 8. An empty sequence has no padding.
     padding = b"\0\0\0\0" if len(sent) else b""
     parts = [ENCAPSULATION, fixed, beginnings[0], _COUNT.pack(len(sent)), padding, beginnings[1], long_part]
     if tick_in.io_events or tick_in.requests or out.events:
@@ -143,14 +174,14 @@ def pack_tick(tick_in: TickIn, out: TickOut) -> bytes:
 
 
 def pack(tick_in: TickIn, out: TickOut) -> bytes:
-    """One tick as a record; raises as ``pack_tick``."""
+    """Encode a tick as a record for the pipe. Raises as `pack_tick`."""
     message, values = pack_tick(tick_in, out), out.telemetry.packed()
     sizes = SIZES.pack(len(message), *_axes(out.telemetry))
     return b"".join((FRAMING.pack(12 + len(message) + len(values), TICK), sizes, message, values))
 
 
 def pack_snapshot(tick_in: TickIn, data: bytes) -> bytes:
-    """The state after a tick as a record."""
+    """Encode the state after a tick as a record for the pipe."""
     return framed(SNAPSHOT, SNAPSHOT_HEAD.pack(tick_in.k, tick_in.t_ns) + data)
 
 
@@ -162,12 +193,12 @@ def _axes(numbers: Telemetry | PackedTelemetry) -> list[int]:
 
 
 class Layout(NamedTuple):
-    """Where the parts of a Tick message are.
+    """Positions of the parts of a Tick message.
 
     Attributes:
         received, sent: slice of the frames.
         long_data: slice of the bytes beyond the eighth.
-        tail: start of the phase and all after it.
+        tail: start of the phase and the lists behind it.
     """
 
     received: slice
@@ -177,7 +208,7 @@ class Layout(NamedTuple):
 
 
 def layout(message: bytes) -> Layout:
-    """Find the parts without decoding them.
+    """Find the parts of a Tick message without decoding them.
 
     Raises:
         struct.error: the message ends early.
@@ -185,15 +216,25 @@ def layout(message: bytes) -> Layout:
     (received,) = _COUNT.unpack_from(message, FIXED.size)
     start, end = FIXED.size + 4, FIXED.size + 4 + FRAME_SIZE * received
     (sent,) = _COUNT.unpack_from(message, end)
+    # Padding to 8 bytes precedes the frames but not an empty sequence.
     sent_start = end + 8 if sent else end + 4
     sent_end = sent_start + FRAME_SIZE * sent
     (size,) = _COUNT.unpack_from(message, sent_end)
     long_data = slice(sent_end + 4, sent_end + 4 + size)
+    # The long bytes end anywhere. The text behind them is aligned to 4.
     return Layout(slice(start, end), slice(sent_start, sent_end), long_data, long_data.stop + -size % 4)
 
 
 def _whole_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
-    """Return frames and what is left of the bytes beyond the eighth."""
+    """Return the decoded frames and the rest of the bytes beyond the eighth.
+
+    Args:
+        beginnings: frames of the message, FRAME_SIZE bytes each.
+        long_data: bytes beyond the eighth of these frames and of later ones.
+
+    Raises:
+        ValueError: a payload is too long, or its bytes are missing.
+    """
     lengths, count = beginnings[_LENGTH_AT::FRAME_SIZE], len(beginnings) // FRAME_SIZE
     if not count:
         return EMPTY, long_data
@@ -215,20 +256,20 @@ def _whole_frames(beginnings: bytes, long_data: bytes) -> tuple[Frames, bytes]:
 
 
 def _cut_payloads(records: Records) -> None:
-    """Make zeros of what is beyond each payload in its first eight bytes; a bad file may have anything there."""
+    """Set the unused bytes of short payloads to zero, because a bad file may hold any bytes there."""
     words = records.getfield(_WORD, _DATA_AT)
     words &= _MASKS[np.minimum(records["length"], _SHORT_DATA)]
 
 
 @functools.lru_cache(maxsize=256)
 def _quiet_phase(tail: bytes) -> str | None:
-    """The phase, if it is all that there is to tell."""
+    """Return the phase if the end of a message has no events, else None."""
     phase = CdrReader(ENCAPSULATION + tail).text()
     return phase if _quiet_tail(phase) == tail else None
 
 
 def unpack_tick(message: bytes) -> TickRecord:
-    """Inverse of ``pack_tick``.
+    """Decode a Tick message, the inverse of `pack_tick`.
 
     Raises:
         ValueError: not a Tick message.
@@ -247,12 +288,13 @@ def unpack_tick(message: bytes) -> TickRecord:
 
 
 def _tick(fixed: _Fixed, received: Frames, sent: Frames, message: bytes, tail: int) -> TickRecord:
-    """Put a tick together.
+    """Create a tick from its parts.
 
     Args:
         fixed: constant part of the message.
-        received, sent: its frames.
-        message: all of it.
+        received: received frames.
+        sent: sent frames.
+        message: the whole message.
         tail: start of the phase.
     """
     phase = _quiet_phase(message[tail:])
@@ -270,7 +312,7 @@ def _tick(fixed: _Fixed, received: Frames, sent: Frames, message: bytes, tail: i
 
 
 def _quiet_tick(fixed: _Fixed, received: Frames, sent: Frames, phase: str) -> TickRecord:
-    """Put a tick together of which there is nothing to tell but its phase."""
+    """Create a tick without io events, requests and events."""
     k, t_ns, late_ns, state_hash, mode, action, _ = fixed
     tick_in = make(TickIn, (k, t_ns, late_ns, received, (), ()))
     known_mode, known_action = _MODES.get(mode) or Mode(mode), _ACTIONS.get(action) or Action(action)
@@ -278,17 +320,21 @@ def _quiet_tick(fixed: _Fixed, received: Frames, sent: Frames, phase: str) -> Ti
 
 
 def unpack_ticks(messages: list[bytes]) -> list[TickRecord]:
-    """Decode messages, as of a chunk, whose frames become parts of one array.
+    """Decode the messages of a chunk. The frames of all ticks are parts of one array.
 
     Raises:
-        ValueError: one is not a Tick message.
+        ValueError: one of them is not a Tick message.
     """
     quick = _unpack_short(messages)
     return quick if quick is not None else [unpack_tick(message) for message in messages]
 
 
 def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
-    """Decode messages without a long payload; None if there is one, or a message that ends early."""
+    """Decode messages without long payloads.
+
+    Returns:
+        None if a message has a long payload or ends early. `unpack_tick` then decodes each message.
+    """
     parts, ends, fixed, tails, end = list[bytes](), [0], list[_Fixed](), list[int](), 0
     for message in messages:
         if message[:4] != ENCAPSULATION:
@@ -303,6 +349,7 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
         long_count = start + FRAME_SIZE * sent
         if message[long_count : long_count + 4] != _NO_LONG_DATA:
             return None
+        # The frames of all messages are joined and decoded in one call, then divided again at `ends`.
         parts += message[_FRAMES_AT:sent_count], message[start:long_count]
         ends += end + one[6], end + one[6] + sent
         end = ends[-1]
@@ -317,7 +364,7 @@ def _unpack_short(messages: list[bytes]) -> list[TickRecord] | None:
 
 
 def unpack(record: bytes) -> tuple[TickIn, TickOut]:
-    """Inverse of ``pack``.
+    """Decode a record of the pipe, the inverse of `pack`.
 
     Raises:
         ValueError: not a record of a tick.

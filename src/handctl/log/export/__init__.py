@@ -1,1 +1,1 @@
-"""A log in the formats of other tools."""
+"""Export of a log to the formats of other tools."""

@@ -1,11 +1,14 @@
-"""A log as a LeRobot dataset of one episode: what the hand did while it was active, on an exact grid of time.
+"""Export of a log as a LeRobot dataset of one episode: the active part of the run, on an exact time grid.
 
-Layout: codebase version 3.0, no video. ``observation.state`` is joint angles [rad] and estimated tensions [N],
-``action`` what was commanded of both; where a digit was held by tension alone, its commanded angle is the one it had.
-Names of vector elements end in their unit: ``index_j1.pos_rad``, ``index_tendon.tension_N``. Statistics are in two
-places: of the whole dataset in ``meta/stats.json``, of each episode in columns of ``meta/episodes``. LeRobot makes
-those of a part from the latter when it splits or deletes.
-Source: LeRobot 0.4 and 0.6, ``datasets/utils.py`` and ``dataset_metadata.py``: paths and fields.
+Layout: codebase version 3.0, without video. `observation.state` holds joint angles [rad] and estimated tensions [N].
+`action` holds the commands of both. For a digit under tension control the commanded angle is the estimated angle.
+
+Names of vector elements end in their unit: `index_j1.pos_rad`, `index_tendon.tension_N`.
+
+Statistics of the whole dataset are in `meta/stats.json`, those of each episode in columns of `meta/episodes`. LeRobot
+computes the statistics of a part from the latter when it splits a dataset or deletes episodes.
+
+Source: LeRobot 0.4 and 0.6, `datasets/utils.py` and `dataset_metadata.py`: paths and fields.
 """
 
 import json
@@ -27,21 +30,22 @@ from handctl.printing import printable
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 QUANTILES = (1, 10, 50, 90, 99)
+"""Percentiles in the statistics."""
 
 SIGMA = ("q_sigma", "tension_sigma")
-"""Standard deviations of ``observation.state``; logs of version 0.1 have no ``q_sigma``."""
+"""Standard deviations of `observation.state`. Logs of version 0.1 lack `q_sigma`."""
 
 Array = NDArray[np.float64]
 Statistics = dict[str, dict[str, list[float]]]
-"""Values by the name of the statistic, by feature."""
+"""Feature -> name of the statistic -> values."""
 
 
 def export_lerobot(log: RunLog, path: Path) -> int:
-    """Write the dataset into a new folder; the number of frames.
+    """Write the dataset into a new folder and return the number of frames.
 
     Raises:
         LogError: the hand was never active.
-        OSError: the folder is there already or cannot be written.
+        OSError: the folder exists already or cannot be written.
     """
     fps = round(1e9 / log.header.period_ns)
     rows = _rows(log, fps)
@@ -61,19 +65,26 @@ def export_lerobot(log: RunLog, path: Path) -> int:
 
 
 def _rows(log: RunLog, fps: int) -> NDArray[np.intp]:
-    """Index of the tick at each frame of the grid: the latest that had begun, also where ticks were missed."""
+    """Return the index of the tick at each frame of the time grid.
+
+    A frame has the latest tick before it, also where ticks were missed.
+
+    Raises:
+        LogError: the hand was never active, or the ticks are out of order.
+    """
     active = np.flatnonzero(log.mode == int(Mode.ACTIVE))
     if len(active) < 2:
         raise LogError("the hand was never active in it", "the log", "a run that moved")
     check_order(log.t_ns, log.header.period_ns)
     begin, end = int(log.t_ns[active[0]]), int(log.t_ns[active[-1]])
     frames = (end - begin) * fps // 10**9 + 1
+    # Integer arithmetic with rounding to the nearest nanosecond keeps the grid exact over hours.
     grid = begin + (np.arange(frames) * 10**9 + fps // 2) // fps
     return np.asarray(np.searchsorted(log.t_ns, grid, "right") - 1, np.intp)
 
 
 def _vectors(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], Array]]:
-    """Names and (frames, n) values of each feature that is a vector."""
+    """Return names and values (frames, n) of each vector feature."""
     header = log.header
     q, tension = _known(log, "q", rows), _known(log, "tension", rows)
     goals = log.field("q_goal")[rows]
@@ -93,13 +104,16 @@ def _vectors(log: RunLog, rows: NDArray[np.intp]) -> dict[str, tuple[list[str], 
 
 
 def _sigma_name(name: str) -> str:
-    """Return the name of an element's standard deviation: ``index_j1.pos_sigma_rad`` of ``index_j1.pos_rad``."""
+    """Return the name of an element's standard deviation, `index_j1.pos_sigma_rad` for `index_j1.pos_rad`."""
     quantity, unit = name.rsplit("_", 1)
     return f"{quantity}_sigma_{unit}"
 
 
 def _known(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
-    """(frames, n) a field without holes: the value before one, or the first; zero where nothing was ever known."""
+    """Return a field (frames, n) without NaN.
+
+    A NaN becomes the value before, or the first known value. A column without known values becomes zero.
+    """
     values = log.field(name)[rows]
     for column in values.T:
         known = np.flatnonzero(~np.isnan(column))
@@ -109,7 +123,7 @@ def _known(log: RunLog, name: str, rows: NDArray[np.intp]) -> Array:
 
 
 def _scalars(frames: int, fps: int) -> dict[str, NDArray[Any]]:
-    """What LeRobot wants of every frame."""
+    """Return the scalar features that LeRobot requires for every frame."""
     index = np.arange(frames)
     none = np.zeros(frames, np.int64)
     return {
@@ -123,7 +137,7 @@ def _scalars(frames: int, fps: int) -> dict[str, NDArray[Any]]:
 
 
 def _task(log: RunLog) -> str:
-    """What was done, in words."""
+    """Return a description of the task."""
     try:
         told = parse_toml(log.header.attachments.get("task.toml", b"").decode(), "task.toml in the log")
     except (ConfigError, UnicodeDecodeError):
@@ -133,6 +147,7 @@ def _task(log: RunLog) -> str:
 
 
 def _frames(vectors: dict[str, tuple[list[str], Array]], scalars: dict[str, NDArray[Any]]) -> pa.Table:
+    """Build the table of the frames."""
     columns = {}
     for name, (names, table) in vectors.items():
         flat = pa.array(np.ascontiguousarray(table, np.float32).ravel())
@@ -141,7 +156,7 @@ def _frames(vectors: dict[str, tuple[list[str], Array]], scalars: dict[str, NDAr
 
 
 def _episodes(frames: int, task: str, statistics: Statistics) -> pa.Table:
-    """Describe the episode in one row: where its frames are, and a column ``stats/FEATURE/NAME`` per statistic."""
+    """Build the table of the episode: position of its frames, and a column `stats/FEATURE/NAME` per statistic."""
     places = {f"{kind}/{number}": [0] for kind in ("data", "meta/episodes") for number in ("chunk_index", "file_index")}
     fields = {"episode_index": [0], "tasks": [[task]], "length": [frames]}
     columns = {
@@ -151,7 +166,7 @@ def _episodes(frames: int, task: str, statistics: Statistics) -> pa.Table:
 
 
 def _tasks(task: str) -> pa.Table:
-    """Task by number; its text is the index of the table, which pandas reads from the schema's metadata."""
+    """Build the table of the tasks. The text is the index, which pandas reads from the schema's metadata."""
     table = pa.table({"task_index": pa.array([0], pa.int64()), "task": [task]})
     columns = [
         {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
@@ -164,6 +179,7 @@ def _tasks(task: str) -> pa.Table:
 def _info(
     log: RunLog, fps: int, frames: int, names: dict[str, list[str]], scalars: dict[str, NDArray[Any]]
 ) -> dict[str, Any]:
+    """Return the content of `meta/info.json`."""
     features: dict[str, Any] = {
         name: {"dtype": "float32", "shape": [len(inner)], "names": inner} for name, inner in names.items()
     }
@@ -186,7 +202,7 @@ def _info(
 
 
 def _statistics(values: NDArray[Any]) -> dict[str, list[float]]:
-    """What normalisation wants of a feature, over all frames."""
+    """Compute the statistics of a feature over all frames, for normalisation."""
     table = np.asarray(values, np.float64).reshape(len(values), -1)
     found = {"min": table.min(axis=0), "max": table.max(axis=0), "mean": table.mean(axis=0), "std": table.std(axis=0)}
     found |= {f"q{share:02d}": np.percentile(table, share, axis=0) for share in QUANTILES}
@@ -194,9 +210,11 @@ def _statistics(values: NDArray[Any]) -> dict[str, list[float]]:
 
 
 def _write(path: Path, table: pa.Table) -> None:
+    """Write a table as Parquet."""
     path.parent.mkdir(parents=True, exist_ok=True)
     pq.write_table(table, path)
 
 
 def _json(path: Path, content: dict[str, Any]) -> None:
+    """Write a JSON file."""
     path.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")

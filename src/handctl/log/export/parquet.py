@@ -1,6 +1,6 @@
-"""A log as a Parquet table: one row per tick, one column per number, text as dictionaries.
+"""Export of a log as a Parquet table: one row per tick, one column per number, texts as dictionaries.
 
-Each column of numbers has its unit in the metadata of its field, under ``unit``.
+The metadata of each numeric column has the unit of the column under `unit`.
 """
 
 from pathlib import Path
@@ -13,10 +13,10 @@ from handctl.log.read.reader import RunLog
 
 
 def export_parquet(log: RunLog, path: Path) -> int:
-    """Write the table with the run's metadata in its schema; the number of rows.
+    """Write the table with the run's metadata in its schema, and return the number of rows.
 
     Raises:
-        OSError: the file is there already or cannot be written.
+        OSError: the file exists already or cannot be written.
     """
     count, names = 0, columns(log)
     text = pa.dictionary(pa.int32(), pa.string())

@@ -1,4 +1,4 @@
-"""A log in formats that other tools read: tables for data people, can-utils text for bus people."""
+"""Export of a log as CSV and as candump text, and the tables behind all exports."""
 
 import csv
 import re
@@ -15,13 +15,13 @@ from handctl.log.read.reader import RunLog
 from handctl.safety.action import Action
 
 BLOCK = 4096
-"""Ticks that are held at a time."""
+"""Ticks in memory at a time."""
 
 WORDS = ("mode", "phase", "action")
-"""Columns of text."""
+"""Text columns."""
 
 HEADS = {"k": "1", "t_ns": "ns", "late_ns": "ns"}
-"""Unit of each column of integers."""
+"""Integer columns and their units."""
 
 UNITS = {
     "q": "rad", "dq": "rad/s", "joint_torque": "N m", "joint_encoder": "rad",
@@ -31,10 +31,10 @@ UNITS = {
     "motor_age": "s", "drive_phase": "1",
     "tip_force": "N", "contact": "1",
 }  # fmt: skip
-"""Unit of each quantity of the telemetry; 1 is a plain number."""
+"""Unit of each telemetry quantity. 1 is a plain number."""
 
 VARIANT = re.compile("_(goal|raw|sigma)$")
-"""What a field's name adds to a quantity without changing its unit."""
+"""Suffixes of field names that do not change the unit."""
 
 
 class Block(NamedTuple):
@@ -42,7 +42,7 @@ class Block(NamedTuple):
 
     Attributes:
         k, t_ns, late_ns: (rows,) as in TickIn [ns].
-        mode, phase, action: a word each.
+        mode, phase, action: names, one per row.
         numbers: (rows, columns) telemetry.
     """
 
@@ -56,22 +56,22 @@ class Block(NamedTuple):
 
 
 def columns(log: RunLog) -> tuple[str, ...]:
-    """Return the names of the telemetry's columns: ``q/index_j1``, ``tension/index_tendon``; units as in ``unit``."""
+    """Return the names of the telemetry columns: `q/index_j1`, `tension/index_tendon`. For units see `unit`."""
     return tuple(f"{field}/{name}" for field in log.fields for name in log.header.axis(TELEMETRY_AXES[field]))
 
 
 def unit(column: str) -> str:
-    """Return the unit of a column of numbers: ``rad`` of ``q/index_j1``, ``ns`` of ``t_ns``; 1 is a plain number."""
+    """Return the unit of a numeric column: `rad` for `q/index_j1`, `ns` for `t_ns`, 1 for a plain number."""
     return HEADS.get(column) or UNITS[VARIANT.sub("", column.partition("/")[0])]
 
 
 def titled(column: str) -> str:
-    """Return the title of a column in a text table: ``tension/index_tendon [N]``, or its name if that has the unit."""
+    """Return the title of a column in a text table: `tension/index_tendon [N]`, or the name if it contains the unit."""
     return column if column in HEADS else f"{column} [{unit(column)}]"
 
 
 def blocks(log: RunLog) -> Iterator[Block]:
-    """All ticks of a log as tables of at most ``BLOCK`` rows."""
+    """Yield all ticks of a log as tables of at most `BLOCK` rows."""
     changes = log.phases
     starts = np.array([change.k for change in changes], np.int64)
     names = [change.name for change in changes]
@@ -87,12 +87,13 @@ def blocks(log: RunLog) -> Iterator[Block]:
 
 
 def export_csv(log: RunLog, path: Path) -> int:
-    """Write one row per tick and return their number. Numbers read back bit for bit; NaN is an empty field.
+    """Write one row per tick and return the number of rows.
 
-    The first row has the titles, with units: ``tension/index_tendon [N]``.
+    Numbers read back to the same bits. NaN is an empty field. The first row has titles with units:
+    `tension/index_tendon [N]`.
 
     Raises:
-        OSError: the file is there already or cannot be written.
+        OSError: the file exists already or cannot be written.
     """
     count = 0
     with path.open("x", newline="", encoding="utf-8") as file:
@@ -107,12 +108,12 @@ def export_csv(log: RunLog, path: Path) -> int:
 
 
 def export_candump(log: RunLog, path: Path) -> int:
-    """Write all frames as can-utils' log text; the number of frames.
+    """Write all frames in the log format of can-utils and return the number of frames.
 
-    Received frames carry the time at which they came, sent ones that of their tick; R or T tells them apart.
+    A received frame has its time of arrival, a sent frame the time of its tick. R and T mark the direction.
 
     Raises:
-        OSError: the file is there already or cannot be written.
+        OSError: the file exists already or cannot be written.
     """
     count, buses, offset = 0, log.header.buses, log.header.offset_ns
     with path.open("x", encoding="ascii") as file:
@@ -127,7 +128,12 @@ def export_candump(log: RunLog, path: Path) -> int:
 
 
 def _candump(frame: Frame, t_ns: int, buses: tuple[str, ...], direction: str) -> str:
-    """One line. Source: can-utils ``lib.c``, ``snprintf_canframe``."""
+    """Format one frame as a line.
+
+    Source: can-utils `lib.c`, `snprintf_canframe`.
+    """
+    # Eight hexadecimal digits mark an extended identifier or an error frame, three digits a standard
+    # identifier.
     long_id = frame.can_id & (EXTENDED | ERROR)
     can_id = f"{frame.can_id & 0x3FFF_FFFF:08X}" if long_id else f"{frame.can_id & 0x7FF:03X}"
     data = frame.data.hex().upper()

@@ -1,1 +1,1 @@
-"""Reading a log, whole or broken."""
+"""Reader of logs, complete and broken."""

@@ -1,4 +1,4 @@
-"""The hand that a log describes."""
+"""The hand described in a log."""
 
 from handctl.errors import LogError
 from handctl.hand.description import Hand
@@ -7,15 +7,15 @@ from handctl.log.header import RunHeader
 
 
 def described_hand(header: RunHeader, where: str) -> Hand:
-    """Read the hand of a log, and check that the log's columns are its.
+    """Read the hand of a log, and check its names against the columns of the log.
 
     Args:
-        header: of the log.
-        where: what to call the description in messages.
+        header: header of the log.
+        where: name of the description in messages.
 
     Raises:
-        ConfigError: the description is not one of a hand.
-        LogError: it names other joints, tendons, motors or digits than the header.
+        ConfigError: the description is not a hand.
+        LogError: the description has other joints, tendons, motors or digits than the header.
     """
     hand = hand_from(parse_toml(header.hand_toml, where), where)
     described = (hand.joints, hand.tendon_names, hand.motor_names, hand.digit_names)

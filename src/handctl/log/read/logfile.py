@@ -1,6 +1,6 @@
-"""A file that may be cut, damaged or hostile: every size is checked before anything is allocated.
+"""Access to a file that may be cut, damaged or hostile. Every size is checked before memory is allocated.
 
-Source: the failures this guards against are in FAULTS I08 and I09.
+Source: faults I08 and I09.
 """
 
 import os
@@ -18,32 +18,34 @@ from handctl.errors import LogError
 from handctl.printing import printable
 
 MAX_CHUNK = 32 << 20
-"""Uncompressed; our own chunks stay below 8 MiB."""
+"""Maximum uncompressed size of a chunk [bytes]. Chunks from the recorder stay below 8 MiB."""
 
 
 DAMAGE = (
     ValueError, struct.error, LookupError, TypeError, ArithmeticError, RuntimeError, MemoryError, zstandard.ZstdError,
 )  # fmt: skip
-"""What a bad file causes where it is read."""
+"""Exceptions that a bad file causes in the code that reads it."""
 
 
 class Reading:
-    """``with Reading(where)``: whatever a bad file causes becomes one LogError that says where.
+    """Context `with Reading(where)`: an error from a bad file becomes one LogError with its position.
 
-    A class, not a generator: a log is read in thousands of pieces.
+    A class is faster than a generator here. A log is read in thousands of pieces.
     """
 
     __slots__ = ("where",)
 
     def __init__(self, where: str) -> None:
+        """Remember the position for the error."""
         self.where = where
 
     def __enter__(self) -> None:
-        return None
+        """Begin the piece. No value is given."""
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Raise a LogError in place of an error from a bad file."""
         if error is None or isinstance(error, LogError) or not isinstance(error, DAMAGE):
             return
         missing = isinstance(error, KeyError)
@@ -55,12 +57,11 @@ class ChunkPlace(NamedTuple):
     """A chunk in the file.
 
     Attributes:
-        offset: of its record.
-        end: of its record.
+        offset, end: start and end of its record [bytes].
         data: offset of the compressed bytes.
         first, last: times of its messages [ns].
-        size: uncompressed.
-        crc: of the uncompressed bytes; 0 none.
+        size: uncompressed size [bytes].
+        crc: CRC-32 of the uncompressed bytes, or 0 without a checksum.
         compression: "", "lz4" or "zstd".
     """
 
@@ -77,14 +78,21 @@ class ChunkPlace(NamedTuple):
 class LogFile:
     """An MCAP file open for reading.
 
-    Raises:
-        LogError: it is no regular file, or it cannot be opened.
+    Attributes:
+        name: printable path.
+        size: size of the file [bytes].
     """
 
     def __init__(self, path: Path) -> None:
+        """Open a file.
+
+        Raises:
+            LogError: the path is not a regular file, or cannot be opened.
+        """
         self.name = printable(str(path))
         self._latest: tuple[ChunkPlace, bytes] | None = None
         try:
+            # O_NONBLOCK: opening a named pipe without a writer would wait without end.
             self._fd = os.open(path, os.O_RDONLY | os.O_NONBLOCK | getattr(os, "O_CLOEXEC", 0))
         except OSError as error:
             raise LogError(f"cannot open: {error.strerror}", self.name, "a log") from error
@@ -99,11 +107,11 @@ class LogFile:
         os.close(self._fd)
 
     def at(self, offset: int) -> str:
-        """A place in the file, for errors."""
+        """Return a position in the file as a text for errors."""
         return f"{self.name}, byte {offset}"
 
     def read(self, offset: int, size: int) -> bytes:
-        """Exactly size bytes.
+        """Read exactly `size` bytes.
 
         Raises:
             LogError: the file has become shorter.
@@ -114,21 +122,27 @@ class LogFile:
         return data
 
     def crc(self, start: int, end: int, value: int = 0) -> int:
-        """CRC-32 of a part of the file."""
+        """Compute the CRC-32 of a part of the file.
+
+        Args:
+            start: start of the part [bytes].
+            end: end of the part [bytes].
+            value: CRC-32 of the bytes before the part.
+        """
         while start < end:
             data = self.read(start, min(1 << 20, end - start))
             value, start = zlib.crc32(data, value), start + len(data)
         return value
 
     def content(self, place: ChunkPlace, checked: bool = True) -> bytes:
-        """Uncompressed bytes of a chunk, never more than it declares.
+        """Return the uncompressed bytes of a chunk, never more than its declared size.
 
         Args:
-            place: of the chunk.
-            checked: compare its checksum.
+            place: the chunk.
+            checked: compare the checksum.
 
         Raises:
-            LogError: they do not have the declared size or checksum.
+            LogError: size or checksum differs from the declared value.
         """
         if self._latest and self._latest[0] == place:
             return self._latest[1]
@@ -145,6 +159,8 @@ class LogFile:
 
 
 def _unpacked(packed: bytes, place: ChunkPlace) -> bytes:
+    """Return a decompressed chunk, at most one byte longer than its declared size."""
+    # The extra byte shows a chunk that is longer than declared, without decompressing all of it.
     if place.compression == "lz4":
         return bytes(lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=place.size + 1))
     if place.compression == "zstd":

@@ -1,4 +1,7 @@
-"""Messages of an uncompressed chunk: runs of equal length at once."""
+"""Messages of an uncompressed chunk, read in blocks of equal length.
+
+Message record: opcode u8 = 5, length u64, channel u16, sequence u32, log time u64 [ns], publish time u64 [ns], data.
+"""
 
 import struct
 from collections.abc import Iterator
@@ -9,22 +12,22 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 MAX_CHANNELS = 1000
-"""Schemas, and channels, that a chunk may define."""
+"""Maximum number of schemas, and of channels, in a chunk."""
 MIN_RUNS, BYTES_PER_RUN = 128, 16
-"""Runs that a chunk may have at least, and one more for so many compressed bytes."""
+"""Minimum limit of blocks per chunk, and compressed bytes per further block."""
 FEW = 4
-"""Equal records that are counted one by one; of more, numpy finds the end."""
+"""Equal records that are counted one by one. For longer blocks numpy finds the end."""
 _RECORD, _CHANNEL = struct.Struct("<BQ"), struct.Struct("<H")
 MESSAGE = int(Opcode.MESSAGE)
 _HEADER = 11
-"""Opcode, length and channel: what the messages of a run have in common."""
+"""Bytes that the messages of a block have in common: opcode, length and channel."""
 _HEADS = np.dtype(f"V{_HEADER}")
 _BODY = 31
-"""Start of a message's data within its record."""
+"""Start of the data in a Message record."""
 
 
 class Rows(NamedTuple):
-    """Consecutive messages of one channel and one length.
+    """Consecutive messages with equal channel and length.
 
     Attributes:
         channel: channel id.
@@ -37,29 +40,29 @@ class Rows(NamedTuple):
     records: NDArray[np.uint8]
 
     def messages(self) -> list[bytes]:
-        """The messages, one after the other."""
+        """Return the messages in order."""
         size, whole = self.records.shape[1], self.records.tobytes()
         return [whole[at + _BODY : at + size] for at in range(0, len(whole), size)]
 
     def data(self) -> NDArray[np.uint8]:
-        """(n, size of a message)."""
+        """Return the messages (n, size of a message)."""
         return self.records[:, _BODY:]
 
     def sequence(self) -> NDArray[np.uint32]:
-        """(n,) sequence numbers."""
+        """Return the sequence numbers (n,)."""
         return np.ascontiguousarray(self.records[:, 11:15]).view("<u4")[:, 0]
 
     def log_times(self) -> NDArray[np.uint64]:
-        """(n,) [ns]."""
+        """Return the log times (n,) [ns]."""
         return np.ascontiguousarray(self.records[:, 15:23]).view("<u8")[:, 0]
 
 
 class Definitions(NamedTuple):
-    """Schemas and channels of a chunk, as raw records without their header.
+    """Schemas and channels of a chunk.
 
     Attributes:
-        schemas: (id, name, encoding, data) of each.
-        channels: (id, schema id, topic, encoding, metadata) of each.
+        schemas: (id, name, encoding, data) of each schema.
+        channels: (id, schema id, topic, encoding, metadata) of each channel.
     """
 
     schemas: list[tuple[int, str, str, bytes]]
@@ -67,16 +70,16 @@ class Definitions(NamedTuple):
 
 
 def rows(content: bytes, packed: int, wanted: frozenset[int] | None = None) -> Iterator[Rows]:
-    """Messages of a chunk, all or those of some channels.
+    """Yield the messages of a chunk, of all channels or of some.
 
     Args:
         content: the uncompressed chunk.
-        packed: its size in the file, which limits the work that a small file can ask for.
+        packed: size of the chunk in the file. It limits the work that a small file can cause.
         wanted: ids of channels.
 
     Raises:
-        ValueError: the chunk is not what it should be.
-        struct.error: it ends within a record.
+        ValueError: the chunk is damaged.
+        struct.error: the chunk ends within a record.
     """
     raw, at, defined = np.frombuffer(content, np.uint8), 0, 0
     left = MIN_RUNS + packed // BYTES_PER_RUN
@@ -106,12 +109,12 @@ def rows(content: bytes, packed: int, wanted: frozenset[int] | None = None) -> I
 
 
 def _run(content: bytes, at: int, size: int) -> int:
-    """Return how many records follow one another that have the size and channel of the first.
+    """Count the records in a row that have the size and channel of the first record.
 
     Args:
         content: the chunk.
-        at: start of the first record in it.
-        size: of a record.
+        at: start of the first record in the chunk.
+        size: size of a record.
     """
     most, count, step = (len(content) - at) // size, 1, 16
     head, after = content[at : at + _HEADER], at + size
@@ -119,6 +122,7 @@ def _run(content: bytes, at: int, size: int) -> int:
         if content[after : after + _HEADER] != head:
             return count
         count, after = count + 1, after + size
+    # Steps grow by four, so that a long block takes few comparisons. `ndarray` with a stride reads only the headers.
     while count < most:
         number = min(step, most - count)
         heads = np.ndarray(number, _HEADS, content, at + count * size, (size,)).tobytes()
@@ -130,7 +134,7 @@ def _run(content: bytes, at: int, size: int) -> int:
 
 
 def _equal(heads: bytes, head: bytes, number: int) -> int:
-    """Return how many of the heads are equal to this one, from the first on; not all of them are."""
+    """Return the number of leading `heads` equal to `head`. At least one of them differs."""
     low = 0
     while number - low > 1:
         middle = (low + number) // 2
@@ -142,7 +146,7 @@ def _equal(heads: bytes, head: bytes, number: int) -> int:
 
 
 def definitions(content: bytes) -> Definitions:
-    """Schemas and channels at the start of a chunk; raises as ``rows``."""
+    """Return the schemas and channels at the start of a chunk. Raises as `rows`."""
     found, at = Definitions([], []), 0
     while at < len(content):
         code, length = _RECORD.unpack_from(content, at)
@@ -160,11 +164,13 @@ def definitions(content: bytes) -> Definitions:
 
 
 def _text(body: bytes, at: int) -> tuple[str, int]:
+    """Read a string and return the offset behind it."""
     raw, at = _bytes(body, at)
     return raw.decode(), at
 
 
 def _bytes(body: bytes, at: int) -> tuple[bytes, int]:
+    """Read a byte array and return the offset behind it."""
     (size,) = struct.unpack_from("<I", body, at)
     if at + 4 + size > len(body):
         raise ValueError("a text ends behind its record")
@@ -172,6 +178,7 @@ def _bytes(body: bytes, at: int) -> tuple[bytes, int]:
 
 
 def _schema(body: bytes) -> tuple[int, str, str, bytes]:
+    """Decode a Schema record: id u16, name, encoding, data."""
     (number,) = struct.unpack_from("<H", body)
     name, at = _text(body, 2)
     encoding, at = _text(body, at)
@@ -179,6 +186,7 @@ def _schema(body: bytes) -> tuple[int, str, str, bytes]:
 
 
 def _channel(body: bytes) -> tuple[int, int, str, str, dict[str, str]]:
+    """Decode a Channel record: id u16, schema id u16, topic, encoding, metadata as key and value texts."""
     number, schema = struct.unpack_from("<HH", body)
     topic, at = _text(body, 4)
     encoding, at = _text(body, at)

@@ -1,4 +1,4 @@
-"""What a log tells of single moments."""
+"""Events, gaps and phases of a log."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,11 +10,11 @@ from handctl.core.types import Event
 from handctl.errors import LogError
 
 MOST_PERIODS, MOST_MISSING = 1_000_000, 10
-"""Periods that a run may last in any case, and one more tick for so many beyond them."""
+"""Periods that every run may last, and further periods per tick in the log."""
 
 
 class LoggedEvent(NamedTuple):
-    """An event with its time: tick number, time [ns], event."""
+    """An event with its tick number and time [ns]."""
 
     k: int
     t_ns: int
@@ -22,14 +22,14 @@ class LoggedEvent(NamedTuple):
 
 
 class Gap(NamedTuple):
-    """Ticks that are not in the log: the last before and the first after."""
+    """Ticks missing from the log: the last tick before the gap and the first tick after it."""
 
     before: int
     after: int
 
 
 class PhaseChange(NamedTuple):
-    """A grasp phase that begins: tick number, time [ns], name."""
+    """The start of a grasp phase: tick number, time [ns], name."""
 
     k: int
     t_ns: int
@@ -37,10 +37,10 @@ class PhaseChange(NamedTuple):
 
 
 def phase_of_each(changes: Sequence[PhaseChange], k: NDArray[np.int64]) -> NDArray[np.str_]:
-    """(ticks,) name of the phase of every tick.
+    """Return the name of the phase of every tick (ticks,).
 
     Args:
-        changes: at least the one of the first tick.
+        changes: phase changes, from the first tick on.
         k: (ticks,) tick numbers, rising.
     """
     starts, names = np.array([change.k for change in changes]), np.array([change.name for change in changes])
@@ -48,14 +48,16 @@ def phase_of_each(changes: Sequence[PhaseChange], k: NDArray[np.int64]) -> NDArr
 
 
 def check_order(t_ns: NDArray[np.int64], period_ns: int) -> None:
-    """Refuse ticks over which no grid of times can be laid: one with a wrong clock could ask for any memory.
+    """Refuse ticks that do not fit a regular time grid.
+
+    The grid of a log with a wrong clock could need any amount of memory.
 
     Args:
-        t_ns: (ticks,) their times [ns].
-        period_ns: of the run [ns].
+        t_ns: (ticks,) times of the ticks [ns].
+        period_ns: period of the run [ns].
 
     Raises:
-        LogError: they are not in order, or nearly all are missing.
+        LogError: the ticks are out of order, or nearly all are missing.
     """
     early = np.flatnonzero(t_ns[1:] <= t_ns[:-1])
     if len(early):

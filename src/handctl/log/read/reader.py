@@ -1,4 +1,4 @@
-"""A recorded run as data: arrays, ticks and events, from whole and from broken files."""
+"""A recorded run as data: arrays, ticks and events, from complete and from broken files."""
 
 import functools
 import json
@@ -32,14 +32,17 @@ from handctl.printing import printable
 Array = NDArray[np.float64]
 
 _MAX_PHASES = 1000
+"""Maximum number of cached message ends without events."""
 VALUES_START = 4 + 8 + 8 + 8
-"""Start of the values in a StatisticsValues: encapsulation, stamp, empty frame_id with padding, length with padding."""
+"""Start of the values in a StatisticsValues: encapsulation, stamp, empty frame_id and length, both with padding."""
 VALUES_END = -4
-"""Their end, before the version of the names."""
+"""End of the values, before the version of the names."""
 _CACHE_BYTES = 64 << 20
+"""Maximum size of the telemetry that is held in memory [bytes]."""
 
 
 def _header(found: Scan) -> RunHeader:
+    """Read the header of a run."""
     record = found.metadata["handctl.run"]
     if (schema := json.loads(record["schema"])) != SCHEMA:
         raise ValueError(f"log of version {schema}; this reader knows {SCHEMA}")
@@ -48,16 +51,16 @@ def _header(found: Scan) -> RunHeader:
 
 
 _SEQUENCE = 0xFFFF_FFFF
-"""Bits of a tick's number that are the sequence number of its messages."""
+"""Mask of the tick number's bits in the sequence number of a message."""
 
 
 class _Index(NamedTuple):
-    """What is known of all chunks.
+    """Index of all chunks.
 
     Attributes:
         fixed: (ticks,) constant parts of all ticks.
-        first_of_chunk: (chunks + 1,) index of the first tick of each; the last is the number of ticks.
-        snapshots: chunk of each snapshot, by its sequence number.
+        first_of_chunk: (chunks + 1,) index of the first tick of each chunk, then the number of ticks.
+        snapshots: sequence number of a snapshot -> chunk.
     """
 
     fixed: NDArray[np.void]
@@ -66,41 +69,47 @@ class _Index(NamedTuple):
 
 
 class _Snapshots(Mapping[int, bytes]):
-    """Snapshots by their ticks; a day has more of them than fit into memory."""
+    """Snapshots by tick, read on demand. The snapshots of a day do not fit into memory."""
 
     def __init__(self, chunks: dict[int, int], read: Callable[[int, int], bytes]) -> None:
+        """Set the chunk of each snapshot and the function that reads a snapshot."""
         self._chunks, self._read = chunks, read
 
     def __getitem__(self, k: int) -> bytes:
+        """Read the snapshot after tick k."""
         return self._read(k, self._chunks[k])
 
     def __iter__(self) -> Iterator[int]:
+        """Yield the ticks with a snapshot."""
         return iter(self._chunks)
 
     def __len__(self) -> int:
+        """Return the number of snapshots."""
         return len(self._chunks)
 
 
 class RunLog:
-    """One run; use as a context manager, or ``close``.
+    """One run. Use as a context manager, or call `close`.
 
     Attributes:
         header: names, period, offset, gains, attachments.
         metadata: all metadata records.
-        end: reason, ticks, messages, missed, dropped of a run that was closed; else empty.
-        warning: why the file is not whole; empty if it is. What is there is complete up to then.
-        found: where everything is in the file.
+        end: reason, ticks, messages, missed, dropped of a closed run, else empty.
+        warning: defect of the file, else empty. The data before the defect is complete.
+        found: positions of all records in the file.
     """
 
     def __init__(self, path: Path, checked: bool = True) -> None:
         """Open a log.
 
         Args:
-            path: of the file.
-            checked: read all of it for its checksum; without, each chunk's own is compared when it is read.
+            path: path of the file.
+            checked: read the whole file for its checksum. Otherwise only the checksum of each chunk is compared, when
+                the chunk
+                is read.
 
         Raises:
-            LogError: not a log of handctl, damaged, or beyond a limit. A file that only ends early is no error.
+            LogError: the file is not a log of handctl, is damaged, or exceeds a limit. An early end is no error.
         """
         self._file = LogFile(path)
         self._latest: tuple[ChunkPlace, dict[int, list[Rows]]] | None = None
@@ -120,11 +129,13 @@ class RunLog:
             raise
 
     def __enter__(self) -> Self:
+        """Return the log."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        """Close the file."""
         self.close()
 
     def close(self) -> None:
@@ -132,18 +143,22 @@ class RunLog:
         self._file.close()
 
     def _channels(self) -> tuple[int, int, dict[str, int]]:
-        """Channels of the ticks and of the telemetry, and those of all topics."""
+        """Return the channel of the ticks, the channel of the telemetry, and the channels of all topics."""
         with Reading(self._file.at(self._chunks[0].offset)):
             found: Definitions = definitions(self._file.content(self._chunks[0]))
             topics = {topic: number for number, _, topic, _, _ in found.channels}
             return topics[TICK_TOPIC], topics[VALUES_TOPIC], topics
 
     def _rows(self, channel: int, chunks: slice = slice(None)) -> Iterator[tuple[ChunkPlace, Rows]]:
+        """Yield the messages of a channel with their chunk."""
         for place in self._chunks[chunks]:
             yield from ((place, one) for one in self._rows_of(place, channel))
 
     def _rows_of(self, place: ChunkPlace, channel: int) -> list[Rows]:
-        """Return a channel's messages of a chunk; who reads several channels side by side has them found once."""
+        """Return the messages of a channel in a chunk.
+
+        The latest chunk is cached for callers that read several channels side by side.
+        """
         if self._latest is None or self._latest[0] is not place:
             content = self._file.content(place)
             found: dict[int, list[Rows]] = {}
@@ -155,7 +170,7 @@ class RunLog:
 
     @functools.cached_property
     def _index(self) -> _Index:
-        """What one look at every chunk tells."""
+        """Return the index of all chunks, made in one pass over the file."""
         parts, counts, snapshots = [np.empty(0, FIXED_DTYPE)], [0], dict[int, int]()
         for i, place in enumerate(self._chunks):
             before = len(parts)
@@ -164,6 +179,7 @@ class RunLog:
                 with Reading(self._file.at(place.offset)):
                     if data.shape[1] < 4 + FIXED_DTYPE.itemsize:
                         raise ValueError("a tick that is too short")
+                    # Four bytes of CDR encapsulation precede the constant part.
                     parts.append(np.ascontiguousarray(data[:, 4 : 4 + FIXED_DTYPE.itemsize]).view(FIXED_DTYPE)[:, 0])
             counts.append(sum(map(len, parts[before:])))
             for one in self._rows_of(place, self._others.get(SNAPSHOT_TOPIC, -1)):
@@ -172,62 +188,62 @@ class RunLog:
 
     @property
     def _fixed(self) -> NDArray[np.void]:
-        """(ticks,) constant parts of all ticks."""
+        """Return the constant parts of all ticks (ticks,)."""
         return self._index.fixed
 
     def __len__(self) -> int:
-        """Number of ticks."""
+        """Return the number of ticks."""
         return len(self._fixed)
 
     @property
     def k(self) -> NDArray[np.int64]:
-        """(ticks,) tick numbers."""
+        """Return the tick numbers (ticks,)."""
         return self._fixed["k"]
 
     @property
     def t_ns(self) -> NDArray[np.int64]:
-        """(ticks,) time since the start of the run [ns]."""
+        """Return the time since the start of the run (ticks,) [ns]."""
         return self._fixed["t_ns"]
 
     @property
     def times(self) -> Array:
-        """(ticks,) time since the start of the run [s]."""
+        """Return the time since the start of the run (ticks,) [s]."""
         return np.asarray(self.t_ns * 1e-9, np.float64)
 
     @property
     def late_ns(self) -> NDArray[np.int64]:
-        """(ticks,) how late each tick began [ns]."""
+        """Return the lateness of each tick (ticks,) [ns]."""
         return self._fixed["late_ns"]
 
     @property
     def state_hash(self) -> NDArray[np.void]:
-        """(ticks,) hash of the state after each tick, 8 bytes."""
+        """Return the hash of the state after each tick (ticks,), 8 bytes."""
         return self._fixed["state_hash"]
 
     @property
     def mode(self) -> NDArray[np.uint8]:
-        """(ticks,) core.types.Mode."""
+        """Return the `core.types.Mode` of each tick (ticks,)."""
         return self._fixed["mode"]
 
     @property
     def action(self) -> NDArray[np.uint8]:
-        """(ticks,) safety.action.Action."""
+        """Return the `safety.action.Action` of each tick (ticks,)."""
         return self._fixed["action"]
 
     @property
     def gaps(self) -> list[Gap]:
-        """Where ticks are missing."""
+        """Return the gaps: where ticks are missing."""
         at = np.flatnonzero(np.diff(self.k) != 1)
         return [Gap(int(self.k[i]), int(self.k[i + 1])) for i in at]
 
     def field(self, name: str) -> Array:
-        """(ticks, n) one field of the telemetry, NaN where nothing was known, or in a log that lacks it.
+        """Return a field of the telemetry (ticks, n). NaN marks unknown values and a field missing from the log.
 
         Args:
-            name: of ``core.types.TELEMETRY_FIELDS``.
+            name: one of `core.types.TELEMETRY_FIELDS`.
 
         Raises:
-            LogError: there is no such field, or the log is damaged.
+            LogError: the field does not exist, or the log is damaged.
         """
         if name not in TELEMETRY_FIELDS:
             raise LogError(f"no field {printable(name)!r}", self._file.name, "one of " + ", ".join(TELEMETRY_FIELDS))
@@ -240,7 +256,7 @@ class RunLog:
 
     @functools.cached_property
     def fields(self) -> tuple[str, ...]:
-        """Fields of the telemetry in the file; logs of earlier versions lack the last of TELEMETRY_FIELDS."""
+        """Return the telemetry fields in the file. Logs of earlier versions lack the last of TELEMETRY_FIELDS."""
         for place, one in self._rows(self._values):
             with Reading(self._file.at(place.offset)):
                 return layout_of(self.header, (one.data().shape[1] - VALUES_START + VALUES_END) // 8)
@@ -248,14 +264,20 @@ class RunLog:
 
     @property
     def _width(self) -> int:
+        """Return the number of telemetry columns."""
         return columns_of(self.header, self.fields)
 
     @functools.cached_property
     def _numbers(self) -> Array:
+        """Return the whole telemetry (ticks, columns)."""
         return self._columns(slice(0, self._width))
 
     def _columns(self, place: slice) -> Array:
-        """(ticks, columns) of the telemetry."""
+        """Read columns of the telemetry (ticks, columns).
+
+        Raises:
+            LogError: the sequence numbers differ from those of the ticks.
+        """
         parts = [np.empty((0, place.stop - place.start))]
         sequence = [np.empty(0, np.uint32)]
         for data, numbers in self._values_parts():
@@ -268,7 +290,7 @@ class RunLog:
         return np.concatenate(parts)
 
     def _values_parts(self, chunks: slice = slice(None)) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint32]]]:
-        """Telemetry as (rows, bytes) with the sequence numbers of the rows, part by part."""
+        """Yield the telemetry as (rows, bytes) with the sequence numbers of the rows, in parts."""
         size = VALUES_START + 8 * self._width + 4
         for chunk, one in self._rows(self._values, chunks):
             data = one.data()
@@ -278,27 +300,27 @@ class RunLog:
             yield data[:, VALUES_START:VALUES_END], one.sequence()
 
     def packed(self, chunks: slice = slice(None)) -> Iterator[bytes]:
-        """Telemetry of each tick as ``Telemetry.packed`` gives it, without holding more than a part of the file.
+        """Yield the telemetry of each tick in the form of `Telemetry.packed`. Only a part of the file is in memory.
 
         Args:
-            chunks: of the file, all by default.
+            chunks: chunks of the file, all by default.
         """
         for data, _ in self._values_parts(chunks):
             yield from (row.tobytes() for row in data)
 
     def messages(self) -> Iterator[bytes]:
-        """The Tick message of each tick as it is in the file."""
+        """Yield the Tick message of each tick as in the file."""
         yield from (message for _, message in self._messages())
 
     def digests(self) -> Iterator[bytes]:
-        """The chain's hash of each tick; nothing in a log of a version that had none."""
+        """Yield the chain hash of each tick. Logs of earlier versions have none."""
         if CHAIN_TOPIC in self._others:
             for _, one in self._rows(self._others[CHAIN_TOPIC]):
                 yield from (row[-SIZE:].tobytes() for row in one.data())
 
     @functools.cached_property
     def clock_pairs(self) -> list[ClockPair]:
-        """The wall clock beside the monotonic one, every ten seconds; none of a lockstep run."""
+        """Return the pairs of wall and monotonic clock, ten seconds apart. A lockstep run has none."""
         found = []
         if CLOCK_TOPIC in self._others:
             for place, one in self._rows(self._others[CLOCK_TOPIC]):
@@ -308,19 +330,19 @@ class RunLog:
 
     @functools.cached_property
     def snapshots(self) -> Mapping[int, bytes]:
-        """States of the controller by the ticks that they follow, one a second; each is read when it is asked for.
+        """Return the states of the controller by the tick before them, one per second, read on demand.
 
-        Empty for a log of a version that did not keep them.
+        Logs of earlier versions have no snapshots.
         """
         chunks = self._index.snapshots
         kept = self.k[np.isin(self.k & _SEQUENCE, list(chunks))].tolist()
         return _Snapshots({k: chunks[k & _SEQUENCE] for k in kept}, self._snapshot)
 
     def _snapshot(self, k: int, chunk: int) -> bytes:
-        """Return the snapshot behind a tick out of its chunk.
+        """Read the snapshot after a tick from its chunk.
 
         Raises:
-            LogError: it is damaged.
+            LogError: the snapshot is damaged.
         """
         place = self._chunks[chunk]
         with Reading(self._file.at(place.offset)):
@@ -329,20 +351,21 @@ class RunLog:
             return found[k]
 
     def names(self, field: str) -> tuple[str, ...]:
-        """Names of the columns of a field."""
+        """Return the names of a field's columns."""
         return self.header.axis(TELEMETRY_AXES[field])
 
     def _messages(self) -> Iterator[tuple[ChunkPlace, bytes]]:
+        """Yield each Tick message with its chunk."""
         for place, one in self._rows(self._tick):
             yield from ((place, message) for message in one.messages())
 
     @property
     def first_of_chunk(self) -> NDArray[np.intp]:
-        """(chunks + 1,) index of the first tick of each chunk; the last is the number of ticks."""
+        """Return the index of the first tick of each chunk (chunks + 1,). The last is the number of ticks."""
         return self._index.first_of_chunk
 
     def ticks(self, chunks: slice = slice(None)) -> Iterator[TickRecord]:
-        """All ticks in order, or those of some chunks, for re-execution."""
+        """Yield the ticks in order, of all chunks or of some."""
         for place in self._chunks[chunks]:
             with Reading(self._file.at(place.offset)):
                 messages = [message for one in self._rows_of(place, self._tick) for message in one.messages()]
@@ -351,12 +374,14 @@ class RunLog:
 
     @functools.cached_property
     def _told(self) -> tuple[list[LoggedEvent], list[PhaseChange]]:
-        """Events and phases; only a tick whose words are new is decoded."""
+        """Return events and phases. A message end seen before is not decoded again."""
         events: list[LoggedEvent] = []
         phases: list[PhaseChange] = []
         quiet: dict[bytes, str] = {}
         for index, (place, message) in enumerate(self._messages()):
             with Reading(self._file.at(place.offset)):
+                # Ticks without events have equal message ends (phase and empty lists). The cache
+                # avoids decoding them again.
                 tail = message[layout(message).tail :]
                 phase = quiet.get(tail)
                 if phase is None:
@@ -371,10 +396,10 @@ class RunLog:
 
     @property
     def events(self) -> list[LoggedEvent]:
-        """What the controller had to say, in order."""
+        """Return the events of the controller in order."""
         return self._told[0]
 
     @property
     def phases(self) -> list[PhaseChange]:
-        """When each grasp phase began."""
+        """Return the starts of the grasp phases."""
         return self._told[1]

@@ -1,4 +1,4 @@
-"""A new, whole file from what a broken one still holds."""
+"""Recovery: a new, complete file from the intact parts of a broken file."""
 
 import enum
 import os
@@ -17,25 +17,25 @@ from handctl.output import whole
 
 
 class Status(enum.IntEnum):
-    """What was found; the numbers are exit codes."""
+    """Result of a recovery. The numbers are exit codes."""
 
     WHOLE = 0
-    """The file was whole; the new one is equivalent."""
+    """The file was complete. The new file is equivalent."""
     NOTHING = 1
-    """Not one complete chunk."""
+    """The file has no complete chunk."""
     LOSSY = 3
-    """The new file holds what was complete."""
+    """The new file has the complete chunks of the old file."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """What became of a file.
+    """Report on a recovery.
 
     Attributes:
         status: see Status.
-        chunks, messages: kept.
-        lost: (start, end) of every range of the old file that was not kept [bytes].
-        problem: what was wrong with the old file; empty if nothing.
+        chunks, messages: number of copied chunks and messages.
+        lost: (start, end) of each range of the old file that was not copied [bytes].
+        problem: defect of the old file, else empty.
     """
 
     status: Status
@@ -46,14 +46,14 @@ class Recovery:
 
 
 def recover(path: Path, out: Path) -> Recovery:
-    """Copy all complete and intact chunks, attachments and metadata into a new file.
+    """Copy all intact chunks, attachments and metadata into a new file.
 
     Args:
-        path: a log, whole or broken.
-        out: a new file; not written if there is nothing to keep.
+        path: a log, complete or broken.
+        out: a new file. It is not written if the log has no intact chunk.
 
     Raises:
-        LogError: path cannot be opened or is no MCAP file.
+        LogError: path cannot be opened or is not an MCAP file.
         ConfigError: out cannot be created.
         OSError: out cannot be written.
     """
@@ -76,7 +76,10 @@ def recover(path: Path, out: Path) -> Recovery:
 
 
 def scan_all(file: LogFile, found: Scan) -> str:
-    """As ``scan``, but damage is the answer and no error; what is intact before it, and behind it, is kept."""
+    """Scan a file as `scan` does, and return its defect instead of raising.
+
+    The intact records before and behind a damaged one are in `found`.
+    """
     try:
         scan(file, found, skip=True)
     except LogError as error:
@@ -87,9 +90,11 @@ def scan_all(file: LogFile, found: Scan) -> str:
 
 
 def _copy(file: LogFile, found: Scan, problem: str, new: Container) -> Recovery:
+    """Copy the intact parts of a file and write the end of the new file."""
     for name, (media, time_ns, data) in found.attachments.items():
         new.attach(name, media, data, time_ns)
     for name, values in found.metadata.items():
+        # The end record is written last, as in a log that was closed.
         if name != "handctl.end":
             new.metadata(name, values)
     lost, kept = found.skipped.copy(), 0
@@ -109,11 +114,17 @@ def _copy(file: LogFile, found: Scan, problem: str, new: Container) -> Recovery:
 
 
 def _end(found: Scan, problem: str) -> dict[str, str]:
+    """Return the end record of the new file, with the defect of the old file."""
     end = found.metadata.get("handctl.end", {"reason": "not closed"})
     return end | {"recovered": problem} if problem else end
 
 
 def _copy_chunk(file: LogFile, place: ChunkPlace, new: Container) -> None:
+    """Copy one chunk. Its messages are written unchanged.
+
+    Raises:
+        LogError: the chunk is damaged.
+    """
     content = file.content(place)
     with Reading(file.at(place.offset)):
         known = definitions(content)
@@ -130,4 +141,5 @@ def _copy_chunk(file: LogFile, place: ChunkPlace, new: Container) -> None:
 
 
 def _offsets(shape: tuple[int, ...]) -> "np.ndarray[tuple[int], np.dtype[np.uint64]]":
+    """Return the start of each message in a block (n,) [bytes]."""
     return np.arange(shape[0], dtype=np.uint64) * np.uint64(shape[1])

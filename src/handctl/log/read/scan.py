@@ -1,6 +1,12 @@
-"""The outer records of an MCAP file.
+"""Scan of the outer records of an MCAP file.
 
-No index of the file is trusted and every checksum is compared. Source: MCAP specification.
+The index of the file is not trusted, and every checksum is compared.
+
+Record: opcode u8, length u64, content. The data section ends with DataEnd (CRC-32 of all bytes before). The summary and
+the footer follow. Footer, 29 bytes: opcode u8, length u64, two offsets u64, CRC-32 u32. The file begins and ends with
+MAGIC.
+
+Source: MCAP specification.
 """
 
 import struct
@@ -15,29 +21,32 @@ from handctl.log.container import MAGIC
 from handctl.log.read.logfile import MAX_CHUNK, ChunkPlace, LogFile, Reading
 
 MAX_ATTACHMENT, MAX_ATTACHMENTS = 16 << 20, 64 << 20
+"""Maximum size of one attachment and of all attachments [bytes]."""
 MAX_METADATA, MAX_RECORDS = 1 << 20, 1000
-"""Size of a metadata record; number of attachments, of metadata records, and of records that we do not know."""
+"""Maximum size of a metadata record [bytes]. Maximum number of attachments, metadata records, and unknown records."""
 MAX_RATIO = 64
-"""All chunks together may be this many times larger than the file; a hand at rest compresses to a fifteenth."""
+"""Maximum ratio of the size of all uncompressed chunks to the file. A hand at rest compresses to a fifteenth."""
 
 _RECORD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
+"""Start of a Chunk: first and last time [ns], uncompressed size, CRC-32, length of the compression's name."""
 _INDEX = int(Opcode.MESSAGE_INDEX)
 _LENGTHS: dict[int, int] = {Opcode.HEADER: 8, Opcode.MESSAGE_INDEX: 6, Opcode.SCHEMA: 14, Opcode.CHANNEL: 16}
+"""Minimum length of a record by opcode."""
 
 
 @dataclass(slots=True)
 class Scan:
-    """What a file holds.
+    """Contents of a file.
 
     Attributes:
-        chunks: places of all complete chunks.
+        chunks: all complete chunks.
         attachments: name -> (media type, time, bytes).
         metadata: name -> values.
         end: offset behind the last complete record of the data section.
-        size: of the file.
-        complete: whether the data section has its end and the right checksum.
-        problem: why the file is not whole; empty if it is.
+        size: size of the file [bytes].
+        complete: True if the data section has its end and the right checksum.
+        problem: defect of the file, else empty.
         skipped: (start, end) of every damaged record that was left out.
     """
 
@@ -52,42 +61,46 @@ class Scan:
 
 
 class _Fields:
-    """Fields of one record."""
+    """Reads the fields of one record in order."""
 
     def __init__(self, data: bytes) -> None:
         self._data, self._at = data, 0
 
     def number(self, code: str) -> int:
+        """Read a number."""
         value = struct.unpack_from("<" + code, self._data, self._at)[0]
         self._at += struct.calcsize("<" + code)
         return int(value)
 
     def take(self, size: int) -> bytes:
+        """Read `size` bytes."""
         if self._at + size > len(self._data):
             raise ValueError("a field ends behind its record")
         self._at += size
         return self._data[self._at - size : self._at]
 
     def text(self) -> str:
+        """Read a string."""
         return self.take(self.number("I")).decode()
 
     def rest(self) -> int:
+        """Return the number of bytes left."""
         return len(self._data) - self._at
 
 
 def scan(file: LogFile, found: Scan, checked: bool = True, skip: bool = False) -> None:
-    """Walk over the outer records.
+    """Read the outer records.
 
-    A file that ends early is no error: ``problem`` says so and all complete records are there.
+    An early end of the file is no error. `problem` then describes the end, and all complete records are in `found`.
 
     Args:
         file: the file.
-        found: empty; holds what came before the damage if this raises.
-        checked: compare the checksum of the whole data, which reads all of it.
-        skip: leave out a damaged record whose end is known, instead of raising.
+        found: an empty scan. After an error it has the records before the damage.
+        checked: compare the checksum of the whole data section, which reads the whole file.
+        skip: leave out a damaged record with a known end instead of raising.
 
     Raises:
-        LogError: not an MCAP file, damaged inside, or beyond a limit.
+        LogError: the file is not an MCAP file, is damaged inside, or exceeds a limit.
     """
     found.size = file.size
     if file.size < len(MAGIC) or file.read(0, len(MAGIC)) != MAGIC:
@@ -98,6 +111,7 @@ def scan(file: LogFile, found: Scan, checked: bool = True, skip: bool = False) -
         at = found.end
         code, length = _RECORD.unpack(file.read(at, _RECORD.size))
         end = at + _RECORD.size + length
+        # Opcode 0 is invalid. After a power failure a file may end in zeros.
         if code == 0 or end > file.size:
             if finished:
                 raise LogError("damaged log: no record here", file.at(at), "an intact file")
@@ -124,7 +138,7 @@ def scan(file: LogFile, found: Scan, checked: bool = True, skip: bool = False) -
 
 
 def scanned(path: Path) -> Scan:
-    """What a file holds by its outer records, without its checksum over everything; raises as ``scan``."""
+    """Return the outer records of a file without the checksum of the data section. Raises as `scan`."""
     file, found = LogFile(path), Scan()
     try:
         scan(file, found, checked=False)
@@ -134,6 +148,7 @@ def scanned(path: Path) -> Scan:
 
 
 def _check_limits(found: Scan, unpacked: int, unknown: int) -> None:
+    """Refuse a file with too many records or too much uncompressed data."""
     if unpacked > MAX_RATIO * found.size + MAX_CHUNK:
         raise ValueError(f"chunks of more than {unpacked} bytes")
     if max(unknown, len(found.attachments), len(found.metadata), len(found.skipped)) > MAX_RECORDS:
@@ -143,7 +158,7 @@ def _check_limits(found: Scan, unpacked: int, unknown: int) -> None:
 
 
 def _take(file: LogFile, found: Scan, code: int, at: int, end: int) -> int:
-    """Take in one record; size of the chunk if it is one."""
+    """Add one record to a scan. Return its uncompressed size if it is a chunk, else 0."""
     start, length = at + _RECORD.size, end - at - _RECORD.size
     if length < _LENGTHS.get(code, 0):
         raise ValueError("a record that is too short")
@@ -162,12 +177,15 @@ def _take(file: LogFile, found: Scan, code: int, at: int, end: int) -> int:
 
 
 def _bounded(size: int, most: int) -> int:
+    """Return a size after a check against its limit."""
     if size > most:
         raise ValueError(f"a record of {size} bytes; at most {most} are allowed")
     return size
 
 
 def _chunk(file: LogFile, at: int, end: int) -> ChunkPlace:
+    """Decode the head of a Chunk record, without its data."""
+    # 80 bytes hold the fixed fields (41 bytes), the compression's name (at most 8) and the size of the records (8).
     head = file.read(at, min(end - at, 80))
     first, last, size, crc, name = _CHUNK.unpack_from(head, _RECORD.size)
     _bounded(size, MAX_CHUNK)
@@ -183,16 +201,19 @@ def _chunk(file: LogFile, at: int, end: int) -> ChunkPlace:
 
 
 def _attachment(found: Scan, data: bytes) -> None:
+    """Decode an attachment and compare its checksum."""
     fields = _Fields(data)
     time_ns, _, name, media = fields.number("Q"), fields.number("Q"), fields.text(), fields.text()
     content = fields.take(fields.number("Q"))
     crc = fields.number("I")
+    # The checksum covers all fields before it. Its own four bytes are the last.
     if crc and crc != zlib.crc32(data[: -4 - fields.rest()]):
         raise ValueError("checksum of an attachment does not match")
     found.attachments[name] = (media, time_ns, content)
 
 
 def _text_map(fields: _Fields) -> dict[str, str]:
+    """Decode a map of texts."""
     inner = _Fields(fields.take(fields.number("I")))
     values = {}
     while inner.rest():

@@ -1,1 +1,1 @@
-"""The topics of a log: a batch of ticks in, runs of messages out."""
+"""Topics of a log. They turn a batch of ticks into blocks of messages."""

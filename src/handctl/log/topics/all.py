@@ -1,4 +1,4 @@
-"""All topics of the log: a batch of ticks in, runs of messages out."""
+"""All topics of the log."""
 
 import numpy as np
 from mcap.records import Channel, Schema
@@ -18,13 +18,14 @@ from handctl.log.topics.streams import Registry, Stamps, loose, stamps_at
 from handctl.log.topics.transforms import TfTopics
 
 TICK_TOPIC, VALUES_TOPIC = "/tick", "/controller/values"
-"""What the reader needs; all other topics are made from these two and from the header."""
+"""Topics for the reader. All other topics are derived from these two and from the header."""
 
 
 class Topics:
-    """Turns ticks into messages; what it gives depends on the ticks only, not on how they are cut into batches."""
+    """Turns ticks into messages. The messages do not depend on the division of the ticks into batches."""
 
     def __init__(self, header: RunHeader) -> None:
+        """Register all topics of a run."""
         self._header, self._registry = header, Registry()
         self._description = self._registry.add("/robot_description", "std_msgs/String", latched=True)
         self._names = self._registry.add("/controller/names", "pal_statistics_msgs/StatisticsNames", latched=True)
@@ -39,16 +40,16 @@ class Topics:
 
     @property
     def schemas(self) -> list[Schema]:
-        """All schemas."""
+        """Return all schemas."""
         return list(self._registry.schemas.values())
 
     @property
     def channels(self) -> list[Channel]:
-        """All channels."""
+        """Return all channels."""
         return list(self._registry.channels.values())
 
     def latched(self) -> list[Run]:
-        """Messages that are written once, at t = 0."""
+        """Return the messages that are written once, at t = 0."""
         stamps = Stamps(np.array([self._header.offset_ns], np.uint64), np.zeros(1, np.uint32))
         names = names_message(self._header, *divmod(self._header.offset_ns, 10**9))
         runs = [loose(self._names, stamps, [names]), self._tf.latched(stamps), *self._events.latched(stamps)]
@@ -61,26 +62,34 @@ class Topics:
 
     @property
     def last_digest(self) -> bytes:
-        """The chain's hash of the latest tick."""
+        """Return the chain hash of the latest tick."""
         return self._chain.last
 
     def clock_pair(self, t_ns: int, k: int, wall_ns: int, monotonic_ns: int) -> Run:
-        """The two clocks at the time of a tick."""
+        """Return a message with both clocks.
+
+        Args:
+            t_ns: time of the tick since the start of the run [ns].
+            k: number of the tick.
+            wall_ns: wall clock [ns].
+            monotonic_ns: monotonic clock [ns].
+        """
         return self._clocks.run(stamps_at(self._log_ns(t_ns), k), wall_ns, monotonic_ns)
 
     def snapshot(self, t_ns: int, snapshot: Snapshot) -> Run:
-        """The state after a tick, whose time is ``t_ns``."""
+        """Return a message with the state after a tick at `t_ns`."""
         return self._snapshots.run(self._log_ns(t_ns), snapshot)
 
     def _log_ns(self, t_ns: int) -> int:
-        """Return a time since the start of the run as one of the log [ns]."""
+        """Convert a time since the start of the run to a log time [ns]."""
         return max(t_ns + self._header.offset_ns, 0)
 
     def runs(self, batch: Batch) -> list[Run]:
-        """Messages of a batch."""
+        """Return the messages of a batch."""
         log = np.maximum(batch.t_ns + self._header.offset_ns, 0).astype(np.uint64)
         stamps = Stamps(log, (batch.k & 0xFFFF_FFFF).astype(np.uint32))
         runs = [loose(self._tick, stamps, batch.messages), *self._chain.runs(batch, stamps)]
+        # Numbers of a failing controller may overflow. The log keeps them as they are.
         with np.errstate(all="ignore"):
             for part in self._parts:
                 runs += part.runs(batch, stamps)

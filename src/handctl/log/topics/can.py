@@ -11,10 +11,11 @@ from handctl.log.header import RunHeader
 from handctl.log.topics.streams import Registry, Stamps, Stream, Times
 
 _ID_MASK = 0x1FFF_FFFF
+"""The 29 identifier bits of can_id. The three bits above are flags, as in SocketCAN."""
 
 
 def can_frame(bus: str) -> Template:
-    """A can_msgs/Frame from one bus."""
+    """Create the template of a can_msgs/Frame from one bus."""
     out = TemplateWriter()
     out.header(bus)
     out.place("id", "<u4")
@@ -25,7 +26,7 @@ def can_frame(bus: str) -> Template:
 
 
 def fd_frame(bus: str, t_ns: int, can_id: int, data: bytes) -> bytes:
-    """A ros2_socketcan_msgs/FdFrame."""
+    """Encode a ros2_socketcan_msgs/FdFrame."""
     out = CdrWriter()
     out.put("I", t_ns // 10**9)
     out.put("I", t_ns % 10**9)
@@ -38,6 +39,8 @@ def fd_frame(bus: str, t_ns: int, can_id: int, data: bytes) -> bytes:
 
 
 class _Direction:
+    """Channels of one direction, rx or tx."""
+
     def __init__(self, buses: tuple[str, ...], registry: Registry, direction: str) -> None:
         self._buses = (*buses, "unknown")
         self._channel = registry.add(f"/can/{direction}", "can_msgs/Frame")
@@ -45,6 +48,13 @@ class _Direction:
         self._streams = [Stream(self._channel, can_frame(bus)) for bus in self._buses]
 
     def runs(self, frames: Frames, stamps: Stamps, measured: Times) -> list[Run]:
+        """Return the messages of frames.
+
+        Args:
+            frames: frames of many ticks.
+            stamps: log times of the frames.
+            measured: publish times and header stamps [ns].
+        """
         if not len(frames.frames):
             return []
         fd = (frames.frames["flags"] & FDF) != 0
@@ -57,10 +67,13 @@ class _Direction:
         return runs
 
     def _classical(self, frames: NDArray[np.void], bus: NDArray[np.intp], stamps: Stamps, measured: Times) -> Run:
+        """Return the messages of classical frames, in the order of the frames."""
         used = np.unique(bus)
         if len(used) == 1:
             return self._streams[int(used[0])].run(stamps, _values(frames), measured)
         records: list[bytes] = [b""] * len(frames)
+        # The bus name is part of the template. Frames of several buses are made bus by bus and put
+        # back in order.
         for one in used.tolist():
             where = np.flatnonzero(bus == one)
             run = self._streams[one].run(stamps.at(where), _values(frames[where]), measured[where])
@@ -72,10 +85,12 @@ class _Direction:
     def _long(
         self, frames: Frames, bus: NDArray[np.intp], fd: NDArray[np.bool_], stamps: Stamps, measured: Times
     ) -> Run:
+        """Return the messages of CAN FD frames."""
         records, rest = [], memoryview(frames.long_data)
         columns = [frames.frames[name].tolist() for name in ("can_id", "length")]
         data = frames.frames["data"].tobytes()
         sequence, log, times = stamps.sequence.tolist(), stamps.log.tolist(), measured.tolist()
+        # `rest` moves over the long bytes of all frames, classical frames have none.
         for index, (can_id, length) in enumerate(zip(*columns, strict=True)):
             more = max(length - 8, 0)
             payload, rest = data[8 * index : 8 * index + min(length, 8)] + bytes(rest[:more]), rest[more:]
@@ -87,11 +102,13 @@ class _Direction:
 
 
 def _joined(channel: int, log_times: Times, records: list[bytes]) -> Run:
+    """Return Message records joined into one block."""
     ends = np.cumsum([0, *map(len, records)], dtype=np.uint64)
     return Run(channel, b"".join(records), log_times, ends[:-1])
 
 
 def _values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
+    """Return the variable fields of can_msgs/Frame messages."""
     can_id = frames["can_id"]
     small = {
         "id": can_id & _ID_MASK,
@@ -104,14 +121,15 @@ def _values(frames: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
 
 
 class CanTopics:
-    """/can/rx and /can/tx; log time is the tick's, header stamp and publish time the frame's own."""
+    """/can/rx and /can/tx. Log time is the time of the tick, header stamp and publish time are those of the frame."""
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
+        """Register the topics."""
         self._rx, self._tx = (_Direction(header.buses, registry, direction) for direction in ("rx", "tx"))
         self._offset = header.offset_ns
 
     def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
-        """Messages of all frames of a batch; a frame sent bears the time at which its tick began."""
+        """Return the messages of all frames of a batch. A sent frame has the time at which its tick began."""
         sent_at = (batch.t_ns + batch.late_ns)[batch.sent.tick]
         runs = []
         for direction, frames, t_ns in (

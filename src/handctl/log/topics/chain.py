@@ -1,7 +1,7 @@
-"""A hash over each tick and the one before it: one changed byte breaks the chain at its tick.
+"""Hash chain over the ticks. One changed byte breaks the chain at its tick.
 
-It shows damage and mix-ups; it is no signature, as whoever changes a tick may forge all hashes after it. The last one
-is in the log's end record: keep it elsewhere, and the whole log is fixed.
+The chain shows damage and mixed-up files. It is no signature, because an attacker can compute all later hashes again.
+The last hash is in the end record of the log. A copy of this hash in another place protects the whole log.
 """
 
 import hashlib
@@ -18,16 +18,18 @@ from handctl.log.topics.streams import Registry, Stamps, Stream
 
 TOPIC = "/tick/chain"
 SIZE = 8
+"""Size of a hash [bytes]."""
 
 
 def seed(metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
-    """Hash before the first tick: of all that is known of a run by then, but for the facts of one machine or day."""
+    """Compute the hash before the first tick, over all facts of a run except those of the machine and the day."""
     whole = hashlib.blake2b(digest_size=SIZE)
     texts = {
         f"{group}.{name}": text.encode("utf-8", "backslashreplace")
         for group, table in (("m", metadata), ("g", gains))
         for name, text in table.items()
     }
+    # Name and length precede each text, so that no two sets of texts give the same bytes.
     for name, data in sorted((texts | {f"a.{name}": data for name, data in attachments.items()}).items()):
         whole.update(f"{name}:{len(data)}:".encode("utf-8", "backslashreplace"))
         whole.update(data)
@@ -35,30 +37,35 @@ def seed(metadata: Mapping[str, str], gains: Mapping[str, str], attachments: Map
 
 
 def seed_of(header: RunHeader) -> bytes:
-    """The seed of a run."""
+    """Return the seed of a run."""
     return seed(header.metadata, header.gains, {**header.attachments, "hand.toml": header.hand_toml.encode()})
 
 
 def link(before: bytes, message: bytes, numbers: bytes) -> bytes:
-    """Hash of a tick.
+    """Compute the hash of a tick.
 
     Args:
-        before: hash of the tick before it, or the seed.
+        before: hash of the tick before, or the seed.
         message: the Tick message.
-        numbers: telemetry of the tick, as packed.
+        numbers: packed telemetry of the tick.
     """
     return hashlib.blake2b(before + message + numbers, digest_size=SIZE).digest()
 
 
 def links(before: bytes, ticks: Iterable[tuple[bytes, bytes]]) -> Iterator[bytes]:
-    """Hashes of consecutive ticks, each given as its message and its telemetry."""
+    """Yield the hashes of consecutive ticks.
+
+    Args:
+        before: hash of the tick before, or the seed.
+        ticks: message and packed telemetry of each tick.
+    """
     for message, numbers in ticks:
         before = link(before, message, numbers)
         yield before
 
 
 def chain_message() -> Template:
-    """A handctl_msgs/Chain."""
+    """Create the template of a handctl_msgs/Chain."""
     out = TemplateWriter()
     out.header()
     out.place("digest", "|u1", SIZE)
@@ -66,14 +73,19 @@ def chain_message() -> Template:
 
 
 class ChainTopic:
-    """The hash of every tick."""
+    """Topic with the hash of every tick.
+
+    Attributes:
+        last: hash of the latest tick.
+    """
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
+        """Register the topic, and start the chain with the seed."""
         self._stream = Stream(registry.add(TOPIC, "handctl_msgs/Chain"), chain_message())
         self.last = seed_of(header)
 
     def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
-        """Messages of all ticks of a batch."""
+        """Return the messages of all ticks of a batch."""
         numbers = (row.tobytes() for row in batch.numbers)
         found = list(links(self.last, zip(batch.messages, numbers, strict=True)))
         self.last = found[-1]

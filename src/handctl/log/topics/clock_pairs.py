@@ -1,6 +1,6 @@
-"""The wall clock beside the monotonic one, every ten seconds: nothing uses it, but a step of it can be told later.
+"""Pairs of wall and monotonic clock, every ten seconds. They show steps of the wall clock afterwards.
 
-Only the recorder looks at these clocks, and not in a lockstep run, whose messages depend on nothing outside.
+Only the recorder reads these clocks. A lockstep run has no pairs, because its messages depend only on the ticks.
 """
 
 import struct
@@ -13,17 +13,18 @@ from handctl.log.topics.streams import Registry, Stamps, loose
 
 TOPIC = "/clock_pairs"
 PERIOD_NS = 10_000_000_000
+"""Interval between pairs [ns]."""
 STEP_NS = 50_000_000
-"""A wall clock that is slewed gains at most 5 ms in ten seconds (adjtimex: 500 ppm); more than this was a step."""
+"""Minimum step of the wall clock [ns]. Slewing gains at most 5 ms in ten seconds (adjtimex: 500 ppm)."""
 _BODY = struct.Struct("<4xII8xqq")
-"""Encapsulation, stamp, empty frame_id with padding, the two clocks."""
+"""Encapsulation, stamp, empty frame_id with padding, both clocks."""
 
 
 class ClockPair(NamedTuple):
-    """Both clocks at one moment.
+    """Both clocks at the same time.
 
     Attributes:
-        t_ns: of the tick before, since the start of the run [ns].
+        t_ns: time of the tick before the pair, since the start of the run [ns].
         wall_ns: UNIX time [ns].
         monotonic_ns: CLOCK_MONOTONIC [ns].
     """
@@ -34,20 +35,26 @@ class ClockPair(NamedTuple):
 
 
 class ClockStep(NamedTuple):
-    """A jump of the wall clock between two pairs: when it had happened [s], and by how much [s]."""
+    """A step of the wall clock between two pairs.
+
+    Attributes:
+        t_s: time of the pair after the step [s].
+        step_s: size of the step [s].
+    """
 
     t_s: float
     step_s: float
 
 
 class ClockTopic:
-    """The topic of the pairs."""
+    """Topic of the pairs."""
 
     def __init__(self, registry: Registry) -> None:
+        """Register the topic."""
         self._channel = registry.add(TOPIC, "handctl_msgs/ClockPair")
 
     def run(self, stamps: Stamps, wall_ns: int, monotonic_ns: int) -> Run:
-        """One pair."""
+        """Return the message of one pair."""
         out = CdrWriter()
         t_ns = int(stamps.log[0])
         out.put("I", t_ns // 10**9)
@@ -59,17 +66,17 @@ class ClockTopic:
 
 
 def pair_of(message: bytes, offset_ns: int) -> ClockPair:
-    """A pair out of its message.
+    """Decode a pair.
 
     Raises:
-        struct.error: it is too short.
+        struct.error: the message is too short.
     """
     seconds, nanoseconds, wall, monotonic = _BODY.unpack_from(message)
     return ClockPair(seconds * 10**9 + nanoseconds - offset_ns, wall, monotonic)
 
 
 def steps(pairs: Iterable[ClockPair]) -> Iterator[ClockStep]:
-    """Jumps of the wall clock against the monotonic one."""
+    """Yield the steps of the wall clock against the monotonic clock."""
     before: ClockPair | None = None
     for pair in pairs:
         if before is not None:

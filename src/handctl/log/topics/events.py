@@ -1,4 +1,4 @@
-"""Topics that speak when something changes: log lines, gains, grasp phase, mode of the hand, safety's action."""
+"""Topics with a message per change: log lines, gains, grasp phase, mode of the hand, action of the safety monitor."""
 
 import math
 from collections.abc import Iterator
@@ -17,11 +17,13 @@ from handctl.log.topics.streams import Registry, Stamps, loose
 from handctl.safety.action import Action
 
 LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
+"""Numbers of the levels in rcl_interfaces/Log."""
 _DOUBLE, _STRING = 3, 4
-"""rcl_interfaces/ParameterType."""
+"""Values of rcl_interfaces/ParameterType."""
 
 
 def _stamped(t_ns: int) -> CdrWriter:
+    """Start a message with a time stamp."""
     out = CdrWriter()
     out.put("I", t_ns // 10**9)
     out.put("I", t_ns % 10**9)
@@ -29,7 +31,7 @@ def _stamped(t_ns: int) -> CdrWriter:
 
 
 def rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
-    """A rcl_interfaces/Log."""
+    """Encode a rcl_interfaces/Log."""
     out = _stamped(t_ns)
     out.put("B", LEVELS.get(level, LEVELS["error"]))
     out.text(name)
@@ -41,6 +43,7 @@ def rosout(t_ns: int, level: str, name: str, text: str) -> bytes:
 
 
 def _parameter(out: CdrWriter, name: str, value: str) -> None:
+    """Append a rcl_interfaces/Parameter. A text that is a number becomes a double."""
     try:
         number = float(value)
     except ValueError:
@@ -52,12 +55,13 @@ def _parameter(out: CdrWriter, name: str, value: str) -> None:
     out.put("q", 0)
     out.put("d", number if is_number else 0.0)
     out.text("" if is_number else value)
+    # The five array fields of ParameterValue are empty.
     for _ in range(5):
         out.count(0)
 
 
 def parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, str]) -> bytes:
-    """A rcl_interfaces/ParameterEvent; values that read as numbers become doubles."""
+    """Encode a rcl_interfaces/ParameterEvent. A text that is a number becomes a double."""
     out = _stamped(t_ns)
     out.text("/handctl")
     for group in (new, changed):
@@ -69,7 +73,7 @@ def parameter_event(t_ns: int, new: dict[str, str], changed: dict[str, str]) -> 
 
 
 def labelled(t_ns: int, number: int, name: str) -> bytes:
-    """A handctl_msgs/GraspPhase, Mode or Action: header, number, name."""
+    """Encode a handctl_msgs/GraspPhase, Mode or Action: header, number, name."""
     out = _stamped(t_ns)
     out.text("")
     out.put("B", number)
@@ -78,14 +82,16 @@ def labelled(t_ns: int, number: int, name: str) -> bytes:
 
 
 def _changes(values: list[tuple[int, str]], last: tuple[int, str] | None) -> list[int]:
+    """Return the indexes of values that differ from the value before."""
     before = [last, *values[:-1]]
     return [index for index, value in enumerate(values) if value != before[index]]
 
 
 class EventTopics:
-    """What happened, in words and as labelled states."""
+    """Events as text lines, and states with a label."""
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
+        """Register the topics."""
         self._gains = header.gains
         self._rosout = registry.add("/rosout", "rcl_interfaces/Log")
         self._parameters = registry.add("/parameter_events", "rcl_interfaces/ParameterEvent")
@@ -95,12 +101,12 @@ class EventTopics:
         self._last: dict[int, tuple[int, str]] = {}
 
     def latched(self, stamps: Stamps) -> list[Run]:
-        """The gains at the start."""
+        """Return the gains at the start."""
         message = parameter_event(int(stamps.log[0]), self._gains, {})
         return [loose(self._parameters, stamps, [message])] if self._gains else []
 
     def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
-        """Messages of a batch."""
+        """Return the messages of a batch."""
         modes = [Mode(number) for number in batch.mode.tolist()]
         actions = [Action(number) for number in batch.action.tolist()]
         lanes: list[tuple[int, list[tuple[int, str]]]] = [
@@ -117,6 +123,7 @@ class EventTopics:
         return [run for run in [*runs, *self._lines(batch, stamps)] if run.data]
 
     def _lines(self, batch: Batch, stamps: Stamps) -> list[Run]:
+        """Return the log lines and the changes of gains."""
         at: list[int] = []
         lines: list[bytes] = []
         gains_at, gains = [], []
@@ -136,10 +143,12 @@ class EventTopics:
 
 
 def _index(values: list[int]) -> NDArray[np.intp]:
+    """Convert a list of indexes to an array."""
     return np.array(values, np.intp)
 
 
 def _texts(tick: TickRecord) -> Iterator[tuple[str, str, str]]:
+    """Yield level, name and text of each log line of a tick."""
     for io_event in tick.tick_in.io_events:
         number = f" ({io_event.number})" if io_event.number != 1 else ""
         yield "warn", "io", " ".join(filter(None, (io_event.kind, io_event.where))) + number

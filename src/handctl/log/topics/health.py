@@ -1,4 +1,4 @@
-"""/diagnostics and the temperatures."""
+"""Diagnostics and temperatures."""
 
 from dataclasses import dataclass, field
 
@@ -16,8 +16,11 @@ from handctl.log.topics.transforms import ROOT
 from handctl.safety.action import Action
 
 TEMPERATURE_PERIOD_NS = 200_000_000
+"""Interval between temperatures [ns]."""
 DIAGNOSTICS_PERIOD_NS = 1_000_000_000
+"""Interval between diagnostics [ns]."""
 OK, WARN, ERROR = 0, 1, 2
+"""Levels of diagnostic_msgs/DiagnosticStatus."""
 
 _DRIVE_LEVEL = {Phase.READY: OK, Phase.ENABLED: OK, Phase.FAULT: ERROR}
 
@@ -34,7 +37,7 @@ class Status:
 
 
 def diagnostic_array(t_ns: int, statuses: list[Status]) -> bytes:
-    """A diagnostic_msgs/DiagnosticArray."""
+    """Encode a diagnostic_msgs/DiagnosticArray."""
     out = CdrWriter()
     out.put("I", t_ns // 10**9)
     out.put("I", t_ns % 10**9)
@@ -53,10 +56,11 @@ def diagnostic_array(t_ns: int, statuses: list[Status]) -> bytes:
 
 
 def temperature() -> Template:
-    """A sensor_msgs/Temperature of unknown variance.
+    """Create the template of a sensor_msgs/Temperature of unknown variance.
 
-    Its frame is the palm's, behind which the motors sit: with a frame that /tf does not know, Rerun finds more than
-    one root and shows no hand.
+    The frame is the palm, behind which the motors are mounted. With a frame outside /tf, Rerun finds more than one
+    root and
+    shows no hand.
     """
     out = TemplateWriter()
     out.header(ROOT)
@@ -66,9 +70,10 @@ def temperature() -> Template:
 
 
 class HealthTopics:
-    """One status per motor, per bus, and one of the controller; 1 Hz and when a mode, action or drive changes."""
+    """Status of each motor, each bus and the controller, at 1 Hz and at each change of mode, action or drive."""
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
+        """Register the topics."""
         self._header, self._columns = header, columns(header)
         self._diagnostics = registry.add("/diagnostics", "diagnostic_msgs/DiagnosticArray")
         self._temperatures = [
@@ -80,7 +85,7 @@ class HealthTopics:
         self._io_events: dict[str, int] = {}
 
     def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
-        """Messages of a batch."""
+        """Return the messages of a batch."""
         runs = self._temperature_runs(batch, stamps)
         chosen = self._chosen(batch)
         messages: list[bytes] = []
@@ -95,6 +100,7 @@ class HealthTopics:
         return runs
 
     def _temperature_runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
+        """Return the temperatures of the first tick in each period."""
         periods = batch.t_ns // TEMPERATURE_PERIOD_NS
         chosen = np.flatnonzero(np.diff(periods, prepend=self._last_temperature))
         self._last_temperature = int(periods[-1])
@@ -105,6 +111,8 @@ class HealthTopics:
         return [stream.run(at, {"temperature": values[:, [index]]}) for index, stream in enumerate(self._temperatures)]
 
     def _chosen(self, batch: Batch) -> NDArray[np.intp]:
+        """Return the indexes of the ticks with a status message."""
+        # NaN differs from itself and would count as a change in every tick.
         phases = np.nan_to_num(batch.numbers[:, self._columns["drive_phase"]], nan=-1.0)
         state = np.column_stack([batch.mode, batch.action, phases])
         last_state, last_period = self._last
@@ -127,6 +135,7 @@ class HealthTopics:
                 self._io_events[key] = self._io_events.get(key, 0) + event.number
 
     def _statuses(self, batch: Batch, index: int) -> list[Status]:
+        """Return the statuses at a tick."""
         action = Action(int(batch.action[index]))
         level = OK if action == Action.PASS else WARN if action < Action.RELAX else ERROR
         mode = Mode(int(batch.mode[index])).name.lower()
@@ -135,15 +144,18 @@ class HealthTopics:
         return [controller, *self._buses(), *self._motors(batch.numbers[index])]
 
     def _counted(self) -> dict[str, str]:
+        """Return the counts of io events as texts."""
         return {f"io {name}": str(number) for name, number in self._io_events.items()}
 
     def _buses(self) -> list[Status]:
+        """Return the status of each bus."""
         return [
             Status(OK, f"handctl: bus {bus}", "frames", bus, {"received": str(received), "sent": str(sent)})
             for bus, (received, sent) in zip(self._header.buses, self._frames.tolist(), strict=True)
         ]
 
     def _motors(self, numbers: NDArray[np.float64]) -> list[Status]:
+        """Return the status of each motor."""
         found = []
         shown = ("motor_position", "motor_velocity", "motor_torque", "motor_temperature", "motor_age")
         part = {name: numbers[self._columns[name]] for name in (*shown, "drive_phase")}

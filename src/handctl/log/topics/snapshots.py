@@ -1,4 +1,4 @@
-"""The whole state of the controller, every second: a re-execution may start behind any of them."""
+"""Snapshots of the controller's state, every second. A re-execution may start after any of them."""
 
 import struct
 from typing import NamedTuple
@@ -9,16 +9,17 @@ from handctl.log.topics.streams import Registry, loose, stamps_at
 
 TOPIC = "/controller/snapshot"
 PERIOD_NS = 1_000_000_000
+"""Interval between snapshots [ns]."""
 _BODY = struct.Struct("<4xII8xqI")
 """Encapsulation, stamp, empty frame_id with padding, tick number, length of the data."""
 
 
 class Snapshot(NamedTuple):
-    """A state.
+    """State of the controller after a tick.
 
     Attributes:
-        k: tick after which it was the state.
-        data: ``controller.snapshot`` reads it.
+        k: number of the tick.
+        data: encoded state, see `controller.snapshot`.
     """
 
     k: int
@@ -26,13 +27,19 @@ class Snapshot(NamedTuple):
 
 
 class SnapshotTopic:
-    """The topic of the snapshots."""
+    """Topic of the snapshots."""
 
     def __init__(self, registry: Registry) -> None:
+        """Register the topic."""
         self._channel = registry.add(TOPIC, "handctl_msgs/Snapshot")
 
     def run(self, t_ns: int, snapshot: Snapshot) -> Run:
-        """One snapshot; ``t_ns``: time of its tick in the log [ns]."""
+        """Return the message of one snapshot.
+
+        Args:
+            t_ns: log time of the tick [ns].
+            snapshot: the snapshot.
+        """
         out = CdrWriter()
         out.put("I", t_ns // 10**9)
         out.put("I", t_ns % 10**9)
@@ -43,11 +50,11 @@ class SnapshotTopic:
 
 
 def snapshot_of(message: bytes) -> Snapshot:
-    """Return the snapshot of a message.
+    """Decode a snapshot.
 
     Raises:
-        struct.error: it is too short.
-        ValueError: it ends early.
+        struct.error: the message is too short.
+        ValueError: the data ends early.
     """
     _, _, k, length = _BODY.unpack_from(message)
     data = message[_BODY.size : _BODY.size + length]

@@ -1,4 +1,4 @@
-"""Topics at the rate of the loop, all of constant layout."""
+"""Topics at the rate of the loop, with messages of constant layout."""
 
 import tomllib
 
@@ -22,14 +22,17 @@ JOINT_STATES = {
     "/actuator_states": ("motor", "motor_position", "motor_velocity", "motor_torque"),
     "/actuator_commands": ("motor", "", "", "motor_torque_goal"),
 }
-"""Topic -> axis and what goes into position, velocity, effort; empty: the array stays empty, which ROS 2 allows."""
+"""Topic -> axis, and the fields for position, velocity, effort.
+
+Without a field the array is empty, as ROS 2 permits.
+"""
 
 ESTIMATES = {
     "/force_estimate": ("tension", "N"),
     "/joint_estimate": ("q", "rad"),
     "/tip_force_estimate": ("tip_force", "N"),
 }
-"""Topic -> field of the telemetry with a standard deviation, and its unit."""
+"""Topic -> telemetry field with a standard deviation, and its unit."""
 
 _NOTES = {
     "/joint_estimate": "joint angles and their variance, large where a digit in contact has fewer tendons than joints",
@@ -39,16 +42,17 @@ _NOTES = {
     "/tendon_commands": "effort: commanded tension at the load cell [N]",
     "/actuator_states": "at the spool, positive winds",
 }
+"""Notes in the channels' metadata."""
 
 
 def moment_arms(header: RunHeader) -> Numbers:
-    """(N, J) R: excursion s = R q [m/rad]."""
+    """Return the moment arms R (N, J) of s = R q, with excursion s [m] and joint angles q [rad]."""
     tendons = tomllib.loads(header.hand_toml)["tendon"]
     return np.array([[tendon["moment_arm_m"].get(joint, 0.0) for joint in header.joints] for tendon in tendons])
 
 
 def joint_state(names: tuple[str, ...], position: bool, velocity: bool, effort: bool) -> Template:
-    """A sensor_msgs/JointState."""
+    """Create the template of a sensor_msgs/JointState."""
     out = TemplateWriter()
     out.header()
     out.texts(names)
@@ -58,7 +62,7 @@ def joint_state(names: tuple[str, ...], position: bool, velocity: bool, effort: 
 
 
 def wrench(frame_id: str) -> Template:
-    """A geometry_msgs/WrenchStamped."""
+    """Create the template of a geometry_msgs/WrenchStamped."""
     out = TemplateWriter()
     out.header(frame_id)
     out.place("force", "<f8", 3)
@@ -67,7 +71,7 @@ def wrench(frame_id: str) -> Template:
 
 
 def statistics_values(number: int) -> Template:
-    """A pal_statistics_msgs/StatisticsValues with version 1 of the names."""
+    """Create the template of a pal_statistics_msgs/StatisticsValues with version 1 of the names."""
     out = TemplateWriter()
     out.header()
     out.floats("values", number)
@@ -76,7 +80,7 @@ def statistics_values(number: int) -> Template:
 
 
 def cycle(motors: int) -> Template:
-    """A handctl_msgs/CycleStats."""
+    """Create the template of a handctl_msgs/CycleStats."""
     out = TemplateWriter()
     out.header()
     out.place("cycle", "<f8", 3)
@@ -88,7 +92,7 @@ def cycle(motors: int) -> Template:
 
 
 def estimate(names: tuple[str, ...], unit: str) -> Template:
-    """A handctl_msgs/Estimate."""
+    """Create the template of a handctl_msgs/Estimate."""
     out = TemplateWriter()
     out.header()
     out.texts(names)
@@ -99,7 +103,7 @@ def estimate(names: tuple[str, ...], unit: str) -> Template:
 
 
 def names_message(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
-    """A pal_statistics_msgs/StatisticsNames: ``field/name`` for each column of the telemetry."""
+    """Encode a pal_statistics_msgs/StatisticsNames: `field/name` for each telemetry column."""
     out = CdrWriter()
     out.put("I", seconds)
     out.put("I", nanoseconds)
@@ -110,9 +114,10 @@ def names_message(header: RunHeader, seconds: int, nanoseconds: int) -> bytes:
 
 
 class StateTopics:
-    """Joint, tendon, actuator, contact and loop topics."""
+    """Topics of joints, tendons, actuators, contacts and loop timing."""
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
+        """Register the topics."""
         self._header, self._columns, self._arms = header, columns(header), moment_arms(header)
         self._last: tuple[int, int] | None = None
         self._joint_states = {}
@@ -131,12 +136,13 @@ class StateTopics:
             self._estimates[field] = Stream(channel, estimate(header.axis(TELEMETRY_AXES[field]), unit))
 
     def _wrench(self, registry: Registry, digit: str) -> Stream:
+        """Register the wrench topic of a digit."""
         note = "force of the object on the digit; the tip closes towards +y of its frame"
         channel = registry.add(f"/fingertip/{digit}/wrench", "geometry_msgs/WrenchStamped", note=note)
         return Stream(channel, wrench(f"{digit}_tip"))
 
     def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
-        """Messages of all ticks of a batch."""
+        """Return the messages of all ticks of a batch."""
         part = {name: batch.numbers[:, place] for name, place in self._columns.items()}
         part["tendon_torque"] = self._tendon_torque(part["tension"])
         runs = [
@@ -144,6 +150,8 @@ class StateTopics:
         ]
         for index, stream in enumerate(self._wrenches):
             force = np.zeros((len(batch.k), 3))
+            # The object pushes against the closing direction +y. `0.0 -` gives 0.0 where a minus sign
+            # gives -0.0.
             force[:, 1] = 0.0 - part["tip_force"][:, index]
             runs.append(stream.run(stamps, {"force": force}))
         runs.append(self._values.run(stamps, {"values": batch.numbers}))
@@ -154,24 +162,30 @@ class StateTopics:
         return runs
 
     def _tendon_torque(self, tension: Numbers) -> Numbers:
-        """(n, J) R^T f, added up in an order that does not depend on n, as a matrix product's may."""
+        """Return the joint torque of the tendons R^T f (n, J) [N m].
+
+        The order of the additions is fixed. The order within a matrix product may depend on n.
+        """
         torque = np.zeros((len(tension), self._arms.shape[1]))
         for tendon, joint in zip(*np.nonzero(self._arms), strict=True):
             torque[:, joint] += self._arms[tendon, joint] * tension[:, tendon]
         return torque
 
     def _joint_state_values(self, topic: str, part: dict[str, Numbers]) -> dict[str, NDArray[np.generic]]:
+        """Return position, velocity and effort of a topic."""
         _, *fields = JOINT_STATES[topic]
         return {
             place: part[name] for place, name in zip(("position", "velocity", "effort"), fields, strict=True) if name
         }
 
     def _cycle_values(self, batch: Batch) -> dict[str, NDArray[np.generic]]:
+        """Return the timing of each tick: period, lateness and time from the tick before to the last reply [s]."""
         start = batch.t_ns + batch.late_ns
         first_k, first_start = self._last or (int(batch.k[0]) - 1, -1)
         before = np.concatenate([[first_start], start[:-1]])
         period = np.where(before < 0, np.nan, (start - before) * 1e-9)
         missed = np.clip(np.diff(batch.k, prepend=first_k) - 1, 0, 2**32 - 1)
+        # The smallest int64 marks a tick without a reply. The time is then NaN.
         latest = np.full(len(start), np.iinfo(np.int64).min)
         np.maximum.at(latest, batch.received.tick, batch.received.frames["t_ns"])
         heard = (latest > np.iinfo(np.int64).min) & (before >= 0)

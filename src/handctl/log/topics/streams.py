@@ -1,4 +1,4 @@
-"""Channels of the log and the filling of their templates, many messages at once."""
+"""Channels of the log, and the encoding of many messages at once."""
 
 from dataclasses import dataclass, field
 
@@ -18,18 +18,25 @@ _QOS = (
     "  liveliness: 1\n  liveliness_lease_duration: {{sec: 9223372036, nsec: 854775807}}\n"
     "  avoid_ros_namespace_conventions: false\n"
 )
-"""Quality of service as rosbag2 writes it; durability 1 is transient_local, 2 volatile."""
+"""Quality of service in the form of rosbag2. Durability 1 is transient_local, 2 is volatile."""
 
 
 @dataclass(slots=True)
 class Registry:
-    """Gives schemas and channels their numbers, in the order of registration."""
+    """Assigns numbers to schemas and channels in the order of registration."""
 
     schemas: dict[str, Schema] = field(default_factory=dict)
     channels: dict[str, Channel] = field(default_factory=dict)
 
     def add(self, topic: str, kind: str, latched: bool = False, note: str = "") -> int:
-        """Channel id for a topic with messages of a type such as "sensor_msgs/JointState"."""
+        """Register a topic and return its channel id.
+
+        Args:
+            topic: name of the topic.
+            kind: message type, for example "sensor_msgs/JointState".
+            latched: True for a topic with one message at the start.
+            note: note in the channel's metadata.
+        """
         if kind not in self.schemas:
             number = len(self.schemas) + 1
             data = schema_text(kind).encode()
@@ -55,25 +62,33 @@ class Stamps:
     sequence: NDArray[np.uint32]
 
     def at(self, index: NDArray[np.intp] | NDArray[np.bool_]) -> "Stamps":
-        """Those of some messages."""
+        """Select the times of some messages."""
         return Stamps(self.log[index], self.sequence[index])
 
 
 def stamps_at(log_ns: int, k: int) -> Stamps:
-    """Return the times of a single message: in the log [ns], and the tick it belongs to."""
+    """Return the times of a single message.
+
+    Args:
+        log_ns: log time [ns].
+        k: number of the tick.
+    """
     return Stamps(np.array([log_ns], np.uint64), np.array([k & 0xFFFF_FFFF], np.uint32))
 
 
 def ros_time(t_ns: Times) -> NDArray[np.uint32]:
-    """(n,) [ns] as (n, 2) seconds and nanoseconds."""
+    """Convert times (n,) [ns] to seconds and nanoseconds (n, 2)."""
     return np.stack([t_ns // np.uint64(10**9), t_ns % np.uint64(10**9)], axis=1).astype("<u4")
 
 
 class Stream:
-    """One channel whose messages have a constant layout."""
+    """One channel with messages of constant layout."""
 
     def __init__(self, channel: int, template: Template) -> None:
+        """Create the layout of a Message record, 31 bytes of header and the template."""
         self._channel, self._stamps = channel, len(template.stamps)
+        # Opcode 5 is Message. Its length excludes opcode and length field: 22 bytes of header and the
+        # data.
         self._record = MESSAGE.pack(5, 22 + len(template.data), channel, 0, 0, 0) + template.data
         fields: list[tuple[str, object, int]] = [
             ("sequence", "<u4", 11), ("log", "<u8", 15), ("publish", "<u8", 23),
@@ -84,8 +99,16 @@ class Stream:
         self._dtype = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": len(self._record)})
 
     def run(self, stamps: Stamps, values: dict[str, NDArray[np.generic]], measured: Times | None = None) -> Run:
-        """Messages with these values, each (n, size of the place); measured: time of the values if not the log's."""
+        """Encode messages.
+
+        Args:
+            stamps: log times of the messages.
+            values: variable fields, each (n, size of the field).
+            measured: (n,) times of the values if they differ from the log times [ns].
+        """
         number = len(stamps.log)
+        # All messages are copies of the template. A structured array writes each variable field in
+        # one assignment.
         rows = np.frombuffer(bytearray(self._record * number), self._dtype)
         measured = stamps.log if measured is None else measured
         rows["sequence"], rows["log"], rows["publish"] = stamps.sequence, stamps.log, measured
@@ -99,7 +122,7 @@ class Stream:
 
 
 def loose(channel: int, stamps: Stamps, messages: list[bytes]) -> Run:
-    """Messages of any length on one channel."""
+    """Encode messages of variable length."""
     parts = []
     for sequence, t_ns, message in zip(stamps.sequence.tolist(), stamps.log.tolist(), messages, strict=True):
         parts.append(MESSAGE.pack(5, 22 + len(message), channel, sequence, t_ns, t_ns) + message)

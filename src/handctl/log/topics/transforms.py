@@ -1,4 +1,4 @@
-"""Transforms of the links: viewers do no kinematics from a log."""
+"""Transforms of the links. With them a viewer needs no kinematics of the hand."""
 
 import math
 import tomllib
@@ -14,18 +14,19 @@ from handctl.log.header import RunHeader
 from handctl.log.topics.streams import Registry, Stamps, Stream
 
 PERIOD_NS = 20_000_000
-"""50 Hz: what a viewer shows, not what a controller needs."""
+"""Interval between transforms [ns]. 50 Hz is enough for a viewer."""
 ROOT = "palm"
+"""Root frame."""
 
 
 class Link(NamedTuple):
-    """A frame that hangs on another.
+    """A frame with its parent.
 
     Attributes:
-        parent, child: names of frames.
-        position: (3,) of the child's origin in the parent [m].
-        rotation: (4,) x, y, z, w of the child when its joint is at zero.
-        joint: index of the joint that turns the child about its z axis; -1 if it is fixed.
+        parent, child: names of the frames.
+        position: (3,) origin of the child in the parent [m].
+        rotation: (4,) x, y, z, w of the child with its joint at zero.
+        joint: index of the joint that turns the child about its z axis, -1 if the link is fixed.
     """
 
     parent: str
@@ -36,7 +37,7 @@ class Link(NamedTuple):
 
 
 def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, ...]:
-    """(4,) x, y, z, w of extrinsic rotations about x, y, z [rad]."""
+    """Compute the quaternion x, y, z, w of extrinsic rotations about x, y, z [rad]."""
     (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a / 2), math.cos(a / 2)) for a in (roll, pitch, yaw))
     return (
         sr * cp * cy - cr * sp * sy,
@@ -47,7 +48,7 @@ def quaternion(roll: float, pitch: float, yaw: float) -> tuple[float, ...]:
 
 
 def links(hand_toml: str) -> list[Link]:
-    """The tree of frames of a hand: palm, ``<digit>_link<i>``, ``<digit>_tip``."""
+    """Return the frames of a hand: palm, `<digit>_link<i>`, `<digit>_tip`."""
     found, joint = [], 0
     for digit in tomllib.loads(hand_toml)["digit"]:
         name, lengths = digit["name"], digit["link_length_m"]
@@ -62,16 +63,17 @@ def links(hand_toml: str) -> list[Link]:
 
 
 def turned(link: Link, q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n, 4) x, y, z, w of a link at joint angles (n,) [rad]."""
+    """Compute the rotations x, y, z, w (n, 4) of a link at joint angles (n,) [rad]."""
     x, y, z, w = link.rotation
     sine, cosine = np.sin(q / 2), np.cos(q / 2)
+    # Quaternion product of the link's rotation and a rotation about z by q: (0, 0, sine, cosine).
     return np.stack(
         [x * cosine + y * sine, y * cosine - x * sine, z * cosine + w * sine, w * cosine - z * sine], axis=1
     )
 
 
 def _stream(channel: int, some: list[Link]) -> Stream:
-    """A tf2_msgs/TFMessage."""
+    """Create the stream of a tf2_msgs/TFMessage."""
     out = TemplateWriter()
     out.count(len(some))
     for index, link in enumerate(some):
@@ -83,9 +85,10 @@ def _stream(channel: int, some: list[Link]) -> Stream:
 
 
 class TfTopics:
-    """/tf_static once and /tf at 50 Hz; a joint angle that is not known gives NaN."""
+    """/tf_static once and /tf at 50 Hz. An unknown joint angle gives NaN."""
 
     def __init__(self, header: RunHeader, registry: Registry) -> None:
+        """Register the topics."""
         tree = links(header.hand_toml)
         self._moving, self._fixed = ([one for one in tree if (one.joint >= 0) == moves] for moves in (True, False))
         self._static = _stream(registry.add("/tf_static", "tf2_msgs/TFMessage", latched=True), self._fixed)
@@ -93,7 +96,7 @@ class TfTopics:
         self._q, self._last = columns(header)["q"], -1
 
     def latched(self, stamps: Stamps) -> Run:
-        """/tf_static."""
+        """Return the message of /tf_static."""
         values: dict[str, NDArray[np.generic]] = {}
         for index, link in enumerate(self._fixed):
             values[f"position{index}"], values[f"rotation{index}"] = (
@@ -103,7 +106,7 @@ class TfTopics:
         return self._static.run(stamps, values)
 
     def runs(self, batch: Batch, stamps: Stamps) -> list[Run]:
-        """/tf of those ticks that begin a new 50 Hz period."""
+        """Return /tf of the first tick in each 50 Hz period."""
         periods = batch.t_ns // PERIOD_NS
         chosen = np.flatnonzero(np.diff(periods, prepend=self._last))
         self._last = int(periods[-1])

@@ -1,1 +1,1 @@
-"""Writing a log: the controller's end of the pipe, and the process that owns the file."""
+"""Writer of logs: the controller's end of the pipe, and the recorder process that owns the file."""

@@ -1,7 +1,9 @@
-"""The recorder process: records on stdin, notes as JSON lines on stdout; ends when its input ends.
+"""Recorder process: records on stdin, notes as JSON lines on stdout. The process ends at the end of its input.
 
-``python -m handctl.log.write.process PATH FLOOR_BYTES``. It ignores SIGINT and SIGTERM: the controller decides when
-a run is over, and if the controller dies the pipe ends.
+Command: `python -m handctl.log.write.process PATH FLOOR_BYTES`.
+
+The recorder ignores SIGINT and SIGTERM because the controller decides the end of a run. If the controller dies, the
+pipe ends.
 """
 
 import json
@@ -20,36 +22,42 @@ from handctl.log.write.syncer import Syncer
 from handctl.log.write.writer import LogWriter
 
 READ_BYTES = 1 << 20
+"""Maximum size of one read [bytes]."""
 NAP_S = 0.01
-"""Between reads when little is waiting: one wake-up for several ticks, far below the pipe's room."""
+"""Pause between reads of few bytes [s]. One wake-up serves several ticks, and the pipe stays far from full."""
 NAP_BELOW_BYTES = 64 << 10
+"""Reads below this size are followed by a pause [bytes]."""
 FLUSH_S = 0.15
-"""Longest that a tick waits to be written in real time; with the nap, the write and a busy machine a killed recorder
-loses less than 0.25 s."""
+"""Maximum wait of a tick in real time before it is written [s].
+
+With the pause, the write and a busy machine, a killed recorder loses less than 0.25 s.
+"""
 SYNC_S = 1.0
+"""Interval between transfers to the disk [s]."""
 NICE = -10
-"""Before what else the machine does, where that is permitted; the loop has real-time priority and stays before it."""
+"""Scheduling priority, above other programs where permitted. The loop has real-time priority, which is higher."""
 
 
 def tell(note: dict[str, object]) -> None:
-    """A note for the controller; never waits for it."""
+    """Send a note to the controller. A full pipe loses the note, and the recorder never waits."""
     with suppress(BlockingIOError, BrokenPipeError):
         os.write(1, json.dumps(note).encode() + b"\n")
 
 
 def report(event: str, number: int) -> None:
-    """An event of the writer as a note."""
+    """Send an event of the writer as a note."""
     tell({"event": event, "number": number})
 
 
 class Splitter:
-    """Cuts a stream of bytes into records; an incomplete one waits for the rest."""
+    """Splits a stream of bytes into records. An incomplete record waits for its rest."""
 
     def __init__(self) -> None:
+        """Start at a record boundary."""
         self._rest = b""
 
     def split(self, data: bytes) -> Iterator[tuple[int, bytes]]:
-        """(kind, body) of each record that is complete now."""
+        """Yield (kind, body) of each complete record."""
         data, at = self._rest + data, 0
         while at + FRAMING.size <= len(data):
             length, kind = FRAMING.unpack_from(data, at)
@@ -62,9 +70,10 @@ class Splitter:
 
 
 class Session:
-    """One run from the first record to the end of the input."""
+    """One run, from the first record to the end of the input."""
 
     def __init__(self, path: Path, floor_bytes: int) -> None:
+        """Set the file and the free space at which the log is finished early [bytes]."""
         self._path, self._floor = path, floor_bytes
         self._splitter = Splitter()
         self._writer: LogWriter | None = None
@@ -86,6 +95,8 @@ class Session:
             now = time.monotonic()
             if self._writer and self._wall_flush and now >= clean + FLUSH_S:
                 self._writer.flush()
+            # `clean` is the last time at which no tick waited, so that FLUSH_S counts from the oldest
+            # waiting tick.
             if not (self._writer and self._writer.pending):
                 clean = now
             if self._writer and now >= next_sync:
@@ -95,6 +106,7 @@ class Session:
             tell({"summary": self._writer.finish(self._reason, self._dropped)})
 
     def _take(self, kind: int, body: bytes) -> None:
+        """Process one record."""
         if kind == TICK and self._writer:
             self._writer.add(body)
         elif kind == SNAPSHOT and self._writer:
@@ -110,9 +122,10 @@ class Session:
 
 
 def main() -> int:
-    """Run the recorder; 1 if the file cannot be created."""
+    """Run the recorder. Return 1 if the file cannot be created."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
+    # Notes must never block the recorder.
     os.set_blocking(1, False)
     with suppress(PermissionError):
         os.setpriority(os.PRIO_PROCESS, 0, NICE)

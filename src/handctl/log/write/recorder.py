@@ -1,4 +1,4 @@
-"""The controller's end of the recorder: hands records to a process of its own and never waits for it."""
+"""The controller's end of the recorder. Records go to a separate process without waiting."""
 
 import fcntl
 import json
@@ -19,16 +19,20 @@ from handctl.log.header import RunHeader
 from handctl.log.record import END, HEADER, framed
 
 PIPE_BYTES = (8 << 20, 1 << 20)
-"""What is asked for: the second is what an unprivileged process may have on Linux, and holds more than 250 ticks of the
-largest hand."""
+"""Requested sizes of the pipe, in order of preference [bytes].
+
+The second size is permitted without privileges on Linux. It holds more than 250 ticks of the largest hand.
+"""
 FLOOR_BYTES = 64 << 20
-"""Free space at which a log is finished early; at four times this there is a warning."""
+"""Free space at which a log is finished early [bytes]. Four times this value gives a warning."""
 START_S, CLOSE_S = 20.0, 20.0
+"""Maximum wait for the recorder at the start and at the end of a run [s]."""
 LOCKSTEP_WAIT_S = 60.0
+"""Maximum wait for the recorder per record in a lockstep run [s]."""
 
 
 def _grow(descriptor: int) -> int:
-    """Size of the pipe after asking for PIPE_BYTES [bytes]."""
+    """Request a larger pipe and return its size [bytes]."""
     for size in PIPE_BYTES if hasattr(fcntl, "F_SETPIPE_SZ") else ():
         with suppress(OSError):
             return fcntl.fcntl(descriptor, fcntl.F_SETPIPE_SZ, size)
@@ -36,9 +40,21 @@ def _grow(descriptor: int) -> int:
 
 
 class Recorder:
-    """A running recorder; see ``start``."""
+    """A running recorder, see `start`.
+
+    Attributes:
+        dropped: number of records that were lost because the pipe was full or the recorder had ended.
+    """
 
     def __init__(self, path: Path, child: subprocess.Popen[bytes], pipe: int, lossless: bool) -> None:
+        """Connect to a recorder process.
+
+        Args:
+            path: the file.
+            child: the process.
+            pipe: descriptor for the records.
+            lossless: wait for the recorder instead of dropping records.
+        """
         assert child.stdout is not None
         self._path, self._child, self._pipe, self._notes = path, child, pipe, child.stdout.fileno()
         self._lossless, self._size = lossless, _grow(pipe)
@@ -52,17 +68,18 @@ class Recorder:
 
     @classmethod
     def start(cls, path: Path, header: RunHeader, floor_bytes: int = FLOOR_BYTES) -> Self:
-        """Start the recorder process and wait until the file is there with all that is known before the first tick.
+        """Start the recorder process and wait until the file has its header.
 
         Args:
             path: a new file.
-            header: what is known of the run.
-            floor_bytes: free space at which the log is finished early.
+            header: header of the run.
+            floor_bytes: free space at which the log is finished early [bytes].
 
         Raises:
             LogError: the file cannot be created, or the process does not answer.
         """
         reading, writing = os.pipe()
+        # `-P` keeps the working directory out of the import path.
         command = [sys.executable, "-P", "-m", "handctl.log.write.process", str(path), str(floor_bytes)]
         try:
             child = subprocess.Popen(command, stdin=reading, stdout=subprocess.PIPE, start_new_session=True)
@@ -73,6 +90,7 @@ class Recorder:
         return recorder
 
     def _open(self, header: bytes) -> None:
+        """Send the header and wait for the answer."""
         os.set_blocking(self._pipe, False)
         try:
             if not self._send(header, START_S):
@@ -86,6 +104,7 @@ class Recorder:
             raise
 
     def _abandon(self) -> None:
+        """End a recorder that did not start."""
         self._gone = True
         os.close(self._pipe)
         self._child.kill()
@@ -93,11 +112,16 @@ class Recorder:
         self._close_notes()
 
     def _close_notes(self) -> None:
+        """Close the pipe of the notes."""
         assert self._child.stdout is not None
         self._child.stdout.close()
 
     def _send(self, data: bytes, timeout_s: float) -> bool:
-        """Write all of data, waiting at most timeout_s [s]; after a failure nothing more may be sent."""
+        """Write all of data, and wait for at most `timeout_s` [s].
+
+        Returns:
+            False after a failure. Further records must not be sent then, because the record is incomplete.
+        """
         end, view = time.monotonic() + timeout_s, memoryview(data)
         while view:
             try:
@@ -112,10 +136,13 @@ class Recorder:
         return True
 
     def record(self, data: bytes) -> bool:
-        """Hand over one record without waiting; False if it was dropped. A deterministic run waits instead.
+        """Send one record without waiting. A deterministic run waits instead.
 
         Args:
-            data: from ``record.pack``.
+            data: a record from `record.pack`.
+
+        Returns:
+            False if the record was dropped.
         """
         if self._gone:
             self.dropped += 1
@@ -125,6 +152,8 @@ class Recorder:
             self.dropped += self._gone
             return not self._gone
         try:
+            # A record that was written in part must be completed first, or the stream loses its
+            # boundaries.
             if self._rest:
                 self._rest = self._rest[os.write(self._pipe, self._rest) :]
             if not self._rest:
@@ -138,10 +167,16 @@ class Recorder:
         return False
 
     def events(self) -> tuple[IoEvent, ...]:
-        """What happened since the last call, kind "recorder".
+        """Return the events of the recorder since the last call, of kind "recorder".
 
-        ``where`` is dropped (number: records), gone, filling (number: bytes waiting), disk_low, disk_full (number:
-        free bytes or errno), error (number: errno), misshapen (telemetry of another shape than the header's).
+        `where` is one of:
+            dropped: number of records.
+            gone: the recorder has ended.
+            filling: number of bytes in the pipe.
+            disk_low: number of free bytes.
+            disk_full: number of free bytes, or errno.
+            error: errno.
+            misshapen: telemetry with another shape than in the header.
         """
         found = []
         if not self._gone:
@@ -161,13 +196,18 @@ class Recorder:
         return tuple(found)
 
     def _filling_event(self) -> list[IoEvent]:
-        """One event each time the pipe becomes more than half full."""
+        """Return an event each time the pipe becomes more than half full."""
+        # FIONREAD: bytes in the pipe that the recorder has not read.
         waiting = struct.unpack("i", fcntl.ioctl(self._pipe, termios.FIONREAD, b"\0\0\0\0"))[0]
         was, self._filling = self._filling, waiting > self._size // 2
         return [IoEvent("recorder", "filling", waiting)] if self._filling and not was else []
 
     def _read_notes(self, timeout_s: float) -> None:
-        """Read what the process says; with a time-out [s], wait for the first note."""
+        """Read the notes of the process.
+
+        Args:
+            timeout_s: maximum wait for the first note [s].
+        """
         if timeout_s and not select.select([self._notes], [], [], timeout_s)[0]:
             return
         while True:
@@ -185,10 +225,10 @@ class Recorder:
         """End the run and wait for the file.
 
         Args:
-            reason: why the run ended, for the log.
+            reason: reason of the end, for the log.
 
         Returns:
-            path, bytes, complete, dropped, and, if the recorder finished, ticks, messages, lost, reason.
+            path, bytes, complete, dropped. If the recorder finished, also ticks, messages, lost, reason.
         """
         body = json.dumps({"reason": reason, "dropped": self.dropped}).encode()
         if not self._gone and self._send(self._rest, CLOSE_S):

@@ -1,6 +1,6 @@
-"""Brings a file to the disk without waiting for the disk, which under load takes longer than the pipe has room.
+"""Transfer of a file to the disk without waiting. Under load the disk needs longer than the pipe can buffer.
 
-A process forked off the recorder calls fdatasync; it holds nothing but the file, and ends with the recorder.
+A process forked from the recorder calls fdatasync. It holds only the file, and ends with the recorder.
 """
 
 import itertools
@@ -8,29 +8,32 @@ import os
 from contextlib import suppress
 
 _ROOM = 1 << 10
+"""Waiting requests read at once [bytes], one byte per request."""
 _MOST_DESCRIPTORS = 1 << 16
+"""Upper bound of the descriptors to close."""
 
 
 def sync_now(descriptor: int) -> None:
-    """Bring a file to the disk and wait for it.
+    """Write a file to the disk and wait.
 
     Raises:
-        OSError: it could not be.
+        OSError: the transfer failed.
     """
     getattr(os, "fdatasync", os.fsync)(descriptor)
 
 
 class Syncer:
-    """Called with the descriptor of one file again and again; errors come with a later call."""
+    """Transfers one file to the disk, once per call. An error appears at a later call."""
 
     def __init__(self) -> None:
+        """Start without a process."""
         self._ask = self._told = -1
 
     def __call__(self, descriptor: int) -> None:
-        """Ask for the file to be brought to the disk; it may still be asked for by the call before.
+        """Request a transfer of the file. Requests during a transfer are served by one further transfer.
 
         Raises:
-            OSError: an earlier call failed.
+            OSError: an earlier transfer failed.
         """
         if self._ask < 0:
             self._start(descriptor)
@@ -42,6 +45,7 @@ class Syncer:
             os.write(self._ask, b"\0")
 
     def _start(self, descriptor: int) -> None:
+        """Fork the process that transfers the file."""
         asked, self._ask = os.pipe()
         self._told, telling = os.pipe()
         if os.fork() == 0:
@@ -57,14 +61,17 @@ class Syncer:
 
 
 def _close_all_but(*kept: int) -> None:
-    """Else the controller would not notice the death of the recorder, and a full disk not get its ballast back."""
+    """Close all other descriptors in the forked process.
+
+    Otherwise the controller would not notice the death of the recorder, and a full disk would not get its reserve back.
+    """
     edges = [-1, *sorted(kept), _MOST_DESCRIPTORS]
     for low, high in itertools.pairwise(edges):
         os.closerange(low + 1, high)
 
 
 def _serve(descriptor: int, asked: int, telling: int) -> None:
-    """Until the other end is gone; what was asked for meanwhile is done once."""
+    """Wait for requests until the other end is closed. Several waiting requests need one transfer."""
     while os.read(asked, _ROOM):
         try:
             sync_now(descriptor)

@@ -1,4 +1,4 @@
-"""The file of a run being written: what happens to it when a disk fills or a write fails."""
+"""Writer of the file of a run, with the reactions to a full disk and a failed write."""
 
 import errno
 import json
@@ -19,12 +19,13 @@ from handctl.log.topics.snapshots import Snapshot
 from handctl.log.write.syncer import sync_now
 
 CHUNK_SPAN_NS = 250_000_000
-"""Most that a kill of the recorder may cost; a chunk never holds more."""
+"""Maximum time span of a chunk [ns]: the maximum loss if the recorder is killed."""
 CHUNK_BYTES = 1 << 20
+"""Size of the collected records at which a chunk ends [bytes]."""
 BALLAST_BYTES = 512 << 10
-"""Room kept for the summary and footer of a file on a full disk."""
+"""Disk space reserved for the summary and footer of a file on a full disk [bytes]."""
 SCHEMA = 1
-"""Version of the topics and records, so that a reader may refuse what it does not know."""
+"""Version of topics and records. A reader refuses other versions."""
 
 _MEDIA = {".toml": "application/toml", ".urdf": "application/xml", ".txt": "text/plain", ".json": "application/json"}
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -34,20 +35,24 @@ Clocks = Callable[[], tuple[int, int]]
 
 
 def _both_clocks() -> tuple[int, int]:
+    """Read the wall clock and the monotonic clock [ns]."""
     return time.time_ns(), time.monotonic_ns()
 
 
 def _create(path: Path) -> int:
+    """Create a new file and return its descriptor."""
     return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_CLOEXEC", 0), 0o644)
 
 
 class _Ballast:
-    """Takes up room on the disk of a log until it is needed; without a name, so that a kill leaves nothing behind."""
+    """Reserved space on the disk of a log, in a file without a name. A kill leaves no file behind."""
 
     def __init__(self, folder: Path) -> None:
+        """Reserve the space. A failure is ignored."""
         self._fd = -1
         with suppress(OSError):
             self._fd, name = tempfile.mkstemp(dir=folder)
+            # The space stays reserved as long as the descriptor is open.
             os.unlink(name)
             if hasattr(os, "posix_fallocate"):
                 os.posix_fallocate(self._fd, 0, BALLAST_BYTES)
@@ -55,25 +60,21 @@ class _Ballast:
                 os.write(self._fd, bytes(BALLAST_BYTES))
 
     def drop(self) -> None:
-        """Give the room back."""
+        """Release the space."""
         if self._fd >= 0:
             os.close(self._fd)
             self._fd = -1
 
 
 class LogWriter:
-    """Writes one run into one file; after the first failed write the file is closed and the rest is counted.
+    """Writes one run into one file.
 
-    Args:
-        path: a new file.
-        header: what is known of the run.
-        report: called with disk_low, disk_full, error or misshapen and a number (free bytes, errno, 1).
-        floor_bytes: free space at which the file is finished early.
-        clocks: wall and monotonic clock [ns]; not asked in a deterministic run.
-        to_disk: brings the file of a descriptor to the disk.
+    After the first failed write the file is closed, and further ticks are only counted.
 
-    Raises:
-        OSError: only from here; later failures are reported.
+    Attributes:
+        ticks: ticks written or waiting for the next chunk.
+        lost: ticks that came after the file was closed or were lost by a failed write.
+        dead: True after the file was closed.
     """
 
     def __init__(
@@ -85,6 +86,19 @@ class LogWriter:
         clocks: Clocks = _both_clocks,
         to_disk: Callable[[int], None] = sync_now,
     ) -> None:
+        """Create the file and write its header.
+
+        Args:
+            path: a new file.
+            header: header of the run.
+            report: called with disk_low, disk_full, error or misshapen and a number (free bytes, errno, 1).
+            floor_bytes: free space at which the file is finished early [bytes].
+            clocks: reads the wall and the monotonic clock [ns]. Not used in a deterministic run.
+            to_disk: transfers the file of a descriptor to the disk.
+
+        Raises:
+            OSError: the file cannot be created. Later failures are reported.
+        """
         self._clocks, self._next_pair_ns, self._to_disk = clocks, 0, to_disk
         self._path, self._header, self._report, self._floor = path, header, report, floor_bytes
         self._topics, self._batcher = Topics(header), Batcher(header)
@@ -98,6 +112,7 @@ class LogWriter:
         self._write_head()
 
     def _write_head(self) -> None:
+        """Write attachments, metadata, schemas and channels."""
         header, one = self._header, self._container
         for name, data in ({"hand.toml": header.hand_toml.encode()} | header.attachments).items():
             one.attach(name, _MEDIA.get(Path(name).suffix, "application/octet-stream"), data, header.offset_ns)
@@ -113,11 +128,11 @@ class LogWriter:
 
     @property
     def pending(self) -> bool:
-        """Whether ticks wait for the next chunk."""
+        """Return True while ticks wait for the next chunk."""
         return len(self._batcher) > 0
 
     def add(self, body: bytes) -> None:
-        """Take in the body of one tick's record."""
+        """Add the body of one tick's record."""
         if self.dead:
             self.lost += 1
             return
@@ -130,13 +145,16 @@ class LogWriter:
             self.flush()
 
     def add_snapshot(self, body: bytes) -> None:
-        """Take in the body of a snapshot's record; it is written with the next chunk."""
+        """Add the body of a snapshot's record. The snapshot is written with the next chunk."""
         if not self.dead:
             k, t_ns = SNAPSHOT_HEAD.unpack_from(body)
             self._snapshots.append(self._topics.snapshot(t_ns, Snapshot(k, body[SNAPSHOT_HEAD.size :])))
 
     def _spans(self, t_ns: int, begins: bool) -> bool:
-        """Whether the chunk ends with this tick: on a grid where no clock is looked at, else by its own length."""
+        """Return True if the chunk ends with this tick.
+
+        In a deterministic run chunks end on a fixed time grid, otherwise after CHUNK_SPAN_NS.
+        """
         if self._header.deterministic:
             before, self._mark = self._mark, t_ns // CHUNK_SPAN_NS
             return before != self._mark
@@ -145,10 +163,11 @@ class LogWriter:
         return t_ns - self._mark >= CHUNK_SPAN_NS
 
     def flush(self) -> None:
-        """Write all ticks taken in so far as one chunk."""
+        """Write the collected ticks as one chunk."""
         if self.dead or not self.pending:
             return
         batch = self._batcher.take()
+        # Missed ticks are holes in the tick numbers, also between two chunks.
         first = self._last_k + 1 if self._last_k >= 0 else int(batch.k[0])
         self._missed += max(int(batch.k[-1]) - first + 1 - len(batch.k), 0)
         self._last_k = int(batch.k[-1])
@@ -161,14 +180,14 @@ class LogWriter:
             self._fail(error)
 
     def _clock_pair(self, t_ns: int) -> list[Run]:
-        """Both clocks, if it is time for them."""
+        """Return a message with both clocks, at most every PERIOD_NS."""
         if self._header.deterministic or t_ns < self._next_pair_ns:
             return []
         self._next_pair_ns = t_ns + PERIOD_NS
         return [self._topics.clock_pair(t_ns, self._last_k, *self._clocks())]
 
     def sync(self) -> None:
-        """Make it survive a power failure, and look after the room on the disk."""
+        """Request a transfer to the disk, and check the free space."""
         if self.dead:
             return
         try:
@@ -185,6 +204,7 @@ class LogWriter:
             self._report("disk_low", free)
 
     def _stop_early(self, free: int) -> None:
+        """Close the file because the disk is nearly full."""
         self.flush()
         if not self.dead:
             self._report("disk_full", free)
@@ -192,6 +212,7 @@ class LogWriter:
                 self._end("disk full", 0)
 
     def _fail(self, error: OSError) -> None:
+        """Close the file after a failed write."""
         self.dead = True
         self._report("disk_full" if error.errno in _FULL else "error", error.errno or 0)
         with suppress(OSError):
@@ -199,7 +220,7 @@ class LogWriter:
             self._end(f"write failed: {error.strerror}", 0)
 
     def _end(self, reason: str, dropped: int) -> None:
-        """Write the end of the file; if that fails, leave it cut back to its last complete record."""
+        """Write the end of the file. If this fails, cut the file back to its last complete record."""
         self.dead = True
         self._ballast.drop()
         numbers = {
@@ -219,7 +240,7 @@ class LogWriter:
             os.fsync(self._fd)
 
     def finish(self, reason: str, dropped: int) -> dict[str, object]:
-        """Close the file and say what is in it."""
+        """Close the file and return a summary."""
         self.flush()
         if not self.dead:
             try:
