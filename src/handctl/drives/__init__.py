@@ -1,0 +1,1 @@
+"""Motor drives and the sensor node: frames, codecs, and the state machine of each protocol."""

@@ -1,23 +1,24 @@
-"""What a drive's error code means for the hand: eight causes instead of each protocol's list of codes."""
+"""Causes of drive faults: eight classes that replace the error list of each protocol."""
 
 import enum
 
 
 class Cause(enum.IntEnum):
-    """Why a drive is in fault."""
+    """Cause of a drive fault."""
 
     OTHER = 0
-    """An error that the protocol names."""
+    """Error with a name in the protocol, and none of the causes below."""
     DROPPED_OUT = 1
-    """It has disabled itself, or restarted."""
+    """The drive disabled itself or restarted."""
     WATCHDOG = 2
-    """Its watchdog fired: it has missed the host."""
+    """The drive's watchdog fired: commands of the host were missing."""
     VOLTAGE = 3
-    """Supply too low or too high."""
+    """Supply voltage too low or too high."""
     HOT = 4
+    """Motor or power stage too hot."""
     MISMATCH = 5
-    """It does not read back as configured, or somebody else has enabled it."""
+    """A setting reads back wrong, or another host enabled the drive."""
     LOST = 6
     """No sign of life."""
     UNKNOWN = 7
-    """A code that nobody knows: the worst is assumed."""
+    """Code without a documented meaning. The controller assumes the worst."""

@@ -1,10 +1,10 @@
-"""What every motor drive protocol must offer: bytes <-> values, and its state machine with time passed in.
+"""Contract of every motor drive protocol: codec and state machine, with time as an argument.
 
-A protocol is one class; the object is the immutable description of one motor on one bus, and all that changes lives in
-an immutable ``DriveState``. The tick calls, for each motor and in this order: ``receive`` for every frame that arrived,
-then ``advance`` once with what it wants of the drive. While a drive is enabled and nothing changes, compiled code does
-both from the tables of ``cyclic`` (``core.wire``); ``steady_status`` and ``due_ns`` say for how long. Nothing here
-reads a clock or a socket.
+A protocol is one class. The object is the immutable description of one motor on one bus. All
+changing values live in an immutable ``DriveState``. Per tick and motor the controller calls
+``receive`` for every received frame, then ``advance`` once with the requested drive state. While a
+drive is enabled and steady, compiled code does both from the tables of ``cyclic`` (``core.wire``).
+``steady_status`` and ``due_ns`` tell for how long. No function here reads a clock or a socket.
 """
 
 import enum
@@ -16,53 +16,54 @@ from handctl.drives.frame import Frame
 from handctl.drives.signals import Cyclic
 
 UNSTEADY = -1
-"""Status of a drive whose state machine must look at every frame."""
+"""Status of a drive whose state machine must see every frame."""
 NEVER_NS = (1 << 63) - 1
-"""Time that does not come [ns]."""
+"""Latest time [ns], for events without a date."""
 
 
 class Want(enum.IntEnum):
-    """What the controller wants of a drive; the drive walks there by itself, one step a tick."""
+    """Drive state requested by the controller. The drive approaches it one step per tick."""
 
     LISTEN = 0
     """Send nothing."""
     POLL = 1
-    """Discover, configure and read back limits and watchdog, then keep polling feedback; never any torque."""
+    """Discover the drive, configure it, read limits and watchdog back, then poll feedback. No torque."""
     ENABLE = 2
-    """As POLL, then enable; torque commands are sent once the drive says that it is enabled."""
+    """Do as POLL, then enable. Torque commands follow once the drive reports enabled."""
     DISABLE = 3
-    """Disable and ask until the drive says that it is disabled."""
+    """Disable, and repeat the request until the drive reports disabled."""
 
 
 class Phase(enum.IntEnum):
-    """Where a drive stands."""
+    """Progress of a drive from silence to torque."""
 
     SILENT = 0
-    """Nothing heard of it yet (or nothing for so long that it counts as gone)."""
+    """No frame received yet, or none for longer than the timeout."""
     CONFIGURING = 1
+    """Settings are being written and read back."""
     READY = 2
-    """Configured and read back, disabled: no torque."""
+    """Configured, read back, and disabled: no torque."""
     ENABLED = 3
-    """Confirmed by the drive's own feedback; torque commands act."""
+    """Confirmed by the drive's own feedback: torque commands act."""
     FAULT = 4
-    """The drive reports an error, or a read-back did not agree; ``DriveState.error`` says which."""
+    """The drive reports an error, or a read-back differs. ``DriveState.error`` names the error."""
 
 
 class DriveState(NamedTuple):
-    """What is known of one drive; values are at the spool, with the hand's sign (positive winds).
+    """State of one drive. Values are at the spool, with the hand's sign (positive winds).
 
     Attributes:
-        phase: where the drive stands.
-        position: [rad]; NaN before the first feedback.
+        phase: progress from silence to torque.
+        position: [rad], NaN before the first feedback.
         velocity: [rad/s].
         torque: measured or estimated by the drive [N m].
-        temperature: hottest of the drive's sensors [degC]; NaN where there is none.
-        feedback_t_ns: reception of the latest feedback [ns]; -1 before the first.
-        feedback_count: number of feedback frames so far.
-        error: the drive's error code; 0 none.
-        error_text: the error in words; empty if none.
-        misread: frames on the drive's own identifiers that could not be decoded.
-        private: the protocol's own progress (which register was asked, deadlines, ranges read); opaque to others.
+        temperature: hottest sensor of the drive [degC], NaN without a sensor.
+        feedback_t_ns: reception of the latest feedback [ns], -1 before the first.
+        feedback_count: number of feedback frames since the start.
+        error: error code of the drive, 0 without an error.
+        error_text: the error in words, empty without an error.
+        misread: frames on the drive's own identifiers with an invalid payload.
+        private: the protocol's own progress (open request, deadlines, ranges), opaque to callers.
     """
 
     phase: Phase = Phase.SILENT
@@ -86,7 +87,7 @@ class DriveState(NamedTuple):
         feedback_t_ns: int = -1,
         feedback_count: int = 0,
     ) -> "DriveState":
-        """Return the state with these values of its feedback; by default as before the first one."""
+        """Return the state with new feedback values. Defaults are the values before the first feedback."""
         return self._replace(
             position=position,
             velocity=velocity,
@@ -98,66 +99,104 @@ class DriveState(NamedTuple):
 
 
 class Drive(Protocol):
-    """One motor as its protocol speaks; immutable.
+    """One motor with its protocol. Implementations are immutable.
 
     Attributes:
-        name: the motor's name in the hand file.
-        bus: index of its bus.
-        torque_limit: largest torque that can be commanded [N m at the spool].
-        exchange: worst-case frames of one control tick, both ways, as (payload bytes, CAN FD?) for the bus load.
-        background: frames that come by time, whatever the tick, as (payload bytes, CAN FD?, how many a second).
-        host_ids: identifiers that only the host sends for this drive; from elsewhere they mean a second controller.
-        node_ids: identifiers that the drive answers on.
-        caveats: guards that cannot be verified with this configuration, for a person to read before arming.
-        answers_once: whether every command has exactly one feedback: then one more is a duplicate, or a second node.
-        position_step: smallest difference of two positions that it can tell [rad at the spool]; 0: not known.
+        name: name of the motor in the hand file.
+        bus: index of the bus.
+        torque_limit: largest torque command [N m at the spool].
+        exchange: worst-case frames of one control tick in both directions, for the bus load, as
+            (payload bytes, CAN FD?).
+        background: frames with a rate of their own, as (payload bytes, CAN FD?, frames per second).
+        host_ids: identifiers sent by the host alone. From another node they mean a second controller.
+        node_ids: identifiers of the drive's answers.
+        caveats: guards without verification in this configuration, for the operator before arming.
+        answers_once: True if every command has exactly one feedback. An extra feedback is then a
+            duplicate, or a second node.
+        position_step: resolution of the position [rad at the spool], 0 if unknown.
         cyclic: frames of a tick while the drive is enabled.
-        feedback_period_s: how often feedback comes by itself [s]; 0 if every tick asks for it.
+        feedback_period_s: period of unsolicited feedback [s], 0 if every tick requests feedback.
     """
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Return the name of the motor in the hand file."""
+        ...
     @property
-    def bus(self) -> int: ...
+    def bus(self) -> int:
+        """Return the index of the bus."""
+        ...
     @property
-    def torque_limit(self) -> float: ...
+    def torque_limit(self) -> float:
+        """Return the largest torque command [N m at the spool]."""
+        ...
     @property
-    def exchange(self) -> tuple[tuple[int, bool], ...]: ...
+    def exchange(self) -> tuple[tuple[int, bool], ...]:
+        """Return the worst-case frames of one control tick as (payload bytes, CAN FD?)."""
+        ...
     @property
-    def background(self) -> tuple[tuple[int, bool, float], ...]: ...
+    def background(self) -> tuple[tuple[int, bool, float], ...]:
+        """Return the periodic frames as (payload bytes, CAN FD?, frames per second)."""
+        ...
     @property
-    def host_ids(self) -> frozenset[int]: ...
+    def host_ids(self) -> frozenset[int]:
+        """Return the identifiers sent by the host alone."""
+        ...
     @property
-    def node_ids(self) -> frozenset[int]: ...
+    def node_ids(self) -> frozenset[int]:
+        """Return the identifiers of the drive's answers."""
+        ...
     @property
-    def caveats(self) -> tuple[str, ...]: ...
+    def caveats(self) -> tuple[str, ...]:
+        """Return the guards without verification in this configuration, one line each."""
+        ...
     @property
-    def answers_once(self) -> bool: ...
+    def answers_once(self) -> bool:
+        """Return True if every command has exactly one feedback."""
+        ...
     @property
-    def position_step(self) -> float: ...
+    def position_step(self) -> float:
+        """Return the resolution of the position [rad at the spool], 0 if unknown."""
+        ...
     @property
-    def feedback_period_s(self) -> float: ...
+    def feedback_period_s(self) -> float:
+        """Return the period of unsolicited feedback [s], 0 if every tick requests feedback."""
+        ...
     @property
-    def cyclic(self) -> Cyclic: ...
+    def cyclic(self) -> Cyclic:
+        """Return the frames of a tick while the drive is enabled."""
+        ...
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status with which feedback changes nothing but values, and commands may go on; else UNSTEADY."""
+        """Return the feedback status of a steady drive, or UNSTEADY.
+
+        With a steady status, feedback changes values only, and commands may continue.
+        """
         ...
 
     def due_ns(self, state: DriveState) -> int:
-        """Return the time at which ``advance`` must be called next although the drive is steady [ns]."""
+        """Return the time of the next call of ``advance`` for a steady drive [ns]."""
         ...
 
     def initial(self) -> DriveState:
-        """State before anything was heard."""
+        """Return the state before the first frame."""
         ...
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """Take in one frame; a frame of somebody else leaves the state as it is. Never raises on wire data."""
+        """Apply one received frame. A frame of another node leaves the state unchanged.
+
+        Never raises on wire data.
+        """
         ...
 
     def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Next frames for this drive at time t_ns [ns]; torque [N m at the spool] counts only when ENABLED.
+        """Return the next state and the frames to send at time t_ns [ns].
+
+        Args:
+            state: state of the drive.
+            t_ns: time of the tick [ns].
+            want: requested drive state.
+            torque: command [N m at the spool], used for ENABLE alone.
 
         Raises:
             ValueError: torque is not finite or beyond ``torque_limit``.
@@ -165,25 +204,31 @@ class Drive(Protocol):
         ...
 
     def cut(self) -> tuple[Frame, ...]:
-        """Frames that take the torque away at once, whatever the state; constant, so that they can be built early."""
+        """Return the frames that remove the torque at once, in any state.
+
+        They are constant, and can be built early.
+        """
         ...
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Clear the drive's latched error on a person's order; the drive stays disabled."""
+        """Clear the drive's latched error on the operator's request. The drive stays disabled."""
         ...
 
     def leave(self, state: DriveState) -> tuple[Frame, ...]:
-        """Frames at the good end of a run, after which the drive may miss this host; none if it may still pull."""
+        """Return the frames at the regular end of a run. Afterwards the drive may miss this host.
+
+        Empty if the drive may still make torque.
+        """
         ...
 
     def identity(self, state: DriveState) -> str:
-        """Return what tells this drive from another one: its serial number as ``scan`` prints it.
+        """Return the serial number as ``scan`` prints it, or ``node N`` without a serial number.
 
-        A drive that has told none is known by its number on the bus alone, ``node N``: one of the same number in
-        another hand cannot be told from it.
+        Drives without a serial number cannot be distinguished from drives of another hand with an equal
+        node number.
         """
         ...
 
     def cause(self, error: int) -> Cause:
-        """What is behind an error, ``DriveState.error``, that is not 0."""
+        """Return the cause of ``DriveState.error``, an error other than 0."""
         ...

@@ -1,9 +1,9 @@
-"""A DBC of the cyclic frames of a bus, from the tables of signals that the controller reads by, for other tools.
+"""DBC of the cyclic frames of a bus, for other tools, from the controller's own signal tables.
 
-Values are those of the controller: at the spool, with the hand's sign. An identifier has one message in a DBC. So a
-command is left out if its identifier is that of the answer, as CubeMars motors have it, and so is what has no values:
-remote frames and an empty SYNC. Settings and what a drive says of itself (heartbeats, register and SDO replies) are not
-in the tables, and not in the DBC.
+Values are the controller's: at the spool, with the hand's sign. A DBC has one message per
+identifier. Commands are left out if the answer has the same identifier (CubeMars). Frames without
+values are left out: remote frames and an empty SYNC. The tables, and the DBC, have no settings,
+heartbeats, register replies, or SDO replies.
 """
 
 from collections.abc import Iterable, Sequence
@@ -15,13 +15,13 @@ from handctl.drives.sensors.node import SensorNode
 from handctl.drives.signals import Coding, Message, Quantity, Signal
 
 HOST, SENSORS = "host", "sensor_node"
-"""Names of this host and the sensor node in a DBC."""
+"""Names of this host and of the sensor node in a DBC."""
 EXTENDED_BIT = 1 << 31
-"""Of an identifier in a DBC, as in SocketCAN."""
+"""Mark of a 29-bit identifier in a DBC, as in SocketCAN."""
 
 
 class Sent(NamedTuple):
-    """A message with who sends and who receives it."""
+    """Message with its sender and its receiver."""
 
     message: Message
     sender: str
@@ -31,10 +31,14 @@ class Sent(NamedTuple):
 def of_bus(
     bus: int, drives: Iterable[Drive], sensors: SensorNode, tendons: Sequence[str], joints: Sequence[str]
 ) -> str:
-    """Write the DBC of a bus of a hand.
+    """Write the DBC of one bus of a hand.
 
     Args:
-        bus: its index. drives: all of the hand. sensors: the sensor node. tendons, joints: their names.
+        bus: index of the bus.
+        drives: all drives of the hand.
+        sensors: the sensor node.
+        tendons: names of all tendons.
+        joints: names of all joints.
     """
     sent = list[Sent]()
     if sensors.bus == bus:
@@ -50,7 +54,7 @@ def of_bus(
 
 
 def dbc(sent: Iterable[Sent]) -> str:
-    """Write a DBC; the first message of an identifier counts."""
+    """Write a DBC. Of messages with equal identifiers the first is used."""
     kept: dict[int, Sent] = {}
     for one in sent:
         if one.message.signals and not one.message.can_id & REMOTE:
@@ -63,6 +67,7 @@ def dbc(sent: Iterable[Sent]) -> str:
         lines.append(f"BO_ {frame_id} {message.name}: {message.length} {sender}")
         lines += [*(_signal(signal, receiver) for signal in message.signals), ""]
         real = [signal.name for signal in message.signals if signal.coding == Coding.FLOAT]
+        # SIG_VALTYPE_ 1 is an IEEE 754 float32.
         floats += [f"SIG_VALTYPE_ {frame_id} {name} : 1;" for name in real]
         if message.flags:
             kinds.append(f'BA_ "VFrameFormat" BO_ {frame_id} {FD_EXTENDED if frame_id & EXTENDED_BIT else FD};')
@@ -70,27 +75,34 @@ def dbc(sent: Iterable[Sent]) -> str:
 
 
 FD, FD_EXTENDED = 14, 15
+"""Values of the attribute VFrameFormat for CAN FD frames, with 11-bit and 29-bit identifiers."""
 _FORMATS = (
     'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN",'
     + ",".join(f'"reserved{i}"' for i in range(2, 14))
     + ',"StandardCAN_FD","ExtendedCAN_FD";',
     'BA_DEF_DEF_ "VFrameFormat" "StandardCAN";',
 )
-"""Declares how a DBC tells FD frames. Source: the attribute as Vector's tools write and cantools reads it."""
+"""Declaration of the attribute VFrameFormat, which marks FD frames.
+
+Source: the attribute as Vector's tools write it and cantools reads it.
+"""
 
 
 def _signal(signal: Signal, receiver: str) -> str:
+    """Return the DBC line of a signal."""
+    # In a DBC, @0 is big-endian and @1 little-endian. + is unsigned, - is signed or float.
     order, sign = 0 if signal.big_endian else 1, "+" if signal.coding == Coding.UNSIGNED else "-"
     place = f"{signal.start}|{signal.length}@{order}{sign}"
     return f' SG_ {signal.name} : {place} ({signal.scale!r},{signal.offset!r}) [0|0] "{signal.unit}" {receiver}'
 
 
 def _named(message: Message, drive: str) -> Message:
+    """Return a message whose name begins with the name of its drive."""
     return message._replace(name=f"{drive}_{message.name}")
 
 
 def _channels(message: Message, tendons: Sequence[str], joints: Sequence[str]) -> Message:
-    """Return a frame of the sensor node whose channels have the names of their tendons or joints."""
+    """Return a frame of the sensor node with tendon or joint names for its channels."""
     names = {Quantity.TENSION: tendons, Quantity.ANGLE: joints}
     signals = [
         signal._replace(name=names[signal.quantity][signal.channel]) if signal.quantity in names else signal

@@ -1,8 +1,9 @@
-"""Finding out what is on a bus without moving anything: questions that no drive takes as an order, and their answers.
+"""Discovery of nodes on a bus without motion: requests that no drive obeys as a command, and answers.
 
-A protocol offers one ``Discovery``. Its questions come in rounds: it listens (0), asks all at once (1), asks every
-number (2), asks those that it has found for more (3). What is found is worked out anew from all frames seen so far, so
-nothing here keeps a state. A question that means an order to a drive of another protocol is left out by ``allowed``.
+A protocol offers one ``Discovery``. Requests come in rounds: listen (0), ask all nodes at once (1),
+ask every node number (2), ask discovered nodes for details (3). Each round computes the nodes from
+all received frames, and no function here keeps a state. ``allowed`` leaves out requests that are a
+command to a drive of another protocol.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -13,20 +14,23 @@ from handctl.drives.frame import REMOTE, Frame
 
 ROUNDS = range(4)
 LISTEN_S, ANSWER_S = 0.7, 0.25
-"""How long to listen at first: several heartbeats; and how long to wait for the answers of a round [s]."""
+"""Time of listening, several heartbeats long, and time to wait for the answers of a round [s]."""
 
 
 @dataclass(frozen=True)
 class Found:
-    """A node and what it tells of itself.
+    """Node on a bus, with its own data.
 
     Attributes:
         protocol: name in the hand file.
-        node_id: its number.
-        firmware, serial, state, error: in words; empty if it has not told.
-        settings: keys of a ``[[motor]]`` section that the drive itself knows.
-        options: the same for ``[motor.options]``.
-        notes: what a person should know before trusting it.
+        node_id: node number.
+        firmware: version, empty if not reported.
+        serial: serial number, empty if not reported.
+        state: state in words, empty if not reported.
+        error: error in words, empty if not reported.
+        settings: keys of a ``[[motor]]`` section with values from the drive.
+        options: keys of ``[motor.options]`` with values from the drive.
+        notes: warnings for the operator.
     """
 
     protocol: str
@@ -41,18 +45,19 @@ class Found:
 
 
 Seen = Sequence[Frame]
-"""All frames of one bus so far, oldest first."""
+"""All frames received on one bus, oldest first."""
 
 
 class Discovery(NamedTuple):
-    """How a protocol is looked for.
+    """Discovery functions of one protocol.
 
     Attributes:
-        questions: frames of a round, given what was seen; bus 0.
-        found: nodes in what was seen.
-        orders: identifiers that a node takes as an order, whoever sends them.
+        questions: request frames of a round, from the frames received before, for bus 0.
+        found: nodes in the received frames.
+        orders: identifiers that a node obeys as commands, from any sender.
         foreign: frames that only another host can have sent.
-        ping: a question to one node that moves nothing. pong: whether a frame is the answer to it.
+        ping: request to one node, without motion.
+        pong: True for a frame that answers ``ping``.
     """
 
     questions: Callable[[int, Seen], tuple[Frame, ...]]
@@ -66,11 +71,11 @@ class Discovery(NamedTuple):
 def allowed(
     questions: Iterable[Frame], orders: Iterable[frozenset[int]]
 ) -> tuple[tuple[Frame, ...], tuple[Frame, ...]]:
-    """Split questions into those that may be sent and those that a drive of another protocol would obey.
+    """Split requests into safe ones and ones that a drive of another protocol would obey.
 
     Args:
-        questions: data and remote frames; a remote frame carries nothing that could be obeyed.
-        orders: of every node found that is not of the questions' protocol.
+        questions: data and remote frames. A remote frame has no payload, and no drive obeys it.
+        orders: command identifiers of every discovered node of another protocol.
     """
     taken = frozenset().union(*orders)
     asked = tuple(questions)

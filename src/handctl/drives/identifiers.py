@@ -1,6 +1,6 @@
-"""No identifier on a bus may come from two nodes, or be an order to one motor and an answer of another.
+"""Check that each identifier on a bus has one sender and one meaning.
 
-Checked on what the drives themselves say, so that a new protocol needs no rule of its own.
+The check uses the identifiers that the drives report. A new protocol needs no rule of its own.
 """
 
 from collections.abc import Iterable
@@ -10,29 +10,36 @@ from handctl.errors import ConfigError
 
 
 class Owner(Protocol):
-    """A drive, or the sensor node."""
+    """Owner of identifiers: a drive, or the sensor node."""
 
     @property
-    def bus(self) -> int: ...
+    def bus(self) -> int:
+        """Return the index of the bus."""
+        ...
     @property
-    def host_ids(self) -> frozenset[int]: ...
+    def host_ids(self) -> frozenset[int]:
+        """Return the identifiers sent by the host alone."""
+        ...
     @property
-    def node_ids(self) -> frozenset[int]: ...
+    def node_ids(self) -> frozenset[int]:
+        """Return the identifiers sent by the node."""
+        ...
 
 
 def check_identifiers(owners: Iterable[tuple[str, Owner]]) -> None:
-    """Compare every node with every other.
+    """Compare the identifiers of every node with those of every other node on its bus.
 
     Args:
-        owners: key path in the hand file, and the node.
+        owners: (key path in the hand file, node).
 
     Raises:
-        ConfigError: two of them share an identifier.
+        ConfigError: two nodes share an identifier.
     """
     known: list[tuple[str, Owner]] = []
     for where, owner in owners:
         for other_where, other in known:
             if owner.bus == other.bus:
+                # Two nodes may listen to one host identifier (NMT, SYNC). An answer identifier must be unique.
                 both = owner.node_ids & (other.node_ids | other.host_ids) | owner.host_ids & other.node_ids
                 if both:
                     right = f"another number; {other_where} uses it"

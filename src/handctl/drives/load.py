@@ -1,25 +1,29 @@
-"""How much of a bus a hand takes: worst-case frame times, stuff bits included.
+"""Bus load of a hand: worst-case frame times with stuff bits.
 
-Source: ISO 11898-1. Classical data frame with an 11-bit identifier: 34 + 8 n bits are exposed to stuffing, at most one
-stuff bit in four after the first, 13 more bits are not (CRC delimiter, acknowledge, end of frame, interframe space).
+    classical   exposed to stuffing 34 + 8 n | at most (exposed - 1) / 4 stuff bits | 13 without stuffing
+    CAN FD      header 17 + 4 stuff | ESI and DLC 5, data 8 n | stuff count 4, CRC 17 or 21, fixed stuff | 13
+
+The classical row has an 11-bit identifier and n data bytes. The 13 bits are CRC delimiter,
+acknowledge, end of frame, and interframe space. Source: ISO 11898-1.
 """
 
 import math
 from collections.abc import Iterable
 
 NICE_RATES_HZ = (1000.0, 500.0, 400.0, 250.0, 200.0, 100.0, 50.0, 20.0, 10.0)
+"""Usual control rates, highest first [Hz]."""
 MOST = 0.70
-"""Share of a bus that a hand may plan for; the rest is for what comes in bursts."""
+"""Fraction of a bus that a hand may use. The rest is reserved for bursts."""
 
 
 def frame_time_s(size: int, fd: bool, bitrate: float, data_bitrate: float | None = None) -> float:
-    """Longest time of one frame with an 11-bit identifier on the wire [s].
+    """Return the longest time of one frame with an 11-bit identifier on the wire [s].
 
     Args:
-        size: payload [bytes]; of an FD frame rounded up to a length that exists.
-        fd: CAN FD with bit rate switch.
-        bitrate: nominal [bit/s].
-        data_bitrate: of the data phase [bit/s]; the nominal one if None.
+        size: payload [bytes]. An FD frame has the next larger FD length.
+        fd: True for CAN FD with bit rate switch.
+        bitrate: nominal bit rate [bit/s].
+        data_bitrate: bit rate of the data phase [bit/s], nominal if None.
     """
     if not fd:
         exposed = 34 + 8 * size
@@ -28,40 +32,51 @@ def frame_time_s(size: int, fd: bool, bitrate: float, data_bitrate: float | None
 
 
 FD_SIZES = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+"""Payload lengths of CAN FD [bytes]. Source: ISO 11898-1, table of DLC."""
 
 
 HEADER_BITS, HEADER_STUFF_BITS = 17, 4
-"""Of CAN FD from start of frame to BRS, at the nominal rate like the end of the frame."""
+"""Bits of CAN FD from start of frame to BRS, and their stuff bits, at the nominal rate."""
 END_BITS = 13
-"""CRC delimiter (counted whole, it changes rate in its middle), acknowledge, end of frame, interframe space."""
+"""CRC delimiter, acknowledge, end of frame, interframe space, at the nominal rate.
+
+The delimiter changes rate in its middle, and counts as nominal.
+"""
 
 
 def _fd_time(size: int, bitrate: float, data_bitrate: float) -> float:
-    """CAN FD [s]: stuff bits up to the last data bit as in a classical frame, then one before every four bits."""
+    """Return the longest time of a CAN FD frame [s].
+
+    Up to the last data bit stuffing is that of a classical frame. In the CRC field one fixed stuff bit
+    precedes every four bits.
+    """
     size = next(length for length in FD_SIZES if length >= size)
+    # ESI and the four bits of DLC, then the data.
     body = 5 + 8 * size
     stuff = (HEADER_BITS + body - 1) // 4 - HEADER_STUFF_BITS
+    # Stuff count (3 bits and parity), then a CRC of 17 bits up to 16 bytes and of 21 bits above.
     check = 4 + (17 if size <= 16 else 21)
     nominal = HEADER_BITS + HEADER_STUFF_BITS + END_BITS
     return nominal / bitrate + (body + stuff + check + math.ceil(check / 4)) / data_bitrate
 
 
 def bus_time_s(frames: Iterable[tuple[int, bool, float]], bitrate: float, data_bitrate: float | None = None) -> float:
-    """Time that one tick's frames take [s].
+    """Return the time of one tick's frames [s].
 
     Args:
-        frames: (payload bytes, CAN FD?, how many a tick).
-        bitrate, data_bitrate: of the bus [bit/s].
+        frames: (payload bytes, CAN FD?, frames per tick).
+        bitrate: nominal bit rate [bit/s].
+        data_bitrate: bit rate of the data phase [bit/s], nominal if None.
     """
     return sum(number * frame_time_s(size, fd, bitrate, data_bitrate) for size, fd, number in frames)
 
 
 def highest_rate(tick_times_s: Iterable[float], shares: Iterable[float] | None = None) -> float:
-    """The highest usual control rate [Hz] at which no bus is loaded beyond ``MOST``.
+    """Return the highest usual control rate that loads no bus beyond ``MOST`` [Hz].
 
     Args:
-        tick_times_s: of one tick's frames on each bus [s].
-        shares: of each bus that frames take which come by time; none if not given.
+        tick_times_s: time of one tick's frames on each bus [s].
+        shares: fraction of each bus used by periodic frames, 0 by default.
     """
     times = tuple(tick_times_s)
     pairs = tuple(zip(times, (0.0,) * len(times) if shares is None else shares, strict=True))

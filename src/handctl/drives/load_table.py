@@ -1,7 +1,7 @@
-"""The protocols beside each other, bare: what a tick of four or eleven motors costs on a bus of the usual bit rates.
+"""Bus load of the bare protocols: time per tick of four or eleven motors at the usual bit rates.
 
-Only command, feedback and the frames of the load cells count (four tendons in 8 bytes, or all in one CAN FD frame);
-SYNC where the protocol cannot do without. What a hand file really puts on its bus is in ``controller.bus_load``.
+Counted are command, feedback, and load cell frames (four tendons in 8 bytes, or all in one CAN FD
+frame), and SYNC where a protocol needs SYNC. ``controller.bus_load`` has the load of a hand file.
 """
 
 from typing import Any, NamedTuple
@@ -9,18 +9,20 @@ from typing import Any, NamedTuple
 from handctl.drives.load import MOST, bus_time_s
 
 NOMINAL, DATA = 1_000_000, 5_000_000
+"""Bit rates of the table: nominal, and data phase of CAN FD [bit/s]."""
 TABLE_RATES_HZ = (250.0, 500.0, 1000.0)
+"""Control rates of the table [Hz]."""
 
 
 class TableRow(NamedTuple):
-    """One line.
+    """One line of the table.
 
     Attributes:
-        protocol: and what of it is used.
-        fd: CAN FD at 1/5 Mbit/s, or classical at 1 Mbit/s.
-        motors: how many.
+        protocol: name and variant.
+        fd: CAN FD at 1/5 Mbit/s if True, else classical CAN at 1 Mbit/s.
+        motors: number of motors.
         per_motor: payloads of a tick's frames of one motor [bytes].
-        shared: payloads of frames that are for all: tensions, SYNC [bytes].
+        shared: payloads of frames for all motors: tensions, SYNC [bytes].
     """
 
     protocol: str
@@ -31,12 +33,12 @@ class TableRow(NamedTuple):
 
     @property
     def tick_s(self) -> float:
-        """Time of one tick's frames [s]."""
+        """Return the time of one tick's frames [s]."""
         sizes = [*self.per_motor * self.motors, *self.shared]
         return bus_time_s([(size, self.fd, 1.0) for size in sizes], NOMINAL, DATA)
 
     def numbers(self) -> dict[str, Any]:
-        """The line for programs."""
+        """Return the line as a mapping, for programs."""
         loads = {f"{rate:g}": rate * self.tick_s for rate in TABLE_RATES_HZ}
         return self._asdict() | {"tick_us": self.tick_s * 1e6, "load": loads, "max_hz": MOST / self.tick_s}
 
@@ -52,3 +54,4 @@ TABLE = (
     TableRow("ODrive, torque and encoder", False, 4, (4, 8), (8,)),
     TableRow("ODrive, with torque feedback", False, 4, (8, 8, 8), (8,)),
 )
+"""Rows: (protocol, CAN FD, motors, payloads per motor, shared payloads)."""

@@ -1,38 +1,50 @@
-"""Settings of a drive: read, written where they are wrong, and read again, until all are as they must be.
+"""Read-back of drive settings: read, write wrong values, read again, until all values are right.
 
-This is the walk that all protocols share. A protocol adds the bytes of a request, and whether a reply is that of the
-open request.
+All protocols share the cursor over their list of settings. A protocol adds the payload of a
+request, and recognises the reply to the open request.
 
-Limit and watchdog make a drive the first guard, and are read again while it is enabled. A drive whose processor
-restarts within a few milliseconds may come back enabled, with the settings that were saved and without those that were
-written before arming. Feedback does not show it. One setting per drive is read each half second, in turn, at an offset
-that differs from drive to drive, so that no tick carries the requests of several.
+Limit and watchdog make a drive the first guard. They are read again while the drive is enabled. A
+drive may restart within a few milliseconds and return enabled, with its saved settings, and
+without the settings written before arming. Feedback does not show the restart. One setting per
+drive is read each half second, in turn. The offset differs from drive to drive, and no tick
+carries the requests of several drives.
 """
 
 from typing import NamedTuple
 
 REQUEST_TIMEOUT_NS = 20_000_000
+"""Time after which an open request is repeated [ns]."""
 REQUEST_TRIES = 10
+"""Requests for one setting before the drive is in fault."""
 RECHECK_NS = 500_000_000
-"""Time between two requests to an enabled drive [ns]: 11 MIT motors at 200 Hz leave no room for more on a classical
-bus."""
+"""Time between two requests to an enabled drive [ns].
+
+On a classical bus, 11 MIT motors at 200 Hz leave no capacity for a shorter time.
+"""
 RECHECKS_PER_SECOND = 1e9 / RECHECK_NS
+"""Rate of requests to an enabled drive [1/s]."""
 STAGGER_NS = 37_000_000
-"""Offset between drives with consecutive node numbers [ns]; it and the period have no common factor in milliseconds."""
+"""Offset between drives with consecutive node numbers [ns].
+
+In milliseconds, offset and period have no common factor.
+"""
 RECHECK_TRIES = 20
-"""Requests in a row without an answer that count as a lost setting: on a bus that loses a fifth of all frames each way
-this happens once in 10^9 periods."""
+"""Requests in a row without an answer that count as a lost setting.
+
+On a bus that loses a fifth of all frames each way, 20 lost answers in a row happen once in 10^9
+periods.
+"""
 
 
 class Walk(NamedTuple):
-    """How far a drive's settings are known.
+    """Cursor of the read-back of a drive's settings.
 
     Attributes:
         step: index of the setting.
-        writing: whether it is to be written next, because it was read and is wrong.
-        written: how often it was written.
-        sent_ns: when the open request was sent [ns]; -1 if none is.
-        tries: how often.
+        writing: True if the next request writes, because the value read was wrong.
+        written: number of writes of this setting.
+        sent_ns: time of the open request [ns], -1 without an open request.
+        tries: requests for this setting.
     """
 
     step: int = 0
@@ -43,37 +55,39 @@ class Walk(NamedTuple):
 
     @property
     def waiting(self) -> bool:
-        """Whether an answer is awaited."""
+        """Return True if a request is open."""
         return self.sent_ns >= 0
 
     def right(self) -> "Walk":
-        """Return the walk after a setting that is as it must be."""
+        """Return the cursor at the next setting, after a correct value."""
         return Walk(self.step + 1)
 
     def wrote(self) -> "Walk":
-        """Return the walk after the setting was written: it is read next."""
+        """Return the cursor after a write. The next request reads the setting."""
         return Walk(self.step, written=self.written + 1)
 
 
 def due(walk: Walk, t_ns: int) -> bool:
-    """Return whether a request is due: none is open, or it has been for too long."""
+    """Return True if no request is open, or the open request timed out."""
     return not walk.waiting or t_ns - walk.sent_ns >= REQUEST_TIMEOUT_NS
 
 
 def sent(walk: Walk, t_ns: int) -> Walk:
-    """Return the walk after a request at ``t_ns`` [ns]."""
+    """Return the cursor after a request at ``t_ns`` [ns]."""
     return walk._replace(sent_ns=t_ns, tries=walk.tries + 1)
 
 
 def ask(walk: Walk, name: str, t_ns: int, tries: int = REQUEST_TRIES) -> tuple[Walk, bool, str]:
-    """Judge whether the setting must be asked for, or written.
+    """Decide whether to send a request for the setting, read or write.
 
     Args:
-        walk: so far; not beyond the last setting. name: of the setting. t_ns: now [ns].
-        tries: requests after which a setting counts as not answered.
+        walk: cursor, not beyond the last setting.
+        name: name of the setting.
+        t_ns: time of the tick [ns].
+        tries: requests before the setting counts as not answered.
 
     Returns:
-        the walk from here; whether to send the request; what is wrong, empty if nothing is.
+        the new cursor, True to send the request, and the problem in words, empty without a problem.
     """
     if not due(walk, t_ns):
         return walk, False, ""
@@ -83,13 +97,17 @@ def ask(walk: Walk, name: str, t_ns: int, tries: int = REQUEST_TRIES) -> tuple[W
 
 
 def differs(walk: Walk, name: str, read: str, expected: str, writes: int) -> tuple[Walk, str]:
-    """Have a setting that was read and is wrong written, ``writes`` times at most.
+    """Request a write of a setting with a wrong value, at most ``writes`` times.
 
     Args:
-        walk: so far. name: of the setting. read, expected: its values, for people. writes: how often.
+        walk: cursor.
+        name: name of the setting.
+        read: value read, as text.
+        expected: required value, as text.
+        writes: largest number of writes.
 
     Returns:
-        the walk from here, and what is wrong, empty if nothing is.
+        the new cursor, and the problem in words, empty without a problem.
     """
     if walk.written < writes:
         return Walk(walk.step, writing=True, written=walk.written), ""
@@ -98,13 +116,13 @@ def differs(walk: Walk, name: str, read: str, expected: str, writes: int) -> tup
 
 
 class Recheck(NamedTuple):
-    """How far the settings of an enabled drive were read again.
+    """Cursor of the repeated read-back while a drive is enabled.
 
     Attributes:
-        step: index of the setting that is asked for next.
-        due_ns: when [ns].
-        waiting: whether an answer is awaited.
-        tries: requests without an answer.
+        step: index of the next setting.
+        due_ns: time of the next request [ns].
+        waiting: True if a request is open.
+        tries: requests in a row without an answer.
     """
 
     step: int = 0
@@ -114,29 +132,36 @@ class Recheck(NamedTuple):
 
 
 def begin_recheck(node_id: int, t_ns: int) -> Recheck:
-    """Return the state of a drive that is about to be enabled at ``t_ns`` [ns]."""
+    """Return the cursor of a drive shortly before it is enabled at ``t_ns`` [ns]."""
     return Recheck(due_ns=_next(node_id, t_ns))
 
 
 def ask_again(check: Recheck, name: str, node_id: int, t_ns: int) -> tuple[Recheck, str]:
-    """Return the state after a request to the enabled drive, and what is wrong, empty if nothing is.
+    """Return the cursor after a request to the enabled drive, and the problem in words.
 
     Args:
-        check: so far. name: of the setting. node_id: of the drive. t_ns: now [ns].
+        check: cursor.
+        name: name of the setting.
+        node_id: node number of the drive.
+        t_ns: time of the tick [ns].
     """
     check = check._replace(due_ns=_next(node_id, t_ns), waiting=True, tries=check.tries + 1)
     return check, f"{name} is not answered while enabled" if check.tries >= RECHECK_TRIES else ""
 
 
 def take_again(check: Recheck, count: int, same: bool, name: str, says: str, expected: str) -> tuple[Recheck, str]:
-    """Judge a setting that was read again while enabled; another value means that all may be lost.
+    """Compare a setting read again while enabled. A wrong value means that all settings may be lost.
 
     Args:
-        check: so far. count: of the settings that are read again. same: whether it is as it must be.
-        name: of the setting. says: what the drive says of it, such as ``reads 3``. expected: its value.
+        check: cursor.
+        count: number of settings in the repeated read-back.
+        same: True if the value is the required one.
+        name: name of the setting.
+        says: answer of the drive in words, such as ``reads 3``.
+        expected: required value, as text.
 
     Returns:
-        the state from here, and what is wrong, empty if nothing is.
+        the new cursor, and the problem in words, empty without a problem.
     """
     if same:
         return Recheck((check.step + 1) % count, check.due_ns), ""
@@ -144,6 +169,6 @@ def take_again(check: Recheck, count: int, same: bool, name: str, says: str, exp
 
 
 def _next(node_id: int, t_ns: int) -> int:
-    """Return the next time at which it is this drive's turn [ns]."""
+    """Return the next time in the drive's own time slot [ns]."""
     offset = node_id * STAGGER_NS % RECHECK_NS
     return ((t_ns - offset) // RECHECK_NS + 1) * RECHECK_NS + offset

@@ -1,9 +1,12 @@
-"""Frames as rows of bytes: what buses give and take, kernels read and write, and the log keeps.
+"""Frames as rows of bytes: exchanged with buses, read and written by kernels, stored in the log.
 
-    t_ns 64 | can_id 32 | flags 16 | bus 8 | length 8 | data 64 x 8
+    word 0      t_ns int64
+    word 1      bits 0..31 can_id | 32..47 flags | 48..55 bus | 56..63 length
+    word 2..9   data, 64 bytes
 
-A ``Frame`` object exists where a frame is looked at by itself: in python-can interfaces, tests, tools, and the state
-machines of drives. ``Frames`` is a sequence of them over the rows, made as they are looked at.
+All fields are little-endian. A ``Frame`` object exists where code handles a single frame: in
+python-can interfaces, tests, tools, and the state machines of drives. ``Frames`` is a sequence of
+frames over the rows, which builds ``Frame`` objects on access.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -19,19 +22,21 @@ RECORD = np.dtype(
 )
 """One frame: time of reception [ns], identifier with the flag bits of ``frame``, flags, bus, payload."""
 SIZE = RECORD.itemsize
+"""Size of a record [bytes]."""
 SHORT = 24
-"""Bytes of a record that hold a frame with at most eight bytes of payload [bytes]."""
+"""Length of the leading part of a record that holds a payload of at most eight bytes [bytes]."""
 Records = NDArray[np.void]
 Rows = NDArray[np.uint64]
 WORDS = SIZE // 8
+"""Size of a record in words of eight bytes."""
 T_NS, HEAD, PAYLOAD = 0, 1, 2
-"""Words of a record: time, then identifier, flags, bus and length from the lowest bit on, then the payload."""
+"""Words of a record: time, then identifier, flags, bus and length from the lowest bit on, then payload."""
 FLAGS_BIT, BUS_BIT, LENGTH_BIT = 32, 48, 56
-"""Bits of the head."""
+"""Lowest bit of flags, bus, and length in word 1."""
 
 
 class Frames(Sequence[Frame]):
-    """Frames over their records; equal to any sequence of equal frames.
+    """Sequence of frames over their records. It equals any sequence of equal frames.
 
     Attributes:
         records: (n,) of ``RECORD``.
@@ -40,19 +45,21 @@ class Frames(Sequence[Frame]):
     __slots__ = ("records",)
 
     def __init__(self, records: Records) -> None:
+        """Wrap records, without a copy."""
         self.records = records
 
     @staticmethod
     def of_rows(rows: Rows) -> "Frames":
-        """Return the frames of (n, WORDS) contiguous numbers."""
+        """Return the frames of contiguous words (n, WORDS)."""
         return Frames(rows.reshape(-1).view(RECORD))
 
     @property
     def rows(self) -> Rows:
-        """(n, WORDS) the same as numbers of eight bytes, for kernels."""
+        """Return the records as words of eight bytes (n, WORDS), for kernels."""
         return self.records.view(np.uint64).reshape(-1, WORDS)
 
     def __len__(self) -> int:
+        """Return the number of frames."""
         return len(self.records)
 
     @overload
@@ -60,31 +67,36 @@ class Frames(Sequence[Frame]):
     @overload
     def __getitem__(self, index: slice) -> "Frames": ...
     def __getitem__(self, index: int | slice) -> "Frame | Frames":
+        """Return one frame, or a slice as ``Frames``."""
         if isinstance(index, slice):
             return Frames(self.records[index])
         t_ns, can_id, flags, bus, length, data = self.records[index].item()
         return Frame(can_id, data.tobytes()[:length], flags, bus, t_ns)
 
     def __iter__(self) -> Iterator[Frame]:
+        """Yield the frames, with one conversion per column for speed."""
         data = self.records["data"].tobytes()
         columns = [self.records[name].tolist() for name in ("can_id", "length", "flags", "bus", "t_ns")]
         for i, (can_id, length, flags, bus, t_ns) in enumerate(zip(*columns, strict=True)):
             yield Frame(can_id, data[64 * i : 64 * i + length], flags, bus, t_ns)
 
     def __eq__(self, other: object) -> bool:
+        """Compare the rows, or the frames of any other sequence."""
         if isinstance(other, Frames):
             return bool(np.array_equal(self.rows, other.rows))
         return isinstance(other, Sequence) and tuple(self) == tuple(other)
 
     def __hash__(self) -> int:
+        """Return the hash of the bytes."""
         return hash(self.rows.tobytes())
 
     def __repr__(self) -> str:
+        """Return the frames as text."""
         return f"Frames({list(self)!r})"
 
 
 EMPTY = Frames(np.empty(0, RECORD))
-"""No frames."""
+"""Sequence without frames."""
 
 
 def frames_of(frames: Iterable[Frame]) -> Frames:
@@ -109,7 +121,7 @@ def frames_of(frames: Iterable[Frame]) -> Frames:
 
 
 def joined(parts: Sequence[Frames]) -> Frames:
-    """Return the frames of several sequences, one after the other."""
+    """Return the concatenation of several sequences of frames."""
     some = [part for part in parts if len(part)]
     if len(some) < 2:
         return some[0] if some else EMPTY

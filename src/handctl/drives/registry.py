@@ -1,4 +1,4 @@
-"""Which protocols there are: one line each."""
+"""Registry of protocols, one line each."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -18,11 +18,11 @@ from handctl.errors import ConfigError
 
 
 class Spoken(NamedTuple):
-    """A protocol.
+    """Entry of a protocol.
 
     Attributes:
-        make: the drive of a motor description on a bus.
-        discovery: how it is looked for; None where nothing can be asked that is no order.
+        make: constructor of a drive from a motor description and a bus index.
+        discovery: discovery of the protocol, None if every request would be a command.
     """
 
     make: Callable[[MotorDescription, int], Drive]
@@ -35,22 +35,23 @@ PROTOCOLS: dict[str, Spoken] = {
     "cia402": Spoken(Cia402Drive.of, cia402_discovery.DISCOVERY),
     "cubemars": Spoken(CubemarsDrive.of, None),
 }
+"""Protocols by their name in the hand file."""
 DISCOVERIES: dict[str, Discovery] = {
     **{name: spoken.discovery for name, spoken in PROTOCOLS.items() if spoken.discovery},
     "sensor": sensor_discovery.DISCOVERY,
 }
-"""How each protocol, and the sensor node, is looked for on a bus."""
+"""Discovery of each protocol and of the sensor node."""
 
 
 def make_drive(motor: MotorDescription, bus: int) -> Drive:
-    """The drive of a motor.
+    """Return the drive of a motor.
 
     Args:
-        motor: its description.
-        bus: index of its bus.
+        motor: description of the motor.
+        bus: index of the bus.
 
     Raises:
-        ConfigError: no such protocol, or an option that it does not have.
+        ConfigError: an unknown protocol, or an unknown option.
     """
     if motor.protocol not in PROTOCOLS:
         where = f"motor[{motor.name}].protocol"

@@ -1,8 +1,9 @@
-"""Cyclic frames as tables of signals: where a value is in a frame, how it is coded, what a count is worth.
+"""Signal tables of cyclic frames: position, coding, and scale of each value in a frame.
 
-One packer and one unpacker, compiled, serve all protocols. The same tables make a DBC (``drives.dbc``), with which
-other tools decode the bus. Bit positions are those of a DBC: bit 0 is the lowest bit of the first byte. A little-endian
-signal begins at its lowest bit, a big-endian one at its highest.
+One compiled packer and one compiled unpacker serve all protocols. The same tables make a DBC
+(``drives.dbc``) for other tools. Bit positions are those of a DBC: bit 0 is the lowest bit of the
+first byte. The start of a little-endian signal is its lowest bit. The start of a big-endian signal
+is its highest bit.
 """
 
 import enum
@@ -15,45 +16,52 @@ from numpy.typing import NDArray
 from handctl.compiled import inner, kernel
 
 Words = NDArray[np.uint64]
-"""Payloads as numbers of eight bytes, the first byte lowest."""
+"""Payloads as words of eight bytes, the first byte lowest."""
 Real = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 
 class Quantity(enum.IntEnum):
-    """What a signal carries."""
+    """Physical quantity of a signal."""
 
     POSITION = 0
     VELOCITY = 1
     TORQUE = 2
     TEMPERATURE = 3
-    """Of several in a frame the hottest counts."""
+    """Of several temperatures in a frame the hottest is used."""
     STATUS = 4
-    """Several in a frame are one number, the first in its highest bits."""
+    """Several status signals in a frame form one number, the first in its highest bits."""
     TENSION = 5
     ANGLE = 6
     COUNTER = 7
     UNUSED = 8
-    """Constant in commands, and not read in feedback."""
+    """Constant in commands, ignored in feedback."""
 
 
 class Coding(enum.IntEnum):
-    """How a number is written."""
+    """Coding of a raw value."""
 
     UNSIGNED = 0
     SIGNED = 1
+    """Two's complement."""
     FLOAT = 2
     """IEEE 754, 32 bits."""
 
 
 class Signal(NamedTuple):
-    """A value in a frame: value = count * scale + offset.
+    """Value in a frame: value = count * scale + offset.
 
     Attributes:
-        name: of the signal. quantity: what it carries.
-        start: bit, as in a DBC. length: bits. big_endian: byte order. coding: of the count.
-        scale, offset: see above. unit: of the value.
-        channel: index of the tendon or joint, of a frame that carries several.
+        name: name of the signal.
+        quantity: physical quantity.
+        start: start bit, as in a DBC.
+        length: number of bits.
+        big_endian: byte order.
+        coding: coding of the count.
+        scale: value of one count [unit].
+        offset: value of count 0 [unit].
+        unit: unit of the value.
+        channel: index of the tendon or joint, in a frame with several.
     """
 
     name: str
@@ -69,15 +77,17 @@ class Signal(NamedTuple):
 
 
 class Message(NamedTuple):
-    """A cyclic frame.
+    """Cyclic frame.
 
     Attributes:
-        name: of the message. can_id: with the flag bits of ``frame``. length: of the payload [bytes].
-        signals: in it.
-        flags: of the frame, see ``frame``.
-        base: payload with all signals 0, of a command.
-        answers: whether it is the feedback that answers a command.
-        limit: largest absolute value of its torque, of a command [N m].
+        name: name of the message.
+        can_id: identifier with the flag bits of ``frame``.
+        length: payload [bytes].
+        signals: signals in the frame.
+        flags: flags of the frame, see ``frame``.
+        base: payload of a command with all signals 0.
+        answers: True for feedback that answers a command.
+        limit: largest absolute torque of a command [N m].
     """
 
     name: str
@@ -91,11 +101,13 @@ class Message(NamedTuple):
 
 
 class Cyclic(NamedTuple):
-    """The frames that one drive exchanges in every tick while it is enabled.
+    """Frames exchanged with one drive in every tick while the drive is enabled.
 
     Attributes:
-        feedback: it sends. commands: it is sent, in this order; the torque is in one of them.
-        patience_ns: longest time without feedback after which its state machine must look [ns]; 0: it need not.
+        feedback: frames from the drive.
+        commands: frames to the drive, in this order. One of them carries the torque.
+        patience_ns: longest time without feedback before the state machine must act [ns], 0 for no
+            limit.
     """
 
     feedback: tuple[Message, ...]
@@ -104,14 +116,15 @@ class Cyclic(NamedTuple):
 
 
 START, LENGTH, ORDER, CODING, QUANTITY, CHANNEL = range(6)
+"""Columns of the integer array that describes signals to the packer and the unpacker."""
 UNSIGNED, SIGNED, FLOAT = map(int, Coding)
-"""As numbers of this module, as compiled code wants them."""
+"""Codings as module-level integers, for compiled code."""
 SCALE, OFFSET = range(2)
-"""Columns of the two arrays that describe signals to the packer and the unpacker."""
+"""Columns of the float array."""
 
 
 def whole_columns(signal: Signal) -> tuple[int, ...]:
-    """Return the whole numbers of a signal as the unpacker reads them: the start is its lowest bit in a word."""
+    """Return the integer columns of a signal. The start is its lowest bit in a word."""
     start = signal.start
     if signal.big_endian:
         # In a word that was read with the first byte highest, the position of the signal's lowest bit.
@@ -121,7 +134,7 @@ def whole_columns(signal: Signal) -> tuple[int, ...]:
 
 @inner
 def swapped(value: Any) -> Any:
-    """Return a number of eight bytes (uint64) with its bytes in the opposite order."""
+    """Return a word of eight bytes (uint64) with the bytes in opposite order."""
     found = np.uint64(0)
     for _ in range(8):
         found = found << np.uint64(8) | value & np.uint64(0xFF)
@@ -131,7 +144,7 @@ def swapped(value: Any) -> Any:
 
 @inner
 def unpacked(value: Any, wholes: Whole, reals: Real, i: int) -> float:
-    """Return the value of signal i of a word; NaN if it is a float that is not finite."""
+    """Return the value of signal i in a word, NaN for a float that is not finite."""
     length = wholes[i, LENGTH]
     mask = (np.uint64(1) << np.uint64(length)) - np.uint64(1)
     bits = (value >> np.uint64(wholes[i, START])) & mask
@@ -140,6 +153,7 @@ def unpacked(value: Any, wholes: Whole, reals: Real, i: int) -> float:
         number = np.float64(np.uint32(bits).view(np.float32))
         return number * reals[i, SCALE] + reals[i, OFFSET] if math.isfinite(number) else math.nan
     count = np.int64(bits)
+    # The top bit is the sign: extend it.
     if coding == SIGNED and count >> (length - 1):
         count -= np.int64(1) << length
     found: float = count * reals[i, SCALE] + reals[i, OFFSET]
@@ -148,10 +162,11 @@ def unpacked(value: Any, wholes: Whole, reals: Real, i: int) -> float:
 
 @inner
 def packed(value: float, wholes: Whole, reals: Real, i: int) -> Any:
-    """Return the bits of signal i, at their place in a word.
+    """Return the bits of signal i at their position in a word.
 
-    The caller has made sure that the value is finite and fits. Half a count is rounded up.
+    The caller guarantees a finite value within range. Half a count is rounded up.
     """
+    # floor(x + 0.5), since round() goes to the even neighbour. The mask cuts the sign extension.
     scaled = (value - reals[i, OFFSET]) / reals[i, SCALE]
     mask = (np.uint64(1) << np.uint64(wholes[i, LENGTH])) - np.uint64(1)
     if wholes[i, CODING] == FLOAT:
@@ -163,7 +178,7 @@ def packed(value: float, wholes: Whole, reals: Real, i: int) -> Any:
 
 @kernel("words", "matrix_int", "matrix")
 def unpack_rows(data: Words, rows: Whole, reals: Real) -> Real:
-    """Return the values (signals,) of a payload (1, 1); the arrays have a row for each signal."""
+    """Return the values (signals,) of a payload (1, 1). The arrays have one row per signal."""
     found = np.empty(len(rows))
     for i in range(len(rows)):
         found[i] = unpacked(swapped(data[0, 0]) if rows[i, ORDER] else data[0, 0], rows, reals, i)
@@ -172,38 +187,42 @@ def unpack_rows(data: Words, rows: Whole, reals: Real) -> Real:
 
 @kernel("words", "matrix_int", "matrix", "vector")
 def pack_rows(data: Words, rows: Whole, reals: Real, values: Real) -> None:
-    """Write values (signals,) into a payload (1, 1) that has zeros at their places."""
+    """Write values (signals,) into a payload (1, 1) with zeros at their positions."""
     for i in range(len(rows)):
         bits = packed(values[i], rows, reals, i)
         data[0, 0] |= swapped(bits) if rows[i, ORDER] else bits
 
 
 class Table:
-    """The signals of a message as arrays for the packer and the unpacker.
+    """Signals of a message as arrays for the packer and the unpacker.
 
     Attributes:
-        message: whose. wholes: (signals, 6). reals: (signals, 2).
+        message: the message.
+        wholes: (signals, 6), see ``START``.
+        reals: (signals, 2), see ``SCALE``.
     """
 
     def __init__(self, message: Message) -> None:
+        """Build the arrays of a message. Unused signals are left out."""
         self.message = message
         signals = [signal for signal in message.signals if signal.quantity != Quantity.UNUSED]
         self.wholes: Whole = np.array([whole_columns(signal) for signal in signals], dtype=np.int64).reshape(-1, 6)
         self.reals: Real = np.array([(one.scale, one.offset) for one in signals], dtype=np.float64).reshape(-1, 2)
 
     def unpack(self, data: bytes) -> list[float]:
-        """Return the value of each signal; NaN for a float that is not finite."""
+        """Return the value of each signal, NaN for a float that is not finite."""
         padded = np.frombuffer(data.ljust(8, b"\0"), np.uint64, 1).reshape(1, 1).copy()
         values: list[float] = unpack_rows(padded, self.wholes, self.reals).tolist()
         return values
 
     def pack(self, *values: float) -> bytes:
-        """Return the payload with a value for each signal.
+        """Return the payload with one value per signal.
 
         Raises:
             ValueError: a value is not finite, or its torque is beyond the limit.
         """
         for value in values:
+            # Negated, so that NaN is refused.
             if not abs(value) <= self.message.limit:
                 raise ValueError(f"torque {value} N m, expected at most {self.message.limit:g}")
         data = np.frombuffer(self.message.base.ljust(8, b"\0"), np.uint64, 1).reshape(1, 1).copy()

@@ -1,10 +1,20 @@
-"""CANopen frames that CiA 402 needs: identifiers, SDO of up to four bytes, PDO of torque mode, states and errors.
+"""CANopen frames of a CiA 402 drive: identifiers, SDO of up to four bytes, PDOs, states, errors.
 
-    RPDO1  control 16 | target torque 16
-    TPDO1  status 16 | position 32 | torque 16
-    SDO    specifier 8 | index 16 | sub-index 8 | value 32
+All fields are little-endian. Identifiers are the service base plus the node number.
 
-Source: facts, cia402; CiA 301, CiA 402-2.
+    frame      identifier  to     bytes and fields
+    NMT        0x000       drive  0 command | 1 node number
+    SYNC       0x080       all    -
+    EMCY       0x080 + n   host   0..1 error code | 2 error register | 3..7 of the maker
+    RPDO1      0x200 + n   drive  0..1 control word | 2..3 target torque int16 [1/1000 of rated]
+    TPDO1      0x180 + n   host   0..1 status word | 2..5 position int32 [count] | 6..7 torque int16
+                                  [1/1000 of rated]
+    SDO        0x600 + n   drive  0 specifier | 1..2 index | 3 sub-index | 4..7 value
+    SDO reply  0x580 + n   host   0 specifier | 1..2 index | 3 sub-index | 4..7 value or abort code
+    heartbeat  0x700 + n   all    0 NMT state
+
+Torque and position are at the motor's shaft. Source: CiA 301 4.2 (identifiers, SDO, NMT), CiA 402-2
+(control word, status word, objects).
 """
 
 import math
@@ -23,7 +33,7 @@ NMT, SYNC, EMERGENCY, TPDO, RPDO, SDO_REPLY, SDO_REQUEST, HEARTBEAT = (
     0x600,
     0x700,
 )
-"""Identifiers; all but NMT and SYNC plus the node number."""
+"""Identifiers: NMT and SYNC as such, all others plus the node number."""
 START, PRE_OPERATIONAL = 0x01, 0x80
 """NMT commands."""
 BOOT_UP, STOPPED, OPERATIONAL = 0x00, 0x04, 0x05
@@ -33,23 +43,25 @@ SHUTDOWN, SWITCH_ON, ENABLE_OPERATION, DISABLE_VOLTAGE, FAULT_RESET = 0x06, 0x07
 TORQUE_TOP = 0x7FFF
 """Largest target torque [1/1000 of rated]."""
 ABSENT = 0x06020000
-"""SDO abort: no such object."""
+"""SDO abort code of a missing object."""
 
 OFF, READY_TO_SWITCH_ON, SWITCHED_ON, OPERATION_ENABLED = "switch on disabled", "ready", "switched on", "enabled"
+"""Power states in words."""
 NOT_READY, QUICK_STOP, FAULT_REACTION, FAULT = "not ready", "quick stop active", "fault reaction", "fault"
 _STATES = (
     (0x4F, 0x00, NOT_READY), (0x4F, 0x40, OFF), (0x6F, 0x21, READY_TO_SWITCH_ON), (0x6F, 0x23, SWITCHED_ON),
     (0x6F, 0x27, OPERATION_ENABLED), (0x6F, 0x07, QUICK_STOP), (0x4F, 0x0F, FAULT_REACTION), (0x4F, 0x08, FAULT),
 )  # fmt: skip
+"""(mask, value, power state) of the status word. Source: CiA 402-2, status word coding."""
 WITHOUT_TORQUE = frozenset((NOT_READY, OFF, READY_TO_SWITCH_ON, FAULT))
-"""States in which the power stage is off."""
+"""States with the power stage off."""
 NEXT = {
     OFF: SHUTDOWN,
     READY_TO_SWITCH_ON: SWITCH_ON,
     SWITCHED_ON: ENABLE_OPERATION,
     OPERATION_ENABLED: ENABLE_OPERATION,
 }
-"""Control word that leads from a state towards operation enabled; DISABLE_VOLTAGE from all others."""
+"""Control word of the next step towards operation enabled. DISABLE_VOLTAGE for all other states."""
 
 ERRORS = {
     0x2310: "over-current", 0x3210: "DC bus over-voltage", 0x3220: "DC bus under-voltage",
@@ -59,20 +71,22 @@ ERRORS = {
     0x8140: "recovered from bus-off", 0x8210: "PDO too short", 0x8250: "RPDO time-out",
     0x8611: "following error",
 }  # fmt: skip
+"""Emergency error codes in words. Source: CiA 301 and CiA 402-2, error code tables."""
 ABORTS = {
     0x05030000: "toggle bit", 0x05040000: "time-out", 0x06010001: "write-only", 0x06010002: "read-only",
     ABSENT: "no such object", 0x06040041: "cannot be mapped", 0x06040042: "mapping too long",
     0x06070010: "wrong length", 0x06090011: "no such sub-index", 0x06090030: "out of range",
     0x08000022: "not in this state",
 }  # fmt: skip
+"""SDO abort codes in words. Source: CiA 301."""
 
 
 ENABLED_STATUS = 0x07 << 2 | 0x01
-"""State and stop bits of a status word that says operation enabled, as ``feedback_message`` puts them together."""
+"""State and stop bits of operation enabled, joined as in ``feedback_message``."""
 
 
 def state_of(status: int) -> str:
-    """The power state in a status word; empty for one that the standard does not know."""
+    """Return the power state in a status word, empty for an undefined one."""
     return next((state for mask, value, state in _STATES if status & mask == value), "")
 
 
@@ -80,13 +94,16 @@ def feedback_message(node_id: int, counts: int, ratio: float, rated: float, zero
     """Return TPDO1: status word, position [count], torque [1/1000 of rated], all at the shaft.
 
     Args:
-        node_id: of the drive. counts: per turn of the shaft. rated: torque at the shaft [N m].
+        node_id: node number of the drive.
+        counts: position counts per turn of the shaft.
         ratio: turns of the shaft per turn of the spool, with the sign of the hand.
+        rated: rated torque at the shaft [N m].
         zero: angle at the shaft of the spool's zero [rad].
     """
     count = math.tau / counts / ratio
     torque = rated / 1000 * ratio
     return Message("tpdo1", TPDO + node_id, 8, (
+        # Bits 0..3 and 5..6 define the power state. Bit 4, voltage, and the upper bits do not.
         Signal("state", Quantity.STATUS, 0, 4),
         Signal("voltage", Quantity.UNUSED, 4, 1),
         Signal("stop", Quantity.STATUS, 5, 2),
@@ -97,7 +114,14 @@ def feedback_message(node_id: int, counts: int, ratio: float, rated: float, zero
 
 
 def command_message(node_id: int, ratio: float, rated: float, limit: float) -> Message:
-    """Return RPDO1 while enabled: control word, target torque [1/1000 of rated]; ``limit``: at the spool [N m]."""
+    """Return RPDO1 while enabled: control word, target torque [1/1000 of rated].
+
+    Args:
+        node_id: node number of the drive.
+        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
+        rated: rated torque at the shaft [N m].
+        limit: largest torque [N m at the spool].
+    """
     torque = Signal("torque", Quantity.TORQUE, 16, 16, False, Coding.SIGNED, rated / 1000 * ratio, 0.0, "N m")
     control = Signal("control", Quantity.UNUSED, 0, 16)
     base = struct.pack("<Hh", ENABLE_OPERATION, 0)
@@ -105,27 +129,29 @@ def command_message(node_id: int, ratio: float, rated: float, limit: float) -> M
 
 
 def error_text(code: int) -> str:
-    """An emergency's error code in words."""
+    """Return an emergency's error code in words."""
     return ERRORS.get(code, f"error {code:#06x}")
 
 
 def abort_text(code: int) -> str:
-    """An SDO abort in words."""
+    """Return an SDO abort code in words."""
     return ABORTS.get(code, f"abort {code:#010x}")
 
 
 def upload(index: int, sub: int) -> bytes:
-    """Request to read an object."""
+    """Return the request to read an object."""
+    # 0x40: initiate upload, from the drive to the host.
     return struct.pack("<BHB4x", 0x40, index, sub)
 
 
 def download(index: int, sub: int, raw: bytes) -> bytes:
-    """Request to write an object of one to four bytes."""
+    """Return the request to write an object of one to four bytes."""
+    # 0x23: initiate download, expedited, size in bits 2..3 as the number of unused bytes.
     return struct.pack("<BHB4s", 0x23 | (4 - len(raw)) << 2, index, sub, raw)
 
 
 class SdoReply(NamedTuple):
-    """Object, what was read (empty if it was written), and the abort code, 0 if there is none."""
+    """Object, value read (empty after a write), and abort code, 0 without an abort."""
 
     number: int
     sub: int
@@ -134,8 +160,9 @@ class SdoReply(NamedTuple):
 
 
 def sdo_reply(data: bytes) -> SdoReply | None:
-    """The reply in 8 bytes; None if it is none of those that can come here."""
+    """Return the SDO reply in 8 bytes, or None for any other specifier."""
     specifier, index, sub = struct.unpack_from("<BHB", data)
+    # 0x80 abort, 0x60 write confirmed, 0x43 value with the number of unused bytes in bits 2..3.
     if specifier == 0x80:
         return SdoReply(index, sub, b"", int.from_bytes(data[4:], "little"))
     if specifier == 0x60:

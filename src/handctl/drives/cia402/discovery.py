@@ -1,7 +1,7 @@
-"""CANopen drives on a bus: their heartbeats, and their answers to an SDO that reads the device type.
+"""Discovery of CANopen drives: heartbeats, and answers to an SDO read of the device type.
 
-Reading an object is no order. What a drive tells beyond its device type is read by the ``canopen`` library, outside
-any tick (``runtime.diagnostics.canopen_identity``). Source: facts, cia402.
+No drive obeys the read of an object as a command. The ``canopen`` library reads all other data of a
+drive, outside any tick (``runtime.diagnostics.canopen_identity``). Source: CiA 301 4.2.
 """
 
 from handctl.drives.cia402 import codec
@@ -10,20 +10,24 @@ from handctl.drives.discovery import Discovery, Found, Seen
 from handctl.drives.frame import REMOTE, Frame
 
 NUMBERS = range(1, MASTER)
+"""Node numbers to try."""
 DEVICE_TYPE, PROFILE = 0x1000, 402
+"""Object with the device type, and the profile number in its low word."""
 NMT_STATES = {0x00: "boot-up", 0x04: "stopped", 0x05: "operational", 0x7F: "pre-operational"}
+"""NMT states in words."""
 _RPDOS = (0x200, 0x300, 0x400, 0x500)
+"""Bases of the four RPDO identifiers."""
 
 
 def questions(turn: int, seen: Seen) -> tuple[Frame, ...]:
-    """Round 2: the device type of every number."""
+    """Return the request frames of a round: the device type of every number in round 2."""
     if turn != 2:
         return ()
     return tuple(Frame(codec.SDO_REQUEST + number, codec.upload(DEVICE_TYPE, 0)) for number in NUMBERS)
 
 
 def found(seen: Seen) -> tuple[Found, ...]:
-    """Nodes that have told their device type, and those that beat but do not tell it."""
+    """Return the nodes with a device type, and nodes with heartbeats but without a device type."""
     types: dict[int, int] = {}
     states: dict[int, int] = {}
     for frame in seen:
@@ -37,6 +41,7 @@ def found(seen: Seen) -> tuple[Found, ...]:
 
 
 def _node(number: int, device_type: int | None, nmt: int | None) -> Found:
+    """Return the data of a node."""
     state = NMT_STATES.get(nmt, f"NMT state {nmt:#x}") if nmt is not None else ""
     if device_type is None:
         return Found("canopen", number, state=state, notes=("beats, but does not answer an SDO",))
@@ -46,24 +51,24 @@ def _node(number: int, device_type: int | None, nmt: int | None) -> Found:
 
 
 def orders(node: Found) -> frozenset[int]:
-    """NMT, SYNC, its PDO and its SDO requests."""
+    """Return NMT, SYNC, and the node's RPDOs and SDO requests."""
     own = {base + node.node_id for base in (codec.SDO_REQUEST, *_RPDOS)}
     return frozenset(own | {codec.NMT, codec.SYNC})
 
 
 def foreign(seen: Seen) -> tuple[Frame, ...]:
-    """SYNC, NMT, the heartbeat of another handctl."""
+    """Return SYNC, NMT, and heartbeats of another handctl."""
     known = (codec.NMT, codec.SYNC, codec.HEARTBEAT + MASTER)
     return tuple(frame for frame in seen if frame.can_id & ~REMOTE in known)
 
 
 def ping(node: Found) -> Frame:
-    """The device type."""
+    """Return the request for the device type."""
     return Frame(codec.SDO_REQUEST + node.node_id, codec.upload(DEVICE_TYPE, 0))
 
 
 def pong(node: Found, frame: Frame) -> bool:
-    """Whether this is its device type."""
+    """Return True for an SDO reply of the node."""
     return frame.can_id == codec.SDO_REPLY + node.node_id and len(frame.data) == 8
 
 

@@ -1,8 +1,9 @@
-"""A CiA 402 drive in cyclic synchronous torque mode over CANopen: from silence by SDO to torque, and back.
+"""CiA 402 drive in cyclic synchronous torque mode over CANopen: from silence to torque, and back.
 
-A tick is one RPDO (control word, target torque) and one TPDO (status word, position, torque) that the drive sends at
-SYNC. SYNC is the sensor node's, which has the same identifier 0x080; on a bus without it one drive has the option
-``sync``. This host's heartbeat is the drive's watchdog. Only a status word counts as enabled or disabled.
+A tick is one RPDO (control word, target torque) and one TPDO (status word, position, torque). The
+drive sends the TPDO at SYNC. The SYNC of the sensor node has the same identifier 0x080 and serves
+both. On a bus without a sensor node, one drive has the option ``sync``. This host's heartbeat is
+the drive's watchdog. Only a status word counts as enabled or disabled.
 """
 
 import math
@@ -36,28 +37,31 @@ LISTEN, POLL, ENABLE, DISABLE = Want
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
 HEARTBEATS_MISSED = 3.5
+"""Heartbeat periods without a sign of life before the drive counts as lost."""
 UNITS = {"uN_m": 1e6, "mN_m": 1e3}
-"""Of object 0x6076, per newton metre; makers differ."""
+"""Counts of object 0x6076 per newton metre. Makers differ: uN m on EPOS4, mN m in the standard."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cia402Drive:
-    """One motor; implements ``contract.Drive``.
+    """One motor. Implements ``contract.Drive``.
 
     Attributes:
-        name: the motor's name.
-        bus: index of its bus.
+        name: name of the motor.
+        bus: index of the bus.
         node_id: 1 to 0x7e.
-        torque_limit: at the spool [N m].
-        ratio: turns of the motor's shaft per turn of the spool, negative if positive torque of the motor unwinds.
+        torque_limit: largest torque command [N m at the spool].
+        ratio: turns of the motor's shaft per turn of the spool, negative if positive torque of the
+            motor unwinds.
         zero: angle at the shaft of the spool's zero [rad].
         rated: rated torque at the shaft [N m].
         counts: position counts per turn of the shaft.
-        steps: objects that it must hold.
-        sync: whether SYNC goes out with its command.
+        steps: required objects.
+        sync: True if SYNC follows the command.
         beat_every_ns: period of this host's heartbeat [ns].
         patience_ns: longest time without a sign of life [ns].
-        command, feedback: tables of its cyclic frames; follow from the others.
+        command: signal table of the command, from the fields above.
+        feedback: signal table of the feedback, from the fields above.
     """
 
     name: str
@@ -76,6 +80,7 @@ class Cia402Drive:
     feedback: Table = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        """Build the signal tables of the cyclic frames."""
         sent = codec.command_message(self.node_id, self.ratio, self.rated, self.torque_limit)
         heard = codec.feedback_message(self.node_id, self.counts, self.ratio, self.rated, self.zero)
         object.__setattr__(self, "command", Table(sent))
@@ -83,10 +88,10 @@ class Cia402Drive:
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "Cia402Drive":
-        """The drive of a motor description.
+        """Return the drive of a motor description.
 
         Raises:
-            ConfigError: an option that CiA 402 does not have, a node number that is ours, or too large a torque.
+            ConfigError: an option unknown to CiA 402, the node number of this host, or too large a torque.
         """
         options, where = dict(motor.options), f"motor[{motor.name}].options"
         if not 0 < motor.node_id < setup.MASTER:
@@ -118,80 +123,81 @@ class Cia402Drive:
             counts=counts,
             steps=setup.steps(motor.node_id, round(rated * UNITS[unit]), most, watchdog, heartbeat),
             sync=sync,
+            # Three heartbeats per watchdog time: two may be lost.
             beat_every_ns=watchdog * 1_000_000 // 3,
             patience_ns=round(heartbeat * HEARTBEATS_MISSED * 1e6),
         )
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """RPDO, TPDO, perhaps SYNC."""
+        """Return RPDO, TPDO, and SYNC if sent here."""
         return ((4, False), (8, False), *(((0, False),) if self.sync else ()))
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Its heartbeat and this host's, and objects that are read again."""
+        """Return both heartbeats, and the objects read again."""
         beats = (1, False, HEARTBEATS_MISSED * 1e9 / self.patience_ns), (1, False, 1e9 / self.beat_every_ns)
         return (*beats, *((8, False, readback.RECHECKS_PER_SECOND),) * 2)
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """NMT, RPDO, SDO requests, the master's heartbeat."""
+        """Return NMT, RPDO, SDO requests, and the master's heartbeat."""
         return frozenset((codec.NMT, codec.RPDO + self.node_id, codec.SDO_REQUEST + self.node_id, _MASTER_BEAT))
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """TPDO, SDO replies, emergency, heartbeat."""
+        """Return TPDO, SDO replies, emergency, and heartbeat."""
         bases = (codec.TPDO, codec.SDO_REPLY, codec.EMERGENCY, codec.HEARTBEAT)
         return frozenset(base + self.node_id for base in bases)
 
     @property
     def caveats(self) -> tuple[str, ...]:
-        """All that is asked of it is read back."""
+        """Return no entry: every setting is read back."""
         return ()
 
     @property
     def answers_once(self) -> bool:
-        """A TPDO for each SYNC."""
+        """Return True: one TPDO per SYNC."""
         return True
 
     @property
     def position_step(self) -> float:
-        """A count of its encoder."""
+        """Return one encoder count [rad at the spool]."""
         return math.tau / (self.counts * abs(self.ratio))
 
     @property
     def feedback_period_s(self) -> float:
-        """SYNC asks for it."""
+        """Return 0: SYNC requests feedback."""
         return 0.0
 
     @property
     def cyclic(self) -> Cyclic:
-        """RPDO, TPDO, perhaps SYNC."""
+        """Return RPDO, TPDO, and SYNC if sent here."""
         sync = (Message("sync", codec.SYNC, 0, answers=False),) if self.sync else ()
         return Cyclic((self.feedback.message,), (self.command.message, *sync), self.patience_ns)
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the status of a drive that is enabled as it was told to."""
+        """Return the status of a drive enabled by this host."""
         progress = progress_of(state)
         steady = state.phase == ENABLED and progress.asked and progress.disabling_ns < 0
         return codec.ENABLED_STATUS if steady else UNSTEADY
 
     def due_ns(self, state: DriveState) -> int:
-        """Return when this host's heartbeat or an object that is read again is due [ns]."""
+        """Return the time of this host's next heartbeat or read-back [ns]."""
         progress = progress_of(state)
         return min(progress.check.due_ns, progress.beat_ns + self.beat_every_ns)
 
     @property
     def guards(self) -> tuple[setup.Step, ...]:
-        """Objects that are read again while it is enabled."""
+        """Return the objects read again while enabled."""
         return tuple(step for step in self.steps if (step.number, step.sub) in setup.GUARDS)
 
     def initial(self) -> DriveState:
-        """Silent."""
+        """Return the silent state."""
         return DriveState(private=Progress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """See ``contract.Drive``."""
+        """Apply one received frame, see ``contract.Drive``."""
         if frame.bus != self.bus or frame.can_id not in self.node_ids:
             return state
         service = frame.can_id - self.node_id
@@ -203,10 +209,12 @@ class Cia402Drive:
             return take_heartbeat(state, frame)
         if service == codec.SDO_REPLY:
             return self._take_object(state, frame.data)
+        # The remaining service is the emergency. Code 0 reports the end of all errors.
         code = int.from_bytes(frame.data[:2], "little")
         return state._replace(private=progress_of(state)._replace(code=code)) if code else state
 
     def _take_object(self, state: DriveState, data: bytes) -> DriveState:
+        """Apply an SDO reply."""
         progress, reply = progress_of(state), codec.sdo_reply(data)
         if reply is not None and state.phase == ENABLED and progress.check.waiting:
             return self._take_again(state, progress, reply)
@@ -218,7 +226,7 @@ class Cia402Drive:
         return fault(known, MISMATCH, problem) if problem else known
 
     def _take_again(self, state: DriveState, progress: Progress, reply: codec.SdoReply) -> DriveState:
-        """Compare an object that was read again while enabled."""
+        """Compare an object read again while enabled."""
         step = self.guards[progress.check.step]
         if reply[:2] != (step.number, step.sub) or not (reply.raw or reply.abort):
             return state
@@ -231,7 +239,7 @@ class Cia402Drive:
         return fault(known, MISMATCH, problem) if problem else known
 
     def _take_feedback(self, state: DriveState, frame: Frame) -> DriveState:
-        """Values and power state; before its objects are known a TPDO may hold anything."""
+        """Apply values and power state. Before the read-back is complete, a TPDO may hold anything."""
         progress = progress_of(state)
         if progress.walk.step < len(self.steps):
             return state
@@ -246,7 +254,7 @@ class Cia402Drive:
         return judge(known, progress._replace(power=power or "unknown", heard_ns=frame.t_ns))
 
     def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
-        """See ``contract.Drive``."""
+        """Return the next state and the frames to send, see ``contract.Drive``."""
         if want == LISTEN:
             return state, ()
         # A status word is a sign of life as well; compiled code may have read the last ones.
@@ -260,6 +268,7 @@ class Cia402Drive:
         return state, (*frames, Frame(codec.SYNC, b"", 0, self.bus)) if self.sync else frames
 
     def _command(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Return the next state and the frames of the requested drive state, without heartbeat and SYNC."""
         progress = progress_of(state)
         if want == DISABLE or (state.phase == ENABLED and (want != ENABLE or progress.disabling_ns >= 0)):
             return self._disable(state, progress, t_ns)
@@ -280,7 +289,7 @@ class Cia402Drive:
         return state._replace(private=progress), ()
 
     def _ask_again(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Read an object of the enabled drive again, when it is its turn."""
+        """Request an object of the enabled drive, if due."""
         if t_ns < progress.check.due_ns:
             return state, ()
         step = self.guards[progress.check.step]
@@ -291,7 +300,10 @@ class Cia402Drive:
         return state, (Frame(codec.SDO_REQUEST + self.node_id, codec.upload(step.number, step.sub), 0, self.bus),)
 
     def _disable(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Until a status word says otherwise, what may be enabled counts as enabled; it must be operational to say."""
+        """Disable the drive. A possibly enabled drive counts as enabled until a status word reports disabled.
+
+        Status words need the NMT state operational: NMT start is repeated without feedback.
+        """
         phase = ENABLED if progress.may_be_enabled else state.phase
         since = progress.disabling_ns if progress.disabling_ns >= 0 else t_ns
         progress = progress._replace(disabling_ns=since)
@@ -301,7 +313,7 @@ class Cia402Drive:
         return state._replace(phase=phase, private=progress), (*start, self._rpdo(codec.DISABLE_VOLTAGE, 0.0))
 
     def _configure(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """The next SDO; before the first one the node is made pre-operational."""
+        """Return the next SDO request. Before the first one the node becomes pre-operational."""
         walk, data, problem = setup.ask(progress.walk, self.steps, t_ns)
         known = state._replace(private=progress._replace(walk=walk))
         if problem:
@@ -310,8 +322,12 @@ class Cia402Drive:
         return known, (self._nmt(codec.PRE_OPERATIONAL), *frames) if walk.step == 0 and data else frames
 
     def _start(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Operational, and a status word wanted; a fault that a person has cleared is reset by the edge of a bit."""
+        """Make the node operational, and wait for a status word.
+
+        A fault cleared by the operator is reset by the rising edge of a control bit.
+        """
         if progress.clearing and progress.power == codec.FAULT:
+            # Alternate words, since only the edge of bit 7 resets.
             word = codec.FAULT_RESET if progress.clearing % 2 else codec.DISABLE_VOLTAGE
             return state._replace(private=progress), (self._rpdo(word, 0.0),)
         if t_ns - progress.started_ns < REPEAT_NS:
@@ -322,6 +338,7 @@ class Cia402Drive:
         return state._replace(error_text=text, private=told), (self._nmt(codec.START),)
 
     def _rpdo(self, control: int, torque: float) -> Frame:
+        """Return RPDO1 with a control word and a torque [N m at the spool]."""
         try:
             data = struct.pack("<H", control) + self.command.pack(torque)[2:]
         except ValueError as error:
@@ -329,33 +346,34 @@ class Cia402Drive:
         return Frame(codec.RPDO + self.node_id, data, 0, self.bus)
 
     def _nmt(self, order: int) -> Frame:
+        """Return an NMT command to the node."""
         return Frame(codec.NMT, bytes((order, self.node_id)), 0, self.bus)
 
     def identity(self, state: DriveState) -> str:
-        """Object 0x1018:4, which a drive need not have."""
+        """Return the serial number of object 0x1018:4, an optional object, or the node number."""
         return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def cause(self, error: int) -> Cause:
-        """See ``contract.Drive``."""
+        """Return the cause of an error, see ``contract.Drive``."""
         return CAUSES.get(error, Cause.OTHER if error in codec.ERRORS else Cause.UNKNOWN)
 
     def cut(self) -> tuple[Frame, ...]:
-        """Disable voltage, then out of operational, which is a fault by 0x6007.
+        """Return DISABLE_VOLTAGE, then NMT pre-operational, a fault by object 0x6007.
 
-        In this order: a node that is no longer operational reads no PDO, and CiA 402-2 does not oblige one to lose its
-        torque because it became pre-operational.
+        The order matters. A node outside operational reads no PDO, and CiA 402-2 does not require the loss
+        of torque on entry to pre-operational.
         """
         return (self._rpdo(codec.DISABLE_VOLTAGE, 0.0), self._nmt(codec.PRE_OPERATIONAL))
 
     def leave(self, state: DriveState) -> tuple[Frame, ...]:
-        """Supervise this host no longer: the silence after a run would be a fault that a person has to clear."""
+        """Return the end of heartbeat supervision. Silence after a run would otherwise latch a fault."""
         if state.phase != READY:
             return ()
         data = codec.download(*setup.UNSUPERVISED)
         return (Frame(codec.SDO_REQUEST + self.node_id, data, 0, self.bus),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Begin with the inventory again, and reset the fault at its end."""
+        """Start again with the object read-back, and reset the fault at its end."""
         power = progress_of(state).power
         fresh = Progress(power="" if power == codec.FAULT else power, clearing=CLEAR_TRIES)
         known = state._replace(phase=SILENT, error=0, error_text="", private=fresh)
@@ -363,3 +381,4 @@ class Cia402Drive:
 
 
 _MASTER_BEAT = codec.HEARTBEAT + setup.MASTER
+"""Identifier of this host's heartbeat."""

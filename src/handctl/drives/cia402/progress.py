@@ -1,4 +1,4 @@
-"""What is known of a CiA 402 drive between two frames, and what its status word and its heartbeat change."""
+"""Progress of a CiA 402 drive between frames, and the effects of status words and heartbeats."""
 
 from typing import NamedTuple, cast
 
@@ -11,32 +11,34 @@ from handctl.drives.readback import Recheck, Walk
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
 DROPPED_OUT, MISMATCH, LOST, ENABLED_BY_OTHERS = 0x1_0000, 0x1_0001, 0x1_0002, 0x1_0003
-"""Error codes of our own, above the 16 bits of an emergency."""
+"""Error codes of the host, above the 16 bits of an emergency."""
 CAUSES = {
     0x3210: Cause.VOLTAGE, 0x3220: Cause.VOLTAGE, 0x4210: Cause.HOT, 0x4310: Cause.HOT, 0x8130: Cause.WATCHDOG,
     0x8250: Cause.WATCHDOG, 0x8100: Cause.DROPPED_OUT, DROPPED_OUT: Cause.DROPPED_OUT, LOST: Cause.LOST,
     MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH,
 }  # fmt: skip
-"""By the code of the emergency, and by our own codes."""
+"""Causes by the code of the emergency, and by the error codes of the host."""
 CLEAR_TRIES = 20
+"""Status words that may still show a fault while the fault is being cleared."""
 REPEAT_NS = 20_000_000
+"""Time between repeated NMT commands [ns]."""
 
 
 class Progress(NamedTuple):
-    """What CiA 402 keeps in ``DriveState.private``.
+    """Progress of CiA 402, the content of ``DriveState.private``.
 
     Attributes:
-        walk: how far its objects are known.
-        power: last power state; empty before the first.
-        code: error code of the last emergency.
-        heard_ns: last heartbeat or status word [ns]; -1 before the first.
-        started_ns: when it was told to become operational [ns].
-        beat_ns: when it was sent this host's heartbeat last [ns].
-        asked: whether it was told to enable, and has not said since that it is disabled.
-        disabling_ns: since when it is told to disable [ns]; -1 if it is not.
-        clearing: how many status words may still show the fault that is being cleared.
-        check: how far its objects were read again while it is enabled.
-        serial: its serial number; 0 if it has not told one.
+        walk: cursor of the object read-back.
+        power: latest power state, empty before the first.
+        code: error code of the latest emergency.
+        heard_ns: time of the latest heartbeat or status word [ns], -1 before the first.
+        started_ns: time of the latest NMT start [ns].
+        beat_ns: time of this host's latest heartbeat [ns].
+        asked: True from the enable command to the next report of disabled.
+        disabling_ns: time of the first disable command [ns], -1 without one.
+        clearing: status words that may still show the fault being cleared.
+        check: cursor of the read-back while enabled.
+        serial: serial number, 0 if unknown.
     """
 
     walk: Walk = Walk()
@@ -53,22 +55,22 @@ class Progress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Whether it was told to enable, or is in a state with its power stage on."""
+        """Return True after an enable command, or in a state with the power stage on."""
         return self.asked or (self.power != "" and self.power not in codec.WITHOUT_TORQUE)
 
 
 def progress_of(state: DriveState) -> Progress:
-    """The private part of a state."""
+    """Return the private part of a state."""
     return cast(Progress, state.private)
 
 
 def fault(state: DriveState, error: int, text: str) -> DriveState:
-    """The state in error."""
+    """Return the state with an error."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
 def judge(state: DriveState, progress: Progress) -> DriveState:
-    """What a power state means here."""
+    """Apply a power state."""
     power, known = progress.power, state._replace(private=progress)
     if power == codec.FAULT:
         return _has_fault(known, progress)
@@ -92,7 +94,7 @@ def judge(state: DriveState, progress: Progress) -> DriveState:
 
 
 def _has_fault(state: DriveState, progress: Progress) -> DriveState:
-    """The drive is in fault: without torque, and it says why in an emergency, if it has been heard."""
+    """Apply a drive fault: no torque, and the error code of the emergency if one was received."""
     if progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     off = state._replace(private=progress._replace(asked=False, disabling_ns=-1))
@@ -101,7 +103,7 @@ def _has_fault(state: DriveState, progress: Progress) -> DriveState:
 
 
 def take_heartbeat(state: DriveState, frame: Frame) -> DriveState:
-    """Sign of life; one that says that it is not operational any more has lost its objects, or was stopped."""
+    """Apply a heartbeat. A drive no longer operational lost its objects, or was stopped."""
     progress = progress_of(state)._replace(heard_ns=frame.t_ns)
     if frame.data[0] == codec.OPERATIONAL or state.phase not in (READY, ENABLED) or progress.disabling_ns >= 0:
         return state._replace(private=progress)
@@ -112,7 +114,7 @@ def take_heartbeat(state: DriveState, frame: Frame) -> DriveState:
 
 
 def lose(state: DriveState) -> DriveState:
-    """No sign of life: enabled, that is an error; else it may have lost power and with it its objects."""
+    """Apply missing signs of life. An enabled drive is in fault, another one may have lost its objects."""
     progress = progress_of(state)
     if state.phase == FAULT or progress.disabling_ns >= 0:
         return state

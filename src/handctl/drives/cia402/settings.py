@@ -1,7 +1,8 @@
-"""What a CiA 402 drive must hold before it is armed, written and read back object by object, by SDO.
+"""Objects required in a CiA 402 drive before arming, written and read back by SDO.
 
-RPDO1 is of type 255: torque acts when it arrives, in the tick that computed it, as with the other protocols; TPDO1 is
-of type 1: sampled at SYNC. Loss of the master's heartbeat is a fault of the drive (0x1016, 0x6007).
+RPDO1 has type 255: torque acts on arrival, in the tick that computed it, as in the other protocols.
+TPDO1 has type 1: sampled at SYNC. A lost heartbeat of the master is a fault of the drive (0x1016,
+0x6007).
 """
 
 import enum
@@ -12,36 +13,38 @@ from handctl.drives.cia402 import codec
 from handctl.drives.readback import Walk
 
 FOREVER = 1 << 62
-"""Requests that never come together."""
+"""Number of requests without an end."""
 TORQUE_MODE = 10
+"""Mode of operation: cyclic synchronous torque."""
 PDO_OFF = 1 << 31
+"""Bit of a COB-ID that disables the PDO."""
 MASTER = 0x7F
-"""Node number of this host, whose heartbeat the drives watch."""
+"""Node number of this host, whose heartbeat the drives supervise."""
 UNSUPERVISED = 0x1016, 1, (MASTER << 16).to_bytes(4, "little")
-"""Number, subindex and bytes of an object: a heartbeat that may be 0 ms apart is not waited for."""
+"""Number, sub-index, and bytes of an object: time 0 ends the supervision of the master's heartbeat."""
 
 
 SERIAL = 0x1018, 4
-"""Number and subindex of the serial number."""
+"""Number and sub-index of the serial number."""
 
 
 class Check(enum.IntEnum):
-    """What is done with an object."""
+    """Treatment of an object."""
 
     SAME = 0
-    """Read; must be this value."""
+    """Read. The value must be equal."""
     HAS_BITS = 1
-    """Read; must have these bits."""
+    """Read. The bits must be set."""
     WRITE = 2
-    """Write, read, must be this value."""
+    """Write, then read. The value must be equal."""
     WRITE_IF_THERE = 3
-    """The same, and a drive without this object is well."""
+    """As WRITE. The drive need not have the object."""
     TELL_IF_THERE = 4
-    """Read, whatever it is; a drive without this object is well."""
+    """Read any value. The drive need not have the object."""
 
 
 class Step(NamedTuple):
-    """An object and its value."""
+    """Object with its required value."""
 
     check: Check
     number: int
@@ -51,45 +54,48 @@ class Step(NamedTuple):
 
     @property
     def raw(self) -> bytes:
-        """The value as bytes."""
+        """Return the value as bytes."""
         return self.value.to_bytes(self.size, "little")
 
     @property
     def writes(self) -> bool:
-        """Whether it is written, and read back then."""
+        """Return True if the object is written before the read."""
         return self.check in (Check.WRITE, Check.WRITE_IF_THERE)
 
     @property
     def name(self) -> str:
-        """The object for people."""
+        """Return the name of the object for messages."""
         return f"object {self.number:#06x}:{self.sub}"
 
 
 GUARDS = ((0x1016, 1), (0x6072, 0))
-"""Objects that make an enabled drive the first guard: loss of this host's heartbeat, and the largest torque."""
+"""Objects of the drive's own guards: supervision of the master's heartbeat, and maximum torque."""
 
 
 def steps(node_id: int, rated: int, most: int, watchdog_ms: int, heartbeat_ms: int) -> tuple[Step, ...]:
-    """All objects in order.
+    """Return all objects in order.
 
     Args:
-        node_id: of the drive.
-        rated: rated torque as object 0x6076 has it.
-        most: largest torque [1/1000 of rated].
+        node_id: node number of the drive.
+        rated: rated torque in the unit of object 0x6076.
+        most: maximum torque [1/1000 of rated].
         watchdog_ms: longest time without this host's heartbeat [ms].
-        heartbeat_ms: period of the drive's own [ms].
+        heartbeat_ms: period of the drive's heartbeat [ms].
     """
     same, bits, write, maybe, tell = Check
     others = [Step(maybe, base + i, 1, PDO_OFF | cob + 0x100 * i + node_id, 4) for base, cob in ((0x1400, codec.RPDO),
               (0x1800, codec.TPDO)) for i in (1, 2, 3)]  # fmt: skip
     return (
+        # 0x0192 = 402: the profile number in the low word of the device type.
         Step(bits, 0x1000, 0, 0x0192, 4),
         Step(tell, *SERIAL, 0, 4),
         Step(write, 0x6040, 0, codec.DISABLE_VOLTAGE, 2),
+        # Supported modes: bit 9 is mode 10, cyclic synchronous torque.
         Step(bits, 0x6502, 0, 1 << TORQUE_MODE - 1, 4),
         Step(same, 0x6076, 0, rated, 4),
         Step(write, 0x6072, 0, most, 2),
         Step(write, 0x6071, 0, 0, 2),
+        # Abort connection option 1: fault on loss of the master.
         Step(write, 0x6007, 0, 1, 2),
         Step(write, 0x1016, 1, MASTER << 16 | watchdog_ms, 4),
         Step(write, 0x1017, 0, heartbeat_ms, 2),
@@ -102,9 +108,10 @@ def steps(node_id: int, rated: int, most: int, watchdog_ms: int, heartbeat_ms: i
 
 
 def _pdo(communication: int, mapping: int, cob: int, kind: int, objects: tuple[int, ...]) -> tuple[Step, ...]:
-    """A PDO switched off, mapped, and switched on."""
+    """Return the steps of one PDO: disable, map, enable."""
     write = Check.WRITE
     return (
+        # CiA 301: the mapping of a PDO changes only while the PDO is off and its entry count is 0.
         Step(write, communication, 1, PDO_OFF | cob, 4),
         Step(write, mapping, 0, 0, 1),
         *(Step(write, mapping, i + 1, entry, 4) for i, entry in enumerate(objects)),
@@ -115,16 +122,16 @@ def _pdo(communication: int, mapping: int, cob: int, kind: int, objects: tuple[i
 
 
 def writes(walk: Walk, step: Step) -> bool:
-    """Return whether the open or the next request writes; an object is written before it is read."""
+    """Return True if the next request writes. An object is written before the read."""
     return step.writes and not walk.written
 
 
 def take(walk: Walk, wanted: tuple[Step, ...], reply: codec.SdoReply) -> tuple[Walk, int, str]:
-    """Take in a reply; one that was not asked for changes nothing.
+    """Apply an SDO reply. Replies to any but the open request have no effect.
 
     Returns:
-        the walk from here; the value of an object that is only told, 0 if it is none; what is wrong, empty if nothing
-        is.
+        the new cursor, the value of a TELL_IF_THERE object (else 0), and the problem in words, empty
+        without a problem.
     """
     step = wanted[walk.step]
     if not walk.waiting or reply[:2] != (step.number, step.sub):
@@ -147,9 +154,10 @@ def take(walk: Walk, wanted: tuple[Step, ...], reply: codec.SdoReply) -> tuple[W
 
 
 def ask(walk: Walk, wanted: tuple[Step, ...], t_ns: int) -> tuple[Walk, bytes, str]:
-    """The request that is due: its payload, empty if an answer is awaited; what is wrong, empty if nothing is.
+    """Return the next request: cursor, payload, and problem in words.
 
-    The first object is asked for until the drive is there.
+    The payload is empty while an answer is awaited, the problem is empty without a problem. The first
+    object is requested until the drive answers.
     """
     step = wanted[walk.step]
     walk, send, problem = readback.ask(walk, step.name, t_ns, readback.REQUEST_TRIES if walk.step else FOREVER)

@@ -1,1 +1,1 @@
-"""Motors that speak the MIT protocol: Damiao's, and CubeMars' with less to tell."""
+"""Motors with the MIT protocol: Damiao, and CubeMars with less feedback."""

@@ -1,12 +1,31 @@
-"""MIT mode on the wire: bytes <-> values at the output shaft, as Damiao motors speak it.
+"""Frames of Damiao's MIT mode: bytes <-> values at the output shaft.
 
-    command   position 16 | velocity 12 | kp 12 | kd 12 | torque 12
-    feedback  state 4, node 4 | position 16 | velocity 12 | torque 12 | temperatures 8, 8
+Command, identifier ESC_ID, 8 bytes, big-endian, the first field in the highest bits:
 
-Both have 8 bytes, big-endian, the first field in the highest bits. Registers are little-endian. Register replies come
-on the identifier of the feedback and are told apart here by their first four bytes: as feedback these would mean a
-position within 0.3 % of -PMAX, where no hand works.
-Source: Damiao DM-J4310-2EC manual; public clients for what the manual leaves open.
+    bits    63..48             47..36             35..24            23..12          11..0
+    field   position           velocity           kp                kd              torque
+    range   +-PMAX rad         +-VMAX rad/s       0..500 N m/rad    0..5 N m s/rad  +-TMAX N m
+
+Special command, identifier ESC_ID, 8 bytes: FF FF FF FF FF FF FF, then FC enable, FD disable,
+FB clear error.
+
+Feedback, identifier MST_ID, 8 bytes, big-endian:
+
+    byte    0                  1, 2          3, 4 high     4 low, 5      6              7
+    field   state 4 | node 4   position 16   velocity 12   torque 12     MOSFET degC    winding degC
+    range   see ERRORS         +-PMAX rad    +-VMAX rad/s  +-TMAX N m    1 degC/count   1 degC/count
+
+Register request, identifier 0x7FF, and register reply, identifier MST_ID, 8 bytes, little-endian:
+
+    byte    0, 1     2                                                3          4..7
+    field   ESC_ID   33 read, 55 write, AA save, CC refresh           register   uint32 or float32
+
+Register replies share identifier and length with feedback. Here the first four bytes distinguish
+them. As feedback, those four bytes mean a position within 0.3 % of -PMAX, outside the travel of any
+hand.
+
+Source: Damiao DM-J4310-2EC manual. Details missing in the manual are from public clients (LeRobot,
+i2rt, openarm_can).
 """
 
 import struct
@@ -15,19 +34,26 @@ from typing import NamedTuple
 from handctl.drives.signals import Coding, Message, Quantity, Signal, Table
 
 BROADCAST_ID = 0x7FF
+"""Identifier of register frames. The node number of the motor is in the payload."""
 ENABLE, DISABLE, CLEAR = 0xFC, 0xFD, 0xFB
+"""Last byte of the special commands."""
 READ, WRITE, SAVE, REFRESH = 0x33, 0x55, 0xAA, 0xCC
+"""Operations on registers. REFRESH requests a feedback frame."""
 TIMEOUT, CTRL_MODE, SERIAL, PMAX, VMAX, TMAX = 9, 10, 15, 21, 22, 23
+"""Register numbers: watchdog, mode, serial number, and full scale of position, velocity, torque."""
 REGISTER_NAMES = {TIMEOUT: "TIMEOUT", CTRL_MODE: "CTRL_MODE", PMAX: "PMAX", VMAX: "VMAX", TMAX: "TMAX"}
+"""Register names in messages."""
 _INTEGER = struct.Struct("<I")
 _FLOAT = struct.Struct("<f")
 _FORMATS = {TIMEOUT: _INTEGER, CTRL_MODE: _INTEGER, SERIAL: _INTEGER}
-"""Of the registers that are not float32."""
+"""Registers with an unsigned integer. All others are float32."""
 MIT_MODE = 1
+"""Value of CTRL_MODE for MIT mode."""
 TIMEOUT_UNITS_PER_MS = 20
-"""The watchdog counts in 50 us."""
+"""Watchdog counts per millisecond: one count is 50 us."""
 
 DISABLED, ENABLED = 0, 1
+"""State nibbles of a motor without an error."""
 ERRORS = {
     0x5: "sensor error",
     0x6: "parameter error",
@@ -39,12 +65,14 @@ ERRORS = {
     0xD: "communication lost: the drive's watchdog fired",
     0xE: "overload",
 }
-"""State nibbles of the feedback that mean an error, and no torque."""
+"""State nibbles of a motor with an error. Such a motor makes no torque."""
 
 _REPLY = struct.Struct("<HBB")
+"""Head of a register reply: node number, operation, register."""
 POSITION_TOP, TOP = 2**16 - 1, 2**12 - 1
+"""Largest codes of the 16 bit and the 12 bit fields."""
 _NO_MOTION = POSITION_TOP // 2 << 48 | TOP // 2 << 36
-"""Codes of a command's position and velocity, which act only through gains, and of gains 0."""
+"""Command with position and velocity 0 and gains 0. Both fields act only through the gains."""
 
 
 class Ranges(NamedTuple):
@@ -56,7 +84,7 @@ class Ranges(NamedTuple):
 
     @property
     def position_step(self) -> float:
-        """One count of the 16 bit position [rad]."""
+        """Return one count of the 16 bit position [rad]."""
         return 2 * self.position / 0xFFFF
 
 
@@ -67,11 +95,14 @@ Feedback = tuple[int, float, float, float, float]
 def command_message(can_id: int, ranges: Ranges, sign: int = 1, flags: int = 0) -> Message:
     """Return the command with kp = kd = 0.
 
-    Zero has no code in this format: 0 N m is sent as the code next to it, half a step (TMAX / 4095) away.
+    Zero torque has no code in this format. 0 N m is sent as the nearest code, half a step
+    (TMAX / 4095) away.
 
     Args:
-        can_id: of the motor. ranges: of the motor; their torque, TMAX, is the limit. sign: of the torque.
-        flags: of the frame.
+        can_id: identifier of the motor, ESC_ID.
+        ranges: full scale of the motor. TMAX is the torque limit.
+        sign: sign of the torque, 1 if positive torque winds.
+        flags: flags of the frame.
     """
     unused = Quantity.UNUSED
     signals = (
@@ -85,15 +116,19 @@ def command_message(can_id: int, ranges: Ranges, sign: int = 1, flags: int = 0) 
 
 
 def feedback_message(can_id: int, ranges: Ranges, sign: int = 1, zero: float = 0.0) -> Message:
-    """Return the feedback.
+    """Return the feedback frame.
 
     Args:
-        can_id: of the answer. ranges: of the motor.
-        sign: of position, velocity and torque. zero: position that is to read 0 [rad].
+        can_id: identifier of the feedback, MST_ID.
+        ranges: full scale of the motor.
+        sign: sign of position, velocity, and torque, 1 if positive torque winds.
+        zero: motor angle of the spool's zero [rad].
     """
     position = _spanning("position", Quantity.POSITION, 15, 16, ranges.position, "rad", sign)
     return Message("feedback", can_id, 8, (
+        # State and node nibbles as one status byte: one comparison checks both.
         Signal("state", Quantity.STATUS, 7, 8, True),
+        # Spool angle = sign * (motor angle - zero).
         position._replace(offset=position.offset - sign * zero),
         _spanning("velocity", Quantity.VELOCITY, 31, 12, ranges.velocity, "rad/s", sign),
         _spanning("torque", Quantity.TORQUE, 35, 12, ranges.torque, "N m", sign),
@@ -106,42 +141,48 @@ def _spanning(
     name: str, quantity: Quantity, start: int, length: int, largest: float, unit: str, sign: int = 1
 ) -> Signal:
     """Return a signal whose codes span -largest to largest."""
+    # The top code is +largest, hence 2^n - 1 steps. A negative sign reverses scale and offset.
     scale = sign * 2 * largest / ((1 << length) - 1)
     return Signal(name, quantity, start, length, True, Coding.UNSIGNED, scale, -sign * largest, unit)
 
 
 def decode_feedback(data: bytes, table: Table) -> Feedback:
-    """Return the values of 8 bytes of feedback; ``table``: of its message."""
+    """Return the values of 8 bytes of feedback.
+
+    Args:
+        data: payload.
+        table: signal table of the feedback.
+    """
     state, position, velocity, torque, mosfet, winding = table.unpack(data)
     return int(state) >> 4, position, velocity, torque, max(mosfet, winding)
 
 
 def special(code: int) -> bytes:
-    """Payload of ENABLE, DISABLE or CLEAR."""
+    """Return the payload of ENABLE, DISABLE or CLEAR."""
     return b"\xff" * 7 + bytes((code,))
 
 
 def register_request(node_id: int, operation: int, register: int = 0, value: float = 0.0) -> bytes:
-    """Payload on BROADCAST_ID; the value counts for WRITE only.
+    """Return the payload of a register request on BROADCAST_ID.
 
     Args:
         node_id: ESC_ID.
         operation: READ, WRITE or REFRESH.
-        register: number.
-        value: to be written.
+        register: number of the register.
+        value: value for WRITE, ignored by the other operations.
     """
     raw = register_bytes(register, value) if operation == WRITE else bytes(4)
     return struct.pack("<HBB", node_id, operation, register) + raw
 
 
 def register_bytes(register: int, value: float) -> bytes:
-    """A register's value as four bytes; an integer register takes the integer part."""
+    """Return a register's value as four bytes. An integer register takes the integer part."""
     layout = _FORMATS.get(register, _FLOAT)
     return layout.pack(int(value)) if layout is _INTEGER else layout.pack(value)
 
 
 class RegisterReply(NamedTuple):
-    """Operation, register and the four bytes of its value."""
+    """Operation, register, and the four bytes of the value."""
 
     operation: int
     register: int
@@ -149,12 +190,13 @@ class RegisterReply(NamedTuple):
 
     @property
     def value(self) -> float:
-        """The value as the register has it."""
+        """Return the value in the type of the register."""
         return float(_FORMATS.get(self.register, _FLOAT).unpack(self.raw)[0])
 
 
 def register_reply(data: bytes, node_id: int) -> RegisterReply | None:
-    """The register reply in 8 bytes from a motor; None if they are feedback."""
+    """Return the register reply in 8 bytes from a motor, or None for feedback."""
+    # Fast path: in nearly every feedback the state nibble makes byte 0 differ from the node number.
     if data[0] != node_id & 0xFF:  # nearly every feedback ends here: its first byte has the state above the identifier
         return None
     sender, operation, register = _REPLY.unpack_from(data)

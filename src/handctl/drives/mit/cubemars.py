@@ -1,10 +1,17 @@
-"""A CubeMars AK motor in MIT mode: commands as Damiao motors have them, and little that tells what became of them.
+"""CubeMars AK motor in MIT mode: Damiao's command frame, and less feedback.
 
-It has no registers, no watchdog, and no word for enabled or disabled in its feedback, which comes on the identifier of
-the command. So a motor counts as enabled once it has answered the order to enable, and as disabled once it has
-answered the order to disable several times and reports no torque. Disable is also what it is polled by: nothing else
-gets an answer that cannot make torque. What nobody can verify stands in ``caveats``.
-Source: facts, mit_damiao (variants).
+Command and special commands: identifier and layout as in ``codec``. Feedback, on the identifier of
+the command, 8 bytes (6 on older firmware, without bytes 6 and 7), big-endian:
+
+    byte    0        1, 2          3, 4 high     4 low, 5     6                   7
+    field   node 8   position 16   velocity 12   torque 12    temperature 8       error 8
+    range            +-12.5 rad    see MODELS    see MODELS   1 degC from -40     see ERRORS
+
+The motor has no registers and no watchdog, and its feedback does not report enabled or disabled. A
+motor counts as enabled after several answers to the enable command. A motor counts as disabled
+after several answers to the disable command without torque. The disable command also polls the
+motor, as the only request whose answer is free of torque. ``caveats`` lists the guards without
+verification. Source: CubeMars AK Series Actuator Driver Manual V1.0.8, section 5.3.
 """
 
 import math
@@ -28,7 +35,10 @@ MODELS = {
     "ak80-9": codec.Ranges(12.5, 50.0, 18.0),
     "ak10-9": codec.Ranges(12.5, 50.0, 65.0),
 }
-"""Full scale of the models. Source: CubeMars AK Series Actuator Driver Manual V1.0.8, 5.3."""
+"""Full scale of the models: position [rad], velocity [rad/s], torque [N m].
+
+Source: CubeMars AK Series Actuator Driver Manual V1.0.8, 5.3.
+"""
 ERRORS = {
     1: "over-temperature",
     2: "over-current",
@@ -37,19 +47,26 @@ ERRORS = {
     5: "encoder error",
     6: "phase current imbalance",
 }
-"""Byte 7 of the feedback."""
+"""Byte 7 of the feedback, 0 without an error."""
 CAUSES = {1: Cause.HOT, 3: Cause.VOLTAGE, 4: Cause.VOLTAGE} | dict.fromkeys((2, 5, 6), Cause.OTHER)
+"""Causes by the error byte."""
 SIZES = (6, 8)
-"""Of the feedback; six bytes on older firmware, without temperature and error."""
+"""Payload lengths of the feedback [bytes]. Older firmware sends six, without temperature and error."""
 ANSWERS = 3
-"""Answers to an order that make it count as obeyed; one may have been under way before."""
+"""Answers to a command before the command counts as obeyed.
+
+The first answer may have been sent before the command.
+"""
 COLDEST_C = -40.0
-"""What byte 6 counts from. Source: CubeMars AK Series Actuator Driver Manual, 5.3, its example of a reply; who reads it
-as it is (TMotorCANControl does) is 40 degC too hot."""
+"""Temperature of count 0 in byte 6 [degC].
+
+Source: CubeMars AK Series Actuator Driver Manual, 5.3, example of a reply. Clients that use the
+count as degC (TMotorCANControl) read 40 degC too much.
+"""
 QUIET = 0.02
-"""Torque that counts as none, as a share of full scale: what a current sensor shows at rest."""
+"""Torque that counts as zero, as a fraction of full scale: noise of the current sensor at rest."""
 GONE_NS = 250_000_000
-"""After this silence a motor counts as not heard of [ns]."""
+"""Silence after which a motor counts as silent [ns]."""
 CAVEATS = (
     "watchdog: CubeMars' MIT mode has none; a dead host leaves torque on",
     "has no torque limit below its model's full scale; torque_max_N_m is this host's alone",
@@ -58,16 +75,17 @@ CAVEATS = (
     "ranges cannot be read back; motor_type must be right",
     "temperature counts from -40 degC by the manual; a cold motor that reads below zero needs temperature_offset_C = 0",
 )
+"""Guards without verification."""
 
 
 class Progress(NamedTuple):
-    """What is kept in ``DriveState.private``.
+    """Progress of a CubeMars motor, the content of ``DriveState.private``.
 
     Attributes:
-        order: the last order, ENABLE or DISABLE.
-        since_ns: since when it is given [ns].
-        answers: how often it was answered as it should be, in a row.
-        asked: whether it was told to enable, and has not been found without torque since.
+        order: latest command, ENABLE or DISABLE.
+        since_ns: time of the first such command [ns].
+        answers: expected answers to the command in a row.
+        asked: True from the enable command until the motor is disabled without torque.
     """
 
     order: Want = DISABLE
@@ -84,18 +102,19 @@ def progress_of(state: DriveState) -> Progress:
 
 @dataclass(frozen=True, slots=True)
 class CubemarsDrive:
-    """One motor; implements ``contract.Drive``.
+    """One motor. Implements ``contract.Drive``.
 
     Attributes:
-        name: the motor's name.
-        bus: index of its bus.
-        node_id: its number, and the identifier of commands and feedback.
-        ranges: full scale of its model.
-        torque_limit: largest torque that can be commanded [N m].
-        direction: 1 if positive torque of the motor winds.
+        name: name of the motor.
+        bus: index of the bus.
+        node_id: node number, and identifier of commands and feedback.
+        ranges: full scale of the model.
+        torque_limit: largest torque command [N m].
+        direction: 1 if positive torque of the motor winds, else -1.
         zero: motor angle of the spool's zero [rad].
-        coldest: what byte 6 of the feedback counts from [degC].
-        sent, heard: tables of its cyclic frames; follow from the others.
+        coldest: temperature of count 0 in byte 6 of the feedback [degC].
+        sent: signal table of the command, from the fields above.
+        heard: signal table of the feedback, from the fields above.
     """
 
     name: str
@@ -110,10 +129,12 @@ class CubemarsDrive:
     heard: Table = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        """Build the signal tables of the cyclic frames."""
         sent = codec.command_message(self.node_id, self.ranges, self.direction)
         heard = codec.feedback_message(self.node_id, self.ranges, self.direction, self.zero)
         state, position, velocity, torque, _, _ = heard.signals
         own = (
+            # Byte 0 is the whole node number here, not state and node nibbles.
             state._replace(name="node"),
             position,
             velocity,
@@ -126,10 +147,12 @@ class CubemarsDrive:
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "CubemarsDrive":
-        """The drive of a motor description, whose ranges of position and velocity do not count: the model's do.
+        """Return the drive of a motor description.
+
+        Ranges of position and velocity are those of the model, not of the description.
 
         Raises:
-            ConfigError: no such model, or more torque than it has.
+            ConfigError: an unknown model, or more torque than the model's full scale.
         """
         options, where = dict(motor.options), f"motor[{motor.name}]"
         model: Any = options.pop("motor_type", None)
@@ -150,65 +173,68 @@ class CubemarsDrive:
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """Command and answer."""
+        """Return command and answer."""
         return ((8, False), (8, False))
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Nothing: it speaks only when spoken to."""
+        """Return no entry: the motor answers requests and sends no other frame."""
         return ()
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Commands; feedback has the same identifier, so nobody can tell a second host by it."""
+        """Return the command identifier.
+
+        Feedback has the same identifier, hence a second host cannot be detected.
+        """
         return frozenset((self.node_id,))
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Feedback."""
+        """Return the feedback identifier."""
         return frozenset((self.node_id,))
 
     @property
     def caveats(self) -> tuple[str, ...]:
-        """What this motor cannot tell."""
+        """Return the guards without verification."""
         return CAVEATS
 
     @property
     def answers_once(self) -> bool:
-        """It speaks only when spoken to."""
+        """Return True: the motor sends one answer per request."""
         return True
 
     @property
     def position_step(self) -> float:
-        """16 bit over its model's range, both ways."""
+        """Return one count of 16 bits over twice the model's range [rad]."""
         return self.ranges.position_step
 
     @property
     def feedback_period_s(self) -> float:
-        """Every command asks for it."""
+        """Return 0: every command requests feedback."""
         return 0.0
 
     @property
     def cyclic(self) -> Cyclic:
-        """Command and answer."""
+        """Return command and answer."""
         return Cyclic((self.heard.message,), (self.sent.message,))
 
     def steady_status(self, state: DriveState) -> int:
-        """Return number and error of the usual feedback."""
+        """Return the node number with error 0, as ``signals`` joins the two status bytes."""
         progress: Progress = state.private
         enabled = state.phase == ENABLED and progress.order == ENABLE and progress.answers >= ANSWERS
         return (self.node_id & 0xFF) << 8 if enabled else UNSTEADY
 
     def due_ns(self, state: DriveState) -> int:
-        """Return never: nothing can be read from it."""
+        """Return never: the motor has no settings to read."""
         return NEVER_NS
 
     def initial(self) -> DriveState:
-        """Silent."""
+        """Return the silent state."""
         return DriveState(private=Progress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """See ``contract.Drive``."""
+        """Apply one received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         if can_id != self.node_id or bus != self.bus:
             return state
@@ -234,7 +260,8 @@ class CubemarsDrive:
         return told if disabling else told._replace(phase=FAULT)
 
     def _answered(self, state: DriveState, progress: Progress) -> DriveState:
-        """What an answer to the present order means."""
+        """Count an answer to the present command."""
+        # An answer from before the command proves nothing.
         if state.feedback_t_ns < progress.since_ns:
             return state
         if progress.order == ENABLE:
@@ -253,7 +280,7 @@ class CubemarsDrive:
         return state._replace(phase=phase, private=progress._replace(asked=False))
 
     def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
-        """See ``contract.Drive``."""
+        """Return the next state and the frames to send, see ``contract.Drive``."""
         progress: Progress = state.private
         if state.phase == ENABLED and want == ENABLE and progress.order == ENABLE:
             return state, (self._frame(self._torque(torque)),)
@@ -267,7 +294,7 @@ class CubemarsDrive:
         return self._order(state._replace(phase=phase), DISABLE, t_ns), self.cut()
 
     def _order(self, state: DriveState, order: Want, t_ns: int) -> DriveState:
-        """The state with an order given; what it is told anew has not been answered yet."""
+        """Return the state after a command. A new command has no answers yet."""
         progress: Progress = state.private
         if progress.order == order and progress.since_ns >= 0:
             return state
@@ -278,10 +305,10 @@ class CubemarsDrive:
         """Return the payload of a pure torque command.
 
         Args:
-            torque: at the spool [N m].
+            torque: command [N m at the spool].
 
         Raises:
-            ValueError: not finite, or beyond the limit.
+            ValueError: torque is not finite, or beyond the limit.
         """
         try:
             return self.sent.pack(torque)
@@ -289,26 +316,27 @@ class CubemarsDrive:
             raise ValueError(f"{self.name}: {error}") from None
 
     def cut(self) -> tuple[Frame, ...]:
-        """Disable at once."""
+        """Return the disable command."""
         return (self._frame(codec.special(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Forget the error; there is no frame that clears it, and a motor that still has it says so again."""
+        """Forget the error. No frame clears it, and a motor with a lasting error reports it again."""
         progress: Progress = state.private
         fresh = state._replace(phase=SILENT, error=0, error_text="", private=Progress(asked=progress.asked))
         return fresh, self.cut()
 
     def leave(self, state: DriveState) -> tuple[Frame, ...]:
-        """Nothing: it has no watchdog that would miss this host."""
+        """Return no frame: the motor has no watchdog."""
         return ()
 
     def identity(self, state: DriveState) -> str:
-        """Its number: it tells no serial number."""
+        """Return the node number: the motor has no serial number on the bus."""
         return f"node {self.node_id}"
 
     def cause(self, error: int) -> Cause:
-        """See ``contract.Drive``."""
+        """Return the cause of an error, see ``contract.Drive``."""
         return CAUSES.get(error, Cause.UNKNOWN)
 
     def _frame(self, data: bytes) -> Frame:
+        """Return a frame to the motor."""
         return Frame(self.node_id, data, 0, self.bus)

@@ -1,8 +1,8 @@
-"""Damiao motors on a bus: each number is asked for register MST_ID, those that answer for more.
+"""Discovery of Damiao motors: a read of register MST_ID from each node number, then of other registers.
 
-Register traffic makes no torque, but it comes on the identifiers of the feedback: where another host drives motors,
-nothing is asked (``foreign``). CubeMars motors have no registers and cannot be found without an order.
-Source: facts, mit_damiao.
+Register traffic makes no torque. Replies use the identifiers of the feedback, hence no request is
+sent while another host drives motors (``foreign``). CubeMars motors have no registers, and cannot
+be discovered without a command. Source: Damiao DM-J4310-2EC manual, register table.
 """
 
 import struct
@@ -12,17 +12,23 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit import codec
 
 NUMBERS = range(1, 0x80)
+"""Node numbers to try."""
 MST_ID, HARDWARE, SOFTWARE, SERIAL, CAN_BR = 7, 13, 14, 15, 35
+"""Registers: identifier of the replies, hardware and software version, serial number, bit rate."""
 _INTEGERS = {MST_ID, codec.TIMEOUT, codec.CTRL_MODE, HARDWARE, SOFTWARE, SERIAL, CAN_BR}
 _ASKED = (SOFTWARE, SERIAL, CAN_BR, codec.CTRL_MODE, codec.TIMEOUT, codec.PMAX, codec.VMAX, codec.TMAX)
 FD_FROM = 5
-"""Codes of CAN_BR from here on are CAN FD."""
+"""Smallest code of register CAN_BR that means CAN FD."""
 _RANGES = (("position_range_rad", codec.PMAX), ("velocity_range_rad_s", codec.VMAX), ("torque_max_N_m", codec.TMAX))
+"""Keys of a motor section, and the register of each."""
 _STATES = {codec.DISABLED: "disabled", codec.ENABLED: "enabled"}
 
 
 def questions(turn: int, seen: Seen) -> tuple[Frame, ...]:
-    """Round 2: MST_ID of every number; round 3: registers and state of those that are there."""
+    """Return the request frames of a round.
+
+    Round 2 reads MST_ID of every number. Round 3 reads registers and state of discovered motors.
+    """
     if turn == 2:
         return tuple(_read(number, MST_ID) for number in NUMBERS)
     if turn != 3:
@@ -35,7 +41,7 @@ def questions(turn: int, seen: Seen) -> tuple[Frame, ...]:
 
 
 def found(seen: Seen) -> tuple[Found, ...]:
-    """Motors that have told their MST_ID, on that identifier."""
+    """Return the motors that answered with their MST_ID on that identifier."""
     replies: dict[int, dict[int, bytes]] = {}
     for frame in seen:
         if len(frame.data) == 8 and frame.data[2] == codec.READ and int.from_bytes(frame.data[:2], "little") in NUMBERS:
@@ -47,8 +53,10 @@ def found(seen: Seen) -> tuple[Found, ...]:
 
 
 def _motor(number: int, home: int, raw: dict[int, bytes], seen: Seen) -> Found:
+    """Return the data of one motor from its register values."""
     known = {register: _integer(data) for register, data in raw.items() if register in _INTEGERS}
     settings = {key: struct.unpack("<f", raw[register])[0] for key, register in _RANGES if register in raw}
+    # Without reply_id the hand file assumes MST_ID = ESC_ID + 0x10.
     options: dict[str, bool | int | float | str] = {} if home == number + 0x10 else {"reply_id": home}
     if known.get(CAN_BR, 0) >= FD_FROM:
         options["fd"] = True
@@ -64,7 +72,7 @@ def _motor(number: int, home: int, raw: dict[int, bytes], seen: Seen) -> Found:
 
 
 def _state(number: int, home: int, seen: Seen) -> tuple[str, str]:
-    """State and error in the last feedback: of the frames on its identifier those that are no register reply."""
+    """Return state and error from the latest feedback, both empty without feedback."""
     for frame in reversed(seen):
         own = frame.can_id == home and len(frame.data) == 8 and frame.data[0] & 0xF == number & 0xF
         if own and codec.register_reply(frame.data, number) is None:
@@ -75,12 +83,13 @@ def _state(number: int, home: int, seen: Seen) -> tuple[str, str]:
 
 
 def orders(motor: Found) -> frozenset[int]:
-    """Commands of all modes."""
+    """Return the command identifiers of all modes."""
+    # MIT, position-velocity, velocity, and force-position mode.
     return frozenset(mode + motor.node_id for mode in (0x000, 0x100, 0x200, 0x300))
 
 
 def foreign(seen: Seen) -> tuple[Frame, ...]:
-    """Register frames, special commands, and commands in one of these that a motor may be answering."""
+    """Return the frames of another host: register requests, MIT commands, and special commands."""
     return tuple(
         frame
         for frame in seen
@@ -91,20 +100,22 @@ def foreign(seen: Seen) -> tuple[Frame, ...]:
 
 
 def _read(number: int, register: int) -> Frame:
+    """Return the request to read a register."""
     return Frame(codec.BROADCAST_ID, codec.register_request(number, codec.READ, register))
 
 
 def _integer(raw: bytes) -> int:
+    """Return a little-endian integer."""
     return int.from_bytes(raw, "little")
 
 
 def ping(motor: Found) -> Frame:
-    """Its MST_ID."""
+    """Return the request for MST_ID."""
     return _read(motor.node_id, MST_ID)
 
 
 def pong(motor: Found, frame: Frame) -> bool:
-    """Whether this is its MST_ID."""
+    """Return True for a reply with MST_ID."""
     answer = frame.can_id != codec.BROADCAST_ID and len(frame.data) == 8
     return answer and frame.data[:4] == codec.register_request(motor.node_id, codec.READ, MST_ID)[:4]
 

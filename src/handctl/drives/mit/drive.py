@@ -1,8 +1,9 @@
-"""A Damiao motor in MIT mode: from silence by its registers to torque, and back to a confirmed standstill.
+"""Damiao motor in MIT mode: from silence through its registers to torque, and back to disabled.
 
-A motor speaks only when spoken to, so there is one question a tick and one register request open at a time. Angle,
-speed and torque are not known before the motor's ranges are: until then they are NaN. Angle beyond PMAX is not
-unwrapped: the hand's travel is far inside. Nothing but feedback of state 0, or of an error, counts as disabled.
+A motor answers requests and sends no other frame. Hence one request per tick is sent, and one
+register request is open at a time. Position, velocity, and torque are NaN until the ranges of the
+motor are known. Angles beyond PMAX are not unwrapped, since a hand's travel is far smaller. Only
+feedback with state 0 or with an error counts as disabled.
 """
 
 import math
@@ -23,24 +24,25 @@ from handctl.errors import ConfigError
 
 LISTEN, POLL, ENABLE, DISABLE = Want
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
-"""As names of this module: looking a member up in its enumeration costs more than comparing it."""
+"""Phases as module-level names. An attribute look-up in the enumeration costs more than a comparison."""
 
 
 @dataclass(frozen=True, slots=True)
 class MitDrive:
-    """One motor; implements ``contract.Drive``.
+    """One motor. Implements ``contract.Drive``.
 
     Attributes:
-        name: the motor's name.
-        bus: index of its bus.
-        node_id: ESC_ID, commands go to it.
-        reply_id: MST_ID, answers come on it.
-        ranges: PMAX, VMAX, TMAX; TMAX is the drive's own torque limit too.
-        direction: 1 if positive torque of the motor winds.
+        name: name of the motor.
+        bus: index of the bus.
+        node_id: ESC_ID, identifier of commands.
+        reply_id: MST_ID, identifier of answers.
+        ranges: PMAX, VMAX, TMAX. TMAX is also the drive's own torque limit.
+        direction: 1 if positive torque of the motor winds, else -1.
         zero: motor angle of the spool's zero [rad].
         timeout: watchdog [50 us].
-        flags: of the frames it is sent, 0 for classical CAN.
-        command, feedback: tables of its cyclic frames; follow from the others.
+        flags: flags of frames to the motor, 0 for classical CAN.
+        command: signal table of the command, from the fields above.
+        feedback: signal table of the feedback, from the fields above.
     """
 
     name: str
@@ -56,6 +58,7 @@ class MitDrive:
     feedback: Table = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        """Build the signal tables of the cyclic frames."""
         sent = codec.command_message(self.node_id, self.ranges, self.direction, self.flags)
         heard = codec.feedback_message(self.reply_id, self.ranges, self.direction, self.zero)
         object.__setattr__(self, "command", Table(sent))
@@ -63,10 +66,10 @@ class MitDrive:
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "MitDrive":
-        """The drive of a motor description.
+        """Return the drive of a motor description.
 
         Raises:
-            ConfigError: an option that MIT mode does not have.
+            ConfigError: an option unknown to MIT mode.
         """
         options, where = dict(motor.options), f"motor[{motor.name}].options"
         reply, fd = options.pop("reply_id", motor.node_id + 0x10), switch(options.pop("fd", False), f"{where}.fd")
@@ -88,82 +91,82 @@ class MitDrive:
 
     @property
     def torque_limit(self) -> float:
-        """TMAX [N m]."""
+        """Return TMAX [N m]."""
         return self.ranges.torque
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """Command and answer."""
+        """Return command and answer."""
         return ((8, bool(self.flags)), (8, bool(self.flags)))
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Registers that are read again, and the answers; a motor speaks only when spoken to."""
+        """Return the register requests of the read-back, and their answers."""
         return ((8, bool(self.flags), readback.RECHECKS_PER_SECOND),) * 2
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Command identifiers of all modes, and the register identifier."""
+        """Return the command identifiers of all modes, and the register identifier."""
         return frozenset(mode + self.node_id for mode in (0x000, 0x100, 0x200, 0x300)) | {codec.BROADCAST_ID}
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Everything comes on MST_ID."""
+        """Return MST_ID, the identifier of every answer."""
         return frozenset((self.reply_id,))
 
     @property
     def caveats(self) -> tuple[str, ...]:
-        """All that is asked of it is read back."""
+        """Return no entry: every setting is read back."""
         return ()
 
     @property
     def answers_once(self) -> bool:
-        """It speaks only when spoken to."""
+        """Return True: a motor sends one answer per request."""
         return True
 
     @property
     def position_step(self) -> float:
-        """16 bit over its range, both ways."""
+        """Return one count of 16 bits over twice PMAX [rad]."""
         return self.ranges.position_step
 
     @property
     def feedback_period_s(self) -> float:
-        """Every command asks for it."""
+        """Return 0: every command requests feedback."""
         return 0.0
 
     @property
     def wanted(self) -> tuple[tuple[int, float], ...]:
-        """(register, value) that the motor must have before it is armed."""
+        """Return (register, value) pairs required before arming."""
         ranges = zip((codec.PMAX, codec.VMAX, codec.TMAX), self.ranges, strict=True)
         return ((codec.CTRL_MODE, codec.MIT_MODE), *ranges, (codec.TIMEOUT, self.timeout))
 
     @property
     def guards(self) -> tuple[tuple[int, float], ...]:
-        """(register, value) that make it the first guard, which are read again while it is enabled."""
+        """Return (register, value) pairs of the drive's own guards, read again while enabled."""
         return ((codec.TIMEOUT, self.timeout), (codec.TMAX, self.ranges.torque))
 
     @property
     def cyclic(self) -> Cyclic:
-        """Command and answer."""
+        """Return command and answer."""
         return Cyclic((self.feedback.message,), (self.command.message,))
 
     def steady_status(self, state: DriveState) -> int:
-        """Return the first byte of the usual feedback: enabled as it was told to, and its number."""
+        """Return the first byte of steady feedback: state enabled, and the node number."""
         progress = progress_of(state)
         if state.phase != ENABLED or not progress.asked or progress.disabling or progress.check.waiting:
             return UNSTEADY
         return codec.ENABLED << 4 | self.node_id & 0xF
 
     def due_ns(self, state: DriveState) -> int:
-        """Return when a register is to be read again [ns]."""
+        """Return the time of the next read-back [ns]."""
         return progress_of(state).check.due_ns
 
     def initial(self) -> DriveState:
-        """Silent."""
+        """Return the silent state."""
         return DriveState(private=Progress())
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """See ``contract.Drive``."""
+        """Apply one received frame, see ``contract.Drive``."""
         can_id, data, _, bus, t_ns = frame
         if can_id != self.reply_id or bus != self.bus:
             return state
@@ -174,15 +177,19 @@ class MitDrive:
             reply = codec.register_reply(data, self.node_id)
             if reply is not None and reply[:2] == (codec.READ, self.guards[progress.check.step][0]):
                 return self._take_guard(state, progress, reply)
+        # While enabled, byte 0 of feedback is 0x10 | node nibble. A node number from 0x10 to 0x1f
+        # makes byte 0 of a register reply look alike: the frame then counts as feedback.
         if state.phase != ENABLED or self.node_id >> 4 != codec.ENABLED:
             reply = codec.register_reply(data, self.node_id)
             if reply is not None:
                 return self._take_register(state, reply, t_ns)
+        # The low nibble of byte 0 is the node number: another value is a frame of another motor.
         if (data[0] ^ self.node_id) & 0xF:
             return state._replace(misread=state.misread + 1)
         return self._take_feedback(state, data, t_ns)
 
     def _take_register(self, state: DriveState, reply: codec.RegisterReply, t_ns: int) -> DriveState:
+        """Apply a register reply during configuration."""
         if state.phase != CONFIGURING:
             return state
         progress = progress_of(state)
@@ -195,7 +202,7 @@ class MitDrive:
         return state._replace(private=progress._replace(walk=walk))
 
     def _take_guard(self, state: DriveState, progress: Progress, reply: codec.RegisterReply) -> DriveState:
-        """Compare a register that was read again while enabled."""
+        """Compare a register read again while enabled."""
         register, value = self.guards[progress.check.step]
         same, says = reply.raw == codec.register_bytes(register, value), f"reads {reply.value:g}"
         check, problem = readback.take_again(
@@ -205,7 +212,7 @@ class MitDrive:
         return fault(known, MISMATCH, problem) if problem else known
 
     def _take_feedback(self, state: DriveState, data: bytes, t_ns: int) -> DriveState:
-        """Values of a feedback frame, and what its state nibble means."""
+        """Apply the values and the state nibble of a feedback frame."""
         nibble, position, velocity, torque, hot = codec.decode_feedback(data, self.feedback)
         if not progress_of(state).configured:
             position = velocity = torque = math.nan
@@ -220,10 +227,11 @@ class MitDrive:
         return judge(known, nibble)
 
     def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
-        """See ``contract.Drive``."""
+        """Return the next state and the frames to send, see ``contract.Drive``."""
         progress: Progress = state.private
         if want == ENABLE and state.phase == ENABLED and not progress.disabling:
             command = self._frame(self._torque(torque))
+            # The usual path of a running hand: one command, no other state change.
             if t_ns < progress.check.due_ns:
                 return state, (command,)
             state, question = self._ask_guard(state, progress, t_ns)
@@ -247,13 +255,13 @@ class MitDrive:
         return state._replace(private=progress), (question,)
 
     def _disable(self, state: DriveState, progress: Progress, t_ns: int) -> DriveState:
-        """From here on state 0 is what is wanted; until it comes, what may be enabled counts as enabled."""
+        """Return the state while disabling. A possibly enabled motor counts as enabled until state 0."""
         phase = ENABLED if progress.asked or progress.found_enabled else state.phase
         since = progress.disabling_ns if progress.disabling else t_ns
         return state._replace(phase=phase, private=progress._replace(disabling=True, disabling_ns=since))
 
     def _ask_guard(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, Frame]:
-        """Read a register again that makes the enabled drive the first guard."""
+        """Return the request for a guard register of the enabled drive."""
         register, _ = self.guards[progress.check.step]
         check, problem = readback.ask_again(progress.check, registers.name(register), self.node_id, t_ns)
         state = state._replace(private=progress._replace(check=check))
@@ -262,7 +270,7 @@ class MitDrive:
         return state, self._broadcast(codec.register_request(self.node_id, codec.READ, register))
 
     def _configure(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """The next register request; a motor that is enabled is disabled first."""
+        """Return the next register request. An enabled motor is disabled first."""
         if progress.found_enabled:
             told = state._replace(error_text="enabled, and does not disable", private=progress)
             return told, self.cut()
@@ -280,10 +288,10 @@ class MitDrive:
         """Return the payload of a pure torque command.
 
         Args:
-            torque: at the spool [N m].
+            torque: command [N m at the spool].
 
         Raises:
-            ValueError: not finite, or beyond TMAX.
+            ValueError: torque is not finite, or beyond TMAX.
         """
         try:
             return self.command.pack(torque)
@@ -291,37 +299,40 @@ class MitDrive:
             raise ValueError(f"{self.name}: {error}") from None
 
     def cut(self) -> tuple[Frame, ...]:
-        """Disable at once."""
+        """Return the disable command."""
         return (self._frame(codec.special(codec.DISABLE)),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Clear the latched error and begin with the inventory again."""
+        """Clear the latched error, and start again with the register read-back."""
         fresh = state._replace(phase=SILENT, error=0, error_text="", private=Progress(clearing=CLEAR_TRIES))
         return fresh, (self._frame(codec.special(codec.CLEAR)),)
 
     def leave(self, state: DriveState) -> tuple[Frame, ...]:
-        """Disabled, its watchdog watches nothing."""
+        """Return no frame: the watchdog of a disabled motor is inactive."""
         return ()
 
     def identity(self, state: DriveState) -> str:
-        """Register 15."""
+        """Return the serial number of register 15, or the node number."""
         return f"{serial:#x}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def cause(self, error: int) -> Cause:
-        """See ``contract.Drive``."""
+        """Return the cause of an error, see ``contract.Drive``."""
         return CAUSES.get(error, Cause.UNKNOWN)
 
     def _frame(self, data: bytes) -> Frame:
+        """Return a frame to the motor."""
         return Frame(self.node_id, data, self.flags, self.bus)
 
     def _broadcast(self, data: bytes) -> Frame:
+        """Return a register frame."""
         return Frame(codec.BROADCAST_ID, data, self.flags, self.bus)
 
     def _refresh(self) -> Frame:
+        """Return a request for feedback."""
         return self._broadcast(codec.register_request(self.node_id, codec.REFRESH))
 
 
 def _ready(state: DriveState, progress: Progress, t_ns: int, serial: int) -> DriveState:
-    """All registers are right; 0 is a serial number that was not told."""
+    """Return the ready state with all registers right. Serial number 0 is unknown."""
     ready = progress._replace(walk=Walk(), configured=True, ready_ns=t_ns, serial=serial)
     return state._replace(phase=READY, private=ready)

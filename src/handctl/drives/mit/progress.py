@@ -1,4 +1,4 @@
-"""What is known of an MIT motor between two frames, and what the state nibble of its feedback changes."""
+"""Progress of an MIT motor between frames, and the effect of the state nibble of its feedback."""
 
 from typing import NamedTuple
 
@@ -10,31 +10,36 @@ from handctl.drives.readback import Recheck, Walk
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
 DROPPED_OUT, MISMATCH, UNKNOWN, ENABLED_BY_OTHERS = 0x100, 0x101, 0x102, 0x103
-"""Error codes of our own: disabled by itself, a register that does not read back, an unknown state, and that."""
+"""Error codes of the host, above the nibbles of the drive.
+
+In order: disabled without a command, a wrong register value, an unknown state, enabled by another
+host.
+"""
 CAUSES = {
     0x8: Cause.VOLTAGE, 0x9: Cause.VOLTAGE, 0xB: Cause.HOT, 0xC: Cause.HOT, 0xD: Cause.WATCHDOG,
     DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, ENABLED_BY_OTHERS: Cause.MISMATCH,
 } | dict.fromkeys(codec.ERRORS.keys() - {0x8, 0x9, 0xB, 0xC, 0xD}, Cause.OTHER)  # fmt: skip
-"""By the state nibble of the feedback, and by our own codes."""
+"""Causes by state nibble, and by the error codes of the host."""
 CLEAR_TRIES = 3
+"""Feedback frames that may still carry an error after the command to clear the error."""
 GONE_NS = 250_000_000
-"""After this silence a motor may have lost power, and with it what was written into its registers [ns]."""
+"""Silence after which a motor may have lost power, and with it its register values [ns]."""
 
 
 class Progress(NamedTuple):
-    """What MIT mode keeps in ``DriveState.private``.
+    """Progress of MIT mode, the content of ``DriveState.private``.
 
     Attributes:
-        walk: how far its registers are known.
-        configured: whether all registers read as wanted, so that feedback can be decoded.
-        found_enabled: whether it says that it is enabled although it was not told to.
-        asked: whether it was told to enable, and has not said since that it is disabled.
-        disabling: whether it is being told to disable.
-        disabling_ns: since when [ns].
-        clearing: how many answers may still carry the error that is being cleared.
-        ready_ns: when its registers were known [ns].
-        check: how far its registers were read again while it is enabled.
-        serial: its serial number; 0 if it has not told one.
+        walk: cursor of the register read-back.
+        configured: True if all registers have their required values. Feedback can be decoded then.
+        found_enabled: True if the motor reports enabled without a command of this host.
+        asked: True from the enable command to the next report of disabled.
+        disabling: True while the motor is being disabled.
+        disabling_ns: time of the first disable command [ns].
+        clearing: feedback frames that may still carry the error being cleared.
+        ready_ns: time at which all registers were right [ns].
+        check: cursor of the read-back while enabled.
+        serial: serial number, 0 if unknown.
     """
 
     walk: Walk = Walk()
@@ -50,18 +55,18 @@ class Progress(NamedTuple):
 
 
 def progress_of(state: DriveState) -> Progress:
-    """The private part of a state."""
+    """Return the private part of a state."""
     progress: Progress = state.private
     return progress
 
 
 def fault(state: DriveState, error: int, text: str) -> DriveState:
-    """The state in error."""
+    """Return the state with an error."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
 def judge(state: DriveState, nibble: int) -> DriveState:
-    """What a state nibble means to a state that has the values of the same feedback already."""
+    """Apply a state nibble to a state that has the values of the same feedback."""
     progress = progress_of(state)
     if nibble == codec.ENABLED:
         return _is_enabled(state, progress)
@@ -71,8 +76,10 @@ def judge(state: DriveState, nibble: int) -> DriveState:
 
 
 def _is_disabled(state: DriveState, progress: Progress) -> DriveState:
+    """Apply a report of disabled."""
     off = progress._replace(asked=False, found_enabled=False, clearing=0)
     if progress.disabling:
+        # Feedback from before the disable command proves nothing.
         if state.feedback_t_ns < progress.disabling_ns:
             return state._replace(private=progress)
         return state._replace(phase=FAULT if state.error else READY, private=off)
@@ -83,6 +90,7 @@ def _is_disabled(state: DriveState, progress: Progress) -> DriveState:
 
 
 def _is_enabled(state: DriveState, progress: Progress) -> DriveState:
+    """Apply a report of enabled."""
     if progress.asked and state.phase != FAULT:
         return state if state.phase == ENABLED else state._replace(phase=ENABLED)
     found = state._replace(private=progress._replace(found_enabled=True))
@@ -94,7 +102,7 @@ def _is_enabled(state: DriveState, progress: Progress) -> DriveState:
 
 
 def _is_wrong(state: DriveState, progress: Progress, nibble: int) -> DriveState:
-    """An error takes the torque away; a state that nobody knows may leave it there."""
+    """Apply an error. Known errors remove the torque, an unknown state may leave torque on."""
     if nibble in codec.ERRORS and progress.clearing:
         return state._replace(private=progress._replace(clearing=progress.clearing - 1))
     if nibble in codec.ERRORS:

@@ -1,28 +1,28 @@
-"""Registers that a motor must have before it is armed: read one after the other, write what is wrong, read it again."""
+"""Register values required before arming: read each register, write a wrong value, read it again."""
 
 from handctl.drives import readback
 from handctl.drives.mit import codec
 from handctl.drives.readback import Walk
 
 SERIAL_TRIES = 3
-"""Of a register that a motor need not have."""
+"""Requests for the serial number, an optional register."""
 WRITES = 1
-"""A register that differs again after it was written will not take the value."""
+"""Writes per register. A register that differs after one write refuses the value."""
 
 Wanted = tuple[tuple[int, float], ...]
-"""(register, value) in the order of asking."""
+"""(register, value) in the order of the requests."""
 
 
 def take(walk: Walk, wanted: Wanted, reply: codec.RegisterReply) -> tuple[Walk, str]:
-    """Take in a reply; what the open request did not ask for, a late reply for instance, changes nothing.
+    """Apply a register reply. Replies to any but the open request, such as late ones, have no effect.
 
     Args:
-        walk: so far; not beyond the last register.
-        wanted: registers.
-        reply: from this motor.
+        walk: cursor, not beyond the last register.
+        wanted: registers with their required values.
+        reply: reply of this motor.
 
     Returns:
-        the walk from here, and what is wrong, empty if nothing is.
+        the new cursor, and the problem in words, empty without a problem.
     """
     register, value = wanted[walk.step]
     if not walk.waiting or reply[:2] != (codec.WRITE if walk.writing else codec.READ, register):
@@ -35,16 +35,17 @@ def take(walk: Walk, wanted: Wanted, reply: codec.RegisterReply) -> tuple[Walk, 
 
 
 def ask(walk: Walk, wanted: Wanted, node_id: int, t_ns: int) -> tuple[Walk, bytes, str]:
-    """The request that is due, if one is.
+    """Return the next register request, if one is due.
 
     Args:
-        walk: so far; not beyond the last register.
-        wanted: registers.
+        walk: cursor, not beyond the last register.
+        wanted: registers with their required values.
         node_id: ESC_ID.
-        t_ns: now [ns].
+        t_ns: time of the tick [ns].
 
     Returns:
-        the walk from here; payload on BROADCAST_ID, empty if an answer is awaited; what is wrong, empty if nothing is.
+        the new cursor, the payload on BROADCAST_ID, and the problem in words. The payload is empty
+        while an answer is awaited, the problem is empty without a problem.
     """
     register, value = wanted[walk.step]
     walk, send, problem = readback.ask(walk, name(register), t_ns)
@@ -53,15 +54,16 @@ def ask(walk: Walk, wanted: Wanted, node_id: int, t_ns: int) -> tuple[Walk, byte
 
 
 def ask_serial(walk: Walk, node_id: int, t_ns: int) -> tuple[Walk, bytes, bool]:
-    """The request for the serial number that is due, once all wanted registers are right.
+    """Return the request for the serial number, after all registers are right.
 
     Returns:
-        the walk from here; payload on BROADCAST_ID, empty if an answer is awaited; whether the motor does not tell it.
+        the new cursor, the payload on BROADCAST_ID (empty while an answer is awaited), and True if the
+        motor does not answer.
     """
     walk, send, untold = readback.ask(walk, "serial number", t_ns, SERIAL_TRIES)
     return walk, codec.register_request(node_id, codec.READ, codec.SERIAL) if send else b"", bool(untold)
 
 
 def name(register: int) -> str:
-    """Return a register for people."""
+    """Return the name of a register for messages."""
     return f"register {register} {codec.REGISTER_NAMES[register]}"

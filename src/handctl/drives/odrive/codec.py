@@ -1,9 +1,26 @@
 """Frames of ODrive CANSimple, firmware 0.6.x: identifiers, bytes <-> values, errors in words.
 
-    identifier  node 6 | command 5
-    payload     little-endian, float32 and integers from byte 0 on
+Identifier, 11 bits: node number in bits 10..5, command in bits 4..0. Payloads are little-endian.
 
-Source: facts, odrive_cansimple; the vendor's DBC ``odrive-cansimple`` 0.6.10.
+    command   name                     to     bytes 0..3                   bytes 4..7
+    0x00      Get_Version              host   protocol 8, hardware 3 x 8   firmware 3 x 8, unreleased 8
+    0x01      Heartbeat                host   errors 32 (bits, ERRORS)     state 8, result 8, done 8, 0
+    0x02      Estop                    drive  -                            -
+    0x04      RxSdo                    drive  opcode 8, endpoint 16, 0     value
+    0x05      TxSdo                    host   0, endpoint 16, 0            value
+    0x06      Address                  host   node 8, serial number 48 in bytes 1..6, connection 8
+    0x07      Set_Axis_State           drive  state 32                     -
+    0x09      Get_Encoder_Estimates    host   position float32 [turn]      velocity float32 [turn/s]
+    0x0B      Set_Controller_Mode      drive  control mode 32              input mode 32
+    0x0E      Set_Input_Torque         drive  torque float32 [N m]         -
+    0x0F      Set_Limits               drive  velocity float32 [turn/s]    current float32 [A]
+    0x15      Get_Temperature          host   power stage float32 [degC]   motor float32 [degC]
+    0x18      Clear_Errors             drive  -                            -
+    0x1C      Get_Torques              host   target float32 [N m]         estimate float32 [N m]
+
+All values are at the motor's shaft. A remote frame with the identifier of a Get message requests
+the message. Source: ODrive documentation, "CAN Protocol", and the vendor's DBC
+``odrive-cansimple`` 0.6.10.
 """
 
 import math
@@ -14,21 +31,29 @@ from handctl.drives.frame import REMOTE
 from handctl.drives.signals import Coding, Message, Quantity, Signal
 
 GET_VERSION, HEARTBEAT, ESTOP, RX_SDO, TX_SDO = 0x00, 0x01, 0x02, 0x04, 0x05
+"""Commands, the low five bits of an identifier."""
 ADDRESS, SET_AXIS_STATE, ENCODER, SET_MODE, SET_TORQUE, SET_LIMITS = 0x06, 0x07, 0x09, 0x0B, 0x0E, 0x0F
 TEMPERATURE, CLEAR_ERRORS, TORQUES = 0x15, 0x18, 0x1C
 COMMANDS = frozenset((ESTOP, RX_SDO, SET_AXIS_STATE, SET_MODE, 0x0C, 0x0D, SET_TORQUE, SET_LIMITS, 0x16, CLEAR_ERRORS))
-"""Messages that only a host sends."""
+"""Commands that only a host sends. 0x0C and 0x0D set position and velocity, 0x16 reboots."""
 ASKED = frozenset((GET_VERSION, ADDRESS, ENCODER, TEMPERATURE, TORQUES))
-"""Messages that are asked for by a remote frame."""
+"""Messages requested by a remote frame."""
 ANSWERS = ASKED | {HEARTBEAT, TX_SDO}
+"""Messages of the drive."""
 LAST_NODE = 0x3E
+"""Largest node number. 0x3F is the broadcast."""
 ENCODER_MS = 10
-"""Period of the cyclic position unless somebody has changed it."""
+"""Factory setting of the period of the cyclic position [ms]."""
 PROTOCOL = 2
+"""Supported version of CANSimple."""
 IDLE, CLOSED_LOOP = 1, 8
+"""Axis states."""
 TORQUE_MODE, PASSTHROUGH = 1, 1
+"""Control mode and input mode of Set_Controller_Mode."""
 SUCCESS, BUSY = 0, 1
+"""Results of the last procedure."""
 SDO_READ, SDO_WRITE = 0, 1
+"""Opcodes of RxSdo."""
 FLOAT_TOP = 3.4028234663852886e38
 """Largest float32."""
 
@@ -40,12 +65,14 @@ ERRORS = {
     16: "position limit violation", 24: "watchdog expired", 25: "emergency stop requested", 26: "spin-out",
     27: "brake resistor disarmed", 28: "thermistor disconnected", 30: "calibration error",
 }  # fmt: skip
+"""Errors by bit of Axis_Error."""
 RESULTS = {
     2: "cancelled", 3: "disarmed", 4: "no response", 5: "pole pairs or counts per turn do not match",
     6: "phase resistance out of range", 7: "phase inductance out of range", 8: "unbalanced phases",
     9: "invalid motor type", 10: "illegal hall state", 11: "timeout", 12: "homing without end stop",
     13: "invalid state", 14: "not calibrated", 15: "not converging",
 }  # fmt: skip
+"""Results of a failed procedure."""
 
 
 class Heartbeat(NamedTuple):
@@ -57,22 +84,22 @@ class Heartbeat(NamedTuple):
 
 
 def can_id(node_id: int, command: int) -> int:
-    """Identifier of a message."""
+    """Return the identifier of a message."""
     return node_id << 5 | command
 
 
 def error_text(errors: int) -> str:
-    """All errors in words; a bit that nobody knows keeps its number."""
+    """Return all errors in words. An undocumented bit appears with its number."""
     return ", ".join(ERRORS.get(bit, f"unknown error bit {bit}") for bit in range(32) if errors >> bit & 1)
 
 
 def result_text(result: int) -> str:
-    """The result of a procedure in words."""
+    """Return the result of a procedure in words."""
     return RESULTS.get(result, f"unknown result {result}")
 
 
 def _float(name: str, quantity: Quantity, first: int, scale: float, offset: float = 0.0, unit: str = "") -> Signal:
-    """Return a float32 that begins with a byte."""
+    """Return a float32 signal that begins at a byte."""
     return Signal(name, quantity, 8 * first, 32, False, Coding.FLOAT, scale, offset, unit)
 
 
@@ -80,9 +107,11 @@ def encoder_message(node_id: int, ratio: float, zero: float) -> Message:
     """Return Get_Encoder_Estimates: position [turn] and velocity [turn/s] of the shaft.
 
     Args:
-        node_id: of the drive. ratio: turns of the shaft per turn of the spool, with the sign of the hand.
+        node_id: node number of the drive.
+        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
         zero: angle at the shaft of the spool's zero [rad].
     """
+    # A shaft turn is tau / ratio at the spool. A negative ratio reverses the sign.
     turn = math.tau / ratio
     return Message("encoder_estimates", can_id(node_id, ENCODER), 8, (
         _float("position", Quantity.POSITION, 0, turn, -zero / ratio, "rad"),
@@ -91,7 +120,12 @@ def encoder_message(node_id: int, ratio: float, zero: float) -> Message:
 
 
 def torques_message(node_id: int, ratio: float) -> Message:
-    """Return Get_Torques: target and estimate [N m] at the shaft; the estimate counts."""
+    """Return Get_Torques: target and estimate [N m] at the shaft. The estimate is used.
+
+    Args:
+        node_id: node number of the drive.
+        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
+    """
     return Message("torques", can_id(node_id, TORQUES), 8, (
         _float("target", Quantity.UNUSED, 0, ratio, 0.0, "N m"),
         _float("torque", Quantity.TORQUE, 4, ratio, 0.0, "N m"),
@@ -99,54 +133,65 @@ def torques_message(node_id: int, ratio: float) -> Message:
 
 
 def torque_message(node_id: int, ratio: float, limit: float) -> Message:
-    """Return Set_Input_Torque [N m] at the shaft; ``limit``: at the spool [N m]."""
+    """Return Set_Input_Torque [N m] at the shaft.
+
+    Args:
+        node_id: node number of the drive.
+        ratio: turns of the shaft per turn of the spool, with the sign of the hand.
+        limit: largest torque [N m at the spool].
+    """
+    # Torque at the spool = ratio * torque at the shaft.
     signal = _float("torque", Quantity.TORQUE, 0, ratio, 0.0, "N m")
     return Message("input_torque", can_id(node_id, SET_TORQUE), 4, (signal,), limit=limit)
 
 
 def question(node_id: int, command: int) -> Message:
-    """Return the remote frame that asks for a message."""
+    """Return the remote frame that requests a message."""
     return Message(f"ask_{command:#04x}", can_id(node_id, command) | REMOTE, 0, answers=False)
 
 
 def heartbeat(data: bytes) -> Heartbeat:
-    """Values of 8 bytes of Heartbeat."""
+    """Decode 8 bytes of Heartbeat."""
     return Heartbeat(*struct.unpack_from("<IBB", data))
 
 
 def pair(data: bytes) -> tuple[float, float] | None:
-    """Two float32; None unless both are finite."""
+    """Return two float32, or None unless both are finite."""
     first, second = struct.unpack("<ff", data)
     return (first, second) if math.isfinite(first) and math.isfinite(second) else None
 
 
 def hottest(data: bytes) -> float | None:
-    """The larger of two temperatures in float32 [degC]; a sensor that is not there may say NaN, both are None."""
+    """Return the larger of two float32 temperatures [degC], or None if both are NaN.
+
+    A missing sensor may report NaN.
+    """
     return max((value for value in struct.unpack("<ff", data) if math.isfinite(value)), default=None)
 
 
 def floats(*values: float) -> bytes:
-    """Payload of float32.
+    """Return a payload of float32.
 
     Raises:
-        ValueError: not finite, or too large for a float32.
+        ValueError: a value is not finite, or too large for a float32.
     """
     for value in values:
+        # Negated, so that NaN is refused.
         if not abs(value) <= FLOAT_TOP:
             raise ValueError(f"{value} cannot be sent, expected a finite number")
     return struct.pack(f"<{len(values)}f", *values)
 
 
 def integers(*values: int) -> bytes:
-    """Payload of uint32."""
+    """Return a payload of uint32."""
     return struct.pack(f"<{len(values)}I", *values)
 
 
 def sdo_request(operation: int, endpoint: int, value: bytes = b"") -> bytes:
-    """Payload of RxSdo."""
+    """Return the payload of RxSdo."""
     return struct.pack("<BHB", operation, endpoint, 0) + value
 
 
 def sdo_reply(data: bytes) -> tuple[int, bytes]:
-    """Endpoint and value of TxSdo."""
+    """Return endpoint and value of TxSdo."""
     return int.from_bytes(data[1:3], "little"), data[4:]

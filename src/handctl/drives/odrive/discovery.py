@@ -1,7 +1,8 @@
-"""ODrives on a bus: their heartbeats, and their answers to Address, which one remote frame asks of all.
+"""Discovery of ODrives: heartbeats, and answers to Address, which one remote frame requests from all.
 
-Remote frames carry nothing that could be obeyed. Firmware 0.5.x beats too, but its heartbeat has other errors and it
-tells neither version nor serial number this way. Source: facts, odrive_cansimple.
+Remote frames have no payload, and no drive obeys them. Firmware 0.5.x also sends heartbeats, with
+other errors, and does not report version or serial number. Source: ODrive documentation, "CAN
+Protocol", and the vendor's DBC 0.5.6 and 0.6.10.
 """
 
 import struct
@@ -12,14 +13,17 @@ from handctl.drives.odrive import codec
 from handctl.drives.odrive import firmware_05 as odrive_05
 
 ADDRESS, BROADCAST = 0x06, 0x3F
+"""Command and node number of the broadcast request."""
 BEATS = 3
-"""Frames that look like heartbeats of one node, before it counts: one alone may be anything."""
+"""Frames with the layout of a heartbeat before a node counts. A single frame may be anything."""
 _STATES = {codec.IDLE: "idle", codec.CLOSED_LOOP: "closed loop control"}
+"""Axis states in words."""
 _CYCLIC = {0x00, 0x01, 0x03, 0x09, 0x14, 0x15, 0x17, 0x1C, 0x1D}
+"""Commands that a drive sends on its own."""
 
 
 def questions(turn: int, seen: Seen) -> tuple[Frame, ...]:
-    """Round 1: Address of all; round 3: version of those that are there."""
+    """Return the request frames of a round: Address of all nodes (1), version of discovered nodes (3)."""
     if turn == 1:
         return (Frame(codec.can_id(BROADCAST, ADDRESS) | REMOTE, b""),)
     if turn == 3:
@@ -28,7 +32,7 @@ def questions(turn: int, seen: Seen) -> tuple[Frame, ...]:
 
 
 def found(seen: Seen) -> tuple[Found, ...]:
-    """Nodes that beat like an ODrive, or have told their address."""
+    """Return the nodes with ODrive heartbeats, or with an answer to Address."""
     beats, serials, versions = _sorted(seen, codec.HEARTBEAT), _sorted(seen, ADDRESS), _sorted(seen, codec.GET_VERSION)
     there = {node for node, data in beats.items() if len(data) >= BEATS and all(map(_beat, data))}
     there |= {node for node, data in serials.items() if data[-1][0] == node}
@@ -41,6 +45,7 @@ def found(seen: Seen) -> tuple[Found, ...]:
 
 
 def _drive(node: int, beat: codec.Heartbeat | None, serial: str, version: bytes) -> Found:
+    """Return the data of one drive."""
     notes = ["watchdog and torque limit: give endpoint_... keys in the hand file, or set them over USB and trust that"]
     options: dict[str, bool | int | float | str] = {}
     if version and version[0] != codec.PROTOCOL:
@@ -61,7 +66,7 @@ def _drive(node: int, beat: codec.Heartbeat | None, serial: str, version: bytes)
 
 
 def _sorted(seen: Seen, command: int) -> dict[int, list[bytes]]:
-    """Payloads of a message by node; Address of older firmware has 7 bytes."""
+    """Return the payloads of a message by node. Address of older firmware has 7 bytes."""
     by_node: dict[int, list[bytes]] = {}
     for frame in seen:
         plain = not frame.can_id & (EXTENDED | REMOTE | ERROR) and not frame.flags & FDF
@@ -71,18 +76,21 @@ def _sorted(seen: Seen, command: int) -> dict[int, list[bytes]]:
 
 
 def _beat(data: bytes) -> bool:
-    """Whether 8 bytes can be a heartbeat: a known axis state and result, and in byte 7 only 0.5's two flags."""
+    """Return True if 8 bytes can be a heartbeat.
+
+    State and result are documented values. Byte 7 has no bits but the two flags of firmware 0.5.
+    """
     _, state, result = struct.unpack_from("<IBB", data)
     return 1 <= state <= 14 and result <= 15 and not data[7] & 0x7E
 
 
 def orders(drive: Found) -> frozenset[int]:
-    """Every identifier of the node, and of all nodes at once: 0x7ff is Enter_DFU_Mode to an ODrive."""
+    """Return every identifier of the node and of the broadcast. 0x7ff is Enter_DFU_Mode."""
     return frozenset(codec.can_id(node, command) for node in (drive.node_id, BROADCAST) for command in range(32))
 
 
 def foreign(seen: Seen) -> tuple[Frame, ...]:
-    """Orders to nodes that are there."""
+    """Return the commands to discovered nodes."""
     nodes = {drive.node_id for drive in found(seen)}
     return tuple(
         frame
@@ -93,12 +101,12 @@ def foreign(seen: Seen) -> tuple[Frame, ...]:
 
 
 def ping(drive: Found) -> Frame:
-    """Version, which no drive sends by itself as often as it could be asked."""
+    """Return the request for the version. A drive sends its version rarely on its own."""
     return Frame(codec.can_id(drive.node_id, codec.GET_VERSION) | REMOTE, b"")
 
 
 def pong(drive: Found, frame: Frame) -> bool:
-    """Whether this is its version."""
+    """Return True for a version message."""
     return frame.can_id == codec.can_id(drive.node_id, codec.GET_VERSION) and len(frame.data) == 8
 
 

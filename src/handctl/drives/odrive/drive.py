@@ -1,8 +1,9 @@
-"""An ODrive (firmware 0.6.x, or 0.5.x) on CANSimple: from its heartbeat to torque, and back to a confirmed standstill.
+"""ODrive (firmware 0.6.x or 0.5.x) on CANSimple: from its heartbeat to torque, and back to idle.
 
-Position is asked for in every tick by a remote frame, so that it is as old as the command; with ``encoder_period_ms``
-the drive's cyclic messages are trusted instead. Mode and limits cannot be read back on CANSimple, and the watchdog not
-even be set: with the endpoints of ``settings`` they are, by SDO. Only a heartbeat tells what the drive does.
+A remote frame in every tick requests the position, so that position and command have the same age.
+With ``encoder_period_ms`` the drive's cyclic messages are used instead. CANSimple cannot read mode
+and limits back, and cannot set the watchdog. The endpoints of ``settings`` do both by SDO. Only a
+heartbeat reports the state of the drive.
 """
 
 import math
@@ -42,22 +43,25 @@ SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 
 @dataclass(frozen=True, slots=True)
 class OdriveDrive:
-    """One motor; implements ``contract.Drive``.
+    """One motor. Implements ``contract.Drive``.
 
     Attributes:
-        name: the motor's name.
-        bus: index of its bus.
+        name: name of the motor.
+        bus: index of the bus.
         node_id: 1 to 0x3e.
-        torque_limit: at the spool [N m].
-        ratio: turns of the motor's shaft per turn of the spool, negative if positive torque of the motor unwinds.
+        torque_limit: largest torque command [N m at the spool].
+        ratio: turns of the motor's shaft per turn of the spool, negative if positive torque of the
+            motor unwinds.
         zero: angle at the shaft of the spool's zero [rad].
         limits: payload of Set_Limits: velocity [turn/s], current [A].
-        settings: to be verified by SDO.
-        cyclic_s: period of the drive's own messages [s]; 0 if position is asked for in every tick.
-        torque_feedback: whether torque is asked for in every tick.
+        settings: settings to verify by SDO.
+        cyclic_s: period of the drive's own messages [s], 0 to request position in every tick.
+        torque_feedback: True to request torque in every tick.
         patience_ns: longest time without a heartbeat [ns].
-        old: firmware 0.5, see ``firmware_05``.
-        command, encoder, torques: tables of its cyclic frames; follow from the others.
+        old: True for firmware 0.5, see ``firmware_05``.
+        command: signal table of the command, from the fields above.
+        encoder: signal table of the position, from the fields above.
+        torques: signal table of the torque, from the fields above.
     """
 
     name: str
@@ -77,16 +81,17 @@ class OdriveDrive:
     torques: Table = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        """Build the signal tables of the cyclic frames."""
         object.__setattr__(self, "command", Table(codec.torque_message(self.node_id, self.ratio, self.torque_limit)))
         object.__setattr__(self, "encoder", Table(codec.encoder_message(self.node_id, self.ratio, self.zero)))
         object.__setattr__(self, "torques", Table(codec.torques_message(self.node_id, self.ratio)))
 
     @staticmethod
     def of(motor: MotorDescription, bus: int) -> "OdriveDrive":
-        """The drive of a motor description.
+        """Return the drive of a motor description.
 
         Raises:
-            ConfigError: an option that CANSimple does not have, or a node number beyond 0x3e.
+            ConfigError: an option unknown to CANSimple, or a node number beyond 0x3e.
         """
         options, where = dict(motor.options), f"motor[{motor.name}].options"
         if not 0 < motor.node_id <= codec.LAST_NODE:
@@ -112,12 +117,15 @@ class OdriveDrive:
 
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
-        """Torque, and what is asked for by remote frames."""
+        """Return the torque command, and the messages requested by remote frames."""
         return ((4, False), *(((0, False), (8, False)) * ((not self.cyclic_s) + self.torque_feedback)))
 
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
-        """Heartbeat, cyclic position (on by default, used or not), and what is asked for: temperatures, settings."""
+        """Return heartbeat, cyclic position, temperature, and settings traffic.
+
+        The cyclic position is on by default, used or not.
+        """
         warm = 0.0 if self.old else 1e9 / TEMPERATURE_NS
         told = 1.0 / (self.cyclic_s or codec.ENCODER_MS * 1e-3)
         again = readback.RECHECKS_PER_SECOND if self.settings else 0.0
@@ -126,62 +134,63 @@ class OdriveDrive:
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Commands of any host, and its questions."""
+        """Return the commands and remote requests of any host."""
         commands = frozenset(codec.can_id(self.node_id, command) for command in codec.COMMANDS)
         return commands | {codec.can_id(self.node_id, command) | REMOTE for command in codec.ASKED}
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Answers, heartbeat and cyclic messages."""
+        """Return answers, heartbeat, and cyclic messages."""
         return frozenset(codec.can_id(self.node_id, command) for command in codec.ANSWERS)
 
     @property
     def caveats(self) -> tuple[str, ...]:
-        """What cannot be promised with this configuration, for a person to read before arming."""
+        """Return the guards without verification, for the operator before arming."""
         return endpoints.unverified(self.settings)
 
     @property
     def answers_once(self) -> bool:
-        """Its cyclic messages come beside its answers."""
+        """Return False: cyclic messages come beside the answers."""
         return False
 
     @property
     def position_step(self) -> float:
-        """A float32 of turns: the encoder's own steps are larger, and are not told."""
+        """Return 0, unknown: the encoder's steps are coarser than float32 turns, and not reported."""
         return 0.0
 
     @property
     def feedback_period_s(self) -> float:
-        """With ``encoder_period_ms`` position is not asked for."""
+        """Return the period of the drive's own messages [s], 0 if every tick requests position."""
         return self.cyclic_s
 
     @property
     def cyclic(self) -> Cyclic:
-        """Torque, and what is asked for by remote frames."""
+        """Return position and torque messages, the torque command, and the remote requests."""
         asked = [codec.ENCODER] * (not self.cyclic_s) + [codec.TORQUES] * self.torque_feedback
         questions = [codec.question(self.node_id, command) for command in asked]
         return Cyclic((self.encoder.message, self.torques.message), (self.command.message, *questions))
 
     def steady_status(self, state: DriveState) -> int:
-        """Return 0: values come without a status, only a heartbeat tells what the drive does."""
+        """Return 0: values have no status, and only a heartbeat reports the state."""
         return 0 if state.phase == ENABLED and progress_of(state).disabling_ns < 0 else UNSTEADY
 
     def due_ns(self, state: DriveState) -> int:
-        """Return when a heartbeat is overdue, or temperature or a setting is to be asked for [ns]."""
+        """Return the time of the heartbeat timeout, temperature request, or read-back [ns]."""
         progress = progress_of(state)
         warm = NEVER_NS if self.old else progress.warmed_ns + TEMPERATURE_NS
         again = progress.check.due_ns if self.settings else NEVER_NS
         return min(warm, again, progress.heard_ns + self.patience_ns + 1 if progress.heard_ns >= 0 else NEVER_NS)
 
     def initial(self) -> DriveState:
-        """Silent."""
+        """Return the silent state."""
         return DriveState(private=Progress(version=self.old))
 
     def receive(self, state: DriveState, frame: Frame) -> DriveState:
-        """See ``contract.Drive``."""
+        """Apply one received frame, see ``contract.Drive``."""
         command = frame.can_id & 0x1F
         if frame.bus != self.bus or frame.can_id >> 5 != self.node_id or command not in codec.ANSWERS:
             return state
+        # TxSdo has at least one byte of value. Address has 7 bytes before firmware 0.6.11.
         shortest = {codec.TX_SDO: 5, codec.ADDRESS: 7}.get(command, 8)
         if not shortest <= len(frame.data) <= 8:
             return state._replace(misread=state.misread + 1)
@@ -196,7 +205,7 @@ class OdriveDrive:
         return self._take_values(state, command, frame)
 
     def _take_values(self, state: DriveState, command: int, frame: Frame) -> DriveState:
-        """Position and velocity, torque, or temperatures."""
+        """Apply position and velocity, torque, or temperatures."""
         if command == codec.TEMPERATURE and (hottest := codec.hottest(frame.data)) is not None:
             return state._replace(temperature=hottest)
         table = self.torques if command == codec.TORQUES else self.encoder
@@ -213,6 +222,7 @@ class OdriveDrive:
         )
 
     def _take_version(self, state: DriveState, data: bytes) -> DriveState:
+        """Apply the protocol version."""
         if state.phase not in (SILENT, CONFIGURING):
             return state
         if data[0] != codec.PROTOCOL:
@@ -222,13 +232,14 @@ class OdriveDrive:
         )
 
     def _take_serial(self, state: DriveState, data: bytes) -> DriveState:
-        """Its number on the bus, then 48 bits of serial number."""
+        """Apply an Address message: node number, then 48 bits of serial number."""
         if state.phase != CONFIGURING or data[0] != self.node_id:
             return state
         serial = int.from_bytes(data[1:7], "little")
         return state._replace(private=progress_of(state)._replace(serial=serial, asked_serial=SERIAL_TRIES))
 
     def _take_setting(self, state: DriveState, data: bytes) -> DriveState:
+        """Apply a TxSdo."""
         progress = progress_of(state)
         if state.phase == ENABLED and progress.check.waiting:
             return self._take_again(state, progress, data)
@@ -239,7 +250,7 @@ class OdriveDrive:
         return fault(known, MISMATCH, problem) if problem else known
 
     def _take_again(self, state: DriveState, progress: Progress, data: bytes) -> DriveState:
-        """Compare a setting that was read again while enabled."""
+        """Compare a setting read again while enabled."""
         setting = self.settings[progress.check.step]
         endpoint, raw = codec.sdo_reply(data)
         if endpoint != setting.endpoint or len(raw) < len(setting.raw):
@@ -251,7 +262,7 @@ class OdriveDrive:
         return fault(known, MISMATCH, problem) if problem else known
 
     def advance(self, state: DriveState, t_ns: int, want: Want, torque: float) -> tuple[DriveState, tuple[Frame, ...]]:
-        """See ``contract.Drive``."""
+        """Return the next state and the frames to send, see ``contract.Drive``."""
         progress = progress_of(state)
         if want == LISTEN:
             return state, ()
@@ -272,7 +283,10 @@ class OdriveDrive:
         return self._configure(state._replace(phase=SILENT if progress.heard_ns < 0 else CONFIGURING), t_ns)
 
     def _ready(self, state: DriveState, t_ns: int, want: Want) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Poll; told to enable, one order (a second would enable one that has restarted), and 0 N m from then on."""
+        """Poll a ready drive, and enable it on request.
+
+        One enable command is sent, then 0 N m. A second command would enable a restarted drive.
+        """
         state, asked = self._questions(state, t_ns)
         progress = progress_of(state)
         if want != ENABLE:
@@ -287,7 +301,7 @@ class OdriveDrive:
         return told, (*self._setup(), self._torque(0.0), self._state(codec.CLOSED_LOOP), *asked)
 
     def _configure(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """One step: idle, version, endpoints, mode and limits."""
+        """Do one step of the configuration: idle, version, serial number, endpoints, mode and limits."""
         progress = progress_of(state)
         if progress.axis > codec.IDLE:
             text = f"in axis state {progress.axis} although nobody asked, and does not go idle"
@@ -307,11 +321,12 @@ class OdriveDrive:
         return state._replace(phase=READY, error_text="", private=done), self._setup()
 
     def _setup(self) -> tuple[Frame, ...]:
-        """Mode and limits: once more before each order to enable, since no answer tells that they arrived."""
+        """Return mode and limits. No answer confirms them, hence each enable command is preceded by both."""
         mode = self._frame(codec.SET_MODE, codec.integers(codec.TORQUE_MODE, codec.PASSTHROUGH))
         return mode, self._frame(codec.SET_LIMITS, self.limits)
 
     def _ask_version(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
+        """Request the version, or clear errors, at most once per ``REPEAT_NS``."""
         if t_ns - progress.sent_ns < REPEAT_NS:
             return state, ()
         if progress.heard_ns >= 0 and progress.tries >= VERSION_TRIES:
@@ -321,14 +336,14 @@ class OdriveDrive:
         return state._replace(private=asked), (frame,)
 
     def _ask_serial(self, state: DriveState, progress: Progress, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Older firmware 0.6 does not answer: it is asked a few times, and is known by its number then."""
+        """Request the serial number a few times. Older firmware 0.6 does not answer."""
         if t_ns - progress.sent_ns < REPEAT_NS:
             return state, ()
         asked = progress._replace(sent_ns=t_ns, asked_serial=progress.asked_serial + 1)
         return state._replace(private=asked), (self._ask(codec.ADDRESS),)
 
     def _questions(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """What is asked for in a tick."""
+        """Return the requests of a tick."""
         frames = [self._ask(codec.ENCODER)] * (not self.cyclic_s) + [self._ask(codec.TORQUES)] * self.torque_feedback
         progress = progress_of(state)
         if t_ns - progress.warmed_ns >= TEMPERATURE_NS and not self.old:
@@ -337,7 +352,7 @@ class OdriveDrive:
         return state, tuple(frames)
 
     def _ask_again(self, state: DriveState, t_ns: int) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Read a setting of the enabled drive again, when it is its turn."""
+        """Request a setting of the enabled drive, if due."""
         progress = progress_of(state)
         if not self.settings or t_ns < progress.check.due_ns:
             return state, ()
@@ -349,38 +364,42 @@ class OdriveDrive:
         return state, (self._frame(codec.RX_SDO, codec.sdo_request(codec.SDO_READ, setting.endpoint)),)
 
     def _torque(self, torque: float) -> Frame:
+        """Return the torque command [N m at the spool]."""
         try:
             return self._frame(codec.SET_TORQUE, self.command.pack(torque))
         except ValueError as error:
             raise ValueError(f"{self.name}: {error}") from None
 
     def leave(self, state: DriveState) -> tuple[Frame, ...]:
-        """Disabled, its watchdog watches nothing."""
+        """Return no frame: the watchdog of a disabled drive is inactive."""
         return ()
 
     def identity(self, state: DriveState) -> str:
-        """48 bits of the Address message, which firmware 0.5 and early 0.6 do not have."""
+        """Return 48 bits of the Address message, or the node number for firmware 0.5 and early 0.6."""
         return f"{serial:012X}" if (serial := progress_of(state).serial) else f"node {self.node_id}"
 
     def cause(self, error: int) -> Cause:
-        """See ``contract.Drive``."""
+        """Return the cause of an error, see ``contract.Drive``."""
         return cause_of(error)
 
     def cut(self) -> tuple[Frame, ...]:
-        """Estop: disarm and latch."""
+        """Return Estop: disarm and latch."""
         return (self._frame(codec.ESTOP, b""),)
 
     def clear(self, state: DriveState) -> tuple[DriveState, tuple[Frame, ...]]:
-        """Clear the latched error and begin with the inventory again."""
+        """Clear the latched error, and start again with the version request."""
         fresh = Progress(version=self.old, axis=progress_of(state).axis, clearing=CLEAR_TRIES)
         cleared = state._replace(phase=SILENT, error=0, error_text="", private=fresh)
         return cleared, (self._frame(codec.CLEAR_ERRORS, b""),)
 
     def _state(self, state: int) -> Frame:
+        """Return Set_Axis_State."""
         return self._frame(codec.SET_AXIS_STATE, codec.integers(state))
 
     def _frame(self, command: int, data: bytes) -> Frame:
+        """Return a data frame to the drive."""
         return Frame(codec.can_id(self.node_id, command), data, 0, self.bus)
 
     def _ask(self, command: int) -> Frame:
+        """Return a remote frame to the drive."""
         return Frame(codec.can_id(self.node_id, command) | REMOTE, b"", 0, self.bus)

@@ -1,4 +1,4 @@
-"""The options of an ODrive in the hand file."""
+"""Options of an ODrive in the hand file."""
 
 from collections.abc import MutableMapping
 from typing import Any, NamedTuple
@@ -9,18 +9,21 @@ from handctl.drives.options import positive, whole
 from handctl.errors import ConfigError
 
 MOST = 1000
-"""Largest ratio, current [A] and period [ms] that make sense."""
+"""Largest plausible ratio, current [A], and period [ms]."""
 KNOWN = "gear_ratio, current_limit_A, heartbeat_ms, encoder_period_ms, firmware, torque_feedback or endpoint_..."
+"""Option names, for messages."""
 
 
 class Options(NamedTuple):
-    """What the options say.
+    """Values of the options.
 
     Attributes:
-        ratio: turns of the motor's shaft per turn of the spool. current: limit [A]. heartbeat: its period [ms].
-        torque_feedback: whether torque is asked for in every tick.
-        cyclic_s: period of the drive's own messages [s]; 0 if position is asked for in every tick.
-        old: firmware 0.5.
+        ratio: turns of the motor's shaft per turn of the spool.
+        current: current limit [A].
+        heartbeat: period of the heartbeat [ms].
+        torque_feedback: True to request torque in every tick.
+        cyclic_s: period of the drive's own messages [s], 0 to request position in every tick.
+        old: True for firmware 0.5.
     """
 
     ratio: float
@@ -32,14 +35,14 @@ class Options(NamedTuple):
 
 
 def take_options(options: MutableMapping[str, Any], where: str) -> Options:
-    """Read the options and take their keys out; those of endpoints stay.
+    """Read the options and remove their keys. Keys of endpoints remain.
 
     Args:
-        options: of the motor.
+        options: options of the motor.
         where: key path of the options.
 
     Raises:
-        ConfigError: a value that cannot be, or one that this firmware does not have.
+        ConfigError: an invalid value, or an option unknown to the firmware.
     """
     firmware, feedback = options.pop("firmware", FIRMWARE[0]), options.pop("torque_feedback", False)
     if firmware not in FIRMWARE:

@@ -1,4 +1,4 @@
-"""What is known of an ODrive between two frames, and what its heartbeat changes: nothing else tells what it does."""
+"""Progress of an ODrive between frames, and the effect of its heartbeat, the only report of its state."""
 
 from typing import NamedTuple, cast
 
@@ -11,45 +11,49 @@ from handctl.drives.readback import Recheck, Walk
 
 SILENT, CONFIGURING, READY, ENABLED, FAULT = Phase
 DROPPED_OUT, MISMATCH, REFUSED, ENABLED_BY_OTHERS, LOST = (1 << 32 | number for number in range(5))
-"""Error codes of our own, above the drive's 32 bits."""
+"""Error codes of the host, above the drive's 32 bits."""
 CAUSES = {
     DROPPED_OUT: Cause.DROPPED_OUT, MISMATCH: Cause.MISMATCH, REFUSED: Cause.OTHER,
     ENABLED_BY_OTHERS: Cause.MISMATCH, LOST: Cause.LOST,
 }  # fmt: skip
+"""Causes by the error codes of the host."""
 CAUSES_OF_BITS = {
     8: Cause.VOLTAGE, 9: Cause.VOLTAGE, 11: Cause.VOLTAGE, 13: Cause.HOT, 14: Cause.HOT, 24: Cause.WATCHDOG,
 }  # fmt: skip
-"""By our own codes, and by the bit of the heartbeat's error."""
+"""Causes by the bit of the heartbeat's error."""
 REPEAT_NS, TEMPERATURE_NS = 20_000_000, 200_000_000
+"""Time between repeated requests, and between temperature requests [ns]."""
 VERSION_TRIES, CLEAR_TRIES, SERIAL_TRIES = 10, 3, 3
+"""Requests for the version, heartbeats that may still carry a cleared error, requests for the serial."""
 ORDERS = 5
-"""Orders to enable that may be lost."""
+"""Enable commands that may be lost before the drive is in fault."""
 HEARTBEATS_MISSED = 3.5
-"""So many periods without a heartbeat and the drive counts as lost."""
+"""Periods without a heartbeat before the drive counts as lost."""
 SETTLE_NS = 5_000_000
-"""A heartbeat that comes sooner than this after an order may have been sent before it [ns]."""
+"""Time after a command in which a heartbeat may still be older than the command [ns]."""
 
 
 class Progress(NamedTuple):
-    """What CANSimple keeps in ``DriveState.private``.
+    """Progress of CANSimple, the content of ``DriveState.private``.
 
     Attributes:
-        version: whether the protocol version is the one spoken here.
-        serial: its serial number; 0 if it has not told one.
-        asked_serial: how often it was asked for it; ``SERIAL_TRIES`` and it is not asked again.
-        walk: how far the endpoints are known.
-        configured: whether mode and limits were sent.
-        axis: last axis state.
-        heard_ns: last heartbeat [ns]; -1 before the first.
-        asked_ns: since when it is told to enable [ns]; -1 if it is not.
-        disabling_ns: since when it is told to disable [ns]; -1 if it is not.
-        sent_ns: when the last request was sent that is repeated now and then [ns].
-        tries: how often.
-        warmed_ns: when the temperature was asked for last [ns].
-        clearing: how many heartbeats may still carry the error that is being cleared.
-        fresh: whether all settings were found to be right in the last tick, too short ago for a restart.
-        orders: how often it was told to enable in vain.
-        check: how far its settings were read again while it is enabled.
+        version: True if the protocol version is the supported one.
+        serial: serial number, 0 if unknown.
+        asked_serial: requests for the serial number. The drive answered, or no more requests are sent,
+            at ``SERIAL_TRIES``.
+        walk: cursor of the endpoint read-back.
+        configured: True if mode and limits were sent.
+        axis: latest axis state.
+        heard_ns: time of the latest heartbeat [ns], -1 before the first.
+        asked_ns: time of the enable command [ns], -1 without one.
+        disabling_ns: time of the first disable command [ns], -1 without one.
+        sent_ns: time of the latest repeated request [ns].
+        tries: number of such requests.
+        warmed_ns: time of the latest temperature request [ns].
+        clearing: heartbeats that may still carry the error being cleared.
+        fresh: True if all settings were verified in the last tick, too recently for a restart.
+        orders: enable commands without success.
+        check: cursor of the read-back while enabled.
     """
 
     version: bool = False
@@ -71,22 +75,28 @@ class Progress(NamedTuple):
 
     @property
     def may_be_enabled(self) -> bool:
-        """Whether it was told to enable, or is in a state that is not idle."""
+        """Return True after an enable command, or in an axis state above idle."""
         return self.asked_ns >= 0 or self.axis > codec.IDLE
 
 
 def progress_of(state: DriveState) -> Progress:
-    """The private part of a state."""
+    """Return the private part of a state."""
     return cast(Progress, state.private)
 
 
 def fault(state: DriveState, error: int, text: str) -> DriveState:
-    """The state in error."""
+    """Return the state with an error."""
     return state._replace(phase=FAULT, error=error, error_text=text)
 
 
 def take_heartbeat(state: DriveState, frame: Frame, old: bool) -> DriveState:
-    """Take in a heartbeat of 8 bytes, of firmware 0.5 if ``old``."""
+    """Apply a heartbeat of 8 bytes.
+
+    Args:
+        state: state of the drive.
+        frame: the heartbeat.
+        old: True for firmware 0.5.
+    """
     beat = odrive_05.heartbeat(frame.data) if old else codec.heartbeat(frame.data)
     progress = progress_of(state)._replace(axis=beat.state, heard_ns=frame.t_ns)
     if beat.errors and progress.clearing:
@@ -100,7 +110,7 @@ def take_heartbeat(state: DriveState, frame: Frame, old: bool) -> DriveState:
 
 
 def _is_wrong(state: DriveState, progress: Progress, beat: codec.Heartbeat, old: bool) -> DriveState:
-    """An error disarms; a drive that reports one and is not idle may still make torque."""
+    """Apply an error. An error disarms, but a drive outside idle may still make torque."""
     words = odrive_05.error_text if old else codec.error_text
     wrong = fault(state, beat.errors, words(beat.errors))
     if beat.state == codec.IDLE:
@@ -109,7 +119,7 @@ def _is_wrong(state: DriveState, progress: Progress, beat: codec.Heartbeat, old:
 
 
 def _is_enabled(state: DriveState, progress: Progress) -> DriveState:
-    """It says that it is in closed loop."""
+    """Apply a report of closed loop control."""
     if progress.disabling_ns >= 0 or (progress.asked_ns >= 0 and state.phase != FAULT):
         return state._replace(phase=ENABLED, private=progress._replace(orders=0, clearing=0))
     if state.phase == READY:
@@ -118,7 +128,7 @@ def _is_enabled(state: DriveState, progress: Progress) -> DriveState:
 
 
 def _is_elsewhere(state: DriveState, progress: Progress) -> DriveState:
-    """It says that it does something else, a calibration for instance: then it makes torque that nobody here asks."""
+    """Apply a report of another axis state, such as a calibration, with torque beyond the host's control."""
     if state.phase == ENABLED and progress.disabling_ns < 0:
         return fault(state, DROPPED_OUT, f"went to axis state {progress.axis} by itself")
     if state.phase == READY and progress.asked_ns < 0 and progress.axis > codec.IDLE:
@@ -127,7 +137,7 @@ def _is_elsewhere(state: DriveState, progress: Progress) -> DriveState:
 
 
 def _is_disabled(state: DriveState, progress: Progress, beat: codec.Heartbeat) -> DriveState:
-    """It says that it is idle; too soon after an order that says nothing yet."""
+    """Apply a report of idle. Shortly after a command the report proves nothing."""
     off = state._replace(private=progress._replace(asked_ns=-1, disabling_ns=-1))
     if progress.disabling_ns >= 0:
         if progress.heard_ns < progress.disabling_ns + SETTLE_NS:
@@ -142,9 +152,9 @@ def _is_disabled(state: DriveState, progress: Progress, beat: codec.Heartbeat) -
 
 
 def _did_not_enable(state: DriveState, progress: Progress, beat: codec.Heartbeat) -> DriveState:
-    """Idle although told to enable: it says why; or the order was lost, or the drive has restarted.
+    """Apply a report of idle after an enable command: refused, command lost, or drive restarted.
 
-    A restart shows in no other way, so everything is set and verified anew before the next order.
+    A restart has no other sign. All settings are written and verified again before the next command.
     """
     if beat.result != codec.SUCCESS:
         off = state._replace(private=progress._replace(asked_ns=-1))
@@ -158,7 +168,7 @@ def _did_not_enable(state: DriveState, progress: Progress, beat: codec.Heartbeat
 
 
 def lose(state: DriveState, old: bool) -> DriveState:
-    """No heartbeat: enabled, that is an error; else it may have lost power and with it its mode."""
+    """Apply missing heartbeats. An enabled drive is in fault, another one may have lost power and mode."""
     progress = progress_of(state)
     if state.phase == ENABLED or progress.asked_ns >= 0:
         return fault(state, LOST, "no heartbeat")
@@ -166,18 +176,19 @@ def lose(state: DriveState, old: bool) -> DriveState:
 
 
 def begin_disabling(state: DriveState, progress: Progress, t_ns: int) -> DriveState:
-    """From here on idle is what is wanted: until a heartbeat says idle, what may be enabled counts as enabled."""
+    """Return the state while disabling. A possibly enabled drive counts as enabled until idle."""
     phase = ENABLED if progress.may_be_enabled else state.phase
     since = progress.disabling_ns if progress.disabling_ns >= 0 else t_ns
     return state._replace(phase=phase, private=progress._replace(disabling_ns=since))
 
 
 def cause_of(error: int) -> Cause:
-    """What is behind an error that is not 0."""
+    """Return the cause of an error other than 0."""
     if error in CAUSES:
         return CAUSES[error]
     bits = [bit for bit in range(32) if error >> bit & 1]
     if any(bit not in codec.ERRORS for bit in bits):
         return Cause.UNKNOWN
     causes = [CAUSES_OF_BITS.get(bit, Cause.OTHER) for bit in bits]
+    # A watchdog error is the cause of errors that follow it.
     return next((cause for cause in causes if cause == Cause.WATCHDOG), causes[0])

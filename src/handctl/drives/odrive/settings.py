@@ -1,7 +1,7 @@
-"""Settings of an ODrive that no CANSimple message can set: read by SDO, written if wrong, read again.
+"""ODrive settings without a CANSimple message: read by SDO, written if wrong, read again.
 
-The numbers of the endpoints belong to one firmware and one board (``flat_endpoints.json``), so the hand file gives
-them. Without them the drive's watchdog is whatever was set over USB, and nobody on the bus can know it.
+Endpoint numbers belong to one firmware and one board (``flat_endpoints.json``), and are given in
+the hand file. Without them the drive's watchdog is set over USB, and cannot be verified over CAN.
 """
 
 import struct
@@ -14,12 +14,13 @@ from handctl.drives.readback import Walk
 from handctl.errors import ConfigError
 
 WRITES = 3
-"""No drive tells that a write has arrived: one that may have been lost is sent again, so often in all."""
+"""Writes per setting. A drive does not confirm writes, and a possibly lost write is repeated."""
 KEYS = ("endpoint_enable_watchdog", "endpoint_watchdog_timeout", "endpoint_torque_max", "endpoint_torque_min")
+"""Options with an endpoint number."""
 
 
 class Setting(NamedTuple):
-    """Endpoint, the bytes that it must hold, and what to call it."""
+    """Endpoint, required bytes, and name of a setting."""
 
     endpoint: int
     raw: bytes
@@ -29,16 +30,16 @@ class Setting(NamedTuple):
 def take_settings(
     options: MutableMapping[str, Any], where: str, watchdog_s: float, torque: float
 ) -> tuple[Setting, ...]:
-    """Settings whose endpoints the options name; their keys are taken out.
+    """Return the settings whose endpoints the options name, and remove their keys.
 
     Args:
-        options: of the motor.
+        options: options of the motor.
         where: key path of the options.
-        watchdog_s: time-out [s].
-        torque: limit at the motor's shaft [N m].
+        watchdog_s: watchdog time [s].
+        torque: torque limit at the motor's shaft [N m].
 
     Raises:
-        ConfigError: an endpoint that is no number, or half a watchdog.
+        ConfigError: an endpoint without a valid number, or one of the two watchdog endpoints missing.
     """
     values = (b"\1", codec.floats(watchdog_s), codec.floats(torque), codec.floats(-torque))
     found = []
@@ -56,7 +57,7 @@ def take_settings(
 
 
 def unverified(settings: tuple[Setting, ...]) -> tuple[str, ...]:
-    """What these settings leave unknown, for a person to read before arming."""
+    """Return the guards without verification, for the operator before arming."""
     names = {setting.name for setting in settings}
     told = []
     if "watchdog_timeout" not in names:
@@ -67,10 +68,10 @@ def unverified(settings: tuple[Setting, ...]) -> tuple[str, ...]:
 
 
 def take(walk: Walk, settings: tuple[Setting, ...], data: bytes) -> tuple[Walk, str]:
-    """Take in a TxSdo; one that was not asked for changes nothing.
+    """Apply a TxSdo. Replies to any but the open request have no effect.
 
     Returns:
-        the walk from here, and what is wrong, empty if nothing is.
+        the new cursor, and the problem in words, empty without a problem.
     """
     setting = settings[walk.step]
     endpoint, raw = codec.sdo_reply(data)
@@ -82,7 +83,10 @@ def take(walk: Walk, settings: tuple[Setting, ...], data: bytes) -> tuple[Walk, 
 
 
 def ask(walk: Walk, settings: tuple[Setting, ...], t_ns: int) -> tuple[Walk, bytes, str]:
-    """The request that is due: its payload, empty if an answer is awaited; what is wrong, empty if nothing is."""
+    """Return the next request: cursor, payload, and problem in words.
+
+    The payload is empty while an answer is awaited, the problem is empty without a problem.
+    """
     setting = settings[walk.step]
     if walk.writing:  # has no answer
         return walk.wrote(), codec.sdo_request(codec.SDO_WRITE, setting.endpoint, setting.raw), ""
@@ -91,7 +95,7 @@ def ask(walk: Walk, settings: tuple[Setting, ...], t_ns: int) -> tuple[Walk, byt
 
 
 def shown(raw: bytes, setting: Setting) -> str:
-    """A value for people."""
+    """Return a value as text: one byte is a flag, four are a float32."""
     if len(setting.raw) == 1:
         return str(raw[0])
     return f"{struct.unpack_from('<f', raw)[0]:g}"

@@ -1,1 +1,1 @@
-"""The sensor node: load cells and joint encoders."""
+"""Sensor node: load cells and joint encoders."""

@@ -1,38 +1,43 @@
-"""The sensor node on a bus: it answers a SYNC with frames that carry the low four bits of the SYNC's counter.
+"""Discovery of the sensor node: its answers carry the low four bits of the SYNC counter.
 
-SYNC is no order to a motor of its own, but it lets CANopen drives act on PDOs that they hold: where one is found, and
-beside an ODrive with node number 4, it is not sent (``orders`` of theirs name it). Source: ``node``.
+No motor of handctl obeys SYNC, but CANopen drives apply pending PDOs at SYNC. SYNC is not sent
+where a CANopen drive is found, nor beside an ODrive with node number 4 (their ``orders`` include
+its identifier). Source: ``node``.
 """
 
 from handctl.drives.discovery import Discovery, Found, Seen
 from handctl.drives.frame import Frame
 
 SYNC = 0x080
+"""Identifier of SYNC, as in CANopen."""
 COUNTERS = (0x35, 0x3A)
-"""Two counters, so that four bits cannot agree by chance."""
+"""Counters of the two SYNCs, so that four bits cannot agree by chance."""
 BITS_HEAD, BITS_CHANNEL = 4, 12
+"""Bits of the counter and of a channel."""
 LONGEST = 8
+"""Largest payload of an answer [bytes]."""
 
 
 def questions(turn: int, seen: Seen) -> tuple[Frame, ...]:
-    """Round 3: two SYNCs."""
+    """Return the request frames of a round: two SYNCs in round 3."""
     return tuple(ping_with(counter) for counter in COUNTERS) if turn == 3 else ()
 
 
 def found(seen: Seen) -> tuple[Found, ...]:
-    """Identifiers that answered both, the first of a run as one node."""
+    """Return the nodes: identifiers that answered both SYNCs, the first of a consecutive run as one node."""
     ids = sorted({frame.can_id for frame in seen if _answered(seen, frame.can_id)})
     first = [can_id for can_id in ids if can_id - 1 not in ids]
     return tuple(_node(can_id, seen) for can_id in first)
 
 
 def _answered(seen: Seen, can_id: int) -> bool:
-    """Whether an identifier carries just the counters, in their order."""
+    """Return True if an identifier carries the counters in their order, and no other frame."""
     told = [frame.data[0] & 0xF for frame in seen if frame.can_id == can_id and 2 <= len(frame.data) <= LONGEST]
     return can_id < SYNC << 3 and told == [counter & 0xF for counter in COUNTERS]
 
 
 def _node(can_id: int, seen: Seen) -> Found:
+    """Return the data of a node."""
     size = next(len(frame.data) for frame in seen if frame.can_id == can_id)
     channels = (8 * size - BITS_HEAD) // BITS_CHANNEL
     note = f"answers SYNC 0x{SYNC:03x}: a sensor node with base_id = 0x{can_id:x} and {channels} channels in a frame?"
@@ -40,27 +45,27 @@ def _node(can_id: int, seen: Seen) -> Found:
 
 
 def orders(node: Found) -> frozenset[int]:
-    """SYNC makes it sample, nothing else."""
+    """Return no identifier: a SYNC makes the node sample, without effect on a motor."""
     return frozenset()
 
 
 def foreign(seen: Seen) -> tuple[Frame, ...]:
-    """A SYNC of somebody else is CANopen's to tell."""
+    """Return no frame: CANopen's discovery reports a SYNC of another host."""
     return ()
 
 
 def ping_with(counter: int) -> Frame:
-    """SYNC with a counter."""
+    """Return a SYNC with a counter."""
     return Frame(SYNC, bytes((counter,)))
 
 
 def ping(node: Found) -> Frame:
-    """SYNC."""
+    """Return a SYNC."""
     return ping_with(COUNTERS[0])
 
 
 def pong(node: Found, frame: Frame) -> bool:
-    """Whether this is its answer."""
+    """Return True for an answer with the counter of ``ping``."""
     return frame.can_id == node.node_id and len(frame.data) >= 2 and frame.data[0] & 0xF == COUNTERS[0] & 0xF
 
 

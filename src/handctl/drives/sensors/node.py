@@ -1,13 +1,19 @@
-"""The sensor node: load cells and joint encoders, in frames of our own (``sensor_node.dbc``).
+"""Sensor node: load cells and joint encoders, in frames defined by handctl (``sensor_node.dbc``).
 
-    SYNC   counter 8
-    frame  counter 4 | channel 12 | channel 12 | channel 12 | channel 12 | channel 12
+SYNC, from the host, 1 byte: counter 8. Frames of the node, 2 to 8 bytes, little-endian, packed from
+the lowest bit:
 
-The host sends SYNC with a counter byte; the node samples at once and answers with the low four bits of that byte in
-every frame, so that a stale frame cannot pass for a fresh one. Successive counters do not repeat with period 16: see
-``counters``. Up to five channels of 12 bits a frame,
-after a counter of four bits, packed from the lowest bit. Tension: 62.5 mN a count from -6 N. Joint angle: 1/4096
-turn a count from -180 degrees; joint frames come on every SYNC whose counter is a multiple of ``joint_decimation``.
+    bits    0..3       4..15       16..27      28..39      40..51      52..63
+    field   counter    channel 0   channel 1   channel 2   channel 3   channel 4
+
+    channel     count              range                 identifier
+    tension     62.5 mN            -6 N to 249.9 N       base_id + 0, 1, ..
+    angle       1/4096 turn        -180 to 179.9 deg     base_id + 0x10, 0x11, ..
+
+The node samples at SYNC and answers with the low four bits of the counter byte in every frame, so
+that a stale frame cannot pass for a fresh one. Successive counters do not repeat with period 16,
+see ``counters``. Angle frames follow every SYNC whose counter is a multiple of
+``joint_decimation``.
 """
 
 import functools
@@ -19,57 +25,80 @@ from handctl.drives.frame import Frame
 from handctl.drives.signals import Message, Quantity, Signal
 
 CHANNELS = 5
+"""Channels of a frame."""
 CHANNEL_BITS = 12
+"""Bits of a channel."""
 COUNTER_BITS = 4
+"""Bits of the counter in an answer."""
 SHIFTS = tuple(range(COUNTER_BITS, COUNTER_BITS + CHANNELS * CHANNEL_BITS, CHANNEL_BITS))
+"""Lowest bit of each channel."""
 FULL = (1 << CHANNEL_BITS) - 1
+"""Largest count of a channel."""
 TENSION_STEP_N = 0.0625
+"""Tension of one count [N]."""
 TENSION_ZERO_N = -6.0
+"""Tension of count 0 [N]. Below zero, so that noise and bias of a slack tendon fit."""
 TENSION_TOP_N = TENSION_ZERO_N + FULL * TENSION_STEP_N
-"""Reading of a channel that is full, as zero is of one that is empty: the cell is saturated."""
+"""Reading of a full channel [N]. At count 0 and at the full count the cell is saturated."""
 LOW_MARGIN_N = 2.0
+"""Distance of the broken-cell threshold from the lower end of the range [N]."""
 TARE_LEAST_N, TARE_MOST_N = TENSION_ZERO_N + LOW_MARGIN_N, 6.0
-"""What a load cell may read without tension: lower, and noise takes it to the end of its range, so that a broken wire
-looks like a loose rope; higher, and its range ends below what ``tension_rail`` says."""
+"""Valid readings of a load cell without tension [N].
+
+Below, noise reaches the end of the range, and a broken wire looks like a slack tendon. Above, the
+range ends below ``tension_rail``.
+"""
 TENSION_RAIL_N = TENSION_TOP_N - TARE_MOST_N
-"""Tension, after any tare, from which on a load cell may be saturated."""
+"""Tension after any tare above which a load cell may be saturated [N]."""
 COUNTER_PERIOD, DISTINCT = 4096, 8
-"""Ticks after which the counters of SYNC repeat, and among which the four bits of the answers are all different."""
+"""Ticks after which the SYNC counters repeat, and ticks in a row with distinct answers."""
 JOINT_STEP_RAD = 2 * math.pi / 4096
+"""Angle of one count [rad]."""
 JOINT_ZERO = 2048
+"""Count of angle 0."""
 JOINT_FRAMES = 0x10
-"""Joint frames begin this far above the tension frames."""
+"""Distance of the angle frames' identifiers from the tension frames' identifiers."""
 
 
 class SensorDescription(Protocol):
-    """What is needed of the hand file's section ``sensor_node``."""
+    """Keys of the hand file's section ``sensor_node``, as far as this module uses them."""
 
     @property
-    def sync_id(self) -> int: ...
+    def sync_id(self) -> int:
+        """Return the identifier of SYNC."""
+        ...
     @property
-    def base_id(self) -> int: ...
+    def base_id(self) -> int:
+        """Return the identifier of the first tension frame."""
+        ...
     @property
-    def tendons(self) -> tuple[str, ...]: ...
+    def tendons(self) -> tuple[str, ...]:
+        """Return the names of tendons with a load cell."""
+        ...
     @property
-    def joints(self) -> tuple[str, ...]: ...
+    def joints(self) -> tuple[str, ...]:
+        """Return the names of joints with an encoder."""
+        ...
     @property
-    def joint_decimation(self) -> int: ...
+    def joint_decimation(self) -> int:
+        """Return the number of SYNCs per angle frame."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
 class SensorNode:
-    """The node as the host sees it; immutable.
+    """Sensor node from the host's side. Immutable.
 
     Attributes:
-        bus: index of its bus.
+        bus: index of the bus.
         sync_id: identifier of SYNC.
         ids: identifier of each frame, tension frames first.
-        channels: of each frame, the tendon or joint of each of its channels, in the hand's order.
-        lengths: of each frame [bytes].
-        tension_frames: how many of them carry tensions.
-        frame_of: of each tendon of the hand, the tension frame that has its load cell; -1 without one.
-        decimation: joint frames come on every such SYNC.
-        counters: byte of SYNC by tick, repeated; follows from the decimation.
+        channels: indices of the tendons or joints in each frame, in the hand's order.
+        lengths: payload of each frame [bytes].
+        tension_frames: number of tension frames.
+        frame_of: tension frame of each tendon of the hand, -1 without a load cell.
+        decimation: number of SYNCs per angle frame.
+        counters: byte of SYNC by tick, repeated, from the decimation.
     """
 
     bus: int
@@ -83,16 +112,18 @@ class SensorNode:
     counters: bytes = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
+        """Compute the counters."""
         object.__setattr__(self, "counters", counters(self.decimation))
 
     @classmethod
     def of(cls, node: SensorDescription, bus: int, tendons: tuple[str, ...], joints: tuple[str, ...]) -> Self:
-        """The node of a hand.
+        """Return the sensor node of a hand.
 
         Args:
-            node: its description.
-            bus: index of its bus.
-            tendons, joints: all names of the hand, in order.
+            node: description of the node.
+            bus: index of the bus.
+            tendons: all tendon names of the hand, in order.
+            joints: all joint names of the hand, in order.
         """
         tension = _groups([tendons.index(name) for name in node.tendons])
         angle = _groups([joints.index(name) for name in node.joints])
@@ -112,33 +143,42 @@ class SensorNode:
 
     @property
     def node_ids(self) -> frozenset[int]:
-        """Identifiers that the node answers on."""
+        """Return the identifiers of the node's answers."""
         return frozenset(self.ids)
 
     @property
     def host_ids(self) -> frozenset[int]:
-        """Identifiers that only the host sends."""
+        """Return the identifiers sent by the host alone."""
         return frozenset((self.sync_id,))
 
     @property
     def tension_rail(self) -> float:
-        """Tension, after any tare, from which on a load cell may be saturated [N]."""
+        """Return the tension after any tare above which a load cell may be saturated [N]."""
         return TENSION_RAIL_N
 
     @property
     def tension_low(self) -> float:
-        """Tared reading below which a cell or its wire is broken [N]: near the lower rail, far from any noise."""
+        """Return the tared reading below which a cell or its wire is broken [N].
+
+        The threshold is near the lower end of the range, far from noise.
+        """
         return TENSION_ZERO_N + LOW_MARGIN_N
 
     @property
     def exchange(self) -> tuple[tuple[int, float], ...]:
-        """Frames of a tick as (payload bytes, how many a tick): SYNC, tension frames, and a share of joint frames."""
+        """Return the frames of a tick as (payload bytes, frames per tick).
+
+        Angle frames count with the fraction of ticks in which they come.
+        """
         rates = [1.0] * self.tension_frames + [1.0 / self.decimation] * (len(self.ids) - self.tension_frames)
         return ((1, 1.0), *zip(self.lengths, rates, strict=True))
 
     @property
     def messages(self) -> tuple[Message, ...]:
-        """Its frames as tables of signals, in the order of ``ids``; a channel is the index of its tendon or joint."""
+        """Return the frames as signal tables, in the order of ``ids``.
+
+        The channel of a signal is the index of its tendon or joint.
+        """
         found = []
         for g, (can_id, channels, length) in enumerate(zip(self.ids, self.channels, self.lengths, strict=True)):
             tensions = g < self.tension_frames
@@ -149,7 +189,7 @@ class SensorNode:
         return tuple(found)
 
     def counter(self, k: int) -> int:
-        """Return the counter byte of the SYNC of tick k; answers carry its low four bits."""
+        """Return the counter byte of the SYNC of tick k. Answers carry its low four bits."""
         return self.counters[k % len(self.counters)]
 
     def sync(self, k: int) -> Frame:
@@ -157,25 +197,29 @@ class SensorNode:
         return Frame(self.sync_id, bytes((self.counter(k),)), bus=self.bus)
 
     def lost(self, syncs: int, came: int, stale: int) -> int:
-        """Return how many tension frames never came, those of the last SYNC aside, which may be on their way.
+        """Return the number of lost tension frames.
+
+        Frames of the last SYNC are excluded, since they may still arrive.
 
         Args:
-            syncs: SYNCs sent. came: tension frames accepted. stale: frames that answered an older SYNC.
+            syncs: number of SYNCs sent.
+            came: number of accepted tension frames.
+            stale: number of frames that answered an older SYNC.
         """
         return max(0, (syncs - 1) * self.tension_frames - came - stale)
 
     def group_of_tendon(self, index: int) -> int:
-        """Return the frame that carries a tendon's load cell; -1 without one."""
+        """Return the frame of a tendon's load cell, -1 without one."""
         return self.frame_of[index]
 
     def group_of_joint(self, index: int) -> int:
-        """Return the frame that carries a joint's encoder; -1 without one."""
+        """Return the frame of a joint's encoder, -1 without one."""
         groups = range(self.tension_frames, len(self.ids))
         return next((g for g in groups if index in self.channels[g]), -1)
 
 
 def _channel(place: int, index: int, tension: bool) -> Signal:
-    """Return one channel of a frame, at its place after the counter."""
+    """Return one channel of a frame, at its position after the counter."""
     if tension:
         return Signal(f"tension_{place}", Quantity.TENSION, SHIFTS[place], CHANNEL_BITS, scale=TENSION_STEP_N,
                       offset=TENSION_ZERO_N, unit="N", channel=index)  # fmt: skip
@@ -185,12 +229,13 @@ def _channel(place: int, index: int, tension: bool) -> Signal:
 
 @functools.lru_cache(maxsize=16)
 def counters(decimation: int) -> bytes:
-    """Return the counter byte of each SYNC of a period of about ``COUNTER_PERIOD`` ticks.
+    """Return the counter byte of each SYNC over a period of about ``COUNTER_PERIOD`` ticks.
 
-    Four bits that count up cannot tell a frame that is 16 or 32 ticks old from a fresh one. These do not count up: of
-    two ticks less than ``DISTINCT`` apart the low four bits differ, and at any other distance they agree by chance. The
-    remainder by ``decimation`` is that of the tick, since the node sends joint frames by it. From a decimation of 8 on
-    the four bits have fewer than three values for a remainder, and the bits of near ticks may agree.
+    Four bits that count up cannot distinguish a frame of 16 or 32 ticks ago from a fresh one. These
+    counters are pseudo-random. The low four bits of two ticks less than ``DISTINCT`` apart differ. At
+    any larger distance they agree by chance alone. The remainder by ``decimation`` equals that of the
+    tick, since the node sends angle frames by the remainder. From a decimation of 8 on, the four bits
+    have fewer than three values per remainder, and the bits of near ticks may agree.
     """
     rows = [range(remainder, 256, decimation) for remainder in range(decimation)]
     by_nibble = [{byte & 0xF: byte for byte in row} for row in rows]
@@ -201,6 +246,7 @@ def counters(decimation: int) -> bytes:
         for old in reversed(recent):  # the latest first
             if len(fit) > 2 and old in fit:
                 fit.remove(old)
+        # The high bits of a linear congruential generator are the random ones.
         nibble = fit[(chance >> 33) % len(fit)]
         made.append(by_nibble[k % decimation][nibble])
         recent = [*recent[2 - DISTINCT :], nibble]
@@ -208,10 +254,10 @@ def counters(decimation: int) -> bytes:
 
 
 def _groups(channels: list[int]) -> list[tuple[int, ...]]:
-    """Channels of each frame."""
+    """Return the channels of each frame."""
     return [tuple(channels[first : first + CHANNELS]) for first in range(0, len(channels), CHANNELS)]
 
 
 def _length(channels: int) -> int:
-    """Payload of a frame [bytes]."""
+    """Return the payload of a frame [bytes]."""
     return math.ceil((COUNTER_BITS + CHANNEL_BITS * channels) / 8)
