@@ -1,1 +1,1 @@
-"""What can be done with a recorded run: executed again, driven again, judged by other limits, compared."""
+"""Replay of a recorded run: re-execution, driving again, judgement by other limits, comparison."""

@@ -1,4 +1,4 @@
-"""Whether a log is what it says: counters, gaps, clock, hashes."""
+"""Integrity check of a log: counters, gaps, clock, hashes."""
 
 from collections.abc import Iterator
 
@@ -10,7 +10,7 @@ from handctl.replay.rebuild import logged_hand
 
 
 def check(log: RunLog) -> list[str]:
-    """One line for everything that is wrong with a log; empty if nothing is. Every byte of it is read.
+    """Return one line per defect of a log. Every byte of the log is read.
 
     Raises:
         LogError: a chunk is damaged.
@@ -19,6 +19,7 @@ def check(log: RunLog) -> list[str]:
 
 
 def _whole(log: RunLog) -> Iterator[str]:
+    """Check the end of the log and the number of ticks."""
     if log.warning:
         yield f"not whole: {log.warning}"
     if log.end and int(log.end.get("ticks", len(log))) != len(log):
@@ -31,6 +32,7 @@ def _whole(log: RunLog) -> Iterator[str]:
 
 
 def _counters(log: RunLog) -> Iterator[str]:
+    """Check the tick numbers."""
     steps = np.diff(log.k)
     if (steps < 1).any():
         yield f"tick {int(log.k[1:][steps < 1][0])} follows a later one"
@@ -41,6 +43,7 @@ def _counters(log: RunLog) -> Iterator[str]:
 
 
 def _clock(log: RunLog) -> Iterator[str]:
+    """Check times and lateness of the ticks."""
     off = log.t_ns != log.k * log.header.period_ns
     if off.any():
         yield f"the time of tick {int(log.k[off][0])} is not its number times the period"
@@ -50,7 +53,7 @@ def _clock(log: RunLog) -> Iterator[str]:
 
 
 def _frames(log: RunLog) -> Iterator[str]:
-    """Frames that claim to come from after the tick that read them: a clock that is not ours."""
+    """Check for frames stamped after the tick that read them: their clock is not the controller's."""
     future, last = 0, -1
     for tick in log.ticks():
         now = tick.tick_in.t_ns + tick.tick_in.late_ns + log.header.period_ns
@@ -63,6 +66,7 @@ def _frames(log: RunLog) -> Iterator[str]:
 
 
 def _hashes(log: RunLog) -> Iterator[str]:
+    """Check the identity of the hand, and that no state hash occurs twice."""
     told, found = log.header.metadata.get("identity", ""), logged_hand(log).identity
     if told != found:
         yield f"hand.toml has identity {found[:12]}, the log says {told[:12]}"
@@ -72,12 +76,13 @@ def _hashes(log: RunLog) -> Iterator[str]:
 
 
 def _chain(log: RunLog) -> Iterator[str]:
-    """Every tick whose hash is not that of its bytes and of the hash before it; the first one is named."""
+    """Check the hash chain. The first tick with a wrong hash is named."""
     before, broken = seed_of(log.header), list[int]()
     ticks = zip(log.k.tolist(), log.messages(), log.packed(), log.digests(), strict=False)
     for k, message, numbers, digest in ticks:
         if link(before, message, numbers) != digest:
             broken.append(k)
+        # The logged hash continues the chain, so that one changed tick is reported once.
         before = digest
     if broken:
         others = f", and {len(broken) - 1} more" if len(broken) > 1 else ""

@@ -1,4 +1,4 @@
-"""Two runs side by side: per joint and tendon the RMS and peak of the difference, and the delay."""
+"""Comparison of two runs: RMS, peak and delay of the difference per joint and tendon."""
 
 import math
 from collections.abc import Iterator
@@ -13,27 +13,29 @@ from handctl.log.read.reader import RunLog
 Array = NDArray[np.float64]
 
 LONGEST_DELAY_S = 0.2
+"""Maximum delay that is considered [s]."""
 LEAST_MOTION = 0.05
-"""A signal that moves by less than this share of its largest value has no delay to speak of."""
+"""Minimum motion for a delay, as a fraction of the signal's largest value."""
 UNEXPLAINED = 0.1
-"""Of the variance of a signal: a delay that leaves more of it is none, but chance or noise."""
+"""Maximum unexplained fraction of a signal's variance. A delay that leaves more is chance or noise."""
 IN_TIME_MS = 0.05
-"""Less is not told to a person [ms]."""
+"""Smaller delays are printed as "in time" [ms]."""
 
 SIGNALS = {"q": ("joint", 57.29577951308232, "deg"), "tension": ("tendon", 1.0, "N")}
-"""Field of the telemetry: what it runs over, and the factor to the unit in which a person reads it."""
+"""Telemetry field -> axis, factor to the printed unit, printed unit."""
 
 
 def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
-    """Refuse what is not the log's hand.
+    """Refuse a log of another hand.
 
     Args:
         a: a log.
-        name, identity: of the other hand.
-        where: where the other one comes from.
+        name: name of the other hand.
+        identity: identity of the other hand.
+        where: origin of the other hand, for the error.
 
     Raises:
-        IncomparableError: with both identities.
+        IncomparableError: the identities differ.
     """
     ours, theirs = a.header.metadata.get("identity", "?"), a.header.metadata.get("hand", "?")
     if ours != identity:
@@ -43,15 +45,18 @@ def check_same_hand(a: RunLog, name: str, identity: str, where: str) -> None:
 
 
 def compare(names: tuple[str, ...], before: Array, after: Array, period: float) -> dict[str, dict[str, float]]:
-    """Difference of two aligned signals.
+    """Compare two aligned signals.
 
     Args:
-        names: of the columns.
-        before, after: (ticks, n), NaN where nothing is known.
-        period: of the rows [s].
+        names: names of the columns.
+        before: (ticks, n) first signal, NaN where unknown.
+        after: (ticks, n) second signal, NaN where unknown.
+        period: period of the rows [s].
 
     Returns:
-        by name: rms, peak in the signals' unit; delay_s of ``after`` behind ``before`` [s], NaN if nothing moves.
+        By name: rms and peak in the signals' unit, and delay_s, the delay of `after` behind `before` [s]. The delay
+            of a
+        constant signal is NaN.
     """
     rows = min(len(before), len(after))
     change = after[:rows] - before[:rows]
@@ -62,7 +67,7 @@ def compare(names: tuple[str, ...], before: Array, after: Array, period: float) 
 
 
 def size(change: Array) -> dict[str, float]:
-    """RMS and peak of what is known of a difference; NaN if nothing is."""
+    """Compute RMS and peak of a difference without its NaN. Without any number both are NaN."""
     known = change[~np.isnan(change)]
     if not known.size:
         return {"rms": float("nan"), "peak": float("nan")}
@@ -70,9 +75,13 @@ def size(change: Array) -> dict[str, float]:
 
 
 def delay(before: Array, after: Array, period: float) -> float:
-    """Time by which ``after`` is behind [s]: the shift that leaves the least variance, refined by a parabola.
+    """Compute the delay of `after` behind `before` [s].
 
-    NaN if nothing moves but noise, if no delay within ``LONGEST_DELAY_S`` fits best, or if one is not known throughout.
+    The delay is the shift with the least remaining variance, refined by a parabola through three shifts.
+
+    Returns:
+        NaN if the signal moves no more than noise, if no delay within `LONGEST_DELAY_S` fits best, or if a signal has
+            NaN.
     """
     if np.isnan(before).any() or np.isnan(after).any():
         return float("nan")
@@ -80,28 +89,39 @@ def delay(before: Array, after: Array, period: float) -> float:
     if reach < 1 or not np.ptp(before) > LEAST_MOTION * np.abs(before).max():
         return float("nan")
     kept = slice(reach, len(before) - reach)
+    # `roll` wraps around. `kept` excludes the wrapped rows.
     left = np.array([np.var(np.roll(after, -shift)[kept] - before[kept]) for shift in range(-reach, reach + 1)])
     best = int(np.argmin(left))
     if not 0 < best < 2 * reach or not left[best] < UNEXPLAINED * np.var(before[kept]):
         return float("nan")
     earlier, least, later = left[best - 1 : best + 2]
+    # Second difference of the variance. A minimum has a positive one, a flat one is not refined.
     bend = earlier - 2.0 * least + later
     return float((best - reach + (0.5 * (earlier - later) / bend if bend > 0 else 0.0)) * period)
 
 
 def resampled(log: RunLog, field: str, start: float, times: Array) -> Array:
-    """(times, n) a field of a log, interpolated at times [s] after ``start`` [s]; held beyond the ends."""
+    """Interpolate a field of a log (times, n).
+
+    Args:
+        log: the log.
+        field: telemetry field.
+        start: origin of `times` in the run [s].
+        times: times after `start` [s]. Beyond the ends of the log the end values are held.
+    """
     values = log.field(field)
     return np.column_stack([np.interp(times + start, log.times, column) for column in values.T])
 
 
 def both(a: RunLog, start_a: float, b: RunLog, start_b: float, duration: float) -> dict[str, Any]:
-    """Compare all joints [deg] and tendons [N] of two runs over a stretch of time.
+    """Compare all joints [deg] and tendons [N] of two runs over an interval.
 
     Args:
-        a, b: runs of one hand.
-        start_a, start_b: where the stretch begins in each [s].
-        duration: of the stretch [s].
+        a: first run.
+        start_a: start of the interval in the first run [s].
+        b: second run, of the same hand.
+        start_b: start of the interval in the second run [s].
+        duration: length of the interval [s].
     """
     period = a.header.period_ns * 1e-9
     times = np.asarray(np.arange(round(duration / period)) * period, np.float64)
@@ -113,10 +133,10 @@ def both(a: RunLog, start_a: float, b: RunLog, start_b: float, duration: float) 
 
 
 def difference_lines(compared: dict[str, Any]) -> Iterator[str]:
-    """A line for a person of each joint and tendon of which something is known in both runs.
+    """Yield a printed line for each joint and tendon known in both runs.
 
     Args:
-        compared: from ``both``.
+        compared: result of `both`.
     """
     for signal, rows in compared.items():
         unit = signal.partition("_")[2]
@@ -128,4 +148,5 @@ def difference_lines(compared: dict[str, Any]) -> Iterator[str]:
 
 
 def _late(ms: float) -> str:
+    """Format a delay."""
     return f"{abs(ms):.1f} ms {'behind' if ms > 0 else 'ahead'}"

@@ -1,7 +1,6 @@
-"""What other gains would have commanded on the inputs of a recorded run, as numbers and as a picture.
+"""Commands of other gains on the inputs of a recorded run, as numbers and as a figure.
 
-The measurements stay those of the log: the picture shows what would have been commanded here, tick by tick, not how the
-hand would have gone on.
+The measurements remain those of the log. The figure shows the command of each tick, not the further motion of the hand.
 """
 
 from pathlib import Path
@@ -16,33 +15,35 @@ from handctl.replay.compare import size
 
 Array = NDArray[np.float64]
 LOGGED, OTHER = "#3b6fb6", "#d9822b"
+"""Line colours: the log, the other gains."""
 
 
 class Commands:
-    """Collects what is commanded, tick by tick; give ``add`` to ``execute`` as its watcher."""
+    """Collects the commands of each tick. Pass `add` to `execute` as `watch`."""
 
     def __init__(self) -> None:
+        """Start without ticks."""
         self._torque: list[Array] = []
         self._tension: list[Array] = []
 
     def add(self, entry: TickIn, out: TickOut) -> None:
-        """One tick."""
+        """Add one tick."""
         self._torque.append(out.telemetry.motor_torque_goal)
         self._tension.append(out.telemetry.tension_goal)
 
     @property
     def torque(self) -> Array:
-        """(ticks, M) [N m]."""
+        """Return the commanded motor torque (ticks, M) [N m]."""
         return np.array(self._torque)
 
     @property
     def tension(self) -> Array:
-        """(ticks, N) [N]."""
+        """Return the commanded tension (ticks, N) [N]."""
         return np.array(self._tension)
 
 
 def summary(log: RunLog, commands: Commands) -> dict[str, dict[str, dict[str, float]]]:
-    """RMS and peak of the change per motor [N m] and tendon [N]."""
+    """Compute RMS and peak of the change per motor [N m] and tendon [N]."""
     torque = commands.torque - log.field("motor_torque_goal")
     tension = commands.tension - log.field("tension_goal")
     return {
@@ -52,7 +53,14 @@ def summary(log: RunLog, commands: Commands) -> dict[str, dict[str, dict[str, fl
 
 
 def draw(path: Path, log: RunLog, commands: Commands, title: str) -> None:
-    """Write the picture as PNG: commanded tension and torque of each tendon, as logged and with the other gains."""
+    """Draw commanded tension and torque of each tendon as PNG, in the log and with the other gains.
+
+    Args:
+        path: file to write.
+        log: the run.
+        commands: commands of the other gains.
+        title: title of the figure.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

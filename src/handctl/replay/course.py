@@ -1,4 +1,4 @@
-"""One way through a log: the controller ticks on what is logged, and what differs is collected."""
+"""Execution of the controller on the inputs of a log, with a tally of the differences."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -19,16 +19,17 @@ from handctl.replay.difference import Columns, Difference, differences, of_state
 from handctl.replay.rebuild import rebuild
 
 TOLD = 200
-"""Ticks between two looks of whoever waits."""
+"""Ticks between two reports of progress."""
 
 Watch = Callable[[TickIn, TickOut], None]
 Told = Callable[[int], None]
 
 
 def distance(difference: Difference) -> float:
-    """Size of a difference of numbers: absolute below 1, relative above; infinite if one of the two is NaN.
+    """Compute the size of a numeric difference: absolute below 1, relative above.
 
-    Text has none: 0.
+    Returns:
+        0 for texts, infinity if one of the numbers is NaN.
     """
     was, now = difference.logged, difference.computed
     if isinstance(was, str) or isinstance(now, str):
@@ -39,7 +40,7 @@ def distance(difference: Difference) -> float:
 
 @dataclass(slots=True)
 class Tally:
-    """What was found so far; see Execution."""
+    """Differences found so far, see Execution."""
 
     ticks: int = 0
     differing: int = 0
@@ -49,7 +50,7 @@ class Tally:
     largest: Difference | None = None
 
     def with_later(self, later: "Tally") -> "Tally":
-        """Return this together with what was found in a later part of the log."""
+        """Return the sum of this tally and the tally of a later part of the log."""
         both = Tally(
             self.ticks + later.ticks,
             self.differing + later.differing,
@@ -62,7 +63,12 @@ class Tally:
         return both
 
     def see(self, found: list[Difference], decided: bool) -> None:
-        """Take in the differences of one tick, and whether it decided the same."""
+        """Add the differences of one tick.
+
+        Args:
+            found: the differences.
+            decided: True if the decisions are equal.
+        """
         self.differing += 1
         self.undecided += not decided
         self.first = self.first or found[0]
@@ -71,17 +77,20 @@ class Tally:
                 self._larger(one)
 
     def _larger(self, other: Difference | None) -> None:
+        """Keep the larger of two numeric differences."""
         if other and (self.largest is None or distance(other) > distance(self.largest)):
             self.largest = other
 
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """A log and the controller that goes through it.
+    """A log and its controller.
 
     Attributes:
-        log: a run. controller: of the log. columns: of its telemetry.
-        snapshots: those of the log by their ticks.
+        log: a run.
+        controller: controller of the log.
+        columns: names of the telemetry columns.
+        snapshots: snapshots of the log by tick.
     """
 
     log: RunLog
@@ -91,7 +100,8 @@ class Course:
 
     @staticmethod
     def of(log: RunLog, gains: Gains | None = None) -> "Course":
-        """Put the controller of a log together, or the same with other gains; raises as ``rebuild``."""
+        """Create the controller of a log, with its own or other gains. Raises as `rebuild`."""
+        # With other gains the states differ from those of the log.
         snapshots: Mapping[int, bytes] = {} if gains else log.snapshots
         return Course(log, rebuild(log, gains), Columns.of(log.header), snapshots)
 
@@ -99,13 +109,17 @@ class Course:
         """Execute a part of the log.
 
         Args:
-            start, stop: indexes of its ticks.
-            state: before the first of them.
+            start: index of the first tick.
+            stop: index behind the last tick.
+            state: state before the first tick.
             watch: called with every tick.
-            told: called now and then with how many more ticks were executed.
+            told: called now and then with the number of further ticks.
+
+        Returns:
+            State after the last tick, and the differences.
 
         Raises:
-            LogError: the log is damaged, or the controller refuses what is in it.
+            LogError: the log is damaged, or the controller refuses an input.
         """
         tally, tick = Tally(), self.controller.tick
         for logged, numbers in self._logged(start, stop):
@@ -125,15 +139,16 @@ class Course:
         return state, tally
 
     def _logged(self, start: int, stop: int) -> Iterator[tuple[TickRecord, bytes]]:
-        """Ticks from one index to another, each with its telemetry."""
+        """Yield the ticks from one index to another, each with its telemetry."""
         firsts = self.log.first_of_chunk
+        # Chunks are read as a whole. The surplus ticks at both ends are cut off below.
         chunk, last = np.searchsorted(firsts, (start, stop), side="right") - 1
         chunks = slice(int(chunk), int(last) + 1)
         both = zip(self.log.ticks(chunks), self.log.packed(chunks), strict=True)
         return islice(both, start - int(firsts[chunk]), stop - int(firsts[chunk]))
 
     def _of_state(self, logged: TickRecord, state: State) -> Difference | None:
-        """Compare the state after a tick with the one in the log."""
+        """Compare the state after a tick with the snapshot in the log."""
         try:
             was = restore(self.controller.layout, self.snapshots[logged.tick_in.k])
         except ValueError:
@@ -142,5 +157,5 @@ class Course:
 
 
 def refusal(error: ValueError, k: int) -> LogError:
-    """What a controller says of a tick that it would never have had."""
+    """Return the error of a controller that refuses a tick."""
     return LogError(f"the controller refuses: {error}", f"tick {k}", "a value that fits")

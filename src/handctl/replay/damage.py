@@ -1,4 +1,4 @@
-"""Which tick a changed byte belongs to, in a log that the reader refuses for it."""
+"""Location of a changed byte in a log that the reader refuses: the tick that contains the byte."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,10 +14,12 @@ from handctl.log.topics.all import TICK_TOPIC, VALUES_TOPIC
 from handctl.log.topics.chain import SIZE, TOPIC, link
 
 ABSENT = -1
-"""Channel of a topic that a log does not have: one of a version without the chain."""
+"""Channel of a topic missing from the log, for example in a version without the hash chain."""
 
 
 class _Tick(NamedTuple):
+    """One tick as stored: number, Tick message, packed telemetry, hash."""
+
     k: int
     message: bytes
     numbers: bytes
@@ -25,13 +27,14 @@ class _Tick(NamedTuple):
 
 
 def first_damage(path: Path) -> str:
-    """Where the first chunk of a log is damaged, with its first wrong tick; empty if all chunks are what was written.
+    """Describe the first damage of a log with its first wrong tick, or return an empty text.
 
-    The hash chain tells the tick, even where the checksums were made to fit. If it holds, the damage is in what was
-    made from the ticks, and the chunk is named by its ticks.
+    The hash chain names the tick, even if the checksums were adjusted. If the chain is intact, the damage is in the
+    derived
+    topics, and the chunk is named by its ticks.
 
     Raises:
-        LogError: it is no log at all.
+        LogError: the file is not a log.
     """
     file, found = LogFile(path), Scan()
     try:
@@ -58,7 +61,7 @@ def first_damage(path: Path) -> str:
 
 
 def _content(file: LogFile, place: ChunkPlace) -> tuple[bytes, str]:
-    """A chunk as far as it can be unpacked, and what is wrong with it."""
+    """Return a chunk as far as it can be decompressed, and its defect."""
     try:
         return file.content(place), ""
     except LogError as error:
@@ -70,15 +73,16 @@ def _content(file: LogFile, place: ChunkPlace) -> tuple[bytes, str]:
 
 
 def _channels(content: bytes) -> tuple[int, ...]:
+    """Return the channels of ticks, telemetry and hashes."""
     known = {topic: number for number, _, topic, _, _ in definitions(content).channels}
     return tuple(known.get(topic, ABSENT) for topic in (TICK_TOPIC, VALUES_TOPIC, TOPIC))
 
 
 def _ticks(content: bytes, place: ChunkPlace, channels: tuple[int, ...]) -> Iterator[_Tick]:
-    """Ticks of a chunk.
+    """Yield the ticks of a chunk.
 
     Raises:
-        ValueError: there is nothing in it, or not the same number of each.
+        ValueError: the chunk is empty, or the topics have different numbers of messages.
     """
     if not content:
         raise ValueError("a chunk that cannot be unpacked")
@@ -89,13 +93,16 @@ def _ticks(content: bytes, place: ChunkPlace, channels: tuple[int, ...]) -> Iter
     if channels[2] == ABSENT:
         digests = [b""] * len(messages)
     for message, values, digest in zip(messages, values_of, digests, strict=True):
+        # The tick number follows the four bytes of CDR encapsulation.
         k = int.from_bytes(message[4:12], "little", signed=True)
         yield _Tick(k, message, values[VALUES_START:VALUES_END], digest[-SIZE:])
 
 
 def _after(before: bytes) -> str:
+    """Describe the position behind the latest intact tick."""
     return f"after tick {int.from_bytes(before[:8], 'little', signed=True)}" if before else "before the first tick"
 
 
 def _span(ticks: list[_Tick]) -> str:
+    """Describe the ticks of a chunk."""
     return f"ticks {ticks[0].k} to {ticks[-1].k}" if ticks else "before the first tick"

@@ -1,4 +1,4 @@
-"""Two runs of one hand, phase by phase."""
+"""Comparison of two runs of one hand, phase by phase."""
 
 from typing import Any, NamedTuple
 
@@ -9,11 +9,16 @@ from handctl.log.read.reader import RunLog
 from handctl.replay.compare import both, check_same_hand
 
 QUIET = frozenset(mode.name.lower() for mode in Mode if mode != Mode.RELAX)
-"""Phases in which the hand is limp: only their durations are compared."""
+"""Phases without tension in the hand. Only their durations are compared."""
 
 
 class Part(NamedTuple):
-    """One phase of a run: its name, and when it began and ended [s]."""
+    """One phase of a run.
+
+    Attributes:
+        name: name of the phase.
+        begin, end: times [s].
+    """
 
     name: str
     begin: float
@@ -21,7 +26,7 @@ class Part(NamedTuple):
 
 
 def parts(log: RunLog) -> list[Part]:
-    """All phases in order; of several with one name the later ones are numbered: ``hold``, ``hold (2)``."""
+    """Return all phases in order. Repeated phases are numbered: `hold`, `hold (2)`."""
     changes, found, seen = log.phases, [], dict[str, int]()
     ends = [change.t_ns * 1e-9 for change in changes[1:]] + log.times[-1:].tolist()
     for change, end in zip(changes, ends, strict=True):
@@ -34,16 +39,18 @@ def diff(a: RunLog, b: RunLog, where: str) -> dict[str, Any]:
     """Compare two runs.
 
     Args:
-        a, b: logs of one hand.
-        where: name of b's file, for the refusal.
+        a: first log.
+        b: second log, of the same hand.
+        where: name of the second file, for the error.
 
     Returns:
-        gains that differ, phases that only one of them has, and for each common phase both durations [s] and the
-        differences of ``compare.both`` over the shorter of the two, aligned at its beginning.
+        Gains that differ, phases in only one of the runs, and for each common phase both durations [s] and the
+            differences
+        from `compare.both` over the shorter duration, aligned at the start of the phase.
 
     Raises:
-        IncomparableError: they are of different hands.
-        LogError: the ticks of one are not in order.
+        IncomparableError: the logs are of different hands.
+        LogError: the ticks of a log are out of order.
     """
     theirs = b.header.metadata
     check_same_hand(a, theirs.get("hand", "?"), theirs.get("identity", "?"), where)

@@ -1,4 +1,4 @@
-"""How two ticks differ: the fields, the values, and the distance in units in the last place."""
+"""Differences between two ticks: fields, values, and distance in units in the last place."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -16,15 +16,15 @@ from handctl.log.record import TickRecord
 
 
 class Difference(NamedTuple):
-    """One field of one tick that is not the same.
+    """One field of one tick that differs.
 
     Attributes:
-        k: tick.
-        t_s: its time [s].
-        field: of TickOut or of its telemetry, e.g. ``frames[3]``, ``mode``, ``tension_goal``.
-        name: joint, tendon, motor or digit; empty if it is none.
-        logged, computed: the two values; SI units for numbers, text for all else.
-        ulps: distance of two numbers in units in the last place; None for text.
+        k: number of the tick.
+        t_s: time of the tick [s].
+        field: field of TickOut or of its telemetry, e.g. `frames[3]`, `mode`, `tension_goal`.
+        name: joint, tendon, motor or digit, or an empty text.
+        logged, computed: both values, numbers in SI units or texts.
+        ulps: distance of two numbers in units in the last place, None for texts.
     """
 
     k: int
@@ -37,37 +37,39 @@ class Difference(NamedTuple):
 
 
 class Columns(NamedTuple):
-    """Name of each column of ``Telemetry.packed``: field, and joint, tendon, motor or digit."""
+    """Names of the columns of `Telemetry.packed`: field, and joint, tendon, motor or digit."""
 
     field: tuple[str, ...]
     name: tuple[str, ...]
 
     @staticmethod
     def of(header: RunHeader) -> "Columns":
-        """Columns of a log."""
+        """Return the columns of a log."""
         pairs = [(field, name) for field in TELEMETRY_FIELDS for name in header.axis(TELEMETRY_AXES[field])]
         return Columns(tuple(field for field, _ in pairs), tuple(name for _, name in pairs))
 
 
 def ulps(a: float, b: float) -> int:
-    """How many float64 lie between two numbers; 0 if they are the same number, one apart for neighbours."""
+    """Compute the distance of two numbers in units in the last place. Neighbouring float64 have distance 1."""
     return abs(_ordinal(a) - _ordinal(b))
 
 
 def _ordinal(value: float) -> int:
-    """Place of a float64 in the order of all of them; both zeros are 0."""
+    """Return the position of a float64 in the order of all float64. Both zeros are 0."""
     bits = int(np.float64(value).view(np.int64))
+    # Positive floats sort as their bits. Negative ones have the sign bit, and their magnitude sorts
+    # backwards.
     return bits if bits >= 0 else -(bits & 0x7FFF_FFFF_FFFF_FFFF)
 
 
 def differences(columns: Columns, logged: TickRecord, numbers: bytes, computed: TickOut) -> Iterator[Difference]:
-    """Every field in which a recomputed tick is not the recorded one, decisions first, the state's hash last.
+    """Yield every field that differs, decisions first, the state hash last.
 
     Args:
-        columns: of the telemetry.
+        columns: names of the telemetry columns.
         logged: the recorded tick.
-        numbers: its telemetry, as packed.
-        computed: the same tick now.
+        numbers: packed telemetry of the recorded tick.
+        computed: the recomputed tick.
     """
     k, t_s = logged.tick_in.k, logged.tick_in.t_ns / 1e9
 
@@ -90,10 +92,13 @@ def differences(columns: Columns, logged: TickRecord, numbers: bytes, computed: 
 
 
 def of_states(header: RunHeader, logged: TickRecord, was: State, now: State) -> Difference | None:
-    """Return the first field in which the states after a tick differ, in the order of the schema.
+    """Return the first field that differs between two states, in the order of the schema.
 
     Args:
-        header: of the log. logged: the tick. was: the state in the log. now: the one computed.
+        header: header of the log.
+        logged: the tick before the states.
+        was: the state in the log.
+        now: the computed state.
     """
     k, t_s, found = logged.tick_in.k, logged.tick_in.t_ns / 1e9, was.layout.difference(was.block, now.block)
     if found:
@@ -109,7 +114,7 @@ def of_states(header: RunHeader, logged: TickRecord, was: State, now: State) -> 
 
 
 def same(logged: TickRecord, numbers: bytes, computed: TickOut) -> bool:
-    """Whether every output byte of a tick is equal."""
+    """Return True if every output byte of a tick is equal."""
     return (
         logged.state_hash == computed.state_hash
         and logged.frames.records.tobytes() == frames_of(computed.frames).records.tobytes()
@@ -120,24 +125,25 @@ def same(logged: TickRecord, numbers: bytes, computed: TickOut) -> bool:
 
 
 def same_decisions(logged: TickRecord, computed: TickOut) -> bool:
-    """Whether a tick decides the same: mode, action, phase, and the events but for the numbers in their text."""
+    """Return True if a tick decides equally: mode, action, phase, and the events without the numbers in their texts."""
     was, now = ([event[:3] for event in events] for events in (logged.events, computed.events))
     return (logged.mode, logged.action, logged.phase, was) == (computed.mode, computed.action, computed.phase, now)
 
 
 def _told(events: tuple[Event, ...]) -> str:
+    """Format events for a comparison."""
     return "; ".join(" ".join(filter(None, event)) for event in events)
 
 
 def _shown(frame: Frame) -> str:
-    """A frame as candump writes it, with the flag bits of its identifier, and the time if it has one."""
+    """Format a frame as candump does, with the flag bits of the identifier, and with the time if the frame has one."""
     flags = f"#{frame.flags:X}" if frame.flags else ""
     at = f" at {frame.t_ns} ns" if frame.t_ns else ""
     return f"bus {frame.bus} {frame.can_id:03X}#{flags}{frame.data.hex().upper()}{at}"
 
 
 def _changed(was: bytes, now: bytes) -> list[tuple[int, float, float]]:
-    """(column, old, new) of every float64 that has other bits; a number that became NaN counts."""
+    """Return (column, old, new) of every float64 with other bits. A number that became NaN counts."""
     old: NDArray[np.float64] = np.frombuffer(was, "<f8")
     new: NDArray[np.float64] = np.frombuffer(now, "<f8")
     at = np.flatnonzero(old.view(np.uint64) != new.view(np.uint64))

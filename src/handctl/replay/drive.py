@@ -1,4 +1,4 @@
-"""What a recorded run asked of the hand, as a program that asks it again, and how the two runs differ."""
+"""Driving a recorded run again: the recorded targets as a program, and the differences between the two runs."""
 
 from typing import Any
 
@@ -15,16 +15,16 @@ from handctl.replay.compare import both
 Array = NDArray[np.float64]
 
 BEFORE = ("start", "tighten", "approach")
-"""Phases before a run does what it is for."""
+"""Phases before the run proper."""
 HOLE_S = 0.05
-"""A longer hole in a recording is not bridged: nobody knows what was asked of the hand in it."""
+"""Longest gap in a recording that is bridged [s]. The targets within a longer gap are unknown."""
 
 
 def stretch(log: RunLog) -> tuple[float, float]:
-    """Begin and end of what a run did while active, the taking up of slack left out [s].
+    """Return start and end of the active interval of a run, without the tightening of the tendons [s].
 
     Raises:
-        LogError: the hand was never active, or never as a whole; or its ticks are not in order.
+        LogError: the hand was never active, or never as a whole, or the ticks are out of order.
     """
     check_order(log.t_ns, log.header.period_ns)
     preparing = np.zeros(len(log), bool)
@@ -42,10 +42,10 @@ def stretch(log: RunLog) -> tuple[float, float]:
 
 
 def bridged(log: RunLog) -> int:
-    """How many ticks are missing in what would be driven; the goals beside them are joined by a line.
+    """Count the missing ticks in the active interval. Targets on both sides of a gap are joined by a line.
 
     Raises:
-        LogError: too many in a row, or nothing can be driven.
+        LogError: too many ticks are missing in a row, or the run has no active interval.
     """
     (begin, end), times = stretch(log), log.times
     at = np.flatnonzero((times >= begin) & (times < end))
@@ -56,17 +56,23 @@ def bridged(log: RunLog) -> int:
 
 
 def recording(log: RunLog, period: float) -> Recording:
-    """The goals of a run at another control period [s].
+    """Return the targets of a run at another control period.
 
-    A digit whose joints have no goal in either neighbouring tick held its tension: its joint goals are NaN.
+    A digit without joint targets in a neighbouring tick held its tension. Its joint targets are NaN.
+
+    Args:
+        log: the run.
+        period: the control period [s].
 
     Raises:
-        LogError: see ``bridged``.
+        LogError: see `bridged`.
     """
     bridged(log)
     begin, end = stretch(log)
     steps = np.rint(np.arange(round((end - begin) / period) + 1) * (period * 1e9))
-    times = np.asarray((round(begin * 1e9) + steps.astype(np.int64)) * 1e-9, np.float64)  # as ``log.times``, to the bit
+    # The times are computed as in `log.times`, to the bit, so that equal periods need no
+    # interpolation.
+    times = np.asarray((round(begin * 1e9) + steps.astype(np.int64)) * 1e-9, np.float64)
     q, dq, tension = (_sampled(log, name, times) for name in ("q_goal", "dq_goal", "tension_goal"))
     ddq = np.gradient(log.field("dq_goal"), log.times, axis=0)
     rate = _at(log, ddq, times)
@@ -74,30 +80,41 @@ def recording(log: RunLog, period: float) -> Recording:
 
 
 def _sampled(log: RunLog, name: str, times: Array) -> Array:
+    """Interpolate a field of a log."""
     return _at(log, log.field(name), times)
 
 
 def _at(log: RunLog, values: Array, times: Array) -> Array:
-    """Columns interpolated at times [s]; NaN where a neighbour is NaN, the nearest tick at the borders."""
+    """Interpolate columns at times [s].
+
+    A value is NaN if a neighbour is NaN. Beyond the borders the nearest tick is used.
+    """
     return np.column_stack([np.interp(times, log.times, column) for column in values.T])
 
 
 def playback(log: RunLog, period: float, raw: bool) -> PlaybackProgram:
-    """The program that drives a run again; ``raw`` follows its tensions instead of its trajectories."""
+    """Return the program that drives a run again.
+
+    Args:
+        log: the run.
+        period: the control period [s].
+        raw: follow the recorded tensions instead of the trajectories.
+    """
     return PlaybackProgram(recording(log, period), raw)
 
 
 def difference(before: RunLog, after: RunLog) -> dict[str, Any]:
-    """How a driven replay differs from the run it repeats, per joint [deg] and tendon [N], as far as it was driven.
+    """Compare a replay with its recording per joint [deg] and tendon [N], as far as it was driven.
 
-    Empty if the replay never came to the recording.
+    Returns:
+        Empty if the replay never reached the recording.
     """
     again = _began(after)
     return {} if again is None else both(before, stretch(before)[0], after, again, driven(before, after))
 
 
 def driven(before: RunLog, after: RunLog) -> float:
-    """How much of a run was driven again [s]."""
+    """Return the driven part of a recording [s]."""
     (begin, end), again = stretch(before), _began(after)
     if again is None:
         return 0.0
@@ -106,5 +123,5 @@ def driven(before: RunLog, after: RunLog) -> float:
 
 
 def _began(after: RunLog) -> float | None:
-    """When a replay came to the recording [s]."""
+    """Return the time at which a replay reached the recording [s]."""
     return next((change.t_ns * 1e-9 for change in after.phases if change.name == "playback"), None)

@@ -1,6 +1,6 @@
-"""A log through the controller again: every output byte is compared with the recorded one.
+"""Re-execution of a log: the controller runs on the logged inputs, and every output byte is compared.
 
-There is no bus here, no clock that decides anything, and no file but the log.
+No bus is used, no clock influences a decision, and no file but the log is read.
 """
 
 import gc
@@ -22,18 +22,18 @@ from handctl.replay.parallel import run_parallel
 
 @dataclass(frozen=True, slots=True)
 class Execution:
-    """What re-execution found.
+    """Result of a re-execution.
 
     Attributes:
-        ticks: executed.
-        differing: ticks in which any output byte is another.
-        undecided: ticks that decide something else: mode, phase, action or events.
-        first: the first difference; None if there is none.
-        state: the first field of the state that differs at the first snapshot at which one does; None if none does.
-        largest: the largest difference of a number, by ``distance``; None if there is none.
-        wall_s: time that it took, without designing the gains [s].
-        cpu_s: of it, the time of its processes [s]: what it would take on one core with nothing else to do.
-        logged_s: time that the run took [s].
+        ticks: executed ticks.
+        differing: ticks with any different output byte.
+        undecided: ticks with a different decision: mode, phase, action or events.
+        first: the first difference, or None.
+        state: the first field that differs at the first snapshot with a difference, or None.
+        largest: the largest numeric difference by `distance`, or None.
+        wall_s: elapsed time without the design of the gains [s].
+        cpu_s: processor time of all processes [s], the time on one idle core.
+        logged_s: duration of the run [s].
     """
 
     ticks: int
@@ -48,12 +48,15 @@ class Execution:
 
     @property
     def times_real_time(self) -> float:
-        """Speed of the re-execution over that of the run."""
+        """Return the speed of the re-execution as a multiple of the run."""
         return self.logged_s / self.wall_s if self.wall_s else math.inf
 
 
 def acceptable(execution: Execution, within: float) -> bool:
-    """Whether all decisions are equal and no number differs by more than ``within``: other machines round otherwise."""
+    """Return True if all decisions are equal and no number differs by more than `within`.
+
+    Other machines may round differently.
+    """
     largest = distance(execution.largest) if execution.largest else 0.0
     return not execution.undecided and largest <= within
 
@@ -69,13 +72,13 @@ def execute(
 
     Args:
         log: a run.
-        gains: other gains than it ran with.
+        gains: other gains than in the run.
         watch: called with every tick.
         told: called now and then with the number of ticks so far.
-        workers: processes; more than one only without other gains and without ``watch``. What is found is the same.
+        workers: processes. Several are used only without other gains and without `watch`. The result is equal.
 
     Raises:
-        LogError: it cannot be rebuilt, or the log is damaged.
+        LogError: the controller cannot be rebuilt, or the log is damaged.
     """
     course = Course.of(log, gains)
     began, cpu_began, done = time.perf_counter(), _cpu_seconds(), 0
@@ -98,17 +101,20 @@ def execute(
 
 
 def _untold(ticks: int) -> None:
-    """Tell nobody."""
+    """Ignore a report of progress."""
 
 
 def _cpu_seconds() -> float:
-    """Return the time that this process and those it waited for computed [s]."""
+    """Return the processor time of this process and of its finished children [s]."""
     return sum(os.times()[:4])
 
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """No garbage collection, as in the loop, since a tick makes no cycles; numbers of a bad log overflow in silence."""
+    """Disable garbage collection, as in the loop, and overflow warnings from the numbers of a bad log.
+
+    A tick creates no reference cycles.
+    """
     gc.disable()
     try:
         with np.errstate(all="ignore"):

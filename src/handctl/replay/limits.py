@@ -1,4 +1,4 @@
-"""Other limits on a recorded run: which ticks they would have stopped, and on which reading."""
+"""Judgement of a recorded run by other limits: ticks that would have been stopped, and the readings behind them."""
 
 from collections import Counter
 from collections.abc import Callable
@@ -24,11 +24,11 @@ Tension = Annotated[float, Field(gt=0, le=1000)]
 
 
 class NewLimits(Document):
-    """A limits file; what is not in it stays as it was in the run."""
+    """Limits file. A limit that is missing keeps its value from the run."""
 
     schema_: int = Field(1, alias="schema", ge=1, le=1)
     tension_trip_N: Tension | dict[str, Tension] | None = None
-    """For all tendons, or by tendon."""
+    """For all tendons, or by tendon [N]."""
     silent_ms: float | None = Field(None, gt=0, le=10_000)
     stalled_ms: float | None = Field(None, gt=0, le=10_000)
     temperature_soft_degC: float | None = Field(None, gt=0, le=200)
@@ -36,15 +36,15 @@ class NewLimits(Document):
 
 
 class Stop(NamedTuple):
-    """A fault that the new limits would have raised, with an action that stops the hand.
+    """A fault under the new limits with an action that stops the hand.
 
     Attributes:
-        k, t_s: tick and time [s].
+        k, t_s: number and time [s] of the tick.
         fault, title: row of the fault table.
         instance: motor, tendon or bus.
         value: the reading, in the unit of the limit.
-        action: what would have been done.
-        logged: whether the run's own limits found it in the same tick.
+        action: the action of the fault.
+        logged: True if the run's own limits raised the fault in the same tick.
     """
 
     k: int
@@ -59,13 +59,13 @@ class Stop(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What other limits would have done to a run.
+    """Effect of other limits on a run.
 
     Attributes:
-        ticks: judged.
-        stopped: ticks in which the new limits demand HOLD or more.
-        stopped_logged: the same for the limits of the run.
-        stops: each beginning, in order.
+        ticks: judged ticks.
+        stopped: ticks in which the new limits require HOLD or more.
+        stopped_logged: ticks in which the run's limits required HOLD or more.
+        stops: start of each stop, in order.
         by_fault: number of stops by fault.
     """
 
@@ -77,10 +77,10 @@ class Judgement:
 
 
 def load_limits(path: Path, controller: Controller) -> Limits:
-    """A limits file, applied to the limits of a controller.
+    """Load a limits file and apply it to the limits of a controller.
 
     Raises:
-        ConfigError: the file cannot be read, or names a tendon that the hand has not.
+        ConfigError: the file cannot be read, or names a tendon that the hand lacks.
     """
     new, old, period = load_document(path, NewLimits), controller.limits, controller.model.period
     trips = new.tension_trip_N if isinstance(new.tension_trip_N, dict) else {}
@@ -104,7 +104,7 @@ def load_limits(path: Path, controller: Controller) -> Limits:
 
 
 def judge_again(log: RunLog, path: Path, told: Callable[[int], None] | None = None) -> Judgement:
-    """Judge every tick of a run by other limits; the run itself goes on as it went.
+    """Judge every tick of a run by other limits. The run itself remains as logged.
 
     Args:
         log: a run.
@@ -129,6 +129,8 @@ def _judge(log: RunLog, controller: Controller, limits: Limits, told: Callable[[
     ticks = stopped = stopped_logged = 0
     for logged in log.ticks():
         entry = logged.tick_in
+        # Every tick starts from the state of the run. Only the debounce counters and latches of the
+        # other limits carry over.
         judged = state.copy()
         judged.view("fault_ticks")[...] = shadow.view("fault_ticks")
         judged.decide(latched=shadow.latched, counting=shadow.decisions.counting)
@@ -146,6 +148,7 @@ def _judge(log: RunLog, controller: Controller, limits: Limits, told: Callable[[
         for event in verdict.events:
             if event.name == "fault" and BY_ID[_fault(event)].action >= Action.HOLD:
                 fault, t_s = BY_ID[_fault(event)], entry.t_ns / 1e9
+                # A fault event ends with its reading in brackets.
                 value = float(event.text.rpartition("(")[2].partition(")")[0])
                 seen = fault.id + event.where in own
                 stops.append(Stop(entry.k, t_s, fault.id, fault.title, event.where, value, fault.action.name, seen))
@@ -154,5 +157,5 @@ def _judge(log: RunLog, controller: Controller, limits: Limits, told: Callable[[
 
 
 def _fault(event: Event) -> str:
-    """Return the id of a fault's event."""
+    """Return the fault id of an event."""
     return event.text.partition(" ")[0]

@@ -1,8 +1,8 @@
-"""Re-execution in several processes, each of which begins behind a snapshot of the log.
+"""Re-execution in several processes, each of which starts after a snapshot of the log.
 
-A part begins with a state whose hash is in the log. If the part before it ends with the same hash, then a serial run
-comes to that state too, and finds what the parts found. Where a part ends with another hash, all behind it is executed
-again, one tick after the other. So the result is always that of a serial run.
+A part starts with a state whose hash is in the log. If the part before ends with an equal hash, then a serial run
+reaches this state too, and its result is the sum of the parts. If the hashes differ, the rest of the log is executed
+again in order. The result is therefore always that of a serial run.
 """
 
 import json
@@ -26,13 +26,13 @@ from handctl.replay.course import Course, Tally
 from handctl.replay.difference import Difference
 
 LEAST = 200
-"""Ticks that are worth a process."""
+"""Minimum number of ticks per process."""
 LOOK_S = 0.2
-"""Between two looks at how far the others are."""
+"""Interval between reports of progress while waiting [s]."""
 
 
 class Part(NamedTuple):
-    """Ticks ``start`` to ``stop``, and the state before the first of them."""
+    """Ticks `start` to `stop`, and the state before the first of them."""
 
     start: int
     stop: int
@@ -40,7 +40,7 @@ class Part(NamedTuple):
 
 
 class Running(NamedTuple):
-    """A process, its end of the pipe, and its part."""
+    """A process, the read end of its pipe, and its part."""
 
     process: int
     pipe: int
@@ -48,14 +48,24 @@ class Running(NamedTuple):
 
 
 class Counts:
-    """Ticks that each process has executed, in memory that all share."""
+    """Executed ticks of each process, in shared memory."""
 
     def __init__(self, processes: int, told: Callable[[int], None]) -> None:
+        """Allocate the shared memory.
+
+        Args:
+            processes: number of processes.
+            told: called with the number of executed ticks.
+        """
+        # An anonymous mapping is shared with forked processes.
         self._done: NDArray[np.int64] = np.frombuffer(mmap.mmap(-1, 8 * processes), np.int64)
         self._told = told
 
     def of(self, process: int) -> Callable[[int], None]:
-        """Return what counts further ticks of a process; the first one, which is ours, tells of all."""
+        """Return a function that counts further ticks of a process.
+
+        The first process, our own, also reports progress.
+        """
 
         def count(ticks: int) -> None:
             self._done[process] += ticks
@@ -65,16 +75,16 @@ class Counts:
         return count
 
     def tell(self) -> None:
-        """Tell how many ticks were executed."""
+        """Report the number of executed ticks."""
         self._told(int(self._done.sum()))
 
 
 def run_parallel(course: Course, workers: int, told: Callable[[int], None]) -> Tally:
-    """Execute a whole log in up to so many processes; raises as ``Course.run``.
+    """Execute a whole log in several processes. Raises as `Course.run`.
 
     Args:
         course: the log and its controller.
-        workers: processes.
+        workers: maximum number of processes.
         told: called now and then with the number of ticks so far.
     """
     parts = split(course, workers)
@@ -83,6 +93,7 @@ def run_parallel(course: Course, workers: int, told: Callable[[int], None]) -> T
     try:
         state, total = course.run(parts[0].start, parts[0].stop, parts[0].state, None, counts.of(0))
         for one in running:
+            # Equal hashes: the part started from the state that a serial run has here.
             found = _result(course, one, counts) if state.digest() == one.part.state.digest() else None
             if found is None:
                 _, rest = course.run(one.part.start, len(course.log), state, None, counts.of(0))
@@ -96,7 +107,7 @@ def run_parallel(course: Course, workers: int, told: Callable[[int], None]) -> T
 
 
 def split(course: Course, workers: int) -> list[Part]:
-    """Return parts of about equal length that together are the log; each begins at the start or behind a snapshot."""
+    """Return consecutive parts of about equal length. Each starts at the start of the log or after a snapshot."""
     ticks, k = len(course.log), course.log.k
     known = np.array(sorted(course.snapshots), np.int64)
     at = np.searchsorted(k, known)
@@ -113,7 +124,11 @@ def split(course: Course, workers: int) -> list[Part]:
 
 
 def _state_behind(course: Course, index: int) -> State | None:
-    """Return the state in the log after a tick; None if this version cannot read it, or it is not the one hashed."""
+    """Return the state in the log after a tick.
+
+    Returns:
+        None if this version cannot read the state, or its hash differs from the logged hash.
+    """
     try:
         state = restore(course.controller.layout, course.snapshots[int(course.log.k[index])])
     except ValueError:
@@ -127,9 +142,9 @@ def _start(course: Course, part: Part, count: Callable[[int], None]) -> Running:
 
 
 def _found(course: Course, part: Part, count: Callable[[int], None]) -> str:
-    """Execute a part and return what was found; nothing if the log is damaged there.
+    """Execute a part and return the result as JSON. A damaged log gives an empty text.
 
-    The process that asked then comes to it as well, and tells.
+    The calling process then reaches the damage too, and reports the error.
     """
     try:
         state, tally = course.run(*part, None, count)
@@ -139,7 +154,11 @@ def _found(course: Course, part: Part, count: Callable[[int], None]) -> str:
 
 
 def _result(course: Course, one: Running, counts: Counts) -> tuple[State, Tally] | None:
-    """Wait for a process; return the state after its part and what it found, None if it came to no end."""
+    """Wait for a process and return the state after its part and its tally.
+
+    Returns:
+        None if the process did not finish its part.
+    """
     data = b""
     while True:
         if select.select([one.pipe], [], [], LOOK_S)[0]:
@@ -157,7 +176,7 @@ def _result(course: Course, one: Running, counts: Counts) -> tuple[State, Tally]
 
 
 def _end(one: Running) -> None:
-    """End a process, whatever it does, and wait for it."""
+    """Kill a process and wait for its end."""
     os.close(one.pipe)
     os.kill(one.process, signal.SIGKILL)
     os.waitpid(one.process, 0)

@@ -1,4 +1,4 @@
-"""The controller of a recorded run, put together again from what the log holds."""
+"""Reconstruction of the controller of a recorded run from its log."""
 
 from importlib.metadata import version
 from typing import TypeVar
@@ -17,10 +17,10 @@ from handctl.printing import printable
 
 
 def logged_hand(log: RunLog) -> Hand:
-    """The hand that ran.
+    """Return the hand of the run.
 
     Raises:
-        LogError: the log holds no hand that this version can read.
+        LogError: the log has no hand that this version can read.
     """
     try:
         return described_hand(log.header, "hand.toml in the log")
@@ -29,28 +29,28 @@ def logged_hand(log: RunLog) -> Hand:
 
 
 def logged_gains(log: RunLog) -> Gains:
-    """The gains it ran with.
+    """Return the gains of the run.
 
     Raises:
-        LogError: the log holds no gains that this version can read.
+        LogError: the log has no gains that this version can read.
     """
     return _read(log, "gains.json", Gains)
 
 
 def logged_setup(log: RunLog) -> Setup:
-    """Rate, tare, zero and program.
+    """Return rate, tare, zero and program of the run.
 
     Raises:
-        LogError: the log was written by a version that did not keep them.
+        LogError: the log was written by a version without this record.
     """
     return _read(log, ATTACHMENT, Setup)
 
 
 def rebuild(log: RunLog, gains: Gains | None = None) -> Controller:
-    """The controller that wrote the log, or the same with other gains.
+    """Return the controller that wrote the log, with its own or other gains.
 
     Raises:
-        LogError: something that it needs is not in the log.
+        LogError: a required record is missing from the log.
     """
     return logged_setup(log).controller(logged_hand(log), gains or logged_gains(log))
 
@@ -59,6 +59,11 @@ D = TypeVar("D", Gains, Setup)
 
 
 def _read(log: RunLog, name: str, model: type[D]) -> D:
+    """Decode an attachment.
+
+    Raises:
+        LogError: the attachment is missing or cannot be decoded.
+    """
     data = log.header.attachments.get(name)
     if data is None:
         raise LogError(f"no {name} in it", *_versions(log))
@@ -71,7 +76,7 @@ def _read(log: RunLog, name: str, model: type[D]) -> D:
 
 
 def _versions(log: RunLog) -> tuple[str, str]:
-    """Who wrote a log, and who reads it: where an error is, and what would be right."""
+    """Return the versions of the writer and of this reader: location and expectation of an error."""
     metadata = log.header.metadata
     wrote = f"handctl {metadata.get('version', UNKNOWN)}, code {metadata.get('code', UNKNOWN)}"
     here = f"handctl {version('handctl')}, code {code_identity()}"

@@ -1,1 +1,1 @@
-"""What a run was worth: numbers against the simulator's truth, and the picture of a run."""
+"""Reports on a run: figures, pages, and numbers against the simulator's truth."""

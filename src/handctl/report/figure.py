@@ -1,4 +1,4 @@
-"""The picture of a run: angle, tensions and contact force of each digit over time, and the lateness of the loop."""
+"""Figure of a run: angle, tensions and contact force of each digit over time, and the lateness of the loop."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,31 +16,35 @@ from handctl.report.summary import mean_angles
 from handctl.report.truth import Truth
 
 COLOURS = ("#3b6fb6", "#d9822b", "#3c9d5d", "#b8436f", "#7a5fb5", "#8a8a2a")
+"""Colours of the digits."""
 COMMAND, PLANT, GRID, FAULT = "#444444", "#000000", "#999999", "#d01c1c"
+"""Colours of commands, of the plant, of phase marks and of fault marks."""
 SHADES = (1.0, 0.65, 0.4)
 """Opacity of the first, second and third tendon of a digit."""
 QUIET = frozenset(mode.name.lower() for mode in Mode)
 """Names of phases before and after the hand acts."""
 ROWS = ("mean joint angle [deg]", "tendon tension [N]", "contact force [N]")
+"""Labels of the rows."""
 
 Array = NDArray[np.float64]
 
 
 def draw_run(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, title: str) -> None:
-    """Write the picture as PNG.
+    """Draw the figure as PNG.
 
     Args:
         path: file to write.
-        log: of the run.
-        hand: that ran.
-        truth: of the simulator, or None.
-        offset_ns: the run's t = 0 on the simulator's clock [ns].
-        title: above the picture.
+        log: log of the run.
+        hand: hand of the run.
+        truth: truth of the simulator, or None.
+        offset_ns: t = 0 of the run on the simulator's clock [ns].
+        title: title of the figure.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     n = len(hand.digit)
+    # In virtual time no tick is late, and the last row is left out.
     timed = bool(log.late_ns.any())  # in virtual time no tick is late
     figure = Figure(figsize=(max(9.0, 2.6 + 2.6 * n), 7.6 + 1.4 * timed), layout="constrained")
     FigureCanvasAgg(figure)
@@ -60,7 +64,7 @@ def draw_run(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_ns
 
 
 def _dress(grid: Any, late: list[Any], log: RunLog, hand: Hand) -> None:
-    """Titles, grids, phases, and the stretch of time in which the hand acts."""
+    """Add titles, grids and phases, and limit the time axis to the active interval."""
     for column, name in zip(grid.T, hand.digit_names, strict=True):
         column[0].set_title(name, fontsize=11, fontweight="bold")
         column[-1].set_xlabel("time [s]", fontsize=8)
@@ -81,7 +85,7 @@ def _dress(grid: Any, late: list[Any], log: RunLog, hand: Hand) -> None:
 
 
 def _fit(row: Sequence[Any], begin: float, end: float) -> None:
-    """Let the height of a row follow from what is seen of it: a hand that was let go falls far, later."""
+    """Limit the height of a row to the visible values. A released hand falls far, later."""
     lines = [line.get_data() for axes in row for line in axes.lines]
     seen = np.concatenate([y[(x >= begin) & (x <= end)] for x, y in lines])
     low, high = np.fmin.reduce(seen, initial=np.inf), np.fmax.reduce(seen, initial=-np.inf)
@@ -90,7 +94,7 @@ def _fit(row: Sequence[Any], begin: float, end: float) -> None:
 
 
 def _key(truth: bool) -> tuple[list[Any], list[str]]:
-    """What the lines mean."""
+    """Return the legend: lines and their meaning."""
     from matplotlib.lines import Line2D
 
     marks = [
@@ -103,6 +107,7 @@ def _key(truth: bool) -> tuple[list[Any], list[str]]:
 
 
 def _angles(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> None:
+    """Draw the mean joint angle of each digit."""
     goal, estimate = (np.degrees(mean_angles(hand, log.field(name))) for name in ("q_goal", "q"))
     real = None
     if truth is not None:
@@ -114,7 +119,7 @@ def _angles(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, of
 
 
 def _beside(axes: Any, log: RunLog, goal: Array | None, real: Array | None) -> None:
-    """What was commanded, and what the plant did."""
+    """Draw the command and the truth of the plant."""
     if real is not None:
         axes.plot(log.times, real, color=PLANT, linewidth=0.7)
     if goal is not None:
@@ -122,9 +127,11 @@ def _beside(axes: Any, log: RunLog, goal: Array | None, real: Array | None) -> N
 
 
 def _tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> None:
+    """Draw the tensions of each digit."""
     estimate, sigma, goal = log.field("tension"), log.field("tension_sigma"), log.field("tension_goal")
     for d, (axes, tendons) in enumerate(zip(row, hand.digit_tendons.values(), strict=True)):
         colour, names = COLOURS[d % len(COLOURS)], hand.tendon_names[tendons]
+        # `SHADES * n` repeats the opacities for digits with more than three tendons.
         for shade, i, name in zip(SHADES * len(names), range(tendons.start, tendons.stop), names, strict=False):
             axes.plot(log.times, estimate[:, i], color=colour, alpha=shade, linewidth=1.2, label=name)
             low, high = estimate[:, i] - sigma[:, i], estimate[:, i] + sigma[:, i]
@@ -137,6 +144,7 @@ def _tensions(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, 
 
 
 def _forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> None:
+    """Draw the contact force of each digit."""
     estimate, sigma = log.field("tip_force"), log.field("tip_force_sigma")
     for d, (axes, name) in enumerate(zip(row, hand.digit_names, strict=True)):
         colour = COLOURS[d % len(COLOURS)]
@@ -149,7 +157,7 @@ def _forces(row: Sequence[Any], log: RunLog, hand: Hand, truth: Truth | None, of
 
 
 def _phases(grid: Any, log: RunLog) -> None:
-    """Where each phase of the program begins, and where the first fault ended it, named in the first row."""
+    """Mark the start of each phase, and the first fault. Their names are in the first row."""
     for change in log.phases:
         if change.name not in QUIET:
             _mark(grid, change.t_ns / 1e9, change.name, GRID)
@@ -159,6 +167,7 @@ def _phases(grid: Any, log: RunLog) -> None:
 
 
 def _mark(grid: Any, t_s: float, name: str, colour: str) -> None:
+    """Draw a vertical line with its name."""
     for axes in grid.flat:
         axes.axvline(t_s, color=colour, linewidth=0.6)
     for axes in grid[0]:

@@ -1,4 +1,4 @@
-"""Frames of a run that came late, and frames that were lost, counted from its log."""
+"""Counts of late and lost frames of a run, from its log."""
 
 from typing import NamedTuple
 
@@ -8,11 +8,11 @@ from handctl.log.read.reader import RunLog
 
 
 class FrameCounts(NamedTuple):
-    """What went wrong with the frames of a run.
+    """Late and lost frames of a run.
 
     Attributes:
-        late: answers of the load cells to an older SYNC.
-        lost: tension frames that never came, and frames that a bus refused.
+        late: replies of the load cells to an older SYNC.
+        lost: tension frames that never arrived, and frames that a bus refused.
     """
 
     late: int
@@ -20,7 +20,7 @@ class FrameCounts(NamedTuple):
 
 
 def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
-    """Count late and lost frames: each frame of the load cells is compared with the SYNC before it."""
+    """Count late and lost frames. Each frame of the load cells is compared with the SYNC before it."""
     node = make_sensors(hand)
     asked, syncs, came, late, refused = -1, 0, 0, 0, 0
     for tick in log.ticks():
@@ -29,6 +29,7 @@ def frame_counts(log: RunLog, hand: Hand) -> FrameCounts:
                 continue
             group = node.ids.index(frame.can_id)
             if len(frame.data) == node.lengths[group]:
+                # The low four bits of the first byte repeat the counter of the SYNC.
                 fresh = frame.data[0] & 0xF == asked
                 late += not fresh
                 came += fresh and group < node.tension_frames

@@ -1,4 +1,4 @@
-"""Whether a grasp carried its object: the table under it sank, and the object stayed in the hand."""
+"""Judgement of a lift: the table under the object sinks, and the object must stay in the hand."""
 
 from collections.abc import Collection
 from typing import Any
@@ -9,23 +9,24 @@ from handctl.log.read.reader import RunLog
 from handctl.report.truth import Truth
 
 SUPPORT = "support"
-"""Column of the truth: how far the table has sunk [m]; only scenes whose table can sink have it."""
+"""Column of the truth: how far the table has sunk [m]. Only scenes with a sinking table have it."""
 SLID_MM = 10.0
-"""An object that has moved further in the hand is not held: grasps that hold move by 3 mm at most in the demo."""
+"""Maximum motion of a held object in the hand [mm]. In the demo, held objects move by 3 mm at most."""
 
 
 def judge_lift(log: RunLog, truth: Truth | None, offset_ns: int, holds: Collection[str]) -> dict[str, Any]:
-    """Measure how far the table sank while the object was held, and how far the object then moved in the hand.
+    """Measure how far the table sank during a hold, and how far the object then moved in the hand.
 
     Args:
-        log: of the run.
-        truth: of the simulator; None on hardware.
-        offset_ns: the run's t = 0 on the simulator's clock [ns].
-        holds: names of the task's phases that hold.
+        log: log of the run.
+        truth: truth of the simulator, None on hardware.
+        offset_ns: t = 0 of the run on the simulator's clock [ns].
+        holds: names of the task's hold phases.
 
     Returns:
-        ``table_sunk_mm`` at the end of the last hold and ``object_slid_mm`` from the first sinking to there. NaN
-        without a table that can sink, or before the first hold.
+        `table_sunk_mm` at the end of the last hold, and `object_slid_mm` from the first sinking to this time. NaN
+            without a
+        sinking table, or before the first hold.
     """
     nothing = dict.fromkeys(("table_sunk_mm", "object_slid_mm"), float("nan"))
     t_ns = _held(log, holds) + offset_ns
@@ -49,10 +50,10 @@ def _held(log: RunLog, holds: Collection[str]) -> Any:
 
 
 def lift_failure(found: dict[str, Any]) -> str:
-    """Return why the grasp failed, or an empty text if it carried its object or there was nothing to carry.
+    """Return the reason why the grasp failed, or an empty text if it carried its object or had no object to carry.
 
     Args:
-        found: as ``judge_lift`` returns.
+        found: result of `judge_lift`.
     """
     sunk, slid = found["table_sunk_mm"], found["object_slid_mm"]
     if sunk == 0.0:

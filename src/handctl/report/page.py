@@ -1,4 +1,4 @@
-"""A run as one HTML page that needs nothing else: to attach to a paper or a bug report."""
+"""Self-contained HTML page of a run, to attach to a paper or a bug report."""
 
 import base64
 import html
@@ -23,7 +23,7 @@ from handctl.report.summary import angle_rows, summarise
 from handctl.report.truth import Truth
 
 MOST_EVENTS, MOST_CONTACTS = 500, 20
-"""Of a run that had more, the page shows the first."""
+"""Maximum number of events and of contacts on the page. The first ones are shown."""
 
 STYLE = """
 body { font: 15px/1.45 system-ui, sans-serif; color: #222; background: #fff; max-width: 1100px; margin: 2em auto;
@@ -35,6 +35,7 @@ table { border-collapse: collapse; font-size: .9em; } td, th { padding: .15em .8
 .two { display: flex; flex-wrap: wrap; gap: 2em; } .warn { color: #9a5b00; } .error { color: #b00020; }
 code { font-size: .85em; word-break: break-all; }
 """
+"""Style sheet of the page."""
 
 
 def write_page(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, name: str) -> int:
@@ -42,14 +43,14 @@ def write_page(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_
 
     Args:
         path: file to write.
-        log: of the run.
-        hand: that ran.
-        truth: of the simulator, or None.
-        offset_ns: the run's t = 0 on the simulator's clock [ns].
-        name: of the log, as a person calls it.
+        log: log of the run.
+        hand: hand of the run.
+        truth: truth of the simulator, or None.
+        offset_ns: t = 0 of the run on the simulator's clock [ns].
+        name: name of the log for the reader.
 
     Returns:
-        its size [bytes].
+        Size of the page [bytes].
     """
     load_picture, load = loads(log, hand)
     metadata = log.header.metadata
@@ -73,25 +74,29 @@ def write_page(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_
 
 
 def _text(text: object) -> str:
-    """Text from a log as it may stand in a page."""
+    """Return a text from a log, escaped for a page."""
     return html.escape(printable(str(text), 2000))
 
 
 def _section(title: str, body: str) -> str:
+    """Return a section."""
     return f"<section><h2>{title}</h2>{body}</section>"
 
 
 def _table(rows: Iterable[tuple[str, str]]) -> str:
+    """Return a table with two columns."""
     return "<table>" + "".join(f"<tr><th>{one}</th><td>{two}</td></tr>" for one, two in rows) + "</table>"
 
 
 def _pairs(values: Mapping[str, object]) -> str:
+    """Return a table of texts from a log."""
     return _table((_text(key), f"<code>{_text(value)}</code>") for key, value in values.items())
 
 
 def _numbers(
     log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, load: "np.ndarray[tuple[int], np.dtype[np.float64]]"
 ) -> str:
+    """Return the table of numbers."""
     found = summarise(log, hand, truth, offset_ns)
     late, frames = found["late_us"], frame_counts(log, hand)
     rows = [
@@ -117,10 +122,12 @@ def _numbers(
 
 
 def _unit(value: float, unit: str) -> str:
+    """Format a number with its unit, or return an empty text for NaN."""
     return "" if value != value else f"{value:.2f} {unit}"
 
 
 def _legend(hand: Hand) -> str:
+    """Return the legend of the hand pictures."""
     from handctl.report.figure import COLOURS
 
     marks = (
@@ -132,6 +139,7 @@ def _legend(hand: Hand) -> str:
 
 
 def _run(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> str:
+    """Return the figure of the run as an embedded image."""
     with tempfile.TemporaryDirectory() as folder:
         picture = Path(folder) / "run.png"
         draw_run(picture, log, hand, truth, offset_ns, "")
@@ -140,7 +148,7 @@ def _run(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> str:
 
 
 def _faults(log: RunLog) -> str:
-    """How often each fault was told, and when first."""
+    """Return the number of reports of each fault, and the time of the first."""
     first: dict[str, float] = {}
     counts: Counter[str] = Counter()
     for event in _named(log, "fault"):
@@ -151,15 +159,18 @@ def _faults(log: RunLog) -> str:
 
 
 def _contacts(log: RunLog) -> str:
+    """Return the contacts and their times."""
     found = (f"{_text(event.event.text)} at {event.t_ns / 1e9:.3f} s" for event in _named(log, "contact"))
     return "<br>".join(islice(found, MOST_CONTACTS))
 
 
 def _named(log: RunLog, name: str) -> Iterator[LoggedEvent]:
+    """Return the events of one name."""
     return (event for event in log.events if event.event.name == name)
 
 
 def _events(log: RunLog) -> str:
+    """Return the table of events."""
     left = len(log.events) - MOST_EVENTS
     more = f"<p>and {left} more: handctl log info</p>" if left > 0 else ""
     rows = (

@@ -1,4 +1,4 @@
-"""Small pictures of a run: the pose in each phase, the lateness of its ticks, the load of its buses; as SVG text."""
+"""Small pictures of a run as SVG texts: pose in each phase, lateness of the ticks, load of the buses."""
 
 import io
 from typing import Any
@@ -18,15 +18,21 @@ from handctl.report.figure import COLOURS, QUIET
 Array = NDArray[np.float64]
 
 LOAD_WINDOW_S = 0.1
+"""Window of the bus load [s]."""
 PER_ROW = 4
-"""Pictures of the hand beside each other."""
+"""Pictures of the hand per row."""
 SLANT = (0.55, 0.3)
-"""How far a point along the hinges is drawn to the right and up, by which digits on one hinge line stay apart."""
+"""Oblique projection: drawn distance to the right and up per distance along the hinges.
+
+It separates digits on one hinge
+line.
+"""
 LEAST_FORCE_N, ARROW_M_PER_N = 0.2, 0.004
+"""Smallest force with an arrow [N], and length of an arrow [m/N]."""
 
 
 def poses(log: RunLog, hand: Hand) -> str:
-    """The hand in the middle of each phase in which it acts, and what the object does to its fingertips."""
+    """Draw the hand in the middle of each phase in which it acts, with the forces of the object on its fingertips."""
     moments = _moments(log)
     if not moments:
         return "<p>The hand acts in no phase of this run.</p>"
@@ -38,6 +44,7 @@ def poses(log: RunLog, hand: Hand) -> str:
         axes.set_axis_off()
     for axes, (name, index) in zip(grid, moments, strict=False):
         _palm(axes, digits)
+        # Digits with a large z lie behind the others in this projection and are drawn first.
         for d in sorted(range(len(digits)), key=lambda d: -float(digits[d].mount_position[2])):
             _digit(axes, digits[d], q[index, digits[d].joints], float(force[index, d]), COLOURS[d % len(COLOURS)])
         _forces(axes, force[index])
@@ -49,12 +56,12 @@ def poses(log: RunLog, hand: Hand) -> str:
 
 
 def _seen(points_m: Array) -> Array:
-    """Points (.., 3) of the palm frame [m] as they are drawn (.., 2) [mm]: along the hinges, slanted."""
+    """Project points (.., 3) of the palm frame [m] to the picture (.., 2) [mm], along the hinges and slanted."""
     return np.asarray(1e3 * (points_m[..., :2] + points_m[..., 2:] * np.array(SLANT)), np.float64)
 
 
 def _limits(digits: list[DigitModel]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """What has to fit into a picture: the palm, and every digit straight."""
+    """Return the limits of the picture, which contains the palm and every digit straight."""
     ends = [to_palm(digit, np.array([[0.0, 0.0], [sum(digit.lengths), 0.0]])) for digit in digits]
     corners = _seen(np.concatenate(ends))
     low, high = corners.min(axis=0) - 20.0, corners.max(axis=0) + 10.0
@@ -62,7 +69,7 @@ def _limits(digits: list[DigitModel]) -> tuple[tuple[float, float], tuple[float,
 
 
 def _palm(axes: Any, digits: list[DigitModel]) -> None:
-    """The plate that carries the digits."""
+    """Draw the plate that carries the digits."""
     mounts = np.array([digit.mount_position for digit in digits])
     (y0, z0), (y1, z1) = mounts[:, 1:].min(axis=0) - 0.009, mounts[:, 1:].max(axis=0) + 0.009
     corners = np.array([[0.0, y, z] for y, z in ((y0, z0), (y1, z0), (y1, z1), (y0, z1))])
@@ -70,7 +77,7 @@ def _palm(axes: Any, digits: list[DigitModel]) -> None:
 
 
 def _digit(axes: Any, digit: DigitModel, q: Array, force: float, colour: str) -> None:
-    """Links from the palm to the tip, and the estimated force of the object on it as an arrow."""
+    """Draw the links from the palm to the tip, and the estimated force of the object on the tip as an arrow."""
     joints = points(digit, q)
     path = _seen(to_palm(digit, joints))
     axes.plot(*path.T, color=colour, linewidth=7, alpha=0.9, solid_capstyle="round", solid_joinstyle="round")
@@ -78,6 +85,7 @@ def _digit(axes: Any, digit: DigitModel, q: Array, force: float, colour: str) ->
     angle = float(np.sum(q))
     if force < LEAST_FORCE_N or np.isnan(angle):
         return
+    # The object pushes against the closing direction of the fingertip.
     push = ARROW_M_PER_N * force * np.array([np.sin(angle), -np.cos(angle)])
     start, end = _seen(to_palm(digit, np.array([joints[-1], joints[-1] + push])))
     look = {"arrowstyle": "-|>", "color": "#222222", "linewidth": 1.2, "shrinkA": 0, "shrinkB": 0}
@@ -85,7 +93,7 @@ def _digit(axes: Any, digit: DigitModel, q: Array, force: float, colour: str) ->
 
 
 def _forces(axes: Any, force: Array) -> None:
-    """The arrows in newtons, in the corner: at their tips they would lie upon each other."""
+    """Write the forces [N] in the corner. At the tips of the arrows the texts would overlap."""
     for d, value in enumerate(force.tolist()):
         if value >= LEAST_FORCE_N:
             look = {"fontsize": 9, "color": COLOURS[d % len(COLOURS)], "transform": axes.transAxes, "va": "bottom"}
@@ -93,14 +101,14 @@ def _forces(axes: Any, force: Array) -> None:
 
 
 def _bar(axes: Any, limits: tuple[tuple[float, float], tuple[float, float]]) -> None:
-    """How long 20 mm are."""
+    """Draw a scale bar of 20 mm."""
     x, y = limits[0][1] - 22.0, limits[1][0] + 3.0
     axes.plot([x, x + 20.0], [y, y], color="#222222", linewidth=1.5)
     axes.text(x + 10.0, y + 1.5, "20 mm", ha="center", fontsize=8, color="#222222")
 
 
 def _moments(log: RunLog) -> list[tuple[str, int]]:
-    """Name and tick index of the middle of each phase in which the hand acts."""
+    """Return name and tick index of the middle of each phase in which the hand acts."""
     changes = log.phases
     ends = [change.k for change in changes[1:]] + log.k[-1:].tolist()
     middles = [(c.name, int(np.searchsorted(log.k, (c.k + end) // 2))) for c, end in zip(changes, ends, strict=True)]
@@ -109,7 +117,10 @@ def _moments(log: RunLog) -> list[tuple[str, int]]:
 
 
 def lateness(log: RunLog) -> str:
-    """Histogram of how late the ticks began, with the period's quarter, from which on a tick counts as late."""
+    """Draw a histogram of the lateness with a mark at a quarter of the period.
+
+    Beyond the mark a tick counts as late.
+    """
     late = log.late_ns / 1e3
     if not late.any():
         return "<p>No tick began late: this run was in virtual time.</p>"
@@ -124,10 +135,10 @@ def lateness(log: RunLog) -> str:
 
 
 def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
-    """Share of each bus taken by the frames of the run over time, by their worst-case times.
+    """Draw the load of each bus over time, from the worst-case times of the frames.
 
     Returns:
-        picture, (buses,) largest share in a window of ``LOAD_WINDOW_S``, or of the run if that is shorter.
+        Picture, and (buses,) largest load in a window of `LOAD_WINDOW_S`, or of the run if the run is shorter.
     """
     busy = np.zeros((len(log), len(hand.bus)))
     for i, tick in enumerate(log.ticks()):
@@ -148,6 +159,8 @@ def loads(log: RunLog, hand: Hand) -> tuple[str, Array]:
 
 
 def _figure(columns: int, width: float, height: float, rows: int = 1) -> tuple[Any, list[Any]]:
+    """Create a figure with a grid of axes."""
+    # Imported here: Matplotlib is slow to import, and few commands draw.
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -157,7 +170,7 @@ def _figure(columns: int, width: float, height: float, rows: int = 1) -> tuple[A
 
 
 def _svg(figure: Any) -> str:
-    """The figure as an SVG element that stands in a page."""
+    """Return the figure as an SVG element for a page."""
     text = io.StringIO()
     figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
     svg = text.getvalue()

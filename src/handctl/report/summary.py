@@ -1,4 +1,4 @@
-"""The numbers of a run: what the loop did, how well it tracked, and how true the estimates were."""
+"""Numbers of a run: timing of the loop, tracking, and accuracy of the estimates."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,23 +17,24 @@ from handctl.report.truth import Truth
 Array = NDArray[np.float64]
 
 SETTLED_S = 0.5
-"""Time after the goals of a hold have stopped moving before it is judged."""
+"""Time from the last motion of the targets in a hold to its judgement [s]."""
 STEADY_N = 1.0
-"""A hold with a stiffness has goals that follow the encoders' noise in every tick: this near to its end they stand."""
+"""Tolerance of constant tension targets [N]. In a hold with stiffness the targets follow the noise of the encoders."""
 
 
 def summarise(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> dict[str, Any]:
-    """Everything that can be said of a run.
+    """Compute all numbers of a run.
 
     Args:
-        log: of the run.
-        hand: that ran.
-        truth: of the simulator; None on hardware, and the numbers that need it are NaN. One of another time, left
-            behind by an earlier simulator, counts as none.
-        offset_ns: the run's t = 0 on the simulator's clock [ns].
+        log: log of the run.
+        hand: hand of the run.
+        truth: truth of the simulator. On hardware it is None, and the numbers that need a truth are NaN. A truth of
+            another
+            time, from an earlier simulator, counts as None.
+        offset_ns: t = 0 of the run on the simulator's clock [ns].
 
     Returns:
-        plain numbers and names, see README for the meaning of each.
+        Plain numbers and names. README explains each.
     """
     truth = truth if truth and truth.covers(log.t_ns + offset_ns) else None
     late = log.late_ns / 1e3
@@ -57,17 +58,18 @@ def summarise(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> d
 
 
 def _percentile(values: NDArray[Any], percent: float) -> float:
+    """Compute a percentile, NaN without values."""
     return float(np.percentile(values, percent)) if len(values) else float("nan")
 
 
 def rms(values: Array) -> float:
-    """Root mean square without NaN; NaN if there is nothing."""
+    """Compute the root mean square without NaN. Without any number the result is NaN."""
     kept = values[~np.isnan(values)]
     return float(np.sqrt(np.mean(kept**2))) if kept.size else float("nan")
 
 
 def hold_windows(log: RunLog) -> list[NDArray[np.bool_]]:
-    """For each hold, (ticks,) where it is settled: a digit is in contact, and no goal has moved for a while."""
+    """Return for each hold where it is settled (ticks,): a digit is in contact, and the targets are constant."""
     goal = np.nan_to_num(log.field("tension_goal"))
     held = log.field("contact").any(axis=1)
     moving = np.abs(np.diff(goal, axis=0, prepend=goal[:1])).max(axis=1) >= 1e-9
@@ -86,14 +88,14 @@ def hold_windows(log: RunLog) -> list[NDArray[np.bool_]]:
 
 
 def _after(moving: NDArray[np.bool_], inside: NDArray[np.bool_], log: RunLog) -> NDArray[np.bool_]:
-    """(ticks,) where a hold's goals have stood for a while."""
+    """Return where the targets of a hold have been constant for SETTLED_S (ticks,)."""
     last = np.flatnonzero(moving)
     settled: NDArray[np.bool_] = log.times >= log.times[last[-1] if len(last) else np.argmax(inside)] + SETTLED_S
     return settled
 
 
 def mean_angles(hand: Hand, q: Array) -> Array:
-    """(ticks, D) moment-arm weighted mean joint angle of each digit, sum(r q) / sum(r) [rad]."""
+    """Compute the mean joint angle of each digit (ticks, D), weighted with the moment arms: sum(r q) / sum(r) [rad]."""
     columns = []
     for name in hand.digit_names:
         digit = DigitModel.of(hand, name)
@@ -105,7 +107,15 @@ def mean_angles(hand: Hand, q: Array) -> Array:
 def judge_tracking(
     log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, active: NDArray[np.bool_]
 ) -> dict[str, Any]:
-    """Tracking error in free motion: goal against the plant's truth, on the mean joint angle of each digit."""
+    """Compute the tracking error in free motion: target against truth, as the mean joint angle of each digit.
+
+    Args:
+        log: log of the run.
+        hand: hand of the run.
+        truth: truth of the simulator, or None.
+        offset_ns: t = 0 of the run on the simulator's clock [ns].
+        active: (ticks,) True where the hand is active.
+    """
     goal = mean_angles(hand, log.field("q_goal"))
     free = active[:, None] & ~np.isnan(goal) & (log.field("contact") == 0.0)
     nothing = {"tracking_rmse_rad": float("nan"), "tracking_rmse_deg": {}}
@@ -119,7 +129,7 @@ def judge_tracking(
 
 
 def _touched(truth: Truth, hand: Hand, log: RunLog, offset_ns: int) -> NDArray[np.bool_]:
-    """(ticks, D) whether the plant feels a contact on the digit."""
+    """Return whether the plant has a contact on each digit (ticks, D)."""
     t_ns = log.t_ns + offset_ns
     force = [
         np.sqrt(sum(truth.at(f"contact_force/{name}/{axis}", t_ns) ** 2 for axis in "xyz")) for name in hand.digit_names
@@ -135,11 +145,21 @@ def judge_tension(
     active: NDArray[np.bool_],
     holds: list[NDArray[np.bool_]],
 ) -> dict[str, Any]:
-    """Estimate and raw load cell against the true tension, and true tension against the command while holding."""
+    """Compare estimate and raw load cell with the true tension, and the true tension with the command during a hold.
+
+    Args:
+        log: log of the run.
+        hand: hand of the run.
+        truth: truth of the simulator, or None.
+        offset_ns: t = 0 of the run on the simulator's clock [ns].
+        active: (ticks,) True where the hand is active.
+        holds: (ticks,) of each hold, True where it is settled.
+    """
     if truth is None:
         return dict.fromkeys(("tension_rmse_n", "tension_raw_rmse_n", "tension_hold_error_n"), float("nan"))
     names = [f"tension/{tendon}" for tendon in log.header.tendons]
     real = truth.table(names, log.t_ns + offset_ns)
+    # A load cell reading is one period old when the tick reads it.
     before = truth.table(names, log.t_ns - log.header.period_ns + offset_ns)
     taut = active[:, None] & (real > 0.5)
     error = np.where(_holding(log, hand), log.field("tension_goal") - real, np.nan)
@@ -154,7 +174,7 @@ def judge_tension(
 
 
 def _holding(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
-    """(ticks, N) whether the digit of each tendon is in contact."""
+    """Return whether the digit of each tendon is in contact (ticks, N)."""
     slices = [hand.digit_tendons[name] for name in hand.digit_names]
     digit_of = np.repeat(np.arange(len(slices)), [tendons.stop - tendons.start for tendons in slices])
     return (log.field("contact") > 0.0)[:, digit_of]
@@ -163,9 +183,16 @@ def _holding(log: RunLog, hand: Hand) -> NDArray[np.bool_]:
 def judge_grasp(
     log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, holds: list[NDArray[np.bool_]]
 ) -> dict[str, Any]:
-    """Measure how far the object moved in a hold, and the estimated fingertip force beside the plant's.
+    """Measure the motion of the object in a hold, and the estimated fingertip force beside the plant's.
 
-    The motion is NaN if the table under the object never sank: it says nothing of the grip.
+    The motion is NaN if the table under the object never sank, because the object then rests on the table.
+
+    Args:
+        log: log of the run.
+        hand: hand of the run.
+        truth: truth of the simulator, or None.
+        offset_ns: t = 0 of the run on the simulator's clock [ns].
+        holds: (ticks,) of each hold, True where it is settled.
     """
     held = np.any(holds, axis=0) if holds else np.zeros(len(log), dtype=bool)
     estimated = log.field("tip_force")[held]
@@ -194,12 +221,21 @@ def judge_angles(
     active: NDArray[np.bool_],
     holds: list[NDArray[np.bool_]],
 ) -> dict[str, dict[str, Any]]:
-    """Judge the estimated joint angles of each digit while it holds, or while it is active if nothing is held.
+    """Judge the estimated joint angles of each digit during holds, or while active in a run without holds.
+
+    Args:
+        log: log of the run.
+        hand: hand of the run.
+        truth: truth of the simulator, or None.
+        offset_ns: t = 0 of the run on the simulator's clock [ns].
+        active: (ticks,) True where the hand is active.
+        holds: (ticks,) of each hold, True where it is settled.
 
     Returns:
-        For each digit ``source`` (see ``angle_source``), ``sigma_deg`` (root mean square over joints and ticks),
-        ``error_deg`` (the same of the error) and ``inside`` (fraction of errors within two standard deviations);
-        the last two are NaN without a truth.
+        For each digit `source` (see `angle_source`), `sigma_deg` (root mean square over joints and ticks), `error_deg`
+        (root mean square of the error) and `inside` (fraction of errors within two standard deviations). The last two
+            are
+        NaN without a truth.
     """
     inside = np.any(holds, axis=0) if holds and np.any(holds) else active
     q, sigma = log.field("q")[inside], log.field("q_sigma")[inside]
@@ -220,8 +256,9 @@ def judge_angles(
 
 
 def angle_source(hand: Hand, name: str) -> str:
-    """Return what the joint angles of a digit rest on: "excursion", "encoders", or "assumed"."""
+    """Return the basis of a digit's joint angles: "excursion", "encoders", or "assumed"."""
     digit = DigitModel.of(hand, name)
+    # With as many independent tendons as joints the excursions determine the angles.
     if np.linalg.matrix_rank(digit.moment_arms) == digit.joint_count:
         return "excursion"
     return "encoders" if set(digit.joint_names) <= set(hand.sensor_node.joints) else "assumed"
@@ -232,7 +269,7 @@ SOURCES = {
     "encoders": "measured by joint encoders",
     "assumed": "assumed, not measured",
 }
-"""What to say of joint angles, by their source."""
+"""Printed text of each source of joint angles."""
 
 
 def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
@@ -248,12 +285,13 @@ def angle_rows(angles: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
 
 
 def measured_load(log: RunLog, bitrate: int, data_bitrate: int | None, sent: Sequence[tuple[int, bool]]) -> float:
-    """Share of a bus that the frames of a run took, by their worst-case times.
+    """Compute the fraction of a bus's time that the frames of a run take at worst.
 
     Args:
-        log: of the run, for its duration.
-        bitrate, data_bitrate: of the bus [bit/s].
-        sent: (payload bytes, CAN FD?) of every frame, both ways.
+        log: log of the run, for its duration.
+        bitrate: bit rate of the bus [bit/s].
+        data_bitrate: bit rate of the data phase [bit/s], or None.
+        sent: (payload bytes, CAN FD?) of every frame in both directions.
     """
     duration = float(log.times[-1] - log.times[0]) or 1.0
     return sum(frame_time_s(size, fd, bitrate, data_bitrate) for size, fd in sent) / duration

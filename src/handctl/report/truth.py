@@ -1,4 +1,4 @@
-"""The simulator's truth, for judging a run after it ended; the running controller never opens it."""
+"""Truth of the simulator, for the judgement of a finished run. The running controller never opens it."""
 
 import json
 from dataclasses import dataclass
@@ -12,13 +12,13 @@ from handctl.errors import LogError
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What really happened in the plant.
+    """True values of the plant.
 
     Attributes:
-        header: the file's first line.
+        header: first line of the file.
         t_ns: (rows,) time on the simulator's clock [ns].
         values: (rows, columns) float64.
-        columns: names, e.g. ``tension/index_tendon``, ``q/index_j1``, ``object/x``.
+        columns: names, e.g. `tension/index_tendon`, `q/index_j1`, `object/x`.
     """
 
     header: dict[str, object]
@@ -27,37 +27,38 @@ class Truth:
     columns: tuple[str, ...]
 
     def has(self, name: str) -> bool:
-        """Whether there is such a column."""
+        """Return True if a column exists."""
         return name in self.columns
 
     def covers(self, t_ns: NDArray[np.int64]) -> bool:
-        """Whether any of these times is in the record."""
+        """Return True if any of the times is in the record."""
         return bool(((t_ns >= self.t_ns[0]) & (t_ns <= self.t_ns[-1])).any())
 
     def at(self, name: str, t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """A column, interpolated at times [ns on the simulator's clock]; NaN outside of the record.
+        """Interpolate a column at times on the simulator's clock [ns]. Outside of the record the result is NaN.
 
         Raises:
-            LogError: there is no such column: the truth is of another hand.
+            LogError: the column is missing because the truth is of another hand.
         """
         if name not in self.columns:
             raise LogError(f"no column {name!r}", "the simulator's truth", "a truth of the same hand")
         values = self.values[:, self.columns.index(name)]
+        # Differences of int64 times are exact in float64. The times themselves are not.
         base = int(self.t_ns[0])
         return np.interp(
             (t_ns - base).astype(np.float64), (self.t_ns - base).astype(np.float64), values, left=np.nan, right=np.nan
         )
 
     def table(self, names: list[str], t_ns: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Several columns at times [ns], (times, names)."""
+        """Return several columns at times [ns], (times, names)."""
         return np.column_stack([self.at(name, t_ns) for name in names])
 
 
 def read_truth(path: Path) -> Truth:
-    """Read a truth file.
+    """Read a truth file: one line of JSON, then rows of int64 time [ns] and float64 columns.
 
     Raises:
-        LogError: it is not there or not a truth file.
+        LogError: the file is missing or is not a truth file.
     """
     try:
         if path.exists() and not path.is_file():
@@ -78,5 +79,6 @@ def read_truth(path: Path) -> Truth:
 
 
 def _whole_rows(data: bytes, columns: int) -> bytes:
+    """Cut off an incomplete last row, which a killed simulator may leave."""
     size = 8 * (columns + 1)
     return data[: len(data) // size * size]

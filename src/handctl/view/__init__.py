@@ -1,1 +1,1 @@
-"""The view room: logs and running hands in Rerun; the only room that imports it."""
+"""Viewer of logs and running hands in Rerun. Only this package imports Rerun."""

@@ -1,4 +1,4 @@
-"""Opens a viewer and sends a log to it from the start: the first seconds are shown while the rest still comes."""
+"""Display of a log in a viewer. The first seconds are visible while the rest is being sent."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -14,27 +14,32 @@ if TYPE_CHECKING:
     from rerun.chunk import Chunk
 
 FIRST_NS = 2_000_000_000
-"""What is sent first: enough to see the hand, few enough to be there at once."""
+"""Part of the run that is sent first [ns]. It shows the hand at once."""
 FLUSH_S = 5.0
+"""Maximum wait for the viewer to receive the last data [s]."""
 
 
 @contextmanager
 def browse(
     path: Path, subject: Subject, arguments: Sequence[str], environment: dict[str, str], found: Scan | None = None
 ) -> Iterator[Viewer]:
-    """Open a viewer and send all of a log, which may be looked at meanwhile; it closes with the context.
+    """Open a viewer and send a whole log. The viewer closes with the context.
 
     Args:
         path: a log.
-        subject: its run.
-        arguments: more arguments of the viewer.
-        environment: for the viewer.
-        found: what the log holds, if that is known already.
+        subject: run and hand of the log.
+        arguments: further arguments of the viewer.
+        environment: environment variables for the viewer.
+        found: outer records of the log if already scanned.
+
+    Yields:
+        The viewer, after the whole log was sent.
 
     Raises:
-        LogError: the log is damaged; what came before the damage is shown.
+        LogError: the log is damaged. The part before the damage is visible.
         HandctlError: the viewer does not start.
     """
+    # The viewer starts on another core while this process imports Rerun and converts the first part.
     with launched(["--expect-data-soon", *arguments], environment) as launch:
         from handctl.view.feed import run_parts  # it imports Rerun, while the viewer starts on another core
 
@@ -46,7 +51,7 @@ def browse(
 
 
 def _send(running: Viewer, subject: Subject, chunks: "Iterator[Chunk]") -> None:
-    """Send all chunks, until there are no more or the viewer is closed."""
+    """Send all chunks until the end or until the viewer is closed."""
     import rerun as rr
 
     from handctl.view.feed import recording

@@ -1,4 +1,4 @@
-"""From a log to Rerun: all chunks of a run, into a file or into a viewer."""
+"""Conversion of a log to Rerun, into a file or a viewer."""
 
 import errno
 import os
@@ -23,13 +23,14 @@ from handctl.view.scene.subject import Subject
 from handctl.view.windows import SPAN_NS, windows
 
 ROOM = 2
-"""Free space that a recording wants, in sizes of its log: on a full disk Rerun's writer waits for ever."""
+"""Required free space for a recording, as a multiple of the log's size. On a full disk Rerun's writer never returns."""
 DECODERS = ("ros2msg", "ros2_reflection", "urdf")
+"""Rerun's decoders for the messages of a log."""
 
 
 @contextmanager
 def reading(name: str) -> Iterator[None]:
-    """Turn what Rerun says of a bad file into a LogError."""
+    """Convert errors of Rerun about a bad file to a LogError."""
     try:
         yield
     except (RuntimeError, ValueError, OSError) as error:
@@ -37,20 +38,20 @@ def reading(name: str) -> Iterator[None]:
 
 
 def run_chunks(path: Path, subject: Subject, first_ns: int = SPAN_NS) -> Iterator[Chunk]:
-    """All chunks of a log, whole or ending early, in the order of time; see ``run_parts``."""
+    """Return all chunks of a log in the order of time, see `run_parts`."""
     return chain.from_iterable(run_parts(path, subject, first_ns))
 
 
 def run_parts(
     path: Path, subject: Subject, first_ns: int = SPAN_NS, found: Scan | None = None
 ) -> Iterator[list[Chunk]]:
-    """All chunks of a log, whole or ending early: those that hold for all of it, then part by part as time goes.
+    """Yield all chunks of a log in parts: static chunks first, then the run in the order of time.
 
     Args:
-        path: a log.
-        subject: its run.
-        first_ns: so much of the run is in the first part [ns].
-        found: what the log holds, if that is known already.
+        path: a log, complete or ending early.
+        subject: run and hand of the log.
+        first_ns: length of the run in the first part [ns].
+        found: outer records of the log if already scanned.
 
     Raises:
         LogError: the log is damaged.
@@ -63,10 +64,10 @@ def run_parts(
 
 
 def whole(path: Path, folder: Path, found: Scan) -> tuple[Path, Scan]:
-    """The log itself, or a repaired copy of one that ends early: Rerun would leave out parts of its last chunk.
+    """Return the log, or a repaired copy of a log that ends early. Rerun would leave out parts of the last chunk.
 
     Raises:
-        LogError: there is nothing in it.
+        LogError: the log has no complete chunk.
     """
     if not found.problem:
         return path, found
@@ -77,13 +78,13 @@ def whole(path: Path, folder: Path, found: Scan) -> tuple[Path, Scan]:
 
 
 def log_chunks(path: Path, lenses: Lenses, name: str, since_ns: int = 0) -> Iterator[Chunk]:
-    """Chunks of all that changes.
+    """Yield the chunks of all topics that change.
 
     Args:
-        path: a log, whole or ending early.
-        lenses: what is made of its topics.
-        name: what to call the log in messages.
-        since_ns: first log time to look at [ns].
+        path: a log, complete or ending early.
+        lenses: converters of the topics.
+        name: name of the log in messages.
+        since_ns: first log time [ns].
 
     Raises:
         LogError: the log is damaged.
@@ -91,17 +92,18 @@ def log_chunks(path: Path, lenses: Lenses, name: str, since_ns: int = 0) -> Iter
     with reading(name):
         reader = McapReader(path, decoders=DECODERS, include_topic_regex=lenses.topics, recover=True)
         first, last = reader.time_bounds()
+        # The end of a stream's time range is exclusive.
         raw = reader.stream(start_time_ns=max(first, since_ns), end_time_ns=last + 1).collect().stream().to_chunks()
     yield from (new for chunk in sorted(raw, key=_begin) for new in lenses(chunk))
 
 
 def _begin(chunk: Chunk) -> int:
-    """Log time of the first row of a chunk [ns]; before all others if it has none."""
+    """Return the log time of a chunk's first row [ns]. A chunk without times comes first."""
     return int(run_times(chunk, 0)[0]) if LOG_TIME in chunk.timeline_names else -1
 
 
 def recording(subject: Subject) -> rr.RecordingStream:
-    """A new recording without a sink."""
+    """Create a recording without a sink."""
     stream = rr.RecordingStream(subject.application, recording_id=subject.name, send_properties=False)
     stream.send_recording_name(subject.name)
     if subject.header.offset_ns:
@@ -110,14 +112,19 @@ def recording(subject: Subject) -> rr.RecordingStream:
 
 
 def write_rrd(path: Path, subject: Subject, out: Path) -> int:
-    """Write a log as Rerun recording with its layout.
+    """Write a log as a Rerun recording with its layout.
+
+    Args:
+        path: the log.
+        subject: run and hand of the log.
+        out: file to write.
 
     Returns:
         Size of the file [bytes].
 
     Raises:
         LogError: the log is damaged, or the file cannot be written.
-        OSError: there is no room for it.
+        OSError: the free space is too small.
     """
     if shutil.disk_usage(out.absolute().parent).free < ROOM * path.stat().st_size:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(out))

@@ -1,4 +1,4 @@
-"""Shows a run while it is recorded: reads the growing log and sends what is new to a viewer."""
+"""Live display of a run: reads the growing log and sends new chunks to a viewer."""
 
 import tempfile
 import time
@@ -20,22 +20,24 @@ from handctl.view.tail import Tail
 from handctl.view.viewer import Viewer, check_screen, software_vulkan, start_viewer
 
 PERIOD_S, FLUSH_S = 0.2, 5.0
+"""Interval between looks at the log, and maximum wait for the viewer [s]."""
 APPEAR_S = 30.0
-"""A log that is not there after this long will not come."""
+"""Maximum wait for the log to appear [s]."""
 QUIET_S = 15.0
-"""A log that has not grown for this long has lost its recorder."""
+"""Time without growth after which the recorder counts as dead [s]."""
 
 
 class Follower:
-    """Sends a growing log to a viewer, step by step.
-
-    Args:
-        log: the log; its header is there.
-        subject: its run.
-        url: of the viewer.
-    """
+    """Sends a growing log to a viewer, step by step."""
 
     def __init__(self, log: Path, subject: Subject, url: str) -> None:
+        """Connect to a viewer and send the static chunks.
+
+        Args:
+            log: the log with its header.
+            subject: run and hand of the log.
+            url: address of the viewer.
+        """
         self._subject, self._lenses, self._tail = subject, Lenses(subject), Tail(log)
         self._folder = tempfile.TemporaryDirectory(prefix="handctl-follow-")
         self._stream = recording(subject)
@@ -43,7 +45,7 @@ class Follower:
         rr.send_chunks(styles(subject), recording=self._stream)
 
     def step(self) -> bool:
-        """Send what is new; whether there was something.
+        """Send new chunks. Return False if the log has not grown.
 
         Raises:
             LogError: the log is damaged.
@@ -58,33 +60,33 @@ class Follower:
         return True
 
     def _flush(self) -> None:
-        """Wait for the viewer, but not for one that was closed."""
+        """Wait for the viewer unless it was closed."""
         with suppress(RuntimeError):
             self._stream.flush(timeout_sec=FLUSH_S)
 
     @property
     def ended(self) -> bool:
-        """Whether all of a log that has its end was sent."""
+        """Return True after the end of a closed log was sent."""
         return self._tail.ended
 
     def close(self) -> None:
-        """Let go of the viewer, which stays open."""
+        """Disconnect from the viewer, which remains open."""
         self._flush()
         self._stream.disconnect()
         self._folder.cleanup()
 
 
 def follow(log: Path, arguments: Sequence[str] = (), stop: Stop | None = None) -> None:
-    """Open a viewer and show a log until it ends.
+    """Open a viewer and show a log until its end.
 
     Args:
-        log: the log; it may not exist yet.
-        arguments: more arguments of the viewer.
-        stop: ends it earlier.
+        log: the log, which may appear later.
+        arguments: further arguments of the viewer.
+        stop: request to end earlier.
 
     Raises:
-        LogError: the log does not appear, or it is damaged.
-        ConfigError: there is no screen.
+        LogError: the log does not appear, or is damaged.
+        ConfigError: the session has no screen.
         HandctlError: the viewer does not start.
     """
     headless = "--headless" in arguments
@@ -106,6 +108,7 @@ def follow(log: Path, arguments: Sequence[str] = (), stop: Stop | None = None) -
 
 
 def _until_end(follower: Follower, running: Viewer, stop: Stop) -> None:
+    """Send new chunks until the log ends, the viewer is closed, a stop is requested, or the log stops growing."""
     news = time.monotonic()
     while not (follower.ended or stop.asked) and running.process.poll() is None:
         begin = time.monotonic()
@@ -113,11 +116,12 @@ def _until_end(follower: Follower, running: Viewer, stop: Stop) -> None:
             news = begin
         elif begin - news > QUIET_S:
             return
+        # A slow step shortens the pause. The minimum leaves the processor to other programs.
         time.sleep(max(PERIOD_S - (time.monotonic() - begin), PERIOD_S / 4))
 
 
 def _appeared(log: Path, stop: Stop) -> Subject | None:
-    """Wait until the header of a log is there."""
+    """Wait for the header of a log. Return None after a stop request."""
     end = time.monotonic() + APPEAR_S
     while not stop.asked:
         try:

@@ -1,7 +1,9 @@
-"""The process of the live view: how a controller starts it, and its main program.
+"""Process of the live view: its start by a controller, and its main program.
 
-``python -m handctl.view.live LOG [ARGUMENT OF THE VIEWER ...]``. It reads the log and nothing else; the controller
-does not know of it. It ends with the log, when its viewer is closed, or on SIGTERM; the viewer stays open.
+Command: `python -m handctl.view.live LOG [ARGUMENT OF THE VIEWER ...]`.
+
+The process only reads the log and is independent of the controller. It ends with the log, when its viewer is closed,
+or on SIGTERM. The viewer remains open.
 """
 
 import os
@@ -15,18 +17,18 @@ from handctl.errors import HandctlError
 from handctl.handlers import Stop
 
 NICE = 10
-"""So much less than the controller does this process want the processor."""
+"""Scheduling priority, below that of the controller."""
 
 
 def start_live(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
-    """Show a log in a viewer while it is being written.
+    """Start a process that shows a log in a viewer while the log is being written.
 
-    Whatever becomes of the new process or of the viewer, the controller does not notice. Imports nothing heavy, since
-    the controller's process calls it.
+    A failure of the process or of the viewer has no effect on the controller. This module imports only light packages,
+    because the controller's process imports it.
 
     Args:
-        log_path: the log; it may not exist yet.
-        arguments: more arguments of the viewer, such as --headless.
+        log_path: the log, which may appear later.
+        arguments: further arguments of the viewer, such as --headless.
     """
     command = [sys.executable, "-m", "handctl.view.live", str(log_path), *arguments]
     quiet = os.environ | {"RUST_LOG": "off"}
@@ -36,7 +38,7 @@ def start_live(log_path: Path, *arguments: str) -> "subprocess.Popen[bytes]":
 
 
 def main() -> int:
-    """Follow the log that the first argument names."""
+    """Run the live view of the log in the first argument."""
     stop = Stop()
     signal.signal(signal.SIGTERM, stop)
     with suppress(OSError):

@@ -1,12 +1,13 @@
-"""The moment of a run that is worth a picture."""
+"""Selection of the time of a run that a single picture shows."""
 
 from handctl.log.read.reader import RunLog
 
 BEST = "hold"
+"""Name of the phase that a picture shows."""
 
 
 def moment(log: RunLog) -> float:
-    """Middle of the longest hold phase, of the whole run if there is none [s]."""
+    """Return the middle of the longest hold phase [s], or of the whole run without a hold."""
     if not len(log):
         return 0.0
     ends = [change.t_ns for change in log.phases[1:]] + [int(log.t_ns[-1])]

@@ -1,4 +1,4 @@
-"""A picture of the dashboard at one moment of a run, drawn without a screen."""
+"""Picture of the dashboard at one time of a run, drawn without a screen."""
 
 import time
 from pathlib import Path
@@ -13,27 +13,29 @@ if TYPE_CHECKING:
     from rerun.experimental import ViewerClient, ViewerState
 
 SIZE = "1600x900"
+"""Width and height of the picture [pixels]."""
 LOAD_S, SETTLE_S = 60.0, 1.0
+"""Maximum wait for the viewer, and pause between two pictures [s]."""
 TOAST_S = 5.0
-"""So long after its start the viewer still shows notices over the picture."""
+"""Time after the start during which the viewer shows notices over the picture [s]."""
 STILL_S = 10.0
-"""A picture that has not come to rest by then is taken as it is."""
+"""Maximum wait for a picture that no longer changes [s]."""
 
 
 def draw(rrd: Path, at_s: float, out: Path) -> list[str]:
-    """Write a PNG of a recording.
+    """Draw a recording as PNG.
 
     Args:
         rrd: recording with its layout.
-        at_s: moment, since the start of the run [s].
+        at_s: time since the start of the run [s].
         out: the PNG.
 
     Returns:
-        What the views could not show; empty if all is well.
+        Problems that the views report, or an empty list.
 
     Raises:
-        ConfigError: there is no Vulkan driver.
-        HandctlError: the viewer did not do it.
+        ConfigError: no Vulkan driver is installed.
+        HandctlError: the viewer failed.
         OSError: the picture cannot be written.
     """
     with viewer(["--headless", "--window-size", SIZE, str(rrd)], software_vulkan()) as running:
@@ -50,7 +52,7 @@ def draw(rrd: Path, at_s: float, out: Path) -> list[str]:
 
 
 def still(client: "ViewerClient") -> bytes:
-    """The picture once it has stopped changing: on a busy machine views are drawn one after the other."""
+    """Return the picture after it stopped changing. On a busy machine the views are drawn one after the other."""
     end = time.monotonic() + STILL_S
     before = client.take_screenshot()
     while True:
@@ -62,7 +64,7 @@ def still(client: "ViewerClient") -> bytes:
 
 
 def connected(running: Viewer) -> "ViewerClient":
-    """A client of a viewer that is still starting."""
+    """Return a client of a viewer that is starting."""
     from rerun.experimental import ViewerClient
 
     end = time.monotonic() + LOAD_S
@@ -79,23 +81,24 @@ def connected(running: Viewer) -> "ViewerClient":
 
 
 def reached(state: "ViewerState", timeline: str) -> int:
-    """How far a timeline of a viewer's recordings goes, in its unit; -1 without data."""
+    """Return the end of a timeline over all recordings of a viewer, in its unit, or -1 without data."""
     lines = [line for one in state.recordings for line in one.timelines if line.name == timeline]
     return max((line.end for line in lines if line.end is not None), default=-1)
 
 
 def wait_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
-    """Wait until the views are there, and a recording up to some moment.
+    """Wait until the views exist and a recording is loaded up to some time.
 
-    A viewer knows a recording and its layout before the first of its data, and says then that nothing is loading.
+    A viewer knows a recording and its layout before the first data arrives. It reports already then that loading is
+    done.
 
     Args:
-        client: of the viewer.
+        client: client of the viewer.
         timeline: a timeline of the recording.
-        until: what the timeline must reach, in its unit.
+        until: required end of the timeline, in its unit.
 
     Raises:
-        HandctlError: it takes too long.
+        HandctlError: the recording is not loaded after `LOAD_S`.
     """
     end = time.monotonic() + LOAD_S
     while time.monotonic() < end:
@@ -107,7 +110,7 @@ def wait_loaded(client: "ViewerClient", timeline: str, until: int = 0) -> None:
 
 
 def view_reports(client: "ViewerClient") -> list[str]:
-    """What the views of the dashboard could not show."""
+    """Return the problems that the views of the dashboard report."""
     return [
         f"{view.name}: {report.severity}: {report.summary}"
         for view in client.get_state().views

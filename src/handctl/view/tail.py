@@ -1,4 +1,4 @@
-"""The new chunks of a log that is still being written, as small logs of their own."""
+"""New chunks of a log that is being written, as small logs."""
 
 from pathlib import Path
 
@@ -9,25 +9,27 @@ from handctl.log.read.scan import Scan, scan
 class Tail:
     """Reads a growing log from its start to its end.
 
-    Args:
-        path: the log.
-
     Attributes:
-        ended: the log has its end mark: nothing more will come.
+        ended: True after the end mark of the log was read.
     """
 
     def __init__(self, path: Path) -> None:
+        """Start before the first chunk.
+
+        Args:
+            path: the log.
+        """
         self._path, self._taken = path, 0
         self.ended = False
 
     def take(self, part: Path) -> int | None:
-        """Write the chunks that are new since the last call into a log without an end.
+        """Write the chunks since the last call into a log without an end.
 
         Args:
             part: file to write, with all definitions of topics.
 
         Returns:
-            The first log time that is new [ns]; None if there is nothing new and nothing was written.
+            The first new log time [ns], or None if no new chunk is complete. The file is then not written.
 
         Raises:
             LogError: the log is damaged.
@@ -42,6 +44,7 @@ class Tail:
             if not new:
                 return None
             with part.open("wb") as out:
+                # The first chunk has the definitions of all topics. Every part begins with it.
                 if self._taken:
                     out.write(file.read(0, ends[0]))
                 start = new[0].offset if self._taken else 0

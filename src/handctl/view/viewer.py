@@ -1,4 +1,4 @@
-"""The Rerun viewer as a process of its own: found in the installed package, bound to this machine only."""
+"""Rerun viewer as a separate process: located in the installed package, bound to this machine only."""
 
 import ctypes
 import os
@@ -16,19 +16,23 @@ from handctl.errors import ConfigError, HandctlError
 from handctl.runtime.places import run_dir
 
 LOOPBACK = "127.0.0.1"
+"""The viewer accepts connections from this machine only."""
 ICD_FOLDERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
+"""Folders with the descriptions of Vulkan drivers."""
 SOFTWARE_ICD = "lvp_icd*.json"
-"""Mesa's lavapipe: Vulkan on the processor, so that a picture does not depend on a graphics card."""
+"""Mesa's lavapipe: Vulkan on the processor. Pictures then do not depend on a graphics card."""
 PACKAGES = "libvulkan1 mesa-vulkan-drivers"
 START_S, END_S = 30.0, 5.0
+"""Maximum wait for the start and for the end of a viewer [s]."""
 _LISTENS = re.compile(rb"rerun\+http://[0-9.]+:\d+/proxy")
+"""Line in the viewer's output with its address."""
 
 
 def binary() -> Path:
-    """The viewer that comes with rerun-sdk.
+    """Return the viewer of the rerun-sdk package.
 
     Raises:
-        ConfigError: it is not there.
+        ConfigError: the package has no viewer.
     """
     import rerun_cli  # type: ignore[import-untyped]
 
@@ -40,10 +44,13 @@ def binary() -> Path:
 
 
 def software_vulkan() -> dict[str, str]:
-    """Environment in which the viewer can draw without a screen; empty where that needs nothing.
+    """Return environment variables for drawing without a screen.
+
+    Returns:
+        Empty if the defaults suffice.
 
     Raises:
-        ConfigError: there is no Vulkan driver.
+        ConfigError: no Vulkan driver is installed.
     """
     if not sys.platform.startswith("linux"):
         return {}
@@ -55,10 +62,12 @@ def software_vulkan() -> dict[str, str]:
 
 
 def _drivers(pattern: str) -> list[Path]:
+    """Return the descriptions of installed drivers."""
     return [path for folder in ICD_FOLDERS for path in sorted(Path(folder).glob(pattern))]
 
 
 def _loader() -> bool:
+    """Return True if the Vulkan loader is installed."""
     try:
         ctypes.CDLL("libvulkan.so.1")
     except OSError:
@@ -67,10 +76,10 @@ def _loader() -> bool:
 
 
 def check_screen() -> None:
-    """Refuse to open a window where there is none.
+    """Refuse to open a window without a screen.
 
     Raises:
-        ConfigError: this session has no screen.
+        ConfigError: the session has no screen.
     """
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise ConfigError("no screen in this session", "DISPLAY", "a desktop; or use --png or --save")
@@ -81,15 +90,15 @@ class Viewer:
     """A running viewer.
 
     Attributes:
-        process: of the viewer.
-        url: where it listens.
+        process: process of the viewer.
+        url: address of the viewer.
     """
 
     process: "subprocess.Popen[bytes]"
     url: str
 
     def end(self) -> None:
-        """Close it."""
+        """Close the viewer."""
         self.process.terminate()
         try:
             self.process.wait(END_S)
@@ -100,21 +109,21 @@ class Viewer:
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """A viewer that was started and does not listen yet.
+    """A viewer that is starting.
 
     Attributes:
-        process: of the viewer.
-        notes: what it has said so far.
+        process: process of the viewer.
+        notes: output of the viewer.
     """
 
     process: "subprocess.Popen[bytes]"
     notes: IO[bytes]
 
     def ready(self) -> Viewer:
-        """Wait until it listens; kill it if it does not.
+        """Wait for the viewer to listen, or kill it.
 
         Raises:
-            HandctlError: it does not start.
+            HandctlError: the viewer does not start.
         """
         url = ""
         try:
@@ -128,14 +137,14 @@ class Launch:
 
 
 def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Launch:
-    """Start a viewer that listens on a free port of this machine and reports to nobody; do not wait for it.
+    """Start a viewer on a free port of this machine, with its telemetry disabled. Return at once.
 
-    The system chooses the port. Rerun's own choice is 9876 if that is free, where a viewer would also get what other
-    programs stream, and what was meant for a viewer that was closed before.
+    The system chooses the port. Rerun's default port is 9876. A viewer on this port would also receive streams of other
+    programs, and data meant for a viewer that was closed before.
 
     Args:
-        arguments: more arguments of the viewer.
-        environment: in addition to that of this process.
+        arguments: further arguments of the viewer.
+        environment: environment variables in addition to those of this process.
     """
     exe, settings = str(binary()), run_dir() / "viewer"
     settings.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -144,6 +153,7 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Laun
     subprocess.run([exe, "analytics", "disable"], env=environ, check=False, capture_output=True)
     notes = tempfile.TemporaryFile()  # noqa: SIM115 (`Launch.ready` closes it)
     command = [exe, "--bind", LOOPBACK, "--port", "0", *arguments]
+    # In a session of its own the viewer is not interrupted by Ctrl-C in the terminal.
     process = subprocess.Popen(
         command, env=environ, stdin=subprocess.DEVNULL, stdout=notes, stderr=notes, start_new_session=True
     )
@@ -151,17 +161,17 @@ def launch_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Laun
 
 
 def start_viewer(arguments: Sequence[str], environment: dict[str, str]) -> Viewer:
-    """As ``launch_viewer``, and wait until it listens.
+    """Start a viewer as `launch_viewer` does, and wait until it listens.
 
     Raises:
-        HandctlError: it does not start.
+        HandctlError: the viewer does not start.
     """
     return launch_viewer(arguments, environment).ready()
 
 
 @contextmanager
 def launched(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Launch]:
-    """As ``launch_viewer``; it ends with the context, and so does what it keeps in files meanwhile."""
+    """Start a viewer as `launch_viewer` does. The viewer and its temporary files end with the context."""
     with tempfile.TemporaryDirectory(prefix="handctl-viewer-", ignore_cleanup_errors=True) as scratch:
         launch = launch_viewer(arguments, {"TMPDIR": scratch} | environment)
         try:
@@ -172,16 +182,21 @@ def launched(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[
 
 @contextmanager
 def viewer(arguments: Sequence[str], environment: dict[str, str]) -> Iterator[Viewer]:
-    """As ``start_viewer``; it ends with the context."""
+    """Start a viewer as `start_viewer` does. It ends with the context."""
     with launched(arguments, environment) as launch:
         yield launch.ready()
 
 
 def _url(process: "subprocess.Popen[bytes]", notes: IO[bytes]) -> str:
-    """Wait until the viewer says where it listens."""
+    """Wait for the viewer's address in its output.
+
+    Raises:
+        HandctlError: the viewer ended, or does not listen after `START_S`.
+    """
     left = START_S
     while left > 0:
         try:
+            # The wait for an early end is also the pause between two looks at the output.
             process.wait(0.05)
         except subprocess.TimeoutExpired:
             left -= 0.05

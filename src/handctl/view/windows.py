@@ -1,4 +1,4 @@
-"""A log cut into small logs by time, so that the first of it can be shown before the last has been read."""
+"""Division of a log into small logs by time. The first can be shown before the last is read."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -7,20 +7,22 @@ from handctl.log.read.logfile import ChunkPlace, LogFile
 from handctl.log.read.scan import Scan
 
 SPAN_NS = 20_000_000_000
-"""So much of a run is joined before it is sent on: few chunks, and memory that does not grow."""
+"""Length of the run per part [ns]. Parts of this length have few chunks, and memory stays bounded."""
 
 
 def windows(path: Path, found: Scan, folder: Path, first_ns: int) -> Iterator[tuple[Path, int]]:
-    """Parts of a whole log in the order of time, each a log of its own that holds until the next is asked for.
+    """Yield parts of a complete log in the order of time.
+
+    Each part is a log that exists until the next is requested.
 
     Args:
         path: a log with an end.
-        found: what it holds.
-        folder: where to write them.
-        first_ns: so much of the run is in the first one [ns].
+        found: outer records of the log.
+        folder: folder for the parts.
+        first_ns: length of the run in the first part [ns].
 
     Yields:
-        the part, and the first log time that is new in it [ns]; before that is what every part begins with.
+        The part, and its first new log time [ns]. The definitions of topics at the start of every part are older.
 
     Raises:
         LogError: the log is damaged.
@@ -34,6 +36,8 @@ def windows(path: Path, found: Scan, folder: Path, first_ns: int) -> Iterator[tu
             first = rest.index(group[0]) if group else 0
             for place in group:
                 file.content(place)  # its checksum: Rerun would show what is damaged
+            # Every part begins with the head of the file and the first chunk: the definitions of all
+            # topics.
             with part.open("wb") as out:
                 out.write(file.read(0, begins[0]))
                 if group:
@@ -44,7 +48,7 @@ def windows(path: Path, found: Scan, folder: Path, first_ns: int) -> Iterator[tu
 
 
 def _groups(start_ns: int, chunks: list[ChunkPlace], first_ns: int) -> list[list[ChunkPlace]]:
-    """Chunks by the window in which they begin."""
+    """Group chunks by the part in which they begin."""
     groups: dict[int, list[ChunkPlace]] = {}
     for place in chunks:
         groups.setdefault(max(-1, (place.first - start_ns - first_ns) // SPAN_NS), []).append(place)

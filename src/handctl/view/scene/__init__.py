@@ -1,1 +1,1 @@
-"""What the dashboard shows, and how a run's topics become it."""
+"""Content of the dashboard, and its derivation from the topics of a run."""

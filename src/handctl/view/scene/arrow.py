@@ -1,4 +1,4 @@
-"""Between Rerun's chunks and numpy: times, numbers and columns."""
+"""Conversion between Rerun's chunks and numpy: times, numbers and columns."""
 
 from collections.abc import Iterable
 
@@ -9,8 +9,9 @@ from rerun import ComponentColumn, TimeColumn
 from rerun.chunk import Chunk
 
 TIMELINE = "run_time"
-"""Time since the start of the run, as ``RunLog.times``."""
+"""Timeline of the time since the start of the run, as `RunLog.times`."""
 LOG_TIME = "message_log_time"
+"""Timeline of Rerun's MCAP reader."""
 _INDEX = b"index"
 
 Times = NDArray[np.int64]
@@ -18,22 +19,28 @@ Floats = NDArray[np.float64]
 
 
 def run_times(chunk: Chunk, offset_ns: int) -> Times:
-    """(n,) time of each row of a chunk out of a log since the start of the run [ns]."""
+    """Return the time of each row of a chunk since the start of the run (n,) [ns]."""
     return np.asarray(chunk.to_record_batch().column(LOG_TIME).cast(pa.int64())) - offset_ns
 
 
 def timed(entity: str, times: Times, columns: Iterable[ComponentColumn]) -> Chunk:
-    """A new chunk of rows at these times since the start of the run [ns]."""
+    """Create a chunk of rows.
+
+    Args:
+        entity: path of the entity.
+        times: (n,) time of each row since the start of the run [ns].
+        columns: components of the rows.
+    """
     return Chunk.from_columns(entity, [TimeColumn(TIMELINE, duration=times.astype("timedelta64[ns]"))], columns)
 
 
 def static(entity: str, columns: Iterable[ComponentColumn]) -> Chunk:
-    """A new chunk of one row that holds at all times."""
+    """Create a chunk of one row for all times."""
     return Chunk.from_columns(entity, [], columns)
 
 
 def retimed(chunk: Chunk, offset_ns: int) -> Chunk:
-    """The same chunk on the timeline of the run; a chunk without times as it is."""
+    """Return the chunk on the timeline of the run. A chunk without times is returned unchanged."""
     if LOG_TIME not in chunk.timeline_names:
         return chunk
     batch = chunk.to_record_batch()
@@ -42,6 +49,7 @@ def retimed(chunk: Chunk, offset_ns: int) -> Chunk:
         if field.name == LOG_TIME:
             column = pa.array(run_times(chunk, offset_ns)).cast(pa.duration("ns"))
             field = pa.field(TIMELINE, column.type, metadata=field.metadata | {b"rerun:index_name": TIMELINE.encode()})
+        # Rerun marks each timeline as an index. Only the timeline of the run remains.
         elif (field.metadata or {}).get(b"rerun:kind") == _INDEX:
             continue
         fields.append(field)
@@ -52,7 +60,7 @@ def retimed(chunk: Chunk, offset_ns: int) -> Chunk:
 
 
 def message(chunk: Chunk) -> pa.StructArray | None:
-    """The decoded messages of a chunk, one a row; None if it holds something else."""
+    """Return the decoded messages of a chunk, one per row, or None for another content."""
     batch = chunk.to_record_batch()
     for field, column in zip(batch.schema, batch.columns, strict=True):
         if field.name.endswith(":message"):
@@ -61,5 +69,5 @@ def message(chunk: Chunk) -> pa.StructArray | None:
 
 
 def numbers(column: pa.ListArray) -> Floats:
-    """(n, width) of a column of lists, all of one length."""
+    """Convert a column of lists of equal length to an array (n, width)."""
     return np.asarray(column.flatten(), np.float64).reshape(len(column), -1)

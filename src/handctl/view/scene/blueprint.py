@@ -1,4 +1,4 @@
-"""The layout of the dashboard."""
+"""Layout of the dashboard."""
 
 import numpy as np
 import rerun.blueprint as rrb
@@ -10,24 +10,28 @@ from handctl.view.scene.subject import Subject
 LINKED = rrb.TimeAxis(link=LinkAxis.LinkToGlobal)
 NO_LEGEND = rrb.PlotLegend(visible=False)
 ROWS = [0.34, 0.44, 0.22]
+"""Heights of the right column's rows, as fractions."""
 HEADROOM = 1.06
+"""Height of the tension plot, as a multiple of the largest tension limit."""
 LAST_SECONDS = rrb.VisibleTimeRange(
     TIMELINE,
     start=rrb.TimeRangeBoundary.cursor_relative(seconds=-12),
     end=rrb.TimeRangeBoundary.cursor_relative(seconds=0),
 )
+"""Visible time range of the live view."""
 Window = list[rrb.VisibleTimeRange] | None
 BACKGROUND = (17, 21, 27)
+"""Background colour of the hand view: red, green, blue, 0 to 255."""
 EYE = (1.5, -0.75, 1.0)
-"""Where the hand is looked at from, in reaches of the hand: in front of the palm, from the thumb's side and above."""
+"""Position of the eye in hand lengths: in front of the palm, on the side of the thumb and above."""
 
 
 def dashboard(subject: Subject, live: bool = False) -> rrb.Blueprint:
-    """Hand, timing and log on the left; tensions, angles and states on the right, all plots on one time axis.
+    """Build the layout: hand, timing and log left, tensions, angles and states right, all plots on one time axis.
 
     Args:
-        subject: the run that is shown.
-        live: show the last seconds and go with the run.
+        subject: run and hand.
+        live: show the last seconds and follow the run.
     """
     window = [LAST_SECONDS] if live else None
     left = rrb.Vertical(_hand(subject), _timing(window), _log(), row_shares=[0.56, 0.18, 0.26])
@@ -44,6 +48,7 @@ def dashboard(subject: Subject, live: bool = False) -> rrb.Blueprint:
 
 
 def _hand(subject: Subject) -> rrb.Spatial3DView:
+    """Build the view of the hand."""
     mounts = np.array([digit.mount_position_m for digit in subject.hand.digit])
     middle = mounts.mean(axis=0) * (1, 0, 1) + subject.reach * np.array([0.4, -0.05, -0.06])
     return rrb.Spatial3DView(
@@ -59,6 +64,7 @@ def _hand(subject: Subject) -> rrb.Spatial3DView:
 
 
 def _forces(subject: Subject, window: Window) -> rrb.Horizontal:
+    """Build the plots of tensions and fingertip forces."""
     tensions = rrb.TimeSeriesView(
         name="Tendon tension [N], 1-sigma band",
         contents="/tension/**",
@@ -78,7 +84,7 @@ def _forces(subject: Subject, window: Window) -> rrb.Horizontal:
 
 
 def _angles(subject: Subject, window: Window) -> rrb.Grid:
-    """One plot for each digit."""
+    """Build one plot per digit."""
     views = [
         rrb.TimeSeriesView(
             name=f"{digit.name} joint angles [deg], 1-sigma band, grey: command",
@@ -93,12 +99,14 @@ def _angles(subject: Subject, window: Window) -> rrb.Grid:
 
 
 def _states(window: Window) -> rrb.StateTimelineView:
+    """Build the lanes of phase, mode and action."""
     return rrb.StateTimelineView(
         name="Grasp phase, mode of the hand, safety", contents="/state/**", time_view=LINKED, time_ranges=window
     )
 
 
 def _timing(window: Window) -> rrb.Horizontal:
+    """Build the plots of lateness and bus load."""
     return rrb.Horizontal(
         rrb.TimeSeriesView(
             name="Tick late [us]", contents="/loop/**", axis_x=LINKED, time_ranges=window, plot_legend=NO_LEGEND
@@ -114,6 +122,7 @@ def _timing(window: Window) -> rrb.Horizontal:
 
 
 def _log() -> rrb.TextLogView:
+    """Build the view of the log lines."""
     return rrb.TextLogView(
         name="Log",
         contents="/rosout",

@@ -1,4 +1,4 @@
-"""The hand's shapes, solid and in the colours of their digits."""
+"""Shapes of the hand, solid and in the colours of their digits."""
 
 from collections.abc import Iterator
 
@@ -14,15 +14,16 @@ _SHAPES: dict[str, type[rr.Boxes3D] | type[rr.Cylinders3D] | type[rr.Ellipsoids3
     "Cylinders3D": rr.Cylinders3D,
     "Ellipsoids3D": rr.Ellipsoids3D,
 }
+"""Rerun's archetypes for the geometry of a URDF."""
 
 
 def entity(path: str) -> str:
-    """/hand/<link>/<part> for /<robot>/visual_geometries/<link>/<part>."""
+    """Return /hand/<link>/<part> for /<robot>/visual_geometries/<link>/<part>."""
     return "/hand/" + path.split("/visual_geometries/", 1)[1]
 
 
 def solid(chunk: Chunk, subject: Subject) -> Iterator[Chunk]:
-    """A part of the hand out of the log's URDF; Rerun draws it as wire frame unless told otherwise."""
+    """Yield a part of the hand from the log's URDF, as a solid. Rerun draws wire frames by default."""
     path = entity(chunk.entity_path)
     yield chunk.with_entity_path(path)
     link = path.split("/")[2]
@@ -34,7 +35,7 @@ def solid(chunk: Chunk, subject: Subject) -> Iterator[Chunk]:
 
 
 def colour(link: str, subject: Subject) -> palette.Colour:
-    """Colour of a link: that of its digit, lighter towards the tip."""
+    """Return the colour of a link: that of its digit, lighter towards the tip."""
     known = {
         f"{digit.name}_link{i + 1}": shade
         for index, digit in enumerate(subject.hand.digit)

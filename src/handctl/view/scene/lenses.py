@@ -1,8 +1,8 @@
-"""From the topics of a log to what the dashboard shows: each lens takes a chunk of one topic and gives new chunks.
+"""Conversion of the topics of a log to the entities of the dashboard.
 
 Entities: /hand/<link>/<part>, /force/<digit>, /tension/{estimate,command,limit}, /angle/<digit>/{estimate,command},
-/state/{phase,mode,safety}, /loop/late, /bus/load, /controller/<field>; /tf, /tf_static, /rosout and the
-temperatures are Rerun's own reading of these topics.
+/state/{phase,mode,safety}, /loop/late, /bus/load, /controller/<field>. Rerun itself converts /tf, /tf_static, /rosout
+and the temperatures.
 """
 
 from collections.abc import Callable, Iterator
@@ -18,24 +18,28 @@ from handctl.view.scene.load import BusLoad
 from handctl.view.scene.subject import Subject
 
 FORCE_SCALE = 0.008
-"""Length of an arrow [m/N]."""
+"""Length of a force arrow [m/N]."""
 ARROW_RADIUS = 0.0013
+"""Radius of a force arrow [m]."""
 LEAST_FORCE = 0.05
-"""Below this no arrow is drawn [N]."""
+"""Smallest force with an arrow [N]."""
 
 Lens = Callable[[Chunk], Iterator[Chunk]]
+"""Converts a chunk of one topic to new chunks."""
 
 STATE_TOPICS = {"/grasp/phase": "/state/phase", "/controller/mode": "/state/mode", "/safety/action": "/state/safety"}
+"""Topic of a named state -> entity."""
 
 
 class Lenses:
-    """Applies to each chunk the lens of its topic.
-
-    Args:
-        subject: the run that is shown.
-    """
+    """Converts each chunk according to its topic."""
 
     def __init__(self, subject: Subject) -> None:
+        """Set the converter of each topic.
+
+        Args:
+            subject: run and hand.
+        """
         self._subject, self._offset = subject, subject.header.offset_ns
         self._load = BusLoad(subject)
         self._lenses: dict[str, Lens] = {
@@ -48,12 +52,12 @@ class Lenses:
 
     @property
     def topics(self) -> list[str]:
-        """Regular expressions of the topics that are looked at."""
+        """Return regular expressions of the topics that are converted."""
         exact = [*self._lenses, "/tf", "/tf_static", "/rosout", "/robot_description"]
         return [f"^{topic}$" for topic in exact] + ["^/actuator/.*/temperature$"]
 
     def __call__(self, chunk: Chunk) -> Iterator[Chunk]:
-        """New chunks for one chunk out of a log."""
+        """Yield the new chunks for a chunk of a log."""
         entity = chunk.entity_path
         if "/visual_geometries/" in entity:
             yield from solid(chunk, self._subject)
@@ -65,7 +69,7 @@ class Lenses:
             yield retimed(chunk, self._offset)
 
     def _values(self, chunk: Chunk) -> Iterator[Chunk]:
-        """All numbers of the controller."""
+        """Convert the numbers of the controller."""
         messages = message(chunk)
         if messages is None:
             return
@@ -86,21 +90,21 @@ class Lenses:
             yield timed(f"/controller/{name}", times, scalars(part[name]))
 
     def _cycle(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Lateness of each tick [us]."""
+        """Convert the lateness of each tick to [us]."""
         messages = message(chunk)
         if messages is not None:
             late = np.asarray(messages.field("late"), np.float64) * 1e6
             yield timed("/loop/late", run_times(chunk, self._offset), scalars(late[:, None]))
 
     def _tick(self, chunk: Chunk) -> Iterator[Chunk]:
-        """Load of each bus [%]."""
+        """Convert the frames of each tick to the load of each bus [%]."""
         messages = message(chunk)
         if messages is not None:
             load = 100 * self._load.of(messages)
             yield timed("/bus/load", run_times(chunk, self._offset), scalars(load))
 
     def _state(self, chunk: Chunk) -> Iterator[Chunk]:
-        """A named state, as a lane."""
+        """Convert a named state to a lane."""
         messages = message(chunk)
         if messages is not None:
             names = messages.field("name").to_pylist()
@@ -109,20 +113,21 @@ class Lenses:
 
 
 def band(values: Floats, sigma: Floats) -> rr.ComponentColumnList:
-    """(n, lines) as lines of a plot in a band of one standard deviation; none where that is not known."""
+    """Return plot lines (n, lines) with a band of one standard deviation. An unknown deviation gives no band."""
     measured = rr.Measurements.columns(values=values.ravel(), variances=np.nan_to_num(sigma**2).ravel())
     return measured.partition([values.shape[1]] * len(values))
 
 
 def scalars(values: Floats) -> rr.ComponentColumnList:
-    """(n, lines) as lines of a plot."""
+    """Return plot lines (n, lines)."""
     return rr.Scalars.columns(scalars=values.ravel()).partition([values.shape[1]] * len(values))
 
 
 def arrows(force: Floats) -> rr.ComponentColumnList:
-    """(n,) force of the object on a fingertip [N], as arrows in the tip's frame; the tip closes towards its +y."""
+    """Return the force of the object on a fingertip (n,) [N] as arrows in the tip's frame."""
     shown = np.where(force >= LEAST_FORCE, force, 0.0)
     vectors = np.zeros((len(force), 3))
+    # The tip closes towards +y of its frame, and the object pushes back.
     vectors[:, 1] = -FORCE_SCALE * shown
     labels = [f"{value:.1f} N" if value else "" for value in shown.tolist()]
     radii = np.where(shown > 0, ARROW_RADIUS, 0.0)

@@ -1,4 +1,4 @@
-"""How much of each bus a tick's frames take."""
+"""Load of each bus by the frames of the ticks."""
 
 import numpy as np
 import pyarrow as pa  # type: ignore[import-untyped]
@@ -10,18 +10,20 @@ from handctl.view.scene.arrow import Floats
 from handctl.view.scene.subject import Subject
 
 LONGEST = 64
+"""Maximum payload of a frame [bytes]."""
 SPAN_NS = 100_000_000
-"""Answers to one tick may be read in the next, so a single tick says little."""
+"""Window of the load [ns]. The reply to a tick may be read in the next tick, so that a single tick says little."""
 
 
 class BusLoad:
-    """Worst-case time of the frames on each bus as share of the last ``SPAN_NS``; ticks come in their order.
-
-    Args:
-        subject: gives buses and period.
-    """
+    """Worst-case time of the frames on each bus as a fraction of the last `SPAN_NS`. Ticks must come in order."""
 
     def __init__(self, subject: Subject) -> None:
+        """Tabulate the time of each frame length on each bus.
+
+        Args:
+            subject: run and hand, with buses and period.
+        """
         self._period_ns = subject.header.period_ns
         seconds = [
             [
@@ -35,20 +37,21 @@ class BusLoad:
         self._spent = np.empty((0, len(self._times)), np.int64)
 
     def of(self, ticks: pa.StructArray) -> Floats:
-        """(n, buses) load at the next n ticks, 0 to 1."""
+        """Return the load at the next n ticks (n, buses), 0 to 1."""
         now = np.asarray(ticks.field("t_ns"))
         t = np.concatenate([self._t, now])
         spent = np.concatenate(
             [self._spent, self._spent_on(ticks.field("received")) + self._spent_on(ticks.field("sent"))]
         )
         total = np.concatenate([np.zeros((1, spent.shape[1]), np.int64), np.cumsum(spent, axis=0)])
+        # Differences of the running total give the sums over the window.
         first = np.searchsorted(t, now - SPAN_NS, side="right")
         span = np.clip(now + self._period_ns, self._period_ns, SPAN_NS)
         self._t, self._spent = t[first[-1] :], spent[first[-1] :]
         return np.asarray((total[len(t) - len(now) + 1 :] - total[first]) / span[:, None], np.float64)
 
     def _spent_on(self, frames: pa.ListArray) -> NDArray[np.int64]:
-        """(n, buses) time that a tick's frames take [ns]; whole numbers, so that no batch rounds otherwise."""
+        """Return the time of the frames of each tick (n, buses) [ns]. Whole numbers have equal sums in any grouping."""
         counts: NDArray[np.int64] = np.diff(np.asarray(frames.offsets))
         tick = np.repeat(np.arange(len(frames)), counts)
         flat = frames.flatten()

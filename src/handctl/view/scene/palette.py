@@ -1,4 +1,4 @@
-"""Colours of the viewer: one hue per digit, the same in the hand, its arrows and its lines."""
+"""Colours of the viewer. Each digit has one hue in the hand, its arrows and its lines."""
 
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ class Colour(NamedTuple):
     blue: int
 
     def mixed(self, other: "Colour", share: float) -> "Colour":
-        """Part of the way to another colour, 0 to 1."""
+        """Return the colour at a fraction, 0 to 1, of the way to another colour."""
         return Colour(*(round(a + share * (b - a)) for a, b in zip(self, other, strict=True)))
 
 
@@ -27,7 +27,7 @@ DIGITS = (
     Colour(184, 146, 255),
     Colour(206, 206, 92),
 )
-"""Chosen for a dark background and for eyes that do not tell red from green."""
+"""Colours of the digits, for a dark background and for red-green colour blindness."""
 
 STATES = {
     "idle": Colour(84, 90, 100),
@@ -52,7 +52,7 @@ STATES = {
     "relax": Colour(255, 140, 64),
     "cut": Colour(255, 72, 66),
 }
-"""Grasp phases and modes of the hand."""
+"""Colours of grasp phases and modes of the hand."""
 ACTIONS = {
     "pass": Colour(66, 74, 84),
     "warn": Colour(206, 206, 92),
@@ -60,18 +60,19 @@ ACTIONS = {
     "relax": Colour(255, 120, 64),
     "cut": Colour(255, 72, 66),
 }
+"""Colours of the actions of the safety monitor."""
 
 
 def digit(index: int) -> Colour:
-    """Colour of a digit."""
+    """Return the colour of a digit."""
     return DIGITS[index % len(DIGITS)]
 
 
 def shades(index: int, number: int) -> list[Colour]:
-    """A digit's colour for each of its joints, lighter towards the tip."""
+    """Return the colour of each joint of a digit, lighter towards the tip."""
     return [digit(index).mixed(WHITE, 0.4 * i / max(number - 1, 1)) for i in range(number)]
 
 
 def faint(colour: Colour) -> Colour:
-    """For what was asked, beside what is."""
+    """Return the dimmed colour for a command beside its measured value."""
     return colour.mixed(BLACK, 0.45)

@@ -1,4 +1,4 @@
-"""Names, colours and frames of all that the lenses make: what holds for the whole run."""
+"""Names, colours and frames of the entities: the static chunks of a run."""
 
 from collections.abc import Iterator, Sequence
 
@@ -12,10 +12,11 @@ from handctl.view.scene.palette import Colour
 from handctl.view.scene.subject import Subject
 
 ESTIMATE_WIDTH, COMMAND_WIDTH, LIMIT_WIDTH = 1.8, 1.0, 2.2
+"""Line widths [points]."""
 
 
 def styles(subject: Subject) -> Iterator[Chunk]:
-    """All static chunks of a run."""
+    """Yield all static chunks of a run."""
     yield from _tensions(subject)
     yield from _angles(subject)
     yield from _forces(subject)
@@ -29,12 +30,13 @@ def styles(subject: Subject) -> Iterator[Chunk]:
 
 
 def _lines(entity: str, names: Sequence[str], colours: Sequence[Colour], width: float) -> Chunk:
+    """Return the style of plot lines."""
     look = rr.SeriesLines.columns(names=list(names), colors=list(colours), widths=[width] * len(names))
     return static(entity, look.partition([len(names)]))
 
 
 def _measured(entity: str, names: Sequence[str], colours: Sequence[Colour], unit: str) -> Chunk:
-    """Lines with their band."""
+    """Return the style of plot lines with a band."""
     look = rr.Measurements.columns(
         names=list(names),
         colors=list(colours),
@@ -45,8 +47,9 @@ def _measured(entity: str, names: Sequence[str], colours: Sequence[Colour], unit
 
 
 def _tensions(subject: Subject) -> Iterator[Chunk]:
-    """Estimates with their band in the colours of the digits, commands faint, limits red."""
+    """Yield styles of the tensions: estimates in the colours of the digits, commands dimmed, limits red."""
     names = subject.hand.tendon_names
+    # One slice of tendons per digit. Each digit has its own colour, and each of its tendons a shade.
     places = subject.hand.digit_tendons.values()
     colours = [shade for i, place in enumerate(places) for shade in palette.shades(i, place.stop - place.start)]
     yield _measured("/tension/estimate", names, colours, "N")
@@ -58,6 +61,7 @@ def _tensions(subject: Subject) -> Iterator[Chunk]:
 
 
 def _angles(subject: Subject) -> Iterator[Chunk]:
+    """Yield styles of the joint angles."""
     for index, digit in enumerate(subject.hand.digit):
         names = [name.removeprefix(f"{digit.name}_") for name in digit.joints]
         colours = palette.shades(index, len(names))
@@ -67,7 +71,7 @@ def _angles(subject: Subject) -> Iterator[Chunk]:
 
 
 def _forces(subject: Subject) -> Iterator[Chunk]:
-    """Each arrow starts at its fingertip."""
+    """Yield frames and colours of the force arrows. Each arrow starts at its fingertip."""
     for index, digit in enumerate(subject.hand.digit_names):
         colour = palette.digit(index).mixed(palette.WHITE, 0.3)
         yield static(f"/force/{digit}", rr.CoordinateFrame.columns(frame=[f"{digit}_tip"]))
@@ -75,6 +79,7 @@ def _forces(subject: Subject) -> Iterator[Chunk]:
 
 
 def _states() -> Iterator[Chunk]:
+    """Yield names and colours of the states."""
     for lane, colours in (("phase", palette.STATES), ("mode", palette.STATES), ("safety", palette.ACTIONS)):
         names = list(colours)
         look = rr.StateConfiguration.columns(values=names, labels=names, colors=list(colours.values()))

@@ -1,4 +1,4 @@
-"""What is shown: the hand and the run of a log, as the lenses and the layout want to know them."""
+"""Run and hand of a log, in the form that converters and layout use."""
 
 from dataclasses import dataclass
 
@@ -21,8 +21,8 @@ class Subject:
 
     Attributes:
         header: names, period and offset of the run.
-        hand: its description, out of the log.
-        name: what a person calls the log.
+        hand: description of the hand from the log.
+        name: name of the log for the user.
     """
 
     header: RunHeader
@@ -31,28 +31,28 @@ class Subject:
 
     @classmethod
     def of(cls, header: RunHeader, name: str) -> "Subject":
-        """The subject of a log.
+        """Create the subject of a log.
 
         Raises:
-            LogError: the names of the description are not those of the header.
-            ConfigError: the description in the log is not one of a hand.
+            LogError: the names of the description differ from those of the header.
+            ConfigError: the description in the log is not a hand.
         """
         where = f"{name}, attachment hand.toml"
         return cls(header, described_hand(header, where), printable(name))
 
     @property
     def application(self) -> str:
-        """Rerun keeps one layout for each of these."""
+        """Return the application id. Rerun stores one layout per id."""
         return f"handctl_{self.hand.name}"
 
     def fields(self, table: Floats) -> dict[str, Floats]:
-        """Part the rows of /controller/values.
+        """Split the rows of /controller/values into fields.
 
         Args:
             table: (n, columns).
 
         Returns:
-            (n, names) of each field; NaN for fields that an earlier version did not log.
+            (n, names) of each field, NaN for fields that an earlier version did not log.
         """
         places = columns(self.header, layout_of(self.header, table.shape[1]))
         missing = {name: np.full((len(table), len(self.header.axis(axis))), np.nan) for name, axis in _later(places)}
@@ -60,15 +60,15 @@ class Subject:
 
     @property
     def limits(self) -> list[float]:
-        """Each different tension limit of a tendon [N]."""
+        """Return the distinct tension limits of the tendons [N]."""
         return sorted({tendon.tension_max_N for tendon in self.hand.tendon})
 
     @property
     def reach(self) -> float:
-        """Length of the longest digit [m]."""
+        """Return the length of the longest digit [m]."""
         return max(sum(digit.link_length_m) for digit in self.hand.digit)
 
 
 def _later(places: dict[str, slice]) -> list[tuple[str, str]]:
-    """Name and axis of the fields that a log lacks."""
+    """Return name and axis of the fields missing from a log."""
     return [(name, axis) for name, axis in TELEMETRY_AXES.items() if name not in places]
