@@ -38,3 +38,12 @@ def test_help_imports_nothing_heavy() -> None:
     ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert ran.stdout.startswith("usage: handctl")
     assert ran.stdout.splitlines()[-1] == "loaded:"
+
+
+def test_a_run_begins_without_the_statistics_that_it_never_uses() -> None:
+    code = "import sys\nfrom handctl.cli.main import main\nmain(['demo', '--lockstep', '--dry-run'])\n"
+    code += "print([name for name in ('control', 'filterpy.kalman', 'scipy.stats') if name in sys.modules])\n"
+    code += "from scipy.signal import find_peaks_cwt\nimport numpy as np\n"
+    code += "print(find_peaks_cwt(np.sin(np.arange(0.0, 9.0, 0.05)), [20]).size)"
+    ran = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert ran.stdout.splitlines()[-2:] == ["['control', 'filterpy.kalman']", "2"]

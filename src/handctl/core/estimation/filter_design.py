@@ -18,6 +18,7 @@ from dataclasses import fields
 import numpy as np
 from scipy.linalg import expm
 
+from handctl.core.deferred_stats import deferred_stats
 from handctl.core.estimation.filter_stack import (
     INPUTS,
     MEASUREMENTS,
@@ -185,7 +186,8 @@ def _block(
 
 def _riccati(F: Matrix, H: Matrix, Q: Matrix, R: Matrix) -> Matrix:
     """Covariance of the prediction in steady state, solved in units in which the states are of the order of one."""
-    from control import dlqe
+    with deferred_stats():
+        from control import dlqe
 
     scale = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1.0, 0.1, 1e-5])
     rows = 1.0 / np.sqrt(np.diag(R))

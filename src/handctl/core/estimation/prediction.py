@@ -1,59 +1,14 @@
-"""Prediction of the tension filter to the present, by filterpy.
-
-The package of filterpy imports ``scipy.stats`` for likelihoods, which are not used here. That import takes as long as
-all others of a run, so that it is put off until somebody uses a distribution.
-"""
-
-import importlib
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from types import ModuleType
-from typing import Any
+"""Prediction of the tension filter to the present, by filterpy."""
 
 import numpy as np
 
 from handctl.core import block as s
+from handctl.core.deferred_stats import deferred_stats
 from handctl.core.estimation.covariance import HELD_TORQUE_S
 from handctl.core.model import HandModel
 from handctl.core.schema import Block, Layout
 
-
-class _Later:
-    """A distribution of ``scipy.stats`` that is imported when it is used."""
-
-    def __init__(self, name: str) -> None:
-        self._name = name
-
-    def __getattr__(self, method: str) -> Callable[..., Any]:
-        return lambda *given, **named: self._use(lambda real: getattr(real, method)(*given, **named))
-
-    def __call__(self, *given: Any, **named: Any) -> Any:
-        """Return the distribution with these parameters."""
-        return self._use(lambda real: real(*given, **named))
-
-    def _use(self, use: Callable[[Any], Any]) -> Any:
-        """Use the distribution; while filterpy is imported, which tries one call, nothing is computed."""
-        stats: Any = importlib.import_module("scipy.stats")
-        return None if isinstance(getattr(stats, self._name), _Later) else use(getattr(stats, self._name))
-
-
-@contextmanager
-def _without_stats() -> Iterator[None]:
-    """Stand in for ``scipy.stats`` during an import."""
-    if "scipy.stats" in sys.modules:
-        yield
-        return
-    stand_in: Any = ModuleType("scipy.stats")
-    stand_in.norm, stand_in.multivariate_normal = _Later("norm"), _Later("multivariate_normal")
-    sys.modules["scipy.stats"] = stand_in
-    try:
-        yield
-    finally:
-        del sys.modules["scipy.stats"]
-
-
-with _without_stats():
+with deferred_stats():
     from filterpy.kalman import predict_steadystate
 
 

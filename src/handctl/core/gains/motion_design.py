@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from handctl.core.deferred_stats import deferred_stats
 from handctl.core.gains.gains import Gains
 from handctl.core.gains.solvable import check_finite, solvable
 from handctl.core.tendon_space import TendonSpace
@@ -92,7 +93,8 @@ def assembled(space: TendonSpace, found: list[Vector]) -> MotionDesign:
 
 def _dlqr(A: NDArray[np.float64], B: NDArray[np.float64], state: list[float], force: float, period: float) -> Vector:
     """Gain (2,) of x' = A x + B u sampled at the period, with Bryson weights."""
-    from control import dlqr
+    with deferred_stats():
+        from control import dlqr
 
     sampled = expm(period * np.block([[A, B], [np.zeros((1, 3))]]))
     F, G = sampled[:2, :2], sampled[:2, 2:]
