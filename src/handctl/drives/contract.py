@@ -122,46 +122,57 @@ class Drive(Protocol):
     def name(self) -> str:
         """Return the name of the motor in the hand file."""
         ...
+
     @property
     def bus(self) -> int:
         """Return the index of the bus."""
         ...
+
     @property
     def torque_limit(self) -> float:
         """Return the largest torque command [N m at the spool]."""
         ...
+
     @property
     def exchange(self) -> tuple[tuple[int, bool], ...]:
         """Return the worst-case frames of one control tick as (payload bytes, CAN FD?)."""
         ...
+
     @property
     def background(self) -> tuple[tuple[int, bool, float], ...]:
         """Return the periodic frames as (payload bytes, CAN FD?, frames per second)."""
         ...
+
     @property
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers sent by the host alone."""
         ...
+
     @property
     def node_ids(self) -> frozenset[int]:
         """Return the identifiers of the drive's answers."""
         ...
+
     @property
     def caveats(self) -> tuple[str, ...]:
         """Return the guards without verification in this configuration, one line each."""
         ...
+
     @property
     def answers_once(self) -> bool:
         """Return True if every command has exactly one feedback."""
         ...
+
     @property
     def position_step(self) -> float:
         """Return the resolution of the position [rad at the spool], 0 if unknown."""
         ...
+
     @property
     def feedback_period_s(self) -> float:
         """Return the period of unsolicited feedback [s], 0 if every tick requests feedback."""
         ...
+
     @property
     def cyclic(self) -> Cyclic:
         """Return the frames of a tick while the drive is enabled."""

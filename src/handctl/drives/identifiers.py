@@ -16,10 +16,12 @@ class Owner(Protocol):
     def bus(self) -> int:
         """Return the index of the bus."""
         ...
+
     @property
     def host_ids(self) -> frozenset[int]:
         """Return the identifiers sent by the host alone."""
         ...
+
     @property
     def node_ids(self) -> frozenset[int]:
         """Return the identifiers sent by the node."""

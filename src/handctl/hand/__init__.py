@@ -1,1 +1,1 @@
-"""What a hand is: description, kinematics, dynamics, tendons, URDF; pure, but for reading hand files."""
+"""Hand: description, kinematics, dynamics, tendons, URDF and MJCF. Pure, except for reading hand files."""

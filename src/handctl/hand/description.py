@@ -1,4 +1,4 @@
-"""The description of a hand: one TOML file, validated and frozen, and what follows from it directly."""
+"""Description of a hand: one TOML file, validated and frozen, with quantities derived from it."""
 
 import hashlib
 import json
@@ -15,11 +15,11 @@ from handctl.hand.file.sections import Bus, Digit, Motor, Mount, Section, Sensor
 from handctl.hand.file.toml_text import toml_text
 
 RATING = "joint_rated_torque_N_m"
-"""Key of a digit that its content has only where the file gives it."""
+"""Key of a digit that ``content`` has only where the file has it."""
 
 
 class Hand(Section):
-    """A hand as its file says it; lists are in file order, tendons digit by digit."""
+    """Hand as described by its file. Lists are in file order, tendons digit by digit."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_by_name=False)
 
@@ -35,64 +35,64 @@ class Hand(Section):
 
     @cached_property
     def joints(self) -> tuple[str, ...]:
-        """Joint names, digit by digit from the palm outwards: ``index_j1``, ``index_j2``, .."""
+        """Return joint names, digit by digit from the palm outwards: ``index_j1``, ``index_j2``, .."""
         return tuple(joint for digit in self.digit for joint in digit.joints)
 
     @cached_property
     def digit_names(self) -> tuple[str, ...]:
-        """Digit names."""
+        """Return the digit names."""
         return tuple(digit.name for digit in self.digit)
 
     @cached_property
     def tendon_names(self) -> tuple[str, ...]:
-        """Tendon names."""
+        """Return the tendon names."""
         return tuple(tendon.name for tendon in self.tendon)
 
     @cached_property
     def motor_names(self) -> tuple[str, ...]:
-        """Motor names."""
+        """Return the motor names."""
         return tuple(motor.name for motor in self.motor)
 
     @cached_property
     def bus_names(self) -> tuple[str, ...]:
-        """Bus names."""
+        """Return the bus names."""
         return tuple(bus.name for bus in self.bus)
 
     @cached_property
     def moment_arms(self) -> NDArray[np.float64]:
-        """R, (N, J) [m], read-only: excursion is R q, joint torque R^T f."""
+        """Return the moment arms R, (N, J) [m], read-only. Excursion is R q, joint torque R^T f."""
         arms = np.array([[tendon.moment_arm_m.get(joint, 0.0) for joint in self.joints] for tendon in self.tendon])
         arms.setflags(write=False)
         return arms
 
     @cached_property
     def digit_joints(self) -> dict[str, slice]:
-        """Of each digit, where its joints are among ``joints``."""
+        """Return the slice of each digit in ``joints``."""
         return dict(zip(self.digit_names, _slices([len(digit.joints) for digit in self.digit]), strict=True))
 
     @cached_property
     def digit_tendons(self) -> dict[str, slice]:
-        """Of each digit, where its tendons are among ``tendon``."""
+        """Return the slice of each digit in ``tendon``."""
         crossed = [set(tendon.moment_arm_m) for tendon in self.tendon]
         counts = [sum(not joints.isdisjoint(digit.joints) for joints in crossed) for digit in self.digit]
         return dict(zip(self.digit_names, _slices(counts), strict=True))
 
     @cached_property
     def motor_index(self) -> tuple[int, ...]:
-        """Of each tendon, the index of its motor."""
+        """Return the motor index of each tendon."""
         return tuple(self.motor_names.index(tendon.motor) for tendon in self.tendon)
 
     def motor_of(self, tendon: str) -> Motor:
-        """Motor of a tendon, by the tendon's name."""
+        """Return the motor of a tendon, by the tendon's name."""
         return self.motor[self.motor_index[self.tendon_names.index(tendon)]]
 
     def digit_named(self, name: str) -> Digit:
-        """Digit by name."""
+        """Return a digit by name."""
         return self.digit[self.digit_names.index(name)]
 
     @cached_property
     def content(self) -> dict[str, Any]:
-        """Resolved content as plain values, defaults included, keys as in the file."""
+        """Return the resolved content as plain values, with defaults, and with the keys of the file."""
         content = self.model_dump(by_alias=True, mode="python")
         for digit in content["digit"]:
             if digit[RATING] is None:  # a key that came later: hands without it keep their identity
@@ -100,17 +100,20 @@ class Hand(Section):
         return content
 
     def to_toml(self) -> str:
-        """Resolved content as TOML text, for the log; ``load_hand`` reads the same hand back from it."""
+        """Return the resolved content as TOML text, for the log. ``load_hand`` reads an equal hand from it."""
         return toml_text(self.content)
 
     @cached_property
     def identity(self) -> str:
-        """SHA-256 of the resolved content in hexadecimal; the file's comments, spelling of numbers and order of keys
-        do not count."""
+        """Return SHA-256 of the resolved content in hexadecimal.
+
+        Comments, spelling of numbers, and order of keys in the file have no effect.
+        """
+        # Sorted keys and fixed separators: equal content gives equal bytes.
         canonical = json.dumps(self.content, sort_keys=True, separators=(",", ":"), allow_nan=False)
         return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 def _slices(counts: list[int]) -> list[slice]:
-    """Consecutive slices of the given lengths."""
+    """Return consecutive slices of the given lengths."""
     return [slice(end - count, end) for count, end in zip(counts, accumulate(counts), strict=True)]

@@ -1,4 +1,4 @@
-"""One digit as numbers: all that kinematics, dynamics and statics need of it, built once from the description."""
+"""Model of one digit: all numbers of kinematics, dynamics and statics, built from the description."""
 
 import math
 from collections.abc import Sequence
@@ -13,17 +13,25 @@ from handctl.hand.file.sections import Digit
 
 Array = NDArray[np.float64]
 Values = Sequence[float] | Array
-"""One number per joint; lists and tuples are fastest."""
+"""One number per joint. Lists and tuples are fastest."""
 
 
 class LinkConstants(NamedTuple):
-    """What the equations of motion keep of three links in a row; zero for links that are not there.
+    """Constants of the equations of motion of three links in a row, 0 for absent links.
 
     Attributes:
-        j1, j2, j3: diagonal of the mass matrix in absolute angles [kg m2].
-        a, b, e: coupling of links 1-2, 1-3, 2-3 [kg m2].
-        w1, w2, w3: first moment of mass that turns with each link [kg m].
-        r1, r2, r3: armature of the joints [kg m2].
+        j1: diagonal of the mass matrix in absolute angles, link 1 [kg m2].
+        j2: diagonal, link 2 [kg m2].
+        j3: diagonal, link 3 [kg m2].
+        a: coupling of links 1 and 2 [kg m2].
+        b: coupling of links 1 and 3 [kg m2].
+        e: coupling of links 2 and 3 [kg m2].
+        w1: first moment of the mass that turns with link 1 [kg m].
+        w2: first moment, link 2 [kg m].
+        w3: first moment, link 3 [kg m].
+        r1: armature of joint 1 [kg m2].
+        r2: armature of joint 2 [kg m2].
+        r3: armature of joint 3 [kg m2].
     """
 
     j1: float
@@ -42,36 +50,39 @@ class LinkConstants(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DigitModel:
-    """A digit with n joints, n_t tendons and n_c reduced coordinates theta (q = B theta); arrays are read-only.
+    """Digit with n joints, n_t tendons, and n_c reduced coordinates theta (q = B theta). Arrays are read-only.
 
     Attributes:
-        name: of the digit.
-        joint_names, tendon_names: in order.
-        joints, tendons: where they are in the hand's lists.
+        name: name of the digit.
+        joint_names: names of the joints, in order.
+        tendon_names: names of the tendons, in order.
+        joints: slice of the digit in the hand's joints.
+        tendons: slice of the digit in the hand's tendons.
         lengths: (n,) [m].
         coms: (n,) distance of each link's centre of mass from its joint [m].
         masses: (n,) [kg].
         inertias: (n,) about the centre of mass [kg m2].
-        radius: of the links [m].
-        joint_min, joint_max: (n,) [rad].
+        radius: radius of the links [m].
+        joint_min: (n,) [rad].
+        joint_max: (n,) [rad].
         joint_damping: (n,) [N m s/rad].
-        armature: (n,) inertia that turns with the joint alone [kg m2].
+        armature: (n,) inertia of the joint alone [kg m2].
         spring_stiffness: (n,) [N m/rad].
         spring_preload: (n,) [rad].
         mount_rotation: (3, 3) digit frame to palm frame.
         mount_position: (3,) [m] in the palm frame.
         gravity: (2,) in the digit's plane [m/s2].
         links: constants of the equations of motion.
-        padding: zeros that make n values three.
+        padding: zeros to extend n values to three.
         moment_arms: R, (n_t, n) [m].
-        coupling: B, (n, n_c); the identity where every joint moves for itself.
+        coupling: B, (n, n_c), the identity for independent joints.
         reduced_moment_arms: R B, (n_t, n_c) [m].
-        excursion_to_joints: (n, n_t) [rad/m], B (R B)^+: joint angles that an excursion stands for.
-        torque_to_tension: (n_t, n) [1/m], (R B)^+^T B^T: smallest tensions that make a torque.
-        joints_to_coordinates: (n_c, n), B^+.
+        excursion_to_joints: B (R B)^+, (n, n_t) [rad/m], joint angles of an excursion.
+        torque_to_tension: (R B)^+^T B^T, (n_t, n) [1/m], smallest tensions of a torque.
+        joints_to_coordinates: B^+, (n_c, n).
         friction: (n_t,) capstan coefficient.
         wrap: (n_t,) wrap angle before the first joint pulley [rad].
-        motor_mass: (n_t,) rotor inertia as seen by the cable, J_m / r_a^2 [kg].
+        motor_mass: (n_t,) rotor inertia as a mass at the tendon, J_m / r_a^2 [kg].
     """
 
     name: str
@@ -107,7 +118,8 @@ class DigitModel:
 
     @property
     def reach(self) -> tuple[Array, Array]:
-        """(n_c,) smallest and largest coordinates that the joints' ranges leave [rad]."""
+        """Return the smallest and the largest coordinates (n_c,) within the joint limits [rad]."""
+        # A negative entry of B^+ swaps the limits: take the smaller and the larger product per entry.
         low, high = self.joints_to_coordinates * self.joint_min, self.joints_to_coordinates * self.joint_max
         return np.minimum(low, high).sum(axis=1), np.maximum(low, high).sum(axis=1)
 
@@ -119,6 +131,7 @@ class DigitModel:
         rotation = rotation_rpy(*np.radians(digit.mount_rpy_deg))
         arms = hand.moment_arms[:, joints][tendons]
         coupling = np.eye(len(digit.joints)) if digit.coupling is None else np.array(digit.coupling)
+        # Pseudo-inverse: least squares for angles, its transpose the least-norm tensions.
         to_coordinates = np.linalg.pinv(arms @ coupling)
         return DigitModel(
             name=name,
@@ -155,18 +168,19 @@ class DigitModel:
 
     @property
     def joint_count(self) -> int:
-        """n."""
+        """Return n, the number of joints."""
         return len(self.lengths)
 
     def under(self, gravity: Values) -> "DigitModel":
-        """The same digit under another gravity, (3,) in the palm frame [m/s2]."""
+        """Return the digit under another gravity, (3,) in the palm frame [m/s2]."""
         return replace(self, gravity=_in_plane(self.mount_rotation, gravity))
 
 
 def link_constants(digit: Digit) -> LinkConstants:
-    """Constants of the equations of motion.
+    """Compute the constants of the equations of motion.
 
-    Source: the closed form of section 7 of the paper, corrected; a link that is absent has no mass and no length.
+    An absent link has no mass and no length. Source: Hussain & Suhaib, closed form of section 7,
+    corrected.
     """
     absent = (0.0,) * (3 - len(digit.link_length_m))
     l1, l2, _ = (*digit.link_length_m, *absent)
@@ -191,7 +205,10 @@ def link_constants(digit: Digit) -> LinkConstants:
 
 
 def rotation_rpy(roll: float, pitch: float, yaw: float) -> Array:
-    """(3, 3) rotation about the fixed axes x, y, z in turn [rad]: Rz(yaw) Ry(pitch) Rx(roll), as in URDF."""
+    """Return the (3, 3) rotation about the fixed axes x, y, z in turn [rad].
+
+    Rz(yaw) Ry(pitch) Rx(roll), as in URDF.
+    """
     cr, sr = math.cos(roll), math.sin(roll)
     cp, sp = math.cos(pitch), math.sin(pitch)
     cy, sy = math.cos(yaw), math.sin(yaw)
@@ -205,12 +222,13 @@ def rotation_rpy(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def _in_plane(rotation: Array, gravity: Values) -> tuple[float, float]:
-    """Gravity of the palm frame, as seen in the digit's plane."""
+    """Project gravity of the palm frame on the digit's plane."""
     x, y, _ = (rotation.T @ np.asarray(gravity, dtype=float)).tolist()
     return x, y
 
 
 def _constant(values: Values) -> Array:
+    """Return a read-only copy."""
     array = np.array(values, dtype=float)
     array.setflags(write=False)
     return array

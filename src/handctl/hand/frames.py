@@ -1,4 +1,4 @@
-"""Frames of a digit's links in the palm frame, as viewers and ROS want them."""
+"""Frames of a digit's links in the palm frame, for viewers and ROS."""
 
 import math
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from handctl.hand.kinematics import points, to_palm
 
 
 class Transform(NamedTuple):
-    """A frame in the palm's frame, as ROS wants it: position [m] and unit quaternion."""
+    """Frame in the palm frame, in ROS convention: position [m] and unit quaternion."""
 
     frame: str
     position: tuple[float, float, float]
@@ -18,8 +18,12 @@ class Transform(NamedTuple):
 
 
 def link_transforms(digit: DigitModel, q: Values) -> tuple[Transform, ...]:
-    """Frames ``<digit>_link1``.. at each link's joint with x along the link, and ``<digit>_tip``, in the palm frame."""
+    """Return the frames of all links and of the tip in the palm frame.
+
+    ``<digit>_link1``.. lie at each link's joint with x along the link. ``<digit>_tip`` follows.
+    """
     angles = np.cumsum(q).tolist()
+    # The tip frame has the direction of the last link.
     names = [*(f"{digit.name}_link{i + 1}" for i in range(digit.joint_count)), f"{digit.name}_tip"]
     mount = quaternion(digit.mount_rotation)
     return tuple(
@@ -31,11 +35,13 @@ def link_transforms(digit: DigitModel, q: Values) -> tuple[Transform, ...]:
 
 
 def quaternion(rotation: Array) -> tuple[float, float, float, float]:
-    """Unit quaternion (x, y, z, w) of a rotation matrix (3, 3).
+    """Return the unit quaternion (x, y, z, w) of a rotation matrix (3, 3).
 
-    Taken from its largest component, so that no division is by a small number. Source: Shepperd (1978).
+    The largest component is computed first, so that no division is by a small number.
+    Source: Shepperd (1978).
     """
     trace = float(np.trace(rotation))
+    # Four times the squares of x, y, z, w.
     squares = [*(1.0 - trace + 2.0 * np.diag(rotation)).tolist(), 1.0 + trace]
     largest = max(range(4), key=squares.__getitem__)
     (_, xy, xz), (yx, _, yz), (zx, zy, _) = rotation.tolist()
@@ -50,7 +56,7 @@ def quaternion(rotation: Array) -> tuple[float, float, float, float]:
 
 
 def _turned(mount: tuple[float, float, float, float], angle: float) -> tuple[float, float, float, float]:
-    """Quaternion of the mount times a turn about z."""
+    """Return the product of the mount's quaternion and a rotation about z [rad]."""
     x, y, z, w = mount
     s, c = math.sin(angle / 2), math.cos(angle / 2)
     return x * c + y * s, y * c - x * s, z * c + w * s, w * c - z * s

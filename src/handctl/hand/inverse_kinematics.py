@@ -1,4 +1,4 @@
-"""Joint angles that put the tip of a digit at a point of its plane (digit frame, see ``kinematics``)."""
+"""Inverse kinematics: joint angles for a tip position in the digit's plane (frame: ``kinematics``)."""
 
 import math
 
@@ -8,24 +8,25 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.kinematics import points, tip_jacobian
 
 SCAN = 64
-"""Intervals in which the closest point of a coupled digit's path is bracketed."""
+"""Intervals of the scan that brackets the closest point of a coupled digit's path."""
 REACH_TOLERANCE = 1e-12
-"""Relative square by which a point may be out of reach and still count as on the edge: rounding."""
+"""Relative square of the distance beyond the reach that counts as rounding."""
 
 
 def inverse(digit: DigitModel, x: float, y: float, angle: float | None = None) -> tuple[tuple[float, ...], ...]:
-    """Joint angles that put the tip of a digit of two or three independent joints at a point, in closed form.
+    """Return joint angles that put the tip of a digit of two or three independent joints at a point.
+
+    The solution is closed form. Joint limits are not applied.
 
     Args:
-        digit: the digit.
-        x: [m].
-        y: [m].
-        angle: direction of the last link [rad]; needed for three joints, ignored for two.
+        digit: model of the digit.
+        x: position [m].
+        y: position [m].
+        angle: direction of the last link [rad], required for three joints, ignored for two.
 
     Returns:
-        the solutions within one turn, the one that bends the second joint inwards first; none if out of reach
-        or, with two equal links, folded onto the base, where the direction is free.
-        Joint limits are the caller's concern.
+        the solutions within one turn, first the one with positive flexion of the second joint. Empty
+        out of reach, and for two equal links folded onto the base, where the direction is free.
 
     Raises:
         ValueError: not two or three joints, or three without a direction.
@@ -40,21 +41,21 @@ def inverse(digit: DigitModel, x: float, y: float, angle: float | None = None) -
 
 
 def inverse_coupled(digit: DigitModel, x: float, y: float) -> tuple[float, float]:
-    """Coordinate of a digit with a single one, q = B theta, that brings the tip closest to a point.
+    """Return the coordinate of a coupled digit, q = B theta, with the tip closest to a point.
 
-    The tip runs on a curve; its points of extreme distance, found by scan and bracketing, and the ends of travel are
-    compared, so that the nearest of them all is the answer, not just a local one.
+    The tip moves on a curve. A scan with bracketing yields all points of extreme distance. The nearest
+    of them and of the two ends of travel is the global minimum.
 
     Args:
-        digit: a digit of one reduced coordinate.
-        x: [m].
-        y: [m].
+        digit: model of a digit with one reduced coordinate.
+        x: position [m].
+        y: position [m].
 
     Returns:
-        theta [rad], within the joint limits, and the distance that remains [m].
+        theta [rad] within the joint limits, and the remaining distance [m].
 
     Raises:
-        ValueError: the digit has more coordinates.
+        ValueError: the digit has several coordinates.
     """
     if digit.coupling.shape[1] != 1:
         raise ValueError(f"{digit.name} has {digit.coupling.shape[1]} coordinates; needed: one")
@@ -73,6 +74,7 @@ def inverse_coupled(digit: DigitModel, x: float, y: float) -> tuple[float, float
     slopes = [slope(theta) for theta in grid]
     found = [grid[0], grid[-1]]
     for low, high, before, after in zip(grid, grid[1:], slopes, slopes[1:], strict=False):
+        # A rising zero of the slope of the distance is a minimum.
         if before <= 0.0 <= after:
             found.append(brentq(slope, low, high, xtol=1e-14))
     best = min(found, key=distance)
@@ -80,9 +82,10 @@ def inverse_coupled(digit: DigitModel, x: float, y: float) -> tuple[float, float
 
 
 def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
-    """Range of the single coordinate of a coupled digit in which every joint is within its limits [rad]."""
+    """Return the range of a coupled digit's single coordinate within all joint limits [rad]."""
     low, high = -math.inf, math.inf
     for ratio, least, most in zip(digit.coupling[:, 0], digit.joint_min, digit.joint_max, strict=True):
+        # A joint with ratio 0 does not move, and sets no limit.
         if ratio != 0.0:
             first, last = sorted((least / ratio, most / ratio))
             low, high = max(low, first), min(high, last)
@@ -90,10 +93,10 @@ def coordinate_limits(digit: DigitModel) -> tuple[float, float]:
 
 
 def _two_links(l1: float, l2: float, x: float, y: float) -> tuple[tuple[float, float], ...]:
-    """Both solutions of two links, one if stretched or folded, none out of reach.
+    """Return both solutions of two links, one if stretched or folded, none out of reach.
 
-    The elbow angle comes from atan2 of the products (r - |l1 - l2|)(r + |l1 - l2|) and (l1 + l2 - r)(l1 + l2 + r),
-    which keeps its accuracy where the arm is nearly straight and acos loses half the digits.
+    The elbow angle comes from atan2 of (r - |l1 - l2|)(r + |l1 - l2|) and (l1 + l2 - r)(l1 + l2 + r).
+    The products keep their accuracy near the straight arm, where acos loses half the digits.
     """
     r = math.hypot(x, y)
     inner, outer = (r - abs(l1 - l2)) * (r + abs(l1 - l2)), (l1 + l2 - r) * (l1 + l2 + r)
@@ -109,5 +112,5 @@ def _two_links(l1: float, l2: float, x: float, y: float) -> tuple[tuple[float, f
 
 
 def _wrapped(angle: float) -> float:
-    """The same direction within -pi .. pi."""
+    """Return an equivalent angle within -pi .. pi."""
     return math.remainder(angle, 2.0 * math.pi)

@@ -1,4 +1,4 @@
-"""Reading a hand: packaged or from a file, each section validated, then the whole checked."""
+"""Loading of hands: packaged or from a file, each section validated, then the whole checked."""
 
 import tomllib
 from collections.abc import Mapping
@@ -14,31 +14,32 @@ from handctl.hand.file.checks import check_hand
 from handctl.hand.file.messages import config_error, shown
 
 SCHEMA = 1
-"""Version of the hand file's format that is read here."""
+"""Supported version of the hand file's format."""
 HANDS = Path(__file__).parent / "hands"
-"""Where the packaged hand files are."""
+"""Folder of the packaged hand files."""
 
 
 def packaged_hands() -> tuple[str, ...]:
-    """Names of the hands that come with handctl."""
+    """Return the names of the packaged hands."""
     return tuple(sorted(path.stem for path in HANDS.glob("*.toml")))
 
 
 def load_hand(name_or_path: str | Path) -> Hand:
-    """Read a hand.
+    """Load a hand.
 
     Args:
-        name_or_path: name of a packaged hand, or the path of a hand file.
+        name_or_path: name of a packaged hand, or path of a hand file.
 
     Raises:
-        ConfigError: it cannot be found, read or used; the line names file, key path, value and what would be right.
+        ConfigError: the hand is missing, unreadable, or invalid. The message names file, key path,
+            value, and a valid value.
     """
     path = hand_path(name_or_path)
     return hand_from(read_toml(path), str(path))
 
 
 def hand_path(name_or_path: str | Path) -> Path:
-    """Path of a hand file by packaged name or path.
+    """Return the path of a hand file, by packaged name or path.
 
     Raises:
         ConfigError: neither a packaged hand nor a file.
@@ -57,7 +58,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """Parse a TOML file.
 
     Raises:
-        ConfigError: it cannot be read or is not TOML.
+        ConfigError: the file is unreadable, or not TOML.
     """
     try:
         if path.exists() and not path.is_file():
@@ -71,14 +72,14 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
-    """Parse TOML, from a file, a log or the command line.
+    """Parse TOML text from a file, a log, or the command line.
 
     Args:
-        text: what is parsed.
-        source: what to call it in messages.
+        text: TOML text.
+        source: name of the text in messages.
 
     Raises:
-        ConfigError: it is not TOML, or a whole number has more than the 64 bits that TOML guarantees.
+        ConfigError: not TOML, or an integer beyond the 64 bits guaranteed by TOML.
     """
     try:
         content = tomllib.loads(text)
@@ -89,7 +90,8 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
 
 def _check_whole_numbers(content: dict[str, Any], source: str) -> None:
-    """Refuse whole numbers that do not fit into 64 bits: a long one cannot even be printed."""
+    """Refuse integers beyond 64 bits. Python cannot print very long ones."""
+    # An explicit stack: deeply nested content must not exhaust Python's.
     nodes: list[tuple[str, Any]] = list(content.items())
     while nodes:
         key, node = nodes.pop()
@@ -103,11 +105,11 @@ def _check_whole_numbers(content: dict[str, Any], source: str) -> None:
 
 
 def hand_from(content: Mapping[str, Any], source: str) -> Hand:
-    """Validate content that was read, or put together from several layers.
+    """Validate parsed content, from one source or from several layers.
 
     Args:
-        content: as parsed from TOML.
-        source: what to call it in messages.
+        content: content as parsed from TOML.
+        source: name of the content in messages.
 
     Raises:
         ConfigError: as ``load_hand``.
@@ -124,4 +126,5 @@ def hand_from(content: Mapping[str, Any], source: str) -> Hand:
 
 
 def _choice(names: tuple[str, ...]) -> str:
+    """Return the valid hand names, for messages."""
     return "one of " + ", ".join(names) + ", or the path of a hand file"

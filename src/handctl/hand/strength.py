@@ -1,7 +1,8 @@
-"""Compare the force of a drive that runs away with the strength of its tendon.
+"""Comparison of the force of a runaway drive with the strength of its tendon.
 
-No host can stop a runaway in time: the tension peaks 5 to 15 ms after the current does. The drive's own current limit
-is the only guard. A rotor at rest that is pushed by a constant force F against an elastic tendon overshoots to 2 F.
+No host can stop a runaway in time: the tension peaks 5 to 15 ms after the current. The drive's own
+current limit is the only guard. A rotor at rest, pushed by a constant force F against an elastic
+tendon, overshoots to 2 F.
 """
 
 from collections.abc import Iterable
@@ -27,7 +28,7 @@ def largest_force(strength: float) -> float:
 
 
 def strength_warnings(hand: Hand) -> tuple[str, ...]:
-    """Return a line for each way in which a runaway leaves too little, tendons with equal figures together."""
+    """Return one line per insufficient margin, with tendons of equal figures in one line."""
     rows: dict[str, list[str]] = {}
     for tendon in hand.tendon:
         motor, strength = hand.motor_of(tendon.name), tendon.rated_breaking_force_N
@@ -48,7 +49,7 @@ def strength_warnings(hand: Hand) -> tuple[str, ...]:
 
 
 def _too_strong(key: str, force: float, strength: float, spool: float) -> str:
-    """Say what a runaway with this force does, and which torque limit of the drive would be right."""
+    """Describe a runaway with a force, and the right torque limit of the drive."""
     peak, right = runaway_tension(force), largest_force(strength)
     factor = strength / peak
     return (
@@ -58,7 +59,7 @@ def _too_strong(key: str, force: float, strength: float, spool: float) -> str:
 
 
 def _joint_loads(hand: Hand, digit: str) -> Iterable[tuple[str, float, float]]:
-    """Yield the name, the torque in a runaway and the rated torque [N m] of each joint of a digit that has ratings."""
+    """Yield name, torque in a runaway, and rated torque [N m] of each joint of a digit with ratings."""
     described = hand.digit_named(digit)
     if described.joint_rated_torque_N_m is None:
         return

@@ -1,4 +1,4 @@
-"""Tendons: the elastic rope, its friction over the pulleys, and how forces and motions pass between cable and joint."""
+"""Tendons: elasticity, friction over the pulleys, and maps between tendon and joint quantities."""
 
 import math
 from dataclasses import dataclass
@@ -9,15 +9,15 @@ from handctl.hand.digit import Array, DigitModel, Values
 from handctl.hand.file.sections import Tendon
 
 ROPE_FRICTION_SPEED = 1e-3
-"""Winding speed at which capstan friction is mostly developed, v0 of tanh(v / v0) [m/s]; a regularisation."""
+"""Winding speed of nearly full capstan friction, v0 of tanh(v / v0) [m/s]. A regularisation."""
 
 
 @dataclass(frozen=True, slots=True)
 class TendonLaw:
-    """Tension of a rope by its stretch: straight up to a knee, then bending over smoothly to another stiffness.
+    """Tension by stretch: linear up to a knee, then a smooth transition to another stiffness.
 
-    phi = k dl up to f_k; beyond, with x = dl - f_k / k: phi = f_k + k2 x + (k - k2) w (1 - exp(-x / w)).
-    The rope is slack at dl <= 0.
+    phi = k dl up to f_k. Beyond, with x = dl - f_k / k: phi = f_k + k2 x + (k - k2) w (1 - exp(-x / w)).
+    The tendon is slack at dl <= 0.
 
     Attributes:
         stiffness: k [N/m].
@@ -35,7 +35,7 @@ class TendonLaw:
 
     @staticmethod
     def of(tendon: Tendon) -> "TendonLaw":
-        """Law of a tendon of a hand file."""
+        """Return the law of a tendon of a hand file."""
         return TendonLaw(
             stiffness=tendon.stiffness_N_per_m,
             stiffness_beyond=tendon.stiffness_beyond_ratio * tendon.stiffness_N_per_m,
@@ -45,35 +45,35 @@ class TendonLaw:
         )
 
     def elastic(self, stretch: float) -> float:
-        """Tension of a stretch [m] held still [N]."""
+        """Return the tension of a constant stretch [m] [N]."""
         beyond = stretch - self.knee / self.stiffness
         if beyond <= 0.0:
             return self.stiffness * max(stretch, 0.0)
         return self.knee + self._beyond(beyond)
 
     def tension(self, stretch: float, stretch_rate: float) -> float:
-        """Tension with damping [N]; a rope cannot push, so never below zero, and nothing when slack.
+        """Return the tension with damping [N], 0 when slack and never below 0.
 
         Args:
-            stretch: [m].
-            stretch_rate: [m/s].
+            stretch: stretch [m].
+            stretch_rate: rate of the stretch [m/s].
         """
         if stretch <= 0.0:
             return 0.0
         return max(0.0, self.elastic(stretch) + self.damping * stretch_rate)
 
     def tangent_stiffness(self, stretch: float) -> float:
-        """Slope of the elastic tension [N/m]; zero when slack."""
+        """Return the slope of the elastic tension [N/m], 0 when slack."""
         beyond = stretch - self.knee / self.stiffness
         if stretch <= 0.0:
             return 0.0
         return self.stiffness if beyond <= 0.0 else self._slope(beyond)
 
     def stretch(self, tension: float) -> float:
-        """Inverse of ``elastic``: the stretch that holds a tension [m].
+        """Return the stretch of a constant tension [m], the inverse of ``elastic``.
 
-        Beyond the knee by Newton's method from the straight law's value: the law bends one way only, so that the
-        steps approach the solution from one side and cannot miss it.
+        Beyond the knee Newton's method starts from the linear law. The curvature has one sign, hence the
+        steps approach the solution from one side.
 
         Raises:
             ValueError: the tension is negative or not finite.
@@ -86,53 +86,64 @@ class TendonLaw:
         for _ in range(NEWTON_STEPS):
             step = (tension - self.knee - self._beyond(beyond)) / self._slope(beyond)
             beyond += step
+            # Below the resolution of float64.
             if abs(step) <= 1e-15 * beyond:
                 break
         return self.knee / self.stiffness + beyond
 
     def _beyond(self, x: float) -> float:
-        """Tension above the knee's, x beyond its stretch."""
+        """Return the tension above the knee at x beyond the knee's stretch."""
+        # expm1 keeps its accuracy for x near 0.
         softer = self.stiffness - self.stiffness_beyond
         return self.stiffness_beyond * x - softer * self.knee_width * math.expm1(-x / self.knee_width)
 
     def _slope(self, x: float) -> float:
+        """Return the stiffness at x beyond the knee's stretch."""
         return self.stiffness_beyond + (self.stiffness - self.stiffness_beyond) * math.exp(-x / self.knee_width)
 
 
 NEWTON_STEPS = 100
-"""Upper bound; about six are needed."""
+"""Upper bound of Newton steps. About six are used."""
 
 
 def pulley_factors(digit: DigitModel, q: Values, speed: Values) -> Array:
-    """Share of the load cell's tension that acts at each joint pulley: exp(-mu phi_i tanh(v / v0)).
+    """Return the tension at each joint pulley per load cell tension: exp(-mu phi_i tanh(v / v0)).
 
-    phi_i is the wrap before the first joint plus the joint angles passed up to and including joint i. Winding loses
-    tension towards the tip, paying out gains (above 1), standing still does neither. Source: capstan equation.
+    phi_i is the wrap before the first joint plus the joint angles up to and including joint i. Winding
+    reduces the tension towards the tip. Paying out increases it, to factors above 1. At rest the factor
+    is 1. Source: capstan equation.
 
     Args:
-        digit: the digit.
-        q: (n,) [rad].
-        speed: (n_t,) winding speed of each tendon [m/s].
+        digit: model of the digit.
+        q: joint angles (n,) [rad].
+        speed: winding speed of each tendon (n_t,) [m/s].
 
     Returns:
         (n_t, n).
     """
+    # Only joints with a moment arm add to the wrap of a tendon.
     passed = np.cumsum((digit.moment_arms != 0.0) * np.asarray(q), axis=1)
     exponent = digit.friction * np.tanh(np.divide(speed, ROPE_FRICTION_SPEED))
     return np.asarray(np.exp(-exponent[:, None] * (digit.wrap[:, None] + passed)))
 
 
 def effective_moment_arms(digit: DigitModel, q: Values, speed: Values) -> Array:
-    """R with friction: joint torque is its transpose times the tension at the load cells, (n_t, n) [m]."""
+    """Return R with friction, (n_t, n) [m].
+
+    Joint torque is its transpose times the tension at the load cells.
+    """
     return digit.moment_arms * pulley_factors(digit, q, speed)
 
 
 def excursion(digit: DigitModel, q: Values) -> Array:
-    """Travel of each tendon that joint angles take up, R q, (n_t,) [m]."""
+    """Return the excursion of each tendon at joint angles, R q, (n_t,) [m]."""
     return np.asarray(digit.moment_arms @ np.asarray(q))
 
 
 def reflected_inertia(digit: DigitModel) -> Array:
-    """Rotor inertia as the digit's coordinates feel it through stiff ropes, (R B)^T (J_m / r_a^2) R B, (n_c, n_c)."""
+    """Return the rotor inertia in reduced coordinates through stiff tendons, (n_c, n_c) [kg m2].
+
+    (R B)^T (J_m / r_a^2) R B.
+    """
     arms = digit.reduced_moment_arms
     return np.asarray(arms.T @ (digit.motor_mass[:, None] * arms))

@@ -67,18 +67,22 @@ class SensorDescription(Protocol):
     def sync_id(self) -> int:
         """Return the identifier of SYNC."""
         ...
+
     @property
     def base_id(self) -> int:
         """Return the identifier of the first tension frame."""
         ...
+
     @property
     def tendons(self) -> tuple[str, ...]:
         """Return the names of tendons with a load cell."""
         ...
+
     @property
     def joints(self) -> tuple[str, ...]:
         """Return the names of joints with an encoder."""
         ...
+
     @property
     def joint_decimation(self) -> int:
         """Return the number of SYNCs per angle frame."""

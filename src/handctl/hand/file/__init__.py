@@ -1,1 +1,1 @@
-"""The hand file: its sections and quantities, what is checked, and what its messages say."""
+"""Hand file: sections, quantities, checks, and messages."""

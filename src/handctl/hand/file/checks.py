@@ -1,4 +1,4 @@
-"""What must agree between the sections of a hand file: references, lengths, routing, limits, identifiers."""
+"""Checks across the sections of a hand file: references, lengths, routing, limits, identifiers."""
 
 from __future__ import annotations
 
@@ -26,38 +26,39 @@ PER_LINK = (
 )
 """Keys of a digit with one value per link."""
 STRENGTH = "rated_breaking_force_N"
+"""Key of the strength of a tendon."""
 LIMITS = ("tension_floor_N", "tension_max_N", "tension_trip_N", "drive_limit_N", STRENGTH)
 """Tension limits in ascending order."""
 MIT_REPLY_OFFSET = 0x10
-"""Usual distance of a MIT drive's reply from its command. Source: Damiao convention, MST_ID = ESC_ID + 0x10."""
+"""Usual distance of an MIT drive's reply from its command. Source: Damiao convention, MST_ID = ESC_ID + 0x10."""
 MIT_REGISTER_ID = 0x7FF
 """Identifier of all MIT drives' register frames. Source: Damiao manual."""
 CANOPEN_SERVICES = (0x080, 0x180, 0x200, 0x580, 0x600, 0x700)
-"""Emergency, TPDO1, RPDO1, SDO both ways, heartbeat: plus the node number. Source: CiA 301."""
+"""Emergency, TPDO1, RPDO1, SDO in both directions, heartbeat: plus the node number. Source: CiA 301."""
 SHARED_IDS = (
     ("mit", MIT_REGISTER_ID, "the register frames of MIT drives"),
     ("odrive", 0x7E2, "the broadcast emergency stop of ODrives"),
     ("cia402", 0x000, "CANopen's NMT"),
     ("cia402", 0x77F, "this host's heartbeat to CiA 402 drives"),
 )
-"""Protocol, identifier that all its motors on a bus have in common, and what it is."""
+"""(protocol, identifier shared by all its motors on a bus, name of the frame)."""
 CONDITION = 1e-6
 """Smallest ratio of singular values that counts as full rank."""
 
 
 class Refused(Exception):  # noqa: N818 - never leaves this module
-    """What is wrong, its key path and what would be right."""
+    """Problem, key path, and valid value, raised and caught within this module."""
 
 
 def check_hand(hand: Hand, source: str) -> None:
     """Check a hand as a whole.
 
     Args:
-        hand: each section of which is valid by itself.
-        source: what to call it in messages.
+        hand: hand with valid sections.
+        source: name of the hand file in messages.
 
     Raises:
-        ConfigError: with key path, value and what would be right.
+        ConfigError: with key path, value, and a valid value.
     """
     try:
         for key in ("bus", "digit", "tendon", "motor"):
@@ -78,7 +79,7 @@ def check_hand(hand: Hand, source: str) -> None:
 
 
 def _unique(names: Iterable[str], where: str) -> None:
-    """No name occurs twice; the name replaces {} in the key path."""
+    """Refuse a repeated name. The name replaces {} in the key path."""
     seen: set[str] = set()
     for name in names:
         if name in seen:
@@ -87,7 +88,7 @@ def _unique(names: Iterable[str], where: str) -> None:
 
 
 def _check_digit(digit: Digit) -> None:
-    """Lengths of lists, order of joint limits, and mass distribution of a digit."""
+    """Check lengths of lists, order of joint limits, and mass distribution of a digit."""
     where, links = f"digit[{digit.name}]", len(digit.link_length_m)
     for key in PER_LINK:
         if len(getattr(digit, key)) != links:
@@ -95,6 +96,7 @@ def _check_digit(digit: Digit) -> None:
     for i, (length, com) in enumerate(zip(digit.link_length_m, digit.link_com_m, strict=True)):
         if com > length:
             raise Refused(f"{com:g}", f"{where}.link_com_m[{i}]", f"at most the link's length, {length:g} m")
+        # No mass lies farther from the centre of mass than the link's length.
         most = digit.link_mass_kg[i] * length**2
         if digit.link_inertia_kg_m2[i] > most:
             right = f"at most mass x length^2 = {most:.3g} kg m2"
@@ -111,6 +113,7 @@ def _check_digit(digit: Digit) -> None:
 
 
 def _check_coupling(coupling: tuple[tuple[float, ...], ...], where: str, links: int) -> None:
+    """Check the shape of a coupling matrix."""
     if len(coupling) != links:
         raise Refused(f"{len(coupling)} rows", where, f"{links}, one per joint")
     widths = {len(row) for row in coupling}
@@ -119,7 +122,7 @@ def _check_coupling(coupling: tuple[tuple[float, ...], ...], where: str, links: 
 
 
 def _check_references(hand: Hand) -> None:
-    """Everything that is named exists; a motor drives one tendon."""
+    """Check that every referenced name exists, and that each motor drives one tendon."""
     node = hand.sensor_node
     _known("sensor_node.bus", node.bus, hand.bus_names)
     for key, names, known in (("tendons", node.tendons, hand.tendon_names), ("joints", node.joints, hand.joints)):
@@ -143,12 +146,13 @@ def _check_references(hand: Hand) -> None:
 
 
 def _known(where: str, name: str, known: tuple[str, ...]) -> None:
+    """Refuse a name that is not in the file."""
     if name not in known:
         raise Refused(f'"{name}" is not in this file', where, "one of " + ", ".join(known))
 
 
 def _check_order(hand: Hand) -> None:
-    """Each tendon moves joints of one digit, and tendons come digit by digit, as the digits do."""
+    """Check that each tendon moves joints of one digit, and that tendons follow the order of digits."""
     latest = 0
     for tendon in hand.tendon:
         where = f"tendon[{tendon.name}].moment_arm_m"
@@ -182,7 +186,7 @@ def _check_routing(hand: Hand, digit: Digit) -> None:
 
 
 def _check_limits(tendon: Tendon) -> None:
-    """Tension limits rise from the floor to the rope's strength."""
+    """Check that tension limits rise from the floor to the tendon's strength."""
     values = {key: getattr(tendon, key) for key in LIMITS}
     strength = tendon.rated_breaking_force_N
     for below, key, above in zip((None, *LIMITS), LIMITS[:-1], LIMITS[1:], strict=False):
@@ -200,7 +204,7 @@ def _check_limits(tendon: Tendon) -> None:
 
 
 def _check_drive(tendon: Tendon, motor: Motor) -> None:
-    """The drive's torque limit is its tension limit, and the motor can reach it."""
+    """Check that the drive's torque limit equals its tension limit, and that the motor can reach it."""
     where, limit = f"motor[{motor.name}].torque_max_N_m", tendon.drive_limit_N * motor.spool_radius_m
     if abs(motor.torque_max_N_m - limit) > 0.01 * limit:
         right = f"drive_limit_N x spool_radius_m = {limit:.4g} N m, within 1 %"
@@ -210,7 +214,7 @@ def _check_drive(tendon: Tendon, motor: Motor) -> None:
 
 
 def _check_identifiers(hand: Hand) -> None:
-    """No identifier has two meanings on one bus."""
+    """Check that no identifier has two meanings on one bus."""
     owner: dict[tuple[str, object], str] = {}
     for bus, identifier, where in _identifiers(hand):
         if (bus, identifier) in owner:
@@ -221,7 +225,10 @@ def _check_identifiers(hand: Hand) -> None:
 
 
 def _identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
-    """(bus, identifier, key path) of all that a hand uses; of a protocol that is not known here the node number."""
+    """Yield (bus, identifier, key path) of all frames of a hand.
+
+    A motor with an unknown protocol yields its node number.
+    """
     for protocol, identifier, what in SHARED_IDS:
         for bus in {motor.bus for motor in hand.motor if motor.protocol == protocol}:
             yield bus, identifier, what
@@ -235,6 +242,7 @@ def _identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
             yield motor.bus, motor.node_id, where
             yield motor.bus, *_mit_reply(motor, where)
         elif motor.protocol == "odrive":
+            # An ODrive owns all 32 commands of its node number.
             for message in range(32):
                 yield motor.bus, motor.node_id << 5 | message, where
         elif motor.protocol == "cia402":
@@ -245,7 +253,7 @@ def _identifiers(hand: Hand) -> Iterator[tuple[str, object, str]]:
 
 
 def _mit_reply(motor: Motor, where: str) -> tuple[int, str]:
-    """Identifier on which a MIT drive replies, and the key that says so."""
+    """Return the reply identifier of an MIT drive, and the key that sets it."""
     reply = motor.options.get("reply_id")
     if reply is None:
         return motor.node_id + MIT_REPLY_OFFSET, where

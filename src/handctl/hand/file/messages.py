@@ -1,4 +1,4 @@
-"""What pydantic finds wrong, as one line: file, key path, offending value, and what would be right."""
+"""Messages of validation errors in one line: file, key path, invalid value, and a valid value."""
 
 import difflib
 from collections.abc import Mapping, Sequence
@@ -15,21 +15,22 @@ EXPECTED = {
     "too_short": "at least {min_length} values",
     "too_long": "at most {max_length} values",
 }
-"""What pydantic's structural errors ask for, in the words of TOML; the rest are our own and carry ``right``."""
+"""Valid values for pydantic's structural errors, in TOML's terms. All other errors carry ``right``."""
 
 
 def config_error(
     error: ValidationError, model: type[BaseModel], content: Mapping[str, Any], source: str
 ) -> ConfigError:
-    """Turn a validation error into the line for a person.
+    """Return a validation error as a one-line error for the user.
 
-    An unknown key is told before anything else: a misspelt key is also a missing one, and the spelling is the cause.
+    An unknown key is reported first. A misspelt key is also a missing key, and the spelling is the
+    cause.
 
     Args:
-        error: as raised by pydantic.
-        model: the document's model, for the names of valid keys.
-        content: what was validated, for the names of list entries.
-        source: file name.
+        error: error raised by pydantic.
+        model: model of the document, for the names of valid keys.
+        content: validated content, for the names of list entries.
+        source: name of the file.
     """
     details = error.errors(include_url=False)
     detail = next((d for d in details if d["type"] == "extra_forbidden"), details[0])
@@ -43,7 +44,7 @@ def config_error(
 
 
 def key_path(content: Any, location: Sequence[str | int]) -> str:
-    """Path as a person would say it: ``digit[index].link_mass_kg[1]``, list entries by name where they have one."""
+    """Return a readable path: ``digit[index].link_mass_kg[1]``, with list entries by their names."""
     path = ""
     for part in location:
         try:
@@ -59,13 +60,13 @@ def key_path(content: Any, location: Sequence[str | int]) -> str:
 
 
 def shown(value: Any) -> str:
-    """A value as TOML writes it, cut short if long."""
+    """Return a value in TOML's spelling, shortened if long."""
     text = str(value).lower() if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def _keys(model: type[BaseModel], location: Sequence[str | int]) -> list[str]:
-    """Valid keys of the table at a location."""
+    """Return the valid keys of the table at a location."""
     for part in location:
         if isinstance(part, str):
             model = next(m for m in _models(model.model_fields[part].annotation))
@@ -73,13 +74,13 @@ def _keys(model: type[BaseModel], location: Sequence[str | int]) -> list[str]:
 
 
 def _models(annotation: Any) -> list[type[BaseModel]]:
-    """Models inside an annotation such as ``tuple[Digit, ...]``."""
+    """Return the models inside an annotation such as ``tuple[Digit, ...]``."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [model for part in getattr(annotation, "__args__", ()) for model in _models(part)]
 
 
 def _nearest(key: str, valid: list[str]) -> str:
-    """The valid key that was probably meant, or all of them."""
+    """Return the most similar valid key, or all valid keys."""
     near = difflib.get_close_matches(key, valid, n=1)
     return near[0] if near else "one of " + ", ".join(valid)

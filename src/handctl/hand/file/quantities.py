@@ -1,6 +1,7 @@
-"""The kinds of value that a hand file may hold, each with the band of values that is plausible for a robot hand.
+"""Kinds of value in a hand file, each with its plausible range for a robot hand.
 
-The bands are wide for hands and narrow against wrong units: a link given in millimetres is a thousand times out.
+The ranges are wide for hands and narrow against wrong units: a link length given in millimetres is
+wrong by a factor of 1000.
 """
 
 import re
@@ -10,27 +11,30 @@ from pydantic import BeforeValidator
 from pydantic_core import PydanticCustomError
 
 NAME_PATTERN = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+"""Valid names of digits, tendons, motors, and buses."""
 
 
 def wrong(right: str) -> PydanticCustomError:
-    """Error that carries what would have been right; ``messages`` prints it after the offending value."""
+    """Return an error with the valid value, which ``messages`` prints after the invalid one."""
     return PydanticCustomError("hand", "expected {right}", {"right": right})
 
 
 def band(low: float, high: float, unit: str = "", hint: str = "") -> BeforeValidator:
-    """Validator of a finite real number within [low, high]; returns a float.
+    """Return a validator of a finite real number within [low, high], with a float as result.
 
     Args:
         low: smallest plausible value.
         high: largest plausible value.
-        unit: unit of the three.
-        hint: what to think of when the value is too large, e.g. "in metres?".
+        unit: unit of value and limits.
+        hint: likely cause of a too large value, such as "in metres?".
     """
     right = f"a number from {low:g} to {high:g} {unit}".rstrip()
 
     def check(value: Any) -> float:
+        """Return the value as a float."""
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise wrong(right)
+        # Negated, so that NaN is refused.
         if not low <= value <= high:
             raise wrong(f"{right} ({hint})" if hint and value > high else right)
         return float(value)
@@ -39,9 +43,10 @@ def band(low: float, high: float, unit: str = "", hint: str = "") -> BeforeValid
 
 
 def whole(low: int, high: int) -> BeforeValidator:
-    """Validator of an integer within [low, high]."""
+    """Return a validator of an integer within [low, high]."""
 
     def check(value: Any) -> int:
+        """Return the value."""
         if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
             raise wrong(f"a whole number from {low} to {high}")
         return value
@@ -50,26 +55,31 @@ def whole(low: int, high: int) -> BeforeValidator:
 
 
 def _direction(value: Any) -> int:
+    """Validate 1 or -1."""
     if isinstance(value, bool) or not isinstance(value, int) or value not in (1, -1):
         raise wrong("1 or -1")
     return value
 
 
 def _identifier(value: Any) -> str:
+    """Validate a name."""
     if not isinstance(value, str) or not NAME_PATTERN.fullmatch(value):
         raise wrong("a name of letters, digits and _ that begins with a letter")
     return value
 
 
 def _text(value: Any) -> str:
+    """Validate a string."""
     if not isinstance(value, str):
         raise wrong("a string")
     return value
 
 
 def _options(value: Any) -> dict[str, bool | int | float | str]:
+    """Validate a table of finite numbers, strings, and booleans."""
     if not isinstance(value, dict):
         raise wrong("a table")
+    # Negated comparison: NaN and infinity are refused.
     for key, entry in value.items():
         if not isinstance(entry, bool | int | float | str) or (isinstance(entry, float) and not abs(entry) < 1e300):
             raise wrong(f"finite numbers, strings and booleans; {key} is none of them")
@@ -113,7 +123,7 @@ PositiveTorque = Annotated[float, band(1e-3, 50.0, "N m", "in N m?")]
 TorqueConstant = Annotated[float, band(1e-4, 50.0, "N m/A", "at the spool?")]
 JointNoise = Annotated[float, band(1e-7, 0.5, "rad", "in radians?")]
 SLOWEST_BUS, FASTEST_BUS = 10_000, 8_000_000
-"""[bit/s]; of CAN and of the data phase of CAN FD."""
+"""Limits of the bit rate of CAN, and of the data phase of CAN FD [bit/s]."""
 Bitrate = Annotated[int, whole(SLOWEST_BUS, FASTEST_BUS)]
 NodeId = Annotated[int, whole(1, 0x7F)]
 CanId = Annotated[int, whole(1, 0x7FF)]

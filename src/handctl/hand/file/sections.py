@@ -1,4 +1,4 @@
-"""The sections of a hand file as frozen pydantic models; the keys carry their units."""
+"""Sections of a hand file as frozen pydantic models. Keys carry their units."""
 
 import math
 
@@ -8,35 +8,35 @@ from handctl.hand.file import quantities as qty
 
 
 class Section(BaseModel):
-    """A table of the file: frozen, no unknown keys."""
+    """Table of the file: frozen, without unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
 class Mount(Section):
-    """How the palm stands in the world."""
+    """Orientation of the palm in the world."""
 
     gravity_m_s2: tuple[qty.Gravity, qty.Gravity, qty.Gravity]
     """Gravity in the palm frame: x out of the palm, y from thumb to fingers, z along the hinges."""
 
 
 class Bus(Section):
-    """A CAN bus; what it is connected to is said on the command line."""
+    """CAN bus. The command line names its interface."""
 
     name: qty.Name
     bitrate: qty.Bitrate
     data_bitrate: qty.Bitrate | None = None
-    """Of CAN FD's data phase; absent: a classical bus."""
+    """Bit rate of CAN FD's data phase, absent for a classical bus."""
 
 
 class SensorNode(Section):
-    """Load cells between spool and first pulley, and joint encoders, on one node."""
+    """Sensor node with load cells between spool and first pulley, and joint encoders."""
 
     bus: qty.Name
     sync_id: qty.CanId
-    """One byte, the tick counter; the node samples when it sees it."""
+    """Identifier of SYNC, one byte with the tick counter. The node samples at SYNC."""
     base_id: qty.CanId
-    """Tension frames from here on, joint frames from ``base_id + 0x10`` on, five channels a frame."""
+    """First identifier of tension frames. Joint frames begin at ``base_id + 0x10``. A frame has five channels."""
     tendons: tuple[qty.Name, ...]
     joints: tuple[qty.Name, ...]
     joint_decimation: qty.Decimation
@@ -47,24 +47,27 @@ class SensorNode(Section):
 
     @property
     def tension_ids(self) -> tuple[int, ...]:
-        """Identifiers of the tension frames."""
+        """Return the identifiers of the tension frames."""
         return tuple(self.base_id + group for group in range(math.ceil(len(self.tendons) / CHANNELS_PER_FRAME)))
 
     @property
     def joint_ids(self) -> tuple[int, ...]:
-        """Identifiers of the joint frames."""
+        """Return the identifiers of the joint frames."""
         groups = math.ceil(len(self.joints) / CHANNELS_PER_FRAME)
         return tuple(self.base_id + JOINT_FRAME_OFFSET + group for group in range(groups))
 
 
 CHANNELS_PER_FRAME = 5
-"""12 bit channels beside the 4 bit counter in 8 bytes. Source: sensor_node.dbc."""
+"""Channels of 12 bits beside the counter of 4 bits in 8 bytes. Source: sensor_node.dbc."""
 JOINT_FRAME_OFFSET = 0x10
-"""Distance of joint from tension frame identifiers. Source: sensor_node.dbc."""
+"""Distance of joint frame from tension frame identifiers. Source: sensor_node.dbc."""
 
 
 class Digit(Section):
-    """A finger or thumb: a planar chain; its frame has x along the straight digit, z the hinge, flexion positive."""
+    """Finger or thumb: a planar chain.
+
+    Its frame has x along the straight digit, z along the hinge, flexion positive.
+    """
 
     name: qty.Name
     mount_position_m: tuple[qty.Position, qty.Position, qty.Position]
@@ -85,23 +88,26 @@ class Digit(Section):
     spring_preload_rad: tuple[qty.Preload, ...]
     """Spring torque is k (q + preload), against flexion."""
     coupling: tuple[tuple[qty.Coupling, ...], ...] | None = None
-    """B of q = B theta, a row per joint, for a digit with fewer tendons than joints; absent: every joint for itself."""
+    """B of q = B theta, one row per joint, for a digit with fewer tendons than joints.
+
+    Absent for independent joints.
+    """
     joint_rated_torque_N_m: tuple[qty.PositiveTorque, ...] | None = None
-    """Torque that each joint, its pin and its links bear; absent: not known."""
+    """Torque limit of each joint with its pin and links, absent if unknown."""
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Joint names from the palm outwards."""
+        """Return the joint names from the palm outwards."""
         return tuple(f"{self.name}_j{i + 1}" for i in range(len(self.link_length_m)))
 
 
 class Tendon(Section):
-    """A tendon: its path, its rope and its limits; tensions are at the load cell."""
+    """Tendon: path, material, and limits. Tensions are at the load cell."""
 
     name: qty.Name
     motor: qty.Name
     moment_arm_m: dict[str, qty.MomentArm]
-    """A row of R, by joint; a joint that is absent is not crossed; positive flexes."""
+    """Row of R, by joint. The tendon does not cross absent joints. Positive arms flex."""
     stiffness_N_per_m: qty.RopeStiffness
     damping_N_s_per_m: qty.RopeDamping
     knee_N: qty.PositiveForce
@@ -117,7 +123,7 @@ class Tendon(Section):
 
 
 class Motor(Section):
-    """A motor with its drive; quantities are at the spool, after the gear."""
+    """Motor with its drive. Quantities are at the spool, after the gear."""
 
     name: qty.Name
     protocol: qty.Name
@@ -137,4 +143,4 @@ class Motor(Section):
     zero_rad: qty.Zero
     watchdog_ms: qty.Watchdog
     options: qty.Options = Field(default_factory=dict)
-    """What only this protocol knows, e.g. ``reply_id``."""
+    """Options of the protocol, such as ``reply_id``."""

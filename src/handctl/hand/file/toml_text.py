@@ -1,4 +1,4 @@
-"""A hand's resolved content as TOML text, for the log: what is read back is the same hand."""
+"""TOML text of a hand's resolved content, for the log. It reads back as an equal hand."""
 
 import json
 from collections.abc import Mapping
@@ -8,7 +8,10 @@ from handctl.printing import encodable
 
 
 def toml_text(content: Mapping[str, Any]) -> str:
-    """Write plain values, then tables, then arrays of tables; absent (None) values and empty tables are left out."""
+    """Write plain values, then tables, then arrays of tables.
+
+    None and empty tables are left out.
+    """
     lines = _entries(content)
     for key, value in content.items():
         if isinstance(value, Mapping):
@@ -20,18 +23,22 @@ def toml_text(content: Mapping[str, Any]) -> str:
 
 
 def _entries(table: Mapping[str, Any], inline_tables: bool = False) -> list[str]:
+    """Return the lines of a table's plain values."""
+
     def is_entry(value: Any) -> bool:
+        """Return True for a value of this table's own lines."""
         return bool(inline_tables and value) if isinstance(value, Mapping) else not _is_table_array(value)
 
     return [f"{key} = {_value(value)}" for key, value in table.items() if value is not None and is_entry(value)]
 
 
 def _is_table_array(value: Any) -> bool:
+    """Return True for a non-empty list of tables."""
     return isinstance(value, list | tuple) and len(value) > 0 and all(isinstance(entry, Mapping) for entry in value)
 
 
 def _value(value: Any) -> str:
-    """One value; Python's repr of a float is the shortest text that reads back the same, and valid TOML."""
+    """Return one value. Python's repr of a float is the shortest exact text, and valid TOML."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
@@ -44,9 +51,13 @@ def _value(value: Any) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A basic string; what has no encoding in UTF-8 is escaped as text, since TOML has no escape for it."""
+    """Return a basic string.
+
+    Characters without a UTF-8 encoding are escaped as text, since TOML has no escape for them.
+    """
     return json.dumps(encodable(text), ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 def _key(key: str) -> str:
+    """Return a key, quoted if necessary."""
     return key if key.isascii() and key.replace("_", "").replace("-", "").isalnum() else _quoted(key)

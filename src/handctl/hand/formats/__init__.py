@@ -1,1 +1,1 @@
-"""A hand in the formats of other tools."""
+"""Export of a hand to the formats of other tools."""

@@ -1,7 +1,8 @@
-"""A hand as MJCF, for MuJoCo and its friends: links, springs, stops, and tendons that pull with a tension.
+"""Export of a hand as MJCF for MuJoCo: links, springs, stops, and tendons driven by tension.
 
-The world frame is the palm frame. All joints at zero is the straight hand, positive angles flex. Each control is the
-tension of one tendon at the joint pulleys [N]; ropes, friction and rotors are not part of the model.
+The world frame is the palm frame. All joints at zero form the straight hand, positive angles flex.
+Each control is the tension of one tendon at the joint pulleys [N]. The model has no tendon
+elasticity, no friction, and no rotors.
 """
 
 from xml.etree import ElementTree as ET
@@ -15,11 +16,17 @@ from handctl.hand.formats.urdf import PALM_MARGIN, PALM_THICKNESS
 from handctl.hand.frames import quaternion
 
 STOPS = ("0.002 1", "0.99 0.9999 0.001")
-"""Stiff joint stops; MuJoCo's own let springs push these light links 16 degrees past them."""
+"""Solver parameters of stiff joint stops.
+
+With MuJoCo's defaults, springs push these light links 16 degrees past their stops.
+"""
 
 
 def mjcf(hand: Hand) -> str:
-    """MJCF of a hand with bodies ``palm`` and ``index_link1``.., joints ``index_j1``.., sites ``index_tip``.."""
+    """Return the MJCF of a hand.
+
+    Bodies are ``palm`` and ``index_link1``.., joints ``index_j1``.., sites ``index_tip``..
+    """
     root = ET.Element("mujoco", model=hand.name)
     ET.SubElement(root, "compiler", angle="radian", autolimits="true")
     gravity = _numbers(hand.mount.gravity_m_s2)
@@ -34,7 +41,7 @@ def mjcf(hand: Hand) -> str:
 
 
 def _palm(palm: ET.Element, hand: Hand) -> None:
-    """A box behind all digits, which do not collide with it where they are mounted."""
+    """Add a box behind all digits. Digits mounted on the box do not collide with it."""
     mounts = np.array([digit.mount_position_m for digit in hand.digit])
     low, high = mounts.min(axis=0) - PALM_MARGIN, mounts.max(axis=0) + PALM_MARGIN
     low[0], high[0] = -PALM_THICKNESS, 0.0
@@ -43,12 +50,13 @@ def _palm(palm: ET.Element, hand: Hand) -> None:
 
 
 def _digit(palm: ET.Element, digit: Digit) -> None:
-    """Nested bodies: each link lies along its x axis, its hinge at its origin."""
+    """Add nested bodies: each link along its x axis, its hinge at its origin."""
     parent = palm
     for i, joint in enumerate(digit.joints):
         place = digit.mount_position_m if i == 0 else (digit.link_length_m[i - 1], 0.0, 0.0)
         link = ET.SubElement(parent, "body", name=f"{digit.name}_link{i + 1}", pos=_numbers(place))
         if i == 0:
+            # MuJoCo's quaternions begin with w.
             x, y, z, w = quaternion(rotation_rpy(*np.radians(digit.mount_rpy_deg)))
             link.set("quat", _numbers((w, x, y, z)))
         _hinge(link, digit, i, joint)
@@ -58,6 +66,7 @@ def _digit(palm: ET.Element, digit: Digit) -> None:
 
 
 def _hinge(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
+    """Add the joint of link i."""
     ET.SubElement(
         link,
         "joint",
@@ -67,6 +76,7 @@ def _hinge(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
         damping=_number(digit.joint_damping_N_m_s_per_rad[i]),
         armature=_number(digit.joint_armature_kg_m2[i]),
         stiffness=_number(digit.spring_stiffness_N_m_per_rad[i]),
+        # MuJoCo's spring torque is -k (q - springref), the description's -k (q + preload).
         springref=_number(-digit.spring_preload_rad[i]),
         solreflimit=STOPS[0],
         solimplimit=STOPS[1],
@@ -74,9 +84,14 @@ def _hinge(link: ET.Element, digit: Digit, i: int, joint: str) -> None:
 
 
 def _bar(link: ET.Element, digit: Digit, i: int) -> None:
-    """Inertia about the hinge as described, about the bar's own axis that of a round bar; a capsule to touch with."""
+    """Add inertia and collision shape of link i.
+
+    Inertia about the hinge is that of the description, about the bar's own axis that of a round bar.
+    The shape is a capsule.
+    """
     length, radius, mass = digit.link_length_m[i], digit.link_radius_m, digit.link_mass_kg[i]
     about_hinge = digit.link_inertia_kg_m2[i]
+    # A round bar about its axis. A real body's inertias satisfy the triangle inequality: at most 2 I.
     along = min(mass * radius**2 / 2, 2 * about_hinge)
     ET.SubElement(
         link,
@@ -89,7 +104,7 @@ def _bar(link: ET.Element, digit: Digit, i: int) -> None:
 
 
 def _tendons(root: ET.Element, hand: Hand) -> None:
-    """Fixed tendons by their moment arms, each pulled by a motor that cannot push."""
+    """Add fixed tendons by their moment arms, each with a motor that pulls only."""
     tendons, actuators = ET.SubElement(root, "tendon"), ET.SubElement(root, "actuator")
     for tendon in hand.tendon:
         fixed = ET.SubElement(tendons, "fixed", name=tendon.name)
@@ -100,9 +115,10 @@ def _tendons(root: ET.Element, hand: Hand) -> None:
 
 
 def _number(value: float) -> str:
-    """Shortest text that reads back as the same number."""
+    """Return the shortest text that reads back as an equal number."""
     return repr(float(value))
 
 
 def _numbers(values: object) -> str:
+    """Return numbers separated by spaces."""
     return " ".join(_number(value) for value in np.asarray(values, dtype=float).tolist())

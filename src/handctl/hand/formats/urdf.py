@@ -1,7 +1,8 @@
-"""A hand as URDF: primitives only, for viewers and for other people's dynamics libraries.
+"""Export of a hand as URDF, with primitive shapes, for viewers and dynamics libraries.
 
-All joints at zero is the straight hand, positive angles flex. Links are bars along their own x axis; a link's inertia
-about its hinge is that of the description, and about the other axes that of a slender round bar.
+All joints at zero form the straight hand, positive angles flex. Links are bars along their own x
+axis. A link's inertia about its hinge is that of the description, about the other axes that of a
+slender round bar.
 """
 
 from xml.etree import ElementTree as ET
@@ -12,13 +13,16 @@ from handctl.hand.description import Hand
 from handctl.hand.file.sections import Digit
 
 PALM_THICKNESS = 0.010
-"""Depth of the palm's box [m]; its face is x = 0."""
+"""Depth of the palm's box [m]. Its face is x = 0."""
 PALM_MARGIN = 0.010
-"""How far the palm reaches beyond the outermost digits [m]."""
+"""Extent of the palm beyond the outermost digits [m]."""
 
 
 def urdf(hand: Hand) -> str:
-    """URDF of a hand with root link ``palm``, links ``index_link1``.., joints ``index_j1``.. and tips ``index_tip``."""
+    """Return the URDF of a hand.
+
+    The root link is ``palm``, links are ``index_link1``.., joints ``index_j1``.., tips ``index_tip``.
+    """
     robot = ET.Element("robot", name=hand.name)
     _palm(robot, hand)
     for digit in hand.digit:
@@ -31,7 +35,7 @@ def urdf(hand: Hand) -> str:
 
 
 def _palm(robot: ET.Element, hand: Hand) -> None:
-    """Root link: a box behind all digits, without mass since it does not move."""
+    """Add the root link: a box behind all digits, without mass since it is fixed."""
     mounts = np.array([digit.mount_position_m for digit in hand.digit])
     low, high = mounts.min(axis=0) - PALM_MARGIN, mounts.max(axis=0) + PALM_MARGIN
     low[0], high[0] = -PALM_THICKNESS, 0.0
@@ -43,7 +47,7 @@ def _palm(robot: ET.Element, hand: Hand) -> None:
 
 
 def _joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
-    """Hinge before link i, with the limits that tendons and motors set."""
+    """Add the hinge before link i, with the limits of tendons and motors."""
     name = digit.joints[i]
     joint = ET.SubElement(robot, "joint", name=name, type="revolute")
     ET.SubElement(joint, "parent", link="palm" if i == 0 else f"{digit.name}_link{i}")
@@ -58,6 +62,7 @@ def _joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
     crossing = [tendon for tendon in hand.tendon if name in tendon.moment_arm_m]
     effort = sum(abs(tendon.moment_arm_m[name]) * tendon.tension_max_N for tendon in crossing)
     motors = [(hand.motor_of(tendon.name), abs(tendon.moment_arm_m[name])) for tendon in crossing]
+    # Joint speed = spool speed * spool radius / moment arm. The slowest tendon limits the joint.
     speed = min(motor.velocity_range_rad_s * motor.spool_radius_m / arm for motor, arm in motors)
     ET.SubElement(
         joint,
@@ -71,7 +76,7 @@ def _joint(robot: ET.Element, hand: Hand, digit: Digit, i: int) -> None:
 
 
 def _link(robot: ET.Element, digit: Digit, i: int) -> None:
-    """Link i: inertia, and a cylinder that ends in a ball at the far end."""
+    """Add link i: inertia, and a cylinder with a ball at the far end."""
     length, radius, mass = digit.link_length_m[i], digit.link_radius_m, digit.link_mass_kg[i]
     about_hinge = digit.link_inertia_kg_m2[i]
     along = min(mass * radius**2 / 2, 2 * about_hinge)
@@ -99,7 +104,7 @@ def _link(robot: ET.Element, digit: Digit, i: int) -> None:
 
 
 def _tip(robot: ET.Element, digit: Digit) -> None:
-    """Frame at the end of the last link."""
+    """Add the frame at the end of the last link."""
     last = len(digit.link_length_m)
     ET.SubElement(robot, "link", name=f"{digit.name}_tip")
     joint = ET.SubElement(robot, "joint", name=f"{digit.name}_tip_joint", type="fixed")
@@ -109,9 +114,10 @@ def _tip(robot: ET.Element, digit: Digit) -> None:
 
 
 def _number(value: float) -> str:
-    """Shortest text that reads back as the same number."""
+    """Return the shortest text that reads back as an equal number."""
     return repr(float(value))
 
 
 def _numbers(values: object) -> str:
+    """Return numbers separated by spaces."""
     return " ".join(_number(value) for value in np.asarray(values, dtype=float).tolist())
