@@ -1,12 +1,13 @@
-"""The numbers that one tick hands to the next: every quantity with its table, its unit and its meaning.
+"""State block of a tick: every quantity with table, unit and meaning.
 
-A tick copies the block of the last one and writes into the copy. What the tick found (measurements, estimates, the
-command) lies in the same block, so that the log, the viewer and the next tick read one thing.
-``tables`` gives kernels the tables by name; see ``schema`` for how rows are addressed.
+A tick copies the block of the last tick and writes into the copy. Results of the tick
+(measurements, estimates, the command) are in the same block, so log, viewer and next tick read the
+same data. ``tables`` gives compiled code the tables by name. See ``schema`` for the addressing of
+rows.
 
-Axes: tendon N (motors are counted like the tendons they drive), joint J, digit D, coordinate C (reduced coordinates of
-all digits), node N + 1 (motors, then the load cells), group G (frames of the sensor node), instance (what a fault can
-concern), and run, which has one element.
+Axes: tendon N (motors have the index of their tendon), joint J, digit D, coordinate C (reduced
+coordinates of all digits), node N + 1 (motors, then the load cells), group G (frames of the sensor
+node), instance (of a fault), and run, of length 1.
 """
 
 import math
@@ -20,7 +21,7 @@ from handctl.core.schema import Block, Places, Schema
 
 NAN = math.nan
 AXES = ("tendon", "joint", "digit", "coordinate", "node", "group", "instance", "run")
-"""Axes in the order in which their lengths begin a layout."""
+"""Axes, in the order of the lengths at the start of a layout."""
 TABLES = (
     "tendon", "joint", "digit", "coordinate", "run",
     "tendon_int", "joint_int", "digit_int", "node_int", "group_int", "instance_int", "run_int",
@@ -247,7 +248,7 @@ CLEARING = _whole("clearing", "run", "", "what the drives have latched is being 
 
 
 class Tables(NamedTuple):
-    """The tables of a block of ``STATE``, each (rows, length of its axis); ``run`` and ``run_int`` (rows,)."""
+    """Tables of a block of ``STATE``, each (rows, length of the axis), ``run`` and ``run_int`` (rows,)."""
 
     tendon: NDArray[np.float64]
     joint: NDArray[np.float64]
@@ -265,7 +266,12 @@ class Tables(NamedTuple):
 
 @inner
 def tables(block: Block, at: Places) -> Tables:
-    """Return the tables of a block; ``at``: ``Layout.places``."""
+    """Return the tables of a block.
+
+    Args:
+        block: the state.
+        at: ``Layout.places``.
+    """
     whole = block.view(np.int64)
     return Tables(
         block[at[8] : at[9]].reshape((-1, at[0])),
@@ -288,12 +294,12 @@ TENDON_INT_FIRST, TENDON_INT_END = _MONITOR_FIRST["tendon_int"], _MONITOR_END["t
 JOINT_FIRST, JOINT_END = _MONITOR_FIRST["joint"], _MONITOR_END["joint"]
 JOINT_INT_FIRST, JOINT_INT_END = _MONITOR_FIRST["joint_int"], _MONITOR_END["joint_int"]
 RUN_INT_FIRST, RUN_INT_END = _MONITOR_FIRST["run_int"], _MONITOR_END["run_int"]
-"""Rows that begin anew when the hand is armed."""
+"""Rows reset when the hand is armed."""
 
 
 @inner
 def reset_monitor(x: Tables, initial: Tables) -> None:
-    """Let everything begin anew that the monitor remembers of an armed hand."""
+    """Reset the monitor's memory of an armed hand."""
     for n in range(x.tendon.shape[1]):
         for row in range(TENDON_FIRST, TENDON_END):
             x.tendon[row, n] = initial.tendon[row, n]

@@ -1,7 +1,7 @@
-"""Everything about one hand that the kernels read and no tick changes, as one block beside the block of the state.
+"""Constants of a hand for compiled code, as a block beside the block of the state.
 
-``HandConstants`` fills it from a ``HandModel``, from drives and from sensors; ``constant_tables`` gives kernels
-the tables by name. New gains make a new block.
+``HandConstants`` fills the block from a ``HandModel``, from drives and from sensors.
+``constant_tables`` gives compiled code the tables by name. New gains make a new block.
 """
 
 from typing import NamedTuple
@@ -110,8 +110,12 @@ DESIGN = _real("design", "tendon*kind*element", "", "blocks of the filter, see t
 F_AT, B_AT, K_AT, Q_AT, R_AT, P_AT, H_AT = 0, 49, 63, 84, 133, 135, 184
 TENSION_AT, INFORMATION_AT, VARIANCE_AT, CELL_SIGMA_AT, DRIFT_AT, KNOWN_AT = 205, 212, 215, 216, 217, 218
 ELEMENTS = 219
-"""First element of F (7, 7), B (7, 2), K (7, 3), Q (7, 7), R (2), P (7, 7), H (3, 7), of the tension row (7), of the
-innovations' inverse covariance (encoder squared, twice the product, load cell squared), and single numbers."""
+"""Number of elements of a filter design. The constants above are the first elements of the parts.
+
+F (7, 7), B (7, 2), K (7, 3), Q (7, 7), R (2), P (7, 7), H (3, 7), tension row (7), inverse
+covariance of the innovations (encoder squared, twice the product, load cell squared), and single
+numbers.
+"""
 KINDS = 6
 
 # Contact and grip: fractions of what is new that averages take in a tick.
@@ -151,7 +155,7 @@ TENSION_GROUPS = _whole("tension_groups", "run", "", "frame groups that carry te
 
 
 class ConstantTables(NamedTuple):
-    """The tables of a block of ``HAND``, each (rows, lengths of its axes); the design (N, kind, element)."""
+    """Tables of a block of ``HAND``, each (rows, lengths of the axes). The design is (N, kind, element)."""
 
     tendon: NDArray[np.float64]
     joint: NDArray[np.float64]
@@ -173,7 +177,12 @@ class ConstantTables(NamedTuple):
 
 @inner
 def constant_tables(block: Block, at: Places) -> ConstantTables:
-    """Return the tables of a hand's constants; ``at``: ``Layout.places``."""
+    """Return the tables of a hand's constants.
+
+    Args:
+        block: the constants.
+        at: ``Layout.places``.
+    """
     n, j, d, c, kinds, elements, places = at[0], at[1], at[2], at[3], at[4], at[5], at[6]
     whole = block.view(np.int64)
     return ConstantTables(

@@ -1,4 +1,4 @@
-"""What programs read of a tick: estimate and measurements, as arrays over the block."""
+"""Estimate and measurements of a tick as arrays over the block, for programs."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,137 +10,154 @@ Table = NDArray[np.float64]
 
 
 class Estimate:
-    """The present instant, (N,) each unless said otherwise.
+    """Estimate of the present instant, (N,) each unless stated otherwise.
 
     Attributes:
-        tendon, joint, digit: tables of the block. regimes: (N,) 0 free, 1 held, 2 slack.
+        tendon: table of the block.
+        joint: table of the block.
+        digit: table of the block.
+        regimes: (N,) 0 free, 1 held, 2 slack.
     """
 
     __slots__ = ("digit", "joint", "regimes", "tendon")
 
     def __init__(self, tendon: Table, joint: Table, digit: Table, regimes: NDArray[np.int64]) -> None:
+        """Keep the tables, without a copy.
+
+        Args:
+            tendon: table of the block.
+            joint: table of the block.
+            digit: table of the block.
+            regimes: (N,) of the tendons.
+        """
         self.tendon, self.joint, self.digit, self.regimes = tendon, joint, digit, regimes
 
     @property
     def tension(self) -> Vector:
-        """At the load cell [N]; 0 in slack."""
+        """Return the tension at the load cell [N], 0 in slack."""
         return self.tendon[s.TENSION]
 
     @property
     def sigma(self) -> Vector:
-        """Standard deviation of the tension [N]."""
+        """Return the standard deviation of the tension [N]."""
         return self.tendon[s.SIGMA]
 
     @property
     def travel(self) -> Vector:
-        """Tendon wound at the spool [m]."""
+        """Return the tendon wound at the spool [m]."""
         return self.tendon[s.TRAVEL]
 
     @property
     def speed(self) -> Vector:
-        """Rate of the travel [m/s]."""
+        """Return the rate of the travel [m/s]."""
         return self.tendon[s.SPEED]
 
     @property
     def excursion(self) -> Vector:
-        """At the joints [m]."""
+        """Return the excursion at the joints [m]."""
         return self.tendon[s.EXCURSION]
 
     @property
     def rate(self) -> Vector:
-        """Rate of the excursion [m/s]."""
+        """Return the rate of the excursion [m/s]."""
         return self.tendon[s.EXCURSION_RATE]
 
     @property
     def disturbance(self) -> Vector:
-        """Force on the motor that the model lacks [N]."""
+        """Return the force on the motor beyond the model [N]."""
         return self.tendon[s.DISTURBANCE]
 
     @property
     def external(self) -> Vector:
-        """Load force that the model lacks, positive against closing: contact [N]."""
+        """Return the load force beyond the model, positive against closing: contact [N]."""
         return self.tendon[s.EXTERNAL]
 
     @property
     def offset(self) -> Vector:
-        """Stretch offset [m]."""
+        """Return the stretch offset [m]."""
         return self.tendon[s.STRETCH_OFFSET]
 
     @property
     def innovation(self) -> Vector:
-        """Load cell less prediction [N]; NaN if missing."""
+        """Return load cell minus prediction [N], NaN if missing."""
         return self.tendon[s.INNOVATION]
 
     @property
     def nis(self) -> Vector:
-        """Normalised innovation squared of encoder and load cell; NaN if missing."""
+        """Return the normalised innovation squared of encoder and load cell, NaN if missing."""
         return self.tendon[s.NIS]
 
     @property
     def slack(self) -> NDArray[np.bool_]:
-        """Whether the tendon is slack."""
+        """Return True for each slack tendon."""
         return np.asarray(self.regimes == 2)
 
     @property
     def q(self) -> Vector:
-        """(J,) joint angles [rad]."""
+        """Return (J,) joint angles [rad]."""
         return self.joint[s.Q]
 
     @property
     def dq(self) -> Vector:
-        """(J,) joint rates [rad/s]."""
+        """Return (J,) joint rates [rad/s]."""
         return self.joint[s.DQ]
 
     @property
     def q_sigma(self) -> Vector:
-        """(J,) standard deviation of the joint angles [rad]."""
+        """Return (J,) standard deviation of the joint angles [rad]."""
         return self.joint[s.Q_SIGMA]
 
     @property
     def grown(self) -> Vector:
-        """(D,) what counts as contact of the force felt at the tips of closing digits [N]."""
+        """Return (D,) contact force at the tips of closing digits, without the mean before contact [N]."""
         return self.digit[s.GROWN]
 
     @property
     def opening(self) -> Vector:
-        """How far a grip is being pushed open, along the tendons [m]."""
+        """Return the opening of a grip along the tendons [m]."""
         return np.asarray(self.tendon[s.GRIP_SLOW] - self.tendon[s.GRIP_FAST])
 
     @property
     def grip(self) -> Vector:
-        """Tendon wound less stretch, slowly averaged, up to a constant [m]."""
+        """Return the tendon wound minus stretch, slowly averaged, up to a constant [m]."""
         return self.tendon[s.GRIP_SLOW]
 
 
 class Measured:
-    """Measurements of one tick, (N,) each unless said otherwise; NaN where nothing came."""
+    """Measurements of a tick, (N,) each unless stated otherwise, NaN if missing."""
 
     __slots__ = ("joint", "tendon")
 
     def __init__(self, tendon: Table, joint: Table) -> None:
+        """Keep the tables, without a copy.
+
+        Args:
+            tendon: table of the block.
+            joint: table of the block.
+        """
         self.tendon, self.joint = tendon, joint
 
     @property
     def travel(self) -> Vector:
-        """Encoder, at the spool [m]."""
+        """Return the encoder readings along the tendon, at the spool [m]."""
         return self.tendon[s.MEASURED_TRAVEL]
 
     @property
     def position(self) -> Vector:
-        """Encoder, at the spool [rad]."""
+        """Return the encoder readings at the spool [rad]."""
         return self.tendon[s.MEASURED_POSITION]
 
     @property
     def tension(self) -> Vector:
-        """Load cell, tared [N]."""
+        """Return the load-cell readings, tared [N]."""
         return self.tendon[s.MEASURED_TENSION]
 
     @property
     def excursion(self) -> Vector:
-        """By joint encoders [m]."""
+        """Return the excursions from joint encoders [m]."""
         return self.tendon[s.MEASURED_EXCURSION]
 
     @property
     def joints(self) -> Vector:
-        """(J,) joint encoders [rad]."""
+        """Return (J,) joint encoder readings [rad]."""
         return self.joint[s.MEASURED_JOINT]

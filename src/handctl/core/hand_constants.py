@@ -1,4 +1,4 @@
-"""The block of a hand's constants, filled from its model, its drives and sensors, and its limits."""
+"""Block of a hand's constants, filled from model, drives, sensors and limits."""
 
 import functools
 import math
@@ -21,9 +21,12 @@ from handctl.drives.sensors.node import JOINT_STEP_RAD
 from handctl.hand.digit import DigitModel
 
 SPRING_LEAST = 1e-3
-"""Smallest spring stiffness in the null space [N m/rad]; beyond it the joints' ranges limit the deviation anyway."""
+"""Smallest spring stiffness in the null space [N m/rad]. Softer deviations are limited by the joints' ranges."""
 MOVES_LEAST = 1e-9
-"""A tendon that moves a joint by a smaller fraction than this of the largest does not move it: rounding."""
+"""Smallest relevant entry of the excursion matrix, as a fraction of the largest.
+
+Smaller entries are rounding errors.
+"""
 
 
 def layout_of(model: HandModel) -> Layout:
@@ -41,10 +44,11 @@ def layout_of(model: HandModel) -> Layout:
 
 
 class HandConstants:
-    """The constants of one hand with its gains.
+    """Constants of a hand with gains.
 
     Attributes:
-        layout: of the block. block: read-only.
+        layout: of the block.
+        block: read-only.
     """
 
     def __init__(self, model: HandModel, more: Mapping[str, object]) -> None:
@@ -52,7 +56,8 @@ class HandConstants:
 
         Args:
             model: the hand.
-            more: by field, what the model does not know: tare, zero, thresholds, drives and sensors.
+            more: constants from outside of the model, by field: tare, zero, thresholds, drives and
+                sensors.
         """
         self.layout = layout_of(model)
         self.block: Block = self.layout.initial.copy()
@@ -115,7 +120,10 @@ def _law(model: HandModel) -> dict[str, object]:
 
 
 def _exact(digit: DigitModel) -> list[bool]:
-    """Return for each tendon of a digit whether a joint torque asks one tension and no other."""
+    """Return True for each tendon of a digit with as many tendons as coordinates.
+
+    A joint torque then determines the tensions.
+    """
     tendons, coordinates = digit.reduced_moment_arms.shape
     return [tendons == coordinates] * tendons
 
@@ -205,7 +213,10 @@ def _compliance(digit: DigitModel) -> Vector:
 
 
 def _every_place(digits: tuple[DigitModel, ...]) -> list[tuple[Vector, Vector, Vector]]:
-    """Return for each place (J, J) angles ahead, (J, J) distances [m] and (J,) probability; the last place is none."""
+    """Return the contact places: (J, J) joints before each, (J, J) distances [m], (J,) probability.
+
+    The last place has no lever: all joints turn alike.
+    """
     most = max(digit.joint_count for digit in digits)
     found = []
     for place in range(most + 2):
@@ -216,7 +227,7 @@ def _every_place(digits: tuple[DigitModel, ...]) -> list[tuple[Vector, Vector, V
 
 
 def _place(digit: DigitModel, place: int, alike: bool) -> tuple[Vector, Vector, Vector]:
-    """Return one place on a digit: the middle of a link, the tip after the last one, or all joints alike."""
+    """Return a contact place on a digit: the middle of a link, the tip after the last, or all joints alike."""
     n = digit.joint_count
     ahead, reach = np.zeros((n, n)), np.zeros((n, n))
     if place > n and not alike:
@@ -247,7 +258,7 @@ def _elements(block: FilterBlock) -> Vector:
 
 
 def low_pass_fractions(model: HandModel, motor_period: Vector, joint_period: float) -> Vector:
-    """Return the fraction (8, N) of what is new in each low-passed residual; see ``detectors.residuals``."""
+    """Return the update fraction (8, N) of each low-passed residual, see ``detectors.residuals``."""
     every = np.full((len(TIMES_S), model.tendon_count), model.period)
     every[2], every[5] = motor_period, joint_period  # commanded against reported torque, and slip
     return np.asarray(1.0 - np.exp(-every / np.array(TIMES_S)[:, None]))

@@ -1,4 +1,4 @@
-"""What identification found out about a hand, and the hand as it then is for the controller."""
+"""Parameters identified from runs, and the hand with these parameters for the controller."""
 
 import copy
 
@@ -12,39 +12,44 @@ from handctl.hand.description import Hand
 from handctl.hand.load import hand_from
 
 TENDON_KEYS = {"rope_stiffness": "stiffness_N_per_m", "capstan": "friction_coefficient"}
+"""Keys of the hand file's tendon table by identified parameter, replaced by the identified value."""
 MOTOR_KEYS = {
     "motor_inertia": "inertia_kg_m2",
     "motor_viscous": "viscous_N_m_s_per_rad",
     "motor_coulomb": "coulomb_N_m",
 }
+"""Keys of the hand file's motor table by identified parameter, replaced by the identified value."""
 DIGIT_KEYS = {
     "spring_stiffness": "spring_stiffness_N_m_per_rad",
     "spring_preload": "spring_preload_rad",
     "joint_damping": "joint_damping_N_m_s_per_rad",
 }
-"""Factors on what the hand file says of every joint of the digit; the rest replaces what it says."""
+"""Keys of the hand file's digit table by identified parameter.
+
+The parameters are factors on the values of all joints.
+"""
 UNITS = {
     "torque_gain": "1", "motor_inertia": "kg m2", "motor_viscous": "N m s/rad", "motor_coulomb": "N m", "delay": "s",
     "rope_stiffness": "N/m", "spring_stiffness": "x file", "spring_preload": "x file", "capstan": "1",
     "joint_damping": "x file",
 }  # fmt: skip
-"""Everything that can be identified, with its unit; torque_gain is torque at the spool over what the drive was told."""
+"""Unit of each parameter for identification. ``torque_gain`` is torque at the spool per commanded torque."""
 
 
 class Identified(Document):
-    """One tendon with its motor and its digit."""
+    """Identified parameters of a tendon, with motor and digit."""
 
     names: tuple[str, ...] = Field(min_length=1)
-    """Of what was identified, a part of ``UNITS``."""
+    """Names of the identified parameters, a part of ``UNITS``."""
     values: tuple[float, ...]
     half_widths: tuple[float, ...]
-    """Of the 95 % intervals."""
+    """Half widths of the 95 % intervals."""
     covariance: tuple[tuple[float, ...], ...]
-    """Of the values, in their units; rows and columns as ``names``."""
+    """Covariance of the values in their units, rows and columns as ``names``."""
     missing: tuple[str, ...] = ()
-    """What the data could not tell, each with the reason."""
+    """Parameters not identifiable from the data, each with the reason."""
     log: tuple[str, ...] = ()
-    """Runs that it rests on."""
+    """Logs of the runs behind the values."""
     made: str = ""
     """Date and time, ISO 8601, UTC."""
 
@@ -61,13 +66,14 @@ class Identified(Document):
         return self
 
     def get(self, name: str, otherwise: float) -> float:
-        """A value by its name, if it was identified."""
+        """Return a value by name, or ``otherwise`` if the parameter was not identified."""
         return self.values[self.names.index(name)] if name in self.names else otherwise
 
     def beside(self, older: "Identified | None") -> "Identified":
-        """This, and what only an older one tells: a run that excites little takes nothing away that is known.
+        """Return these parameters, with the others of an older identification added.
 
-        The two are of different runs, so that nothing is correlated between them.
+        A run with little excitation must not remove parameters. Parameters of different runs are
+        uncorrelated.
         """
         others = [i for i, name in enumerate(older.names) if name not in self.names] if older else []
         if older is None or not others:
@@ -88,14 +94,14 @@ class Identified(Document):
 
 
 def identified_hand(hand: Hand, found: dict[str, Identified]) -> Hand:
-    """The hand with what was identified in the place of what its file says.
+    """Return the hand with identified parameters in place of the hand file's.
 
     Args:
-        hand: as in its file.
+        hand: as in the file.
         found: by tendon.
 
     Raises:
-        ConfigError: a value that no hand can have.
+        ConfigError: for a value outside of a hand file's bounds.
     """
     content = copy.deepcopy(hand.content)
     for i, tendon in enumerate(hand.tendon):
@@ -110,15 +116,15 @@ def identified_hand(hand: Hand, found: dict[str, Identified]) -> Hand:
 
 
 def torque_gain(hand: Hand, found: dict[str, Identified]) -> Vector:
-    """(N,) torque at the spool over what each drive is told."""
+    """Return (N,) torque at the spool per commanded torque of each drive."""
     return np.array([found[t.name].get("torque_gain", 1.0) if t.name in found else 1.0 for t in hand.tendon])
 
 
 def check_identified(hand: Hand, found: dict[str, Identified], source: str) -> None:
-    """Refuse what is for tendons that the hand does not have.
+    """Refuse parameters of tendons unknown to the hand.
 
     Raises:
-        ConfigError: such a tendon, or a torque gain that is none.
+        ConfigError: for an unknown tendon, or a torque gain out of bounds.
     """
     for name, known in found.items():
         if name not in hand.tendon_names:

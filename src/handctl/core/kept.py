@@ -1,24 +1,30 @@
-"""What follows from an immutable object, kept for as long as the object may come again."""
+"""Cache of values derived from immutable objects, by identity."""
 
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
 MOST = 256
+"""Largest number of cached values."""
 
 
 class Kept(Generic[T]):
-    """A function of one immutable object that is computed once for each object, told apart by identity.
+    """Function of an immutable object, computed once per object identity.
 
-    Equality would not do: 1, 1.0 and True are equal, and are not written alike.
+    Equality would not suffice: 1, 1.0 and True are equal, but serialized differently.
     """
 
     def __init__(self, function: Callable[[T], bytes]) -> None:
+        """Begin with an empty cache.
+
+        Args:
+            function: of the object.
+        """
         self._function = function
         self._known: dict[int, tuple[T, bytes]] = {}
 
     def __call__(self, thing: T) -> bytes:
-        """Value of the function."""
+        """Return the function's value, from the cache if possible."""
         found = self._known.get(id(thing))
         if found is not None and found[0] is thing:
             return found[1]

@@ -1,4 +1,4 @@
-"""Everything about one hand that a tick needs and that never changes during a run."""
+"""Model of a hand: all constants of a run, derived from hand description and gains."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,33 +17,35 @@ from handctl.hand.digit import Values
 from handctl.hand.dynamics import DigitModel, required_torque
 
 Inverse = Callable[[DigitModel, Values, Values, Values], tuple[float, ...]]
+"""Inverse dynamics of a digit: joint torque from digit, q, dq and ddq."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HandModel:
-    """A hand, its gains, and what is derived from both.
+    """A hand, the gains, and all quantities derived from both.
 
     Attributes:
         hand: description.
         gains: as tuned.
         period: control period [s].
-        digits: digit models, file order.
-        coupling: (J, C) joint angles of the digits' coordinates.
-        digit_tendons: for each digit, the slice of its tendons in the hand's order.
-        space: the hand along its tendons.
+        digits: digit models, in file order.
+        coupling: (J, C) joint angles per coordinate of the digits.
+        digit_tendons: for each digit, the slice of tendons in the hand's order.
+        space: the hand along the tendons.
         filter: steady-state filter of each tendon.
         motion: feedback gains of each tendon.
-        digit_of: for each tendon, the index of its digit.
-        excursion_to_joints: (J, N), joint angles that excursions stand for [rad/m].
-        torque_to_tension: (N, J), smallest tensions that make a torque [1/m].
-        pulleys: (N, J), 1 where a tendon passes a joint's pulley.
-        pulley_weights: (N, J), share of each pulley in a tendon's moment arms.
-        friction: (N,), capstan coefficient.
-        wrap: (N,), wrap angle before the first joint pulley [rad].
-        floor, ceiling: (N,) tension limits at the load cell [N].
-        torque_limit: (N,) largest motor torque the host may ask [N m].
-        torque_gain: (N,) torque at the spool over what the drive is told; None where that is not known.
-        inverse: joint torque of a motion, from digit, q, dq and ddq; another law of the digits for experiments.
+        digit_of: for each tendon, the index of the digit.
+        excursion_to_joints: (J, N) joint angles per excursion [rad/m].
+        torque_to_tension: (N, J) smallest tensions per joint torque [1/m].
+        pulleys: (N, J) 1 where a tendon passes a joint's pulley.
+        pulley_weights: (N, J) fraction of each pulley in a tendon's moment arms.
+        friction: (N,) capstan coefficient.
+        wrap: (N,) wrap angle before the first joint pulley [rad].
+        floor: (N,) smallest tension at the load cell [N].
+        ceiling: (N,) largest tension at the load cell [N].
+        torque_limit: (N,) largest motor torque the host may command [N m].
+        torque_gain: (N,) torque at the spool per commanded torque. None: not identified.
+        inverse: joint torque of a motion, from digit, q, dq and ddq. Experiments replace it.
     """
 
     hand: Hand
@@ -70,7 +72,7 @@ class HandModel:
 
     @staticmethod
     def of(hand: Hand, gains: Gains, rate_hz: float, torque_gain: Vector | None = None) -> "HandModel":
-        """Derive the model; designs all gains, which takes a second (``control`` is imported here).
+        """Derive the model, and design all gains. The design takes a second and imports ``control``.
 
         Args:
             hand: description.
@@ -107,27 +109,28 @@ class HandModel:
 
     @property
     def tendon_count(self) -> int:
-        """N."""
+        """Return N."""
         return len(self.floor)
 
     @property
     def coordinate_count(self) -> int:
-        """C: reduced coordinates of all digits."""
+        """Return C, the number of reduced coordinates of all digits."""
         return int(self.coupling.shape[1])
 
 
 def _torque_limit(hand: Hand, gain: Vector | None) -> Vector:
-    """(N,) torque that the host may ask, at the spool: what the hand file says, and no more than the drive can be told.
+    """Return (N,) largest torque at the spool: the limit of the hand file, within the drive's range [N m].
 
-    A drive that makes less than it is told has to be told more. A hair is left for what is divided by the spool and
-    the gain and multiplied again: a drive takes nothing beyond its limit, not by the last bit.
+    A drive with less torque than commanded needs a larger command. A margin of 1e-12 covers
+    rounding in the division by spool and gain and the later product: drives refuse commands above
+    the limit, even by the last bit.
     """
     most = np.array([hand.motor_of(tendon.name).torque_max_N_m for tendon in hand.tendon]) * (1.0 - 1e-12)
     return most if gain is None else most * np.minimum(gain, 1.0)
 
 
 def _joint_period(hand: Hand, period: float) -> Vector:
-    """(N,) time from one reading of all joints of a tendon to the next [s]; inf if one of them has no encoder."""
+    """Return (N,) time between readings of all joints of a tendon [s], inf if a joint has no encoder."""
     sensors = hand.sensor_node
     measured = np.array([joint in sensors.joints for joint in hand.joints])
     covered = ~((hand.moment_arms != 0.0) & ~measured).any(axis=1)

@@ -1,8 +1,8 @@
-"""Decisions as plain values, for the hash of the state and for snapshots: nothing but numbers, texts, bytes and tuples.
+"""Decisions as plain values, for the hash of the state and for snapshots: numbers, texts, bytes and tuples only.
 
-A named tuple or dataclass becomes a tuple that begins with its type's name. Equal values are written alike, whoever
-else refers to them. ``restored`` makes the objects again, of types that were registered, so that nothing in a log can
-name others.
+A named tuple or dataclass becomes a tuple with the type's name at the front. Equal values have
+equal bytes, even where objects are shared. ``restored`` makes the objects again, of registered
+types only, so a log cannot name other types.
 """
 
 import enum
@@ -14,27 +14,28 @@ import numpy as np
 from pydantic import BaseModel
 
 FORMAT = 2
-"""Of ``marshal``: the last one that does not tell values that are shared from values that are equal."""
+"""Version of ``marshal``: the last version without references between shared values."""
 ARRAY, MODEL, BYTES = ":array", ":model", ":bytes"
-"""Marks of what is no named tuple or dataclass."""
+"""Type marks of values other than named tuples and dataclasses."""
 _TYPES: dict[str, type] = {}
 
 
 def name_of(type_: type) -> str:
-    """Return the name under which a type is written: its module and its own."""
+    """Return the name of a type in plain form: module and class."""
     return f":{type_.__module__.removeprefix('handctl.')}.{type_.__qualname__}"
 
 
 def register(*types: type) -> None:
-    """Let ``restored`` make objects of these types."""
+    """Register types for ``restored``."""
     _TYPES.update({name_of(type_): type_ for type_ in types})
 
 
 def plain(value: Any) -> Any:
-    """Return a value as plain ones.
+    """Return the plain form of a value.
 
     Raises:
-        TypeError: it holds something that is neither plain nor a named tuple, dataclass, array, enumeration or model.
+        TypeError: if a part is neither plain nor a named tuple, dataclass, array, enumeration or
+            model.
     """
     if value is None or type(value) in (bool, int, float, str, bytes):
         return value
@@ -59,10 +60,10 @@ def plain_bytes(value: Any) -> bytes:
 
 
 def restored(value: Any) -> Any:
-    """Return the objects of a plain value, of which JSON may have made lists.
+    """Return the objects of a plain value. JSON may have replaced tuples by lists.
 
     Raises:
-        ValueError: it names a type that is not registered, or does not fit it.
+        ValueError: if a type is not registered, or the value does not fit the type.
     """
     if not isinstance(value, tuple | list):
         return value

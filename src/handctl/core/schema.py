@@ -1,15 +1,16 @@
-"""A block of numbers with a schema: rows over tendons, joints, digits and so on, in one contiguous piece of memory.
+"""A block of numbers with a schema: tables over tendons, joints, digits and other axes in contiguous memory.
 
-A schema is a list of fields. A field is one or more rows of a table, and a table has an axis: a row of the table
-``tendon`` has a number per tendon. Declaring a field returns the index of its first row, by which kernels and
-controller find it::
+A schema is a list of fields. A field is a row or several rows of a table. A table has an axis: a
+row of the table ``tendon`` has a number per tendon. The declaration of a field returns the index of
+the first row, for compiled code and controller::
 
     TENSION = STATE.real("tension", "tendon", "N", "estimated tension")
     x.tendon[TENSION, n]
 
-All tables of a schema lie in one array of float64. Tables of whole numbers are the same memory seen as int64, and their
-names end in ``_int``. A layout fixes the lengths of the axes for one hand. Copying a block is copying one array, its
-bytes are its snapshot, and comparing two blocks names the first field that differs.
+All tables of a schema share an array of float64. Integer tables are the same memory viewed as
+int64, and have names ending in ``_int``. A layout fixes the lengths of the axes for a hand. Copying
+a block means copying an array, the bytes are the snapshot, and a comparison of two blocks names the
+first different field.
 """
 
 import hashlib
@@ -20,20 +21,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 Block = NDArray[np.float64]
-"""All tables of a schema, one after the other."""
+"""All tables of a schema, in order."""
 Places = NDArray[np.int64]
-"""Lengths of the axes, and the first element of each table and the end of the last; the form that kernels read."""
+"""Lengths of the axes, then the first element of each table, then the end of the last, for compiled code."""
 
 INT = "_int"
-"""Ending of the names of tables of whole numbers."""
+"""Ending of the names of integer tables."""
 
 
 class Field(NamedTuple):
-    """One quantity.
+    """A quantity in the block.
 
     Attributes:
-        name: of the quantity. table: it is in. first: its first row there. rows: how many it has.
-        unit: SI, empty for none. meaning: what it is.
+        name: of the quantity.
+        table: name of the table.
+        first: first row in the table.
+        rows: number of rows.
+        unit: SI, empty for none.
+        meaning: description.
         initial: value before the first tick.
     """
 
@@ -50,12 +55,17 @@ class Schema:
     """Fields of a block.
 
     Attributes:
-        tables: names of the tables in the order in which they lie in memory, each the name of its axis, or of its axes
-            joined by ``*``, with ``_int`` at the end for whole numbers.
-        fields: all fields, in the order of their declaration.
+        tables: names of the tables in memory order. A name is an axis, or axes joined by ``*``,
+            with ``_int`` at the end for integers.
+        fields: all fields, in the order of declaration.
     """
 
     def __init__(self, *tables: str) -> None:
+        """Begin a schema without fields.
+
+        Args:
+            tables: names of the tables in memory order.
+        """
         self.tables = tables
         self.fields: list[Field] = []
         self._rows = dict.fromkeys(tables, 0)
@@ -75,7 +85,7 @@ class Schema:
         return field.first
 
     def layout(self, axes: Mapping[str, int]) -> "Layout":
-        """Lay the tables out for these lengths of the axes."""
+        """Return the layout of the tables for given lengths of the axes."""
         return Layout(self, axes)
 
     def rows(self, table: str) -> int:
@@ -84,18 +94,25 @@ class Schema:
 
 
 class Layout:
-    """Where the tables of a schema are in a block, for axes of given lengths.
+    """Positions of a schema's tables in a block, for axes of given lengths.
 
     Attributes:
-        schema: whose.
+        schema: with the tables and fields.
         axes: length of each axis.
-        places: the same for kernels: lengths of the axes, first element of each table, end of the last.
-        size: elements of a block.
-        identity: 8 bytes that change with every field and every length.
-        initial: block before the first tick; read-only.
+        places: for compiled code: lengths of the axes, first element of each table, end of the
+            last.
+        size: number of elements of a block.
+        identity: hash of 8 bytes over all fields and lengths.
+        initial: block before the first tick, read-only.
     """
 
     def __init__(self, schema: Schema, axes: Mapping[str, int]) -> None:
+        """Compute the positions.
+
+        Args:
+            schema: with the tables and fields.
+            axes: length of each axis, in the order of the compiled code's indices.
+        """
         self.schema, self.axes = schema, dict(axes)
         widths = {table: self._width(table) for table in schema.tables}
         ends = np.cumsum([0, *(schema.rows(table) * widths[table] for table in schema.tables)])
@@ -115,20 +132,20 @@ class Layout:
         return int(np.prod([self.axes[axis] for axis in _axes(table)], dtype=np.int64))
 
     def _span(self, field: Field) -> tuple[int, int, tuple[int, ...], bool]:
-        """Return first and last element of a field in a block, its shape, and whether it is of whole numbers."""
+        """Return first element, end, shape and integer flag of a field in a block."""
         start, _, width, whole = self._tables[field.table]
         shape = tuple(self.axes[axis] for axis in _axes(field.table))
         first = start + field.first * width
         return first, first + field.rows * width, shape if field.rows == 1 else (field.rows, *shape), whole
 
     def view(self, block: Block, name: str) -> NDArray[Any]:
-        """Return a field of a block: (rows, ...) or, of a single row, its axes alone; changes go into the block."""
+        """Return a field as a view into a block, (rows, ...), or without the first dimension for a single row."""
         first, end, shape, whole = self._fields[name]
         part = block[first:end]
         return (part.view(np.int64) if whole else part).reshape(shape)
 
     def axis_of(self, name: str) -> str:
-        """Return the axis of a field; ``a*b`` if it has two."""
+        """Return the axis of a field, ``a*b`` for two axes."""
         return next(field.table for field in self.schema.fields if field.name == name).removesuffix(INT)
 
     def start(self, table: str) -> int:
@@ -136,16 +153,17 @@ class Layout:
         return self._tables[table][0]
 
     def table(self, block: Block, name: str) -> NDArray[Any]:
-        """Return a table of a block, (rows, length of its axis); changes go into the block."""
+        """Return a table as a view into a block, (rows, length of the axis)."""
         first, end, width, whole = self._tables[name]
         part = block[first:end]
         return (part.view(np.int64) if whole else part).reshape(-1, width)
 
     def difference(self, one: Block, other: Block) -> tuple[str, int, float, float] | None:
-        """Return the first difference of two blocks in the order of the schema: field, element, and both values.
+        """Return the first difference of two blocks in schema order: field, element, and both values.
 
-        Values are compared by their bits, so that NaN equals NaN; None if the blocks are the same.
+        Values are compared by bits, so NaN equals NaN. None if the blocks are equal.
         """
+        # Compared as integers: NaN is then equal to itself, and 0.0 differs from -0.0.
         apart = np.flatnonzero(one.view(np.int64) != other.view(np.int64))
         if not len(apart):
             return None

@@ -1,14 +1,14 @@
-"""The compiled stages of a tick, in their order; between them the controller decides (``controller.tick``).
+"""Compiled stages of a tick, in order. The controller decides between the stages (``controller.tick``).
 
 receive    frames -> values of drives and sensors                 ``wire``
 observe    values -> measurements
 correct    measurements -> filter
 predict    the filter's states to the present                     ``filterpy``, by the controller
 conclude   filter -> tensions, touch, joint angles
-judge      everything so far -> faults
+judge      all of the above -> faults
 refer      goals -> joint torques of the motion
 act        joint torques, goals, estimate -> motor torques
-remember   what the next tick's judgement needs of this one, and the numbers for the log
+remember   memory for the next tick's judgement, and the numbers for the log
 send       motor torques -> frames                                ``wire``
 """
 
@@ -29,14 +29,14 @@ from handctl.core.law import computed_torque, reference
 from handctl.core.schema import Block, Places
 
 SILENT, ARMING, ACTIVE, RELAX, DONE = 0, 3, 4, 5, 8
-"""Of ``core.types.Mode``."""
+"""Numbers of ``core.types.Mode``."""
 HOLD = 2
-"""``safety.action.Action.HOLD``."""
+"""Number of ``safety.action.Action.HOLD``."""
 
 
 @kernel("block", "layout", "constants", "layout")
 def observe(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
-    """Turn what came into measurements."""
+    """Convert received values into measurements."""
     x, c = tables(block, at), constant_tables(constants, constants_at)
     measure.measure(x, c)
     if ARMING <= x.run_int[s.MODE] <= RELAX:
@@ -50,7 +50,7 @@ def observe(block: Block, at: Places, constants: Block, constants_at: Places) ->
 
 @kernel("block", "layout", "constants", "layout")
 def correct(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
-    """Take the measurements into the filter, and judge slack, stops and contact."""
+    """Correct the filter by the measurements, and judge slack, stops and contact."""
     x, c = tables(block, at), constant_tables(constants, constants_at)
     if x.run_int[s.STARTED]:
         kalman.correct(x, c, x.run_int[s.MISSED])
@@ -60,7 +60,7 @@ def correct(block: Block, at: Places, constants: Block, constants_at: Places) ->
 
 @kernel("block", "layout", "constants", "layout")
 def conclude(block: Block, at: Places, constants: Block, constants_at: Places) -> bool:
-    """Read the estimate off the predicted filter; return whether a node answered more often than it was asked."""
+    """Derive the estimate from the predicted filter. Return True if a node sent excess replies."""
     x, c = tables(block, at), constant_tables(constants, constants_at)
     kalman.conclude(x, c)
     if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
@@ -78,14 +78,14 @@ def conclude(block: Block, at: Places, constants: Block, constants_at: Places) -
 
 @kernel("block", "layout", "constants", "layout", "constants")
 def judged(block: Block, at: Places, constants: Block, constants_at: Places, initial: Block) -> tuple[int, Found]:
-    """Find and debounce faults; see ``detectors.judge``."""
+    """Find and debounce faults, see ``detectors.judge``."""
     x, c = tables(block, at), constant_tables(constants, constants_at)
     return judge.judge(x, c, tables(initial, at))
 
 
 @kernel("block", "layout", "constants", "layout", "count")
 def refer(block: Block, at: Places, constants: Block, constants_at: Places, action: int) -> int:
-    """Evaluate the goals; return the bits of digits whose tensions the bounded least-squares problem decides."""
+    """Evaluate the goals. Return a bit for each digit with a bounded least-squares problem to solve."""
     x, c = tables(block, at), constant_tables(constants, constants_at)
     computed_torque.restrain(x, c, action == HOLD and x.run_int[s.MODE] == ACTIVE)
     reference.follow(x, c, x.run_int[s.HOLDING] == 1)
@@ -101,7 +101,7 @@ def on_joints(block: Block, at: Places, constants: Block, constants_at: Places) 
 
 @kernel("block", "layout", "constants", "layout")
 def load(block: Block, at: Places, constants: Block, constants_at: Places) -> int:
-    """Turn required joint torques into tensions; see ``reference.load``."""
+    """Convert required joint torques into tensions, see ``reference.load``."""
     return reference.load(tables(block, at), constant_tables(constants, constants_at))
 
 
@@ -115,7 +115,7 @@ def act(
     open_loop: int,
     ticks: int,
 ) -> None:
-    """Command the motor torques; none unless the hand is active or relaxes. See ``computed_torque.command``."""
+    """Compute the motor torques, 0 unless the hand is active or relaxing. See ``computed_torque.command``."""
     x, c = tables(block, at), constant_tables(constants, constants_at)
     if x.run_int[s.MODE] == ACTIVE or x.run_int[s.MODE] == RELAX:
         computed_torque.command(x, c, reference.on_joints(x, c), relax_rate, open_loop == 1, ticks)
@@ -125,7 +125,7 @@ def act(
 
 @kernel("block", "layout", "constants", "layout")
 def remember(block: Block, at: Places, constants: Block, constants_at: Places) -> None:
-    """Keep what this tick asked and commanded, for what the next one hears; complete the numbers for the log."""
+    """Store commands and requests of the tick for the next one, and complete the numbers for the log."""
     x, c = tables(block, at), constant_tables(constants, constants_at)
     mode = x.run_int[s.MODE]
     for n in range(x.tendon.shape[1]):

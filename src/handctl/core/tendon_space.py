@@ -1,8 +1,10 @@
-"""The hand seen along its tendons: one motor mass and one load mass joined by an elastic rope, per tendon.
+"""The hand along the tendons: for each tendon a motor mass and a load mass, joined by an elastic tendon.
 
-Along tendon i the motor is a mass J_m / r_a^2 at cable travel x = r_a theta_m, and the digit behind it a mass at
-excursion s = R q; between them the rope carries f = k (x - s - o) + c (x' - s'), with o the stretch offset.
-Source: MODEL of the one-tendon finger in reduced coordinates (Tsai, structure matrix); virtual work.
+Along tendon i the motor is a mass J_m / r_a^2 at tendon travel x = r_a theta_m. The digit is a mass
+at excursion s = R q. Between both the tendon carries f = k (x - s - o) + c (x' - s'), with the
+stretch offset o.
+Source: MODEL of the one-tendon finger in reduced coordinates (Tsai, structure matrix), virtual
+work.
 """
 
 from dataclasses import dataclass
@@ -18,19 +20,19 @@ from handctl.hand.file.sections import Motor
 
 @dataclass(frozen=True, slots=True)
 class TendonSpace:
-    """Constants of the N tendons of a hand, each array of shape (N,), SI units at the cable.
+    """Constants of the N tendons of a hand, each array of shape (N,), SI units along the tendon.
 
     Attributes:
         motor_mass: reflected rotor inertia J_m / r_a^2 [kg].
         motor_damping: b_m / r_a^2 [N s/m].
         coulomb: motor friction tau_c / r_a [N].
-        stiffness: of the rope [N/m].
-        damping: of the rope [N s/m].
+        stiffness: of the tendon [N/m].
+        damping: of the tendon [N s/m].
         load_mass: effective mass of the digit along the tendon at half closure [kg].
         load_stiffness: effective return spring along the tendon [N/m].
         load_damping: effective joint damping along the tendon [N s/m].
         spool: radius [m].
-        encoder_step: the motor's position is not told any finer, along the cable [m].
+        encoder_step: resolution of the motor position along the tendon [m].
         tension_noise: standard deviation of a load-cell sample [N].
     """
 
@@ -52,7 +54,7 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
 
     Args:
         hand: the hand's description.
-        digits: its digit models, in file order.
+        digits: the digit models, in file order.
     """
     motors = {motor.name: motor for motor in hand.motor}
     tendons = hand.tendon
@@ -75,12 +77,15 @@ def tendon_space(hand: Hand, digits: tuple[DigitModel, ...]) -> TendonSpace:
 
 
 def _position_step(motor: Motor) -> float:
-    """Of a motor as its drive tells it [rad]; what is finer than 16 bit over its range is taken for noise."""
+    """Return the resolution of a motor's reported position [rad].
+
+    A resolution beyond 16 bit over the range counts as noise.
+    """
     return max(2 * motor.position_range_rad / 0xFFFF, make_drive(motor, 0).position_step)
 
 
 def _load(digit: DigitModel) -> Vector:
-    """Effective mass, stiffness, damping along each of the digit's tendons, shape (3, n)."""
+    """Return effective mass, stiffness and damping along each tendon of the digit, shape (3, n)."""
     half = np.full(digit.joint_count, np.pi / 4)
     coupling = digit.coupling
     joint_space = (

@@ -1,4 +1,4 @@
-"""One tick as data: everything that can change a decision comes in by TickIn, everything decided leaves by TickOut."""
+"""Inputs and outputs of a tick: ``TickIn`` has every fact behind a decision, ``TickOut`` every decision."""
 
 import enum
 from collections.abc import Iterator, Sequence
@@ -19,32 +19,33 @@ class Mode(enum.IntEnum):
     SILENT = 0
     """Nothing is sent."""
     INVENTORY = 1
-    """Drives are asked, configured and read back; no torque."""
+    """Drives are queried, configured and read back, without torque."""
     READY = 2
-    """Everything answered; waiting to be armed."""
+    """All nodes have replied. The hand waits for arming."""
     ARMING = 3
     """Drives are being enabled."""
     ACTIVE = 4
+    """The program moves the hand."""
     RELAX = 5
     """Tensions ramp to the floor, then DISARM."""
     DISARM = 6
-    """Drives are disabled and asked until each confirms."""
+    """Drives are disabled and queried until each confirms."""
     CUT = 7
-    """Torque is taken away at once, without a ramp."""
+    """Torque is removed at once, without a ramp."""
     DONE = 8
-    """Disarmed and confirmed (or found impossible to confirm); the loop may end."""
+    """Disarmed and confirmed, or impossible to confirm. The loop may end."""
 
 
 BEFORE_ARMING = (Mode.SILENT, Mode.INVENTORY, Mode.READY)
-"""Modes in which no drive has been enabled."""
+"""Modes before any drive was enabled."""
 ACTING = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX)
-"""Modes in which torque may act."""
+"""Modes with possible torque."""
 LETTING_GO = (Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
-"""Modes from which nothing leads back to action."""
+"""Modes without a return to action."""
 
 
 class IoEvent(NamedTuple):
-    """Something the bus or the host did, as data: ``kind`` e.g. enobufs, bus_off, dropped, recorder, suspended."""
+    """An event of bus, host or recorder: ``kind`` is for example enobufs, bus_off, dropped, recorder, suspended."""
 
     kind: str
     where: str = ""
@@ -52,15 +53,15 @@ class IoEvent(NamedTuple):
 
 
 class TickIn(NamedTuple):
-    """All that one tick may know.
+    """Inputs of a tick.
 
     Attributes:
-        k: tick number; a jump means missed ticks.
-        t_ns: scheduled time of the tick on the run's clock [ns], k times the period; starts at 0.
-        late_ns: how late the tick really began [ns].
-        frames: frames received since the last tick, in order.
-        io_events: what buses and host reported since the last tick.
-        requests: what people and programs asked, JSON text each, in order.
+        k: tick number. A jump means missed ticks.
+        t_ns: scheduled time of the tick on the run's clock [ns], k times the period, from 0.
+        late_ns: delay of the tick's real start [ns].
+        frames: received since the last tick, in order.
+        io_events: reports of buses and host since the last tick.
+        requests: of operators and programs, JSON texts in order.
     """
 
     k: int
@@ -72,17 +73,17 @@ class TickIn(NamedTuple):
 
 
 GAIN_EVENT = "gain"
-"""Name of the event of a changed gain; ``where`` is its key, ``text`` its new value."""
+"""Name of the event of a changed gain. ``where`` is the key, ``text`` the new value."""
 
 
 class Event(NamedTuple):
-    """Something worth a line in the log.
+    """A line for the log.
 
     Attributes:
         level: "info", "warn" or "error".
-        name: short identifier, e.g. "mode", "phase", "contact", "fault".
-        where: digit, motor, tendon or bus it concerns.
-        text: one line for a person.
+        name: short identifier, for example "mode", "phase", "contact", "fault".
+        where: digit, motor, tendon or bus.
+        text: a line for the operator.
     """
 
     level: str
@@ -92,7 +93,7 @@ class Event(NamedTuple):
 
 
 class Telemetry(NamedTuple):
-    """The numbers of one tick, float64 each; NaN where nothing is known, never an old value with a fresh stamp.
+    """Numbers of a tick, float64. Unknown numbers are NaN, never old values with a new time stamp.
 
     Shapes: J joints, N tendons, M motors, D digits, in the order of the hand file.
     """
@@ -100,25 +101,25 @@ class Telemetry(NamedTuple):
     q: Vector
     """(J,) estimated joint angle [rad]."""
     dq: Vector
-    """(J,) [rad/s]."""
+    """(J,) estimated joint rate [rad/s]."""
     q_goal: Vector
-    """(J,) [rad]."""
+    """(J,) commanded joint angle [rad]."""
     dq_goal: Vector
-    """(J,) [rad/s]."""
+    """(J,) commanded joint rate [rad/s]."""
     joint_torque: Vector
     """(J,) commanded joint torque [N m]."""
     joint_encoder: Vector
-    """(J,) joint encoder reading of this tick [rad]."""
+    """(J,) joint encoder reading of the tick [rad]."""
     excursion: Vector
     """(N,) estimated tendon excursion [m]."""
     excursion_rate: Vector
-    """(N,) [m/s]."""
+    """(N,) estimated rate of the excursion [m/s]."""
     tension: Vector
     """(N,) estimated tension at the load cell [N]."""
     tension_sigma: Vector
-    """(N,) standard deviation of that estimate [N]."""
+    """(N,) standard deviation of the tension [N]."""
     tension_raw: Vector
-    """(N,) load cell reading of this tick, tared [N]."""
+    """(N,) load-cell reading of the tick, tared [N]."""
     tension_goal: Vector
     """(N,) commanded tension at the load cell [N]."""
     stretch_offset: Vector
@@ -128,17 +129,17 @@ class Telemetry(NamedTuple):
     nis: Vector
     """(N,) normalised innovation squared [1]."""
     external_tension: Vector
-    """(N,) tension that the model does not explain: contact [N]."""
+    """(N,) tension beyond the model: contact [N]."""
     motor_position: Vector
-    """(M,) [rad at the spool]."""
+    """(M,) measured position at the spool [rad]."""
     motor_velocity: Vector
-    """(M,) [rad/s]."""
+    """(M,) measured velocity at the spool [rad/s]."""
     motor_torque: Vector
-    """(M,) measured [N m]."""
+    """(M,) measured torque [N m]."""
     motor_torque_goal: Vector
-    """(M,) commanded [N m]."""
+    """(M,) commanded torque [N m]."""
     motor_temperature: Vector
-    """(M,) [degC]."""
+    """(M,) hottest sensor of the drive [degC]."""
     motor_age: Vector
     """(M,) age of the latest feedback [s]."""
     drive_phase: Vector
@@ -153,29 +154,38 @@ class Telemetry(NamedTuple):
     """(D,) standard deviation of the tip-equivalent force [N]."""
 
     def packed(self) -> bytes:
-        """All fields in order as little-endian float64."""
+        """Return all fields in order as little-endian float64."""
         return b"".join([array.tobytes() for array in self])
 
 
 class PackedTelemetry:
-    """The numbers of one tick as they go into the log; a field is taken out when it is looked at.
+    """Numbers of a tick in the form of the log. Fields are sliced on access.
 
     Attributes:
-        numbers: all fields in order. places: of each field in it.
+        numbers: all fields in order.
+        places: slice of each field.
     """
 
     __slots__ = ("numbers", "places")
 
     def __init__(self, numbers: Vector, places: dict[str, slice]) -> None:
+        """Keep the numbers, without a copy.
+
+        Args:
+            numbers: all fields in order.
+            places: slice of each field.
+        """
         self.numbers, self.places = numbers, places
 
     def __getattr__(self, name: str) -> Vector:
+        """Return a field by name."""
         try:
             return self.numbers[self.places[name]]
         except KeyError:
             raise AttributeError(name) from None
 
     def __iter__(self) -> Iterator[Vector]:
+        """Iterate over the fields in order."""
         return iter([self.numbers[place] for place in self.places.values()])
 
     def packed(self) -> bytes:
@@ -187,7 +197,7 @@ TELEMETRY_FIELDS = Telemetry._fields
 """Field names in the order of ``Telemetry.packed``."""
 
 TELEMETRY_FIRST = 25
-"""Number of fields in logs of version 0.1 and before; later fields follow them."""
+"""Number of fields in logs of version 0.1 and before. Later fields follow at the end."""
 
 TELEMETRY_AXES = {
     **dict.fromkeys(TELEMETRY_FIELDS[:6], "joint"),
@@ -197,20 +207,20 @@ TELEMETRY_AXES = {
     "q_sigma": "joint",
     "tip_force_sigma": "digit",
 }
-"""Which of joint, tendon, motor, digit each field runs over."""
+"""Axis of each field: joint, tendon, motor or digit."""
 
 
 class TickOut(NamedTuple):
-    """All that one tick decided.
+    """Decisions of a tick.
 
     Attributes:
-        frames: frames to send, in order.
-        mode: state of the hand after this tick.
-        phase: grasp phase (or the goal source's name), e.g. "home", "close", "hold".
-        action: what safety demands, the largest wins.
-        telemetry: the numbers.
+        frames: to send, in order.
+        mode: of the hand after the tick.
+        phase: of the grasp, or of another source of goals, for example "home", "close", "hold".
+        action: largest action demanded by safety.
+        telemetry: numbers.
         events: lines for the log.
-        state_hash: 8 bytes, hash of the controller's whole state after this tick.
+        state_hash: 8 bytes, hash of the controller's whole state after the tick.
     """
 
     frames: Sequence[Frame]

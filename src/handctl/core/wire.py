@@ -1,9 +1,9 @@
-"""Cyclic frames between the wire and the block: a tick's frames in, the commands of a tick out.
+"""Cyclic frames between wire and block: received frames in, commands out.
 
-``receive`` reads feedback of drives that are enabled and steady, and all frames of the sensor node, from the tables of
-signals. It stops at a frame that a drive's state machine must see (``drives.contract``), and goes on behind it.
-``send`` writes the commands of drives that are steady, and stops at a drive whose state machine must act. The tables
-of one hand are put together by ``Wire``.
+``receive`` reads the feedback of enabled, steady drives and all frames of the sensor node, by
+tables of signals. The function stops at each frame for a drive's state machine
+(``drives.contract``), and continues behind the frame. ``send`` writes the commands of steady
+drives, and stops at each drive in transition. ``Wire`` builds the tables of a hand.
 """
 
 import math
@@ -37,25 +37,23 @@ Whole = NDArray[np.int64]
 Real = NDArray[np.float64]
 
 OWNER, KIND, FIRST, END, LENGTH, GROUP = range(6)
-"""Columns of an entry: tendon of the drive (or NODE), what is done with its frames, its signals, its payload [bytes],
-and its frame group."""
+"""Columns of an entry: drive index or NODE, kind of frame, first and end signal, payload length [bytes], group."""
 NODE = -1
 """Owner of the sensor node's frames."""
 LOOK, FEEDBACK, VALUES, SENSORS, HOST = range(5)
-"""What is done with a frame: the state machine looks at it; it is feedback that answers a command; it has values
-besides; it is the sensor node's; only this host may send it."""
+"""Kinds of frames: for the state machine, reply to a command, further values, sensor node, only sent by this host."""
 ENABLED = 3
-"""``drives.contract.Phase.ENABLED``."""
+"""Number of ``drives.contract.Phase.ENABLED``."""
 UNKNOWN = -1
-"""No entry."""
+"""Index without an entry."""
 POSITION, VELOCITY, TORQUE, TEMPERATURE, STATUS, CELL, ANGLE, COUNTER = map(int, tuple(Quantity)[:8])
-"""Quantities as numbers of this module, as compiled code wants them."""
+"""Quantities as numbers, for compiled code."""
 ID_MASK, BYTE_MASK = 0xFFFFFFFF, 0xFF
 
 
 @inner
 def find(keys: Whole, key: Any) -> int:
-    """Return the index of a key among sorted ones, UNKNOWN if it is not there."""
+    """Return the index of a key among sorted keys, UNKNOWN if missing. Binary search."""
     low, high = 0, len(keys)
     while low < high:
         middle = (low + high) // 2
@@ -68,7 +66,7 @@ def find(keys: Whole, key: Any) -> int:
 
 @kernel("block", "layout")
 def begin(block: Block, at: Places) -> None:
-    """Forget what came in the last tick."""
+    """Reset the flags of received data from the last tick."""
     x = tables(block, at)
     for n in range(x.tendon.shape[1]):
         x.tendon_int[s.ANSWERED, n] = x.tendon_int[s.CELL_FRESH, n] = 0
@@ -86,17 +84,25 @@ def begin(block: Block, at: Places) -> None:
 def receive(
     block: Block, at: Places, rows: Rows, keys: Whole, entries: Whole, wholes: Whole, reals: Real, first: int
 ) -> int:
-    """Take in frames from the first one on.
+    """Take in frames from index ``first`` on.
 
     Args:
-        block, at: the state. rows: (n, WORDS) records. keys, entries, wholes, reals: see ``Wire``.
+        block: the state.
+        at: ``Layout.places``.
+        rows: (n, WORDS) records of frames.
+        keys: see ``Wire``.
+        entries: see ``Wire``.
+        wholes: see ``Wire``.
+        reals: see ``Wire``.
         first: index of the first frame.
 
     Returns:
-        the index of a frame that a state machine, or the monitor of other controllers, must see; n if there is none.
+        Index of the first frame for a state machine or for the detection of other controllers, n
+            without such a frame.
     """
     x = tables(block, at)
     for r in range(first, len(rows)):
+        # HEAD: identifier in bits 0 to 31, then flags, bus (from BUS_BIT) and payload length (from LENGTH_BIT).
         head = np.int64(rows[r, HEAD])
         can_id, bus, length = head & ID_MASK & ~ERROR, head >> BUS_BIT & BYTE_MASK, head >> LENGTH_BIT & BYTE_MASK
         entry, flagged = find(keys, bus << 32 | can_id), head & ERROR != 0
@@ -116,9 +122,10 @@ def receive(
 
 @inner
 def _strange(x: Tables, keys: Whole, entries: Whole, bus: Any, can_id: Any) -> None:
-    """Count a frame of nobody's; one with a node's number as a remote or 29-bit frame is misshapen."""
+    """Count a frame with an unknown identifier. A remote or 29-bit frame with a node's number is malformed."""
     x.run_int[s.STRANGE] += 1
     if can_id & (EXTENDED | REMOTE):
+        # The lower 11 bits are the identifier of a standard frame with the same number.
         entry = find(keys, bus << 32 | can_id & 0x7FF)
         if entry != UNKNOWN and entries[entry, KIND] != HOST:
             owner = entries[entry, OWNER]
@@ -129,11 +136,17 @@ def _strange(x: Tables, keys: Whole, entries: Whole, bus: Any, can_id: Any) -> N
 def _sensors(
     x: Tables, t_ns: Any, payload: Any, fits: bool, entries: Whole, entry: int, wholes: Whole, reals: Real
 ) -> None:
-    """Take in a frame of load cells or joint encoders; one with another counter than that of SYNC is stale.
+    """Take in a frame of load cells or joint encoders. A frame with another counter than the SYNC is stale.
 
     Args:
-        x: tables. t_ns: reception [ns]. payload: its first eight bytes. fits: whether its length is right.
-        entries, entry, wholes, reals: see ``Wire``.
+        x: state tables.
+        t_ns: reception [ns].
+        payload: first eight bytes.
+        fits: True if the length is right.
+        entries: see ``Wire``.
+        entry: row of ``entries``.
+        wholes: see ``Wire``.
+        reals: see ``Wire``.
     """
     if not fits:
         x.node_int[s.MISREAD_NOW, x.node_int.shape[1] - 1] = 1
@@ -160,10 +173,16 @@ def _sensors(
 
 @inner
 def _values(x: Tables, t_ns: Any, payload: Any, entries: Whole, entry: int, wholes: Whole, reals: Real) -> bool:
-    """Take in a frame of a drive; return False, and take nothing, if its state machine must see it.
+    """Take in a drive's frame. Return False without any change if the state machine must handle the frame.
 
     Args:
-        x: tables. t_ns: reception [ns]. payload: its first eight bytes. entries, entry, wholes, reals: see ``Wire``.
+        x: state tables.
+        t_ns: reception [ns].
+        payload: first eight bytes.
+        entries: see ``Wire``.
+        entry: row of ``entries``.
+        wholes: see ``Wire``.
+        reals: see ``Wire``.
     """
     n = entries[entry, OWNER]
     expected = x.tendon_int[s.STATUS_EXPECTED, n]
@@ -178,6 +197,7 @@ def _values(x: Tables, t_ns: Any, payload: Any, entries: Whole, entry: int, whol
             return False
         quantity = wholes[i, QUANTITY]
         if quantity == STATUS:
+            # Several status fields of a frame are joined, the first in the highest bits.
             status = status << wholes[i, LENGTH_BITS] | np.int64(value)
         elif quantity == POSITION:
             position = value
@@ -203,7 +223,7 @@ def _values(x: Tables, t_ns: Any, payload: Any, entries: Whole, entry: int, whol
 
 @inner
 def _put(x: Tables, row: int, n: int, value: float) -> None:
-    """Write a value that was in a frame."""
+    """Write a value unless it is NaN, the mark of a missing signal."""
     if not math.isnan(value):
         x.tendon[row, n] = value
 
@@ -221,19 +241,23 @@ def send(
     first: int,
     count: int,
 ) -> tuple[int, int]:
-    """Write the commands of drives that are steady.
+    """Write the commands of steady drives.
 
     Args:
-        block, at: the state. out: (frames, WORDS) records.
-        commands: (frames, 3) drive, signal (-1 for none) and patience [ns]; see ``Wire``.
-        wholes, reals: of the signals; a third column of ``reals`` is the limit [N m].
-        templates: (frames, WORDS) records without their torque.
-        torque: (N,) what each drive is told [N m].
-        first: drive to begin with. count: records in ``out`` so far.
+        block: the state.
+        at: ``Layout.places``.
+        out: (frames, WORDS) records, result.
+        commands: (frames, 3) drive, signal (-1 for none) and feedback timeout [ns], see ``Wire``.
+        wholes: of the signals.
+        reals: of the signals, with the limit [N m] in a third column.
+        templates: (frames, WORDS) records without torque.
+        torque: (N,) commanded torque of each drive [N m].
+        first: first drive.
+        count: records already in ``out``.
 
     Returns:
-        the first drive whose state machine must act (N if none must), and the number of records. A torque that cannot
-        be sent stops at its drive, too, and its state machine says so.
+        The first drive in transition (N if all are steady), and the number of records. The function
+            also stops at a torque without an encoding, to be reported by the drive's state machine.
     """
     x = tables(block, at)
     now_ns = x.run_int[s.T_NS]
@@ -262,14 +286,25 @@ class Wire:
     """Tables of all cyclic frames of a hand.
 
     Attributes:
-        keys: (e,) bus << 32 | identifier, sorted. entries: (e, 6) see the columns above.
-        wholes, reals: (s, 6) and (s, 2) signals that are read.
-        commands: (f, 3) drive, index of its torque among ``sent_wholes`` or -1, and patience [ns] of each command.
-        sent_wholes, sent_reals: (t, 6) and (t, 3) torques that are sent; the third column is the limit [N m].
-        templates: (f, WORDS) commands without their torque.
+        keys: (e,) bus << 32 | identifier, sorted.
+        entries: (e, 6) with the columns above.
+        wholes: (s, 6) integers of the received signals.
+        reals: (s, 2) real numbers of the received signals.
+        commands: (f, 3) drive, row of the torque in ``sent_wholes`` or -1, and feedback timeout
+            [ns] of each command.
+        sent_wholes: (t, 6) integers of the sent torques.
+        sent_reals: (t, 3) real numbers of the sent torques, with the limit [N m] in the third
+            column.
+        templates: (f, WORDS) commands without torque.
     """
 
     def __init__(self, drives: Sequence[Drive], sensors: SensorNode) -> None:
+        """Build the tables.
+
+        Args:
+            drives: of the hand.
+            sensors: of the hand.
+        """
         self._signals: list[Table] = []
         found: dict[int, list[int]] = {}
         for drive in drives:
@@ -290,7 +325,7 @@ class Wire:
         self._commands(drives)
 
     def _added(self, message: Message) -> tuple[int, int]:
-        """Add the signals of a message; return the rows that are its own."""
+        """Add the signals of a message. Return the range of their rows."""
         first = sum(len(table.wholes) for table in self._signals)
         self._signals.append(Table(message))
         return first, first + len(self._signals[-1].wholes)

@@ -1,1 +1,1 @@
-"""Compiled fault detectors: what they remember from tick to tick, and what they find in one."""
+"""Compiled fault detectors: memory between ticks, and findings of a tick."""

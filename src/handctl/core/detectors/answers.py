@@ -1,9 +1,10 @@
-"""Answers that a motor still owes: a late one is no second one, whenever it comes and however it is stamped.
+"""Outstanding requests of motors. A late reply is matched to an old request, so it does not count as a duplicate.
 
-Every tick of the host asks each motor one question. An answer too few was lost, or comes later together with others, or
-all answers come a tick late for as long as a machine is busy: nothing tells which, so a question stays open until it is
-answered or ``WINDOW`` ticks old; the last one for ever. What comes beyond all open questions is a duplicate, or another
-node.
+The host sends a request to each motor in every tick. A missing reply was lost, or comes later
+together with others, or all replies come a tick late while a machine is busy. These cases look
+alike, so a request stays outstanding until a reply or for ``WINDOW`` ticks. The last request stays
+outstanding without a limit. A reply beyond all outstanding requests is a duplicate, or comes from
+another node.
 """
 
 from handctl.compiled import inner
@@ -14,17 +15,17 @@ from handctl.core.constants import ConstantTables
 from handctl.safety.faults.bus import WINDOW
 
 QUESTIONS = 8
-"""Questions that stay open: a node that says nothing for longer is silent, and all that it owed is lost."""
+"""Largest number of outstanding requests. A node without replies for longer is silent, and older requests are lost."""
 READY = 2
 
 
 @inner
 def answered(x: Tables, c: ConstantTables) -> bool:
-    """Close the newest question for each answer of this tick, so that one that was lost grows old.
+    """Close the newest outstanding request for each reply of the tick, so a lost request grows old.
 
     Returns:
-        whether a node answered more often than it was asked. ``SURPLUS`` is then one more than the questions that were
-        open, 0 for other motors.
+        True if a node sent more replies than requests. ``SURPLUS`` is then the number of
+            outstanding requests plus 1, and 0 for other motors.
     """
     found = False
     for n in range(x.tendon.shape[1]):
@@ -41,15 +42,17 @@ def answered(x: Tables, c: ConstantTables) -> bool:
 
 @inner
 def ask(x: Tables, k: int) -> None:
-    """Note one question more to every motor in tick k.
+    """Add an outstanding request for every motor in tick k.
 
-    Of a motor that did not answer every question so far, because it was not ready, only the new one is open.
+    A motor that was not ready may have left older requests without a reply. Only the new request is
+    outstanding then.
     """
     for n in range(x.tendon.shape[1]):
         count = x.tendon_int[s.OPEN_QUESTIONS, n]
         if x.tendon_int[s.PHASE_BEFORE, n] < READY:
             count = 0
         kept = 0
+        # Keep at most QUESTIONS - 1 old requests, to leave a place for the new one.
         for i in range(max(count - QUESTIONS + 1, 0), count):
             asked = x.tendon_int[s.QUESTION + i, n]
             if i == count - 1 or k - asked < WINDOW:

@@ -1,4 +1,4 @@
-"""Detectors of the rows B01 to B17; see ``safety.faults.bus``."""
+"""Detectors of rows B01 to B17, see ``safety.faults.bus``."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,12 +31,12 @@ from handctl.safety.faults.bus import (
 )
 
 Found = NDArray[np.float64]
-"""(faults, instances): the value that shows a fault, NaN where there is none."""
+"""Result table (faults, instances): evidence of each fault, NaN where the fault is absent."""
 
 
 @inner
 def detect(x: Tables, c: ConstantTables, armed: bool, found: Found) -> None:
-    """Write what is found of the rows of this file."""
+    """Write the findings of the module's rows."""
     if x.run[s.UNKNOWN] > UNKNOWN_LIMIT:
         found[B10, 0] = x.run[s.UNKNOWN]
     if not armed:
@@ -55,7 +55,7 @@ def detect(x: Tables, c: ConstantTables, armed: bool, found: Found) -> None:
 
 @inner
 def _answers(x: Tables, c: ConstantTables, found: Found) -> None:
-    """Feedback that is overdue; in ticks that this host missed it asked for nothing."""
+    """Find overdue feedback. Ticks missed by this host had no request."""
     youngest = motor_age(x, c, 0, x.run_int[s.T_NS])
     for n in range(x.tendon.shape[1]):
         youngest = min(youngest, motor_age(x, c, n, x.run_int[s.T_NS]))
@@ -71,6 +71,7 @@ def _answers(x: Tables, c: ConstantTables, found: Found) -> None:
 
 @inner
 def _losses(x: Tables, found: Found) -> None:
+    """Find lost and halved replies."""
     for node in range(x.node_int.shape[1]):
         number = lost(x, node)
         if number > LOST_SOME:
@@ -81,7 +82,7 @@ def _losses(x: Tables, found: Found) -> None:
 
 @inner
 def _shapes(x: Tables, found: Found) -> None:
-    """Frames that cannot be read, and answers that nobody asked for."""
+    """Find malformed frames, duplicate and stale replies."""
     for node in range(x.node_int.shape[1]):
         if x.node_int[s.MISSHAPEN, node] & 1:
             number = ones(x.node_int[s.MISSHAPEN, node])

@@ -1,18 +1,20 @@
-"""Correlate the torque that a drive reports with the torque that it was commanded.
+"""Correlation of reported torque with commanded torque.
 
-A drive that obeys reports what it was commanded: the small changes that noise puts on every command come back. A drive
-whose feedback is another's, whose torque acts elsewhere, or that obeys late reports changes of its own, even where all
-motors pull equally and nothing moves. With increments a of the command and b of the report, as forces at the spool [N],
-low-passed products say so:
+An obeying drive reports the commanded torque, including the small changes that noise adds to every
+command. A drive with another drive's feedback, with torque at another joint, or with a delay
+reports other changes, even where all motors pull equally and nothing moves. With increments a of
+the command and b of the report, as forces at the spool [N], the test uses low-passed products:
 
     S_ab + 4 sqrt(S_aa S_bb / n) < 0.4 S_aa      n = 2 tau / T samples
 
-Less than two fifths of the command come back, by four standard deviations of the estimate. For uncorrelated increments
-the sample covariance has the variance S_aa S_bb / n. Source: Bartlett's formula for white noise.
+Less than two fifths of the command are reported, by four standard deviations of the estimate. For
+uncorrelated increments the sample covariance has the variance S_aa S_bb / n. Source: Bartlett's
+formula for white noise.
 
-A pair counts only once a drive has answered in time for a few ticks. After a standstill it answers every
-command that waited before it obeys the last of them, so that its next report belongs to an older command. And a
-report may be a tick late for as long as the bus is slow: then it follows the command before that, which counts as well.
+A pair counts only after some ticks with replies in time. After a standstill a drive replies to
+every queued command before obeying the last, so the next report belongs to an older command. A
+report may be a tick late while the bus is slow, and then follows the command before. This
+correlation counts as well.
 """
 
 import math
@@ -25,28 +27,33 @@ from handctl.core.constants import ConstantTables
 from handctl.safety.faults.node import REPORTED_PART, REPORTED_S
 
 FILLED = 0.9
-"""Fraction of the low-pass that measurements have to fill before it is judged."""
+"""Fraction of the low-pass filled with measurements before the test."""
 SIGMAS = 4.0
 SETTLED_TICKS = 3
-"""Ticks on time before a report is taken for the answer to its command: one obeys late, and two make an increment."""
+"""Ticks in time before a report is attributed to a command.
+
+A command takes effect a tick later, and an increment needs two commands.
+"""
 MOVED_FRACTION = 1.0 / 4000.0
-"""Least increment, as a fraction of the largest force: half a step of a torque of twelve bits. Rounding blurs less."""
+"""Smallest increment, as a fraction of the largest force: half a step of 12-bit torque. Rounding dominates below."""
 AA, AB, AB_LATE, BB, FULL = range(5)
-"""Rows of ``block.REPORT_MOMENTS``: products, that of a report that is a tick late, and how far they are filled."""
+"""Rows of ``block.REPORT_MOMENTS``: products, the product with a report a tick late, and the filling."""
 
 
 @inner
 def update(x: Tables, c: ConstantTables, missed: int) -> None:
-    """Take in one tick.
+    """Update the moments of the increments.
 
-    A drive answers a command before it obeys it, so that the report of this tick belongs to the command before the
-    last.
+    A drive replies before obeying, so the report of a tick belongs to the command before the last.
 
     Args:
-        x: tables. c: constants. missed: ticks that were skipped before this one.
+        x: state tables.
+        c: constants of the hand.
+        missed: ticks missed before the present tick.
     """
     fraction = 1.0 - math.exp(-c.run[h.PERIOD] / REPORTED_S)
     for n in range(x.tendon.shape[1]):
+        # Commands of this tick and of the three ticks before, newest first.
         command, first, second, last = (
             x.tendon[s.ASKED, n],
             x.tendon[s.REPORT_FORCES, n],
@@ -76,7 +83,7 @@ def _low_pass(x: Tables, n: int, moment: int, fraction: float, value: float) -> 
 
 @inner
 def unfollowed(x: Tables, c: ConstantTables, n: int) -> bool:
-    """Return whether a motor's report does not follow its command."""
+    """Return True if a motor's report does not follow the command."""
     aa, bb = x.tendon[s.REPORT_MOMENTS + AA, n], x.tendon[s.REPORT_MOMENTS + BB, n]
     ab = max(x.tendon[s.REPORT_MOMENTS + AB, n], x.tendon[s.REPORT_MOMENTS + AB_LATE, n])
     # Both have to move by more than rounding: a command at rest says nothing, a report at rest is another fault.
@@ -88,6 +95,7 @@ def unfollowed(x: Tables, c: ConstantTables, n: int) -> bool:
 
 @inner
 def part(x: Tables, n: int) -> float:
-    """Return what part of the changes of the command is reported, 1 if it is obeyed."""
+    """Return the reported fraction of the command's changes, 1 for an obeying drive."""
     ab = max(x.tendon[s.REPORT_MOMENTS + AB, n], x.tendon[s.REPORT_MOMENTS + AB_LATE, n])
+    # The lower bound only prevents a division by 0.
     return ab / max(x.tendon[s.REPORT_MOMENTS + AA, n], 1e-300)

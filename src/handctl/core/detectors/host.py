@@ -1,4 +1,4 @@
-"""Detectors of the rows H01 to H03 and I07; see ``safety.faults.host``."""
+"""Detectors of rows H01 to H03 and I07, see ``safety.faults.host``."""
 
 from handctl.compiled import inner
 from handctl.core import block as s
@@ -11,7 +11,8 @@ from handctl.safety.faults.host import H01, H02, H03, I07A, I07B, LATE_FRACTION,
 
 @inner
 def detect(x: Tables, c: ConstantTables, armed: bool, found: Found) -> None:
-    """Write what is found of the rows of this file."""
+    """Write the findings of the module's rows."""
+    # Lateness as a fraction of the period.
     late, missed = x.run_int[s.LATE_NS] / c.run_int[h.PERIOD_NS], x.run_int[s.MISSED]
     if late > LATE_FRACTION:
         found[H01, 0] = late

@@ -1,4 +1,4 @@
-"""Judge one tick: bring what the detectors remember up to date, find faults, debounce them.
+"""Judgement of a tick: update the detectors' memory, find faults, debounce them.
 
 Latches, reports of buses and host, and the choice of the reaction are in ``safety.judge``.
 """
@@ -30,19 +30,21 @@ from handctl.safety.faults.table import ACTIONS, DEBOUNCE
 
 ROWS = len(ACTIONS)
 ARMING, RELAX, DISARM, CUT = 3, 5, 6, 7
-"""Of ``core.types.Mode``: torque may act from ARMING to RELAX, and must not in DISARM and CUT."""
+"""Numbers of ``core.types.Mode``. Torque may act from ARMING to RELAX, and must not in DISARM and CUT."""
 
 
 @inner
 def judge(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Found]:
-    """Judge one tick.
+    """Judge a tick.
 
     Args:
-        x: tables. c: constants. initial: tables before the first tick.
+        x: state tables.
+        c: constants of the hand.
+        initial: tables before the first tick.
 
     Returns:
-        the largest action that faults demand which count now, and (faults, instances) the value that shows each fault,
-        NaN where there is none. ``FOUND_NOW`` is the number of those that have just begun to count.
+        Largest action of all counting faults, and evidence (faults, instances) of each fault, NaN
+            where absent. ``FOUND_NOW`` is set to the number of newly counting faults.
     """
     mode = x.run_int[s.MODE]
     armed, cut = ARMING <= mode <= RELAX, mode == CUT or mode == DISARM
@@ -66,7 +68,7 @@ def judge(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Found]:
 
 @inner
 def remember(x: Tables, c: ConstantTables) -> None:
-    """Bring what is remembered of a hand under torque up to date."""
+    """Update the detectors' memory of a hand under torque."""
     missed, tared = x.run_int[s.MISSED], x.run_int[s.TARED] == 1
     slip.update(x, c, tared)
     residuals.update(x, c, missed, tared)
@@ -79,7 +81,7 @@ def remember(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def debounce(x: Tables, found: Found) -> int:
-    """Count for how many ticks each fault is present; return the largest action of those that count."""
+    """Count consecutive ticks of each fault. Return the largest action of all counting faults."""
     action, fresh = 0, 0
     for row in range(found.shape[0]):
         for i in range(found.shape[1]):

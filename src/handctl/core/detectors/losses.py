@@ -1,4 +1,4 @@
-"""Count losses, misshapen and unknown frames over some time, in bits of the last ticks, the newest lowest."""
+"""Counts of lost, malformed and unknown frames over time, as bits of the last ticks, with the newest in bit 0."""
 
 from handctl.compiled import inner
 from handctl.core import block as s
@@ -9,7 +9,7 @@ from handctl.safety.faults.bus import SHORT, WINDOW
 from handctl.safety.faults.node import HALVED_MISSES
 
 NEVER = 1_000_000
-"""Age of what never came [ticks]."""
+"""Age without any reading [ticks]."""
 HALF = WINDOW // 2
 """Bits in each of the two words of a window."""
 HALF_MASK, SHORT_MASK = (1 << HALF) - 1, (1 << SHORT) - 1
@@ -17,11 +17,13 @@ HALF_MASK, SHORT_MASK = (1 << HALF) - 1, (1 << SHORT) - 1
 
 @inner
 def ticks_late(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) -> int:
-    """Return by how many whole ticks a reading is overdue; one that came within the last period is on time.
+    """Return the number of whole ticks a reading is overdue. A reading within the last period is in time.
 
     Args:
-        now_ns: time of the tick. heard_ns: of the reading, -1 if there was none.
-        cyclic_ns: how often it comes by itself, 0 if every tick asks for it. period_ns: of control. All in [ns].
+        now_ns: time of the tick [ns].
+        heard_ns: time of the reading [ns], -1 without a reading.
+        cyclic_ns: period of unrequested readings [ns], 0 if every tick requests a reading.
+        period_ns: control period [ns].
     """
     if heard_ns < 0:
         return NEVER
@@ -30,13 +32,16 @@ def ticks_late(now_ns: int, heard_ns: int, cyclic_ns: int, period_ns: int) -> in
 
 @inner
 def motor_age(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
-    """Return by how many ticks a motor's feedback is overdue."""
+    """Return the number of ticks a motor's feedback is overdue."""
     return ticks_late(now_ns, x.tendon_int[s.FEEDBACK_NS, n], c.tendon_int[h.CYCLIC_NS, n], c.run_int[h.PERIOD_NS])
 
 
 @inner
 def cell_age(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
-    """Return by how many ticks a load cell is overdue; a tendon without one is as the node's latest frame."""
+    """Return the number of ticks a load cell is overdue.
+
+    A tendon without a cell has the age of the node's latest frame.
+    """
     group, heard_ns = c.tendon_int[h.CELL_GROUP, n], -1
     for g in range(c.run_int[h.TENSION_GROUPS]):
         if g == group or group < 0:
@@ -46,12 +51,14 @@ def cell_age(x: Tables, c: ConstantTables, n: int, now_ns: int) -> int:
 
 @inner
 def count(x: Tables, c: ConstantTables, now_ns: int, strange: int, judged: bool) -> None:
-    """Take in one tick.
+    """Update the counts.
 
     Args:
-        x: tables. c: constants. now_ns: time of the tick [ns].
-        strange: frames of unknown identifiers in it.
-        judged: whether a missing answer counts: torque may act, and no tick was missed.
+        x: state tables.
+        c: constants of the hand.
+        now_ns: time of the tick [ns].
+        strange: frames with unknown identifiers in the tick.
+        judged: True if missing replies count: torque may act, and no tick was missed.
     """
     tendons = x.tendon.shape[1]
     for node in range(tendons + 1):
@@ -62,19 +69,22 @@ def count(x: Tables, c: ConstantTables, now_ns: int, strange: int, judged: bool)
             for n in range(tendons):
                 late |= cell_age(x, c, n, now_ns) > 0
         recent, earlier = x.node_int[s.LOST, node], x.node_int[s.LOST + 1, node]
+        # A shift register of two words: the oldest bit of the recent word moves into the earlier word.
         x.node_int[s.LOST + 1, node] = (earlier << 1 | recent >> (HALF - 1)) & HALF_MASK
         x.node_int[s.LOST, node] = (recent << 1 | (late and judged)) & HALF_MASK
         misread = x.node_int[s.MISREAD_NOW, node] != 0
         x.node_int[s.MISSHAPEN, node] = (x.node_int[s.MISSHAPEN, node] << 1 | misread) & SHORT_MASK
+    # Leaky counter with a time constant of 1 s. A small rest becomes 0, so that the counter comes to an end.
     leaked = x.run[s.UNKNOWN] * (1.0 - c.run[h.PERIOD]) + strange
     x.run[s.UNKNOWN] = leaked if leaked > 1e-3 else 0.0
 
 
 @inner
 def ones(bits: int) -> int:
-    """Return the number of bits that are set."""
+    """Return the number of set bits."""
     number = 0
     while bits:
+        # Clears the lowest set bit.
         bits &= bits - 1
         number += 1
     return number
@@ -82,12 +92,13 @@ def ones(bits: int) -> int:
 
 @inner
 def lost(x: Tables, node: int) -> int:
-    """Return how many of the last ``WINDOW`` ticks had no answer."""
+    """Return the number of the last ``WINDOW`` ticks without a reply."""
     return ones(x.node_int[s.LOST, node]) + ones(x.node_int[s.LOST + 1, node])
 
 
 @inner
 def halved(x: Tables, node: int) -> bool:
-    """Return whether a node misses about every second of the last ``SHORT`` ticks, and at most once two in a row."""
+    """Return True if a node misses about every second of the last ``SHORT`` ticks, at most once two in a row."""
     recent = x.node_int[s.LOST, node] & SHORT_MASK
+    # Bits of two misses in a row: the word ANDed with itself shifted by one.
     return ones(recent) >= HALVED_MISSES and ones(recent & recent >> 1) <= 1

@@ -1,4 +1,4 @@
-"""Detectors of the rows N01 to N17; see ``safety.faults.node``."""
+"""Detectors of rows N01 to N17, see ``safety.faults.node``."""
 
 import math
 
@@ -50,12 +50,12 @@ from handctl.safety.faults.node import (
 ROW_OF_CAUSE = (N11, N01, N08, N10, N11, N12, N11, N11B)
 """Fault of each ``drives.causes.Cause``."""
 FAULT = 4
-"""``drives.contract.Phase.FAULT``."""
+"""Number of ``drives.contract.Phase.FAULT``."""
 
 
 @inner
 def detect(x: Tables, c: ConstantTables, armed: bool, found: Found) -> None:
-    """Write what is found of the rows of this file, whether or not torque acts."""
+    """Write the findings of the module's rows, with or without torque."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]:
             found[N09A, n] = x.tendon[s.TEMPERATURE, n]
@@ -75,7 +75,7 @@ def detect(x: Tables, c: ConstantTables, armed: bool, found: Found) -> None:
 
 @inner
 def _errors(x: Tables, found: Found) -> None:
-    """What drives report of themselves, by the cause behind it."""
+    """Find errors reported by drives, by cause."""
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.PHASE, n] == FAULT:
             found[ROW_OF_CAUSE[x.tendon_int[s.FAULT_CAUSE, n]], n] = x.tendon_int[s.FAULT_CODE, n]
@@ -83,7 +83,7 @@ def _errors(x: Tables, found: Found) -> None:
 
 @inner
 def _silence(x: Tables, c: ConstantTables, found: Found) -> None:
-    """Load cells and joint encoders of which nothing is heard."""
+    """Find silent load cells and joint encoders."""
     now_ns = x.run_int[s.T_NS]
     for n in range(x.tendon.shape[1]):
         age = cell_age(x, c, n, now_ns)
@@ -101,7 +101,7 @@ def _silence(x: Tables, c: ConstantTables, found: Found) -> None:
 
 @inner
 def _jumps(x: Tables, found: Found) -> None:
-    """Positions that were dropped, those of motors in one row and those of joints in the next."""
+    """Find rejected positions: of motors in a row, of joints in the next."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.JUMP, n] > 0.0:
             found[N05A, n] = x.tendon[s.JUMP, n]
@@ -109,6 +109,7 @@ def _jumps(x: Tables, found: Found) -> None:
                 found[N05B, n] = x.tendon[s.JUMP, n]
     for j in range(x.joint.shape[1]):
         if x.joint[s.JOINT_JUMP, j] > 0.0:
+            # A fault of motors and joints has a row for each: the joints' row is the next one.
             found[N05A + 1, j] = x.joint[s.JOINT_JUMP, j]
             if x.joint[s.JOINT_DROPPED, j] > 1.0:
                 found[N05B + 1, j] = x.joint[s.JOINT_JUMP, j]
@@ -116,7 +117,7 @@ def _jumps(x: Tables, found: Found) -> None:
 
 @inner
 def detect_under_torque(x: Tables, c: ConstantTables, found: Found) -> None:
-    """Write what is found of the rows that need a hand under torque."""
+    """Write the findings of rows for a hand under torque."""
     for n in range(x.tendon.shape[1]):
         slip = abs(x.tendon[s.RESIDUAL + residuals.SLIP, n])
         if slip > SLIP_WARN_DEG:
@@ -138,7 +139,7 @@ def detect_under_torque(x: Tables, c: ConstantTables, found: Found) -> None:
 
 @inner
 def _stuck(x: Tables, c: ConstantTables, found: Found) -> None:
-    """Encoders that are constant although they must move; of motors in one row, of joints in the next."""
+    """Find encoders with constant readings despite motion: motors in a row, joints in the next."""
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_S:
             goal = stuck.away(x.tendon[s.FOLLOWED, n], x.tendon[s.MOTOR_ANCHOR, n])
@@ -154,7 +155,7 @@ def _stuck(x: Tables, c: ConstantTables, found: Found) -> None:
 
 @inner
 def detect_after_cut(x: Tables, c: ConstantTables, found: Found) -> None:
-    """Write tendons that somebody still pulls after the torque was cut."""
+    """Find tendons still pulled after the torque was cut."""
     if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < LIMP_AFTER_S:
         return
     for n in range(x.tendon.shape[1]):

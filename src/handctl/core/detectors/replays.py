@@ -1,8 +1,9 @@
-"""Detect load-cell readings that were there before: content that is some ticks old under a fresh counter.
+"""Detection of old load-cell readings under a fresh counter.
 
-A reading carries noise of several counts. If a channel repeats, sample by sample, what it read a constant number of
-ticks ago, it is no measurement of now. A delay that sets in without a gap sends as many readings twice as it is ticks
-long. A channel that stands, or whose loop cycles through a few counts, repeats itself by nature: then ``stuck`` asks.
+A reading has noise of several counts. A channel repeating the readings of a constant number of
+ticks ago, sample by sample, is no present measurement. A delay that starts without a gap sends as
+many readings twice as the delay has ticks. A constant channel, or a loop cycling through a few
+counts, repeats by nature. ``stuck`` judges these cases.
 """
 
 import math
@@ -13,12 +14,15 @@ from handctl.core.block import Tables
 from handctl.safety.faults.tendon import SAME_LEAST, SAME_WINDOW
 
 AGE = 64
-"""Oldest content that is looked for [ticks]."""
+"""Largest age in the search [ticks]."""
 FEW = 5
-"""So many different readings in the window are the limit cycle of a loop, in which neighbours are not independent."""
+"""Number of different readings in a loop's limit cycle. Neighbouring readings are then not independent."""
 UNLIKELY = math.log(1e16)
-"""Negative logarithm of the chance of a run that counts. With noise of 8 counts two readings agree in 4 of 100 cases
-and 12 in a row are enough; with noise of 1.5 counts it takes 22."""
+"""Negative logarithm of the chance of a counting run.
+
+With noise of 8 counts two readings agree in 4 of 100 cases, and 12 in a row are enough. With noise
+of 1.5 counts 22 in a row are necessary.
+"""
 
 
 @inner
@@ -43,8 +47,9 @@ def update(x: Tables, tared: bool) -> None:
 
 @inner
 def replayed(x: Tables, n: int) -> int:
-    """Return the age [ticks] of what a channel repeats; 0 if it does not."""
+    """Return the age of a channel's repeated readings [ticks], 0 without repetition."""
     longest = x.tendon_int[s.LONGEST, n]
+    # Chance of a run of this length, in logarithms, as the power of many small numbers.
     if longest < SAME_LEAST or -longest * math.log(_chance(x, n)) < UNLIKELY:
         return 0
     for age in range(AGE):
@@ -55,7 +60,7 @@ def replayed(x: Tables, n: int) -> int:
 
 @inner
 def _chance(x: Tables, n: int) -> float:
-    """Estimate the chance that two readings of now are equal, from the pairs among the last ones."""
+    """Estimate the chance of two equal readings, from pairs among the last readings."""
     pairs, different = 0, 0
     for a in range(SAME_WINDOW):
         first = True

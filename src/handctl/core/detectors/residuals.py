@@ -1,8 +1,8 @@
-"""What remains when motor torque, inertia and friction are taken off a tendon's tension, and the like, filtered.
+"""Low-passed residuals of a tendon: tension minus motor torque, inertia and friction, and similar differences.
 
-A rotor at the spool: m a = F - T - b v - c sign(v). What the load cell says besides, over a fifth of a second, is the
-cell's, the motor's or the friction's fault. Thresholds are so far from the noise that it raises none of them in ten
-thousand hours.
+A rotor at the spool: m a = F - T - b v - c sign(v). A further force in the load cell's reading,
+over a fifth of a second, is an error of the cell, the motor or the friction. The thresholds are far
+from the noise: no false alarm in ten thousand hours.
 """
 
 import math
@@ -20,19 +20,20 @@ BALANCE, MADE, ASKED, TENSION, QUICK_FORCE, SLIP, JERK, RUB = range(8)
 TIMES_S = (0.2, 0.2, 0.08, 0.02, 0.02, 0.3, 0.1, 5.0)
 """Time constant of each row [s]."""
 GAIN_FRACTION = 0.1
-"""Fraction of the motor's force that its torque constant may be wrong by. Source: usual tolerance of K_t."""
+"""Tolerance of the torque constant, as a fraction of the motor force. Source: usual tolerance of K_t."""
 RUB_SPEED = 5e-3
-"""Tendon speed above which friction is fully developed [m/s]."""
+"""Tendon speed of fully developed friction [m/s]."""
 
 
 @inner
 def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
-    """Filter one tick.
+    """Filter the residuals of a tick.
 
     Args:
-        x: tables. c: constants. missed: ticks that were skipped before this one: over how long something moved, nobody
-            knows then.
-        tared: whether the load cells' zero is known.
+        x: state tables.
+        c: constants of the hand.
+        missed: ticks missed before the present tick. The duration of a motion is then unknown.
+        tared: True if the load cells' zero is known.
     """
     now = np.empty(8)
     begun = x.run_int[s.FILTERED] == 1
@@ -48,6 +49,7 @@ def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
             x.tendon[s.RESIDUAL + TENSION, n] = 0.0 if math.isnan(tension) else tension
             x.tendon[s.RESIDUAL + QUICK_FORCE, n] = 0.0 if math.isnan(made) else made
         turned = position - x.tendon[s.LAST_POSITION, n]
+        # Friction as tanh(1000 v): full above some millimetres per second, without chatter at rest.
         drag = c.tendon[h.MOTOR_DAMPING, n] * speed + c.tendon[h.COULOMB, n] * math.tanh(speed * 1e3)
         inertia = c.tendon[h.MOTOR_MASS, n] / c.run[h.PERIOD]
         balance = made - tension - inertia * (speed - x.tendon[s.LAST_SPEED, n]) - drag
@@ -65,12 +67,12 @@ def update(x: Tables, c: ConstantTables, missed: int, tared: bool) -> None:
 
 @inner
 def unexplained(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the tension that neither friction nor the tolerance of the torque constant explains [N], 0 or more."""
+    """Return the tension beyond friction and the tolerance of the torque constant [N], 0 or more."""
     known = c.tendon[h.COULOMB, n] + GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MADE, n])
     return max(abs(x.tendon[s.RESIDUAL + BALANCE, n]) - known, 0.0)
 
 
 @inner
 def friction(x: Tables, n: int) -> float:
-    """Return the friction of a moving rotor beyond the modelled [N]."""
+    """Return the friction of a moving rotor beyond the model [N]."""
     return max(x.tendon[s.RESIDUAL + RUB, n] - GAIN_FRACTION * abs(x.tendon[s.RESIDUAL + MADE, n]), 0.0)

@@ -1,4 +1,4 @@
-"""What a tendon has been through: when it was taut, since when it is slack, what it bore when the torque was cut."""
+"""Tension history of a tendon: last taut, duration of slack, tension at and after a cut of the torque."""
 
 import math
 
@@ -11,15 +11,16 @@ from handctl.core.detectors.residuals import TENSION
 from handctl.safety.faults.tendon import SLACK_N, TAUT_N
 
 LIMP_SEEN_S = 0.08
-"""From so long after the cut on a load cell's last reading counts, if the latest one is missing."""
+"""Time after the cut from which the last reading counts if the latest is missing [s]."""
 
 
 @inner
 def update(x: Tables) -> None:
-    """Take in one tick under torque."""
+    """Update the history under torque."""
     x.run_int[s.CUT_TICKS] = -1
     for n in range(x.tendon.shape[1]):
         tension, wanted = x.tendon[s.RESIDUAL + TENSION, n], x.tendon[s.WANTED, n]
+        # No tension is commanded: forget the history, no tendon may be called snapped.
         if math.isnan(wanted):
             x.tendon_int[s.TAUT_AGO, n], x.tendon_int[s.SLACK_TICKS, n] = -1, 0
         elif tension > TAUT_N:
@@ -34,13 +35,15 @@ def update(x: Tables) -> None:
 
 @inner
 def after_cut(x: Tables, c: ConstantTables, tared: bool) -> None:
-    """Take in one tick after the torque was cut.
+    """Update the history after a cut of the torque.
 
-    The tension back then is the first reading after the cut, or the last one before it if that is missing, as many a
-    frame is where a cut was needed, or the first that comes.
+    The tension at the cut is the first reading after the cut. If missing, as frames often are where
+    a cut was necessary, it is the last reading before, or the first later reading.
 
     Args:
-        x: tables. c: constants. tared: whether the load cells' zero is known.
+        x: state tables.
+        c: constants of the hand.
+        tared: True if the load cells' zero is known.
     """
     ticks = x.run_int[s.CUT_TICKS] + 1
     for n in range(x.tendon.shape[1]):

@@ -1,4 +1,4 @@
-"""Joint encoders against the spool: how far they have come apart since the tendon became taut."""
+"""Difference of joint encoders and spool since the tendon became taut."""
 
 import math
 
@@ -10,16 +10,18 @@ from handctl.core.constants import ConstantTables
 from handctl.safety.faults.tendon import DERAILED_DEG, SLACK_N, TAUT_N
 
 SETTLE_S = 0.1
-"""Time after a tendon has become taut before joint and spool are compared with how they stood then."""
+"""Time between taut tendon and reference measurement of joint against spool [s]."""
 DEG = 180.0 / math.pi
 
 
 @inner
 def update(x: Tables, c: ConstantTables, tared: bool) -> None:
-    """Take in one tick.
+    """Update the difference.
 
     Args:
-        x: tables. c: constants. tared: whether the load cells' zero is known.
+        x: state tables.
+        c: constants of the hand.
+        tared: True if the load cells' zero is known.
     """
     read = x.run_int[s.JOINTS_READ] == 1
     for n in range(x.tendon.shape[1]):

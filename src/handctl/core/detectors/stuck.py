@@ -1,7 +1,8 @@
-"""Detect stuck readings: a reading is stuck if it is constant while a correlated signal, its witness, moves.
+"""Detection of stuck readings. A reading is stuck if it is constant while a correlated reference signal moves.
 
-A sensor at rest is healthy. The witnesses of a motor's encoder are the goal of its tendon and the tension, that of a
-load cell is the motor's force, that of a joint encoder the joint angle that follows from the spools.
+A sensor at rest is healthy. The references of a motor's encoder are the tendon's goal and the
+tension. The reference of a load cell is the motor force, and of a joint encoder the joint angle as
+turned by the spools.
 """
 
 import math
@@ -14,21 +15,23 @@ from handctl.core.constants import ConstantTables
 from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 
 FOLLOW_S = 0.1
-"""Time in which a motor follows a goal that jumps, several times over [s]."""
+"""Time constant of a motor following a jump of the goal, with a large margin [s]."""
 SLOW_M_S = 2e-3
-"""A goal that moves no faster is followed at once [m/s]."""
+"""Speed of a goal below which the motor follows at once [m/s]."""
 ARRIVED_M = 0.2e-3
-"""A motor that is this close to its goal has arrived [m]."""
+"""Distance to the goal of a motor at rest at the goal [m]."""
 LEAP_M = 2.0 * ARRIVED_M
-"""In one tick: further than what is already there goes along with a digit that arrives."""
+"""Step of a goal in a tick beyond the motion of an arriving digit [m]."""
 
 
 @inner
 def update(x: Tables, c: ConstantTables, tared: bool) -> None:
-    """Take in one tick. A missing reading is neither the same nor another one.
+    """Update the stuck counts. A missing reading is neither equal nor different.
 
     Args:
-        x: tables. c: constants. tared: whether the load cells' zero is known.
+        x: state tables.
+        c: constants of the hand.
+        tared: True if the load cells' zero is known.
     """
     for n in range(x.tendon.shape[1]):
         value, last = x.tendon[s.MEASURED_TRAVEL, n], x.tendon[s.MOTOR_VALUE, n]
@@ -63,7 +66,7 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
 
 @inner
 def bears(x: Tables, c: ConstantTables, j: int) -> bool:
-    """Return whether all tendons that move a joint bear tension: while one is slack its spool turns without it."""
+    """Return True if all tendons of a joint are taut. The spool of a slack tendon turns without the joint."""
     for n in range(x.tendon.shape[1]):
         if c.joint_tendon[h.MOVES, j, n] != 0.0 and not x.tendon_int[s.BEARS, n]:
             return False
@@ -72,7 +75,7 @@ def bears(x: Tables, c: ConstantTables, j: int) -> bool:
 
 @inner
 def turned(x: Tables, c: ConstantTables, j: int) -> float:
-    """Return the joint angle that follows from the spools [rad]; NaN where that says nothing."""
+    """Return the joint angle as turned by the spools [rad], NaN if unknown."""
     if not bears(x, c, j):
         return math.nan
     angle = 0.0
@@ -85,18 +88,19 @@ def turned(x: Tables, c: ConstantTables, j: int) -> float:
 
 @inner
 def away(witness: float, anchor: float) -> float:
-    """Return how far a witness has moved since the reading is constant; 0 where it says nothing."""
+    """Return the motion of a reference since the reading became constant, 0 if unknown."""
     apart = abs(witness - anchor)
     return 0.0 if math.isnan(apart) else apart
 
 
 @inner
 def follow(x: Tables, c: ConstantTables) -> None:
-    """Lead each motor to the goal of this tick as it can follow: where a goal jumps, a motor at rest is not stuck.
+    """Filter each motor's goal to the speed of a motor. A motor at rest is not stuck where the goal jumps.
 
-    While a reading moves this is the goal itself, so that what counts is how far the goal has gone since it is
-    constant: friction may have stopped the motor short of it. A motor that rests at its goal is not stuck either while
-    the filtered goal still moves towards it: from there on the filtered goal is where the digit is.
+    While a reading moves the filtered goal is the goal itself. The goal's motion since the reading
+    became constant counts: friction may have stopped the motor short of the goal. A motor at rest
+    at the goal is not stuck while the filtered goal still approaches. From this tick on the
+    filtered goal is the digit's position.
     """
     fraction, least = 1.0 - math.exp(-c.run[h.PERIOD] / FOLLOW_S), SLOW_M_S * c.run[h.PERIOD]
     for n in range(x.tendon.shape[1]):

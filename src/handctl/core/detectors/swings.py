@@ -1,7 +1,8 @@
-"""Detect a tension that swings about its command, whatever makes it swing: torque ripple, a loop that rings.
+"""Detection of a tension swinging about the command, from any cause: torque ripple, an oscillating loop.
 
-A motor whose torque ripples by a tenth of a newton metre near the resonance of rotor and tendon (about 20 Hz) swings a
-tendon by tens of newtons, below every other threshold. The current does not show cogging, so that N14 is blind to it.
+A torque ripple of 0.1 N m near the resonance of rotor and tendon (about 20 Hz) swings a tendon by
+tens of newtons, below every other threshold. Cogging is invisible in the current, and therefore for
+N14.
 """
 
 import math
@@ -14,13 +15,12 @@ from handctl.core.constants import ConstantTables
 from handctl.safety.faults.node import SWING_N
 
 SLOW_S, MEAN_S = 0.02, 0.025
-"""Time constants [s]: of the slow part of the deviation, which is taken off (corner at ``SWING_HZ``), and of the mean
-square."""
+"""Time constants of the subtracted slow part of the deviation (corner at ``SWING_HZ``), and of the mean square [s]."""
 
 
 @inner
 def update(x: Tables, c: ConstantTables, tared: bool) -> None:
-    """Take in measured less commanded tension."""
+    """Update the swing by measured minus commanded tension."""
     period = c.run[h.PERIOD]
     slow, mean = 1.0 - math.exp(-period / SLOW_S), 1.0 - math.exp(-period / MEAN_S)
     for n in range(x.tendon.shape[1]):
@@ -29,6 +29,7 @@ def update(x: Tables, c: ConstantTables, tared: bool) -> None:
         if tared and not math.isnan(deviation):
             x.tendon[s.SWING_SLOW, n] += slow * (deviation - x.tendon[s.SWING_SLOW, n])
             quick = deviation - x.tendon[s.SWING_SLOW, n]
+        # A missing reading counts as no swing.
         x.tendon[s.SWING_SQUARE, n] += mean * (quick * quick - x.tendon[s.SWING_SQUARE, n])
         large = x.tendon[s.SWING_SQUARE, n] > square(SWING_N)
         x.tendon[s.SWING_S, n] = x.tendon[s.SWING_S, n] + period if large else 0.0

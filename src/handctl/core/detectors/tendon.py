@@ -1,4 +1,4 @@
-"""Detectors of the rows T01 to T09; see ``safety.faults.tendon``."""
+"""Detectors of rows T01 to T09, see ``safety.faults.tendon``."""
 
 import math
 
@@ -42,12 +42,12 @@ from handctl.safety.faults.tendon import (
 )
 
 RELAX = 5
-"""``core.types.Mode.RELAX``."""
+"""Number of ``core.types.Mode.RELAX``."""
 
 
 @inner
 def detect(x: Tables, c: ConstantTables, armed: bool, found: Found) -> None:
-    """Write what is found of the rows of this file, whether or not torque acts."""
+    """Write the findings of the module's rows, with or without torque."""
     rail, low = c.run[h.TENSION_RAIL], c.run[h.TENSION_LOW]
     relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
     relaxed = x.run_int[s.MODE] == RELAX and relaxing_s > RELAXED_S
@@ -66,7 +66,7 @@ def detect(x: Tables, c: ConstantTables, armed: bool, found: Found) -> None:
 
 @inner
 def detect_under_torque(x: Tables, c: ConstantTables, found: Found) -> None:
-    """Write what is found of the rows that need a hand under torque."""
+    """Write the findings of rows for a hand under torque."""
     for n in range(x.tendon.shape[1]):
         _slack(x, c, n, found)
         unexplained, rubs = residuals.unexplained(x, c, n), residuals.friction(x, n)
@@ -90,7 +90,7 @@ def detect_under_torque(x: Tables, c: ConstantTables, found: Found) -> None:
 
 @inner
 def _slack(x: Tables, c: ConstantTables, n: int, found: Found) -> None:
-    """A tendon without tension: snapped if its spool runs, slack if tension is commanded."""
+    """Find a tendon without tension: snapped if the spool runs, slack if tension is commanded."""
     period, wanted, speed = c.run[h.PERIOD], x.tendon[s.WANTED, n], x.tendon[s.SPEED, n]
     since = x.tendon_int[s.SLACK_TICKS, n] * period
     if since > SLACK_WARN_S:

@@ -1,1 +1,1 @@
-"""From measurements to tensions, angles, contacts and forces, with their variances."""
+"""Estimation: from measurements to tensions, angles, contacts and forces, with variances."""

@@ -1,14 +1,15 @@
-"""What is felt of digits that close or hold: a force at the tip that grows, and a grip that is pushed open.
+"""Contact of closing digits by a growing force at the tip, and opening of a grip.
 
-Closing: the tension that nothing known explains is taken as a force at the tip. Each digit's tendons are weighed as a
-unit force at the tip would load them, so that a proximal tendon, which feels the tip most and friction least, counts
-most. The force is smoothed over a few milliseconds: what the contact of a closing digit adds stays, what a chattering
-tendon adds comes and goes. A model that expects too much tension hides a contact behind a force below zero, which is
-there for longer than a contact takes to grow: it is taken off. A force above zero that is there in all of a digit's
-closing is a load cell's drift, and is taken off, too.
+Closing: unexplained tension is converted into a force at the tip. Each digit's tendons are weighted
+by their load under a unit force at the tip, so a proximal tendon, with most effect of the tip and
+least friction, counts most. The force is smoothed over a few milliseconds: the force of a contact
+stays, a chattering tendon's force alternates. A model with too much expected tension hides a
+contact behind a negative force. A negative force lasts longer than a contact takes to grow, and is
+subtracted. A positive force during all of a digit's closing is a load cell's drift, and is
+subtracted as well.
 
-Holding: the length wound at the spool less the tendon's stretch is known to a few micrometres. Two averages of it, one
-quick and one slow, come apart when a digit is pushed open.
+Holding: the length wound at the spool minus the tendon's stretch is known to a few micrometres. A
+fast and a slow average of this length diverge when a digit is pushed open.
 """
 
 import math
@@ -26,16 +27,16 @@ from handctl.core.estimation.kalman import free_angles
 Vector = NDArray[np.float64]
 
 SMOOTH_S = 5e-3
-"""Time constant of the force felt: a quarter of the time in which a contact is to be found."""
+"""Time constant of the tip force: a quarter of the time for finding a contact [s]."""
 USUAL_S, DRIFT_S = 0.15, 2.0
-"""Time constants of what is felt anyway: several times that in which a contact grows, and one in which it is found."""
+"""Time constants of the tip force before contact: several times the growth of a contact, and a whole closing [s]."""
 FAST_S, SLOW_S = 0.02, 0.2
-"""Time constants of the two averages of a grip."""
+"""Time constants of the two averages of a grip [s]."""
 
 
 @inner
 def feel(x: Tables, c: ConstantTables) -> None:
-    """Take in the force at the tips of digits that close; forget it of the others, their drift aside."""
+    """Update the tip forces of closing digits. Reset all other digits, except for the drift."""
     closing = False
     for d in range(x.digit.shape[1]):
         if x.digit_int[s.CLOSING, d]:
@@ -55,6 +56,7 @@ def feel(x: Tables, c: ConstantTables) -> None:
         usual = felt if math.isnan(x.digit[s.USUAL, d]) else x.digit[s.USUAL, d]
         drift = 0.0 if math.isnan(x.digit[s.DRIFT, d]) else x.digit[s.DRIFT, d]
         x.digit[s.FELT, d] = felt
+        # The mean counts only if negative (too much expected tension), the drift only if positive (load cell).
         x.digit[s.GROWN, d] = felt - min(usual, 0.0) - max(drift, 0.0)
         x.digit[s.USUAL, d] = usual + c.run[h.USUAL_FRACTION] * (felt - usual)
         x.digit[s.DRIFT, d] = drift + c.run[h.DRIFT_FRACTION] * (felt - drift)
@@ -64,7 +66,7 @@ def feel(x: Tables, c: ConstantTables) -> None:
 def _levers(x: Tables, c: ConstantTables, lever: Vector) -> None:
     """Write the levers (J,) [m] of forces at the tips about the joints, at the free angles.
 
-    A closing digit is free until this finds otherwise.
+    A closing digit is free until contact is found.
     """
     joints = x.joint.shape[1]
     q = np.zeros(joints)
@@ -72,6 +74,7 @@ def _levers(x: Tables, c: ConstantTables, lever: Vector) -> None:
     for link in range(joints):
         angle = 0.0
         for j in range(joints):
+            # Angle from a link to the last one: the lever of a force normal to the last link is its cosine.
             angle += c.joint_joint[h.TIP_AHEAD, link, j] * q[j]
         for j in range(joints):
             lever[j] += math.cos(angle) * c.joint_joint[h.TIP_BEYOND, link, j]
@@ -79,7 +82,7 @@ def _levers(x: Tables, c: ConstantTables, lever: Vector) -> None:
 
 @inner
 def _force(x: Tables, c: ConstantTables, d: int, lever: Vector) -> float:
-    """Return the force at a tip [N] that fits the digit's unexplained tensions best, in least squares of tension."""
+    """Return the force at a tip [N] with the best fit to the digit's unexplained tensions, in least squares."""
     work, size = 0.0, 0.0
     for n in range(c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]):
         response = 0.0
@@ -92,9 +95,10 @@ def _force(x: Tables, c: ConstantTables, d: int, lever: Vector) -> float:
 
 @inner
 def watch_grip(x: Tables, c: ConstantTables) -> None:
-    """Average the length wound less stretch; before slip is judged the slow average is the quick one."""
+    """Average the length wound minus stretch. Before slip is judged the slow average equals the fast."""
     judged = x.run[s.GOAL_TIME] + c.run[h.PERIOD] >= x.run[s.GRIP_READY]
     for n in range(x.tendon.shape[1]):
+        # Length wound minus elastic stretch: the tendon length that moves the joints.
         here = x.tendon[s.TRAVEL, n] - x.tendon[s.TENSION, n] / c.tendon[h.STIFFNESS, n]
         fast, slow = x.tendon[s.GRIP_FAST, n], x.tendon[s.GRIP_SLOW, n]
         fast = fast + (here - fast) * c.run[h.FAST_FRACTION] if x.run_int[s.GRIPPING] else here

@@ -1,8 +1,9 @@
-"""The filter's covariance where it is not the steady one: while measurements are missing, and until that is made up.
+"""Covariance of the filter while measurements are missing, and until the covariance is steady again.
 
-The steady gains are those of a measurement in every tick. Of one that comes every second tick only they would take a
-speed to be wrong by twice as much as it is, and correct it for longer than they mean to: an estimate that swings, or
-worse. So once something is missing every tendon's covariance is carried along, until it is the steady one again.
+The steady gains assume a measurement in every tick. With a measurement in every second tick only,
+the steady gains would attribute twice the speed error, and correct for too long: the estimate
+swings or diverges. Therefore a missing measurement starts the propagation of every tendon's
+covariance, until the steady covariance is reached.
 """
 
 import math
@@ -21,28 +22,31 @@ Matrix = NDArray[np.float64]
 
 STATES = 7
 ERROR = 5
-"""Index of the load cell's error among the states."""
+"""Index of the load-cell error among the states."""
 MISSING = 1e12
 """Variance factor of a missing measurement. It makes the Kalman gain zero."""
 STEADY_FRACTION = 0.02
-"""A covariance is steady if none of its variances, nor that of the tension, is further from the steady one."""
+"""Largest relative deviation of a steady covariance's variances, tension included, from the steady values."""
 HELD_TORQUE_S = 0.05
-"""Longest time without a command that is predicted [s]; then the drives' watchdogs have let go."""
+"""Longest predicted time without a command [s]. Later, the drives' watchdogs have removed the torque."""
 
 
 @inner
 def update(x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after: Matrix, information: Vector) -> float:
-    """Take in encoder and load cell of one tendon; joint encoders keep their steady gain.
+    """Correct the covariance by encoder and load cell of a tendon. Joint encoders keep the steady gain.
 
     Args:
-        x: tables. c: constants. n: index of the tendon.
-        z: (3,) measurements, NaN where missing.
-        gain: (7, 3) steady gains, of which the first two columns are replaced.
-        after: (7, 7) result: covariance once the measurements were used.
-        information: (3,) result: inverse covariance of the innovations, see ``constants.INFORMATION_AT``.
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        z: (3,) measurements, NaN if missing.
+        gain: (7, 3) steady gains. The first two columns are replaced.
+        after: (7, 7) result: covariance after the update.
+        information: (3,) result: inverse covariance of the innovations, see
+            ``constants.INFORMATION_AT``.
 
     Returns:
-        standard deviation of the load-cell innovation [N].
+        Standard deviation of the load-cell innovation [N].
     """
     kind = x.tendon_int[s.KIND, n]
     H = np.zeros((2, STATES))
@@ -57,6 +61,7 @@ def update(x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after:
     R = np.zeros(2)
     for m in range(2):
         R[m] = c.design[n, kind, h.R_AT + m] * (MISSING if math.isnan(z[m]) else 1.0)
+    # Innovation covariance [[a, b], [b, d]], inverted in closed form.
     a, b, d = size[0, 0] + R[0], size[0, 1], size[1, 1] + R[1]
     determinant = a * d - b * b
     information[0], information[1], information[2] = d / determinant, -2.0 * b / determinant, a / determinant
@@ -69,6 +74,8 @@ def update(x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after:
     for i in range(STATES):
         for j in range(STATES):
             rest[i, j] = (1.0 if i == j else 0.0) - (gain[i, 0] * H[0, j] + gain[i, 1] * H[1, j])
+    # Joseph form (I - K H) P (I - K H)^T + K R K^T: symmetric and positive for any gain, so also for the
+    # consider gain that leaves the cell error out.
     joseph = _times_transposed(_times(rest, P), rest)
     for i in range(STATES):
         for j in range(STATES):
@@ -78,9 +85,9 @@ def update(x: Tables, c: ConstantTables, n: int, z: Vector, gain: Matrix, after:
 
 @inner
 def predict(x: Tables, c: ConstantTables, after: Matrix, missed: int) -> None:
-    """Predict all covariances (N, 7, 7) to the next tick; end that once all of them are the steady ones.
+    """Predict all covariances (N, 7, 7) to the next tick. End the propagation once all are steady.
 
-    A tendon whose kind has just changed begins with the steady one.
+    A tendon with a new kind begins with the steady covariance.
     """
     periods = 1 + skipped(c, missed)
     steady = True
@@ -93,6 +100,7 @@ def predict(x: Tables, c: ConstantTables, after: Matrix, missed: int) -> None:
             for i in range(STATES):
                 for j in range(STATES):
                     P[i, j] += Q[i, j]
+        # The propagated covariance belongs to the old model.
         if kind != x.tendon_int[s.KIND_BEFORE, n]:
             P = _square(c, n, kind, h.P_AT)
         for i in range(STATES):
@@ -104,7 +112,7 @@ def predict(x: Tables, c: ConstantTables, after: Matrix, missed: int) -> None:
 
 @inner
 def skipped(c: ConstantTables, missed: int) -> int:
-    """Return how many of the missed ticks are predicted one by one."""
+    """Return the number of missed ticks with a prediction for each."""
     return min(missed, round(HELD_TORQUE_S / c.run[h.PERIOD]))
 
 
@@ -121,7 +129,7 @@ def sigma(x: Tables, c: ConstantTables, n: int) -> float:
 
 @inner
 def _present(x: Tables, c: ConstantTables, n: int, kind: int) -> Matrix:
-    """Return the covariance (7, 7) of a tendon's prediction: the one that is carried, or the steady one."""
+    """Return the covariance (7, 7) of a tendon's prediction: propagated or steady."""
     P = _square(c, n, kind, h.P_AT)
     if x.run_int[s.CARRIED]:
         for i in range(STATES):
@@ -162,7 +170,7 @@ def _square(c: ConstantTables, n: int, kind: int, at: int) -> Matrix:
 
 @inner
 def _times(left: Matrix, right: Matrix) -> Matrix:
-    """Return the product of two matrices, by sums in a fixed order."""
+    """Return the product of two matrices, with sums in a fixed order."""
     found = np.zeros((left.shape[0], right.shape[1]))
     for i in range(left.shape[0]):
         for j in range(right.shape[1]):
@@ -173,7 +181,7 @@ def _times(left: Matrix, right: Matrix) -> Matrix:
 
 @inner
 def _times_transposed(left: Matrix, right: Matrix) -> Matrix:
-    """Return the product of a matrix and the transpose of another one."""
+    """Return the product of a matrix and a transposed matrix."""
     found = np.zeros((left.shape[0], right.shape[0]))
     for i in range(left.shape[0]):
         for j in range(right.shape[0]):

@@ -1,4 +1,4 @@
-"""Lines for the log where the filter's model ceases to fit a tendon, or a digit is found blocked."""
+"""Log events of the filter's doubts about the model, and of blocked digits."""
 
 from typing import Any, Protocol
 
@@ -11,7 +11,7 @@ from handctl.core.types import Event
 
 
 class Viewed(Protocol):
-    """A state whose fields have names."""
+    """A state with named fields."""
 
     def view(self, name: str) -> NDArray[Any]:
         """Return a field."""
@@ -19,10 +19,12 @@ class Viewed(Protocol):
 
 
 def notes(model: HandModel, before: Viewed, after: Viewed) -> tuple[Event, ...]:
-    """Return the lines of one tick.
+    """Return the events of a tick.
 
     Args:
-        model: the hand. before, after: states of the last tick and of this one.
+        model: the hand.
+        before: state of the last tick.
+        after: state of the present tick.
     """
     events: list[Event] = []
     doubtful, was = after.view("doubtful"), before.view("doubtful")

@@ -1,15 +1,18 @@
 """Discrete model and steady-state Kalman gains of the tension filter, once, before arming.
 
-Per tendon the state is [x, v, s, w, d, e, o]: cable travel [m] and speed [m/s] at the spool, excursion [m] and its
-rate [m/s], Gauss-Markov disturbance force on the motor [N], load-cell error [N], stretch offset [m]. Inputs: motor
-force at the cable [N], rate at which the tension of a moving digit is meant to change [N/s]. Measurements: encoder
-travel [m], load cell [N], excursion from joint encoders [m].
+Per tendon the state is [x, v, s, w, d, e, o]: tendon travel [m] and speed [m/s] at the spool,
+excursion [m] and its rate [m/s], Gauss-Markov disturbance force on the motor [N], load-cell error
+[N], stretch offset [m]. Inputs: motor force at the tendon [N], planned rate of change of a moving
+digit's tension [N/s]. Measurements: encoder travel [m], load cell [N], excursion from joint
+encoders [m].
 
-The digit itself is not in the model. It is twenty times lighter than the rotor, sits on a stiff rope and rubs on its
-pulleys with up to a third of the tension, in a direction that hangs on the sign of a speed of micrometres a second: a
-filter that predicts it by its equation of motion chatters between the two signs (9 N instead of 0.5 N). What is known
-and enough is that a free digit follows its rope and that the tension then changes slowly, that a held one stays.
-Source: linearised tendon plant; van Loan (1978) for the discretisation; the Riccati solution comes from ``control``.
+The model does not contain the digit itself. The digit is twenty times lighter than the rotor, is
+held by a stiff tendon, and has friction at the pulleys of up to a third of the tension. The
+direction of friction depends on the sign of a speed of micrometres per second. A filter with the
+digit's equation of motion chatters between both signs (9 N instead of 0.5 N). The assumptions
+suffice: a free digit follows the tendon with slowly changing tension, a held digit stays.
+Source: linearised tendon plant, van Loan (1978) for the discretisation. The Riccati solution comes
+from ``control``.
 """
 
 import math
@@ -40,30 +43,33 @@ from handctl.core.gains.solvable import check_finite, solvable
 from handctl.core.tendon_space import TendonSpace
 
 FORGET_S = 1e4
-"""Stretch offset and a held digit's excursion are forgotten this slowly [s]: only so that the Riccati equation has a
-solution. What is forgotten within a run pulls the estimate: a millimetre of offset in a minute is 1.7 N a second."""
+"""Time constant of forgetting stretch offset and excursion of a held digit, for a solution of the Riccati equation [s].
+
+Faster forgetting pulls the estimate: a millimetre of offset in a minute is 1.7 N per second.
+"""
 
 DOUBTED_DISTURBANCE, DOUBTED_HELD_DISTURBANCE = 5.0, 2.0
-"""Factors on the motor's disturbance of a tendon in doubt: friction at the motor is not as the hand file tells."""
+"""Factors on the motor disturbance of a doubted tendon: the motor's friction differs from the hand file."""
 DOUBTED_WALK, DOUBTED_HELD_WALK = 8.0, 3.0
-"""Random walk of the tension of a tendon in doubt [N/s^0.5]: friction at the joints is not either."""
+"""Random walk of the tension of a doubted tendon [N/s^0.5]: the joints' friction differs as well."""
 DOUBTED_PLAN = 0.25
-"""Fraction of the planned change of tension that is expected of a tendon in doubt."""
+"""Fraction of the planned change of tension expected of a doubted tendon."""
 TAUT = (Regime.FREE, Regime.HELD)
-"""Regimes of which there is a block in doubt, in their order; slack comes after them."""
+"""Regimes with a block for doubt, in order. Slack follows after them."""
 
 
 def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_period: Matrix) -> FilterDesign:
-    """Design the filter of each tendon in each regime; tendons that are alike share theirs.
+    """Design the filter of each tendon in each regime. Equal tendons share a design.
 
     Args:
-        space: the hand along its tendons.
+        space: the hand along the tendons.
         gains: noise intensities assumed.
         period: control period [s].
-        joint_period: (N,) from one excursion measured by joint encoders to the next [s]; inf where there are none.
+        joint_period: (N,) time between excursions measured by joint encoders [s], inf without
+            encoders.
 
     Raises:
-        ConfigError: no filter follows from these gains.
+        ConfigError: if the gains lead to no filter.
     """
     made: dict[tuple[float, ...], tuple[Block, ...]] = {}
     found = []
@@ -79,7 +85,7 @@ def design_filter(space: TendonSpace, gains: FilterGains, period: float, joint_p
 
 
 def _continuous(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -> tuple[Matrix, Matrix, Matrix]:
-    """A (7, 7), B (7, 2) and the tension row (7,) of one tendon."""
+    """Return A (7, 7), B (7, 2) and the tension row (7,) of a tendon."""
     taut = regime != Regime.SLACK
     k, c = (space.stiffness[i], space.damping[i]) if taut else (0.0, 0.0)
     tension = np.array([k, c, -k, -c, 0.0, 0.0, -k])
@@ -89,9 +95,11 @@ def _continuous(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) 
     A[V, V] -= space.motor_damping[i] / space.motor_mass[i]
     A[V, D] = B[V, 0] = 1.0 / space.motor_mass[i]
     if regime == Regime.FREE:
+        # A free digit follows the rotor: its rate has the rotor's acceleration, and decays to the rotor's speed.
         A[W], B[W] = A[V], B[V]
         A[W, V] += 1.0 / gains.free_time_s
         A[W, W] -= 1.0 / gains.free_time_s
+        # Rising tension stretches the tendon, so the excursion falls behind the travel.
         B[S, 1] = -1.0 / space.stiffness[i]
     else:
         A[W, W] = -1.0 / gains.held_time_s
@@ -102,14 +110,17 @@ def _continuous(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) 
 
 
 def _motor_noise(regime: Regime, gains: FilterGains) -> tuple[float, float, float]:
-    """What acts on the motor unknown: disturbance [N], its correlation time [s], and noise on its force [N]."""
+    """Return the disturbance on the motor [N], the correlation time [s], and the noise of the motor force [N]."""
     if regime == Regime.HELD:
         return gains.held_disturbance_N, gains.held_disturbance_time_s, gains.held_acceleration_noise_N
     return gains.motor_disturbance_N, gains.motor_disturbance_time_s, gains.motor_acceleration_noise_N
 
 
 def _intensity(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -> Matrix:
-    """Continuous process noise of one tendon, (7, 7): 2 sigma^2 / tau of each Gauss-Markov state, little on speeds."""
+    """Return the continuous process noise (7, 7) of a tendon.
+
+    The noise is 2 sigma^2 / tau of each Gauss-Markov state, and little on speeds.
+    """
     Q = np.zeros((STATES, STATES))
     disturbance, time, jerk = _motor_noise(regime, gains)
     Q[V, V] = jerk**2 / space.motor_mass[i] ** 2
@@ -126,15 +137,16 @@ def _intensity(space: TendonSpace, i: int, regime: Regime, gains: FilterGains) -
 
 
 def _doubt(Q: Matrix, stiffness: float, regime: Regime) -> None:
-    """Add to the continuous process noise (7, 7) of a taut tendon what a model in doubt lacks; stiffness in [N/m]."""
+    """Add the noise of a doubted model to the continuous process noise (7, 7) of a taut tendon, stiffness in [N/m]."""
     free = regime == Regime.FREE
     Q[D, D] *= (DOUBTED_DISTURBANCE if free else DOUBTED_HELD_DISTURBANCE) ** 2
     Q[S, S] += ((DOUBTED_WALK if free else DOUBTED_HELD_WALK) / stiffness) ** 2
 
 
 def _discretise(A: Matrix, B: Matrix, Q: Matrix, period: float) -> tuple[Matrix, Matrix, Matrix]:
-    """Zero-order hold of A, B and the discrete covariance of continuous noise Q. Source: van Loan (1978)."""
+    """Return zero-order hold of A, B and the discrete covariance of continuous noise Q. Source: van Loan (1978)."""
     n, m = B.shape
+    # Zero-order hold: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
     held = expm(np.block([[A, B], [np.zeros((m, n + m))]]) * period)
     loan = expm(np.block([[-A, Q], [np.zeros((n, n)), A.T]]) * period)
     F = held[:n, :n]
@@ -145,14 +157,16 @@ def _discretise(A: Matrix, B: Matrix, Q: Matrix, period: float) -> tuple[Matrix,
 def _block(
     space: TendonSpace, i: int, kind: tuple[Regime, bool], gains: FilterGains, period: float, joint_period: float
 ) -> Block:
-    """One tendon in one regime, in doubt or not.
+    """Return the filter of a tendon in a regime, with or without doubt.
 
-    The load cell's error is estimated only where tension is known, in slack; elsewhere nothing tells it from tension:
-    it is kept as it is, its growth counts in the variance, and the gains are those of a filter that does not know it.
+    The load-cell error is estimated in slack only, where the tension is known. In other regimes the
+    error is not observable: it is kept, the growing variance is included, and the gains are those
+    of a filter without the error state.
     Source: Schmidt (1966), consider states.
 
-    Encoder and load cell know the sum of excursion and offset only; joint encoders, where there are any, part the two
-    at their own pace and touch nothing else, so that the filter is the same with and without them.
+    Encoder and load cell only observe the sum of excursion and offset. Joint encoders separate both
+    at their own rate without influence on other states, so the filter is the same with and without
+    joint encoders.
     """
     regime, doubted = kind
     A, B, tension = _continuous(space, i, regime, gains)
@@ -172,9 +186,11 @@ def _block(
     innovation = H[:2] @ P @ H[:2].T + np.diag(noise**2)
     K = np.zeros((STATES, MEASUREMENTS))
     K[:, :2] = np.linalg.solve(innovation, H[:2] @ P).T
+    # Consider state: no correction of the cell error unless it is observable, see the docstring.
     K[E] *= known
     H[1, E] = 1.0
     K[S, 2] = 1.0 - math.exp(-joint_period / gains.joint_time_s) if math.isfinite(joint_period) else 0.0
+    # Travel and tension fix the sum of excursion and offset, so the offset moves the other way.
     K[O, 2] = -K[S, 2]
     drift = 0.0 if known else gains.cell_drift_N**2 / gains.cell_drift_time_s * gains.cell_tared_s
     variance = float(tension @ P @ tension) + drift  # without tension, in slack, nothing
@@ -185,7 +201,7 @@ def _block(
 
 
 def _riccati(F: Matrix, H: Matrix, Q: Matrix, R: Matrix) -> Matrix:
-    """Covariance of the prediction in steady state, solved in units in which the states are of the order of one."""
+    """Return the steady-state covariance of the prediction, solved in units with states of the order of one."""
     with deferred_stats():
         from control import dlqe
 

@@ -1,10 +1,10 @@
-"""The tension filter: load cell and encoder (and joint encoders) to tension, excursion and contact force.
+"""The tension filter: from load cell, encoder and joint encoders to tension, excursion and contact force.
 
-All tendons are one linear filter. ``correct`` takes the measurements in, ``filterpy`` predicts all states to the
-present (in ``controller.tick``), and ``conclude`` reads the estimate off. A missing measurement has no innovation, and
-neither has a saturated one: from then on the covariance is carried along until it is steady again. A single sample that
-is too far off to be true is left out. The measurements of a tick were taken one period earlier, just before the
-previous command acted.
+All tendons are a single linear filter. ``correct`` updates by the measurements, ``filterpy``
+predicts all states to the present (in ``controller.tick``), and ``conclude`` derives the estimate.
+A missing or saturated measurement has no innovation. The covariance is then propagated until it is
+steady again. A single outlier is rejected. The measurements of a tick were taken a period earlier,
+just before the previous command took effect.
 """
 
 import math
@@ -28,48 +28,62 @@ Matrix = NDArray[np.float64]
 STATES = 7
 FREE, HELD, SLACK = 0, 1, 2
 STOP_BAND_REST_M, STOP_BAND_STAY_M = 2e-5, 1e-4
-"""Excursion below which a digit may be on its open stop: to come to rest there, and to stay [m]."""
+"""Excursions of a digit on the open stop: limit for coming to rest, and limit for staying [m]."""
 STOP_PULL_REST, STOP_PULL_STAY = 0.8, 1.05
-"""Pull, as a fraction of what the springs require, below which it is: to come to rest, so little that friction cannot
-hold it just above the stop, and to stay."""
+"""Pulls of a digit on the open stop, as fractions of the springs' requirement: for coming to rest, and for staying.
+
+The first is so small that friction cannot hold the digit just above the stop.
+"""
 LOOSE_M = 2e-4
-"""Length that must hang loose for a load cell to show nothing but its error."""
+"""Slack length for a load cell showing nothing but the error [m]."""
 GATE, STRANGE = 5.0, 2.5
-"""Standard deviations of its innovation beyond which a load-cell sample is left out if it is alone; and beyond which
-two in a row on the same side are believed, and not smoothed."""
+"""Thresholds of load-cell innovations, in standard deviations.
+
+A single sample beyond the first is rejected. Two in a row beyond the second, on the same side, are
+accepted without smoothing.
+"""
 BELIEVED = 0.8
-"""Fraction of the second innovation that is believed at once."""
+"""Fraction of the second innovation accepted at once."""
 DOUBT_S, DOUBT_ABOVE, DOUBT_BELOW = 1.0, 8.0, 4.0
-"""Time over which NIS is averaged, mean from which on the model does not fit, and below which it does; 2 is right."""
+"""Averaging time of NIS [s], mean above which the model is inconsistent, and below which consistent. 2 is ideal."""
 WARY_S, WARY_ABOVE, WARY_FOR_S = 0.25, 3.2, 20.0
-"""Time over which NIS is averaged to adapt the filter's noise, mean from which on it is adapted, and for how long."""
+"""Averaging time of NIS for adapting the noise [s], mean above which noise is adapted, and duration [s]."""
 WARY_PERIOD_S = 5e-3
-"""Longest control period at which noise is adapted [s]. At 100 Hz the quicker filter hands an encoder's noise on to the
-torque: jamia11 with ODrives swung up to 234 N instead of 147, and took it for a snapped tendon."""
+"""Longest control period with adapted noise [s].
+
+At 100 Hz the faster filter passes encoder noise on to the torque: jamia11 with ODrives swung up to
+234 N instead of 147, and reported a snapped tendon.
+"""
 WARY_HAND = 2.5
-"""The same mean of all tendons of the hand: friction that is wrong in all of them shows sooner than in one."""
+"""Mean over all tendons of the hand above which noise is adapted.
+
+Wrong friction in all tendons shows sooner than in a single tendon.
+"""
 NIS_LIMIT = 100.0
-"""A larger NIS counts as this, so that one sample alone raises no doubt."""
+"""Upper limit of a NIS sample, so a single sample raises no doubt."""
 
 
 @inner
 def kind_of(x: Tables, n: int) -> int:
-    """Return the block of the design that a tendon uses: its regime, or 3 more while the filter doubts its model."""
+    """Return the design block of a tendon: the regime, plus 3 while the filter doubts the model."""
     regime = x.tendon_int[s.REGIME, n]
     return regime + 3 if x.tendon[s.WARY, n] > 0.0 else regime
 
 
 @inner
 def correct(x: Tables, c: ConstantTables, missed: int) -> None:
-    """Take in the measurements of one tick, and judge slack, stops and contact.
+    """Correct the filter by the measurements of a tick, and judge slack, stops and contact.
 
-    A digit counts as held where the block says so: by ``PLANNED_CONTACT`` or ``BLOCKED``, see ``held``.
+    A digit counts as held by ``PLANNED_CONTACT`` or ``BLOCKED``, see ``held``.
 
     Args:
-        x: tables. c: constants. missed: ticks that were skipped since the last one.
+        x: state tables.
+        c: constants of the hand.
+        missed: ticks missed since the last tick.
     """
     count = x.tendon.shape[1]
     for n in range(count):
+        # The kind may change below. The measurements are still judged by the kind of the prediction.
         x.tendon_int[s.KIND, n] = x.tendon_int[s.KIND_BEFORE, n] = kind_of(x, n)
     z = _usable(x)
     innovation = _innovation(x, c, z)
@@ -93,9 +107,10 @@ def correct(x: Tables, c: ConstantTables, missed: int) -> None:
 
 @inner
 def _usable(x: Tables) -> Matrix:
-    """Return measurements (N, 3) of encoder, load cell and joint encoders, NaN where none.
+    """Return measurements (N, 3) of encoder, load cell and joint encoders, NaN if missing.
 
-    None is one that is lost, at an end of its range, or of a tendon that is neither taut nor hangs loose for sure.
+    A lost or saturated measurement is missing, as is the load cell of a tendon neither taut nor
+    certainly slack.
     """
     z = np.empty((x.tendon.shape[1], 3))
     for n in range(len(z)):
@@ -112,7 +127,7 @@ def _usable(x: Tables) -> Matrix:
 
 @inner
 def _innovation(x: Tables, c: ConstantTables, z: Matrix) -> Matrix:
-    """Return measurements less what the filter expects, (N, 3); NaN where missing."""
+    """Return measurements minus expected values, (N, 3), NaN if missing."""
     innovation = np.empty_like(z)
     for n in range(len(z)):
         for m in range(3):
@@ -125,7 +140,7 @@ def _innovation(x: Tables, c: ConstantTables, z: Matrix) -> Matrix:
 
 @inner
 def _missing(x: Tables, z: Matrix) -> bool:
-    """Return whether a measurement is missing that the steady gains count on; in slack a load cell is none."""
+    """Return True if a measurement assumed by the steady gains is missing. In slack no load cell is assumed."""
     for n in range(len(z)):
         if math.isnan(z[n, 0]) or (math.isnan(z[n, 1]) and x.tendon_int[s.REGIME, n] != SLACK):
             return True
@@ -134,7 +149,7 @@ def _missing(x: Tables, z: Matrix) -> bool:
 
 @inner
 def _steady_gain(c: ConstantTables, n: int, kind: int, gain: Matrix, information: Vector) -> None:
-    """Write the steady gain (7, 3) of a tendon and the inverse covariance (3,) of its innovations."""
+    """Write the steady gain (7, 3) of a tendon and the inverse covariance (3,) of the innovations."""
     for i in range(STATES):
         for m in range(3):
             gain[i, m] = c.design[n, kind, h.K_AT + 3 * i + m]
@@ -144,11 +159,14 @@ def _steady_gain(c: ConstantTables, n: int, kind: int, gain: Matrix, information
 
 @inner
 def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Matrix, cell_sigma: Vector) -> None:
-    """Correct the states; leave out a load-cell sample that is alone in being far off, believe two in a row.
+    """Correct the states. Reject a single load-cell outlier, accept two in a row.
 
     Args:
-        x: tables. c: constants. innovation: (N, 3), NaN where missing; those left out become NaN.
-        gain: (N, 7, 3). cell_sigma: (N,) standard deviation of the load-cell innovation [N].
+        x: state tables.
+        c: constants of the hand.
+        innovation: (N, 3), NaN if missing. Rejected innovations become NaN.
+        gain: (N, 7, 3).
+        cell_sigma: (N,) standard deviation of the load-cell innovation [N].
     """
     for n in range(len(innovation)):
         cell = innovation[n, 1]
@@ -161,6 +179,7 @@ def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Ma
             kind = x.tendon_int[s.KIND, n]
             for i in range(STATES):
                 steady += c.design[n, kind, h.TENSION_AT + i] * c.design[n, kind, h.K_AT + 3 * i + 1]
+            # The steady gain follows below. Only the rest of the accepted fraction is added here.
             jump = max(BELIEVED - steady, 0.0) * cell
         if abs(surprise) > GATE and not again:
             innovation[n, 1] = math.nan
@@ -175,17 +194,17 @@ def _gate_and_correct(x: Tables, c: ConstantTables, innovation: Matrix, gain: Ma
 
 @inner
 def _nis(innovation: Vector, information: Vector) -> float:
-    """Return the normalised innovation squared of encoder and load cell; NaN where one is missing."""
+    """Return the normalised innovation squared of encoder and load cell, NaN if either is missing."""
     encoder, cell = innovation[0], innovation[1]
     return (information[0] * encoder + information[1] * cell) * encoder + information[2] * (cell * cell)
 
 
 @inner
 def _judge_innovation(x: Tables, c: ConstantTables, innovation: Matrix, information: Matrix, full: bool) -> None:
-    """Average NIS and judge whether the model still fits.
+    """Average NIS, and judge the consistency of the model.
 
-    Two averages are kept. The slow one tells the operator. The quick one adapts the filter's noise; it is of the model
-    without any doubt, so that more noise does not hide what raised it.
+    There are two averages. The slow average informs the operator. The fast average adapts the
+    filter's noise. It assumes the model without doubt, so added noise does not hide the cause.
     """
     usual = np.empty(3)
     for n in range(len(innovation)):
@@ -199,6 +218,7 @@ def _judge_innovation(x: Tables, c: ConstantTables, innovation: Matrix, informat
         if math.isnan(nis):
             continue
         nis, period = min(nis, NIS_LIMIT), c.run[h.PERIOD]
+        # First-order low-pass. The period is short against the averaging time.
         x.tendon[s.NIS_MEAN, n] += period / DOUBT_S * (nis - x.tendon[s.NIS_MEAN, n])
         if period <= WARY_PERIOD_S:
             x.tendon[s.NIS_LATELY, n] += period / WARY_S * (nis - x.tendon[s.NIS_LATELY, n])
@@ -213,10 +233,10 @@ def _judge_innovation(x: Tables, c: ConstantTables, innovation: Matrix, informat
 
 @inner
 def _judge_noise(x: Tables, c: ConstantTables) -> None:
-    """Judge by the last innovations which tendons need more process noise.
+    """Decide by the last innovations which tendons need more process noise.
 
-    The doubt outlasts its cause: friction that is wrong shows only while a tendon moves, and does most harm when it
-    turns next.
+    The doubt outlasts the cause: wrong friction is visible only during motion, and has most effect
+    at the next reversal.
     """
     if c.run[h.PERIOD] > WARY_PERIOD_S:
         return
@@ -231,7 +251,7 @@ def _judge_noise(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def tension_of(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the tension of a tendon's filter state at the load cell [N], negative values included."""
+    """Return the tension of a tendon's filter state at the load cell [N], which may be negative."""
     tension, kind = 0.0, x.tendon_int[s.KIND, n]
     for i in range(STATES):
         tension += c.design[n, kind, h.TENSION_AT + i] * x.tendon[s.TRAVEL + i, n]
@@ -249,12 +269,12 @@ def free_angles(x: Tables, c: ConstantTables, row: int, found: Vector) -> None:
 
 @inner
 def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
-    """Return resistance, eager pull and pull of all tendons, (3, N) [N].
+    """Return resistance, speed-signed pull and pull of all tendons, (3, N) [N].
 
-    Resistance is the tension that springs and gravity balance. Where nothing better is known, friction takes its
-    direction from the tendon's speed at the spool: the digit's own, a light mass on a spring, is estimated so roughly
-    that its sign would chatter. The eager pull takes it from there always: it is the first to tell that a digit leaves
-    a stop.
+    Resistance is the tension in balance with springs and gravity. Without better knowledge,
+    friction has the direction of the tendon's speed at the spool. The digit's own speed, of a light
+    mass on a spring, is estimated too roughly: the sign would chatter. The speed-signed pull always
+    uses the speed at the spool, and is the first sign of a digit leaving a stop.
     """
     count, joints = x.tendon.shape[1], x.joint.shape[1]
     force, q, torque = np.zeros((3, count)), np.zeros(joints), np.zeros(joints)
@@ -276,10 +296,11 @@ def _load_forces(x: Tables, c: ConstantTables) -> Matrix:
 
 @inner
 def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
-    """Judge slack, stops and contact, set the offset when a tendon becomes taut; return ``_load_forces`` after that."""
+    """Judge slack, stops and contact, and set the offset of a newly taut tendon. Return the new ``_load_forces``."""
     force, changed = _load_forces(x, c), False
     for n in range(x.tendon.shape[1]):
         regime, cell = x.tendon_int[s.REGIME, n], x.tendon[s.MEASURED_TENSION, n]
+        # Only in slack: then the encoder alone tells how much tendon is left to wind in.
         near = regime == SLACK and x.tendon_int[s.LENGTH_KNOWN, n] == 1 and near_taut(x, n)
         points = turning(regime, x.tendon_int[s.TURNING, n], tension_of(x, c, n), cell, x.tendon[s.CELL_ERROR, n], near)
         if has_turned(regime, points):
@@ -310,14 +331,14 @@ def _judge_regimes(x: Tables, c: ConstantTables) -> Matrix:
 
 @inner
 def held(x: Tables, d: int) -> bool:
-    """Return whether a digit is known to touch: by its program under torque, or because it is blocked."""
+    """Return True if a digit is in contact: by the program under torque, or blocked."""
     acting = 3 <= x.run_int[s.MODE] <= 5  # ARMING, ACTIVE, RELAX
     return (acting and x.digit_int[s.PLANNED_CONTACT, d] == 1) or x.digit_int[s.BLOCKED, d] == 1
 
 
 @inner
 def _at_stop(was: bool, excursion: float, force: float, resistance: float) -> bool:
-    """Return whether springs hold the digit on its open stop against the tendon."""
+    """Return True if springs hold the digit on the open stop against the tendon."""
     if was:
         return excursion < STOP_BAND_STAY_M and force < resistance * STOP_PULL_STAY
     return excursion < STOP_BAND_REST_M and force < resistance * STOP_PULL_REST
@@ -325,24 +346,25 @@ def _at_stop(was: bool, excursion: float, force: float, resistance: float) -> bo
 
 @inner
 def _adapt(x: Tables) -> None:
-    """Choose the blocks for the prediction, now that regimes and doubts are judged."""
+    """Choose the design blocks for the prediction, by the judged regimes and doubts."""
     for n in range(x.tendon.shape[1]):
         x.tendon_int[s.KIND, n] = kind_of(x, n)
 
 
 @inner
 def _unexplained(x: Tables, c: ConstantTables, force: Matrix) -> None:
-    """Write the load force that the model lacks, positive against closing; none in slack and on the open stop."""
+    """Write the load force beyond the model, positive against closing, 0 in slack and on the open stop."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL, n] = 0.0
         if x.tendon_int[s.REGIME, n] != SLACK and not x.tendon_int[s.STOPPED, n]:
             damping = c.tendon[h.LOAD_DAMPING, n] * x.tendon[s.EXCURSION_RATE, n]
+            # Sign: pull of the tendon minus requirement. An object that resists closing makes it positive.
             x.tendon[s.EXTERNAL, n] = force[2, n] - force[0, n] - damping
 
 
 @inner
 def not_started(x: Tables) -> None:
-    """Write what is known before every sensor was read: nothing."""
+    """Write the estimate before all sensors were read: no information."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.EXTERNAL, n] = 0.0
         x.tendon[s.INNOVATION, n] = x.tendon[s.NIS, n] = math.nan
@@ -351,8 +373,9 @@ def not_started(x: Tables) -> None:
 
 @inner
 def conclude(x: Tables, c: ConstantTables) -> None:
-    """Read the estimate off the predicted states: tensions, their standard deviations, angles of the free digits."""
+    """Derive the estimate from the predicted states: tensions, standard deviations, angles of free digits."""
     for n in range(x.tendon.shape[1]):
+        # A tendon cannot push.
         x.tendon[s.TENSION, n] = max(tension_of(x, c, n), 0.0)
         x.tendon[s.SIGMA, n] = math.sqrt(c.design[n, x.tendon_int[s.KIND, n], h.VARIANCE_AT])
         if x.run_int[s.CARRIED]:

@@ -1,4 +1,4 @@
-"""Measurements of one tick from what drives and sensors sent, with positions dropped that no rotor can have reached."""
+"""Measurements of a tick from the received values, with rejection of impossible positions."""
 
 import math
 
@@ -15,7 +15,7 @@ from handctl.drives.sensors.node import TENSION_TOP_N, TENSION_ZERO_N
 
 @inner
 def measure(x: Tables, c: ConstantTables) -> None:
-    """Write what is new in this tick, NaN for the rest."""
+    """Write the new values of the tick, NaN for all others."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.MEASURED_POSITION, n] = math.nan
         if x.tendon_int[s.ANSWERED, n] > 0:
@@ -36,12 +36,13 @@ def measure(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def screen(x: Tables, c: ConstantTables, missed: int) -> None:
-    """Drop positions that no rotor and no joint can have reached since the last one that was accepted.
+    """Reject positions out of reach for rotor or joint since the last accepted position.
 
     Args:
-        x: tables. c: constants.
-        missed: ticks that were skipped before this one: what moves went on meanwhile, and the reading may answer a
-            question of before them.
+        x: state tables.
+        c: constants of the hand.
+        missed: ticks missed before the present tick. Motion went on meanwhile, and the reading may
+            reply to an older request.
     """
     for n in range(x.tendon.shape[1]):
         _screened(
@@ -67,14 +68,21 @@ def _screened(
     limit: float,
     missed: int,
 ) -> None:
-    """Drop a position that is too far from the last one that was accepted.
+    """Reject a position too far from the last accepted position.
 
     Args:
-        table: of the position, (rows, n). i: its column.
-        measured, accepted, gap_row, jump, dropped: rows of what is kept of it.
-        limit: largest step in a period [rad]. missed: as in ``screen``.
+        table: of the position, (rows, n).
+        i: column of the position.
+        measured: row of the measurement.
+        accepted: row of the last accepted position.
+        gap_row: row of the ticks since then.
+        jump: row of the rejected step.
+        dropped: row of the rejections in a row.
+        limit: largest step in a period [rad].
+        missed: as in ``screen``.
     """
     value = table[measured, i]
+    # A comparison with NaN is False: without a value or an accepted position no step is rejected.
     step, gap = abs(value - table[accepted, i]), table[gap_row, i] + 1.0 + missed
     table[jump, i] = 0.0
     if step > limit * gap:
@@ -89,7 +97,7 @@ def _screened(
 
 @inner
 def unscreened(x: Tables) -> None:
-    """Note that no position was judged in this tick, because no torque acts."""
+    """Mark all positions as unjudged, because no torque acts."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.JUMP, n] = 0.0
     for j in range(x.joint.shape[1]):
@@ -98,7 +106,7 @@ def unscreened(x: Tables) -> None:
 
 @inner
 def convert(x: Tables, c: ConstantTables) -> None:
-    """Write travel, motor force and excursion that follow from the positions that are left."""
+    """Write travel, motor force and excursion from the accepted positions."""
     for n in range(x.tendon.shape[1]):
         spool = c.tendon[h.SPOOL, n]
         x.tendon[s.MEASURED_TRAVEL, n] = x.tendon[s.MEASURED_POSITION, n] * spool
@@ -113,7 +121,7 @@ def convert(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def start(x: Tables, c: ConstantTables) -> None:
-    """Start the tension filter once every encoder and load cell was read: hand open, tendons slack."""
+    """Start the tension filter after the first reading of every encoder and load cell: hand open, tendons slack."""
     for n in range(x.tendon.shape[1]):
         group = c.tendon_int[h.CELL_GROUP, n]
         if group < 0 or x.group_int[s.GROUP_FRAMES, group] == 0 or math.isnan(x.tendon[s.POSITION, n]):

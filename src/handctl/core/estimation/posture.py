@@ -1,18 +1,19 @@
-"""Joint angles of digits with fewer tendons than joints, with their standard deviation.
+"""Joint angles of digits with fewer tendons than joints, with standard deviations.
 
-Excursions fix the joint angles of a digit up to the null space of its moment arms. A free digit takes its coupling,
-q = B theta. In contact it does not: the object turns the joints against each other, by the torque of the contact times
-the compliance that the springs leave in the null space, N (N^T K N)^-1 N^T. The torque's size is measured (tension that
-nothing explains), its place on the digit is not. The estimate is the mean over places: the middle of each link, the
-tip, and all joints alike. What these places differ by is the standard deviation, together with
+Excursions determine the joint angles of a digit up to the null space of the moment arms. A free
+digit has the angles of its coupling, q = B theta. In contact the object turns the joints against
+each other, by the contact's torque times the compliance of the springs in the null space, N (N^T K
+N)^-1 N^T. The torque is measured (unexplained tension), the place on the digit is not. The estimate
+is the mean over places: the middle of each link, the tip, and all joints alike. The standard
+deviation consists of the differences between places, and of
 
-- the tension that the model errs by anyway, at each of these places,
-- capstan friction, which changes its sign with the direction of motion,
-- the free digit's own error: springs and gravity that do not fit its coupling,
+- the model's error of tension, at each of these places,
+- capstan friction, with a sign by the direction of motion,
+- the free digit's own error: springs and gravity not matching the coupling,
 - the excursion's error.
 
-Joint encoders, where there are any, are fused with that as a prior (Kalman update with the prior's full covariance).
-Digits with as many tendons as joints have no null space: their angles are those of the excursions.
+Joint encoders, if present, are fused with this prior (Kalman update with the full covariance).
+Digits with as many tendons as joints have no null space: excursions determine the angles.
 """
 
 import math
@@ -31,34 +32,36 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 MODEL_ERROR_N = 0.5
-"""Tension that the model errs by in free motion, standard deviation [N]: friction and springs as told."""
+"""Model error of the tension in free motion, standard deviation, for friction and springs of the hand file [N]."""
 MODEL_ERROR = 0.15
-"""The same as a fraction of the unexplained tension."""
+"""Model error of the tension, as a fraction of the unexplained tension."""
 STRETCH_ERROR = 0.03
-"""Error of the tendons' stiffness, as a fraction: it turns stretch into excursion."""
+"""Error of the tendons' stiffness, as a fraction. The error converts stretch into excursion."""
 FRICTION_FRACTION = 0.5
-"""Standard deviation of what friction turns the joints by, as a fraction of what fully developed friction would."""
+"""Standard deviation of the turn by friction, as a fraction of the turn by fully developed friction."""
 LEVER_LEAST_M2 = 1e-8
-"""Smallest square of a lever [m^2]: a place without any (all joints alike) turns nothing."""
+"""Smallest square of a lever [m^2]. A place without lever (all joints alike) has no turn."""
 READING_LIMIT_S = 0.1
-"""Age from which on a joint encoder's reading is not used [s]."""
+"""Largest age of a joint encoder's reading [s]."""
 ADVANCE_ERROR = 1.0
-"""Error of the rate by which a reading is advanced to the present, as a fraction: the rate is the free digit's."""
+"""Error of the rate for advancing a reading to the present, as a fraction. The rate is the free digit's."""
 TURN_LEAST_RAD = 1e-9
-"""Turn below which a joint's range limits nothing [rad]."""
+"""Smallest turn limited by a joint's range [rad]."""
 RELEASE_S = 0.15
-"""Time constant in which the effect of a contact fades: friction holds the joints where they are for a while [s]."""
+"""Time constant of the fading effect of a contact [s]. Friction holds the joints for a while."""
 UPDATE_S, SMOOTH_S = 8e-3, 20e-3
-"""Period of the estimate in the null space, and time constant of its turn [s]."""
+"""Period of the estimate in the null space, and time constant of the turn [s]."""
 
 
 @inner
 def joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> None:
-    """Estimate the joint angles of one tick, and their standard deviations.
+    """Estimate the joint angles of a tick, and the standard deviations.
 
     Args:
-        x: tables, with the free digits' angles in ``Q``. c: constants.
-        k: number of the tick. t_ns: its time [ns].
+        x: state tables, with the free digits' angles in ``Q``.
+        c: constants of the hand.
+        k: number of the tick.
+        t_ns: time of the tick [ns].
     """
     spread, variance = _by_excursion(x, c)
     if not c.run_int[h.NULL_SPACE]:
@@ -66,6 +69,7 @@ def joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> None:
             x.joint[s.Q_SIGMA, j] = math.sqrt(variance[j])
         return
     for d in range(x.digit.shape[1]):
+        # Rises at once with the touch, and decays with RELEASE_S.
         x.digit[s.PRESSED, d] = max(x.digit[s.TOUCH, d], x.digit[s.PRESSED, d] * c.run[h.PRESSED_KEPT])
     update = k % c.run_int[h.POSTURE_TICKS] == 0
     columns = np.zeros((0, 0))
@@ -81,7 +85,7 @@ def joint_angles(x: Tables, c: ConstantTables, k: int, t_ns: int) -> None:
 
 @inner
 def _by_excursion(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]:
-    """Return (J, N) deviations of the joint angles by each tendon's excursion [rad], and their squares' sums (J,)."""
+    """Return deviations (J, N) of the joint angles by each tendon's excursion [rad], and the sums of squares (J,)."""
     joints, tendons = x.joint.shape[1], x.tendon.shape[1]
     spread, total = np.zeros((joints, tendons)), np.zeros(joints)
     for n in range(tendons):
@@ -96,9 +100,9 @@ def _by_excursion(x: Tables, c: ConstantTables) -> tuple[Matrix, Vector]:
 
 @inner
 def _columns(x: Tables, c: ConstantTables) -> Matrix:
-    """Return deviations (2 H + 2, J) [rad] whose squares add up to the covariance in the null space; write the turn.
+    """Return deviations (2 H + 2, J) [rad] with the null-space covariance as sum of squares. Write the turn.
 
-    The levers are those at the last estimate, which makes the ticks the iterations of a fixed point.
+    The levers are those of the last estimate: the ticks are the iterations of a fixed point.
     """
     places, joints = c.place_joint.shape[1], x.joint.shape[1]
     columns = np.zeros((2 * places + 2, joints))
@@ -112,6 +116,7 @@ def _columns(x: Tables, c: ConstantTables) -> Matrix:
         x.joint[s.TURN, j] = turn
         for place in range(places):
             root = math.sqrt(c.place_joint[h.PLACE_WEIGHT, place, j])
+            # Square root of a probability: the squares then add up to the variance over places.
             columns[place, j] = root * (turns[place, j] - turn)
             columns[places + place, j] = root * doubt[place, j]
     for row in range(places, 2 * places + 2):
@@ -129,10 +134,7 @@ def _columns(x: Tables, c: ConstantTables) -> Matrix:
 
 @inner
 def _turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
-    """Return joint angles by which a contact at each place turns a digit, and by which the tension's error does.
-
-    (H, J) [rad] each.
-    """
+    """Return the turn of joints by a contact at each place, and by the error of tension, (H, J) [rad] each."""
     places, joints = c.place_joint.shape[1], x.joint.shape[1]
     turns, doubt = np.zeros((places, joints)), np.zeros((places, joints))
     torque, error = np.zeros(joints), np.zeros(joints)
@@ -154,7 +156,7 @@ def _turns(x: Tables, c: ConstantTables) -> tuple[Matrix, Matrix]:
 
 @inner
 def _place_levers(c: ConstantTables, place: int, q: Vector, lever: Vector) -> None:
-    """Write the levers (J,) [m] of a force on each digit at a place about its joints."""
+    """Write the levers (J,) [m] of a force on each digit at a place about the joints."""
     joints = len(q)
     for j in range(joints):
         lever[j] = 0.0
@@ -177,12 +179,17 @@ def _turn_of_digit(
     turns: Vector,
     doubt: Vector,
 ) -> None:
-    """Write what a contact with these levers turns one digit by.
+    """Write the turn of a digit by a contact with given levers.
 
     Args:
-        x: tables. c: constants. d: index of the digit.
-        lever: (J,) [m]. torque, error: (J,) torque of the contact and its standard deviation [N m].
-        turns, doubt: (J,) results [rad].
+        x: state tables.
+        c: constants of the hand.
+        d: index of the digit.
+        lever: (J,) [m].
+        torque: (J,) torque of the contact [N m].
+        error: (J,) standard deviation of the torque [N m].
+        turns: (J,) result: turn [rad].
+        doubt: (J,) result: standard deviation of the turn [rad].
     """
     first, end = c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]
     size, work, work_error = 0.0, 0.0, 0.0
@@ -206,7 +213,7 @@ def _turn_of_digit(
 
 @inner
 def _room(x: Tables, c: ConstantTables, d: int, turn: Vector, sign: float) -> float:
-    """Return the fraction, 0 to 1, of a digit's turn (J,) [rad] that its joints' ranges leave at the free angles."""
+    """Return the fraction, 0 to 1, of a digit's turn (J,) [rad] within the joints' ranges at the free angles."""
     least = 1.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
         way, q = sign * turn[j], x.joint[s.Q, j]
@@ -217,7 +224,7 @@ def _room(x: Tables, c: ConstantTables, d: int, turn: Vector, sign: float) -> fl
 
 @inner
 def _free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
-    """Write by what friction, and springs and gravity beside the coupling, turn a free digit, (2, J) [rad]."""
+    """Write the turns of a free digit by friction, and by springs and gravity off the coupling, (2, J) [rad]."""
     joints = x.joint.shape[1]
     torque = np.zeros((2, joints))
     static_torque(c, x.joint[s.Q], torque[1])
@@ -238,11 +245,14 @@ def _free_errors(x: Tables, c: ConstantTables, turn: Matrix) -> None:
 
 @inner
 def _fuse(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: int) -> None:
-    """Correct the angles by joint encoders, one after the other, since their noises are independent.
+    """Correct the angles by joint encoders, one after the other, because their noises are independent.
 
     Args:
-        x: tables. c: constants. columns: (C, J), spread: (J, N) deviations whose squares add up to the prior's
-            covariance [rad]. t_ns: present time [ns].
+        x: state tables.
+        c: constants of the hand.
+        columns: (C, J) deviations, with the prior's covariance as sum of squares [rad].
+        spread: (J, N) further deviations [rad].
+        t_ns: present time [ns].
 
     Source: sequential measurement update of the Kalman filter (Bierman 1977).
     """
@@ -269,6 +279,7 @@ def _fuse(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: i
         noise = c.joint[h.ENCODER_VARIANCE, j] + square(ADVANCE_ERROR * moved)
         residual = x.joint[s.JOINT_ANGLE, j] + moved - x.joint[s.Q, j]
         for a in range(joints):
+            # The row is copied, because the loop below overwrites the covariance.
             gain[a], before[a] = covariance[a, j] / (covariance[j, j] + noise), covariance[j, a]
         for a in range(joints):
             x.joint[s.Q, a] += gain[a] * residual
@@ -282,7 +293,7 @@ def _fuse(x: Tables, c: ConstantTables, columns: Matrix, spread: Matrix, t_ns: i
 
 @inner
 def tip_levers(c: ConstantTables, q: Vector, lever: Vector) -> None:
-    """Write the levers (C,) [m] of forces at the digits' tips, normal to the last link, about their coordinates."""
+    """Write the levers (C,) [m] of forces at the digits' tips, normal to the last link, about the coordinates."""
     joints = len(q)
     for k in range(len(lever)):
         lever[k] = 0.0
@@ -296,10 +307,10 @@ def tip_levers(c: ConstantTables, q: Vector, lever: Vector) -> None:
 
 @inner
 def tip_forces(x: Tables, c: ConstantTables) -> None:
-    """Write tip-equivalent forces of all digits, and their standard deviations by those of angles and tensions.
+    """Write tip-equivalent forces of all digits, and the standard deviations from those of angles and tensions.
 
-    The tip-equivalent force is the one normal to the last link, at its tip, that a torque of the digit stands for. A
-    one-tendon finger does not tell where it is touched; the tip is then a convention.
+    The tip-equivalent force is normal to the last link, at the tip, with the same torque. A
+    one-tendon finger gives no information on the place of contact. The tip is then a convention.
     """
     coordinates = x.coordinate.shape[1]
     torque, lever, turned = np.zeros(coordinates), np.zeros(coordinates), np.zeros(coordinates)
@@ -314,6 +325,7 @@ def tip_forces(x: Tables, c: ConstantTables) -> None:
         x.digit[s.TIP_FORCE, d] = _over(c, d, lever, torque) / _over(c, d, lever, lever)
         x.digit[s.TIP_FORCE_SIGMA, d] = 0.0
     for j in range(len(q)):
+        # Numerical derivative by a step of one standard deviation.
         q[j] = x.joint[s.Q, j] + x.joint[s.Q_SIGMA, j]
         tip_levers(c, q, turned)
         q[j] = x.joint[s.Q, j]

@@ -13,11 +13,13 @@ with deferred_stats():
 
 
 def predict(model: HandModel, layout: Layout, block: Block, missed: int = 0) -> None:
-    """Predict the states of all tendons; of ticks that were skipped nothing was planned.
+    """Predict the states of all tendons. Missed ticks had no planned motion.
 
     Args:
-        model: the hand. layout: of the block. block: the state, changed.
-        missed: ticks that were skipped before this one.
+        model: the hand.
+        layout: of the block.
+        block: the state, modified in place.
+        missed: ticks missed before the present tick.
     """
     n, first = model.tendon_count, layout.start("tendon")
     states, inputs = block[first : first + 7 * n], block[first + 7 * n : first + 9 * n]

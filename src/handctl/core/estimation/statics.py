@@ -1,4 +1,4 @@
-"""Known forces along the tendons: what springs and gravity require, and what friction leaves of a tension."""
+"""Known forces along the tendons: requirement of springs and gravity, and tension after friction."""
 
 import math
 
@@ -16,7 +16,7 @@ Vector = NDArray[np.float64]
 def static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
     """Write the joint torques of gravity and springs, (J,) [N m], at joint angles q (J,) [rad].
 
-    A link's weight acts on its own joint and on all joints between it and the palm.
+    A link's weight acts on the link's joint and on all joints towards the palm.
     """
     for d in range(c.digit_int.shape[1]):
         first, end = c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]
@@ -25,6 +25,7 @@ def static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
             angle += q[j]
             torque[j] = c.joint[h.WEIGHT_X, j] * math.sin(angle) - c.joint[h.WEIGHT_Y, j] * math.cos(angle)
         carried = 0.0
+        # From the tip inwards: each joint carries the weight of all links beyond.
         for j in range(end - 1, first - 1, -1):
             carried += torque[j]
             torque[j] = carried + c.joint[h.SPRING, j] * (q[j] + c.joint[h.PRELOAD, j])
@@ -32,7 +33,7 @@ def static_torque(c: ConstantTables, q: Vector, torque: Vector) -> None:
 
 @inner
 def torque_to_tension(c: ConstantTables, torque: Vector, tension: Vector) -> None:
-    """Write the smallest tensions (N,) [N] that make joint torques (J,) [N m]."""
+    """Write the smallest tensions (N,) [N] for joint torques (J,) [N m]."""
     for n in range(len(tension)):
         d = c.tendon_int[h.DIGIT, n]
         tension[n] = 0.0
@@ -42,13 +43,13 @@ def torque_to_tension(c: ConstantTables, torque: Vector, tension: Vector) -> Non
 
 @inner
 def pull(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, found: Vector) -> None:
-    """Write the tensions at the joints that make the torques of tensions at the load cells, friction taken off.
+    """Write the tensions at the joints, friction subtracted, with the torques of tensions at the load cells.
 
     Args:
-        c: constants.
+        c: constants of the hand.
         q: (J,) joint angles [rad].
         tension: (N,) at the load cells [N].
-        developed: (N,) how far friction is developed, 1 winding, -1 paying out.
+        developed: (N,) development of friction, 1 winding, -1 paying out.
         found: (N,) result [N].
 
     Source: capstan equation.
@@ -66,12 +67,15 @@ def pull(c: ConstantTables, q: Vector, tension: Vector, developed: Vector, found
 
 @inner
 def winding_efficiency(c: ConstantTables, n: int, q: Vector) -> float:
-    """Return the fraction of a tendon's load-cell tension that acts at its joints while it winds.
+    """Return the fraction of a tendon's load-cell tension at the joints while winding.
 
-    The mean over its pulleys, weighted by their moment arms. Paying out, it is about one over that.
+    The mean over the pulleys, weighted by moment arms. The fraction while paying out is about the
+    reciprocal.
 
     Args:
-        c: constants. n: index of the tendon. q: (J,) joint angles [rad].
+        c: constants of the hand.
+        n: index of the tendon.
+        q: (J,) joint angles [rad].
     """
     d, wrapped, efficiency = c.tendon_int[h.DIGIT, n], c.tendon[h.WRAP, n], 0.0
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):

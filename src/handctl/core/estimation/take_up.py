@@ -1,4 +1,4 @@
-"""When a tendon goes slack and when it is taut again, by what its load cell says tick after tick."""
+"""Transitions of a tendon between slack and taut, by the load cell over consecutive ticks."""
 
 import math
 
@@ -8,29 +8,40 @@ from handctl.core.block import Tables
 
 SLACK = 2
 SLACK_BELOW_N, SLACK_TICKS = 1.0, 3
-"""Estimated and measured tension below this (two standard deviations of the load cell) for so many ticks is slack."""
+"""Limit of estimated and measured tension in slack (two standard deviations of the load cell) [N], ticks in a row."""
 TAUT_ABOVE_N, TAUT_AT_ONCE = 2.5, 6
 LIKELY_ABOVE_N, LIKELY = 1.5, 2
 POSSIBLE_ABOVE_N, POSSIBLE = 1.0, 1
-"""Points that a load-cell sample above a tension counts for a taut tendon; below all of them it takes ``AGAINST`` away.
-A sample above the first (five standard deviations) ends slack at once."""
+"""Points towards a taut tendon for a load-cell sample above each tension. A sample below all subtracts ``AGAINST``.
+
+A sample above the first (five standard deviations) ends slack at once.
+"""
 AGAINST, TAUT_POINTS = 2, 6
-"""Noise of 0.5 N alone hardly ever comes to so many points, nor does a cell that has drifted by less than 1 N."""
+"""Points subtracted per sample, and points of a taut tendon.
+
+Noise of 0.5 N alone hardly ever reaches the points, nor does a cell with a drift below 1 N.
+"""
 NEAR_M, NEAR_FACTOR = 5e-5, 3
-"""A tendon that by its encoder hangs no looser than this is about to become taut, and every point counts threefold: a
-sample of three standard deviations ends slack at once. Stops and friction leave its length open by about as much."""
+"""Slack length of a nearly taut tendon, by the encoder [m], and factor on the points then.
+
+A sample of three standard deviations ends slack at once then. Stops and friction leave the length
+uncertain by about as much.
+"""
 
 
 @inner
 def turning(regime: int, points: int, tension: float, cell: float, error: float, near: bool) -> int:
     """Return the evidence for becoming taut (in slack: points) or slack (taut: consecutive ticks).
 
-    A missing sample ends a count of ticks and leaves points as they are.
+    A missing sample resets the ticks, and keeps the points.
 
     Args:
-        regime: of the tendon. points: so far. tension: estimated [N]. cell: load cell [N].
-        error: of the load cell, as far as it is known [N].
-        near: whether the spool has wound in what hung loose.
+        regime: of the tendon.
+        points: so far.
+        tension: estimated [N].
+        cell: load cell [N].
+        error: known error of the load cell [N].
+        near: True if the spool has wound in the slack length.
     """
     if regime != SLACK:
         return points + 1 if tension < SLACK_BELOW_N and cell < SLACK_BELOW_N else 0
@@ -50,22 +61,25 @@ def turning(regime: int, points: int, tension: float, cell: float, error: float,
 
 @inner
 def near_taut(x: Tables, n: int) -> bool:
-    """Return whether a slack tendon of known length is about to become taut by its encoder."""
+    """Return True if a slack tendon of known length is nearly taut by the encoder."""
     return x.tendon[s.TRAVEL, n] - x.tendon[s.EXCURSION, n] - x.tendon[s.STRETCH_OFFSET, n] > -NEAR_M
 
 
 @inner
 def has_turned(regime: int, points: int) -> bool:
-    """Return whether that is enough to end a regime."""
+    """Return True if the evidence ends a regime."""
     return points >= (TAUT_POINTS if regime == SLACK else SLACK_TICKS)
 
 
 @inner
 def take_up(x: Tables, n: int, stiffness: float, cell: float) -> None:
-    """Set the offset of a tendon that has become taut, so that stretch and load cell agree.
+    """Set the offset of a newly taut tendon to make stretch and load cell agree.
 
     Args:
-        x: tables. n: index of the tendon. stiffness: [N/m]. cell: load cell [N].
+        x: state tables.
+        n: index of the tendon.
+        stiffness: [N/m].
+        cell: load cell [N].
     """
     if x.tendon_int[s.STOPPED, n]:
         x.tendon[s.EXCURSION, n] = 0.0

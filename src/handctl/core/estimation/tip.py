@@ -1,6 +1,7 @@
-"""Tip-equivalent force: the force normal to the last link, at its tip, that a torque of the digit stands for.
+"""Tip-equivalent force: the force normal to the last link, at the tip, with the torque of the digit.
 
-A one-tendon finger does not tell where it is touched; the tip is then a convention, and the name says so.
+A one-tendon finger gives no information on the place of contact. The tip is a convention, as the
+name indicates.
 """
 
 import math
@@ -12,13 +13,14 @@ from handctl.hand.dynamics import DigitModel
 
 
 def joint_lever(digit: DigitModel, q: Vector) -> Vector:
-    """Lever of a force normal to the last link at the tip about each joint: J^T n, (n,) [m].
+    """Return the lever of a force normal to the last link at the tip about each joint: J^T n, (n,) [m].
 
     Args:
         digit: the digit.
         q: (n,) joint angles [rad].
     """
     beyond, reach, lever = 0.0, 0.0, []
+    # From the tip inwards, with the angle to the last link.
     for length, angle in zip(reversed(digit.lengths), reversed(q.tolist()), strict=True):
         reach += length * math.cos(beyond)
         beyond += angle
@@ -27,17 +29,17 @@ def joint_lever(digit: DigitModel, q: Vector) -> Vector:
 
 
 def tip_lever(digit: DigitModel, q: Vector) -> Vector:
-    """The same in the digit's coordinates: B^T J^T n, (n_c,) [m]."""
+    """Return the same lever in the digit's coordinates: B^T J^T n, (n_c,) [m]."""
     return np.asarray(digit.coupling.T @ joint_lever(digit, q))
 
 
 def tip_force(digit: DigitModel, q: Vector, external: Vector) -> float:
-    """Tip-equivalent force [N] of the tension that contact explains.
+    """Return the tip-equivalent force of a contact [N].
 
     Args:
         digit: the digit.
         q: (n,) joint angles [rad].
-        external: (n_t,) tension balanced by contact [N].
+        external: (n_t,) tension in balance with the contact [N].
     """
     lever = tip_lever(digit, q)
     torque = digit.reduced_moment_arms.T @ external

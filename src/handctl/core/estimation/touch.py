@@ -1,8 +1,8 @@
-"""Touch that nobody has planned: a digit that is on a stop, or has met something on its way.
+"""Detection of blocked digits: an unplanned contact with a stop or an object.
 
-A closing digit is judged by ``programs.contact``, finely; here it takes a force at the tip that no error of the model
-makes. The filter must know: it takes a free digit to follow its tendon, and a loop on that belief rings against a
-blocked one.
+``programs.contact`` judges a closing digit finely. The test here needs a tension beyond any error
+of the model. The filter depends on the result: it assumes a free digit to follow the tendon, and a
+loop with this assumption oscillates against a blocked digit.
 """
 
 from handctl.compiled import inner
@@ -12,19 +12,23 @@ from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 
 SMOOTH_S = 20e-3
-"""Time constant of the tension that is judged."""
+"""Time constant of the judged tension [s]."""
 BLOCKED_N, FREED_N = 6.0, 3.0
-"""Unexplained tension, the mean of a digit's tendons, from which on it is blocked, and below which it is free again:
-fast free motion with friction wrong by a half comes to 3.6 N. It is not taken as a force at the tip, since a digit that
-is curled up on its stops has no lever there."""
+"""Unexplained tension, the mean of a digit's tendons, from which the digit is blocked, and below which free again [N].
+
+Fast free motion with friction wrong by a half reaches 3.6 N. The tension is not converted to a
+force at the tip, because a digit curled up on the stops has no lever.
+"""
 PRESS_N = 30.0
-"""A digit that is blocked on its way pulls at most so much more than the way asks: the loop that holds it there is
-stiff enough to wind the tendon up to where safety must act."""
+"""Largest pull of a blocked digit beyond the trajectory's requirement [N].
+
+The loop at a blocked digit is stiff enough to wind the tendon up to the limits of safety.
+"""
 
 
 @inner
 def feel(x: Tables, c: ConstantTables) -> None:
-    """Take in what one more tick tells of each digit."""
+    """Update the blocked state of each digit."""
     for d in range(x.digit.shape[1]):
         first, end = c.digit_int[h.TENDONS_FIRST, d], c.digit_int[h.TENDONS_END, d]
         mean = 0.0
@@ -41,7 +45,7 @@ def feel(x: Tables, c: ConstantTables) -> None:
 
 @inner
 def forget(x: Tables) -> None:
-    """Begin anew: no torque acts, so that nothing can be felt."""
+    """Reset the blocked states: without torque no contact is observable."""
     for d in range(x.digit.shape[1]):
         x.digit[s.TOUCH, d] = 0.0
         if x.digit_int[s.BLOCKED, d]:

@@ -1,1 +1,1 @@
-"""Gains: their bounds, and the designs that follow from them."""
+"""Gains: bounds, files, and the designs derived from gains."""

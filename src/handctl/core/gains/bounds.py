@@ -1,4 +1,4 @@
-"""What may be set in a gains file, as data: each key with its bounds, default, unit, and whether it may change live."""
+"""Bounds of the gains as data: range, default and meaning of each key, and whether it may change during a run."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,22 +14,22 @@ from handctl.errors import ConfigError
 
 SECTIONS = ("filter", "motion", "tension", "contact")
 LIVE = ("motion", "tension", "contact")
-"""Sections that a running controller takes. The filter's gains take too long to design within ticks."""
+"""Sections accepted by a running controller. The design of the filter's gains takes too long within ticks."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """One key of the gains.
+    """A key of the gains.
 
     Attributes:
-        key: section and name, e.g. ``motion.force_N``.
-        low: least value; itself not allowed if ``open_low``.
-        high: greatest value.
-        open_low: whether the value must be greater than ``low``.
+        key: section and name, for example ``motion.force_N``.
+        low: smallest value, excluded if ``open_low``.
+        high: largest value.
+        open_low: True if the value must be greater than ``low``.
         default: of the packaged hands.
-        whole: only whole numbers.
-        live: may change while a controller runs.
-        why: what the key means; empty where its name says it all.
+        whole: True for integers.
+        live: True if a running controller accepts changes.
+        why: meaning of the key, empty if the name is enough.
     """
 
     key: str
@@ -42,13 +42,14 @@ class Bound:
     why: str
 
     def __str__(self) -> str:
+        """Return the bounds in words."""
         least = f"more than {self.low:g}" if self.open_low else f"at least {self.low:g}"
         return f"{'a whole number, ' if self.whole else ''}{least}, at most {self.high:g}"
 
 
 @cache
 def bounds() -> Mapping[str, Bound]:
-    """All keys, in the order of the model, which is where the numbers come from."""
+    """Return the bounds of all keys, in the order of the gains model, from which the numbers come."""
     found = {}
     for section in SECTIONS:
         model = cast(type[Document], Gains.model_fields[section].annotation)
@@ -61,7 +62,7 @@ def bounds() -> Mapping[str, Bound]:
 
 
 def _limits(metadata: list[Any]) -> tuple[float, float, bool]:
-    """Least and greatest value of a field, and whether the least is excluded."""
+    """Return smallest and largest value of a field, and True if the smallest is excluded."""
     low, high, open_low = float("-inf"), float("inf"), False
     for limit in metadata:
         if isinstance(limit, Gt):
@@ -74,21 +75,22 @@ def _limits(metadata: list[Any]) -> tuple[float, float, bool]:
 
 
 def flat(gains: Gains) -> dict[str, float]:
-    """Every key with its value."""
+    """Return the value of every key."""
     return {key: getattr(getattr(gains, key.partition(".")[0]), key.partition(".")[2]) for key in bounds()}
 
 
 def with_values(gains: Gains, values: Mapping[str, float], source: str, live: bool = False) -> Gains:
-    """Gains with some values changed: all of them, or an error that names the first that cannot be.
+    """Return gains with some values changed. All values are checked first.
 
     Args:
-        gains: that are changed.
+        gains: to be changed.
         values: by key.
-        source: what to call the values in messages.
-        live: only keys that a running controller takes.
+        source: name of the values in messages.
+        live: only accept keys for a running controller.
 
     Raises:
-        ConfigError: an unknown key, a value out of bounds, or a key that may not change while a controller runs.
+        ConfigError: for an unknown key, a value out of bounds, or a key fixed while a controller
+            runs.
     """
     content = gains.model_dump(by_alias=True)
     for key, value in values.items():
@@ -102,10 +104,10 @@ def with_values(gains: Gains, values: Mapping[str, float], source: str, live: bo
 
 
 def checked(key: str, value: float, source: str) -> Bound:
-    """The bounds of a key that a value obeys.
+    """Return the bounds of a key after checking a value.
 
     Raises:
-        ConfigError: there is no such key, or the value is out of its bounds.
+        ConfigError: for an unknown key, or a value out of bounds.
     """
     known = bounds().get(key)
     if known is None:

@@ -1,7 +1,8 @@
-"""Gains as data: what a person may tune, with units, bounds and the reason of each default.
+"""Gains as data: tunable values with units, bounds and the reason of each default.
 
-The defaults keep a gain margin of 6 dB and a phase margin of 45 degrees in both loops of the packaged hands, on the
-hand file's plant and on those drawn around it, at 500 Hz (jamia) and at the 200 Hz of jamia11 on one bus.
+The defaults keep a gain margin of 6 dB and a phase margin of 45 degrees in both loops of the
+packaged hands, on the hand file's plant and on random plants around it, at 500 Hz (jamia) and at
+the 200 Hz of jamia11 on a single bus.
 """
 
 from pathlib import Path
@@ -15,79 +16,102 @@ from handctl.hand.file.toml_text import toml_text
 class FilterGains(Document):
     """Noise assumed by the tension filter.
 
-    The disturbances stand for what the model lacks: friction, springs, contact. Their correlation times are those of
-    the motions they come from.
+    The disturbances represent effects beyond the model: friction, springs, contact. Correlation
+    times are those of the causing motions.
     """
 
     motor_disturbance_N: float = Field(0.12, gt=0, le=50)
+    """Standard deviation of the motor's disturbance force, as from friction [N]."""
     motor_disturbance_time_s: float = Field(0.05, gt=0, le=10)
+    """Correlation time of the motor's disturbance force [s]."""
     free_rate_N_per_s: float = Field(40.0, gt=0, le=1e4)
-    """How fast the tension of a freely moving digit changes, beside what the motion asks."""
+    """Rate of change of a freely moving digit's tension, beyond the planned change [N/s]."""
     free_time_s: float = Field(0.05, gt=0, le=10)
+    """Correlation time of this rate [s]."""
     held_speed_m_s: float = Field(1.5e-3, gt=0, le=1)
-    """Along the tendon, of a digit that rests on something."""
+    """Speed along the tendon of a digit at rest on an object [m/s]."""
     held_time_s: float = Field(0.1, gt=0, le=10)
+    """Correlation time of this speed [s]."""
     held_disturbance_N: float = Field(0.3, gt=0, le=50)
-    """Of the motor while its digit rests on something: it turns so slowly that what friction takes is hardly known."""
+    """Disturbance force on the motor of a held digit [N]. Friction at low speed is hardly known."""
     held_disturbance_time_s: float = Field(0.3, gt=0, le=10)
+    """Correlation time of the disturbance force on the motor of a held digit [s]."""
     held_acceleration_noise_N: float = Field(0.022, gt=0, le=10)
+    """White force noise on the rotor of a held digit [N]."""
     motor_acceleration_noise_N: float = Field(0.03, gt=0, le=10)
-    """Force on the rotor from one instant to the next that nothing explains; the more of it, the less phase the filter
-    costs the loops (Doyle and Stein, 1979), and the more of the encoder's noise reaches the torque."""
+    """White force noise on the rotor of a free digit [N].
+
+    A larger value reduces the phase lag of the filter in the loops (Doyle and Stein, 1979), and
+    passes more encoder noise on to the torque.
+    """
     joint_time_s: float = Field(0.1, gt=0, le=10)
-    """In which joint encoders part excursion from stretch offset."""
+    """Time in which joint encoders separate excursion from stretch offset [s]."""
     cell_drift_N: float = Field(1.0, gt=0, le=100)
-    """Drift of a load cell in ``cell_drift_time_s``, a random walk."""
+    """Drift of a load cell in ``cell_drift_time_s``, a random walk [N]."""
     cell_drift_time_s: float = Field(100.0, gt=0, le=1e5)
+    """Time of the drift of a load cell [s]."""
     cell_tared_s: float = Field(5.0, ge=0, le=1e5)
-    """Time since a rope was loose, for which the variance of a taut one is told."""
+    """Time since the last slack, assumed in the variance of a taut tendon [s]."""
     offset_m: float = Field(1e-5, gt=0, le=0.01)
+    """Change of the stretch offset in ``offset_time_s``, a random walk [m]."""
     offset_time_s: float = Field(60.0, gt=0, le=1e4)
+    """Time of the change of the stretch offset [s]."""
     encoder_noise_counts: float = Field(0.3, gt=0, le=100)
-    """A count's rounding: 1 / sqrt(12)."""
+    """Noise of a motor encoder in counts: rounding, 1 / sqrt(12)."""
 
 
 class MotionGains(Document):
-    """Weights of the motion loop by Bryson's rule: the error, speed error and force that count alike."""
+    """Weights of the motion loop by Bryson's rule: the equivalent error, speed error and force."""
 
     position_error_m: float = Field(6e-4, gt=0, le=0.1)
+    """Error of the excursion that weighs as much as the other two weights [m]."""
     speed_error_m_s: float = Field(0.028, gt=0, le=10)
+    """Error of the speed that weighs as much as the other two weights [m/s]."""
     force_N: float = Field(13.0, gt=0, le=500)
-    """At 500 Hz and above; slower loops bear less, see ``motion_design``."""
+    """Motor force that weighs as much as the other two weights, at 500 Hz and above [N].
+
+    The weight is smaller at lower rates, see ``motion_design``.
+    """
     inertia_share: float = Field(1.0, ge=0, le=1)
-    """Share of the rotor's inertia that is made up for on the way."""
+    """Fraction of the rotor's inertia in the feedforward."""
     friction_share: float = Field(1.0, ge=0, le=1)
-    """Share of the friction of pulleys and motor that is."""
+    """Fraction of pulley and motor friction in the feedforward."""
     disturbance_rejection: float = Field(0.7, ge=0, le=1)
-    """Share of the estimated motor disturbance that is cancelled."""
+    """Fraction of the estimated motor disturbance that is cancelled."""
     tension_feedback: float = Field(0.3, ge=0, le=5)
-    """Inner tension loop while moving: extra motor force per newton of tension error."""
+    """Inner tension loop while moving: additional motor force per newton of tension error."""
 
 
 class TensionGains(Document):
-    """Weights of the tension loop by Bryson's rule, and its rate."""
+    """Weights of the tension loop by Bryson's rule, and the rate of the setpoint."""
 
     tension_error_N: float = Field(4.0, gt=0, le=100)
+    """Error of the tension that weighs as much as the other two weights [N]."""
     speed_error_m_s: float = Field(0.03, gt=0, le=10)
+    """Tendon speed that weighs as much as the other two weights [m/s]."""
     force_N: float = Field(5.0, gt=0, le=500)
-    """As that of motion."""
+    """Motor force that weighs as much as the other two weights, at 500 Hz and above [N]."""
     integral_per_s: float = Field(3.0, ge=0, le=100)
+    """Rate of the integral of the tension error [1/s]."""
     rate_N_per_s: float = Field(200.0, gt=0, le=5000)
+    """Rate at which the tension setpoint approaches the target [N/s]."""
 
 
 class ContactGains(Document):
-    """When tension that the model does not explain counts as contact of a closing digit."""
+    """Threshold of unexplained tension for the contact of a closing digit."""
 
     threshold_N: float = Field(0.3, gt=0, le=100)
-    """As a force at the tip of a digit of two joints, smoothed over 5 ms.
+    """Contact force at the tip of a digit of two joints, smoothed over 5 ms [N].
 
-    Half as much again of a digit of three, and twice as much of one that is at the end of its way.
+    The threshold is 1.5 times as large for a digit of three joints, and 2 times as large near the
+    end of the range.
     """
     ticks: int = Field(1, ge=1, le=1000)
+    """Consecutive ticks above the threshold."""
 
 
 class Gains(Document):
-    """All gains of a controller; the defaults are those of the packaged hands."""
+    """All gains of a controller. The defaults are those of the packaged hands."""
 
     schema_: int = Field(1, alias="schema", ge=1, le=1)
     filter: FilterGains = FilterGains()
@@ -97,7 +121,7 @@ class Gains(Document):
 
 
 class Provenance(Document):
-    """Where gains come from: what a person needs to believe them, or to find out why not."""
+    """Origin of gains, as evidence for their quality."""
 
     made: str = ""
     """Date and time, ISO 8601, UTC."""
@@ -105,20 +129,20 @@ class Provenance(Document):
     """Of handctl."""
     hand: str = ""
     identity: str = ""
-    """Hash of the hand description they were made for."""
+    """Hash of the hand description at the time of design."""
     log: tuple[str, ...] = ()
-    """Recorded runs they rest on."""
+    """Recorded runs behind the gains."""
     fit: str = ""
     """Calibration file with the identified parameters."""
     study: str = ""
-    """Search that found them."""
+    """Search with these gains as result."""
     note: str = ""
     number: int = Field(0, ge=0)
-    """In the history; 0 outside of it."""
+    """Number in the history, 0 outside of a history."""
     replaces: int = Field(0, ge=0)
-    """Number of those that these took the place of; 0: the packaged ones."""
+    """Number of the replaced gains, 0 for the packaged gains."""
     restores: int | None = Field(None, ge=0)
-    """Number of those that a rollback brought back, 0 for the packaged ones; absent: these are no rollback."""
+    """Number of the gains restored by a rollback, 0 for the packaged gains. None: no rollback."""
 
 
 class GainsFile(Gains):
@@ -128,31 +152,31 @@ class GainsFile(Gains):
 
     @property
     def gains(self) -> Gains:
-        """The gains alone; what the file does not say is not said there either."""
+        """Return the gains without provenance. Unset values stay unset."""
         given = {name: getattr(self, name) for name in self.model_fields_set - {"provenance"}}
         return Gains(**given)
 
 
 def load_gains(path: Path | None) -> Gains:
-    """Gains from a TOML file, or the packaged ones.
+    """Return gains from a TOML file, or the packaged gains.
 
     Raises:
-        ConfigError: the file cannot be read or a value is out of range.
+        ConfigError: if the file cannot be read or a value is out of range.
     """
     return Gains() if path is None else load_gains_file(path).gains
 
 
 def load_gains_file(path: Path) -> GainsFile:
-    """Gains and provenance from a TOML file.
+    """Return gains and provenance from a TOML file.
 
     Raises:
-        ConfigError: the file cannot be read or a value is out of range.
+        ConfigError: if the file cannot be read or a value is out of range.
     """
     return load_document(path, GainsFile)
 
 
 def gains_text(gains: Gains, provenance: Provenance) -> str:
-    """A gains file with every value, defaults included."""
+    """Return the text of a gains file with every value, defaults included."""
     told = {key: value for key, value in provenance.model_dump().items() if value or (key == "restores" and value == 0)}
     content = gains.model_dump(by_alias=True, include=set(Gains.model_fields))
     return toml_text(content | ({"provenance": told} if told else {}))

@@ -1,9 +1,9 @@
-"""Feedback gains of the motion loop and of the tension loop, by LQR on the discrete model, once, before arming.
+"""Feedback gains of motion loop and tension loop, by LQR on the discrete model, once, before arming.
 
-Both loops act on the tension filter's prediction, which already holds the bus delay, so the delay needs no state here.
-What the prediction does not know costs phase, the more the longer it reaches: at rates below that for which the force
-weights are said, they count less.
-Source: Bryson's rule for the weights; the Riccati solution comes from ``control``.
+Both loops act on the tension filter's prediction, with the bus delay included, so the loops have no
+state for the delay. Errors of the prediction cost phase, and grow with the prediction horizon.
+Therefore the force weights are reduced at rates below 500 Hz.
+Source: Bryson's rule for the weights. The Riccati solution comes from ``control``.
 """
 
 import math
@@ -28,7 +28,7 @@ class MotionDesign:
         stiffness: motion loop, acceleration per excursion error [1/s^2].
         damping: motion loop, acceleration per speed error [1/s].
         tension: tension loop, motor force per newton of tension error [1].
-        tension_speed: tension loop, motor force per m/s of cable speed [N s/m].
+        tension_speed: tension loop, motor force per m/s of tendon speed [N s/m].
     """
 
     stiffness: Vector
@@ -38,38 +38,41 @@ class MotionDesign:
 
 
 FULL_S = 2e-3
-"""Control period up to which the force weights count in full [s]."""
+"""Longest control period with full force weights [s]."""
 
 
 def bearable(force: float, period: float) -> float:
-    """Force weight [N] at a control period [s]: a loop's stiffness goes with it, its bandwidth with their root."""
+    """Return the force weight [N] at a control period [s].
+
+    A loop's stiffness is proportional to the weight, the bandwidth to the square root.
+    """
     return force * min(1.0, math.sqrt(FULL_S / period))
 
 
 def design_motion(space: TendonSpace, gains: Gains, period: float) -> MotionDesign:
-    """LQR of both loops for every tendon.
+    """Design both loops of every tendon by LQR.
 
     Args:
-        space: the hand along its tendons.
+        space: the hand along the tendons.
         gains: weights.
         period: control period [s].
 
     Raises:
-        ConfigError: no gains follow from these weights.
+        ConfigError: if the weights lead to no gains.
     """
     return assembled(space, [design_piece(space, gains, period, piece) for piece in range(pieces(space))])
 
 
 def pieces(space: TendonSpace) -> int:
-    """How many pieces the design falls into, each short enough for one tick of a running controller."""
+    """Return the number of pieces of the design, each short enough for a tick of a running controller."""
     return 2 * len(space.spool)
 
 
 def design_piece(space: TendonSpace, gains: Gains, period: float, piece: int) -> Vector:
-    """Gain (2,) of one loop of one tendon: the motion loop of every tendon, then the tension loop of every tendon.
+    """Return the gain (2,) of a loop: pieces 0 to N - 1 are motion loops, N to 2 N - 1 tension loops.
 
     Raises:
-        ConfigError: none follows from these weights.
+        ConfigError: if the weights lead to no gains.
     """
     n = len(space.spool)
     if piece < n:
@@ -80,7 +83,7 @@ def design_piece(space: TendonSpace, gains: Gains, period: float, piece: int) ->
 
 
 def assembled(space: TendonSpace, found: list[Vector]) -> MotionDesign:
-    """The design of all its pieces."""
+    """Return the design from all pieces."""
     n, mass = len(space.spool), space.motor_mass + space.load_mass
     motion, tension = found[:n], found[n:]
     return MotionDesign(
@@ -92,10 +95,11 @@ def assembled(space: TendonSpace, found: list[Vector]) -> MotionDesign:
 
 
 def _dlqr(A: NDArray[np.float64], B: NDArray[np.float64], state: list[float], force: float, period: float) -> Vector:
-    """Gain (2,) of x' = A x + B u sampled at the period, with Bryson weights."""
+    """Return the gain (2,) of x' = A x + B u sampled at the period, with Bryson weights."""
     with deferred_stats():
         from control import dlqr
 
+    # Zero-order hold: exp([[A, B], [0, 0]] T) = [[F, G], [0, I]].
     sampled = expm(period * np.block([[A, B], [np.zeros((1, 3))]]))
     F, G = sampled[:2, :2], sampled[:2, 2:]
     K, *_ = dlqr(F, G, np.diag([1.0 / x**2 for x in state]), np.array([[1.0 / force**2]]), method="scipy")
@@ -106,14 +110,17 @@ def _dlqr(A: NDArray[np.float64], B: NDArray[np.float64], state: list[float], fo
 
 
 def _motion(mass: float, gains: Gains, period: float) -> Vector:
-    """Motor and digit as one mass on a rigid tendon, force per [m, m/s]."""
+    """Design the motion loop: motor and digit as a mass on a rigid tendon, force per [m, m/s]."""
     weights = gains.motion
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0 / mass]])
     return _dlqr(A, B, [weights.position_error_m, weights.speed_error_m_s], bearable(weights.force_N, period), period)
 
 
 def _tension(space: TendonSpace, i: int, gains: Gains, period: float) -> Vector:
-    """Rotor on the rope of a blocked digit, states tension error [N] and cable speed [m/s]."""
+    """Design the tension loop: rotor on the tendon of a blocked digit.
+
+    The states are tension error [N] and tendon speed [m/s].
+    """
     weights = gains.tension
     mass, k, b = space.motor_mass[i], space.stiffness[i], space.motor_damping[i] + space.damping[i]
     A, B = np.array([[0.0, k], [-1.0 / mass, -b / mass]]), np.array([[0.0], [1.0 / mass]])

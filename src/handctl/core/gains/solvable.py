@@ -1,4 +1,7 @@
-"""Weights that no solver makes a gain of: within their bounds each, too far apart together."""
+"""Conversion of solver failures into one-line errors.
+
+Weights may each be within the bounds, but too far apart for a solution.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -11,13 +14,13 @@ from handctl.errors import ConfigError
 
 @contextmanager
 def solvable(section: str) -> Iterator[None]:
-    """Whatever a solver says of weights becomes one line.
+    """Convert any solver failure into an error of one line.
 
     Args:
         section: of the gains.
 
     Raises:
-        ConfigError: no gain follows from them.
+        ConfigError: if the solver fails.
     """
     try:
         with np.errstate(all="ignore"):
@@ -28,10 +31,10 @@ def solvable(section: str) -> Iterator[None]:
 
 
 def check_finite(*found: NDArray[np.float64]) -> None:
-    """Refuse a solution that is none.
+    """Refuse a solution with infinite or undefined numbers.
 
     Raises:
-        ValueError: a number of it is not finite.
+        ValueError: if a number is not finite.
     """
     if not all(np.isfinite(one).all() for one in found):
         raise ValueError("not finite")

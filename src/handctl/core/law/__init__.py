@@ -1,1 +1,1 @@
-"""From goals and estimates to motor torques."""
+"""Control law: from goals and estimates to motor torques."""

@@ -1,8 +1,9 @@
 """Joint torque to tendon tension: the bounded least-squares problem of a tendon-driven digit.
 
-minimise |R^T f - tau|^2 / r^2 + regularisation |f - f_bias|^2 subject to f_min <= f <= f_max, with r the mean moment
-arm. Where the equations have a solution within the bounds it is taken as it is. If the bounds forbid the torque, the
-closest torque is taken, all coordinates weighted alike, and the shortfall is returned. Source: Lee & Tsai (1991).
+minimise |R^T f - tau|^2 / r^2 + regularisation |f - f_bias|^2 subject to f_min <= f <= f_max, with
+the mean moment arm r. A solution of the equations within the bounds is used directly. If the bounds
+forbid the torque, the closest torque is used, with equal weights of all coordinates, and the
+shortfall is returned. Source: Lee & Tsai (1991).
 """
 
 from typing import NamedTuple
@@ -12,19 +13,20 @@ import numpy as np
 from handctl.core.types import Vector
 
 REGULARISATION = 1e-6
-"""Weight of tension [N^2] against torque error as tension; small, so that it decides only among equals."""
+"""Weight of tension [N^2] against torque error as tension. Small: only a choice between equal solutions."""
 
 
 def allocate(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector) -> tuple[Vector, Vector]:
-    """Tensions that make a torque.
+    """Compute the tensions for a torque.
 
     Args:
         moment_arms: (n_t, n_c) reduced moment arms [m].
         torque: (n_c,) torque in the digit's coordinates [N m].
-        floor, ceiling: (n_t,) bounds [N].
+        floor: (n_t,) smallest tensions [N].
+        ceiling: (n_t,) largest tensions [N].
 
     Returns:
-        tensions (n_t,) [N] and the torque that is missing (n_c,) [N m].
+        Tensions (n_t,) [N] and missing torque (n_c,) [N m].
     """
     tension = _exact(moment_arms, torque)
     if tension is None or (tension < floor).any() or (tension > ceiling).any():
@@ -33,7 +35,7 @@ def allocate(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector
 
 
 def _exact(moment_arms: Vector, torque: Vector) -> Vector | None:
-    """The one solution without bounds; None if there are more tendons than coordinates."""
+    """Return the unique solution without bounds, None with more tendons than coordinates."""
     if moment_arms.shape[0] != moment_arms.shape[1]:
         return None
     if len(torque) == 1:
@@ -42,7 +44,7 @@ def _exact(moment_arms: Vector, torque: Vector) -> Vector | None:
 
 
 class _Problem(NamedTuple):
-    """What does not change in a digit's quadratic program: arms over their mean, that mean [m], and the weights."""
+    """Constants of a digit's quadratic program: arms over their mean, the mean [m], and the weights."""
 
     arms: Vector
     mean: float
@@ -55,7 +57,7 @@ MOST = 64
 
 
 def _problem(moment_arms: Vector) -> _Problem:
-    """The program of moment arms, which are constant and told apart by identity."""
+    """Return the program of moment arms, cached by identity, because moment arms are constant."""
     found = _problems.get(id(moment_arms))
     if found is not None and found[0] is moment_arms:
         return found[1]
@@ -71,17 +73,21 @@ def _problem(moment_arms: Vector) -> _Problem:
 
 
 def bounded(moment_arms: Vector, torque: Vector, floor: Vector, ceiling: Vector, near: Vector) -> Vector:
-    """The quadratic program, by daqp: tensions (n_t,) within the bounds; see ``allocate``.
+    """Solve the quadratic program by daqp: tensions (n_t,) within the bounds, see ``allocate``.
 
     Args:
-        moment_arms, torque, floor, ceiling: see ``allocate``.
-        near: (n_t,) tensions [N], the solution without bounds for one. Those that are not within the bounds make the
-            active set from which the solver starts, which halves its steps and leaves nothing to remember.
+        moment_arms: see ``allocate``.
+        torque: see ``allocate``.
+        floor: see ``allocate``.
+        ceiling: see ``allocate``.
+        near: (n_t,) tensions [N], for example the solution without bounds. Tensions out of bounds
+            form the solver's first active set. This halves the steps and needs no memory.
     """
     from daqp import solve
 
     arms, mean, weight, unconstrained = _problem(moment_arms)
     linear = -(arms.dot(torque / mean) + REGULARISATION * floor)
     start = np.minimum(np.maximum(near, floor), ceiling)
+    # Copies, because daqp may write into its arguments.
     found = solve(weight.copy(), linear, unconstrained, ceiling.copy(), floor.copy(), primal_start=start)
     return np.minimum(np.maximum(np.asarray(found[0], dtype=np.float64), floor), ceiling)

@@ -1,16 +1,17 @@
-"""Computed torque of a tendon-driven digit, and its tension loop.
+"""Computed torque of a tendon-driven digit, and the tension loop.
 
-Motion: the plan gives the joint torque by inverse dynamics, the torque gives tendon tensions, and the motor makes the
-tension plus what its own inertia and friction need, and what corrects the way:
+Motion: inverse dynamics give the joint torque of the plan, the torque gives tendon tensions, and
+the motor adds the force for its own inertia and friction, and the feedback:
 
     f = allocate(M theta_d'' + h(theta_d, theta_d'))    f_0 = f / efficiency
     u = f_0 + (m_m + m_l) (k (s_d - s) + d (s_d' - v)) + c_i m_m s_d'' + c_f (b_m v + friction(s_d'))
         - c_d disturbance + K_f (f_0 - f_hat)
 
-with excursions s = R_r theta, the tendon's speed v at the spool, which damps the rotor and not the digit behind its
-tendon, and fractions c of the gains. The rotor is some twenty times heavier than the finger m_l that it drives; the
-feedback is to accelerate both. Hold: state feedback on tension error and tendon speed, with a slow integral; where a
-way is expected, its speed and the rotor's share of it are fed forward. Source: LQR of ``motion_design``.
+with excursions s = R_r theta, the tendon's speed v at the spool, which damps the rotor and not the
+digit behind the tendon, and fractions c of the gains. The rotor is some twenty times heavier than
+the finger m_l. The feedback accelerates both. Hold: state feedback on tension error and tendon
+speed, with a slow integral. The speed and the rotor's inertia of an expected trajectory are fed
+forward. Source: LQR of ``motion_design``.
 """
 
 import math
@@ -33,26 +34,26 @@ Vector = NDArray[np.float64]
 Matrix = NDArray[np.float64]
 
 INTEGRAL_LIMIT_N = 8.0
-"""Anti-windup: the tension integral never adds more than this [N]."""
+"""Limit of the tension integral, for anti-windup [N]."""
 MOTOR_FRICTION_SPEED = 2.5e-3
-"""Tendon speed at which motor friction is taken as fully developed [m/s]: 0.5 rad/s at a 5 mm spool."""
+"""Tendon speed of fully developed motor friction [m/s]: 0.5 rad/s at a 5 mm spool."""
 UNWIND_FRACTION = 0.3
-"""Fraction of the torque limit that may be used to pay out: enough to brake the rotor, little to throw a tendon off."""
+"""Fraction of the torque limit for paying out: enough for braking the rotor, too little for throwing a tendon off."""
 TRIM_TIME_S = 0.2
-"""In which what makes up for a change of gains fades by a factor e [s]: slower than both loops, so that they follow."""
+"""Time constant of the fading trim after a change of gains [s]. Slower than both loops, so they follow."""
 TRIM_LEAST_N = 1e-3
-"""Trim below this is none [N]: a fiftieth of a torque count of the finest drive."""
+"""Trim set to 0 below this size [N]: a fiftieth of a torque count of the finest drive."""
 HELD_MARGIN_N = 1.0
-"""Above the tension that safety holds: about what the estimate may be wrong by."""
+"""Margin above the tension at the start of a hold [N]: about the error of the estimate."""
 ROUNDING = 1.0 - 1e-12
-"""Keeps an envelope that has come to rest from creeping upwards by the last bit of a division."""
+"""Factor to prevent a settled envelope from creeping upwards by rounding errors of a division."""
 RELAX_FLOOR_N = 5.0
-"""Tension to which a hand relaxes."""
+"""Tension of a relaxed hand [N]."""
 
 
 @inner
 def idle(x: Tables) -> None:
-    """Command nothing; the setpoint of a tension loop will begin at the tension that there is."""
+    """Command no torque. The setpoint of a tension loop will begin at the present tension."""
     for n in range(x.tendon.shape[1]):
         x.tendon[s.SETPOINT, n] = x.tendon[s.TENSION, n]
         x.tendon[s.INTEGRAL, n] = x.tendon[s.FORCE, n] = x.tendon[s.PLANNED, n] = x.tendon[s.RATE, n] = 0.0
@@ -66,10 +67,12 @@ def idle(x: Tables) -> None:
 
 @inner
 def restrain(x: Tables, c: ConstantTables, hold: bool) -> None:
-    """Begin or end the hold of safety: no more tension than there was when it began.
+    """Begin or end the hold of safety, with the tension at the beginning as limit.
 
     Args:
-        x: tables. c: constants. hold: whether safety demands it.
+        x: state tables.
+        c: constants of the hand.
+        hold: True if safety demands the hold.
     """
     if hold and not x.run_int[s.HOLDING]:
         for n in range(x.tendon.shape[1]):
@@ -79,10 +82,11 @@ def restrain(x: Tables, c: ConstantTables, hold: bool) -> None:
 
 @inner
 def tension_limit(x: Tables, c: ConstantTables) -> Vector:
-    """Return the tension (N,) that must not be exceeded now [N], besides the hand's own limits.
+    """Return the present tension limits (N,) [N], in addition to the hand's own limits.
 
-    A warm drive may pull less: everything up to the soft temperature, the floor at the hard one. A digit that is
-    blocked on its way pulls little more than the way asks. While safety holds, nothing may pull more than it did.
+    A warm drive is derated: full limit up to the soft temperature, the floor at the hard
+    temperature. A blocked digit may pull little more than the trajectory requires. During a hold no
+    tendon may pull more than before.
     """
     limit = np.full(x.tendon.shape[1], math.inf)
     warm = False
@@ -101,7 +105,7 @@ def tension_limit(x: Tables, c: ConstantTables) -> Vector:
 
 @inner
 def _derated(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the largest tension of a tendon by its drive's temperature; a drive that tells none counts as cool."""
+    """Return the largest tension of a tendon by the drive's temperature. A drive without temperature counts as cool."""
     soft, hard = c.run[h.TEMPERATURE_SOFT], c.run[h.TEMPERATURE_HARD]
     temperature = x.tendon[s.TEMPERATURE, n]
     if math.isnan(temperature):
@@ -113,13 +117,15 @@ def _derated(x: Tables, c: ConstantTables, n: int) -> float:
 
 @inner
 def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_loop: bool, ticks: int) -> None:
-    """Write the motor torques of this tick, and what the law carries to the next.
+    """Write the motor torques of the tick, and the control law's state for the next.
 
     Args:
-        x: tables. c: constants. way: (3, J) angles, rates and accelerations of the joints on their trajectories.
-        relax_rate: of a hand that relaxes, how fast its motor forces fall [N/s]; 0 in every other mode.
-        open_loop: whether they follow that envelope whatever is measured.
-        ticks: periods since the last tick, 1 unless ticks were missed.
+        x: state tables.
+        c: constants of the hand.
+        way: (3, J) angles, rates and accelerations of the joints on the trajectories.
+        relax_rate: rate of falling motor forces of a relaxing hand [N/s], 0 in other modes.
+        open_loop: True if motor forces equal the envelope regardless of measurements.
+        ticks: periods since the last tick, 1 without missed ticks.
     """
     limit = tension_limit(x, c)
     joints, count = x.joint.shape[1], x.tendon.shape[1]
@@ -140,6 +146,7 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
         if kind != LIMP:
             force += x.tendon[s.TRIM, n]
         asked = min(max(force, c.tendon[h.UNWIND, n]), c.tendon[h.LIMIT, n])
+        # A tension limit bounds the motor force, plus the friction that the motor has to overcome.
         asked = min(asked, limit[n] + c.tendon[h.COULOMB, n])
         if relax_rate > 0.0:
             ceiling = _envelope(x, c, n, relax_rate, ticks)
@@ -166,7 +173,7 @@ def command(x: Tables, c: ConstantTables, way: Matrix, relax_rate: float, open_l
 
 @inner
 def _along(c: ConstantTables, n: int, way: Matrix) -> tuple[float, float, float]:
-    """Return excursion [m], rate [m/s] and acceleration [m/s2] of a tendon on the trajectories of its joints."""
+    """Return excursion [m], rate [m/s] and acceleration [m/s2] of a tendon on the joints' trajectories."""
     excursion, rate, acceleration = 0.0, 0.0, 0.0
     d = c.tendon_int[h.DIGIT, n]
     for j in range(c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]):
@@ -191,14 +198,20 @@ def _move(
     """Return the motor force of computed torque [N], and write the tension goal.
 
     Args:
-        x: tables. c: constants. n: index of the tendon. limit: largest tension [N].
-        efficiency: fraction of a tension that reaches the joints while the tendon winds.
-        excursion, rate, acceleration: of the tendon on its trajectory [m], [m/s], [m/s2].
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        limit: largest tension [N].
+        efficiency: fraction of a tension at the joints while the tendon winds.
+        excursion: of the tendon on the trajectory [m].
+        rate: of the excursion [m/s].
+        acceleration: of the excursion [m/s2].
     """
     speed = x.tendon[s.SPEED, n]
     feedback = c.tendon[h.ERROR_GAIN, n] * (excursion - x.tendon[s.EXCURSION, n])
     feedback += c.tendon[h.SPEED_GAIN, n] * (rate - speed)
     counted = c.run[h.FRICTION_FRACTION]
+    # Fraction of the tension that passes the pulleys: efficiency winding, about 1 / efficiency paying out.
     passed = (1.0 - counted) + counted * math.pow(efficiency, math.tanh(rate / ROPE_FRICTION_SPEED))
     ceiling = min(c.tendon[h.CEILING, n], limit)
     tension = min(max(x.tendon[s.LOAD, n] / passed, c.tendon[h.FLOOR, n]), ceiling)
@@ -216,7 +229,14 @@ def _move(
 
 @inner
 def _hold(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[float, float, float]:
-    """Return motor force, setpoint and integral of the tension loop [N]; ``limit``: largest tension [N]."""
+    """Return motor force, setpoint and integral of the tension loop [N].
+
+    Args:
+        x: state tables.
+        c: constants of the hand.
+        n: index of the tendon.
+        limit: largest tension [N].
+    """
     target, step = min(x.tendon[s.TARGET, n], limit), x.tendon[s.TARGET_STEP, n]
     before = x.tendon[s.SETPOINT, n]
     setpoint = before + min(max(target - before, -step), step)
@@ -244,7 +264,7 @@ def _hold(x: Tables, c: ConstantTables, n: int, limit: float) -> tuple[float, fl
 
 @inner
 def _expected(x: Tables, c: ConstantTables, n: int) -> float:
-    """Return the motor force that a held tendon needs on the way on which it is expected [N]."""
+    """Return the feedforward motor force of a tension-controlled tendon on an expected trajectory [N]."""
     speed, acceleration = 0.0, 0.0
     for k in range(x.coordinate.shape[1]):
         speed += c.tendon_coordinate[h.REDUCED_ARMS, n, k] * x.coordinate[s.WAY + 1, k]
@@ -255,7 +275,7 @@ def _expected(x: Tables, c: ConstantTables, n: int) -> float:
 
 @inner
 def _envelope(x: Tables, c: ConstantTables, n: int, rate: float, ticks: int) -> float:
-    """Return the largest motor force of a hand that relaxes [N]; see ``controller.relaxing``."""
+    """Return the largest motor force of a relaxing hand [N], see ``controller.relaxing``."""
     last = x.tendon[s.ASKED, n]
     last = 0.0 if math.isnan(last) else max(last, 0.0)
     falling = max(last - rate * c.run[h.PERIOD] * ticks, 0.0)
@@ -264,9 +284,9 @@ def _envelope(x: Tables, c: ConstantTables, n: int, rate: float, ticks: int) -> 
 
 @inner
 def _motor_friction(x: Tables, c: ConstantTables, n: int, asked: float) -> float:
-    """Return what Coulomb friction takes on average of a force in the coming period [N].
+    """Return the average Coulomb friction of the motor in the coming period [N].
 
-    By the implicit midpoint rule: friction can stop a rotor within a period, but not turn it around.
+    By the implicit midpoint rule: friction can stop a rotor within a period, but not reverse it.
     """
     coasting = x.tendon[s.SPEED, n] + c.tendon[h.HALF, n] * (asked - x.tendon[s.TENSION, n])
     return c.tendon[h.COULOMB, n] * math.tanh(coasting / c.tendon[h.STOPPING, n])
@@ -274,7 +294,7 @@ def _motor_friction(x: Tables, c: ConstantTables, n: int, asked: float) -> float
 
 @inner
 def _fade(x: Tables, c: ConstantTables) -> None:
-    """Let the trim fade, all of it at once when the largest is too small to matter."""
+    """Fade the trim. The whole trim ends when the largest is negligible."""
     if not x.run_int[s.TRIMMED]:
         return
     largest = 0.0

@@ -1,10 +1,11 @@
-"""Tension of a digit that follows its tendon, where friction lets it: what the filter is told to expect next.
+"""Predicted tension of a moving digit within the friction band, as input of the filter.
 
-Friction leaves the tension a band about what springs and gravity require: its upper edge where the tendon winds, its
-lower one where it pays out. When the direction turns the digit sticks, the motor alone goes on, and the tension runs
-from one edge to the other with the tendon's stiffness: some ten milliseconds, and not when the plan turns but when the
-tendon does. At rest the digit creeps until friction has nothing to bear any more.
-Source: Prandtl's elastic-plastic element, its slider viscous below ``ROPE_FRICTION_SPEED``.
+Friction leaves a band of tensions around the requirement of springs and gravity: the upper edge
+while the tendon winds, the lower while paying out. At a reversal the digit sticks, the motor moves
+alone, and the tension runs from an edge to the other with the tendon's stiffness. This takes some
+ten milliseconds, and begins at the tendon's reversal, not the plan's. At rest the digit creeps
+until friction carries no load.
+Source: Prandtl's elastic-plastic element, with a viscous slider below ``ROPE_FRICTION_SPEED``.
 """
 
 import math
@@ -17,21 +18,23 @@ from handctl.core.constants import ConstantTables
 from handctl.hand.tendons import ROPE_FRICTION_SPEED
 
 CREEP_SPEED = 1.3 * ROPE_FRICTION_SPEED
-"""Speed at which the slider's straight line meets the band's edge, so as to be near the tanh [m/s]."""
+"""Speed at which the slider's straight line meets the band's edge, close to the tanh [m/s]."""
 FRICTION_LEAST_N = 1e-3
-"""Friction that is always assumed [N], so that a tendon without any has a band that is narrow and not nothing."""
+"""Smallest assumed friction [N], for a band of positive width."""
 EFFICIENCY_MOST = 1.0 - 1e-9
-"""The same as an efficiency."""
+"""Largest assumed efficiency, for the same reason."""
 
 
 @inner
 def look_ahead(x: Tables, c: ConstantTables, n: int, rate: float, efficiency: float) -> None:
-    """Write the tension of a moving tendon a period from now, the rate until then, and how far friction is developed.
+    """Write the tension of a moving tendon a period from now, the rate until then, and the development of friction.
 
     Args:
-        x: tables, with ``PLANNED`` of the last tick and ``FORCE`` of this one. c: constants. n: index of the tendon.
+        x: state tables, with ``PLANNED`` of the last tick and ``FORCE`` of the present.
+        c: constants of the hand.
+        n: index of the tendon.
         rate: planned speed of the tendon [m/s].
-        efficiency: fraction of a tension that reaches the joints while the tendon winds.
+        efficiency: fraction of a tension at the joints while the tendon winds.
     """
     before, period, tension = x.tendon[s.PLANNED, n], c.run[h.PERIOD], x.tendon[s.TENSION, n]
     load = x.tendon[s.LOAD, n]
@@ -54,12 +57,14 @@ def expected(now: float, load: float, efficiency: float, wound: float, stiffness
     """Return the tension of a tendon a period from now [N].
 
     Args:
-        now: tension at present [N].
-        load: tension that the digit requires without friction a period from now [N].
-        efficiency: fraction of a tension that reaches the joints while the tendon winds.
-        wound: length that the spool takes up in the period [m].
-        stiffness: of the tendon [N/m]. crept: way of a tendon that creeps in the period [m].
+        now: present tension [N].
+        load: tension required by the digit without friction a period from now [N].
+        efficiency: fraction of a tension at the joints while the tendon winds.
+        wound: length taken up by the spool in the period [m].
+        stiffness: of the tendon [N/m].
+        crept: motion of a creeping tendon in the period [m].
     """
     creep = stiffness * crept / (load * (1.0 - efficiency) + FRICTION_LEAST_N)
+    # Implicit Euler step of the viscous slider: stable for any period.
     sticking = (now + stiffness * wound + creep * load) / (1.0 + creep)
     return min(max(sticking, load * efficiency), load / efficiency)

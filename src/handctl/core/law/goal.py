@@ -1,4 +1,4 @@
-"""What each digit is asked to do at this instant, whoever asks: a task, a person or a program."""
+"""Goal of a digit at an instant, from a task, an operator or a program."""
 
 import enum
 import math
@@ -9,10 +9,10 @@ from handctl.core.types import Vector
 
 
 class Kind(enum.IntEnum):
-    """How a digit is driven."""
+    """Type of control of a digit."""
 
     LIMP = 0
-    """Enabled, but no torque."""
+    """Enabled, without torque."""
     MOTION = 1
     """Along a trajectory, by computed torque."""
     TENSION = 2
@@ -21,16 +21,16 @@ class Kind(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DigitGoal:
-    """The goal of one digit; two are the same only if they are one object, so that what follows from it can be kept.
+    """Goal of a digit. Goals are compared by identity, so derived values can be cached.
 
     Attributes:
-        kind: how it is driven.
-        trajectory: for MOTION, in the digit's coordinates; for TENSION, the way on which its cables are expected: it
-            is fed forward, and departing from it is not corrected.
-        since: time at which the trajectory starts [s on the run's clock].
+        kind: type of control.
+        trajectory: for MOTION, in the digit's coordinates. For TENSION, the expected motion: fed
+            forward, without feedback on deviations.
+        since: start of the trajectory [s on the run's clock].
         tension: for TENSION, (n_t,) target at the load cells [N].
-        rate: for TENSION, how fast the target is approached [N/s].
-        force_limit: most motor force at the cable that the goal may use [N].
+        rate: for TENSION, rate of approaching the target [N/s].
+        force_limit: largest motor force at the tendon for the goal [N].
     """
 
     kind: Kind = Kind.LIMP

@@ -1,4 +1,4 @@
-"""The goals of all digits, written into the block: they change far more rarely than ticks."""
+"""Goals of all digits, written into the block. They change far more rarely than ticks."""
 
 import functools
 
@@ -16,7 +16,9 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
     """Write goals into a block.
 
     Args:
-        model: the hand. layout: of the block. block: to be changed.
+        model: the hand.
+        layout: of the block.
+        block: the state, modified in place.
         goals: per digit.
     """
     tendon, digit = layout.table(block, "tendon"), layout.table(block, "digit")
@@ -37,21 +39,21 @@ def write_goals(model: HandModel, layout: Layout, block: Block, goals: tuple[Dig
 
 
 def _kind(goal: DigitGoal) -> Kind:
-    """Return the kind of a goal; one without its trajectory or its tension is limp."""
+    """Return the kind of a goal. A goal without trajectory or tension is limp."""
     if (goal.kind == Kind.MOTION and goal.trajectory is None) or (goal.kind == Kind.TENSION and goal.tension is None):
         return Kind.LIMP
     return goal.kind
 
 
 def sample(model: HandModel, layout: Layout, block: Block, goals: tuple[DigitGoal, ...], t: float) -> None:
-    """Write position, rate and acceleration of the trajectories that compiled code does not know, at time t [s]."""
+    """Write position, rate and acceleration of trajectories without compiled code, at time t [s]."""
     for trajectory, since, places in sampled(model, goals):
         layout.table(block, "coordinate")[s.WAY : s.WAY + 3, places] = trajectory.at(t - since)
 
 
 @functools.lru_cache(maxsize=16)
 def sampled(model: HandModel, goals: tuple[DigitGoal, ...]) -> tuple[tuple[Trajectory, float, slice], ...]:
-    """Return trajectory, beginning [s] and coordinates of the goals that are sampled."""
+    """Return trajectory, start [s] and coordinates of the sampled goals."""
     rows = zip(goals, _coordinates(model), strict=True)
     return tuple(
         (goal.trajectory, goal.since, places)
@@ -62,6 +64,6 @@ def sampled(model: HandModel, goals: tuple[DigitGoal, ...]) -> tuple[tuple[Traje
 
 @functools.lru_cache(maxsize=16)
 def _coordinates(model: HandModel) -> tuple[slice, ...]:
-    """Return where each digit's coordinates are among those of all digits."""
+    """Return the slice of each digit's coordinates among those of all digits."""
     ends = np.cumsum([digit.coupling.shape[1] for digit in model.digits]).tolist()
     return tuple(slice(end - digit.coupling.shape[1], end) for end, digit in zip(ends, model.digits, strict=True))

@@ -1,4 +1,4 @@
-"""Tensions at the joints that the goals require: the compiled reference, and what only Python can decide of it."""
+"""Tensions at the joints required by the goals: the compiled reference, and the decisions of Python."""
 
 from handctl.core import stages
 from handctl.core.hand_constants import HandConstants
@@ -9,11 +9,14 @@ from handctl.hand.dynamics import required_torque
 
 
 def write_loads(model: HandModel, layout: Layout, constants: HandConstants, block: Block, action: int = 0) -> None:
-    """Evaluate the goals and write the tensions of all tendons that move.
+    """Evaluate the goals and write the tensions of all moving tendons.
 
     Args:
-        model: the hand. layout: of the block. constants: of the hand.
-        block: the state, changed. action: what safety demands, ``safety.action.Action``.
+        model: the hand.
+        layout: of the block.
+        constants: of the hand.
+        block: the state, modified in place.
+        action: demanded by safety, ``safety.action.Action``.
     """
     known = constants.block, constants.layout.places
     undecided = stages.refer(block, layout.places, *known, action)
@@ -27,11 +30,13 @@ def write_loads(model: HandModel, layout: Layout, constants: HandConstants, bloc
 
 
 def allocate(model: HandModel, layout: Layout, block: Block, undecided: int) -> None:
-    """Solve the bounded least-squares problem of digits whose tensions leave their bounds, or are not the only ones.
+    """Solve the bounded least-squares problem of digits with tensions out of bounds or not unique.
 
     Args:
-        model: the hand. layout: of the block. block: the state, changed.
-        undecided: a bit for each such digit.
+        model: the hand.
+        layout: of the block.
+        block: the state, modified in place.
+        undecided: a bit for each of these digits.
     """
     required, load = layout.view(block, "joint_required"), layout.view(block, "load")
     for d, digit in enumerate(model.digits):

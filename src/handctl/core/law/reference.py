@@ -1,4 +1,4 @@
-"""Where the goals want each digit at this instant, and the joint torque that the motion needs."""
+"""Reference of each digit at an instant, and the joint torque of the motion."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +13,19 @@ from handctl.hand.dynamics import newton
 Matrix = NDArray[np.float64]
 
 LIMP, MOTION, TENSION = 0, 1, 2
-"""Of ``goal.Kind``, and of ``block.GOAL_KIND``."""
+"""Numbers of ``goal.Kind`` and of ``block.GOAL_KIND``."""
 NO_WAY, MINIMUM_JERK, SAMPLED = 0, 1, 2
-"""Of ``block.WAY_KIND``."""
+"""Numbers of ``block.WAY_KIND``."""
 
 
 @inner
 def follow(x: Tables, c: ConstantTables, frozen: bool) -> None:
-    """Write position, rate and acceleration of every coordinate that is on a trajectory, 0 for the others.
+    """Write position, rate and acceleration of every coordinate on a trajectory, 0 for the others.
 
     Args:
-        x: tables. c: constants. frozen: safety holds: the place on the way is the goal, its speed is not.
+        x: state tables.
+        c: constants of the hand.
+        frozen: True while safety holds: the position on the trajectory is the goal, the speed is 0.
 
     Source: Flash & Hogan (1985): position 10 s^3 - 15 s^4 + 6 s^5 of normalised time s.
     """
@@ -51,7 +53,7 @@ def follow(x: Tables, c: ConstantTables, frozen: bool) -> None:
 
 @inner
 def on_joints(x: Tables, c: ConstantTables) -> Matrix:
-    """Return angles, rates and accelerations (3, J) of all joints on their trajectories."""
+    """Return angles, rates and accelerations (3, J) of all joints on the trajectories."""
     joints = x.joint.shape[1]
     way = np.zeros((3, joints))
     for j in range(joints):
@@ -65,7 +67,7 @@ def on_joints(x: Tables, c: ConstantTables) -> Matrix:
 
 @inner
 def moves(x: Tables, c: ConstantTables, d: int) -> bool:
-    """Return whether a digit is driven along a trajectory."""
+    """Return True if a digit moves along a trajectory."""
     return x.tendon_int[s.GOAL_KIND, c.digit_int[h.TENDONS_FIRST, d]] == MOTION
 
 
@@ -74,7 +76,9 @@ def require(x: Tables, c: ConstantTables, way: Matrix) -> None:
     """Write the joint torques of the motion: inverse dynamics, springs and damping.
 
     Args:
-        x: tables. c: constants. way: (3, J) angles [rad], rates [rad/s] and accelerations [rad/s2].
+        x: state tables.
+        c: constants of the hand.
+        way: (3, J) angles [rad], rates [rad/s] and accelerations [rad/s2].
     """
     q, dq, ddq = np.zeros(3), np.zeros(3), np.zeros(3)
     for d in range(x.digit.shape[1]):
@@ -83,6 +87,7 @@ def require(x: Tables, c: ConstantTables, way: Matrix) -> None:
         first, end = c.digit_int[h.JOINTS_FIRST, d], c.digit_int[h.JOINTS_END, d]
         for i in range(3):
             there = first + i < end
+            # The equations are for three joints: a digit of two has a third of no mass.
             q[i], dq[i] = (way[0, first + i], way[1, first + i]) if there else (0.0, 0.0)
             ddq[i] = way[2, first + i] if there else 0.0
         k, g = c.digit[h.LINKS : h.LINKS + 12, d], c.digit[h.GRAVITY : h.GRAVITY + 2, d]
@@ -93,18 +98,18 @@ def require(x: Tables, c: ConstantTables, way: Matrix) -> None:
         for i in range(end - first):
             j = first + i
             spring = c.joint[h.SPRING, j] * (q[i] + c.joint[h.PRELOAD, j])
+            # numba cannot index a tuple by a variable.
             rigid = torque[0] if i == 0 else torque[1] if i == 1 else torque[2]
             x.joint[s.JOINT_REQUIRED, j] = rigid + spring + c.joint[h.JOINT_DAMPING, j] * dq[i]
 
 
 @inner
 def load(x: Tables, c: ConstantTables) -> int:
-    """Write the tensions at the joints that make the required joint torques.
+    """Write the tensions at the joints for the required joint torques.
 
     Returns:
-        bits of the digits whose tensions would leave their bounds, or are not the only ones that make the torque: for
-        them the bounded least-squares problem decides (``allocation``). A single tendon is as near as it can be at
-        its bound.
+        A bit for each digit with tensions out of bounds, or not unique: the bounded least-squares
+            problem decides (``allocation``). A single tendon is already optimal at the bound.
     """
     undecided = 0
     for d in range(x.digit.shape[1]):

@@ -1,4 +1,4 @@
-"""Ways of a digit through its coordinates: minimum jerk to a pose, or a curve through given points."""
+"""Trajectories of a digit in its coordinates: minimum jerk to a pose, or a curve through given points."""
 
 import math
 from dataclasses import dataclass
@@ -10,21 +10,24 @@ from handctl.core.types import Vector
 
 
 class Trajectory(Protocol):
-    """A way of a digit, from rest to rest."""
+    """A trajectory of a digit, from rest to rest."""
 
     @property
     def duration(self) -> float:
-        """Time it takes [s]."""
+        """Return the duration [s]."""
         ...
 
     def at(self, t: float) -> Vector:
-        """(3, n): position [rad], velocity [rad/s] and acceleration [rad/s^2] at t [s]; the end holds after it."""
+        """Return (3, n): position [rad], velocity [rad/s] and acceleration [rad/s^2] at t [s].
+
+        The end position holds later.
+        """
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class MinimumJerk:
-    """A straight move in coordinates with the least jerk, at rest at both ends.
+    """A straight move in coordinates with minimum jerk, at rest at both ends.
 
     Source: Flash & Hogan (1985): position 10 s^3 - 15 s^4 + 6 s^5 of normalised time s.
 
@@ -39,7 +42,7 @@ class MinimumJerk:
     duration: float
 
     def at(self, t: float) -> Vector:
-        """See ``Trajectory``."""
+        """Evaluate the move, see ``Trajectory``."""
         s = min(max(t / self.duration, 0.0), 1.0)
         position = s * s * s * (10.0 - 15.0 * s + 6.0 * s * s)
         velocity = 30.0 * s * s * (1.0 - s) * (1.0 - s) / self.duration
@@ -51,12 +54,12 @@ class MinimumJerk:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A cubic spline through points, at rest at both ends; all coordinates of the digit move alike.
+    """A cubic spline through points, at rest at both ends, equal for all coordinates of the digit.
 
     Attributes:
         times: (k,) of the points, rising from 0 [s].
         coefficients: (4, k - 1) of the cubic in each piece, highest power first [rad/s^3 .. rad].
-        coordinates: of the digit.
+        coordinates: number of the digit's coordinates.
     """
 
     times: Vector
@@ -65,7 +68,7 @@ class Curve:
 
     @staticmethod
     def through(times: tuple[float, ...], angles: tuple[float, ...], coordinates: int) -> "Curve":
-        """The curve through angles [rad] at times [s]."""
+        """Return the curve through angles [rad] at times [s]."""
         from scipy.interpolate import CubicSpline
 
         spline = CubicSpline(times, angles, bc_type="clamped")
@@ -73,21 +76,22 @@ class Curve:
 
     @property
     def duration(self) -> float:
-        """See ``Trajectory``."""
+        """Return the duration [s]."""
         return float(self.times[-1])
 
     def at(self, t: float) -> Vector:
-        """See ``Trajectory``."""
+        """Evaluate the curve, see ``Trajectory``."""
         held = min(max(t, 0.0), self.duration)
         piece = min(int(np.searchsorted(self.times, held, side="right")) - 1, len(self.times) - 2)
         s = held - float(self.times[piece])
         a, b, c, d = self.coefficients[:, piece].tolist()
+        # Before the start and after the end the digit rests.
         moving = 1.0 if held == t else 0.0
         values = (d + s * (c + s * (b + s * a)), moving * (c + s * (2 * b + s * 3 * a)), moving * (2 * b + 6 * a * s))
         return _alike(values, self.coordinates)
 
     def peak_speed(self) -> float:
-        """Largest speed on the way [rad/s]: at the ends of a piece or where its acceleration vanishes."""
+        """Return the peak speed [rad/s], at the ends of a piece or at zero acceleration."""
         a, b, c, _ = self.coefficients
         length = np.diff(self.times)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -98,13 +102,13 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One instant of a motion that somebody else laid down, e.g. a log.
+    """An instant of a motion from another source, for example a log.
 
     Attributes:
         position: (n,) coordinates [rad].
         velocity: (n,) [rad/s].
         acceleration: (n,) [rad/s^2].
-        duration: 0: it has no end of its own [s].
+        duration: 0 [s], because the end is unknown.
     """
 
     position: Vector
@@ -113,20 +117,21 @@ class Sample:
     duration: float = 0.0
 
     def at(self, t: float) -> Vector:
-        """See ``Trajectory``; the same at any time."""
+        """Return the sample, independent of time. See ``Trajectory``."""
         return np.array((self.position, self.velocity, self.acceleration))
 
 
 @dataclass(frozen=True, slots=True)
 class Chirp:
-    """A swing about an angle whose frequency rises evenly, growing from rest and dying down to rest.
+    """An oscillation about an angle with linearly rising frequency, and smooth growth and decay of the amplitude.
 
     Attributes:
         centre: [rad].
         amplitude: [rad].
-        low, high: frequency at the beginning and at the end [Hz].
+        low: frequency at the start [Hz].
+        high: frequency at the end [Hz].
         duration: [s].
-        coordinates: of the digit; all swing alike.
+        coordinates: number of the digit's coordinates, all with the same motion.
     """
 
     centre: float
@@ -137,7 +142,7 @@ class Chirp:
     coordinates: int
 
     def at(self, t: float) -> Vector:
-        """See ``Trajectory``."""
+        """Evaluate the oscillation, see ``Trajectory``."""
         s = min(max(t, 0.0), self.duration)
         size, growth, bend = self._envelope(s)
         rise = 2.0 * math.pi * (self.high - self.low) / self.duration
@@ -152,7 +157,7 @@ class Chirp:
         return _alike(values, self.coordinates)
 
     def _envelope(self, t: float) -> tuple[float, float, float]:
-        """Size of the swing at t [s], its rate [1/s] and the rate of that [1/s^2]; smooth at both ends."""
+        """Return the amplitude factor at t [s], the rate [1/s] and the acceleration [1/s^2], smooth at both ends."""
         ramp = 0.1 * self.duration
         left = min(t, self.duration - t)
         if left >= ramp:
@@ -163,14 +168,14 @@ class Chirp:
 
 
 def _alike(values: tuple[float, float, float], coordinates: int) -> Vector:
-    """(3, n) of a motion in which all coordinates are alike."""
+    """Return (3, n) of a motion with equal coordinates."""
     return np.array([[value] * coordinates for value in values])
 
 
 PEAK_SPEED = 1.875
-"""Peak over mean speed of a minimum-jerk move: 15 / 8."""
+"""Ratio of peak to mean speed of a minimum-jerk move: 15 / 8."""
 
 
 def duration_for(distance: float, speed: float, shortest: float) -> float:
-    """Duration [s] of a move of ``distance`` [rad] with peak speed ``speed`` [rad/s], at least ``shortest`` [s]."""
+    """Return the duration of a move of ``distance`` [rad] with a peak speed [rad/s], at least ``shortest`` [s]."""
     return max(PEAK_SPEED * abs(distance) / speed, shortest)
