@@ -43,10 +43,11 @@ demo: $(DEMO) ## the arrival scenario in simulation: arm, grasp, hold, release, 
 
 test: lint unit realtime ## all checks and tests, real SocketCAN included where it can be had
 
-lint: env ## ruff, mypy --strict and the import contracts
+lint: env ## ruff, mypy --strict, the import contracts, and limits on dialect
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+	$(BIN)/python tools/language.py
 
 # A process has one core: threads of BLAS would wait for each other by spinning.
 unit: export OPENBLAS_NUM_THREADS = 1

@@ -1,0 +1,88 @@
+"""The gate on dialect counts what it says, and its limits only fall."""
+
+import importlib.util
+import sys
+import tomllib
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+SCRIPT = Path(__file__).parents[2] / "tools" / "language.py"
+MODULE = '''"""Do a thing; somebody wants it."""
+import math  # a comment
+told, x = 1, 2
+told, x = x, told
+
+class Wishes:
+    """A rope."""
+
+def seen(most):
+    """What is seen."""
+
+def measure():
+    """Measure the tension [N]."""
+'''
+
+
+@pytest.fixture
+def language() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("language", SCRIPT)
+    assert spec
+    assert spec.loader
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["language"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    (tmp_path / "src").mkdir()
+    (tmp_path / "src" / "one.py").write_text(MODULE)
+    (tmp_path / "src" / "two.py").write_text("class Wishes:\n    pass\n")
+    (tmp_path / "README.md").write_text("What is so; `what` and ropes.\n")
+    return tmp_path
+
+
+def test_it_counts_names_docstrings_and_shape(language: ModuleType, tree: Path) -> None:
+    tally = language.count_all(tree)["src"]
+    counted = {count: tally.counts[count] for count in language.PER}
+    assert counted == {
+        "names": 5,  # told twice, most, Wishes twice
+        "openers": 1,
+        "what": 1,
+        "semicolons": 1,
+        "pronouns": 3,  # somebody, it, what
+        "riddles": 1,
+        "ropes": 1,
+        "tuples": 1,
+        "long_lines": 0,
+        "repeated_classes": 1,
+    }
+    assert tally.totals["docstrings"] == 2
+    assert tally.totals["comments"] == 1
+    assert tally.places["openers"] == ["src/one.py:9: begins with 'what'"]
+
+
+def test_quoted_code_of_a_document_is_no_prose(language: ModuleType, tree: Path) -> None:
+    tally = language.count_all(tree)["documents"]
+    assert (tally.counts["what"], tally.counts["ropes"], tally.counts["semicolons"]) == (1, 1, 1)
+
+
+def test_a_count_above_its_limit_is_a_line_and_limits_only_fall(language: ModuleType, tree: Path) -> None:
+    before = language.count_all(tree)
+    limits = language.tightened(before, {})
+    assert list(language.excesses(before, limits)) == []
+    (tree / "src" / "two.py").write_text("class Wishes:\n    told = asked = heard = 1\n")
+    after = language.count_all(tree)
+    (line,) = (line for line in language.excesses(after, limits) if "names" in line)
+    assert line.startswith("src: names ")
+    assert language.tightened(after, limits)["src"]["names"] == limits["src"]["names"]
+    (tree / "src" / "two.py").write_text("")
+    assert language.tightened(language.count_all(tree), limits)["src"]["names"] < limits["src"]["names"]
+
+
+def test_limits_are_read_as_they_were_written(language: ModuleType, tree: Path) -> None:
+    limits = language.tightened(language.count_all(tree), {})
+    assert tomllib.loads(language.to_toml(limits)) == limits

@@ -1,0 +1,259 @@
+"""Count dialect in names, docstrings and documents, and compare the counts with limits that only ever fall.
+
+``python tools/language.py`` is a part of ``make lint``. It prints a line for each count above its limit and exits 1.
+``--table`` prints all counts. ``--places COUNT FOLDER`` prints where a count comes from. ``--tighten`` lowers the
+limits in ``language_limits.toml`` to the counts of now. No option raises a limit. A word list is only a thermometer:
+the reader decides whether a sentence is plain.
+"""
+
+import argparse
+import ast
+import io
+import re
+import sys
+import tokenize
+import tomllib
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+TERMS = tomllib.loads(Path(__file__).with_name("language_terms.toml").read_text(encoding="utf-8"))
+LIMITS = Path(__file__).with_name("language_limits.toml")
+FOLDERS = ("src", "firmware_sim", "tests", "benchmarks", "fuzz", "tools")
+DOCUMENTS = "documents"
+"""Name of the counts of all Markdown files."""
+
+PER = {
+    "names": ("name words", 1000),
+    "openers": ("docstrings", 100),
+    "what": ("words", 1000),
+    "semicolons": ("words", 1000),
+    "pronouns": ("words", 100),
+    "riddles": ("words", 1000),
+    "ropes": ("words", 1000),
+    "tuples": ("lines", 1000),
+    "long_lines": ("lines", 100),
+    "repeated_classes": ("", 1),
+}
+"""Divisor and factor of each ratio. A count without a divisor is absolute."""
+LONG = 100
+"""Characters above which a line counts as long."""
+ROUNDING = 10
+"""Limits are multiples of one tenth."""
+
+_WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
+_PROSE = {name: re.compile(pattern, re.IGNORECASE) for name, pattern in TERMS["prose"].items()}
+_VERBS = set(TERMS["verbs"]["words"].split())
+_CODE = re.compile(r"^```.*?^```|`[^`\n]*`|^\|.*?$", re.MULTILINE | re.DOTALL)
+"""Parts of a document that are no prose: blocks of code, quoted code, rows of tables."""
+
+
+@dataclass
+class Tally:
+    """Counts of one folder.
+
+    Attributes:
+        counts: of each key of ``PER``.
+        totals: of each quantity that counts are divided by.
+        places: ``file:line: finding`` of each count.
+    """
+
+    counts: Counter[str] = field(default_factory=Counter)
+    totals: Counter[str] = field(default_factory=Counter)
+    places: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+
+    def add(self, count: str, place: str, finding: str, times: int = 1) -> None:
+        """Add findings at one place."""
+        self.counts[count] += times
+        if times:
+            self.places[count].append(f"{place}: {finding}")
+
+    def ratio(self, count: str) -> float:
+        """Return a count in relation to its quantity."""
+        quantity, factor = PER[count]
+        return factor * self.counts[count] / max(self.totals[quantity], 1) if quantity else self.counts[count]
+
+
+def count_prose(tally: Tally, text: str, place: str) -> None:
+    """Count words and patterns of a docstring or document."""
+    tally.totals["words"] += len(re.findall(r"[A-Za-z']+", text))
+    for name, pattern in _PROSE.items():
+        matches = pattern.findall(text)
+        tally.add(name, place, f"{len(matches)} in the text", len(matches))
+
+
+def count_module(tally: Tally, text: str, name: str) -> None:
+    """Count names, docstrings and the shape of a module."""
+    tree = ast.parse(text)
+    lines = [line for line in text.splitlines() if line.strip()]
+    tally.totals["lines"] += len(lines)
+    for number, line in enumerate(text.splitlines(), 1):
+        tally.add("long_lines", f"{name}:{number}", f"{len(line)} characters", len(line) > LONG)
+    for node in ast.walk(tree):
+        place = f"{name}:{getattr(node, 'lineno', 1)}"
+        for defined in _defined(node):
+            words = [word.lower() for word in _WORD.findall(defined)]
+            tally.totals["name words"] += len(words)
+            for word in words:
+                tally.add("names", place, f"{defined}: say {TERMS['names'].get(word)}", word in TERMS["names"])
+        tally.add("tuples", place, "assignments in parallel", _is_parallel(node))
+        _count_docstring(tally, node, place)
+    for text in _attribute_docs(tree):
+        count_prose(tally, text, name)
+
+
+def _defined(node: ast.AST) -> list[str]:
+    """Return the names that a node defines."""
+    match node:
+        case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.ClassDef(name=name):
+            return [name]
+        case ast.arg(arg=name) | ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()):
+            return [name]
+    return []
+
+
+def _is_parallel(node: ast.AST) -> bool:
+    """Return True for ``a, b = x, y``, but not for a swap."""
+    match node:
+        case ast.Assign(targets=[ast.Tuple(elts=targets)], value=ast.Tuple(elts=values)):
+            return {ast.unparse(each) for each in targets} != {ast.unparse(each) for each in values}
+    return False
+
+
+def _count_docstring(tally: Tally, node: ast.AST, place: str) -> None:
+    """Count the docstring of a module, class or function. Only a function's must begin with a verb."""
+    if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+        return
+    text = ast.get_docstring(node) or ""
+    count_prose(tally, text, place)
+    first = re.match(r"\W*([A-Za-z-]+)", text)
+    if first and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+        word = first[1].lower()
+        tally.totals["docstrings"] += 1
+        tally.add("openers", place, f"begins with {word!r}", not {word, word.removesuffix("s")} & _VERBS)
+
+
+def _attribute_docs(tree: ast.Module) -> Iterator[str]:
+    """Yield the strings below constants and attributes."""
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        for part in body[1:] if isinstance(body, list) else ():
+            match part:
+                case ast.Expr(value=ast.Constant(value=str(text))):
+                    yield text
+
+
+def comments(text: str) -> int:
+    """Return the number of comments for a reader; directives to tools do not count."""
+    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
+    return sum(token.type == tokenize.COMMENT and not re.search("noqa|type:|fmt:", token.string) for token in tokens)
+
+
+def count_folder(folder: Path) -> Tally:
+    """Count all modules of a folder."""
+    tally, classes = Tally(), defaultdict(list)
+    for path in sorted(folder.rglob("*.py")):
+        text, name = path.read_text(encoding="utf-8"), path.relative_to(folder.parent).as_posix()
+        count_module(tally, text, name)
+        tally.totals["comments"] += comments(text)
+        for node in ast.parse(text).body:
+            if isinstance(node, ast.ClassDef):
+                classes[node.name].append(name)
+    for name, places in classes.items():
+        tally.add("repeated_classes", places[0], f"{name} is also in {', '.join(places[1:])}", len(places) > 1)
+    return tally
+
+
+def count_documents(root: Path) -> Tally:
+    """Count the prose of the documents at the top and in ``docs``."""
+    tally = Tally()
+    for path in sorted([*root.glob("*.md"), *root.glob("docs/**/*.md")]):
+        count_prose(tally, _CODE.sub(" ", path.read_text(encoding="utf-8")), path.relative_to(root).as_posix())
+    return tally
+
+
+def count_all(root: Path) -> dict[str, Tally]:
+    """Count every folder and the documents."""
+    folders = {name: count_folder(root / name) for name in FOLDERS if (root / name).is_dir()}
+    return folders | {DOCUMENTS: count_documents(root)}
+
+
+def ratios(tally: Tally) -> dict[str, float]:
+    """Return every ratio that a tally has a quantity for, rounded up to a multiple of one tenth."""
+    measured = [count for count, (quantity, _) in PER.items() if not quantity or tally.totals[quantity]]
+    return {count: -(-round(tally.ratio(count) * ROUNDING, 6) // 1) / ROUNDING for count in measured}
+
+
+Limits = dict[str, dict[str, float]]
+
+
+def excesses(tallies: dict[str, Tally], limits: Limits) -> Iterator[str]:
+    """Yield a line for each count above its limit. A folder without limits must have none."""
+    for name, tally in tallies.items():
+        for count, ratio in ratios(tally).items():
+            limit = limits.get(name, {}).get(count, 0.0)
+            if ratio > limit:
+                unit = f" per {PER[count][1]} {PER[count][0]}" if PER[count][0] else ""
+                where = f"python tools/language.py --places {count} {name}"
+                yield f"{name}: {count} {ratio:g}{unit}, at most {limit:g}; see {where}"
+
+
+def tightened(tallies: dict[str, Tally], limits: Limits) -> Limits:
+    """Return limits that are the counts of now, or the old ones where those are lower."""
+    return {
+        name: {count: min(ratio, limits.get(name, {}).get(count, ratio)) for count, ratio in ratios(tally).items()}
+        for name, tally in tallies.items()
+    }
+
+
+def to_toml(limits: Limits) -> str:
+    """Write limits as TOML."""
+    head = "# Written by `python tools/language.py --tighten`, which only lowers limits. Ratios as in PER there.\n"
+    sections = (
+        f"\n[{name}]\n" + "".join(f"{count} = {limit:g}\n" for count, limit in counts.items())
+        for name, counts in limits.items()
+    )
+    return head + "".join(sections)
+
+
+def print_table(tallies: dict[str, Tally]) -> None:
+    """Print a row for each count and a column for each folder."""
+    print(f"{'':30}" + "".join(f"{name:>13}" for name in tallies))
+    for count, (quantity, factor) in PER.items():
+        label = f"{count} / {factor} {quantity}" if quantity else count
+        cells = (f"{tally.ratio(count):.1f}" if count in ratios(tally) else "-" for tally in tallies.values())
+        print(f"{label:30}" + "".join(f"{cell:>13}" for cell in cells))
+    commented = (1000 * tally.totals["comments"] / max(tally.totals["lines"], 1) for tally in tallies.values())
+    print(f"{'comments / 1000 lines':30}" + "".join(f"{ratio:13.1f}" for ratio in commented))
+
+
+def main(words: list[str] | None = None) -> int:
+    """Check, or do what the options say; return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--table", action="store_true", help="print all counts")
+    parser.add_argument("--places", nargs=2, metavar=("COUNT", "FOLDER"), help="print where a count comes from")
+    parser.add_argument("--tighten", action="store_true", help="lower the limits to the counts of now")
+    args = parser.parse_args(words)
+    tallies = count_all(ROOT)
+    if args.table:
+        print_table(tallies)
+        return 0
+    if args.places:
+        count, folder = args.places
+        if count not in PER or folder not in tallies:
+            parser.error(f"--places takes one of {', '.join(PER)} and one of {', '.join(tallies)}")
+        print(*tallies[folder].places[count], sep="\n")
+        return 0
+    limits: Limits = tomllib.loads(LIMITS.read_text(encoding="utf-8")) if LIMITS.exists() else {}
+    if args.tighten:
+        LIMITS.write_text(to_toml(tightened(tallies, limits)), encoding="utf-8")
+        return 0
+    lines = list(excesses(tallies, limits))
+    print(*lines, sep="\n", end="\n" * bool(lines), file=sys.stderr)
+    return 1 if lines else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
