@@ -20,8 +20,13 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeVar, cast
 
+import numpy as np
 from numba import njit, types
+from numba.core import cgutils
 from numba.core import config as _config
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array, populate_array
+from numpy.typing import NDArray
 
 config: Any = _config
 """Numba's settings, which have no type information."""
@@ -138,6 +143,47 @@ _FOLDER = None if config.DISABLE_JIT else _folder()
 def square(value: float) -> float:
     """Return the square of a number, by a product: ``**`` is a power for the interpreter, which rounds otherwise."""
     return value * value
+
+
+@intrinsic
+def _borrow(typing_context: Any, flat: Any, first: Any, shape: Any) -> Any:
+    """Generate the code of ``borrow``: an array without an owner, so that nothing counts references to it."""
+    result = types.Array(flat.dtype, shape.count, "C")
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        source = make_array(signature.args[0])(context, builder, arguments[0])
+        sizes = cgutils.unpack_tuple(builder, arguments[2], shape.count)
+        itemsize = context.get_abi_sizeof(context.get_data_type(flat.dtype))
+        strides = [context.get_constant(types.intp, itemsize)]
+        for size in sizes[:0:-1]:
+            strides.insert(0, builder.mul(strides[0], size))
+        array = make_array(result)(context, builder)
+        data = builder.gep(source.data, [arguments[1]])
+        populate_array(array, data=data, shape=sizes, strides=strides, itemsize=itemsize, meminfo=None)
+        return array._getvalue()
+
+    return result(flat, types.intp, types.UniTuple(types.intp, shape.count)), generate
+
+
+@inner
+def borrow(flat: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[Any]:
+    """Return a part of a contiguous array as an array of another shape, which a caller of the kernel keeps alive.
+
+    Numba counts references to arrays, by atomic operations, at each call to which they are handed. Kernels hand dozens
+    of tables to their parts, so that counting took more time than all numbers. A borrowed array has no owner to count.
+
+    Args:
+        flat: (n,) contiguous. first: index of the first element. shape: of the result.
+    """
+    return _borrow(flat, first, shape)
+
+
+if config.DISABLE_JIT:
+
+    def _interpreted_borrow(flat: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[Any]:
+        return flat.reshape(-1)[first : first + int(np.prod(shape))].reshape(shape)
+
+    _borrow = _interpreted_borrow
 
 
 class _Waiting(NamedTuple):

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner
+from handctl.compiled import borrow, inner
 from handctl.core.schema import Block, Places, Schema
 
 NAN = math.nan
@@ -274,18 +274,18 @@ def tables(block: Block, at: Places) -> Tables:
     """
     whole = block.view(np.int64)
     return Tables(
-        block[at[8] : at[9]].reshape((-1, at[0])),
-        block[at[9] : at[10]].reshape((-1, at[1])),
-        block[at[10] : at[11]].reshape((-1, at[2])),
-        block[at[11] : at[12]].reshape((-1, at[3])),
-        block[at[12] : at[13]],
-        whole[at[13] : at[14]].reshape((-1, at[0])),
-        whole[at[14] : at[15]].reshape((-1, at[1])),
-        whole[at[15] : at[16]].reshape((-1, at[2])),
-        whole[at[16] : at[17]].reshape((-1, at[4])),
-        whole[at[17] : at[18]].reshape((-1, at[5])),
-        whole[at[18] : at[19]].reshape((-1, at[6])),
-        whole[at[19] : at[20]],
+        borrow(block, at[8], ((at[9] - at[8]) // at[0], at[0])),
+        borrow(block, at[9], ((at[10] - at[9]) // at[1], at[1])),
+        borrow(block, at[10], ((at[11] - at[10]) // at[2], at[2])),
+        borrow(block, at[11], ((at[12] - at[11]) // at[3], at[3])),
+        borrow(block, at[12], (at[13] - at[12],)),
+        borrow(whole, at[13], ((at[14] - at[13]) // at[0], at[0])),
+        borrow(whole, at[14], ((at[15] - at[14]) // at[1], at[1])),
+        borrow(whole, at[15], ((at[16] - at[15]) // at[2], at[2])),
+        borrow(whole, at[16], ((at[17] - at[16]) // at[4], at[4])),
+        borrow(whole, at[17], ((at[18] - at[17]) // at[5], at[5])),
+        borrow(whole, at[18], ((at[19] - at[18]) // at[6], at[6])),
+        borrow(whole, at[19], (at[20] - at[19],)),
     )
 
 

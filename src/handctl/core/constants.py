@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner
+from handctl.compiled import borrow, inner
 from handctl.core.schema import Block, Places, Schema
 
 AXES = ("tendon", "joint", "digit", "coordinate", "kind", "element", "place", "run")
@@ -186,20 +186,20 @@ def constant_tables(block: Block, at: Places) -> ConstantTables:
     n, j, d, c, kinds, elements, places = at[0], at[1], at[2], at[3], at[4], at[5], at[6]
     whole = block.view(np.int64)
     return ConstantTables(
-        block[at[8] : at[9]].reshape((-1, n)),
-        block[at[9] : at[10]].reshape((-1, j)),
-        block[at[10] : at[11]].reshape((-1, d)),
-        block[at[11] : at[12]],
-        block[at[12] : at[13]].reshape((-1, j, n)),
-        block[at[13] : at[14]].reshape((-1, n, j)),
-        block[at[14] : at[15]].reshape((-1, j, j)),
-        block[at[15] : at[16]].reshape((-1, j, c)),
-        block[at[16] : at[17]].reshape((-1, n, c)),
-        block[at[17] : at[18]].reshape((-1, places, j, j)),
-        block[at[18] : at[19]].reshape((-1, places, j)),
-        block[at[19] : at[20]].reshape((n, kinds, elements)),
-        whole[at[20] : at[21]].reshape((-1, n)),
-        whole[at[21] : at[22]].reshape((-1, j)),
-        whole[at[22] : at[23]].reshape((-1, d)),
-        whole[at[23] : at[24]],
+        borrow(block, at[8], ((at[9] - at[8]) // n, n)),
+        borrow(block, at[9], ((at[10] - at[9]) // j, j)),
+        borrow(block, at[10], ((at[11] - at[10]) // d, d)),
+        borrow(block, at[11], (at[12] - at[11],)),
+        borrow(block, at[12], ((at[13] - at[12]) // (j * n), j, n)),
+        borrow(block, at[13], ((at[14] - at[13]) // (n * j), n, j)),
+        borrow(block, at[14], ((at[15] - at[14]) // (j * j), j, j)),
+        borrow(block, at[15], ((at[16] - at[15]) // (j * c), j, c)),
+        borrow(block, at[16], ((at[17] - at[16]) // (n * c), n, c)),
+        borrow(block, at[17], ((at[18] - at[17]) // (places * j * j), places, j, j)),
+        borrow(block, at[18], ((at[19] - at[18]) // (places * j), places, j)),
+        borrow(block, at[19], (n, kinds, elements)),
+        borrow(whole, at[20], ((at[21] - at[20]) // n, n)),
+        borrow(whole, at[21], ((at[22] - at[21]) // j, j)),
+        borrow(whole, at[22], ((at[23] - at[22]) // d, d)),
+        borrow(whole, at[23], (at[24] - at[23],)),
     )
