@@ -84,7 +84,7 @@ class Ours:
 
     def receive(self):
         frames, state = self.bus.drain(), self.state
-        self.begin(state.block, self.controller.layout.places)
+        self.begin(state.block, self.controller.layout.places, state.k, self.t_ns, 0, 0, len(frames))
         self.controller._receive(state, frames)
         return frames
 

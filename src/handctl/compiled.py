@@ -13,6 +13,7 @@ of another version. Where no folder can be written, each process compiles anew.
 import contextlib
 import fcntl
 import hashlib
+import math
 import os
 import shutil
 import time
@@ -20,11 +21,10 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeVar, cast
 
-import numpy as np
 from numba import njit, types
 from numba.core import cgutils
 from numba.core import config as _config
-from numba.extending import intrinsic
+from numba.extending import intrinsic, overload
 from numba.np.arrayobj import make_array, populate_array
 from numpy.typing import NDArray
 
@@ -165,25 +165,25 @@ def _borrow(typing_context: Any, flat: Any, first: Any, shape: Any) -> Any:
     return result(flat, types.intp, types.UniTuple(types.intp, shape.count)), generate
 
 
-@inner
 def borrow(flat: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[Any]:
     """Return a part of a contiguous array as an array of another shape, which a caller of the kernel keeps alive.
 
     Numba counts references to arrays, by atomic operations, at each call to which they are handed. Kernels hand dozens
     of tables to their parts, so that counting took more time than all numbers. A borrowed array has no owner to count.
+    Interpreted it is an ordinary view.
 
     Args:
-        flat: (n,) contiguous. first: index of the first element. shape: of the result.
+        flat: contiguous. first: index of the first element. shape: of the result.
     """
-    return _borrow(flat, first, shape)
+    return flat.reshape(-1)[first : first + math.prod(shape)].reshape(shape)
 
 
-if config.DISABLE_JIT:
+@overload(borrow, inline="always")
+def _compiled_borrow(flat: Any, first: Any, shape: Any) -> Any:
+    def implementation(flat: Any, first: Any, shape: Any) -> Any:
+        return _borrow(flat, first, shape)
 
-    def _interpreted_borrow(flat: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[Any]:
-        return flat.reshape(-1)[first : first + int(np.prod(shape))].reshape(shape)
-
-    _borrow = _interpreted_borrow
+    return implementation
 
 
 class _Waiting(NamedTuple):

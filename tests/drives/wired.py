@@ -51,8 +51,9 @@ class Wired:
         return int(self.view(name)[0])
 
     def begin(self) -> None:
-        """Begin a tick."""
-        wire.begin(self.block, self.layout.places)
+        """Begin a tick, whose number and time stay."""
+        numbers = [self.number(name) for name in ("k", "t_ns", "late_ns", "missed", "frames")]
+        wire.begin(self.block, self.layout.places, *numbers)
 
     def sync(self, k: int) -> Frame:
         """Ask the sensors, as the tick's end does it, and begin the next tick."""

@@ -18,7 +18,6 @@ from handctl.safety.faults.table import BY_ID, DEBOUNCE
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
 """Modes in which a request to clear also clears the drives."""
 
-
 def answer(
     model: HandModel, program: Program, state: State, requests: tuple[str, ...]
 ) -> tuple[Wishes, tuple[Event, ...]]:

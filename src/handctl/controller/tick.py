@@ -43,6 +43,7 @@ from handctl.safety.action import Action
 from handctl.safety.judge import Finding, alone, begun, foreign, judge
 from handctl.safety.limits import Limits
 
+NO_REQUESTS: tuple[modes.Wishes, tuple[Event, ...]] = modes.Wishes(), ()
 ACTIVE, CUT, DONE, RELAX, SILENT = Mode.ACTIVE, Mode.CUT, Mode.DONE, Mode.RELAX, Mode.SILENT
 
 
@@ -147,7 +148,9 @@ class Controller:
         state = before.copy()
         frames = frames_of(entry.frames)
         signs = self._take_in(before, state, entry, frames)
-        wishes, asked = answer(self.model, self.program, state, entry.requests)
+        wishes, asked = NO_REQUESTS
+        if entry.requests:
+            wishes, asked = answer(self.model, self.program, state, entry.requests)
         events = notes(self.model, before, state) + asked if state.whole(s.CHANGED) else asked
         self._count_refusals(state, asked)
         action, findings = self._judge(before, state, entry, signs)
@@ -170,12 +173,7 @@ class Controller:
     def _take_in(self, before: State, state: State, entry: TickIn, frames: Frames) -> tuple[str, ...]:
         """Take in frames, correct and predict the filter. Return the signs of a second controller."""
         block, places, missed = state.block, self.layout.places, entry.k - before.k - 1
-        wire.begin(block, places)
-        state.set_whole(s.K, entry.k)
-        state.set_whole(s.T_NS, entry.t_ns)
-        state.set_whole(s.LATE_NS, entry.late_ns)
-        state.set_whole(s.MISSED, missed)
-        state.set_whole(s.FRAMES, len(frames))
+        wire.begin(block, places, entry.k, entry.t_ns, entry.late_ns, missed, len(frames))
         signs = self._receive(state, frames)
         stages.observe(block, places, *self._constants)
         stages.correct(block, places, *self._constants)
@@ -225,9 +223,9 @@ class Controller:
 
     def _count_refusals(self, state: State, asked: tuple[Event, ...]) -> None:
         """Count the live goals refused within the last second."""
-        refused = sum(event.level == "warn" for event in asked)
         lately = state.decisions.refusals
-        if refused or lately:
+        if asked or lately:
+            refused = sum(event.level == "warn" for event in asked)
             k, rate = state.k, 1.0 / self.model.period
             lately = tuple(then for then in (*lately, *(k,) * refused) if k - then < rate)
             state.decide(refusals=lately)

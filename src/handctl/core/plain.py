@@ -6,6 +6,7 @@ types only, so a log cannot name other types.
 """
 
 import enum
+import functools
 import marshal
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -18,8 +19,10 @@ FORMAT = 2
 ARRAY, MODEL, BYTES = ":array", ":model", ":bytes"
 """Type marks of values other than named tuples and dataclasses."""
 _TYPES: dict[str, type] = {}
+_PLAIN = frozenset((type(None), bool, int, float, str, bytes))
 
 
+@functools.cache
 def name_of(type_: type) -> str:
     """Return the name of a type in plain form: module and class."""
     return f":{type_.__module__.removeprefix('handctl.')}.{type_.__qualname__}"
@@ -37,13 +40,15 @@ def plain(value: Any) -> Any:
         TypeError: if a part is neither plain nor a named tuple, dataclass, array, enumeration or
             model.
     """
-    if value is None or type(value) in (bool, int, float, str, bytes):
+    kind = type(value)
+    if kind in _PLAIN:
         return value
-    if isinstance(value, enum.IntEnum):
-        return (name_of(type(value)), int(value))
     if isinstance(value, tuple):
-        items = tuple([plain(item) for item in value])
-        return (name_of(type(value)), *items) if hasattr(value, "_fields") else items
+        # A drive that is asked for a setting comes here in a tick: no call for what is plain already.
+        items = [item if type(item) in _PLAIN else plain(item) for item in value]
+        return (name_of(kind), *items) if hasattr(value, "_fields") else tuple(items)
+    if isinstance(value, enum.IntEnum):
+        return (name_of(kind), int(value))
     if isinstance(value, np.ndarray):
         return (ARRAY, value.dtype.str, value.shape, np.ascontiguousarray(value).tobytes())
     if isinstance(value, BaseModel):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from handctl.compiled import inner, kernel
+from handctl.compiled import borrow, inner, kernel
 from handctl.core import block as s
 from handctl.core.block import Tables, tables
 from handctl.core.schema import Block, Places
@@ -64,10 +64,20 @@ def find(keys: Whole, key: Any) -> int:
     return low if low < len(keys) and keys[low] == key else UNKNOWN
 
 
-@kernel("block", "layout")
-def begin(block: Block, at: Places) -> None:
-    """Reset the flags of received data from the last tick."""
+@kernel("block", "layout", "count", "count", "count", "count", "count")
+def begin(block: Block, at: Places, k: int, t_ns: int, late_ns: int, missed: int, frames: int) -> None:
+    """Reset the flags of received data, and note number and time of this tick.
+
+    Args:
+        block, at: the state. k: number of the tick. t_ns: its time [ns]. late_ns: how late it began [ns].
+        missed: ticks that were skipped before it. frames: received.
+    """
     x = tables(block, at)
+    x.run_int[s.K] = k
+    x.run_int[s.T_NS] = t_ns
+    x.run_int[s.LATE_NS] = late_ns
+    x.run_int[s.MISSED] = missed
+    x.run_int[s.FRAMES] = frames
     for n in range(x.tendon.shape[1]):
         x.tendon_int[s.ANSWERED, n] = x.tendon_int[s.CELL_FRESH, n] = 0
         x.tendon_int[s.PHASE_BEFORE, n] = x.tendon_int[s.PHASE, n]
@@ -101,6 +111,9 @@ def receive(
             without such a frame.
     """
     x = tables(block, at)
+    rows, keys = borrow(rows, 0, rows.shape), borrow(keys, 0, keys.shape)
+    entries, wholes = borrow(entries, 0, entries.shape), borrow(wholes, 0, wholes.shape)
+    reals = borrow(reals, 0, reals.shape)
     for r in range(first, len(rows)):
         # HEAD: identifier in bits 0 to 31, then flags, bus (from BUS_BIT) and payload length (from LENGTH_BIT).
         head = np.int64(rows[r, HEAD])
