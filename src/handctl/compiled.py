@@ -22,14 +22,17 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeVar, cast
 
 from numba import njit, types
-from numba.core import cgutils
+from numba.core import cgutils as _cgutils
 from numba.core import config as _config
 from numba.extending import intrinsic, overload
-from numba.np.arrayobj import make_array, populate_array
+from numba.np import arrayobj as _arrayobj
 from numpy.typing import NDArray
 
 config: Any = _config
 """Numba's settings, which have no type information."""
+cgutils: Any = _cgutils
+arrayobj: Any = _arrayobj
+"""Numba's tools for code generation, which have none either."""
 F = TypeVar("F", bound=Callable[..., Any])
 
 SOURCES = ("compiled.py", "core", "drives", "hand", "safety")
@@ -145,24 +148,27 @@ def square(value: float) -> float:
     return value * value
 
 
-@intrinsic
-def _borrow(typing_context: Any, flat: Any, first: Any, shape: Any) -> Any:
+def _without_owner(typing_context: Any, flat: Any, first: Any, shape: Any) -> Any:
     """Generate the code of ``borrow``: an array without an owner, so that nothing counts references to it."""
     result = types.Array(flat.dtype, shape.count, "C")
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        source = make_array(signature.args[0])(context, builder, arguments[0])
+        source = arrayobj.make_array(signature.args[0])(context, builder, arguments[0])
         sizes = cgutils.unpack_tuple(builder, arguments[2], shape.count)
         itemsize = context.get_abi_sizeof(context.get_data_type(flat.dtype))
         strides = [context.get_constant(types.intp, itemsize)]
         for size in sizes[:0:-1]:
             strides.insert(0, builder.mul(strides[0], size))
-        array = make_array(result)(context, builder)
+        array = arrayobj.make_array(result)(context, builder)
         data = builder.gep(source.data, [arguments[1]])
-        populate_array(array, data=data, shape=sizes, strides=strides, itemsize=itemsize, meminfo=None)
+        arrayobj.populate_array(array, data=data, shape=sizes, strides=strides, itemsize=itemsize, meminfo=None)
         return array._getvalue()
 
-    return result(flat, types.intp, types.UniTuple(types.intp, shape.count)), generate
+    tuple_of: Any = types.UniTuple
+    return result(flat, types.intp, tuple_of(types.intp, shape.count)), generate
+
+
+_borrow: Any = intrinsic(_without_owner)
 
 
 def borrow(flat: NDArray[Any], first: int, shape: tuple[int, ...]) -> NDArray[Any]:

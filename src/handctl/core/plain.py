@@ -40,7 +40,7 @@ def plain(value: Any) -> Any:
         TypeError: if a part is neither plain nor a named tuple, dataclass, array, enumeration or
             model.
     """
-    kind = type(value)
+    kind: type = type(value)
     if kind in _PLAIN:
         return value
     if isinstance(value, tuple):
