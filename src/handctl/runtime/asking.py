@@ -1,7 +1,8 @@
-"""Asking a running controller for something: done only when the controller itself has said so.
+"""Requests to a running controller. A request counts only when the controller has confirmed it.
 
-A datagram that was sent says nothing: the controller may be paused, its mailbox full, or its socket left behind by one
-that was killed. So every request bears the name of who asks, and counts once a status line repeats that name.
+A sent datagram proves nothing. The controller may be paused, its mailbox full, or its socket left over
+from a killed process. Every request therefore carries the name of its sender, and the controller
+confirms it with a status line that repeats this name.
 """
 
 import itertools
@@ -17,23 +18,23 @@ from handctl.programs.requests import said_of
 from handctl.runtime.mailbox import NOT_THERE_S, WATCH, Watcher
 
 ANSWER_S = 2.0
-"""Longest time in which a controller takes a request, and longest silence of one that lets go [s]."""
+"""Longest wait for a confirmation, and longest silence of a controller that relaxes the hand [s]."""
 AGAIN_S = 0.25
-"""A request that may come twice is repeated after this time [s]."""
+"""Interval at which a request is repeated that may arrive twice [s]."""
 LET_GO_S = 10.0
-"""Longest way of a hand from the stop to the last drive's confirmation, in the hand's time [s]."""
+"""Longest time from a stop to the confirmation of the last drive, in the hand's time [s]."""
 SILENT, FULL = "the controller is silent", "its mailbox is full"
 _numbers = itertools.count(1)
-"""Of this process: every request has a name of its own."""
+"""Request numbers of this process. They make the name of each request unique."""
 
 Line = dict[str, Any]
 
 
 def watching(bus: str, word: str) -> Watcher:
-    """Return a watcher of the controller that is to be asked for something.
+    """Open a watcher of the controller that a request goes to.
 
     Raises:
-        UnconfirmedError: there is no place for a socket that can be trusted.
+        UnconfirmedError: the folder for the socket cannot be trusted.
     """
     try:
         return Watcher(bus)
@@ -42,18 +43,20 @@ def watching(bus: str, word: str) -> Watcher:
 
 
 def confirmed(watcher: Watcher, request: Mapping[str, Any], repeat: bool = False) -> tuple[Line, list[str]]:
-    """Send a request, and wait until the controller says that it has taken it.
+    """Send a request and wait until the controller confirms that it has taken the request.
 
     Args:
         watcher: of the controller.
         request: without ``by``.
-        repeat: send it again and again, also to a controller that is not there yet: for what may arrive twice.
+        repeat: send the request repeatedly, also to a controller that does not run yet. Only for
+            requests that may arrive twice.
 
     Returns:
-        the status line of the tick that took the request, and what that tick says of it: possibly a refusal.
+        the status line of the tick that took the request, and the texts of that tick about the request,
+        possibly a refusal.
 
     Raises:
-        UnconfirmedError: the controller has not said that it has.
+        UnconfirmedError: the controller has not confirmed the request.
     """
     me = f"{os.getpid()}-{next(_numbers)}"
     data = json.dumps({**request, "by": me}).encode()
@@ -75,7 +78,11 @@ def confirmed(watcher: Watcher, request: Mapping[str, Any], repeat: bool = False
 
 
 def _sent(watcher: Watcher, data: bytes, timeout_s: float) -> tuple[bool, str]:
-    """Send once; whether it was sent, and what is wrong if nothing more comes."""
+    """Send a request once.
+
+    Returns:
+        whether the request was sent, and the reason to report if no confirmation follows.
+    """
     try:
         watcher.send(data, timeout_s)
     except (TimeoutError, BlockingIOError):
@@ -86,17 +93,18 @@ def _sent(watcher: Watcher, data: bytes, timeout_s: float) -> tuple[bool, str]:
 
 
 def ordered(bus: str, word: str) -> Line:
-    """Order a controller to ``clear``, or to ``stop`` or ``cut`` and follow the hand until it has let go.
+    """Request ``clear``, ``stop`` or ``cut``. After ``stop`` and ``cut`` follow the hand until it is off.
 
     Args:
         bus: of the controller.
-        word: the order.
+        word: the request.
 
     Returns:
-        the controller's last status line.
+        the last status line of the controller.
 
     Raises:
-        UnconfirmedError: the controller has not taken the order, or has fallen silent before the hand had let go.
+        UnconfirmedError: the controller has not taken the request, or has fallen silent before every
+            drive was off.
         PowerError: a drive did not confirm that it is disabled.
     """
     watcher = watching(bus, word)
@@ -108,15 +116,18 @@ def ordered(bus: str, word: str) -> Line:
 
 
 def follow_to_the_end(watcher: Watcher, word: str, line: Line) -> Line:
-    """Follow a hand that lets go until its controller says that every drive is off; the last line.
+    """Follow a stopping hand until its controller reports that every drive is off.
 
     Args:
         watcher: of the controller.
-        word: what was ordered.
-        line: with which the order was confirmed.
+        word: the confirmed request.
+        line: status line that confirmed the request.
+
+    Returns:
+        the last status line of the controller.
 
     Raises:
-        UnconfirmedError: nobody has said so.
+        UnconfirmedError: the controller has not reported that every drive is off.
         PowerError: a drive did not confirm that it is disabled.
     """
     began_s = float(line["t_s"])
@@ -136,16 +147,16 @@ def follow_to_the_end(watcher: Watcher, word: str, line: Line) -> Line:
 
 
 def is_off(line: Line) -> bool:
-    """Return whether a controller says in a line that its run is over and every drive is off."""
+    """Return True if a status line reports the end of the run with every drive off."""
     return bool(line["mode"] == Mode.DONE.name) and not any(REMOVE_POWER in text for text in _told_of_modes(line))
 
 
 def _told_of_modes(line: Line) -> list[str]:
-    """Return the texts of a line's changes of mode."""
+    """Return the texts of the mode changes in a status line."""
     return [event["text"] for event in line["events"] if event["name"] == "mode"]
 
 
 def _watched(watcher: Watcher) -> Line | None:
-    """Ask for lines again, and wait for one."""
+    """Subscribe to status lines again and wait for the next one."""
     _sent(watcher, WATCH, AGAIN_S)
     return watcher.following(AGAIN_S)

@@ -1,4 +1,7 @@
-"""The local bus as a python-can interface: ``can.Bus(interface="local", channel="NAME")``, ``can.viewer -i local``."""
+"""The local bus as a python-can interface.
+
+Use: ``can.Bus(interface="local", channel="NAME")``, ``can.viewer -i local``.
+"""
 
 import math
 import select
@@ -16,11 +19,11 @@ from handctl.runtime.buses.pythoncan import frame_of, message_of
 from handctl.runtime.places import run_dir
 
 AGAIN_S = 1e-3
-"""How long to wait before a frame is tried again that found no room."""
+"""Pause before a frame is sent again that found the queue full [s]."""
 
 
 class LocalCanBus(can.BusABC):
-    """python-can's view of a local bus."""
+    """A local bus behind the interface of ``can.BusABC``."""
 
     def __init__(
         self,
@@ -34,17 +37,18 @@ class LocalCanBus(can.BusABC):
 
         Args:
             channel: name of the bus, as in ``local:NAME``.
-            can_filters: as python-can takes them.
-            receive_own_messages: whether sent messages are received again.
-            fd: whether CAN FD frames may be sent and are received.
-            **kwargs: what other interfaces need, e.g. bitrate; of no meaning here.
+            can_filters: filters in the format of python-can.
+            receive_own_messages: deliver sent messages to this client as well.
+            fd: send and receive CAN FD frames.
+            **kwargs: options of other interfaces, such as the bit rate, which are ignored.
 
         Raises:
             can.CanInitializationError: no hub of this name is running.
         """
         offset = time.time_ns() - time.monotonic_ns()
         try:
-            self._link = LocalBus(channel, 0, lambda t_ns: t_ns + offset, most=1)  # who waits on ``fileno`` reads one
+            # One record per read: a program that waits on ``fileno`` takes one message and waits again.
+            self._link = LocalBus(channel, 0, lambda t_ns: t_ns + offset, most=1)
         except BusError as error:
             raise can.CanInitializationError(str(error)) from None
         self.channel_info = f"handctl local bus {channel}"
@@ -54,7 +58,7 @@ class LocalCanBus(can.BusABC):
         super().__init__(channel=channel, can_filters=can_filters, **kwargs)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        """One message, waiting for it if need be; filters are python-can's."""
+        """Return the next message, or None after the timeout [s]. python-can applies the filters."""
         if not self._waiting:
             if not self._link.early:
                 select.select([self._link], [], [], timeout)
@@ -79,10 +83,11 @@ class LocalCanBus(can.BusABC):
 
         Args:
             msg: to send.
-            timeout: how long to wait for room [s]; None without end.
+            timeout: longest wait for room in the queue [s]. None waits without limit.
 
         Raises:
-            can.CanOperationError: no room in time, no hub, or an FD message on a bus opened without FD.
+            can.CanOperationError: the queue stayed full, the hub is gone, or an FD message was sent on
+                a bus that was opened without FD.
         """
         if msg.is_fd and not self._fd:
             raise can.CanOperationError("an FD message, and the bus was opened without fd")
@@ -98,7 +103,7 @@ class LocalCanBus(can.BusABC):
             self._waiting.append(frame)
 
     def fileno(self) -> int:
-        """File descriptor that turns readable with a message."""
+        """Return the file descriptor that becomes readable when a message arrives."""
         return self._link.fileno()
 
     def shutdown(self) -> None:
@@ -108,7 +113,7 @@ class LocalCanBus(can.BusABC):
 
     @staticmethod
     def _detect_available_configs() -> list[Any]:
-        """Every local bus of this user that has a socket on this machine."""
-        with suppress(BusError):  # a folder that cannot be trusted has none
+        """List the local buses of this user that have a socket on this machine."""
+        with suppress(BusError):  # a folder that cannot be trusted lists no bus
             return [{"interface": "local", "channel": path.stem} for path in sorted(run_dir().glob("*.bus"))]
         return []

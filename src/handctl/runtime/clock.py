@@ -1,4 +1,7 @@
-"""Time of a run: absolute deadlines on CLOCK_MONOTONIC, possibly slowed; nobody sleeps in lockstep (``lockstep``)."""
+"""Time of a run: absolute deadlines on CLOCK_MONOTONIC, scaled on request.
+
+The virtual time of lockstep is in ``lockstep``.
+"""
 
 import sys
 import time
@@ -8,33 +11,37 @@ from dataclasses import dataclass
 from typing import Protocol
 
 SPIN_NS = 60_000
-"""The last stretch before a deadline is spun, not slept, when the process has real-time priority [ns of wall time]."""
+"""Time before a deadline that a process with real-time priority spins instead of sleeping [ns of wall time].
+
+``time.sleep`` wakes some 50 us late, even under SCHED_FIFO.
+"""
 
 
 class Clock(Protocol):
-    """What the loop asks of time."""
+    """The clock that the control loop needs. All times are in the run's time unless wall time is named."""
 
     def begin(self) -> None:
-        """Time begins: tick 0 is next."""
+        """Start the run's time. Tick 0 is next."""
         ...
 
     def wait(self, k: int) -> int:
-        """Wait for tick k's deadline; how late it is now [ns of the run's time], 0 or more."""
+        """Wait for the deadline of tick k and return the lateness [ns], 0 or more."""
         ...
 
     def now_ns(self) -> int:
-        """Time since the start of the run [ns of the run's time]."""
+        """Return the time since the start of the run [ns]."""
         ...
 
 
 @dataclass
 class RealClock:
-    """Deadlines at start + k * period on CLOCK_MONOTONIC; with scale 0.1 the run's second takes ten.
+    """Deadlines at start + k * period on CLOCK_MONOTONIC. With scale 0.1 a second of the run takes ten.
 
     Attributes:
         period_ns: control period [ns of the run's time].
         scale: run time per wall time.
-        spin: whether to spin before the deadline (worth it only with real-time priority).
+        spin: spin before each deadline, which pays only with real-time priority.
+        start_ns: CLOCK_MONOTONIC at tick 0 [ns of wall time].
     """
 
     period_ns: int
@@ -43,55 +50,59 @@ class RealClock:
     start_ns: int = 0
 
     def begin(self) -> None:
-        """Tick 0 is one period from now."""
+        """Start the run's time. The deadline of tick 0 is one period from now."""
         self.start_ns = time.monotonic_ns() + int(self.period_ns / self.scale)
 
     def wait(self, k: int) -> int:
-        """See ``Clock``."""
+        """Wait for the deadline of tick k and return the lateness [ns], see ``Clock``."""
         deadline = self.start_ns + int(k * self.period_ns / self.scale)
         early = deadline - time.monotonic_ns() - (SPIN_NS if self.spin else 0)
         if early > 0:
             time.sleep(early / 1e9)
-        while (now := time.monotonic_ns()) < deadline:
+        while (now := time.monotonic_ns()) < deadline:  # sleep may return early, and the spin is here
             if not self.spin:
                 time.sleep((deadline - now) / 1e9)
         return int((now - deadline) * self.scale)
 
     def now_ns(self) -> int:
-        """See ``Clock``."""
+        """Return the time since the start of the run [ns]."""
         return self.of(time.monotonic_ns())
 
     def of(self, monotonic_ns: int) -> int:
-        """The run's time of a CLOCK_MONOTONIC time stamp [ns]."""
+        """Convert a CLOCK_MONOTONIC time stamp to the run's time [ns]."""
         return int((monotonic_ns - self.start_ns) * self.scale)
 
 
 @dataclass(frozen=True, slots=True)
 class Priority:
-    """What the operating system granted.
+    """Scheduling and memory locking that the operating system granted.
 
     Attributes:
-        realtime: SCHED_FIFO.
-        locked: memory locked against paging.
+        realtime: SCHED_FIFO was granted.
+        locked: the memory is locked against paging.
     """
 
     realtime: bool
     locked: bool
 
     def __str__(self) -> str:
+        """Describe what was granted and what was not."""
         granted = "SCHED_FIFO" if self.realtime else "no real-time priority (not permitted)"
         return granted + (", memory locked" if self.locked else ", memory not locked")
 
 
 def take_priority(level: int = 60) -> Priority:
-    """Ask for SCHED_FIFO and locked memory; what is refused is said in the result, never an error."""
-    locked = _lock_memory()  # first: it fills hundreds of MB, and what else wants this core must not wait for that
+    """Request SCHED_FIFO and locked memory. The result says what was refused, without an error."""
+    # Memory first: locking it fills hundreds of MB. Under SCHED_FIFO nothing else would get the core meanwhile.
+    locked = _lock_memory()
     return Priority(_fifo(level), locked)
 
 
 def prepare_priority() -> Priority:
-    """Lock the memory, and try what :func:`urgent` will get: to start a loop takes a quarter of a second, in which
-    nobody need wait for it."""
+    """Lock the memory and try whether :func:`urgent` will be granted SCHED_FIFO.
+
+    To start a loop takes a quarter of a second. Other processes keep the core in this time.
+    """
     locked = _lock_memory()
     with urgent() as granted:
         return Priority(granted, locked)
@@ -99,7 +110,7 @@ def prepare_priority() -> Priority:
 
 @contextmanager
 def urgent(level: int = 60) -> Iterator[bool]:
-    """SCHED_FIFO for a block; whether it was granted."""
+    """Run a block under SCHED_FIFO. Yields True if SCHED_FIFO was granted."""
     try:
         yield _fifo(level)
     finally:
@@ -107,7 +118,7 @@ def urgent(level: int = 60) -> Iterator[bool]:
 
 
 def give_back_priority() -> None:
-    """An ordinary process again: what comes after the loop may be preempted and paged."""
+    """Return to ordinary scheduling and unlocked memory after the loop."""
     _ordinary()
     if sys.platform.startswith("linux"):
         import ctypes
@@ -116,6 +127,7 @@ def give_back_priority() -> None:
 
 
 def _ordinary() -> None:
+    """Leave SCHED_FIFO. Another scheduling class stays as it is."""
     if not sys.platform.startswith("linux"):
         return
     import os
@@ -125,6 +137,7 @@ def _ordinary() -> None:
 
 
 def _fifo(level: int) -> bool:
+    """Enter SCHED_FIFO and return True if it was granted. Child processes start with ordinary scheduling."""
     if not sys.platform.startswith("linux"):
         return False
     import os
@@ -141,6 +154,7 @@ MCL_CURRENT, MCL_FUTURE = 1, 2
 
 
 def _lock_memory() -> bool:
+    """Lock present and future pages in memory and return True if it was granted."""
     if not sys.platform.startswith("linux"):
         return False
     import ctypes

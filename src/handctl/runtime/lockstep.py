@@ -1,7 +1,8 @@
-"""Virtual time: the peer on the other side of the wire is stepped by the loop itself, and nobody sleeps.
+"""Virtual time for lockstep: the loop itself steps the peer on the other side of the wire, without sleeping.
 
-The peer is an object with ``step(t_ns, frames) -> frames``, loaded by name, so that handctl never imports a simulator.
-If it has ``exchange(t_ns, records) -> records`` besides, this is called instead, and no frame becomes an object.
+The peer is an object with ``step(t_ns, frames) -> frames``. It is loaded by name, because handctl never
+imports a simulator. A peer with ``exchange(t_ns, records) -> records`` gets this call instead, and no
+frame becomes an object.
 """
 
 import importlib
@@ -19,31 +20,31 @@ from handctl.runtime.buses.canfd import without_errors
 from handctl.runtime.buses.events import BusEvents
 
 SIMULATED_HAND = "firmware_sim.rig:Rig"
-"""The peer that comes with handctl, by name."""
+"""Name of the peer that comes with handctl."""
 
 
 class Peer(Protocol):
     """The other side of the wire in lockstep."""
 
     def step(self, t_ns: int, frames: list[Any]) -> list[Any]:
-        """Take the host's frames of the tick that begins at t_ns, answer, and advance one period."""
+        """Take the host's frames of the tick at t_ns, advance one period, and return the answers."""
         ...
 
     def close(self) -> None:
-        """Finish files."""
+        """Complete and close the files of the peer."""
         ...
 
 
 def _exchange_objects(peer: Peer, t_ns: int, records: Records) -> Records:
-    """Exchange records with a peer that knows frames only as objects."""
+    """Exchange records with a peer that handles frames only as objects."""
     return frames_of(Frame(*reply) for reply in peer.step(t_ns, list(Frames(records)))).records
 
 
 def load_peer(entry: str, **options: object) -> Peer:
-    """Make a peer from ``module:Class``.
+    """Load and construct a peer from ``module:Class``.
 
     Raises:
-        ConfigError: there is no such module or class, or it refuses the options.
+        ConfigError: the module or class does not exist, or the class refuses the options.
     """
     module, _, name = entry.partition(":")
     try:
@@ -59,13 +60,21 @@ def load_peer(entry: str, **options: object) -> Peer:
 
 
 class LockstepClock:
-    """Time that stands still while anybody computes; waiting for a tick steps the peer through the one before.
+    """A clock that stands still while controller and peer compute.
+
+    Waiting for a tick steps the peer through the tick before it.
 
     Attributes:
+        peer: the other side of the wire.
+        period_ns: control period [ns].
+        outgoing: frames of the host for the next step.
+        incoming: answers that ``LockstepBus.drain`` has not taken yet.
+        k: present tick.
         offset_ns: the peer's time at this run's t = 0 [ns].
     """
 
     def __init__(self, peer: Peer, period_ns: int) -> None:
+        """Start at tick 0 of the peer's time, with a control period [ns]."""
         self.peer, self.period_ns = peer, period_ns
         self._exchange: Callable[[int, Records], Records]
         self._exchange = getattr(peer, "exchange", None) or partial(_exchange_objects, peer)
@@ -87,10 +96,10 @@ class LockstepClock:
         self.incoming = []
 
     def begin(self) -> None:
-        """Nothing to begin: the peer's time stands still."""
+        """Do nothing. The peer's time stands still until the first step."""
 
     def wait(self, k: int) -> int:
-        """Step the peer from the last tick to tick k; never late."""
+        """Step the peer from the last tick to tick k. Returns 0, since virtual time is never late."""
         if k > 0:
             frames = joined(self.outgoing)
             replies = self._exchange(self.offset_ns + (k - 1) * self.period_ns, frames.records)
@@ -103,23 +112,25 @@ class LockstepClock:
         return 0
 
     def now_ns(self) -> int:
-        """Scheduled time of the present tick [ns]."""
+        """Return the scheduled time of the present tick [ns]."""
         return self.k * self.period_ns
 
 
 class LockstepBus:
-    """The buses of a hand in lockstep, as one; frames carry the bus index."""
+    """All buses of a hand in lockstep as one object. Frames carry the bus index."""
 
     name = "lockstep"
 
     def __init__(self, clock: LockstepClock) -> None:
+        """Connect to the peer that the clock steps."""
         self.clock = clock
         self._events: dict[int, BusEvents] = {}
 
     def drain(self) -> Frames:
-        """Frames that the peer answered; error frames become events."""
+        """Return the answers of the peer. Error frames become events."""
         parts, self.clock.incoming = self.clock.incoming, []
         frames = joined(parts)
+        # One OR over all identifiers: a tick without error frames needs no look at each frame.
         if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR:
             return frames
         frames, errors = without_errors(frames.records)
@@ -129,13 +140,13 @@ class LockstepBus:
         return frames
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """Keep frames for the peer's next step; all are accepted."""
+        """Queue frames for the next step of the peer and return their number."""
         self.clock.outgoing.append(frames_of(frames))
         return len(frames)
 
     def take_events(self) -> list[tuple[str, str, int]]:
-        """What the peer's wires have told; nothing if it simulates none."""
+        """Return the events of the simulated wires. A peer without wires has none."""
         return [event for events in self._events.values() for event in events.take()]
 
     def close(self) -> None:
-        """Nothing to close."""
+        """Do nothing. The peer is closed by its owner."""

@@ -1,9 +1,10 @@
 """The request socket of a running controller: a Unix datagram socket per bus name, read without blocking.
 
-A program that sends ``{"do": "watch"}`` from a socket of its own gets a status line now and then; that one request
-changes nothing, so it ends here and is not given to the tick. Whoever asks anything else from a socket of its own gets
-the status line of the tick that took the request: this is the controller's confirmation. On Linux the kernel names the
-user of every sender, and only this user and root are heard on either side.
+A program that sends ``{"do": "watch"}`` from its own socket gets status lines. This request changes
+nothing. It ends here, and the tick never sees it. A program that sends any other request from its own
+socket gets the status line of the tick that took the request. This line is the controller's
+confirmation. On Linux the kernel names the user of every sender. Both sides accept only datagrams of
+this user and of root.
 """
 
 import fcntl
@@ -21,22 +22,30 @@ from handctl.runtime.peers import name_senders, receive
 from handctl.runtime.places import mailbox_path, watcher_path
 
 LARGEST = 4096
-"""Bytes of a request; the rest of a longer one is lost, and it is refused as not being JSON."""
+"""Longest request [bytes]. A longer one is truncated and then refused, because it is no JSON."""
 STOP, CUT, CLEAR = (f'{{"do": "{word}"}}' for word in ("stop", "cut", "clear"))
-"""Requests that are sent from several places."""
+"""Requests that several modules send."""
 WATCH = b'{"do": "watch"}'
 WATCHERS = 4
-"""Programs that may watch at once."""
+"""Largest number of programs that watch at once. The newest replace the oldest."""
 LARGEST_STATUS = 65536
+"""Longest status line [bytes]."""
 NOT_THERE_S = 0.05
-"""Pause before a controller that is not there yet is asked again [s]."""
+"""Pause between requests to a controller that does not run yet [s]."""
 PER_TICK = 16
-"""Requests read in one tick, so that a flood cannot make a tick long."""
+"""Requests read per tick. The limit keeps a flood of requests from making a tick long."""
 A_FOLDER = "a short path of a folder that can be written in HANDCTL_RUN_DIR"
 
 
 class Mailbox:
-    """Receiving end, owned by the controller."""
+    """Receiving end of the requests, owned by the controller.
+
+    Attributes:
+        path: of the socket.
+        socket: Unix datagram socket.
+        watchers: socket paths of the programs that get status lines.
+        askers: socket paths of the programs whose requests the last ``read`` returned.
+    """
 
     def __init__(self, name: str) -> None:
         """Bind the socket of controller ``name``.
@@ -56,10 +65,9 @@ class Mailbox:
         self.socket.setblocking(False)
         self.watchers: list[str] = []
         self.askers: list[str] = []
-        """Programs whose requests the last ``read`` has returned."""
 
     def read(self) -> tuple[str, ...]:
-        """All requests that wait, oldest first."""
+        """Return the waiting requests, oldest first, at most ``PER_TICK``."""
         texts: list[str] = []
         if self.askers:
             self.askers = []
@@ -80,18 +88,18 @@ class Mailbox:
         return tuple(texts)
 
     def publish(self, status: dict[str, Any]) -> None:
-        """Send a status line to everybody who watches or has just asked; whoever is gone is forgotten."""
+        """Send a status line to all watchers and askers. A watcher whose socket is gone is removed."""
         line = json.dumps(status).encode()
         for listener in {*self.watchers, *self.askers}:
             try:
                 self.socket.sendto(line, socket.MSG_DONTWAIT, listener)
-            except BlockingIOError:
+            except BlockingIOError:  # a watcher that reads too slowly misses this line
                 continue
             except OSError:
                 self.watchers = [watcher for watcher in self.watchers if watcher != listener]
 
     def close(self) -> None:
-        """Give the name back."""
+        """Remove the socket and release the lock of the bus."""
         self.socket.close()
         self.path.unlink(missing_ok=True)
         os.close(self._lock)
@@ -99,10 +107,10 @@ class Mailbox:
 
 @contextmanager
 def held(name: str) -> Iterator[None]:
-    """Keep other controllers off a further bus of a hand, on which none takes requests.
+    """Lock a further bus of a hand, one without a mailbox, against other controllers.
 
     Raises:
-        BusError: another controller uses it.
+        BusError: another controller uses the bus.
     """
     try:
         lock = _taken(name)
@@ -115,17 +123,17 @@ def held(name: str) -> Iterator[None]:
 
 
 def _refused(name: str, error: OSError) -> BusError:
-    """Why a bus cannot be had."""
+    """Describe why a bus cannot be locked."""
     if isinstance(error, BlockingIOError):
         return BusError("another controller runs here", f"bus {name}", "one controller a bus: handctl stop")
     return BusError(f"cannot take requests there: {error}", str(mailbox_path(name).parent), A_FOLDER)
 
 
 def _taken(name: str) -> int:
-    """Descriptor of a bus's lock, which lives as long as this process, however it ends.
+    """Take the lock of a bus and return its descriptor. The kernel releases the lock when this process ends.
 
     Raises:
-        BlockingIOError: another process has it.
+        BlockingIOError: another process holds the lock.
     """
     path = mailbox_path(name).with_suffix(".lock")
     descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
@@ -138,7 +146,7 @@ def _taken(name: str) -> int:
 
 
 def answers(name: str) -> bool:
-    """Whether a controller takes requests there now; a socket that a killed one left behind does not count."""
+    """Return True if a controller takes requests on a bus now. A socket left over from a killed one does not count."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         try:
             out.connect(str(mailbox_path(name)))
@@ -148,15 +156,21 @@ def answers(name: str) -> bool:
 
 
 class Watcher:
-    """Receiving end of a program that watches a running controller."""
+    """Receiving end of a program that watches a running controller.
+
+    Attributes:
+        name: bus of the controller.
+        path: of the socket of this watcher.
+        socket: Unix datagram socket.
+    """
 
     _numbers = itertools.count()
 
     def __init__(self, name: str) -> None:
-        """Watch controller ``name``; it need not run yet.
+        """Bind a socket for controller ``name``, which need not run yet.
 
         Raises:
-            BusError: there is no place for a socket.
+            BusError: the socket cannot be made.
         """
         self.name, self.path = name, watcher_path(next(self._numbers))
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
@@ -169,7 +183,7 @@ class Watcher:
             raise BusError(f"cannot listen there: {error}", str(self.path.parent), A_FOLDER) from None
 
     def next(self, timeout_s: float) -> dict[str, Any] | None:
-        """A status line that is not older than this call; None if none came in time [s]."""
+        """Request and return a status line newer than this call. None if none came in time [s]."""
         self.forget()
         try:
             self.send(WATCH, timeout_s)
@@ -179,24 +193,24 @@ class Watcher:
         return self.following(timeout_s)
 
     def send(self, data: bytes, timeout_s: float) -> None:
-        """Send a datagram to the controller from this socket, so that the controller can answer.
+        """Send a datagram to the controller from this socket, which lets the controller answer.
 
         Args:
-            data: to send.
+            data: datagram.
             timeout_s: longest wait for room in the mailbox [s].
 
         Raises:
-            OSError: nobody is there, or there was no room in time.
+            OSError: no controller runs, or the mailbox stayed full.
         """
         self.socket.settimeout(timeout_s)
         self.socket.sendto(data, str(mailbox_path(self.name)))
 
     def following(self, timeout_s: float) -> dict[str, Any] | None:
-        """The line after the last one, whenever it came; None if none comes in time [s]."""
+        """Return the next unread status line. None if there is none within the timeout [s]."""
         self.socket.settimeout(timeout_s)
         try:
             data, _, ours = receive(self.socket, LARGEST_STATUS)
-        except (TimeoutError, BlockingIOError):  # the latter if it may take no time at all
+        except (TimeoutError, BlockingIOError):  # BlockingIOError comes with a timeout of 0
             return None
         if not ours:
             return None
@@ -204,7 +218,7 @@ class Watcher:
         return line
 
     def heard(self, timeout_s: float) -> Iterator[dict[str, Any]]:
-        """Each line that comes from now on, as long as somebody listens and time is left [s]."""
+        """Yield each status line that arrives within the timeout [s]."""
         end = time.monotonic() + timeout_s
         while (left := end - time.monotonic()) > 0.0:
             line = self.following(left)
@@ -212,7 +226,7 @@ class Watcher:
                 yield line
 
     def forget(self) -> None:
-        """Throw lines away that wait from before."""
+        """Discard the unread status lines."""
         self.socket.setblocking(False)
         try:
             while self.socket.recv(LARGEST_STATUS):
@@ -221,6 +235,6 @@ class Watcher:
             return
 
     def close(self) -> None:
-        """Watch no more."""
+        """Remove the socket. The controller forgets this watcher at the next line."""
         self.socket.close()
         self.path.unlink(missing_ok=True)

@@ -1,7 +1,8 @@
-"""Whose process is at the other end of a Unix socket, as the kernel says: only this user and root are trusted.
+"""Check of the user at the other end of a Unix socket. Only this user and root are trusted.
 
-The folder of the sockets keeps other users out already (``places``). This is the second guard, on Linux alone:
-elsewhere Python has no portable way to ask, and every sender counts as this user.
+The folder of the sockets already keeps other users out (``places``). This check is the second guard. It
+works on Linux, where the kernel names the user. Other systems have no portable way, and every sender
+counts as this user.
 """
 
 import os
@@ -10,28 +11,29 @@ import struct
 import sys
 
 CREDENTIALS = struct.Struct("3i")
-"""Linux's ``struct ucred``: process, user, group."""
+"""``struct ucred`` of Linux: process, user, group. Source: man 7 unix."""
 LINUX = sys.platform.startswith("linux")
 SPACE = socket.CMSG_SPACE(CREDENTIALS.size)
+"""Buffer for one control message with credentials [bytes]."""
 SO_PASSCRED, SCM_CREDENTIALS, SO_PEERCRED = (getattr(socket, name, 0) for name in
                                              ("SO_PASSCRED", "SCM_CREDENTIALS", "SO_PEERCRED"))  # fmt: skip
 
 
 def name_senders(link: socket.socket) -> None:
-    """Let the kernel add the sender's user to every datagram; before the socket has a name that anybody can send to."""
+    """Let the kernel add the sender's user to every datagram. Call it before the socket is bound."""
     if LINUX:
         link.setsockopt(socket.SOL_SOCKET, SO_PASSCRED, 1)
 
 
 def receive(link: socket.socket, most: int) -> tuple[bytes, str, bool]:
-    """Receive one datagram of a socket of ``name_senders``.
+    """Receive one datagram from a socket that ``name_senders`` has set up.
 
     Args:
-        link: to read from.
-        most: bytes; the rest of a longer datagram is lost.
+        link: socket to read from.
+        most: size of the buffer [bytes]. A longer datagram is truncated.
 
     Returns:
-        the data, the path of the sender's socket (empty if it has none), and whether the sender may be trusted.
+        the data, the path of the sender's socket (empty if it is unbound), and whether the sender is trusted.
     """
     if not LINUX:
         data, sender = link.recvfrom(most)
@@ -43,7 +45,7 @@ def receive(link: socket.socket, most: int) -> tuple[bytes, str, bool]:
 
 
 def served_by_us(link: socket.socket) -> bool:
-    """Return whether the other end of a connected stream socket is a process of this user or root."""
+    """Return True if the other end of a connected stream socket belongs to this user or root."""
     if not LINUX:
         return True
     raw = link.getsockopt(socket.SOL_SOCKET, SO_PEERCRED, CREDENTIALS.size)
@@ -51,5 +53,5 @@ def served_by_us(link: socket.socket) -> bool:
 
 
 def trusted(user: int) -> bool:
-    """Return whether a user may command this user's hand."""
+    """Return True if a user may command this user's hand."""
     return user in (0, os.geteuid())

@@ -1,9 +1,10 @@
-"""Where processes of one machine meet: sockets and truth files of this user, out of other users' reach.
+"""Paths of the sockets and truth files of this user, out of the reach of other users.
 
-Whoever can write in the folder of the sockets can take a controller's place and receive the order to stop. So the
-folder is used only if no other user can change it or any folder above it. The walk goes from the root downwards, each
-step relative to the folder that was just checked. A checked folder stays what it is: only its owner, root, and whoever
-may write in the one above it could replace it, and those were found to be this user and root alone.
+A user who can write in the folder of the sockets can take the place of a controller and receive its stop
+request. The folder is therefore used only if no other user can change it or any folder above it. The
+check walks from the root downwards, each step relative to the folder that was just checked. A checked
+folder cannot be replaced later: only its owner, root, and users who can write in its parent could do
+that, and the check has found these to be this user and root alone.
 """
 
 import os
@@ -16,21 +17,26 @@ from pathlib import Path
 from handctl.errors import BusError
 
 OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
+"""Mode bits by which group or others may write."""
 OTHERS = stat.S_IRWXG | stat.S_IRWXO
+"""Mode bits of group and others."""
 PRIVATE = 0o700
+"""Mode of a folder that handctl makes."""
 LOOK = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC
-"""To look at a folder above ours; O_PATH needs no permission to read it."""
+"""Flags to open a folder above handctl's own. O_PATH needs no permission to read the folder."""
 MOST_LINKS = 8
+"""Symbolic links that the walk follows at most."""
 A_FOLDER = "a folder that is yours alone (mode 0700); HANDCTL_RUN_DIR names another"
 
 
 def run_dir() -> Path:
-    """Return the folder for sockets, made if need be, after checking that no other user can change it.
+    """Return the folder for sockets after checking that no other user can change it. Make it if it is missing.
 
-    It is HANDCTL_RUN_DIR, else XDG_RUNTIME_DIR/handctl, else TMP/handctl-UID/handctl.
+    The folder is HANDCTL_RUN_DIR, else XDG_RUNTIME_DIR/handctl, else TMP/handctl-UID/handctl.
 
     Raises:
-        BusError: it cannot be made, or it or a folder above it is another user's, open to others, or a link.
+        BusError: the folder cannot be made. Or the folder or one above it belongs to another user, is
+            open to others, or is a link.
     """
     if override := os.environ.get("HANDCTL_RUN_DIR"):
         return _private(Path(override), 1)
@@ -40,12 +46,12 @@ def run_dir() -> Path:
 
 
 def _private(path: Path, own: int, links: int = 0) -> Path:
-    """Walk down to a folder, making what is missing.
+    """Walk down to a folder, check each step, and make missing folders.
 
     Args:
         path: of the folder.
-        own: how many of its last parts are handctl's own, and may be nobody else's.
-        links: followed so far.
+        own: number of its last parts that are handctl's own. They must belong to this user.
+        links: number of symbolic links followed so far.
 
     Raises:
         BusError: see ``run_dir``.
@@ -58,12 +64,12 @@ def _private(path: Path, own: int, links: int = 0) -> Path:
             ours = number >= len(parts) - own
             found = _found(part, at)
             if stat.S_ISLNK(found.st_mode):
-                if ours or found.st_uid != 0 or links == MOST_LINKS:  # the system's, as /tmp is on macOS
+                if ours or found.st_uid != 0 or links == MOST_LINKS:  # only links of root pass, as /tmp on macOS
                     raise BusError("is a link", str(here), A_FOLDER)
                 target = here.parent / os.readlink(part, dir_fd=at)
                 return _private(target.joinpath(*parts[number + 1 :]), own, links + 1)
             flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if ours else LOOK
-            below = os.open(part, flags | os.O_NOFOLLOW, dir_fd=at)
+            below = os.open(part, flags | os.O_NOFOLLOW, dir_fd=at)  # relative: a renamed parent changes nothing
             os.close(at)
             at = below
             (_refuse_shared if ours else _refuse_unsafe)(here, at)
@@ -75,16 +81,16 @@ def _private(path: Path, own: int, links: int = 0) -> Path:
 
 
 def _found(part: str, at: int) -> os.stat_result:
-    """Return the state of a part of a path, without following a link; make a missing one a folder of this user."""
+    """Return the state of a part of a path without following a link. Make a folder if the part is missing."""
     with suppress(FileNotFoundError):
         return os.stat(part, dir_fd=at, follow_symlinks=False)
-    with suppress(FileExistsError):  # somebody else has made it meanwhile, and is looked at like any other
+    with suppress(FileExistsError):  # another process has made the folder meanwhile, and it is checked like any other
         os.mkdir(part, PRIVATE, dir_fd=at)
     return os.stat(part, dir_fd=at, follow_symlinks=False)
 
 
 def _refuse_shared(here: Path, at: int) -> None:
-    """Refuse a folder of handctl that others own or can write in; close one that they could only read."""
+    """Refuse a folder of handctl that others own or can write in. Make a readable one private."""
     seen = os.fstat(at)
     if seen.st_uid != os.geteuid():
         raise BusError(f"belongs to {_user(seen.st_uid)}", str(here), A_FOLDER)
@@ -95,7 +101,10 @@ def _refuse_shared(here: Path, at: int) -> None:
 
 
 def _refuse_unsafe(here: Path, at: int) -> None:
-    """Refuse a folder above handctl's in which others could put another one in its place."""
+    """Refuse a folder above handctl's in which others could replace handctl's folder.
+
+    The sticky bit is enough: with it, as on /tmp, only the owner of an entry can replace it.
+    """
     seen = os.fstat(at)
     if seen.st_uid not in (0, os.geteuid()):
         raise BusError(f"belongs to {_user(seen.st_uid)}", str(here), A_FOLDER)
@@ -104,36 +113,37 @@ def _refuse_unsafe(here: Path, at: int) -> None:
 
 
 def _user(number: int) -> str:
-    """Return a user's name, or the number of one that has none here."""
+    """Return the name of a user, or the number if the user has no name here."""
     with suppress(KeyError):
         return f"user {pwd.getpwuid(number).pw_name}"
     return f"user {number}"
 
 
 def _flat(spec: str) -> str:
+    """Turn a bus specification into a file name."""
     return spec.replace(":", "_").replace("/", "_")
 
 
 def local_bus_path(name: str) -> Path:
-    """Socket of the hub of ``local:NAME``."""
+    """Return the socket of the hub of ``local:NAME``."""
     return run_dir() / f"{name}.bus"
 
 
 def mailbox_path(spec: str) -> Path:
-    """Socket on which the controller of a bus takes requests."""
+    """Return the socket on which the controller of a bus takes requests."""
     return run_dir() / f"{_flat(spec)}.requests"
 
 
 def watcher_path(number: int) -> Path:
-    """Socket on which this process gets status lines, one for each controller that it watches."""
+    """Return the socket on which this process receives the status lines of one watched controller."""
     return run_dir() / f"watcher-{os.getpid()}-{number}"
 
 
 def faults_path(spec: str) -> Path:
-    """Socket on which a simulator on this bus takes faults."""
+    """Return the socket on which the simulator of a bus takes faults."""
     return run_dir() / f"{_flat(spec)}.faults"
 
 
 def truth_path(spec: str) -> Path:
-    """Where a simulator on this bus keeps its truth, unless told otherwise."""
+    """Return the default truth file of the simulator of a bus."""
     return run_dir() / f"{_flat(spec)}.truth"

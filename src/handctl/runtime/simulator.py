@@ -1,4 +1,4 @@
-"""Asking a running simulator for faults."""
+"""Requests to a running simulator, such as fault injection."""
 
 import json
 import os
@@ -11,15 +11,17 @@ from handctl.runtime.buses.open import check_spec
 from handctl.runtime.places import faults_path, run_dir
 
 PATIENCE_S = 5.0
+"""Longest wait for an answer [s]."""
 LARGEST = 1 << 18
+"""Longest answer [bytes]."""
 
 
 def find_simulator(bus: str | None) -> Path:
-    """The fault socket of the simulator on a bus, or of the only one that runs.
+    """Return the fault socket of the simulator on a bus, or of the only running simulator.
 
     Raises:
-        BusError: there is none, or several and no bus is named.
-        ConfigError: that is no bus.
+        BusError: no bus is named, and not exactly one simulator runs.
+        ConfigError: ``bus`` is no bus specification.
     """
     if bus is not None:
         check_spec(bus)
@@ -32,11 +34,11 @@ def find_simulator(bus: str | None) -> Path:
 
 
 def ask_simulator(path: Path, question: dict[str, Any]) -> dict[str, Any]:
-    """Ask, and wait for the answer.
+    """Send a request to a simulator and return its answer.
 
     Raises:
-        BusError: no simulator answers there.
-        ConfigError: it does not know such a fault.
+        BusError: no simulator answers.
+        ConfigError: the simulator refuses the request, for instance an unknown fault.
     """
     own = run_dir() / f"asking-{os.getpid()}"
     own.unlink(missing_ok=True)

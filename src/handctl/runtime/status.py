@@ -1,4 +1,4 @@
-"""One tick in a line, for people and programs that watch a running hand."""
+"""Status line of one tick, for programs that watch a running hand."""
 
 from typing import Any
 
@@ -6,11 +6,11 @@ from handctl.core.types import TickIn, TickOut
 
 
 def status(entry: TickIn, out: TickOut) -> dict[str, Any]:
-    """What is worth watching, as plain values; None where nothing is known.
+    """Return the status of a tick as plain values, with None for NaN.
 
     Args:
-        entry: what came into the tick.
-        out: what it decided.
+        entry: input of the tick.
+        out: output of the tick.
     """
     numbers = out.telemetry
     return {
@@ -31,4 +31,5 @@ def status(entry: TickIn, out: TickOut) -> dict[str, Any]:
 
 
 def _plain(values: list[float]) -> list[float | None]:
+    """Round values to four digits and replace NaN, which JSON does not have, by None."""
     return [round(value, 4) if value == value else None for value in values]

@@ -1,4 +1,4 @@
-"""Noticing that the whole machine slept: CLOCK_BOOTTIME goes on in a suspend, CLOCK_MONOTONIC stands still."""
+"""Detection of a suspend of the machine. In a suspend CLOCK_BOOTTIME goes on, CLOCK_MONOTONIC stands still."""
 
 import time
 from collections.abc import Callable
@@ -6,32 +6,37 @@ from collections.abc import Callable
 from handctl.core.types import IoEvent
 
 LEAST_NS = 20_000_000
-"""Only more than this is a suspend [ns]."""
+"""Shortest suspend that is reported [ns]."""
 TOGETHER_NS = 1_000_000
-"""A look at the clocks that took longer was interrupted, and says nothing [ns]."""
+"""Longest reading of both clocks. A longer one was interrupted and is discarded [ns]."""
 
 
 def boot_ns() -> int:
-    """Time since the machine was started, suspends included [ns]; where there is no such clock, without them."""
+    """Return the time since the machine was started, including suspends where the system has CLOCK_BOOTTIME [ns]."""
     clock: int = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
     return time.clock_gettime_ns(clock)
 
 
 class SuspendWatch:
-    """Compares the two clocks whenever it is asked."""
+    """Suspend detector that compares the two clocks at every call."""
 
     def __init__(self, boot: Callable[[], int] = boot_ns, monotonic: Callable[[], int] = time.monotonic_ns) -> None:
-        """Args: the two clocks [ns]."""
+        """Read the clocks once.
+
+        Args:
+            boot: clock that goes on in a suspend [ns].
+            monotonic: clock that stands still in a suspend [ns].
+        """
         self._boot, self._monotonic = boot, monotonic
         self._apart_ns = self._look()
 
     def _look(self) -> int | None:
-        """How far the clocks are apart [ns]; None if something came between the looks at them."""
+        """Return the difference of the clocks [ns]. None if the reading was interrupted."""
         before, boot = self._monotonic(), self._boot()
         return boot - before if self._monotonic() - before < TOGETHER_NS else None
 
     def events(self) -> list[IoEvent]:
-        """A suspend since the last call, with its length [ms]."""
+        """Return an event for a suspend since the last call, with its duration [ms]."""
         apart_ns = self._look()
         if apart_ns is None:
             return []

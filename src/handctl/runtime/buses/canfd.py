@@ -1,10 +1,11 @@
-"""Batches of frames between records and Linux's ``struct canfd_frame``, without an object or a loop per frame.
+"""Conversion of frame batches between records and ``struct canfd_frame``, without an object or a loop per frame.
 
     can_id 32 | length 8 | flags 8 | reserved 16 | data 64 x 8
 
-The local bus sends this struct. A CAN socket receives a classical frame into its first 16 bytes. Ticks exchange the
-same identifiers, flags and lengths again and again. The converted heads of a batch are therefore kept, and a tick
-copies only payloads. Source: Linux ``can.h``.
+The local bus sends this struct. A CAN socket receives a classical frame into its first 16 bytes. Ticks
+exchange the same identifiers, flags and lengths again and again. The converted heads of a batch are
+therefore cached, and a tick copies only payloads. A head is the first 8 bytes of a struct, or the 8
+bytes from identifier to length of a record. Source: Linux ``can.h``.
 """
 
 import functools
@@ -23,19 +24,19 @@ SIZE, CLASSICAL_SIZE = STRUCT.itemsize, 16
 LONGEST = 64
 """Payload of the longest frame [bytes]."""
 KEPT = 256
-"""Batches whose heads are kept."""
+"""Number of batches whose heads are cached."""
 LONGEST_KEPT = 128
-"""Frames of such a batch: a flood cannot fill the memory."""
+"""Most frames of a cached batch. The limit keeps a flood of frames from filling the memory."""
 WORD, PAYLOAD = np.dtype("<u8"), np.dtype(("<u8", (8,)))
 _HEAD = np.dtype(STRUCT.descr[:-1])
 T_NS_AT, HEAD_AT, DATA_AT = (RECORD.fields[name][1] for name in ("t_ns", "can_id", "data"))  # type: ignore[index]
-"""Places of the time, of identifier to length, and of the payload in a record [bytes]."""
+"""Offsets of the time, of the head (identifier to length), and of the payload in a record [bytes]."""
 
 Words = NDArray[np.uint64]
 
 
 def _masks() -> Words:
-    """Return (LONGEST + 1, 8): all bits of a payload of each length."""
+    """Return an array (LONGEST + 1, 8) of masks that select the payload of each length."""
     masks = np.zeros((LONGEST + 1, LONGEST), np.uint8)
     for length in range(LONGEST + 1):
         masks[length, :length] = 0xFF
@@ -44,18 +45,19 @@ def _masks() -> Words:
 
 MASKS = _masks()
 _LENGTHS = bytes(min(length, LONGEST) for length in range(256))
+"""Table for ``bytes.translate``: length byte of a struct to payload length, at most LONGEST."""
 _ERRORS = bytes((highest << 24 & ERROR) != 0 for highest in range(256))
-"""By the highest byte of an identifier: whether it is an error frame's."""
+"""Table for ``bytes.translate``: highest byte of an identifier to 1 for an error frame."""
 
 
 class Received(NamedTuple):
-    """What the heads of received structs say.
+    """Heads of received structs, converted to records.
 
     Attributes:
-        heads: (n,) the same in records: identifier, flags, bus, length.
-        words: most words of eight bytes that a payload takes, at least 1.
-        masks: bits of each payload, (n,) for one word and (n, words) for more; None if all payloads are full.
-        errors: whether one is an error frame.
+        heads: (n,) identifier, flags, bus and length of each record.
+        words: 8-byte words that the longest payload takes, at least 1.
+        masks: bits of each payload, (n,) for one word and (n, words) for more. None if all payloads are full.
+        errors: True if one is an error frame.
     """
 
     heads: Words
@@ -66,13 +68,18 @@ class Received(NamedTuple):
 
 @functools.lru_cache
 def _flags(kept: int, more: int) -> bytes:
-    """Return the flags of a record by those of a struct."""
+    """Return a table for ``bytes.translate``: flags of a struct to flags of a record."""
     return bytes(flags & kept | more for flags in range(256))
 
 
 @functools.lru_cache(maxsize=KEPT)
 def _received(raw: bytes, bus: int, kept_flags: int, more_flags: int) -> Received:
-    """Convert heads of structs: by columns of bytes, which is quicker than numpy for a batch that never came before."""
+    """Convert heads of structs to heads of records.
+
+    The conversion works on columns of bytes, which is faster than numpy for a batch that is not cached.
+    """
+    # Bytes of a head in a struct:  can_id 0..3 | length 4 | flags 5 | reserved 6..7
+    # Bytes of a head in a record:  can_id 0..3 | flags  4 | zero  5 | bus 6 | length 7
     lengths, count = raw[4::8].translate(_LENGTHS), len(raw) // 8
     heads = bytearray(len(raw))
     for i in range(4):
@@ -80,7 +87,7 @@ def _received(raw: bytes, bus: int, kept_flags: int, more_flags: int) -> Receive
     heads[4::8] = raw[5::8].translate(_flags(kept_flags, more_flags))
     heads[6::8] = bytes((bus,)) * count
     heads[7::8] = lengths
-    words = max(1, -(-max(lengths, default=0) // 8))
+    words = max(1, -(-max(lengths, default=0) // 8))  # rounded up
     masks = None
     if lengths.count(8 * words) < count:
         masks = MASKS[:, 0] if words == 1 else MASKS[:, :words]
@@ -89,12 +96,12 @@ def _received(raw: bytes, bus: int, kept_flags: int, more_flags: int) -> Receive
 
 
 class Sent(NamedTuple):
-    """What the heads of records to be sent say.
+    """Heads of records to be sent, converted to structs.
 
     Attributes:
-        heads: (n,) the same in structs.
-        words: most words of eight bytes that a payload takes, at least 1.
-        sizes: (n,) bytes of the struct of each: ``can_frame`` or ``canfd_frame``.
+        heads: (n,) identifier, length and flags of each struct.
+        words: 8-byte words that the longest payload takes, at least 1.
+        sizes: (n,) size of each struct, ``can_frame`` or ``canfd_frame`` [bytes].
     """
 
     heads: Words
@@ -104,10 +111,10 @@ class Sent(NamedTuple):
 
 @functools.lru_cache(maxsize=KEPT)
 def _sent(raw: bytes) -> Sent:
-    """Convert heads of records: the eight bytes from the identifier to the length of each.
+    """Convert heads of records to heads of structs.
 
     Raises:
-        ValueError: a payload longer than its kind of frame can carry.
+        ValueError: a payload is longer than its kind of frame can carry.
     """
     words = np.frombuffer(raw, WORD)
     records = np.zeros(len(words), RECORD)
@@ -124,42 +131,42 @@ def _sent(raw: bytes) -> Sent:
 
 
 class Structs:
-    """A row of structs in memory, read and written as columns.
+    """An array of structs in memory, read and written by columns.
 
     Attributes:
         count: number of structs.
     """
 
     def __init__(self, memory: Any) -> None:
-        """Args: memory: writable buffer of a whole number of structs."""
+        """Make views into ``memory``, a writable buffer of a whole number of structs."""
         rows = np.frombuffer(memory, WORD).reshape(-1, SIZE // 8)
         self.count = len(rows)
         self._heads, self._data, self._first = rows[:, 0], rows[:, 1:], rows[:, 1]
         self._written = 8
 
     def found(self, count: int, bus: int, kept_flags: int = 0xFF, more_flags: int = 0) -> Received:
-        """Return what the heads of the first structs say.
+        """Convert the heads of the first structs.
 
         Args:
-            count: of structs.
+            count: number of structs.
             bus: index of the bus.
-            kept_flags: of the flags of the structs.
-            more_flags: flags that all frames have besides.
+            kept_flags: mask of the flags that are taken from the structs.
+            more_flags: flags that all frames get in addition.
         """
         convert = _received if count <= LONGEST_KEPT else _received.__wrapped__
         return convert(self._heads[:count].tobytes(), bus, kept_flags, more_flags)
 
     def reserved(self, at: int) -> int:
-        """Return the reserved number of a struct."""
+        """Return the reserved 16 bits of a struct."""
         return int(self._heads[at]) >> 48
 
     def read(self, count: int, found: Received, t_ns: "int | NDArray[np.int64]") -> Records:
-        """Return the first structs as records.
+        """Convert the first structs to records.
 
         Args:
-            count: of structs.
-            found: of their heads.
-            t_ns: time of reception, of all or of each [ns].
+            count: number of structs.
+            found: their converted heads.
+            t_ns: time of reception, one for all or one for each [ns].
         """
         records: Records = np.zeros(count, RECORD)
         records.setfield(t_ns, np.dtype("<i8"), T_NS_AT)
@@ -177,14 +184,14 @@ class Structs:
         """Write frames into the first structs, with zeros behind each payload.
 
         Raises:
-            ValueError: a payload longer than its kind of frame can carry; nothing is written then.
+            ValueError: a payload is longer than its kind of frame can carry. Nothing is written.
         """
         records = frames.records
         count = len(records)
         convert = _sent if count <= LONGEST_KEPT else _sent.__wrapped__
         what = convert(records.getfield(WORD, HEAD_AT).tobytes())
         self._heads[:count] = what.heads
-        if what.words < self._written:
+        if what.words < self._written:  # longer payloads of the batch before would show behind these
             self._data[:, what.words :] = 0
         self._written = what.words
         if what.words == 1:

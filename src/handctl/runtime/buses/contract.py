@@ -1,4 +1,4 @@
-"""What the loop asks of a CAN bus, and what every kind of bus is held to."""
+"""The interface of a CAN bus, which every kind of bus implements."""
 
 from collections.abc import Callable, Sequence
 from typing import Protocol
@@ -8,44 +8,44 @@ from handctl.drives.records import Frames
 from handctl.runtime.buses.events import Event
 
 Stamp = Callable[[int], int]
-"""Time of the run [ns] from a CLOCK_MONOTONIC time [ns], which it grows with at a constant rate."""
+"""Function from a CLOCK_MONOTONIC time [ns] to the run's time [ns], linear with a positive slope."""
 
 
 class Bus(Protocol):
-    """One CAN bus that never blocks and never raises for what happens on the wire.
-
-    Attributes:
-        name: its specification, also the ``where`` of its events.
-    """
+    """One CAN bus that never blocks and never raises for events on the wire."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Specification of the bus, also the ``where`` of its events."""
+        ...
 
     def drain(self) -> Frames:
-        """All frames that are there, oldest first, with bus index and time of reception."""
+        """Return all received frames, oldest first, with bus index and time of reception."""
         ...
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """Send a batch; how many frames were accepted, from the first on. The rest is dropped, never kept for later.
+        """Send a batch and return the number of accepted frames, counted from the first.
+
+        The rest is dropped. A command that cannot go out now must not go out late.
 
         Args:
-            frames: sent as they are if they are ``Frames``, as the loop's are. Frames of a tool are made records first.
+            frames: ``Frames`` (the loop sends these) are sent as they are, other sequences are converted first.
 
         Raises:
-            ValueError: a payload longer than its kind of frame can carry.
+            ValueError: a payload is longer than its kind of frame can carry.
         """
         ...
 
     def take_events(self) -> list[Event]:
-        """What happened since the last call; see ``events``."""
+        """Return the events since the last call, see ``events``."""
         ...
 
     def fileno(self) -> int:
-        """File descriptor that turns readable with a frame; -1 if there is none."""
+        """Return the file descriptor that becomes readable when a frame arrives. -1 if there is none."""
         ...
 
     def close(self) -> None:
-        """Give the bus back."""
+        """Close the bus."""
         ...
 
 
@@ -53,7 +53,7 @@ def check_size(frame: Frame) -> None:
     """Refuse a payload that its kind of frame cannot carry.
 
     Raises:
-        ValueError: longer than 8 bytes, or with CAN FD than 64.
+        ValueError: the payload is longer than 8 bytes, or longer than 64 with CAN FD.
     """
     size = len(frame.data)
     if size > 64 or (size > 8 and not frame.flags & FDF):

@@ -1,10 +1,17 @@
-"""What happens to a bus, gathered until the tick asks: (kind, where, number).
+"""Events of a bus, collected until the tick takes them: (kind, where, number).
 
-Kinds: ``enobufs`` frames refused by a full queue (or without a reason), ``enetdown`` interface down, ``enodev``
-interface or hub gone (or reading fails without a reason), ``ebadf`` closed, ``dropped`` received frames lost before
-they were read, ``error_frame``, ``error_warning``, ``error_passive``, ``error_active``, ``bus_off``, ``restarted``.
-States (``bus_off``, ``error_passive``, ``enodev``) are told anew at every call while they last, so that a debounce in
-ticks can count them.
+Kinds:
+
+- ``enobufs``: frames refused by a full queue, or refused without a reason
+- ``enetdown``: interface down
+- ``enodev``: interface or hub gone, or reading fails without a reason
+- ``ebadf``: bus closed
+- ``dropped``: received frames lost before they were read
+- ``error_frame``, ``error_warning``, ``error_passive``, ``error_active``, ``bus_off``, ``restarted``: as
+  reported by the CAN controller
+
+States (``bus_off``, ``error_passive``, ``enodev``) are reported at every call while they last, so that
+the fault detectors can debounce them in ticks.
 """
 
 import errno
@@ -24,11 +31,12 @@ ERRNO_KINDS = {
     errno.ENOTCONN: "enodev",
     errno.EBADF: "ebadf",
 }
+"""Kind of event by errno."""
 
 TX_TIMEOUT, LOST_ARBITRATION, CONTROLLER, PROTOCOL, TRANSCEIVER, NO_ACK, BUS_OFF, BUS_ERROR, RESTARTED = (
     1 << bit for bit in range(9)
 )
-"""Classes of an error frame, in its identifier. Source: Linux ``can/error.h``."""
+"""Class bits in the identifier of an error frame. Source: Linux ``can/error.h``."""
 CLASS_NAMES = (
     "tx timeout",
     "lost arbitration",
@@ -40,26 +48,30 @@ CLASS_NAMES = (
     "bus error",
     "restarted",
 )
+"""Names of the class bits, lowest bit first."""
 OVERFLOW, TX_OVERFLOW, WARNING, PASSIVE, ACTIVE = 0x03, 0x02, 0x0C, 0x30, 0x40
-"""Bits of data[1] of a CONTROLLER error frame, receive and transmit side; TX_OVERFLOW is one of OVERFLOW.
-Source: Linux ``can/error.h``."""
+"""Masks for data[1] of a CONTROLLER error frame, each with the receive and the transmit bit.
+
+TX_OVERFLOW is the transmit bit of OVERFLOW. Source: Linux ``can/error.h``.
+"""
 
 
 class BusEvents:
-    """Counts of what happened to one bus since the last ``take``."""
+    """Event counts and lasting states of one bus since the last ``take``."""
 
     def __init__(self, where: str) -> None:
+        """Start without events. ``where`` names the bus in each event."""
         self.where = where
         self._counts: dict[tuple[str, str], int] = {}
         self._lasting: set[str] = set()
 
     def add(self, kind: str, number: int = 1, detail: str = "") -> None:
-        """Count something that happened.
+        """Count an event.
 
         Args:
             kind: see the module.
-            number: how often.
-            detail: what more is known of it.
+            number: of occurrences.
+            detail: text that is appended to ``where``. Events with different details are counted apart.
         """
         key = kind, f"{self.where} {detail}" if detail else self.where
         self._counts[key] = self._counts.get(key, 0) + number
@@ -68,29 +80,29 @@ class BusEvents:
         """Count a failed operation.
 
         Args:
-            code: its errno; None if not known.
-            otherwise: kind where the errno tells nothing.
-            number: frames that it failed for.
+            code: errno of the failure. None if unknown.
+            otherwise: kind of event for an unknown or unlisted errno.
+            number: of frames that the operation failed for.
         """
         kind = ERRNO_KINDS.get(code or 0, otherwise)
         if ERRNO_KINDS.get(code or 0) == "enodev":
             self.lasting(kind, True)
             return
-        if kind == "enetdown":
+        if kind == "enetdown":  # an interface that is down has left the error states of its controller
             self.lasting("bus_off", False)
             self.lasting("error_passive", False)
         self.add(kind, number)
 
     def lasting(self, kind: str, present: bool) -> None:
-        """Begin or end a state that is told again at every ``take``."""
+        """Begin or end a state that every ``take`` reports again."""
         (self._lasting.add if present else self._lasting.discard)(kind)
 
     def error_frame(self, can_id: int, data: bytes) -> None:
-        """Decode an error frame of the kernel.
+        """Decode an error frame of the kernel and count its events.
 
         Args:
-            can_id: its identifier, the classes.
-            data: its payload.
+            can_id: identifier, which has the class bits.
+            data: payload. data[1] is the state of the controller.
         """
         names = [name for bit, name in enumerate(CLASS_NAMES) if can_id >> bit & 1]
         self.add("error_frame", 1, ", ".join(names) or "unknown class")
@@ -104,6 +116,7 @@ class BusEvents:
             self._controller(data[1])
 
     def _controller(self, status: int) -> None:
+        """Count the events in data[1] of a CONTROLLER error frame."""
         if status & OVERFLOW:
             self.add("error_frame", 1, "controller overflow")
         if status & TX_OVERFLOW:
@@ -116,7 +129,7 @@ class BusEvents:
             self.lasting("error_passive", bool(status & PASSIVE))
 
     def take(self) -> list[Event]:
-        """What happened since the last call, and what lasts."""
+        """Return the events since the last call and the lasting states."""
         if not self._counts and not self._lasting:
             return []
         events = [(kind, where, number) for (kind, where), number in self._counts.items()]

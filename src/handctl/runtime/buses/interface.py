@@ -1,14 +1,15 @@
-"""Whether an interface runs at the bit rates of the hand file; see ``link`` for all else that is known of it."""
+"""Comparison of the bit rates of an interface with the hand file. ``link`` reads the state of an interface."""
 
 from handctl.runtime.buses.link import Link, NoTool, read_link
 
 
 def wrong_rate(channel: str, bitrate: int, data_bitrate: int | None) -> str:
-    """What is wrong with an interface's bit rates, in one line; empty if nothing is, or they cannot be known.
+    """Describe a wrong bit rate of an interface in one line. Empty if the rates are right or unknown.
 
     Args:
         channel: name of the interface.
-        bitrate, data_bitrate: what the hand file says [bit/s]; data None for a classical bus.
+        bitrate: of the hand file [bit/s].
+        data_bitrate: of the hand file [bit/s]. None for a classical bus.
     """
     try:
         link = read_link(channel)
@@ -18,7 +19,7 @@ def wrong_rate(channel: str, bitrate: int, data_bitrate: int | None) -> str:
 
 
 def compared(channel: str, link: Link, bitrate: int, data_bitrate: int | None) -> str:
-    """``wrong_rate`` with what was found; an interface without bit timing (vcan, slcan) runs at any."""
+    """Describe a wrong bit rate of ``link`` in one line. An interface without bit timing (vcan, slcan) has none."""
     if link.bitrate is None:
         return ""
     if link.bitrate != bitrate:

@@ -1,4 +1,4 @@
-"""The state of a Linux CAN interface, as ``ip -details -statistics -json link show`` tells it.
+"""The state of a Linux CAN interface as reported by ``ip -details -statistics -json link show``.
 
 Source: iproute2, iplink_can.c.
 """
@@ -9,19 +9,26 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 MTU_FD = 72
+"""MTU of an interface that carries CAN FD, the size of ``struct canfd_frame`` [bytes]."""
 TIMEOUT_S = 5.0
+"""Longest wait for ``ip`` [s]."""
 
 
 class Link(NamedTuple):
-    """An interface.
+    """State of a CAN interface.
 
     Attributes:
-        up: whether it is. kind: ``can``, ``vcan``, ... queue: frames that wait at most (txqueuelen).
-        fd: whether it carries CAN FD. bitrate, data_bitrate: [bit/s]; None where there is none, as on vcan.
-        state: of the controller, ``ERROR-ACTIVE`` and so on; empty where there is none.
-        sending, receiving: error counters of the controller.
-        restart_ms: after bus-off; 0 if a person has to do it; None where there is none.
-        counts: what has happened since the interface was made: bus_error, error_passive, bus_off, tx_dropped, ...
+        up: the interface is up.
+        kind: ``can``, ``vcan``, ...
+        queue: length of the transmit queue (txqueuelen) [frames].
+        fd: the interface carries CAN FD.
+        bitrate: nominal [bit/s]. None without bit timing, as on vcan.
+        data_bitrate: of the data phase [bit/s]. None without bit timing.
+        state: of the controller, such as ``ERROR-ACTIVE``. Empty without a controller.
+        sending: transmit error counter of the controller.
+        receiving: receive error counter of the controller.
+        restart_ms: delay of the restart after bus-off [ms]. 0 for a restart by hand, None without a controller.
+        counts: events since the interface was made: bus_error, error_passive, bus_off, tx_dropped, ...
     """
 
     up: bool
@@ -38,14 +45,14 @@ class Link(NamedTuple):
 
 
 class NoTool(Exception):  # noqa: N818 - tells that a program is missing
-    """There is no ``ip`` here, or it does not answer in time."""
+    """The program ``ip`` is not installed or does not answer in time."""
 
 
 def read_link(name: str) -> Link | None:
-    """State of an interface; None if there is no such interface.
+    """Read the state of an interface. None if the interface does not exist.
 
     Raises:
-        NoTool: iproute2 is not installed, or does not answer.
+        NoTool: iproute2 is not installed or does not answer.
     """
     command = ["ip", "-details", "-statistics", "-json", "link", "show", "dev", name]
     try:
@@ -56,7 +63,7 @@ def read_link(name: str) -> Link | None:
 
 
 def parse_link(text: str) -> Link | None:
-    """The interface in the output of ``ip``; None if there is none in it."""
+    """Parse the output of ``ip``. None if it lists no interface."""
     try:
         (shown,) = json.loads(text)
     except ValueError:
@@ -80,5 +87,5 @@ def parse_link(text: str) -> Link | None:
 
 
 def _dropped(stats: dict[str, Any]) -> dict[str, int]:
-    """Frames lost on either side."""
+    """Return the dropped frames of the receive and the transmit side."""
     return {f"{side}_dropped": int(stats.get(side, {}).get("dropped", 0)) for side in ("rx", "tx")}

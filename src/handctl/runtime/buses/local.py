@@ -1,7 +1,10 @@
-"""The local bus: a Unix stream socket to the hub of a simulator, one record a frame, one call a batch.
+"""The local bus: a Unix stream socket to the hub of a simulator, one record per frame, one call per batch.
 
-A record has 72 bytes and the layout of Linux's ``struct canfd_frame``; its two reserved bytes count the frames that the
-hub has dropped for this receiver. There are no receive stamps: frames bear the time at which they were read.
+    can_id 32 | length 8 | flags 8 | dropped 16 | data 64 x 8
+
+A record has 72 bytes and the layout of ``struct canfd_frame`` of Linux. Its two reserved bytes count the
+frames that the hub has dropped for this receiver. The socket has no receive stamps. Frames carry the
+time at which they were read.
 """
 
 import socket
@@ -19,26 +22,30 @@ from handctl.runtime.peers import served_by_us
 from handctl.runtime.places import local_bus_path
 
 RECORD = struct.Struct("<IBBH64s")
-"""Identifier with flag bits, length, flags, frames dropped so far modulo 65536, payload: as ``canfd.STRUCT``."""
+"""One record: identifier with flag bits, length, flags, dropped frames modulo 65536, payload."""
 BUFFER = 1 << 20
-"""Asked of the kernel for either direction [bytes]."""
+"""Size of the socket buffer requested for each direction [bytes]."""
 MOST = 4096
-"""Records of one read."""
+"""Records per read at most."""
 ROOM = 64
-"""Records that there is room for in a batch to be sent at first."""
+"""Initial size of the send buffer [records]."""
 QUEUE_TOLD, QUEUE = 0xE0000000, struct.Struct("<II")
-"""Record by which a hub with a simulated wire tells how many of this client's frames have left their queue, modulo
-2**32, and how many the queue holds. A hub without a wire never does, and its clients have no queue."""
+"""Identifier and payload of a queue report, which a hub with a simulated wire sends.
+
+The payload is the number of this client's frames that have left the queue, modulo 2**32, and the capacity
+of the queue. A hub without a wire sends no report, and its clients have no queue.
+"""
 READS = 4
-"""Reads of one drain: a flood cannot make a tick long."""
+"""Reads per drain. The limit keeps a flood of frames from making a tick long."""
 CONNECT_TIMEOUT_S = 2.0
+"""Longest wait for the hub [s]."""
 
 
 def connect(name: str) -> socket.socket:
-    """Socket to the hub of ``local:NAME``.
+    """Connect to the hub of ``local:NAME`` and return the socket.
 
     Raises:
-        BusError: there is none.
+        BusError: no hub serves this bus, or the hub belongs to another user.
     """
     path = local_bus_path(name)
     link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -59,10 +66,11 @@ def connect(name: str) -> socket.socket:
 
 
 class LocalBus:
-    """Client of a local bus; see ``bus.Bus``.
+    """Client of a local bus, see ``contract.Bus``.
 
     Attributes:
-        early: frames that came while room was looked for, and are the next to be drained.
+        name: specification of the bus.
+        early: frames that were read during a ``send``. The next ``drain`` returns them first.
     """
 
     def __init__(self, channel: str, index: int, stamp: Stamp, most: int = MOST) -> None:
@@ -71,8 +79,8 @@ class LocalBus:
         Args:
             channel: name of the bus.
             index: of the bus in the hand's list.
-            stamp: makes the run's time of a CLOCK_MONOTONIC time.
-            most: records of one read; with 1 the socket stays readable while a frame waits.
+            stamp: converts a CLOCK_MONOTONIC time to the run's time.
+            most: records per read at most. With 1 the socket stays readable while a frame waits.
 
         Raises:
             BusError: no hub of this name is running.
@@ -93,11 +101,12 @@ class LocalBus:
         self._gone = False
 
     def _make_room(self, count: int) -> None:
+        """Allocate a send buffer for ``count`` records."""
         memory = bytearray(count * SIZE)
         self._out, self._out_structs = memoryview(memory), Structs(memory)
 
     def drain(self) -> Frames:
-        """See ``bus.Bus``."""
+        """Return all received frames, see ``contract.Bus``."""
         parts = [self.early] if self.early else []
         self.early = EMPTY
         for _ in range(self._reads):
@@ -110,7 +119,7 @@ class LocalBus:
         return joined(parts)
 
     def _read(self, room: memoryview) -> int:
-        """Bytes read; 0 if there is nothing."""
+        """Read into a buffer and return the number of bytes. 0 if nothing has arrived."""
         if self._gone:
             return 0
         try:
@@ -119,16 +128,17 @@ class LocalBus:
             return 0
         except OSError:
             size = 0
-        if size == 0:
+        if size == 0:  # end of the stream: the hub has closed it
             self._lose()
         return size
 
     def _lose(self) -> None:
+        """Report from now on that the hub is gone."""
         self._gone = True
         self._events.lasting("enodev", True)
 
     def _take(self, filled: int) -> Frames:
-        """Take the whole records out of the first ``filled`` bytes, keep the beginning of the next."""
+        """Convert the complete records in the first ``filled`` bytes. Keep the beginning of an incomplete one."""
         count, self._kept = divmod(filled, SIZE)
         if not count:
             return EMPTY
@@ -145,7 +155,7 @@ class LocalBus:
         return frames
 
     def receive_one(self) -> Frame | None:
-        """Return the next frame as an object, for programs that take one message at a time; None if there is none."""
+        """Return the next frame as an object, for programs that take one message at a time. None if there is none."""
         if self.early:
             frame, self.early = self.early[0], self.early[1:]
             return frame
@@ -161,31 +171,33 @@ class LocalBus:
         return Frame(can_id, data[:length], flags, self._index, self._stamp(time.monotonic_ns()))
 
     def _count_dropped(self, lost: int) -> None:
+        """Count the frames that the hub has dropped since the last record, from its counter modulo 65536."""
         if lost != self._dropped:
             self._events.add("dropped", (lost - self._dropped) & 0xFFFF)
             self._dropped = lost
 
     def _told(self, can_id: int, data: bytes) -> None:
-        """An error frame, or how far the hub has emptied this client's queue."""
+        """Take a queue report of the hub, or count an error frame."""
         if can_id == QUEUE_TOLD:
             self._taken, self._depth = QUEUE.unpack(data)
         else:
             self._events.error_frame(can_id, data)
 
     def _fitting(self, frames: Sequence[Frame]) -> Sequence[Frame]:
-        """As many of the frames as the queue has room for; the others are refused."""
+        """Return as many of the frames as fit in the queue. The others are refused."""
         if len(frames) > self._room():
-            self.early = self.drain()  # it may have been emptied meanwhile
+            self.early = self.drain()  # a queue report may have arrived meanwhile
         room = self._room()
         if len(frames) > room:
             self._events.add("enobufs", len(frames) - room)
         return frames[:room]
 
     def _room(self) -> int:
+        """Return the number of frames that fit in the queue of the simulated wire."""
         return max(0, self._depth - (self._sent - self._taken & 0xFFFFFFFF))
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """See ``bus.Bus``."""
+        """Send a batch and return the number of accepted frames, see ``contract.Bus``."""
         if self._depth:
             frames = self._fitting(frames)
         records = self._packed(frames)
@@ -208,7 +220,7 @@ class LocalBus:
         return accepted
 
     def _packed(self, frames: Sequence[Frame]) -> bytes | memoryview:
-        """Return frames as records of the hub; a tool's few objects are packed one by one."""
+        """Pack frames into records of the hub. Single objects of a tool are packed one by one."""
         if not isinstance(frames, Frames):
             for frame in frames:
                 check_size(frame)
@@ -219,23 +231,32 @@ class LocalBus:
         return self._out[: SIZE * len(frames)]
 
     def _sent_partly(self, waiting: bytes | memoryview, sent: int, frames: int) -> int:
-        """Keep the rest of a record that was begun, drop the others; how many frames were accepted."""
+        """Keep the rest of a partly sent record, drop the records behind it.
+
+        Args:
+            waiting: rest of the batch before, and this batch.
+            sent: bytes that the socket has accepted.
+            frames: number of frames in this batch.
+
+        Returns:
+            the number of accepted frames. A partly sent frame counts.
+        """
         before = len(self._rest)
-        accepted = max(0, -((before - sent) // SIZE))
+        accepted = max(0, -((before - sent) // SIZE))  # rounded up
         self._rest = bytes(waiting[sent : before + accepted * SIZE])
         if frames > accepted:
             self._events.add("enobufs", frames - accepted)
         return accepted
 
     def take_events(self) -> list[Event]:
-        """See ``bus.Bus``."""
+        """Return the events since the last call, see ``contract.Bus``."""
         return self._events.take()
 
     def fileno(self) -> int:
-        """See ``bus.Bus``."""
+        """Return the file descriptor of the socket."""
         return self._socket.fileno()
 
     def close(self) -> None:
-        """See ``bus.Bus``."""
+        """Close the socket."""
         self._gone = True
         self._socket.close()

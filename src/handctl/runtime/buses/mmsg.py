@@ -1,7 +1,7 @@
-"""Many datagrams in one system call: Linux's ``sendmmsg`` and ``recvmmsg`` over buffers made once.
+"""Many datagrams in one system call: ``sendmmsg`` and ``recvmmsg`` of Linux over buffers that are made once.
 
-Python's ``socket`` has no such call, and one call a frame costs more than everything else in a tick's exchange.
-Source: man 2 recvmmsg, man 7 socket (SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
+The ``socket`` module of Python has no such call. One call per frame costs more than everything else in
+the exchange of a tick. Source: man 2 recvmmsg, man 7 socket (SO_TIMESTAMPNS, SO_RXQ_OVFL), man 3 cmsg.
 """
 
 import ctypes
@@ -20,10 +20,14 @@ _SOL_SOCKET = int(socket.SOL_SOCKET)
 
 
 class _Iovec(ctypes.Structure):
+    """``struct iovec``: address and size of a buffer."""
+
     _fields_ = (("base", ctypes.c_void_p), ("len", ctypes.c_size_t))
 
 
 class _Message(ctypes.Structure):
+    """``struct msghdr``: peer address, buffers, control messages, flags."""
+
     _fields_ = (
         ("name", ctypes.c_void_p),
         ("namelen", ctypes.c_uint32),
@@ -36,19 +40,24 @@ class _Message(ctypes.Structure):
 
 
 class _Header(ctypes.Structure):
+    """``struct mmsghdr``: a message and the number of bytes sent or received."""
+
     _fields_ = (("message", _Message), ("size", ctypes.c_uint))
 
 
 CONTROL = struct.Struct("@NiillNiiI12x")
-"""A time stamp's control message (length, level, type, s, ns) and, behind it, that of a drop counter."""
+"""Control messages of a datagram, in native layout.
+
+    length | level | SO_TIMESTAMPNS | s | ns | length | level | SO_RXQ_OVFL | dropped 32 | padding 12
+"""
 STAMP_AT = struct.calcsize("@Nii")
-"""Place of seconds and nanoseconds in it [bytes]."""
+"""Offset of the seconds in the control messages [bytes]. The nanoseconds follow."""
 STAMPED, COUNTED = struct.calcsize("@Niill"), struct.calcsize("@NiillNiiI")
-"""Lengths of the control messages with the stamp, and with stamp and counter [bytes]. A counter alone is shorter."""
+"""Length of the control messages with the stamp, and with stamp and counter [bytes]. A counter alone is shorter."""
 _TAIL = ctypes.sizeof(_Header) - _Header.size.offset - ctypes.sizeof(ctypes.c_uint)
 _GAP = _Header.size.offset - _Message.controllen.offset - ctypes.sizeof(ctypes.c_size_t)
 _HEADER = struct.Struct(f"@{_Message.controllen.offset}xN{_GAP}xI{_TAIL}x")
-"""What the kernel writes into a header: length of the control messages, length of the datagram."""
+"""Values that the kernel writes into a header: length of the control messages, length of the datagram."""
 _libc = ctypes.CDLL(None, use_errno=True)
 for _call in ("sendmmsg", "recvmmsg"):
     getattr(_libc, _call).restype = ctypes.c_int
@@ -58,22 +67,31 @@ _libc.recvmmsg.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.
 
 SECOND_NS = np.int64(1_000_000_000)
 Datagram = tuple[int, int, int]
-"""Size [bytes], CLOCK_REALTIME of reception [ns] (0 if not told), and how many datagrams the socket has lost so far,
-modulo 2**32 (0 if not told: none so far)."""
+"""Size [bytes], CLOCK_REALTIME of reception [ns] (0 if missing), datagrams lost by the socket so far modulo 2**32.
+
+The kernel omits the counter until the first loss, and it counts as 0 then.
+"""
 
 
 class Slots:
-    """Buffers of equal size with the headers that point at them.
+    """Buffers of equal size, and the headers that point at them.
 
     Attributes:
         count: number of slots.
         size: of a slot [bytes].
-        data: all slots in a row.
-        control: all control messages in a row.
+        data: memory of all slots.
+        control: memory of all control messages.
         headers: address of the first header.
     """
 
     def __init__(self, count: int, size: int, control: bool) -> None:
+        """Allocate the buffers.
+
+        Args:
+            count: number of slots.
+            size: of a slot [bytes].
+            control: receive control messages, as for stamps.
+        """
         self.count, self.size = count, size
         store = (ctypes.c_char * (count * size))()
         messages = (ctypes.c_char * (count * CONTROL.size))()
@@ -96,9 +114,10 @@ class Slots:
         self._usual: tuple[bytes, int] = (b"", 0)
 
     def even(self, count: int) -> int:
-        """Size of the first datagrams [bytes] if they are all alike, with a stamp and without a counter; 0 if not.
+        """Return the common size of the first datagrams [bytes], or 0 if they must be read one by one.
 
-        The kernel writes the same into the headers tick after tick, so what was read of them last time is kept.
+        They have a common size if all are equally long, with a stamp and without a counter. The kernel
+        writes the same bytes into the headers tick after tick. The result for the last bytes is cached.
         """
         raw = bytes(self._view[: count * _HEADER.size])
         if raw != self._usual[0]:
@@ -108,7 +127,7 @@ class Slots:
         return self._usual[1]
 
     def datagrams(self, count: int) -> list[Datagram]:
-        """What the kernel tells of each of the first datagrams."""
+        """Return size, stamp and loss counter of each of the first datagrams."""
         sizes = _HEADER.iter_unpack(self._view[: count * _HEADER.size])
         control = CONTROL.iter_unpack(self.control[: count * CONTROL.size])
         told = []
@@ -119,26 +138,28 @@ class Slots:
         return told
 
     def renew(self, count: int) -> None:
-        """Undo what the kernel wrote into the first headers."""
+        """Reset the first headers to the values before reception."""
         end = count * _HEADER.size
         self._view[:end] = self._fresh[:end]
 
     def stamps(self, count: int) -> NDArray[np.int64]:
-        """Return the CLOCK_REALTIME of the first datagrams, which all have one [ns]."""
+        """Return the CLOCK_REALTIME stamps of the first datagrams [ns]. Each must have a stamp."""
         times: NDArray[np.int64] = self._seconds[:count] * SECOND_NS
         times += self._nanoseconds[:count]
         return times
 
     def set_lengths(self, lengths: NDArray[np.uint64]) -> None:
-        """Set how much of each of the first slots is sent [bytes]."""
+        """Set the length to be sent of each of the first slots [bytes]."""
         self._sizes[: len(lengths)] = lengths
 
 
 def receive(fd: int, slots: Slots) -> int:
-    """Receive what is there, at most one datagram a slot; how many. The next call wants ``renew`` before it.
+    """Receive the waiting datagrams, at most one per slot, and return their number.
+
+    Call ``Slots.renew`` before the next call.
 
     Raises:
-        OSError: as ``recvmmsg``; ``BlockingIOError`` is not one of them.
+        OSError: as ``recvmmsg``, except ``BlockingIOError``.
     """
     count: int = _libc.recvmmsg(fd, slots.headers, slots.count, socket.MSG_DONTWAIT, None)
     if count >= 0:
@@ -153,7 +174,7 @@ def send(fd: int, slots: Slots, first: int, end: int) -> tuple[int, int]:
     """Send the slots from ``first`` to before ``end`` without blocking.
 
     Returns:
-        how many were accepted, and the errno that refused the first of the rest (0 if all went).
+        the number of accepted datagrams, and the errno for the first refused one (0 if all were accepted).
     """
     at = first
     while at < end:

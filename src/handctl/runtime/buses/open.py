@@ -1,4 +1,4 @@
-"""How a bus is named and opened: ``local:NAME``, ``socketcan:can0``, ``INTERFACE:CHANNEL``."""
+"""Specification and opening of a bus: ``local:NAME``, ``socketcan:can0``, ``INTERFACE:CHANNEL``."""
 
 import sys
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from handctl.errors import ConfigError
 from handctl.runtime.buses.contract import Bus, Stamp
 
 SIMULATED = ("local:", "virtual:", "udp_multicast:", "socketcan:vcan", "socketcan:vxcan")
-"""Buses on which there are no real motors: time may run otherwise there, and nobody is asked before a hand moves."""
+"""Prefixes of buses without real motors. Time may be scaled there, and no confirmation is asked before motion."""
 
 
 def real_buses(specs: Sequence[str]) -> list[str]:
@@ -16,14 +16,15 @@ def real_buses(specs: Sequence[str]) -> list[str]:
 
 
 def _monotonic(t_ns: int) -> int:
+    """Return a CLOCK_MONOTONIC time unchanged."""
     return t_ns
 
 
 def check_spec(spec: str) -> None:
-    """Refuse what no bus can be called, before anything is opened.
+    """Refuse an invalid bus specification before anything is opened.
 
     Raises:
-        ConfigError: no kind, no channel, or a local bus whose name is no plain one.
+        ConfigError: the kind or the channel is missing, or the name of a local bus is no plain name.
     """
     kind, _, channel = spec.partition(":")
     if not kind or not channel or "=" in kind:
@@ -38,14 +39,14 @@ def open_bus(spec: str, index: int, bitrate: int, data_bitrate: int | None = Non
     Args:
         spec: ``local:NAME`` (simulator on this machine), ``socketcan:NAME`` (Linux), or any other python-can
             ``INTERFACE:CHANNEL``.
-        index: of the bus in the hand's list; every frame carries it.
+        index: of the bus in the hand's list. Every frame carries it.
         bitrate: nominal [bit/s].
-        data_bitrate: of CAN FD's data phase [bit/s]; None for a classical bus.
-        stamp: makes the run's time of a CLOCK_MONOTONIC time.
+        data_bitrate: of the data phase of CAN FD [bit/s]. None for a classical bus.
+        stamp: converts a CLOCK_MONOTONIC time to the run's time.
 
     Raises:
-        ConfigError: that is no specification.
-        BusError: it cannot be opened; the line says what to type.
+        ConfigError: ``spec`` is no bus specification.
+        BusError: the bus cannot be opened. The message has the command that mends it.
     """
     check_spec(spec)
     kind, _, channel = spec.partition(":")

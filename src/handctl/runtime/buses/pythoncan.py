@@ -1,6 +1,7 @@
-"""Any other CAN interface, through python-can: ``virtual:x``, ``slcan:/dev/ttyACM0@115200``, ``pcan:PCAN_USBBUS1``, ...
+"""All other CAN interfaces, through python-can.
 
-python-can's stamps have a different origin with every interface, so frames bear the time at which they were read.
+Examples: ``virtual:x``, ``slcan:/dev/ttyACM0@115200``, ``pcan:PCAN_USBBUS1``. The stamps of python-can
+have a different origin with every interface. Frames therefore carry the time at which they were read.
 """
 
 import time
@@ -16,12 +17,13 @@ from handctl.runtime.buses.contract import Stamp, check_size
 from handctl.runtime.buses.events import BusEvents, Event
 
 MOST = 4096
-"""Frames of one drain: a flood cannot make a tick long."""
+"""Frames per drain at most. The limit keeps a flood of frames from making a tick long."""
 IDENTIFIER = 0x1FFFFFFF
+"""Mask of the 29 bits of an identifier, without flag bits."""
 
 
 def frame_of(message: can.Message, index: int, t_ns: int) -> Frame:
-    """Frame of a python-can message.
+    """Convert a python-can message to a frame.
 
     Args:
         message: classical or FD, data or remote.
@@ -35,7 +37,7 @@ def frame_of(message: can.Message, index: int, t_ns: int) -> Frame:
 
 
 def message_of(frame: Frame, timestamp: float = 0.0) -> can.Message:
-    """python-can message of a frame.
+    """Convert a frame to a python-can message.
 
     Args:
         frame: classical or FD, data or remote.
@@ -57,14 +59,16 @@ def message_of(frame: Frame, timestamp: float = 0.0) -> can.Message:
 
 
 def open_can(interface: str, channel: str, bitrate: int, data_bitrate: int | None = None) -> can.BusABC:
-    """Bus of python-can.
+    """Open an interface with python-can.
 
     Args:
-        interface, channel: as python-can takes them.
-        bitrate, data_bitrate: [bit/s].
+        interface: name of the interface in python-can.
+        channel: name of the channel in python-can.
+        bitrate: nominal [bit/s].
+        data_bitrate: of the data phase of CAN FD [bit/s]. None for a classical bus.
 
     Raises:
-        BusError: python-can knows no such interface, or cannot open it.
+        BusError: python-can has no such interface, or cannot open it.
     """
     options: dict[str, Any] = {"interface": interface, "bitrate": bitrate, "ignore_config": True}
     if data_bitrate:
@@ -77,7 +81,7 @@ def open_can(interface: str, channel: str, bitrate: int, data_bitrate: int | Non
 
 
 class PythonCanBus:
-    """A python-can bus; see ``bus.Bus``."""
+    """A python-can bus, see ``contract.Bus``."""
 
     def __init__(
         self, interface: str, channel: str, index: int, bitrate: int, data_bitrate: int | None, stamp: Stamp
@@ -85,13 +89,15 @@ class PythonCanBus:
         """Open the interface.
 
         Args:
-            interface, channel: as python-can takes them.
+            interface: name of the interface in python-can.
+            channel: name of the channel in python-can.
             index: of the bus in the hand's list.
-            bitrate, data_bitrate: [bit/s].
-            stamp: makes the run's time of a CLOCK_MONOTONIC time.
+            bitrate: nominal [bit/s].
+            data_bitrate: of the data phase of CAN FD [bit/s]. None for a classical bus.
+            stamp: converts a CLOCK_MONOTONIC time to the run's time.
 
         Raises:
-            BusError: python-can knows no such interface, or cannot open it.
+            BusError: python-can has no such interface, or cannot open it.
         """
         self.name = f"{interface}:{channel}"
         self._index, self._stamp = index, stamp
@@ -99,7 +105,7 @@ class PythonCanBus:
         self._bus = open_can(interface, channel, bitrate, data_bitrate)
 
     def drain(self) -> Frames:
-        """See ``bus.Bus``."""
+        """Return all received frames, see ``contract.Bus``."""
         frames: list[Frame] = []
         for _ in range(MOST):
             try:
@@ -107,7 +113,7 @@ class PythonCanBus:
             except (can.CanError, OSError) as error:
                 self._events.failed(_code(error), "enodev")
                 break
-            except (ValueError, IndexError):  # slcan, of characters that are no frame
+            except (ValueError, IndexError):  # slcan raises these for characters that are no frame
                 self._events.add("error_frame", 1, "garbled")
                 continue
             if message is None:
@@ -116,13 +122,14 @@ class PythonCanBus:
         return frames_of(frames)
 
     def _take(self, frames: list[Frame], message: can.Message) -> None:
+        """Append a received message as a frame, or count it as an error frame."""
         if message.is_error_frame:
             self._events.error_frame(message.arbitration_id, bytes(message.data))
-        elif message.is_rx:  # gs_usb and cantact give back, too, what they have sent
+        elif message.is_rx:  # gs_usb and cantact also return the sent frames
             frames.append(frame_of(message, self._index, self._stamp(time.monotonic_ns())))
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """See ``bus.Bus``."""
+        """Send a batch and return the number of accepted frames, see ``contract.Bus``."""
         for number, frame in enumerate(frames):
             check_size(frame)
             try:
@@ -133,23 +140,23 @@ class PythonCanBus:
         return len(frames)
 
     def take_events(self) -> list[Event]:
-        """See ``bus.Bus``."""
+        """Return the events since the last call, see ``contract.Bus``."""
         return self._events.take()
 
     def fileno(self) -> int:
-        """See ``bus.Bus``."""
+        """Return the file descriptor that becomes readable when a frame arrives. -1 if there is none."""
         try:
             return self._bus.fileno()
         except NotImplementedError:
             return -1
 
     def close(self) -> None:
-        """See ``bus.Bus``."""
+        """Close the bus."""
         self._bus.shutdown()
 
 
 def _code(error: Exception) -> int | None:
-    """errno of an error; python-can keeps it in ``error_code``, or in the error that it was raised from."""
+    """Return the errno of an error, or None. python-can has it in ``error_code`` or in the cause of the error."""
     code = error.errno if isinstance(error, OSError) else getattr(error, "error_code", None)
     if code is None and isinstance(error.__cause__, OSError):
         code = error.__cause__.errno

@@ -1,4 +1,4 @@
-"""Linux SocketCAN, classical and FD: raw socket, whole batches in one system call, the kernel's receive stamps."""
+"""SocketCAN of Linux, classical and FD: raw socket, batches in one system call, receive stamps of the kernel."""
 
 import fcntl
 import os
@@ -20,25 +20,32 @@ from handctl.runtime.buses.interface import wrong_rate
 from handctl.runtime.buses.wall import WallOffset
 
 SLOTS = 128
-"""Frames of one system call."""
+"""Frames per system call."""
 READS = 64
-"""Reads of one drain: a flood cannot make a tick long."""
+"""Reads per drain. The limit keeps a flood of frames from making a tick long."""
 RECEIVE_BUFFER = 4 << 20
+"""Size of the receive buffer [bytes]."""
 SEND_BUFFER = 32 << 10
-"""Small on purpose, about 80 frames: a command that cannot go out now must not go out late [bytes]."""
+"""Size of the send buffer [bytes]. Small on purpose: a command that cannot go out now must not go out late.
+
+It holds about 80 frames.
+"""
 AHEAD_NS = 20_000_000
-"""A stamp further than this from the one before is compared with the clock: silence, or the wall clock was set. Less
-than this goes unnoticed until the offset of the clocks is measured again, which is soon [ns]."""
+"""Largest step between two stamps that is accepted without reading the clock [ns].
+
+A larger step is silence on the bus, or the wall clock was set. A smaller step of the wall clock is noticed
+at the next measurement of the clock offset.
+"""
 CAN_RAW_ERR_FILTER, ALL_ERRORS = 2, 0x1FFFFFFF
 """Source: Linux ``can/raw.h``, ``can/error.h``."""
 SIOCGIFFLAGS, SIOCGIFMTU, SIOCGIFTXQLEN, IFF_UP = 0x8913, 0x8921, 0x8942, 1
 """Source: Linux ``sockios.h``, ``if.h``."""
 QUEUE = 32
-"""Fewest frames that a transmit queue must hold; eleven motors and SYNC go out at once, and the default is 10."""
+"""Smallest transmit queue that is accepted [frames]. 11 motors and SYNC go out at once, and the default is 10."""
 
 
 class SocketCanBus:
-    """A raw CAN socket; see ``bus.Bus``."""
+    """A raw CAN socket, see ``contract.Bus``."""
 
     def __init__(self, link: socket.socket, name: str, index: int, fd_mode: bool, stamp: Stamp) -> None:
         """Take over an open socket.
@@ -47,8 +54,8 @@ class SocketCanBus:
             link: raw CAN socket, or any datagram socket that carries the same structs.
             name: specification of the bus.
             index: of the bus in the hand's list.
-            fd_mode: whether FD frames can come.
-            stamp: makes the run's time of a CLOCK_MONOTONIC time.
+            fd_mode: the socket receives FD frames.
+            stamp: converts a CLOCK_MONOTONIC time to the run's time.
         """
         _prepare(link)
         self.name = name
@@ -62,7 +69,7 @@ class SocketCanBus:
         self._offset = WallOffset()
 
     def drain(self) -> Frames:
-        """See ``bus.Bus``."""
+        """Return all received frames, see ``contract.Bus``."""
         parts: list[Frames] = []
         for _ in range(READS):
             try:
@@ -78,7 +85,11 @@ class SocketCanBus:
         return joined(parts)
 
     def _take(self, count: int) -> Frames:
-        """Make frames of what was received; usually all datagrams are alike, and their stamps follow the last ones."""
+        """Convert the received datagrams to frames.
+
+        Usually all datagrams are alike and their stamps follow the last stamps. Then they are converted
+        as one batch, otherwise one by one.
+        """
         size = self._in.even(count)
         frames = self._take_even(count, FDF if size == SIZE else 0) if size else None
         if frames is None:
@@ -87,7 +98,7 @@ class SocketCanBus:
         return frames
 
     def _take_even(self, count: int, fd_flag: int) -> Frames | None:
-        """Frames of one kind, all stamped; None if one is an error frame or a stamp needs a look."""
+        """Convert stamped frames of one kind. None if one is an error frame or a stamp must be checked."""
         found = self._structs.found(count, self._index, 0xFF if fd_flag else 0, fd_flag)
         if found.errors:
             return None
@@ -106,7 +117,7 @@ class SocketCanBus:
         return Frames(self._structs.read(count, found, times))
 
     def _take_each(self, told: list[mmsg.Datagram], now: int) -> Frames:
-        """Frames of any kind one by one, error frames, and the count of what was lost."""
+        """Convert frames of any kind one by one. Count error frames and lost frames."""
         index, stamp, earliest, offset = self._index, self._stamp, self._latest, self._offset.ns()
         count, stamps = len(told), []
         frames = Frames(self._structs.read(count, self._structs.found(count, index), 0))
@@ -122,7 +133,7 @@ class SocketCanBus:
             frames.records["flags"][i] = frame.flags | FDF if size == SIZE else 0
             t_ns = realtime + offset
             if not earliest <= t_ns <= now:
-                t_ns = now  # not told, or the wall clock was set meanwhile
+                t_ns = now  # the stamp is missing, or the wall clock was set meanwhile
             stamps.append(stamp(t_ns))
             self._latest = max(self._latest, t_ns)
         records = frames.records[kept]
@@ -130,7 +141,7 @@ class SocketCanBus:
         return Frames(records)
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """See ``bus.Bus``."""
+        """Send a batch and return the number of accepted frames, see ``contract.Bus``."""
         frames = frames_of(frames)
         accepted = 0
         for first in range(0, len(frames), SLOTS):
@@ -144,25 +155,25 @@ class SocketCanBus:
         return accepted
 
     def take_events(self) -> list[Event]:
-        """See ``bus.Bus``."""
+        """Return the events since the last call, see ``contract.Bus``."""
         return self._events.take()
 
     def fileno(self) -> int:
-        """See ``bus.Bus``."""
+        """Return the file descriptor of the socket."""
         return self._socket.fileno()
 
     def close(self) -> None:
-        """See ``bus.Bus``."""
+        """Close the socket."""
         self._socket.close()
 
 
 def _prepare(link: socket.socket) -> None:
-    """Room for what comes while a tick computes, stamps, and the count of what did not fit."""
+    """Set buffer sizes, receive stamps and the counter of lost frames of a socket."""
     link.setblocking(False)
     link.setsockopt(socket.SOL_SOCKET, mmsg.SO_TIMESTAMPNS, 1)
     link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RXQ_OVFL, 1)
     link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
-    try:
+    try:  # as root beyond net.core.rmem_max
         link.setsockopt(socket.SOL_SOCKET, mmsg.SO_RCVBUFFORCE, RECEIVE_BUFFER)
     except PermissionError:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
@@ -174,12 +185,13 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
     Args:
         channel: name of the interface, which must be up.
         index: of the bus in the hand's list.
-        bitrate, data_bitrate: what the interface should run at, for the advice when it is not there [bit/s].
-        stamp: makes the run's time of a CLOCK_MONOTONIC time.
+        bitrate: required nominal rate [bit/s].
+        data_bitrate: required rate of the data phase of CAN FD [bit/s]. None for a classical bus.
+        stamp: converts a CLOCK_MONOTONIC time to the run's time.
 
     Raises:
-        BusError: no SocketCAN here, or the interface is missing, down, not FD as needed, set to another
-            bit rate, or has too short a queue.
+        BusError: the kernel has no SocketCAN. Or the interface is missing, down, not in the required FD
+            mode, set to another bit rate, or has too short a queue.
     """
     name, fd_mode = f"socketcan:{channel}", data_bitrate is not None
     there = channel in [known for _, known in socket.if_nameindex()]
@@ -203,7 +215,7 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
 
 
 def _problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
-    """What is wrong with an interface that exists; empty if nothing is."""
+    """Describe what is wrong with an existing interface. Empty if it can be used."""
     if not _ask(link, channel, SIOCGIFFLAGS) & IFF_UP:
         return "the interface is down"
     if fd_mode and _ask(link, channel, SIOCGIFMTU) < SIZE:
@@ -214,14 +226,15 @@ def _problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
 
 
 def _ask(link: socket.socket, channel: str, request: int) -> int:
-    """A number that the kernel keeps of an interface, in the network namespace of the socket."""
+    """Read a number of an interface from the kernel, in the network namespace of the socket."""
+    # struct ifreq: name 16 bytes | flags 16 bits, or mtu or queue length 32 bits | padding
     answer = fcntl.ioctl(link, request, struct.pack("=16sI20x", channel.encode(), 0))
     (number,) = struct.unpack_from("=H" if request == SIOCGIFFLAGS else "=i", answer, 16)
     return int(number)
 
 
 def advice(channel: str, bitrate: int, data_bitrate: int | None, there: bool = False) -> str:
-    """Command that sets an interface up as the hand needs it, ``there`` if there is one already."""
+    """Return the command that sets an interface up as the hand needs it. ``there``: the interface exists."""
     if channel.startswith("vcan"):
         steps = ["sudo ip link set {0} down" if there else "sudo ip link add {0} type vcan"]
         steps += ["sudo ip link set {0} mtu 72"] * bool(data_bitrate) + ["sudo ip link set {0} up"]

@@ -1,1 +1,1 @@
-"""Looking for what is wrong with a bus, an interface or a drive, without a controller."""
+"""Diagnosis of a bus, an interface or a drive, without a controller."""

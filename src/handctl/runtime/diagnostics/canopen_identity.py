@@ -1,6 +1,7 @@
-"""Who a CANopen drive is, read object by object with the ``canopen`` library; never while a tick runs on this process.
+"""Identity of a CANopen drive, read object by object with the ``canopen`` library. Never used while a tick runs.
 
-The library opens the bus by python-can and has threads of its own; both are gone when ``identify`` returns.
+The library opens the bus through python-can and has threads of its own. Both have ended when ``identify``
+returns.
 """
 
 import logging
@@ -23,12 +24,15 @@ OBJECTS = {
     "rated_torque": (0x6076, 0),
     "counts": (0x608F, 1),
 }
+"""Index and subindex of the numbers that are read. Source: CiA 301, CiA 402-2."""
 TEXTS = {"name": (0x1008, 0), "software": (0x100A, 0)}
+"""Index and subindex of the texts that are read. Source: CiA 301."""
 PATIENCE_S = 0.3
+"""Longest wait for the answer of a drive [s]."""
 
 
 class Identity(NamedTuple):
-    """What a node told: numbers and texts by the names above; what it has not is absent."""
+    """Numbers and texts that a node has reported, by the names in ``OBJECTS`` and ``TEXTS``. Others are absent."""
 
     numbers: dict[str, int]
     texts: dict[str, str]
@@ -40,7 +44,7 @@ def identify(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, Identit
     Args:
         spec: ``INTERFACE:CHANNEL`` of the bus, which this process must have closed.
         bitrate: nominal [bit/s].
-        nodes: their numbers.
+        nodes: node numbers.
 
     Raises:
         BusError: the bus cannot be opened.
@@ -49,7 +53,7 @@ def identify(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, Identit
     network = canopen.Network(open_can(interface, channel, bitrate))
     logger = logging.getLogger("canopen")
     before = logger.level
-    logger.setLevel(logging.CRITICAL)  # what a drive does not have is no news
+    logger.setLevel(logging.CRITICAL)  # the library logs an error for each object that a drive lacks
     try:
         network.connect()
         return {number: _identity(network, number) for number in nodes}
@@ -59,6 +63,7 @@ def identify(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, Identit
 
 
 def _identity(network: canopen.Network, number: int) -> Identity:
+    """Read the identity of one node."""
     node = network.add_node(number, canopen.ObjectDictionary())  # type: ignore[no-untyped-call]
     node.sdo.RESPONSE_TIMEOUT = PATIENCE_S
     numbers, texts = {}, {}
@@ -72,7 +77,7 @@ def _identity(network: canopen.Network, number: int) -> Identity:
 
 
 def _upload(node: canopen.RemoteNode, index: int, sub: int) -> bytes:
-    """An object's bytes; empty if the drive refuses or does not answer."""
+    """Read the bytes of an object. Empty if the drive refuses or does not answer."""
     try:
         return bytes(node.sdo.upload(index, sub))
     except SdoError:

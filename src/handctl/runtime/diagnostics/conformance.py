@@ -1,6 +1,7 @@
-"""The contract of a drive, checked on the drive itself, one check after the other, below a torque that a person gave.
+"""Conformance checks of a drive on the drive itself, one after the other, within a given torque limit.
 
-The shaft may turn: it is pushed until it has moved a little, or to the limit, and braked.
+The shaft may turn. A check raises the torque until the shaft has moved a little, or to the limit, and
+brakes it.
 """
 
 import math
@@ -13,13 +14,15 @@ from handctl.runtime.diagnostics.drive_rig import DriveRig
 from handctl.runtime.diagnostics.shaft import MOVED_RAD, STILL_RAD_S, brake, push
 
 FRESH_NS = 50_000_000
+"""Largest age of fresh feedback [ns]."""
 LATE_OF_100 = 5
-"""So many ticks of a hundred may find older feedback: this process shares its machine."""
+"""Ticks of 100 that may find older feedback, because this process shares its machine."""
 SILENCE_S = 0.3
+"""Shortest silence in the check of the watchdog [s]."""
 
 
 class Verdict(Enum):
-    """How a check ended."""
+    """Result of a check."""
 
     PASSED = "passed"
     FAILED = "failed"
@@ -27,7 +30,13 @@ class Verdict(Enum):
 
 
 class Check(NamedTuple):
-    """A check: what the drive promises, how it ended, and why in one line."""
+    """A check that was done.
+
+    Attributes:
+        name: what the drive promises.
+        verdict: result of the check.
+        why: reason in one line.
+    """
 
     name: str
     verdict: Verdict
@@ -35,15 +44,21 @@ class Check(NamedTuple):
 
 
 class Failed(Exception):  # noqa: N818 - a verdict, not an error; never leaves this module
-    """The promise was not kept; the text says what was seen."""
+    """The drive broke the promise. The text describes the observation."""
 
 
 class Moot(Exception):  # noqa: N818
-    """The promise cannot be judged here; the text says why."""
+    """The promise cannot be judged. The text has the reason."""
 
 
 class Subject(NamedTuple):
-    """What is checked: the drive on its bus, the largest torque [N m], the watchdog's time [s]."""
+    """The device under test.
+
+    Attributes:
+        rig: the drive on its bus.
+        limit: largest torque [N m].
+        watchdog_s: timeout of the drive's watchdog [s].
+    """
 
     rig: DriveRig
     limit: float
@@ -51,11 +66,15 @@ class Subject(NamedTuple):
 
 
 Promise = Callable[[Subject], str]
-"""Does a check; returns what was seen. Raises Failed or Moot."""
+"""Function that checks one promise and returns the observation. Raises Failed or Moot."""
 
 
 def checks(subject: Subject) -> Iterator[Check]:
-    """Do all checks, in order; after one that leaves the drive where it cannot go on, the rest is not run."""
+    """Run all checks in order.
+
+    The rest is not run after a check that leaves the drive in a state in which it cannot go on. The second
+    check that turns the shaft is not run after the first has failed.
+    """
     usable, wrong_way = True, False
     for name, promise, turns in PROMISES:
         if not usable or (turns and wrong_way):
@@ -68,13 +87,14 @@ def checks(subject: Subject) -> Iterator[Check]:
 
 
 def _not_run(subject: Subject, name: str, promise: Promise) -> Check:
-    """A check that cannot be done any more; that the drive did not let go between checks is itself a failure."""
+    """Report a check that cannot be run. A drive that stayed enabled between checks has failed to disable."""
     if promise is _disables and subject.rig.state.phase == Phase.ENABLED:
         return Check(name, Verdict.FAILED, "was told to disable after another check, and does not say that it is")
     return Check(name, Verdict.NOT_APPLICABLE, "not run, because of what failed before")
 
 
 def _judged(subject: Subject, name: str, promise: Promise) -> Check:
+    """Run one check."""
     try:
         return Check(name, Verdict.PASSED, promise(subject))
     except Failed as failed:
@@ -84,6 +104,7 @@ def _judged(subject: Subject, name: str, promise: Promise) -> Check:
 
 
 def _configured(subject: Subject) -> str:
+    """Check that the drive takes its settings and becomes ready."""
     rig = subject.rig
     if not rig.until(Want.POLL, lambda state: state.phase == Phase.READY, 5.0):
         raise Failed(rig.state.error_text or f"nothing that leads on from {rig.state.phase.name}")
@@ -91,11 +112,13 @@ def _configured(subject: Subject) -> str:
 
 
 def _enabled(rig: DriveRig) -> None:
+    """Enable the drive. Raises Failed if the drive does not report that it is enabled."""
     if not rig.until(Want.ENABLE, lambda state: state.phase == Phase.ENABLED, 2.0):
         raise Failed(rig.state.error_text or "is told to enable, and does not say that it is")
 
 
 def _waits(subject: Subject) -> str:
+    """Check that a ready drive makes no torque."""
     rig, before = subject.rig, subject.rig.state.feedback_count
     rig.keep(Want.POLL, 0.3)
     if rig.state.phase != Phase.READY:
@@ -106,12 +129,14 @@ def _waits(subject: Subject) -> str:
 
 
 def _enables(subject: Subject) -> str:
+    """Check that the drive enables, and measure the time."""
     begin = subject.rig.t_ns
     _enabled(subject.rig)
     return f"after {(subject.rig.t_ns - begin) / 1e6:.0f} ms"
 
 
 def _feedback(subject: Subject) -> str:
+    """Check that fresh feedback is there in nearly every tick."""
     rig = subject.rig
     _enabled(rig)
     begin, ticks = rig.state.feedback_count, 100
@@ -124,6 +149,8 @@ def _feedback(subject: Subject) -> str:
 
 
 def _turns(sign: int) -> Promise:
+    """Return the check that torque of a sign turns the shaft in this direction."""
+
     def turns(subject: Subject) -> str:
         rig = subject.rig
         _enabled(rig)
@@ -143,7 +170,7 @@ def _turns(sign: int) -> Promise:
 
 
 def _unmoved(subject: Subject, sign: int, torque: float) -> Exception:
-    """What it means that the shaft did not turn at the limit, where the drive told a torque [N m]."""
+    """Judge a shaft that did not turn at the torque limit, by the torque that the drive reported [N m]."""
     told = sign * torque
     if math.isfinite(told) and told < 0.3 * subject.limit:
         return Failed(f"{sign * subject.limit:+.3f} N m did not turn it, and the drive tells {sign * told:+.3f} N m")
@@ -151,6 +178,7 @@ def _unmoved(subject: Subject, sign: int, torque: float) -> Exception:
 
 
 def _holds_limit(subject: Subject) -> str:
+    """Check that a torque above the limit and a non-finite torque are refused before they are sent."""
     rig = subject.rig
     _enabled(rig)
     for torque in (1.01 * subject.limit, -1.01 * subject.limit, math.nan, math.inf):
@@ -163,6 +191,7 @@ def _holds_limit(subject: Subject) -> str:
 
 
 def _disables(subject: Subject) -> str:
+    """Check that the drive disables within a second and reports it."""
     rig = subject.rig
     _enabled(rig)
     begin = rig.t_ns
@@ -174,7 +203,7 @@ def _disables(subject: Subject) -> str:
 
 
 def _lets_go(subject: Subject) -> str:
-    """The dead host: silence, and then a look at what it did."""
+    """Check that the watchdog of the drive disables it when the host falls silent, and that it stays off."""
     rig = subject.rig
     _enabled(rig)
     silence = max(SILENCE_S, 3.0 * subject.watchdog_s)
@@ -190,6 +219,7 @@ def _lets_go(subject: Subject) -> str:
 
 
 def _clears(subject: Subject) -> str:
+    """Check that the cut takes the torque away, and that only a clear makes the drive ready again."""
     rig = subject.rig
     _enabled(rig)
     rig.cut()
@@ -204,6 +234,7 @@ def _clears(subject: Subject) -> str:
 
 
 def _readable(subject: Subject) -> str:
+    """Check that every frame of the drive could be decoded."""
     state = subject.rig.state
     if state.misread:
         raise Failed(f"{state.misread} frames on its identifiers could not be read")
@@ -223,4 +254,4 @@ PROMISES: tuple[tuple[str, Promise, bool], ...] = (
     ("is cut at once, and cleared by order only", _clears, False),
     ("says nothing that cannot be read", _readable, False),
 )
-"""What the drive promises, the check of it, and whether the shaft is to turn."""
+"""Promise of the drive, its check, and True if the check turns the shaft."""

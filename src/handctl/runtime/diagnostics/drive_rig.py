@@ -1,4 +1,4 @@
-"""One drive alone on a bus, ticked by a clock: what a check of its contract stands on."""
+"""Test rig of one drive on a bus, ticked by a clock, for the conformance checks."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -10,23 +10,32 @@ from handctl.runtime.buses.contract import Bus
 from handctl.runtime.clock import Clock
 
 PERIOD_NS = 5_000_000
+"""Period of a tick [ns]."""
 SPAN = 4
-"""Ticks over which a velocity is taken from positions."""
+"""Ticks over which the velocity is computed from positions."""
 
 
 class DriveRig:
     """A drive, its bus and its clock.
 
     Attributes:
-        drive: immutable. state: what is known of it. k: next tick.
-        torque: last one commanded [N m].
-        events: what happened to the bus.
-        inertia: of the shaft as measured [kg m2]; NaN before.
+        drive: immutable description of the drive.
+        state: of the drive.
+        k: next tick.
+        torque: last commanded torque [N m].
+        events: of the bus.
+        inertia: measured inertia of the shaft [kg m2]. NaN before the measurement.
     """
 
     def __init__(self, drive: Drive, bus: Bus, clock: Clock) -> None:
-        prepare()  # else the first command compiles, and the drive's watchdog does not wait for that
-        """Args: drive; its open bus; a clock with PERIOD_NS, which begins now."""
+        """Start the clock.
+
+        Args:
+            drive: description of the drive.
+            bus: open bus of the drive.
+            clock: with PERIOD_NS, not started yet.
+        """
+        prepare()  # otherwise the first command compiles, and the watchdog of the drive expires meanwhile
         self.drive, self._bus, self._clock = drive, bus, clock
         self.state: DriveState = drive.initial()
         self.k, self.torque, self.inertia = 0, 0.0, math.nan
@@ -35,21 +44,27 @@ class DriveRig:
         clock.begin()
 
     def take(self, drive: Drive) -> None:
-        """Go on with another description of the same drive, from its beginning."""
+        """Continue with another description of the same drive, from its initial state."""
         self.drive, self.state = drive, drive.initial()
 
     @property
     def t_ns(self) -> int:
-        """Time of the next tick [ns]."""
+        """Return the time of the next tick [ns]."""
         return self.k * PERIOD_NS
 
     @property
     def velocity(self) -> float:
-        """From the last positions [rad/s]; NaN before there are enough."""
+        """Return the velocity from the last positions [rad/s]. NaN before there are enough."""
         return (self._positions[-1] - self._positions[0]) / (SPAN * PERIOD_NS * 1e-9)
 
     def tick(self, want: Want, torque: float = 0.0, extra: Sequence[Frame] = ()) -> DriveState:
-        """One tick; torque [N m] counts while the drive is enabled."""
+        """Run one tick and return the state after it.
+
+        Args:
+            want: requested phase of the drive.
+            torque: command, used while the drive is enabled [N m].
+            extra: frames to be sent in addition.
+        """
         self._clock.wait(self.k)
         for frame in self._bus.drain():
             self.state = self.drive.receive(self.state, frame)
@@ -62,31 +77,34 @@ class DriveRig:
         return self.state
 
     def until(self, want: Want, reached: Callable[[DriveState], bool], for_s: float) -> bool:
-        """Tick with no torque until something holds; whether it came to hold in time."""
+        """Tick without torque until a condition holds. Returns False after the time limit [s]."""
         return any(reached(self.tick(want)) for _ in range(math.ceil(for_s * 1e9 / PERIOD_NS)))
 
     def keep(self, want: Want, for_s: float) -> None:
-        """Tick for a while with no torque."""
+        """Tick without torque for a time [s]."""
         self.until(want, lambda state: False, for_s)
 
     def clear(self) -> None:
-        """Clear what the drive has latched."""
+        """Clear the latched faults of the drive."""
         self.state, frames = self.drive.clear(self.state)
         self.tick(Want.POLL, extra=frames)
 
     def cut(self) -> None:
-        """Send the frames that take the torque away, and nothing else."""
+        """Send only the frames that take the torque away."""
         self.tick(Want.LISTEN, extra=self.drive.cut())
 
     def rest(self) -> bool:
-        """Bring it back to READY, whatever it is in; whether it came there."""
+        """Bring the drive to READY from any phase. Returns True if it arrived there."""
         self.until(Want.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0)
         if self.state.phase == Phase.FAULT:
             self.clear()
         return self.until(Want.POLL, lambda state: state.phase == Phase.READY, 3.0)
 
     def confirm_off(self, watchdog_s: float) -> bool:
-        """Disable; if it does not obey, leave it to its watchdog; whether it says that it is off in the end."""
+        """Disable the drive and return True if it reports that it is off.
+
+        A drive that does not obey gets a second chance after a silence in which its watchdog expires.
+        """
         for silence in (0.0, 3.0 * watchdog_s + 0.2):
             self.keep(Want.LISTEN, silence)
             if self.until(Want.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0):

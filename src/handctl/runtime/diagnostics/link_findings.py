@@ -1,10 +1,11 @@
-"""What is right and wrong with an interface, and the command that mends it."""
+"""Findings about a CAN interface, each with the command that mends it."""
 
 from typing import NamedTuple
 
 from handctl.runtime.buses.link import Link
 from handctl.runtime.buses.socketcan import QUEUE, advice
 
+# Rules for udev, which keep the setting after a restart of the machine. Source: man 7 udev.
 UDEV_QUEUE = 'SUBSYSTEM=="net", ACTION=="add", KERNEL=="{0}", ATTR{{tx_queue_len}}="128"'
 UDEV_NAME = 'SUBSYSTEM=="net", ACTION=="add", ATTRS{{serial}}=="THE ADAPTER\'S", NAME="{0}"'
 UDEV_FILE = "/etc/udev/rules.d/90-can.rules"
@@ -14,12 +15,20 @@ ERRORS = {
     "bus_off": "times bus-off", "arbitration_lost": "arbitrations lost", "restarts": "restarts",
     "rx_dropped": "received frames dropped", "tx_dropped": "frames to be sent dropped",
 }  # fmt: skip
+"""Text for each counter of ``Link.counts`` that is reported."""
 HARMLESS = {"arbitration_lost"}
-"""Counts that say nothing is wrong."""
+"""Counters that also rise on a healthy bus."""
 
 
 class Finding(NamedTuple):
-    """What was looked at, whether it is as it should be, what to type if not, and whether the bus can be of no use."""
+    """One finding about an interface.
+
+    Attributes:
+        what: observation.
+        good: the observation is as it should be.
+        fix: command or advice if it is not.
+        fatal: the bus cannot be used.
+    """
 
     what: str
     good: bool
@@ -28,7 +37,7 @@ class Finding(NamedTuple):
 
 
 def absent(name: str, bitrate: int, data_bitrate: int | None) -> Finding:
-    """There is no such interface."""
+    """Return the finding for an interface that does not exist."""
     if name.startswith("vcan"):
         return Finding(f"{name} does not exist", False, advice(name, bitrate, data_bitrate), fatal=True)
     fix = f"plug the adapter in and look: sudo dmesg | tail; to give it this name, in {UDEV_FILE}: "
@@ -40,8 +49,9 @@ def findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> l
 
     Args:
         name: of the interface.
-        link: its state.
-        bitrate, data_bitrate: what the hand wants [bit/s]; None: a classical bus.
+        link: state of the interface.
+        bitrate: of the hand file [bit/s].
+        data_bitrate: of the hand file [bit/s]. None for a classical bus.
     """
     set_up = advice(name, bitrate, data_bitrate, there=True)
     found = [Finding(f"{name} is {'up' if link.up else 'down'}", link.up, set_up, fatal=not link.up)]
@@ -57,11 +67,12 @@ def findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> l
 
 
 def _rate(what: str, has: int | None, wanted: int, fix: str) -> Finding:
+    """Judge a bit rate [bit/s]."""
     return Finding(f"{what} {has or 'not set'}, the hand wants {wanted}", has == wanted, fix)
 
 
 def _controller(name: str, link: Link) -> list[Finding]:
-    """State, error counters and restart of a real controller."""
+    """Judge state, error counters and restart of a real CAN controller."""
     if not link.state:
         return []
     restart = f"sudo ip link set {name} type can restart; " if link.state == "BUS-OFF" else ""
@@ -75,6 +86,7 @@ def _controller(name: str, link: Link) -> list[Finding]:
 
 
 def _counts(link: Link) -> list[Finding]:
+    """Judge the event counters of an interface."""
     told = [f"{number} {ERRORS[key]}" for key, number in link.counts.items() if number and key in ERRORS]
     bad = any(number for key, number in link.counts.items() if key in ERRORS and key not in HARMLESS)
     fix = f"since it was made; {WIRING}; look again after a run"

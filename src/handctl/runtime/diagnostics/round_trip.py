@@ -1,4 +1,4 @@
-"""How long a node takes to answer: from the call that sends a harmless question to the answer in our hands."""
+"""Round-trip time of a node: from the call that sends a harmless request to the reception of the answer."""
 
 import time
 from typing import NamedTuple
@@ -8,10 +8,19 @@ from handctl.drives.registry import DISCOVERIES
 from handctl.runtime.buses.contract import Bus
 
 TIMES, PATIENCE_S = 20, 0.1
+"""Number of requests, and longest wait for an answer [s]."""
 
 
 class RoundTrip(NamedTuple):
-    """Answers to so many questions; shortest, median and longest time [s], NaN without an answer."""
+    """Result of a measurement.
+
+    Attributes:
+        answers: number of answers.
+        asked: number of requests.
+        shortest: round-trip time [s]. NaN without an answer, as the next two.
+        median: round-trip time [s].
+        longest: round-trip time [s].
+    """
 
     answers: int
     asked: int
@@ -21,7 +30,7 @@ class RoundTrip(NamedTuple):
 
 
 def round_trip(bus: Bus, node: Found, times: int = TIMES) -> RoundTrip:
-    """Ask a node again and again, one question at a time."""
+    """Measure the round-trip time of a node with one request at a time."""
     took = sorted(filter(None, (_once(bus, node) for _ in range(times))))
     if not took:
         return RoundTrip(0, times, *[float("nan")] * 3)
@@ -29,7 +38,7 @@ def round_trip(bus: Bus, node: Found, times: int = TIMES) -> RoundTrip:
 
 
 def _once(bus: Bus, node: Found) -> float | None:
-    """Seconds to the answer; None if it does not come."""
+    """Return the time to the answer [s]. None if no answer arrives."""
     discovery = DISCOVERIES[node.protocol]
     bus.drain()
     begin = time.perf_counter()
@@ -37,5 +46,5 @@ def _once(bus: Bus, node: Found) -> float | None:
     while (passed := time.perf_counter() - begin) < PATIENCE_S:
         if any(discovery.pong(node, frame) for frame in bus.drain()):
             return time.perf_counter() - begin
-        time.sleep(0.0001 if passed < 0.01 else 0.002)
+        time.sleep(0.0001 if passed < 0.01 else 0.002)  # fine at first, then sparing of the processor
     return None

@@ -1,4 +1,7 @@
-"""Looks for drives on one bus: listens, and asks unless somebody else controls it. Nothing that is sent is an order."""
+"""Scan of one bus for drives. It listens first, and asks only if no other host is active on the bus.
+
+No frame that the scan sends is a command.
+"""
 
 import time
 from collections.abc import Callable
@@ -10,26 +13,26 @@ from handctl.drives.registry import DISCOVERIES
 from handctl.runtime.buses.contract import Bus
 
 BURST, PAUSE_S = 4, 0.003
-"""Frames that are sent at once, and the pause after them: an interface may queue as few as ten [s]."""
+"""Frames that are sent at once, and the pause after them [s]. An interface may queue as few as 10 frames."""
 PATIENCE = 50
-"""Tries for a frame that the interface does not take."""
+"""Tries for a frame that the interface refuses."""
 
 
 STRAY = 1
-"""So many frames of another host may be the last ones of one that has just ended."""
+"""Frames of another host that are ignored. They may be the last ones of a host that has just ended."""
 Hear = Callable[[Bus, float, list[Frame]], None]
-"""Collects what arrives on a bus during a time [s]."""
+"""Function that collects the frames that arrive on a bus during a time [s]."""
 
 
 class Scan(NamedTuple):
-    """What was found on a bus.
+    """Result of a scan.
 
     Attributes:
         found: drives, by protocol and number.
-        foreign: frames of another host, because of which nothing was asked; empty if there were none.
-        unasked: questions that were left out because a drive that is there would have obeyed them.
-        events: what happened to the bus meanwhile.
-        frames: how many were heard.
+        foreign: frames of another host. If there are any, the scan has sent no request.
+        unasked: requests that were omitted because a present drive would have taken them as commands.
+        events: of the bus during the scan.
+        frames: number of received frames.
     """
 
     found: tuple[Found, ...]
@@ -40,7 +43,7 @@ class Scan(NamedTuple):
 
 
 def hear(bus: Bus, for_s: float, seen: list[Frame]) -> None:
-    """Collect what arrives during a time [s]."""
+    """Append the frames that arrive during a time [s] to ``seen``."""
     end = time.monotonic() + for_s
     while True:
         seen += bus.drain()
@@ -51,12 +54,12 @@ def hear(bus: Bus, for_s: float, seen: list[Frame]) -> None:
 
 
 def scan(bus: Bus, force: bool = False, tell: Callable[[str], None] = lambda text: None, hear: Hear = hear) -> Scan:
-    """Look for drives on a bus, some two seconds long.
+    """Scan a bus for drives, in some two seconds.
 
     Args:
-        bus: open.
-        force: ask although another host seems to be at work.
-        tell: is called with what is being done.
+        bus: open bus.
+        force: send requests although another host seems to be active.
+        tell: called with a text about each step.
         hear: lets time pass on the bus.
     """
     seen: list[Frame] = []
@@ -75,12 +78,16 @@ def scan(bus: Bus, force: bool = False, tell: Callable[[str], None] = lambda tex
 
 
 def all_questions() -> tuple[Frame, ...]:
-    """Everything that is asked on a bus where nothing answers."""
+    """Return the requests that a scan sends on a bus without any answer."""
     return tuple(frame for turn in ROUNDS for frame in _questions(turn, [], []))
 
 
 def _questions(turn: int, seen: list[Frame], unasked: list[Frame]) -> list[Frame]:
-    """Questions of all protocols in a round, without those that a drive which is there would obey."""
+    """Return the requests of all protocols in a round.
+
+    Requests that a present drive of another protocol would take as commands are omitted. They are
+    appended to ``unasked``.
+    """
     asked: list[Frame] = []
     for name, discovery in DISCOVERIES.items():
         kept, dropped = allowed(discovery.questions(turn, seen), _orders_of_others(name, seen))
@@ -90,12 +97,16 @@ def _questions(turn: int, seen: list[Frame], unasked: list[Frame]) -> list[Frame
 
 
 def _orders_of_others(name: str, seen: list[Frame]) -> list[frozenset[int]]:
+    """Return the command identifiers of each present drive that has another protocol than ``name``."""
     others = (discovery for other, discovery in DISCOVERIES.items() if other != name)
     return [discovery.orders(node) for discovery in others for node in discovery.found(seen)]
 
 
 def _foreign(seen: list[Frame]) -> tuple[Frame, ...]:
-    """Frames of another host; what a drive of one protocol says is no order of another's."""
+    """Return the frames of another host.
+
+    An identifier that belongs to a present drive of another protocol does not count as foreign.
+    """
     strange: list[Frame] = []
     for name, discovery in DISCOVERIES.items():
         explained = frozenset().union(*_orders_of_others(name, seen))
@@ -104,7 +115,7 @@ def _foreign(seen: list[Frame]) -> tuple[Frame, ...]:
 
 
 def _send(bus: Bus, frame: Frame, seen: list[Frame], hear: Hear) -> bool:
-    """Send with pauses, and listen meanwhile; whether the interface took it."""
+    """Send a frame with pauses and listen meanwhile. Returns False if the interface refused it."""
     for _ in range(PATIENCE):
         if bus.send((frame,)):
             hear(bus, PAUSE_S / BURST, seen)

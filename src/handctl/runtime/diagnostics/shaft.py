@@ -1,7 +1,7 @@
-"""Turning a shaft a little and bringing it to rest, by torques below a limit; its inertia is measured on the way.
+"""Torque-step test of a shaft: turn it a little and bring it to rest, by torques below a limit.
 
-A free shaft of 1e-4 kg m2 is fast: a brake whose gain does not know the inertia swings it up, because what is seen of
-the velocity is some 30 ms old.
+The test also measures the inertia of the shaft. A free shaft of 1e-4 kg m2 is fast. A brake with a gain
+that ignores the inertia would make it oscillate, because the measured velocity is some 30 ms old.
 """
 
 import math
@@ -11,21 +11,25 @@ from handctl.drives.contract import Phase, Want
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 
 PERIOD_S = PERIOD_NS * 1e-9
+"""Period of a tick [s]."""
 MOVED_RAD, RAMP_S = 0.05, 1.0
+"""Angle that counts as a motion [rad], and duration of the ramp to the torque limit [s]."""
 COAST_TICKS = 12
-"""After a push: until the velocity that is seen is all of what the push has made."""
+"""Ticks after a push until the measured velocity shows the whole effect of the push."""
 STILL_RAD_S, BRAKE_S = 0.1, 4.0
+"""Largest velocity of a shaft at rest [rad/s], and longest duration of braking [s]."""
 SLOWING_S = 0.2
-"""Time constant of the brake: far longer than what is seen of the velocity is old."""
+"""Time constant of the brake, far longer than the delay of the measured velocity [s]."""
 
 
 class Push(NamedTuple):
-    """How a shaft answered a ramp of torque.
+    """Response of a shaft to a torque ramp.
 
     Attributes:
-        moved: angle [rad], in the sense of the torque; what it would have coasted anyway is taken off.
-        torque: the last one [N m]. told: by the drive then [N m].
-        enabled: whether the drive was to the end.
+        moved: angle in the direction of the torque, less the angle that the shaft would have coasted [rad].
+        torque: last command [N m].
+        told: torque that the drive reported then [N m].
+        enabled: the drive was enabled to the end.
     """
 
     moved: float
@@ -35,10 +39,10 @@ class Push(NamedTuple):
 
 
 def push(rig: DriveRig, sign: int, limit: float) -> Push:
-    """Raise the torque until the shaft has moved by MOVED_RAD either way, or to the limit; then let it coast.
+    """Raise the torque until the shaft has moved by MOVED_RAD in either direction, or to the limit. Then coast.
 
     Args:
-        rig: of a drive that is enabled.
+        rig: of an enabled drive.
         sign: of the torque.
         limit: largest torque [N m].
     """
@@ -58,16 +62,18 @@ def push(rig: DriveRig, sign: int, limit: float) -> Push:
     told = rig.state.torque
     rig.keep(Want.ENABLE, COAST_TICKS * PERIOD_S)
     gained = rig.velocity - (coasting if math.isfinite(coasting) else 0.0)
-    if impulse * gained > 0.0:
+    if impulse * gained > 0.0:  # angular impulse [N m s] over the change of velocity
         rig.inertia = impulse / gained
     return Push(moved, torque, told, True)
 
 
 def brake(rig: DriveRig, limit: float) -> bool:
-    """Bring the shaft to rest; whether it is. Without a measured inertia it can only be waited for.
+    """Bring the shaft to rest and return True if it rests.
+
+    Without a measured inertia the function waits until friction has stopped the shaft.
 
     Args:
-        rig: of a drive that is enabled.
+        rig: of an enabled drive.
         limit: largest torque [N m].
     """
     gain = rig.inertia / SLOWING_S if math.isfinite(rig.inertia) else 0.0
