@@ -1,0 +1,97 @@
+"""The recipes of CONTRIBUTING.md are carried out, and the files that it names exist."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from textwrap import dedent
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+READ_BACK = """
+import json, sys
+import lively
+from handctl.log.record import FRAMING, pack
+from handctl.log.write.writer import LogWriter
+from rosbags.highlevel import AnyReader
+from pathlib import Path
+
+run, path = lively.header(), Path("run.mcap")
+writer = LogWriter(path, run, lambda event, number: None, 1)
+for tick in lively.ticks(run):
+    writer.add(pack(*tick)[FRAMING.size :])
+writer.finish("finished", 0)
+with AnyReader([path]) as reader:
+    peaks = [reader.deserialize(raw, connection.msgtype).tension
+             for connection, _, raw in reader.messages() if connection.topic == "/peak"]
+print(json.dumps(len(peaks)))
+"""
+
+
+def test_a_topic_is_added_as_the_page_says(tmp_path: Path) -> None:
+    package = tmp_path / "handctl"
+    shutil.copytree(ROOT / "src" / "handctl", package, ignore=shutil.ignore_patterns("__pycache__"))
+    section = PAGE.split("## How to add a topic")[1]
+    definition, module, part = (dedent(code) for code in re.findall(r"   ```python\n(.*?) *```", section, re.DOTALL))
+    messages = package / "log" / "messages.py"
+    insert(messages, "DEFINITIONS = {\n", definition)
+    (package / "log" / "topics" / "peak.py").write_text(module, encoding="utf-8")
+    everything = package / "log" / "topics" / "all.py"
+    insert(everything, "import numpy as np\n", "from handctl.log.topics.peak import PeakTopic\n")
+    insert(everything, "HealthTopics(header, self._registry),\n", part)
+    path = os.pathsep.join(map(str, (tmp_path, ROOT / "tests" / "log", ROOT)))
+    ran = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", READ_BACK],
+        env=os.environ | {"PYTHONPATH": path, "NUMBA_DISABLE_JIT": "1"},
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 0, ran.stderr
+    assert json.loads(ran.stdout.splitlines()[-1]) == 120
+
+
+def insert(path: Path, place: str, text: str) -> None:
+    source = path.read_text(encoding="utf-8")
+    assert source.count(place) == 1, place
+    path.write_text(source.replace(place, place + text), encoding="utf-8")
+
+
+PAGES = ("CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md", "docs/stability.md")
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_file_that_a_page_names_exists(page: str) -> None:
+    text = (ROOT / page).read_text(encoding="utf-8")
+    folder = (ROOT / page).parent
+    links = {name.partition("#")[0] for name in re.findall(r"\]\(([^)#:]+[^):]*)\)", text)}
+    assert [name for name in links if not (folder / name).exists()] == []
+    quoted = re.findall(r"`((?:src|tests|tools|docs|firmware_sim|benchmarks)/[\w./-]+)`", text)
+    assert [name for name in quoted if not (ROOT / name).exists() and "NAME" not in name] == []
+
+
+def test_the_page_s_example_of_one_test_exists() -> None:
+    file, name = re.findall(r"pytest (tests/\S+)::(\w+)", PAGE)[0]
+    assert f"def {name}(" in (ROOT / file).read_text(encoding="utf-8")
+
+
+def test_the_hooks_run_what_make_lint_runs() -> None:
+    hooks = re.findall(r"entry: (.*)", (ROOT / ".pre-commit-config.yaml").read_text(encoding="utf-8"))
+    recipe = re.findall(r"^lint: .*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)[0]
+    assert hooks == [line.strip().replace("$(BIN)", ".venv/bin") for line in recipe.splitlines()]
+
+
+def test_every_place_that_names_the_version_names_the_same() -> None:
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    released = re.findall(r"^## \[(\d[^\]]*)\] - (\S+)", changelog, re.MULTILINE)
+    citation = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert released[0] == (version, *re.findall(r"^date-released: (.*)", citation, re.MULTILINE))
+    assert f"\nversion: {version}\n" in citation
