@@ -143,8 +143,8 @@ def test_a_constant_that_is_changed_in_another_file_is_seen(copy: Path, tmp_path
     assert ask(copy, cache) == (True, True, True), "positive control: what has not changed is not compiled again"
     other = copy / "safety" / "faults" / "node.py"
     text = other.read_text(encoding="utf-8")
-    assert "HALVED_MISSES = 7\n" in text
-    other.write_text(text.replace("HALVED_MISSES = 7\n", "HALVED_MISSES = 8\n"), encoding="utf-8")
+    assert "HALF_RATE_MISSES = 7\n" in text
+    other.write_text(text.replace("HALF_RATE_MISSES = 7\n", "HALF_RATE_MISSES = 8\n"), encoding="utf-8")
     assert ask(copy, cache) == (False, False, True)
     other.write_text(text, encoding="utf-8")
     assert ask(copy, cache) == (True, True, True), "the code of both versions is kept"

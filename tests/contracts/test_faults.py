@@ -7,8 +7,8 @@ import pytest
 from handctl.campaign.scenarios import LEFT_OUT, MATRIX
 from handctl.safety.faults.fault import DETECTED, LOST, REPLACED, TICK
 from handctl.safety.faults.host import ON_HARDWARE
-from handctl.safety.faults.markdown import catalogue, checklist, late, later
-from handctl.safety.faults.table import CATALOGUE, TABLE
+from handctl.safety.faults.markdown import catalogue, checklist, fault_sections, late, later
+from handctl.safety.faults.table import CATALOGUE, TABLE, remedy
 
 ROOT = Path(__file__).parents[2]
 SIZES = {"B": 18, "N": 17, "T": 9, "H": 15, "I": 10}
@@ -51,8 +51,8 @@ def test_table_and_catalogue_agree_on_what_a_tick_can_judge() -> None:
 
 def test_every_row_says_what_each_protocol_shows_of_it() -> None:
     for entry in CATALOGUE:
-        for said in (entry.mit, entry.odrive, entry.cia402):
-            verdict, _, why = said.partition(": ")
+        for visibility in (entry.mit, entry.odrive, entry.cia402):
+            verdict, _, why = visibility.partition(": ")
             assert verdict in (DETECTED, REPLACED, LOST), entry.id
             assert why or verdict == DETECTED, f"{entry.id}: replaced by what, or lost why?"
 
@@ -60,10 +60,10 @@ def test_every_row_says_what_each_protocol_shows_of_it() -> None:
 def test_every_row_is_tried() -> None:
     campaign = {row.id for row in MATRIX}
     for entry in CATALOGUE:
-        if entry.tried == "campaign":
+        if entry.tested == "campaign":
             assert entry.id in campaign, entry.id
-        elif entry.tried != "soak":
-            assert (ROOT / entry.tried).exists(), entry.id
+        elif entry.tested != "soak":
+            assert (ROOT / entry.tested).exists(), entry.id
     assert campaign <= set(IDS)
     assert LEFT_OUT.keys() | campaign >= set(IDS) - {id_ for id_ in IDS if id_[0] == "I"}
 
@@ -81,7 +81,7 @@ def test_the_campaign_allows_no_more_time_than_the_catalogue_says() -> None:
             assert row.ticks * 2.0 + row.ms + extra.get(protocol, 0.0) <= entry.latest_ms(500.0), row
 
 
-ASKED = """\
+REQUIRED = """\
 B01 2 B02 5 B03 102 B04 4 B05 2 B06 2 B07 2 B08 4 B09 2 B10 2 B11 3 B12 1 B13 21 B14 1 B15 3 B16 1 B17 4
 N01 2 N02 4 N04 22 N05 3 N06 200 N07 52 N08 2 N09 22 N10 2 N11 2 N13 2 N14 22 N15 22 N16 21
 T01 3 T02 12 T03 2 T04 200 T05 42 T06 4 T08 4
@@ -90,11 +90,11 @@ H01 1 H02 1 H03 1 H04 1 H05 3 H06 1 H07 1 H08 200 H09 640 H10 1 H13 2 I07 2
 """Ticks of each row that has some. Source: FAULTS, sections 2.1 to 2.5."""
 
 
-def test_what_takes_longer_than_was_asked_says_why() -> None:
-    words = ASKED.split()
-    asked = dict(zip(words[::2], map(int, words[1::2]), strict=True))
+def test_a_reaction_later_than_required_has_a_reason() -> None:
+    words = REQUIRED.split()
+    required = dict(zip(words[::2], map(int, words[1::2]), strict=True))
     for entry in CATALOGUE:
-        assert entry.asked == asked.get(entry.id, 0), entry.id
+        assert entry.required == required.get(entry.id, 0), entry.id
         needs_why = (entry.ticks or entry.ms) and late(entry)
         assert bool(entry.why) == bool(needs_why), f"{entry.id}: a reason where it takes longer, and only there"
 
@@ -104,6 +104,18 @@ def test_the_pages_are_the_code_s() -> None:
     assert catalogue() in page
     assert later() in page
     assert checklist() in page
+    assert fault_sections() in page
+
+
+def test_every_fault_says_in_one_line_what_to_do_about_it() -> None:
+    for fault in TABLE:
+        assert len(fault.remedy) <= 120, fault.id
+        for text in (fault.cause, fault.remedy):
+            assert text[0].isupper(), fault.id
+            assert text.endswith("."), fault.id
+            assert "\n" not in text, fault.id
+        assert remedy(f"{fault.id} {fault.title}: here (1): WARN") == fault.remedy
+    assert remedy("index: 24 N in 3 s") == ""
 
 
 @pytest.mark.parametrize("fault", AUTOSAR)

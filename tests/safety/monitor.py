@@ -17,7 +17,7 @@ from handctl.core.detectors.residuals import QUICK_FORCE, TENSION
 from handctl.core.hand_constants import low_pass_fractions
 from handctl.core.types import Mode
 from handctl.safety.faults.fault import JOINT, MOTOR, NODE, TENDON
-from handctl.safety.faults.table import FOUND
+from handctl.safety.faults.table import DETECTOR_ROWS
 from handctl.safety.judge import Counting, Latched, Report, Verdict, begun, judge
 from handctl.safety.limits import LOAD_CELLS, Limits
 
@@ -138,7 +138,7 @@ class Monitor:
         )
         told: dict[str, dict[str, float]] = {}
         for row, i in zip(*np.nonzero(~np.isnan(self.found)), strict=True):
-            fault, kind = FOUND[row]
+            fault, kind = DETECTOR_ROWS[row]
             told.setdefault(fault.id, {})[self.name(kind, i) or fault.name] = float(self.found[row, i])
         return told
 

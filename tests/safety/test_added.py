@@ -60,10 +60,10 @@ def test_a_fault_is_declared_once_and_found_by_one_detector(tmp_path: Path, inte
     done = subprocess.run(words, env=os.environ | more, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr[-2000:]
     told = json.loads(done.stdout)
-    assert told["table"] == ["| T10 | a tendon bears much | above 100 N | WARN | by itself |"]
+    assert told["table"] == ["| T10 | a heavy load | above 100 N | WARN | by itself |"]
     assert told["page"] == [
         "| T10 | heavy load | T10 WARN | detected | detected | detected | 4 ms, 2 ticks | campaign |"
     ]
     assert told["actions"] == [0, 1, 1]
-    text = "T10 a tendon bears much: t1 (100.5): WARN"
+    text = "T10 a heavy load: t1 (100.5): WARN"
     assert told["told"] == [[], [["warn", "fault", "t1", text]], []]

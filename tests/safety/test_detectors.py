@@ -8,7 +8,7 @@ from handctl.drives.contract import Phase
 from handctl.safety.action import Action
 from handctl.safety.faults.fault import Fault, Row
 from handctl.safety.faults.markdown import catalogue, checklist, fault_table, late, later
-from handctl.safety.faults.table import FOUND
+from handctl.safety.faults.table import DETECTOR_ROWS
 from tests.safety.cases import error, merged, rested, tensions, without_torque
 
 
@@ -18,7 +18,7 @@ def test_causes_of_a_drive_s_error() -> None:
     shown = merged(error(0, Cause.OTHER, 9), error(1, Cause.HOT, 11), error(2, Cause.LOST, 12))
     assert rested().tick(shown.rows)["N11"] == {"m0": 9.0, "m1": 11.0, "m2": 12.0}
     assert "N11" not in rested().tick(without_torque(shown).rows)
-    rows = {cause: FOUND[row][0].id for cause, row in zip(Cause, ROW_OF_CAUSE, strict=True)}
+    rows = {cause: DETECTOR_ROWS[row][0].id for cause, row in zip(Cause, ROW_OF_CAUSE, strict=True)}
     assert rows[Cause.DROPPED_OUT] == "N01"
     assert rows[Cause.WATCHDOG] == "N08"
     assert rows[Cause.VOLTAGE] == "N10"
@@ -33,28 +33,28 @@ def test_above_a_limit() -> None:
     assert rested().tick(tensions(t0=150.0, t1=nan, t2=140.5).rows)["T03"] == {"t0": 150.0, "t2": 140.5}
 
 
-ONE = Fault("X01b", "a title", "a sign", Action.HOLD, "by itself", debounce=3, reports=("x",))
+ONE = Fault("X01b", "a title", "a sign", Action.HOLD, "by itself", "Why.", "Do.", debounce=3, reports=("x",))
 
 
 def test_a_row_knows_its_catalogue_row_and_whether_it_latches() -> None:
     assert (ONE.row, ONE.latched) == ("X01", False)
     assert fault_table((ONE,)).splitlines() == [
-        "| id | fault | noticed by | action | ended |", "|---|---|---|---|---|",
+        "| id | fault | detected by | action | cleared |", "|---|---|---|---|---|",
         "| X01b | a title | a sign | HOLD | by itself |",
     ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("entry", "last"), [
-    (Row("B12", "t", "fault table", ticks=1, asked=1), "2 ms, 1 ticks | campaign |"),
-    (Row("B12", "t", "fault table", ticks=2, odrive_ms=9), "4 ms, 2 ticks; ODrive 9 ms more | campaign |"),
-    (Row("B12", "t", "fault table", tried="x.py"), "1 tick | x.py |"),
+    (Row("B12", "t", "fault table", ticks=1, required=1), "2 ms, 1 ticks | campaign |"),
+    (Row("B12", "t", "fault table", ticks=2, odrive_ms=9), "4 ms, 2 ticks, ODrive 9 ms more | campaign |"),
+    (Row("B12", "t", "fault table", tested="x.py"), "1 tick | x.py |"),
     (Row("B12", "t", "fault table", ticks=4, ms=15_000), "15008 ms, 7504 ticks | campaign |"),
-    (Row("B12", "t", "files", tried="x.py"), "before torque | x.py |"),
+    (Row("B12", "t", "files", tested="x.py"), "before torque | x.py |"),
     (Row("B12", "t", "files", ms=4), "4 ms, 2 ticks | campaign |"),
 ])  # fmt: skip
 def test_a_row_of_the_page(entry: Row, last: str) -> None:
     head, line, row = catalogue((entry,)).splitlines()
-    assert head == "| id | fault | judged by | MIT | ODrive | CiA 402 | at the latest | tried by |"
+    assert head == "| id | fault | judged by | MIT | ODrive | CiA 402 | latest reaction | tested by |"
     assert line == "|---|---|---|---|---|---|---|---|"
     assert row == f"| B12 | t | B12 CUT | detected | detected | detected | {last}"
 
@@ -64,14 +64,14 @@ def test_a_row_that_no_tick_judges_says_where_it_is() -> None:
     assert "| B11a RELAX, B11b CUT |".strip("| ") in catalogue((Row("B11", "t", "fault table", ticks=3),))
 
 
-def test_rows_that_take_longer_than_asked() -> None:
-    soon, just = Row("A", "t", "fault table", ticks=2, asked=3), Row("B", "t", "fault table", ticks=3, asked=3)
-    longer = Row("C", "u", "fault table", ticks=1, ms=30, asked=5, why="because")
+def test_rows_that_take_longer_than_required() -> None:
+    soon, just = Row("A", "t", "fault table", ticks=2, required=3), Row("B", "t", "fault table", ticks=3, required=3)
+    longer = Row("C", "u", "fault table", ticks=1, ms=30, required=5, why="because")
     free = Row("D", "t", "fault table", ticks=9)  # no time is given: it cannot be late
-    at_once = Row("E", "t", "fault table", ticks=2, asked=1)
+    at_once = Row("E", "t", "fault table", ticks=2, required=1)
     assert [late(one) for one in (soon, just, longer, free, at_once)] == [False, False, True, False, True]
     assert later((soon, just, longer, free)).splitlines() == [
-        "| id | fault | asked, ticks | at 500 Hz, ticks | asked | takes | why |", "|---|---|---|---|---|---|---|",
+        "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |", "|---|---|---|---|---|---|---|",
         "| C | u | 5 | 16 | 25 ms | 32 ms | because |",
     ]  # fmt: skip
     assert longer.latest_ms(200.0) == 35.0

@@ -8,7 +8,7 @@ import pytest
 
 from handctl.core.detectors.residuals import TENSION
 from handctl.core.types import Mode
-from handctl.safety.faults.node import LIMP_N
+from handctl.safety.faults.node import PULLED_N
 from handctl.safety.faults.tendon import SLACK_N, SNAP_N, TAUT_N
 from tests.safety.monitor import Monitor, T, made_up
 
@@ -169,4 +169,4 @@ def test_what_a_rope_bore_last_counts_where_the_latest_sample_is_missing():
 
 
 def test_thresholds_leave_room_between_slack_and_taut():
-    assert SLACK_N < TAUT_N < SNAP_N < LIMP_N
+    assert SLACK_N < TAUT_N < SNAP_N < PULLED_N

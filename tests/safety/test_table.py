@@ -10,7 +10,7 @@ from handctl.core.detectors import judge as compiled_judge
 from handctl.safety import judge as judgement
 from handctl.safety.action import Action
 from handctl.safety.faults.fault import ITSELF, OPERATOR, Fault
-from handctl.safety.faults.table import ACTIONS, BY_ID, DEBOUNCE, FOUND, REPORTS, TABLE
+from handctl.safety.faults.table import ACTIONS, BY_ID, DEBOUNCE, DETECTOR_ROWS, REPORTS, TABLE
 from handctl.safety.judge import Verdict
 from handctl.safety.limits import Limits, ticks_for
 from tests.safety.cases import (
@@ -42,7 +42,7 @@ def alone(
     monitor, actions, told = monitor or rested(), [], []
     for shown in ticks:
         verdict = monitor.judge(show(monitor, shown), shown.reports)
-        found = [row for row, (fault, _) in enumerate(FOUND) if fault.id == id_]
+        found = [row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_]
         present = [int(monitor.view("fault_ticks")[row].max()) for row in found]
         present += [one.ticks for one in verdict.counting if one.id == id_]
         counts = max(present, default=0) >= BY_ID[id_].debounce or id_ in {mark.id for mark in verdict.latched}
@@ -136,12 +136,12 @@ def test_a_missing_sample_is_neither_tension_nor_temperature() -> None:
     assert {verdict.action for verdict in verdicts} == {Action.PASS}
 
 
-def test_each_row_is_one_line_for_a_person() -> None:
+def test_each_row_is_one_line_for_the_operator() -> None:
     for fault in TABLE:
         assert fault.title
         assert fault.detection
         assert "\n" not in fault.title + fault.detection
-        assert fault.clears in ("a person", "by itself")
+        assert fault.clears in ("by the operator", "by itself")
         assert fault.latched == CASES[fault.id].latched
         assert fault.action < Action.RELAX or fault.latched, "only a person ends a relax or a cut"
 
@@ -150,11 +150,11 @@ def test_a_fault_is_either_found_or_reported() -> None:
     """Detectors address a row by the index that its declaration returned."""
     for fault in TABLE:
         assert bool(fault.per) != bool(fault.reports), fault.id
-        assert [kind for one, kind in FOUND if one is fault] == list(fault.per)
+        assert [kind for one, kind in DETECTOR_ROWS if one is fault] == list(fault.per)
         assert fault.name or "hand" not in fault.per
-    assert len(FOUND) <= len(rested().view("fault_ticks")), "there is room for how long each is present"
-    assert [fault.debounce for fault, _ in FOUND] == DEBOUNCE.tolist()
-    assert [fault.action for fault, _ in FOUND] == ACTIONS.tolist()
+    assert len(DETECTOR_ROWS) <= len(rested().view("fault_ticks")), "there is room for how long each is present"
+    assert [fault.debounce for fault, _ in DETECTOR_ROWS] == DEBOUNCE.tolist()
+    assert [fault.action for fault, _ in DETECTOR_ROWS] == ACTIONS.tolist()
     assert {fault.id for ones in REPORTS.values() for fault in ones} == {f.id for f in TABLE if f.reports}
 
 
@@ -168,12 +168,12 @@ def test_times_as_ticks(seconds: float, period: float, least: int, ticks: int) -
 def trace(id_: str) -> list[tuple[Action, int]]:
     """Actions and number of findings of one fault over its onset and its end, debounced by interpreted code."""
     case, monitor, seen = CASES[id_], rested(), []
-    kept = {row for row, (fault, _) in enumerate(FOUND) if fault.id == id_}
+    kept = {row for row, (fault, _) in enumerate(DETECTOR_ROWS) if fault.id == id_}
     for shown in [case.almost, *[case.present] * (case.debounce + 1), REST]:
         rows, before = show(monitor, shown), monitor.view("fault_ticks").copy()
         monitor.tick(rows)
         monitor.set({"fault_ticks": before})
-        monitor.found[[row for row in range(len(FOUND)) if row not in kept]] = math.nan
+        monitor.found[[row for row in range(len(DETECTOR_ROWS)) if row not in kept]] = math.nan
         demanded = interpreted(compiled_judge.debounce, monitor.state_tables, monitor.found)
         reports = shown.reports if judgement.BY_ID[id_].reports else ()
         verdict = monitor.conclude(demanded, reports)
@@ -186,8 +186,8 @@ def declared(monkeypatch: pytest.MonkeyPatch) -> Iterator[object]:
     """Declare a fault otherwise than it is."""
 
     def declare(other: Fault) -> None:
-        found = tuple((other if fault.id == other.id else fault, kind) for fault, kind in FOUND)
-        monkeypatch.setattr(judgement, "FOUND", found)
+        found = tuple((other if fault.id == other.id else fault, kind) for fault, kind in DETECTOR_ROWS)
+        monkeypatch.setattr(judgement, "DETECTOR_ROWS", found)
         monkeypatch.setattr(judgement, "BY_ID", BY_ID | {other.id: other})
         monkeypatch.setattr(judgement, "REPORTS", {
             kind: tuple(other for fault in ones if fault.id == other.id) for kind, ones in REPORTS.items()

@@ -18,7 +18,7 @@ from handctl.replay.execute import undisturbed
 from handctl.replay.rebuild import rebuild
 from handctl.safety.action import Action
 from handctl.safety.faults.table import BY_ID
-from handctl.safety.limits import SILENT_TICKS_LEAST, STALLED_TICKS_LEAST, Limits, ticks_for
+from handctl.safety.limits import MIN_SILENT_TICKS, MIN_STALLED_TICKS, Limits, ticks_for
 
 Tension = Annotated[float, Field(gt=0, le=1000)]
 
@@ -95,9 +95,9 @@ def load_limits(path: Path, controller: Controller) -> Limits:
     return replace(
         old,
         tension_trip=trip,
-        silent_ticks=ticks_for(silent / 1e3, period, SILENT_TICKS_LEAST) if silent else old.silent_ticks,
-        one_silent_ticks=ticks_for(silent / 1e3, period, SILENT_TICKS_LEAST) if silent else old.one_silent_ticks,
-        stalled_ticks=ticks_for(stalled / 1e3, period, STALLED_TICKS_LEAST) if stalled else old.stalled_ticks,
+        silent_ticks=ticks_for(silent / 1e3, period, MIN_SILENT_TICKS) if silent else old.silent_ticks,
+        one_silent_ticks=ticks_for(silent / 1e3, period, MIN_SILENT_TICKS) if silent else old.one_silent_ticks,
+        stalled_ticks=ticks_for(stalled / 1e3, period, MIN_STALLED_TICKS) if stalled else old.stalled_ticks,
         temperature_soft=soft or old.temperature_soft,
         temperature_hard=hard or old.temperature_hard,
     )

@@ -14,12 +14,11 @@ from handctl.safety.action import Action
 from handctl.safety.faults.bus import UNANSWERED
 from handctl.safety.faults.fault import JOINT, MOTOR, NODE, TENDON, Fault
 from handctl.safety.faults.host import FOREIGN
-from handctl.safety.faults.table import BY_ID, DEBOUNCE, FOUND, REPORTS
+from handctl.safety.faults.table import BY_ID, DEBOUNCE, DETECTOR_ROWS, REPORTS
 from handctl.safety.limits import Limits
 
 Report = tuple[str, str, float]
 """Kind of event, location, and number."""
-ALONE = BY_ID["B18"]
 
 
 class Latched(NamedTuple):
@@ -67,7 +66,7 @@ _ACTIONS = {int(action): action for action in Action}
 def judge(
     latched: tuple[Latched, ...],
     counting: tuple[Counting, ...],
-    found: Sequence[Finding],
+    detected: Sequence[Finding],
     demanded: int,
     reports: Iterable[Report],
 ) -> Verdict:
@@ -76,40 +75,50 @@ def judge(
     Args:
         latched: latched faults of the last tick.
         counting: reported faults of the last tick.
-        found: newly counting faults of the detectors, from ``begun``.
+        detected: newly counting faults of the detectors, from ``begun``.
         demanded: largest action of all counting detected faults.
         reports: of buses, host and recorder in the tick, for ``reported``.
     """
-    action, findings, still = demanded, list(found), []
+    action = demanded
+    findings = list(detected)
+    present = []
     # A report that is absent in this tick is not carried over: its count starts again at 1.
-    before = {(one.id, one.instance): one.ticks for one in counting}
+    before = {(report.id, report.instance): report.ticks for report in counting}
     for fault, where, value in reported(reports):
         ticks = before.get((fault.id, where), 0) + 1
-        still.append(Counting(fault.id, where, ticks))
+        present.append(Counting(fault.id, where, ticks))
         if ticks >= fault.debounce:
             action = max(action, fault.action)
         if ticks == fault.debounce:
             findings.append(Finding(fault, where, value))
     # A latched fault is found again in every tick while present. It is logged once only.
-    fresh = [one for one in findings if Latched(one.fault.id, one.instance) not in latched]
-    latched += tuple(dict.fromkeys(Latched(one.fault.id, one.instance) for one in fresh if one.fault.latched))
+    new = [finding for finding in findings if _mark(finding) not in latched]
+    latched += tuple(dict.fromkeys(_mark(finding) for finding in new if finding.fault.latched))
     action = max([action, *(BY_ID[mark.id].action for mark in latched)])
-    fresh.sort(key=lambda one: _ORDER[one.fault.id])
-    return Verdict(_ACTIONS[action], tuple(fresh), latched, tuple(still))
+    new.sort(key=lambda finding: _ORDER[finding.fault.id])
+    return Verdict(_ACTIONS[action], tuple(new), latched, tuple(present))
 
 
-def begun(limits: Limits, found: NDArray[np.float64], ticks: NDArray[np.int64]) -> list[Finding]:
+def _mark(finding: Finding) -> Latched:
+    """Return the latch of a finding."""
+    return Latched(finding.fault.id, finding.instance)
+
+
+def begun(limits: Limits, evidence: NDArray[np.float64], ticks: NDArray[np.int64]) -> list[Finding]:
     """Return the newly counting faults, in the order of the fault table.
 
     Args:
         limits: names of tendons, motors, joints and nodes.
-        found: (rows, instances) evidence of each fault, NaN where the fault is absent.
+        evidence: (rows, instances) evidence of each fault, NaN where the fault is absent.
         ticks: (rows, instances) consecutive ticks with each fault.
     """
     # The compiled judge counts on after the debounce, so equality holds in a single tick.
-    rows, instances = np.nonzero((ticks[: len(DEBOUNCE)] == DEBOUNCE[:, None]) & ~np.isnan(found))
-    pairs = zip(rows.tolist(), instances.tolist(), strict=True)
-    return [Finding(FOUND[row][0], _name(limits, *FOUND[row], i), float(found[row, i])) for row, i in pairs]
+    rows, instances = np.nonzero((ticks[: len(DEBOUNCE)] == DEBOUNCE[:, None]) & ~np.isnan(evidence))
+    findings = []
+    for row, i in zip(rows.tolist(), instances.tolist(), strict=True):
+        fault, kind = DETECTOR_ROWS[row]
+        findings.append(Finding(fault, _name(limits, fault, kind, i), float(evidence[row, i])))
+    return findings
 
 
 def _name(limits: Limits, fault: Fault, kind: str, i: int) -> str:
@@ -120,18 +129,18 @@ def _name(limits: Limits, fault: Fault, kind: str, i: int) -> str:
 
 def reported(reports: Iterable[Report]) -> list[tuple[Fault, str, float]]:
     """Return fault, location and value of each report. The last report of a fault at a location counts."""
-    found: dict[tuple[str, str], tuple[Fault, str, float]] = {}
+    faults: dict[tuple[str, str], tuple[Fault, str, float]] = {}
     for kind, where, value in reports:
         # The location of a recorder event is its kind ("disk_full"), so it is a part of the key.
         key = f"{kind}:{where}" if kind == "recorder" else kind
         for fault in REPORTS.get(key, ()):
             name = where or kind
-            found[fault.id, name] = (fault, name, value)
-    return sorted(found.values(), key=lambda one: _ORDER[one[0].id])
+            faults[fault.id, name] = (fault, name, value)
+    return sorted(faults.values(), key=lambda row: _ORDER[row[0].id])
 
 
 # Position in the fault table, which sorts simultaneous faults as the detectors do.
-_ORDER = {id_: place for place, id_ in enumerate(BY_ID)}
+_ORDER = {id_: position for position, id_ in enumerate(BY_ID)}
 
 
 def alone(reports: Iterable[Report], heard: bool) -> list[Report]:

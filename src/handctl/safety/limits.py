@@ -6,20 +6,23 @@ from dataclasses import dataclass
 LOAD_CELLS = "load cells"
 """Name of the sensor node among the nodes."""
 
-SILENT_S, STALLED_S = 0.030, 0.025
+SILENT_S = 0.030
+STALLED_S = 0.025
 """Longest silence of a node, and longest standstill of the host [s]. Both are below the drives' watchdog of 50 ms."""
-SILENT_TICKS_LEAST, STALLED_TICKS_LEAST = 4, 3
+MIN_SILENT_TICKS = 4
+MIN_STALLED_TICKS = 3
 """Minimum of these two times in ticks, for slow control rates."""
-FRAMES_LEAST = 64
+MIN_FRAMES_LIMIT = 64
 """Minimum of the flood threshold: more frames per tick than a small hand sends."""
-TEMPERATURE_SOFT_DEGC, TEMPERATURE_HARD_DEGC = 70.0, 85.0
+TEMPERATURE_SOFT_DEGC = 70.0
+TEMPERATURE_HARD_DEGC = 85.0
 """Drive temperatures where derating of the tension limit begins, and where the limit reaches the floor [degC]."""
 
 
-def ticks_for(seconds: float, period: float, least: int) -> int:
-    """Return a time [s] as a number of ticks of a period [s], rounded up, at least ``least``."""
+def ticks_for(seconds: float, period: float, minimum: int) -> int:
+    """Return a time [s] as a number of ticks of a period [s], rounded up, at least ``minimum``."""
     # Rounded up: a limit must never be shorter than stated.
-    return max(least, math.ceil(seconds / period))
+    return max(minimum, math.ceil(seconds / period))
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,12 +55,12 @@ class Limits:
     drive_limit: tuple[float, ...]
     tension_rail: float
     tension_low: float = -math.inf
-    silent_ticks: int = SILENT_TICKS_LEAST
-    one_silent_ticks: int = SILENT_TICKS_LEAST
-    stalled_ticks: int = STALLED_TICKS_LEAST
+    silent_ticks: int = MIN_SILENT_TICKS
+    one_silent_ticks: int = MIN_SILENT_TICKS
+    stalled_ticks: int = MIN_STALLED_TICKS
     temperature_soft: float = TEMPERATURE_SOFT_DEGC
     temperature_hard: float = TEMPERATURE_HARD_DEGC
-    frames: int = FRAMES_LEAST
+    frames: int = MIN_FRAMES_LIMIT
     noise: float = math.inf
 
     @property

@@ -38,7 +38,7 @@ RATE_HZ = 200.0
 PERIOD_NS = 5_000_000
 READY_S, END_S = 30.0, 20.0
 SPOOL_TORQUE_N_M, TORQUE_S = 0.05, 0.3
-TAUT_N, LIMP_N = 5.0, 3.0
+TAUT_N, PULLED_N = 5.0, 3.0
 """What that torque brings to a tendon at least, and what is left without it."""
 PULL_N, PULL_S = 20.0, 0.2
 DIGITS = ("index", "middle", "ring", "thumb")
@@ -130,7 +130,7 @@ def test_a_hand_is_armed_pulls_and_is_disarmed(protocol: str, tmp_path: Path) ->
     for digit in DIGITS:
         tension = truth.column(f"tension/{digit}_tendon")
         assert tension.max() > TAUT_N, digit
-        assert np.median(tension[-10:]) < LIMP_N, digit
+        assert np.median(tension[-10:]) < PULLED_N, digit
 
 
 def test_one_hand_over_two_buses_with_two_protocols(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from handctl.cli.console.screen import screen
 from handctl.core.types import Event, Mode, TickIn, TickOut
 from handctl.hand.description import Hand
 from handctl.printing import escaped_streams
+from handctl.safety.faults.table import remedy
 
 EVERY_S = 0.1
 STDERR = 2
@@ -46,6 +47,7 @@ class Display:
         self.pipe = self.child.stdin.fileno()
         self.worst_late_ns = 0
         self.told: dict[str, int] = {}
+        self.shown: set[str] = set()
         self._write(head)
         os.set_blocking(self.pipe, False)
 
@@ -68,7 +70,7 @@ class Display:
             "tension": [round(float(f), 2) for f in out.telemetry.tension],
             "goal": [None if f != f else round(float(f), 2) for f in out.telemetry.tension_goal],
             "contact": [bool(c) for c in out.telemetry.contact],
-            "events": [[event.level, event.text] for event in out.events if self._tell(entry.t_ns, event)],
+            "events": [[event.level, self._advised(event)] for event in out.events if self._tell(entry.t_ns, event)],
         }
         self.worst_late_ns = 0
         self._write(line)
@@ -82,6 +84,14 @@ class Display:
         if news:
             self.told[kind] = t_ns
         return news
+
+    def _advised(self, event: Event) -> str:
+        """Return the text of an event. The first event of a fault has what to do in a second line."""
+        advice = remedy(event.text) if event.name == "fault" else ""
+        if not advice or advice in self.shown:
+            return event.text
+        self.shown.add(advice)
+        return f"{event.text}\n{'':19}what to do: {advice}"
 
     def _write(self, line: dict[str, Any]) -> None:
         try:

@@ -11,11 +11,11 @@ from handctl.drives.contract import Drive
 from handctl.drives.sensors.node import SensorNode
 from handctl.safety.faults.node import NOISE_FACTOR
 from handctl.safety.limits import (
-    FRAMES_LEAST,
+    MIN_FRAMES_LIMIT,
+    MIN_SILENT_TICKS,
+    MIN_STALLED_TICKS,
     SILENT_S,
-    SILENT_TICKS_LEAST,
     STALLED_S,
-    STALLED_TICKS_LEAST,
     Limits,
     ticks_for,
 )
@@ -42,8 +42,8 @@ def limits_of(model: HandModel, drives: tuple[Drive, ...], sensors: SensorNode) 
         drive_limit=tuple(tendon.drive_limit_N for tendon in hand.tendon),
         tension_rail=sensors.tension_rail,
         tension_low=sensors.tension_low,
-        silent_ticks=ticks_for(SILENT_S, model.period, SILENT_TICKS_LEAST),
-        stalled_ticks=ticks_for(STALLED_S, model.period, STALLED_TICKS_LEAST),
+        silent_ticks=ticks_for(SILENT_S, model.period, MIN_SILENT_TICKS),
+        stalled_ticks=ticks_for(STALLED_S, model.period, MIN_STALLED_TICKS),
         noise=_noise_limit(model),
         frames=frames_limit(drives, sensors),
     )
@@ -65,7 +65,7 @@ def constants_of(
     hand, period = model.hand, model.period
     motor_period = np.array([max(period, drive.feedback_period_s) for drive in drives])
     joint_period = hand.sensor_node.joint_decimation * period
-    mute = ticks_for(SILENT_S, joint_period, SILENT_TICKS_LEAST) * joint_period
+    mute = ticks_for(SILENT_S, joint_period, MIN_SILENT_TICKS) * joint_period
     rates = np.array([hand.motor_of(name).velocity_range_rad_s for name in hand.tendon_names])
     return HandConstants(model, {
         "tare": tare,
@@ -97,7 +97,7 @@ def constants_of(
 
 def frames_limit(drives: Sequence[Drive], sensors: SensorNode) -> int:
     """Return the number of frames per tick of a flooded bus: twice the replies of all nodes."""
-    return max(FRAMES_LEAST, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids))
+    return max(MIN_FRAMES_LIMIT, sum(len(drive.exchange) for drive in drives) + 2 * len(sensors.node_ids))
 
 
 def _noise_limit(model: HandModel) -> float:

@@ -24,9 +24,9 @@ from handctl.safety.faults.bus import (
     B11A,
     B11B,
     B17,
-    LOST_MANY,
-    LOST_SOME,
-    MISSHAPEN_LIMIT,
+    HOLD_LOSSES,
+    MALFORMED_LIMIT,
+    RELAX_LOSSES,
     UNKNOWN_LIMIT,
 )
 
@@ -35,26 +35,26 @@ Found = NDArray[np.float64]
 
 
 @inner
-def detect(x: Tables, c: ConstantTables, armed: bool, found: Found) -> None:
+def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Found) -> None:
     """Write the findings of the module's rows."""
     if x.run[s.UNKNOWN] > UNKNOWN_LIMIT:
-        found[B10, 0] = x.run[s.UNKNOWN]
+        evidence[B10, 0] = x.run[s.UNKNOWN]
     if not armed:
         return
-    _answers(x, c, found)
-    _losses(x, found)
-    _shapes(x, found)
+    _answers(x, c, evidence)
+    _losses(x, evidence)
+    _shapes(x, evidence)
     if x.run_int[s.STALE_NOW] == 1:
-        found[B04, 0] = 0.0
+        evidence[B04, 0] = 0.0
     if x.run_int[s.STALE_NOW] == 2:
-        found[B07, 0] = 1.0
+        evidence[B07, 0] = 1.0
     frames = x.run_int[s.FRAMES]
     if frames > c.run_int[h.FRAMES_LIMIT] * (1 + x.run_int[s.MISSED]):
-        found[B11A, 0] = found[B11B, 0] = frames
+        evidence[B11A, 0] = evidence[B11B, 0] = frames
 
 
 @inner
-def _answers(x: Tables, c: ConstantTables, found: Found) -> None:
+def _answers(x: Tables, c: ConstantTables, evidence: Found) -> None:
     """Find overdue feedback. Ticks missed by this host had no request."""
     youngest = motor_age(x, c, 0, x.run_int[s.T_NS])
     for n in range(x.tendon.shape[1]):
@@ -62,34 +62,34 @@ def _answers(x: Tables, c: ConstantTables, found: Found) -> None:
     for n in range(x.tendon.shape[1]):
         age = motor_age(x, c, n, x.run_int[s.T_NS])
         if age > x.run_int[s.MISSED]:
-            found[B01, n] = age
+            evidence[B01, n] = age
         if age >= c.run_int[h.SILENT_TICKS]:
-            found[B02, n] = age
+            evidence[B02, n] = age
         if age >= c.run_int[h.ONE_SILENT_TICKS] and youngest == 0:
-            found[B17, n] = age
+            evidence[B17, n] = age
 
 
 @inner
-def _losses(x: Tables, found: Found) -> None:
+def _losses(x: Tables, evidence: Found) -> None:
     """Find lost and halved replies."""
     for node in range(x.node_int.shape[1]):
         number = lost(x, node)
-        if number > LOST_SOME:
-            found[B03A, node] = number
-        if number > LOST_MANY:
-            found[B03B, node] = number
+        if number > HOLD_LOSSES:
+            evidence[B03A, node] = number
+        if number > RELAX_LOSSES:
+            evidence[B03B, node] = number
 
 
 @inner
-def _shapes(x: Tables, found: Found) -> None:
+def _shapes(x: Tables, evidence: Found) -> None:
     """Find malformed frames, duplicate and stale replies."""
     for node in range(x.node_int.shape[1]):
         if x.node_int[s.MISSHAPEN, node] & 1:
             number = ones(x.node_int[s.MISSHAPEN, node])
-            found[B09, node] = number
-            if number >= MISSHAPEN_LIMIT:
-                found[B08, node] = number
+            evidence[B09, node] = number
+            if number >= MALFORMED_LIMIT:
+                evidence[B08, node] = number
         if x.node_int[s.TWICE, node] == 1:
-            found[B05, node] = 0.0
+            evidence[B05, node] = 0.0
         if x.node_int[s.TWICE, node] == 2:
-            found[B06, node] = 1.0
+            evidence[B06, node] = 1.0

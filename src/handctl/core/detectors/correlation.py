@@ -24,7 +24,7 @@ from handctl.core import block as s
 from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
-from handctl.safety.faults.node import REPORTED_PART, REPORTED_S
+from handctl.safety.faults.node import REPORTED_FRACTION, REPORTED_S
 
 FILLED = 0.9
 """Fraction of the low-pass filled with measurements before the test."""
@@ -90,7 +90,7 @@ def unfollowed(x: Tables, c: ConstantTables, n: int) -> bool:
     moves = min(aa, bb) > square(MOVED_FRACTION * c.tendon[h.DRIVE_LIMIT, n])
     if x.tendon[s.REPORT_MOMENTS + FULL, n] <= FILLED or not moves:
         return False
-    return ab + SIGMAS * math.sqrt(aa * bb * c.run[h.PERIOD] / (2.0 * REPORTED_S)) < REPORTED_PART * aa
+    return ab + SIGMAS * math.sqrt(aa * bb * c.run[h.PERIOD] / (2.0 * REPORTED_S)) < REPORTED_FRACTION * aa
 
 
 @inner

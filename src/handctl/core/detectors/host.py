@@ -10,17 +10,17 @@ from handctl.safety.faults.host import H01, H02, H03, I07A, I07B, LATE_FRACTION,
 
 
 @inner
-def detect(x: Tables, c: ConstantTables, armed: bool, found: Found) -> None:
+def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Found) -> None:
     """Write the findings of the module's rows."""
     # Lateness as a fraction of the period.
     late, missed = x.run_int[s.LATE_NS] / c.run_int[h.PERIOD_NS], x.run_int[s.MISSED]
     if late > LATE_FRACTION:
-        found[H01, 0] = late
+        evidence[H01, 0] = late
     if missed >= 1:
-        found[H02, 0] = missed
+        evidence[H02, 0] = missed
     if armed and missed >= c.run_int[h.STALLED_TICKS]:
-        found[H03, 0] = missed
+        evidence[H03, 0] = missed
     if armed and x.run_int[s.REFUSED_NOW]:
-        found[I07A, 0] = x.run_int[s.REFUSED]
+        evidence[I07A, 0] = x.run_int[s.REFUSED]
         if x.run_int[s.REFUSED] >= REFUSED_LIMIT:
-            found[I07B, 0] = x.run_int[s.REFUSED]
+            evidence[I07B, 0] = x.run_int[s.REFUSED]

@@ -48,22 +48,22 @@ def judge(x: Tables, c: ConstantTables, initial: Tables) -> tuple[int, Found]:
     """
     mode = x.run_int[s.MODE]
     armed, cut = ARMING <= mode <= RELAX, mode == CUT or mode == DISARM
-    found = np.full((ROWS, x.instance_int.shape[1]), math.nan)
+    evidence = np.full((ROWS, x.instance_int.shape[1]), math.nan)
     losses.count(x, c, x.run_int[s.T_NS], x.run_int[s.STRANGE], armed and x.run_int[s.MISSED] == 0)
-    bus.detect(x, c, armed, found)
-    node.detect(x, c, armed, found)
-    tendon.detect(x, c, armed, found)
-    host.detect(x, c, armed, found)
+    bus.detect(x, c, armed, evidence)
+    node.detect(x, c, armed, evidence)
+    tendon.detect(x, c, armed, evidence)
+    host.detect(x, c, armed, evidence)
     if armed:
         remember(x, c)
-        node.detect_under_torque(x, c, found)
-        tendon.detect_under_torque(x, c, found)
+        node.detect_under_torque(x, c, evidence)
+        tendon.detect_under_torque(x, c, evidence)
     elif cut:
         slack.after_cut(x, c, x.run_int[s.TARED] == 1)
-        node.detect_after_cut(x, c, found)
+        node.detect_after_cut(x, c, evidence)
     else:
         reset_monitor(x, initial)
-    return debounce(x, found), found
+    return debounce(x, evidence), evidence
 
 
 @inner
@@ -80,12 +80,12 @@ def remember(x: Tables, c: ConstantTables) -> None:
 
 
 @inner
-def debounce(x: Tables, found: Found) -> int:
+def debounce(x: Tables, evidence: Found) -> int:
     """Count consecutive ticks of each fault. Return the largest action of all counting faults."""
     action, fresh = 0, 0
-    for row in range(found.shape[0]):
-        for i in range(found.shape[1]):
-            if math.isnan(found[row, i]):
+    for row in range(evidence.shape[0]):
+        for i in range(evidence.shape[1]):
+            if math.isnan(evidence[row, i]):
                 x.instance_int[s.FAULT_TICKS + row, i] = 0
                 continue
             ticks = x.instance_int[s.FAULT_TICKS + row, i] + 1

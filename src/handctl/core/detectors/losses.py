@@ -6,7 +6,7 @@ from handctl.core import constants as h
 from handctl.core.block import Tables
 from handctl.core.constants import ConstantTables
 from handctl.safety.faults.bus import SHORT, WINDOW
-from handctl.safety.faults.node import HALVED_MISSES
+from handctl.safety.faults.node import HALF_RATE_MISSES
 
 NEVER = 1_000_000
 """Age without any reading [ticks]."""
@@ -101,4 +101,4 @@ def halved(x: Tables, node: int) -> bool:
     """Return True if a node misses about every second of the last ``SHORT`` ticks, at most once two in a row."""
     recent = x.node_int[s.LOST, node] & SHORT_MASK
     # Bits of two misses in a row: the word ANDed with itself shifted by one.
-    return ones(recent) >= HALVED_MISSES and ones(recent & recent >> 1) <= 1
+    return ones(recent) >= HALF_RATE_MISSES and ones(recent & recent >> 1) <= 1

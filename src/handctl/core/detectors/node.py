@@ -13,9 +13,6 @@ from handctl.core.detectors.losses import cell_age, halved
 from handctl.core.detectors.slip import DEG
 from handctl.safety.faults.node import (
     DISOBEYED_N,
-    LIMP_AFTER_S,
-    LIMP_FRACTION,
-    LIMP_N,
     N01,
     N02,
     N02B,
@@ -38,6 +35,9 @@ from handctl.safety.faults.node import (
     N15,
     N16,
     N17,
+    PULLED_AFTER_S,
+    PULLED_FRACTION,
+    PULLED_N,
     SLIP_TRIP_DEG,
     SLIP_WARN_DEG,
     STUCK_GOAL_M,
@@ -54,41 +54,41 @@ FAULT = 4
 
 
 @inner
-def detect(x: Tables, c: ConstantTables, armed: bool, found: Found) -> None:
+def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Found) -> None:
     """Write the findings of the module's rows, with or without torque."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_SOFT]:
-            found[N09A, n] = x.tendon[s.TEMPERATURE, n]
+            evidence[N09A, n] = x.tendon[s.TEMPERATURE, n]
         if x.tendon[s.TEMPERATURE, n] > c.run[h.TEMPERATURE_HARD]:
-            found[N09B, n] = x.tendon[s.TEMPERATURE, n]
-    _jumps(x, found)
+            evidence[N09B, n] = x.tendon[s.TEMPERATURE, n]
+    _jumps(x, evidence)
     if not armed:
         return
-    _errors(x, found)
-    _silence(x, c, found)
+    _errors(x, evidence)
+    _silence(x, c, evidence)
     for node in range(x.node_int.shape[1]):
         if halved(x, node):
-            found[N15, node] = 0.5
+            evidence[N15, node] = 0.5
         if x.node_int[s.TWICE, node]:
-            found[N13, node] = x.node_int[s.TWICE, node] - 1.0
+            evidence[N13, node] = x.node_int[s.TWICE, node] - 1.0
 
 
 @inner
-def _errors(x: Tables, found: Found) -> None:
+def _errors(x: Tables, evidence: Found) -> None:
     """Find errors reported by drives, by cause."""
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.PHASE, n] == FAULT:
-            found[ROW_OF_CAUSE[x.tendon_int[s.FAULT_CAUSE, n]], n] = x.tendon_int[s.FAULT_CODE, n]
+            evidence[ROW_OF_CAUSE[x.tendon_int[s.FAULT_CAUSE, n]], n] = x.tendon_int[s.FAULT_CODE, n]
 
 
 @inner
-def _silence(x: Tables, c: ConstantTables, found: Found) -> None:
+def _silence(x: Tables, c: ConstantTables, evidence: Found) -> None:
     """Find silent load cells and joint encoders."""
     now_ns = x.run_int[s.T_NS]
     for n in range(x.tendon.shape[1]):
         age = cell_age(x, c, n, now_ns)
         if age >= c.run_int[h.SILENT_TICKS]:
-            found[N02, n] = age
+            evidence[N02, n] = age
     last = -1
     for j in range(x.joint.shape[1]):
         group = c.joint_int[h.JOINT_GROUP, j]
@@ -96,69 +96,69 @@ def _silence(x: Tables, c: ConstantTables, found: Found) -> None:
             last = group
             heard_ns = x.group_int[s.GROUP_NS, group]
             if heard_ns < now_ns - c.run_int[h.MUTE_NS]:
-                found[N02B, j] = (now_ns - heard_ns) * 1e-9
+                evidence[N02B, j] = (now_ns - heard_ns) * 1e-9
 
 
 @inner
-def _jumps(x: Tables, found: Found) -> None:
+def _jumps(x: Tables, evidence: Found) -> None:
     """Find rejected positions: of motors in a row, of joints in the next."""
     for n in range(x.tendon.shape[1]):
         if x.tendon[s.JUMP, n] > 0.0:
-            found[N05A, n] = x.tendon[s.JUMP, n]
+            evidence[N05A, n] = x.tendon[s.JUMP, n]
             if x.tendon[s.DROPPED, n] > 1.0:
-                found[N05B, n] = x.tendon[s.JUMP, n]
+                evidence[N05B, n] = x.tendon[s.JUMP, n]
     for j in range(x.joint.shape[1]):
         if x.joint[s.JOINT_JUMP, j] > 0.0:
             # A fault of motors and joints has a row for each: the joints' row is the next one.
-            found[N05A + 1, j] = x.joint[s.JOINT_JUMP, j]
+            evidence[N05A + 1, j] = x.joint[s.JOINT_JUMP, j]
             if x.joint[s.JOINT_DROPPED, j] > 1.0:
-                found[N05B + 1, j] = x.joint[s.JOINT_JUMP, j]
+                evidence[N05B + 1, j] = x.joint[s.JOINT_JUMP, j]
 
 
 @inner
-def detect_under_torque(x: Tables, c: ConstantTables, found: Found) -> None:
+def detect_under_torque(x: Tables, c: ConstantTables, evidence: Found) -> None:
     """Write the findings of rows for a hand under torque."""
     for n in range(x.tendon.shape[1]):
         slip = abs(x.tendon[s.RESIDUAL + residuals.SLIP, n])
         if slip > SLIP_WARN_DEG:
-            found[N06A, n] = slip
+            evidence[N06A, n] = slip
         if slip > SLIP_TRIP_DEG:
-            found[N06B, n] = slip
+            evidence[N06B, n] = slip
         jerk = abs(x.tendon[s.RESIDUAL + residuals.JERK, n])
         if jerk > c.run[h.NOISE_LIMIT]:
-            found[N07, n] = jerk
+            evidence[N07, n] = jerk
         disobeyed = abs(x.tendon[s.RESIDUAL + residuals.ASKED, n])
         if disobeyed > DISOBEYED_N:
-            found[N14, n] = disobeyed
+            evidence[N14, n] = disobeyed
         if x.tendon[s.SWING_S, n] > SWING_S:
-            found[N14B, n] = math.sqrt(x.tendon[s.SWING_SQUARE, n])
+            evidence[N14B, n] = math.sqrt(x.tendon[s.SWING_SQUARE, n])
         if correlation.unfollowed(x, c, n):
-            found[N17, n] = correlation.part(x, n)
-    _stuck(x, c, found)
+            evidence[N17, n] = correlation.part(x, n)
+    _stuck(x, c, evidence)
 
 
 @inner
-def _stuck(x: Tables, c: ConstantTables, found: Found) -> None:
+def _stuck(x: Tables, c: ConstantTables, evidence: Found) -> None:
     """Find encoders with constant readings despite motion: motors in a row, joints in the next."""
     for n in range(x.tendon.shape[1]):
         if x.tendon_int[s.MOTOR_STUCK, n] * c.tendon[h.MOTOR_PERIOD, n] > STUCK_S:
             goal = stuck.away(x.tendon[s.FOLLOWED, n], x.tendon[s.MOTOR_ANCHOR, n])
             tension = stuck.away(x.tendon[s.RESIDUAL + residuals.TENSION, n], x.tendon[s.MOTOR_ANCHOR + 1, n])
             if goal > STUCK_GOAL_M or tension > STUCK_TENSION_N:
-                found[N04, n] = max(goal * 1e3, tension)
+                evidence[N04, n] = max(goal * 1e3, tension)
     for j in range(x.joint.shape[1]):
         if x.joint_int[s.JOINT_STUCK, j] * c.run[h.JOINT_PERIOD] > STUCK_S:
             turned = stuck.away(stuck.turned(x, c, j), x.joint[s.JOINT_ANCHOR, j]) * DEG
             if turned > STUCK_JOINT_DEG:
-                found[N04 + 1, j] = turned
+                evidence[N04 + 1, j] = turned
 
 
 @inner
-def detect_after_cut(x: Tables, c: ConstantTables, found: Found) -> None:
+def detect_after_cut(x: Tables, c: ConstantTables, evidence: Found) -> None:
     """Find tendons still pulled after the torque was cut."""
-    if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < LIMP_AFTER_S:
+    if x.run_int[s.CUT_TICKS] * c.run[h.PERIOD] < PULLED_AFTER_S:
         return
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.CUT_BEARS, n]
-        if tension > LIMP_N and tension > LIMP_FRACTION * x.tendon[s.CUT_FROM, n]:
-            found[N16, n] = tension
+        if tension > PULLED_N and tension > PULLED_FRACTION * x.tendon[s.CUT_FROM, n]:
+            evidence[N16, n] = tension

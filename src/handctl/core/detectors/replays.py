@@ -11,7 +11,7 @@ import math
 from handctl.compiled import inner
 from handctl.core import block as s
 from handctl.core.block import Tables
-from handctl.safety.faults.tendon import SAME_LEAST, SAME_WINDOW
+from handctl.safety.faults.tendon import MIN_REPEATS, REPEAT_WINDOW
 
 AGE = 64
 """Largest age in the search [ticks]."""
@@ -50,7 +50,7 @@ def replayed(x: Tables, n: int) -> int:
     """Return the age of a channel's repeated readings [ticks], 0 without repetition."""
     longest = x.tendon_int[s.LONGEST, n]
     # Chance of a run of this length, in logarithms, as the power of many small numbers.
-    if longest < SAME_LEAST or -longest * math.log(_chance(x, n)) < UNLIKELY:
+    if longest < MIN_REPEATS or -longest * math.log(_chance(x, n)) < UNLIKELY:
         return 0
     for age in range(AGE):
         if x.tendon_int[s.SAME + age, n] == longest:
@@ -62,7 +62,7 @@ def replayed(x: Tables, n: int) -> int:
 def _chance(x: Tables, n: int) -> float:
     """Estimate the chance of two equal readings, from pairs among the last readings."""
     pairs, different = 0, 0
-    for a in range(SAME_WINDOW):
+    for a in range(REPEAT_WINDOW):
         first = True
         for b in range(a):
             if x.tendon[s.PAST + a, n] == x.tendon[s.PAST + b, n]:
@@ -71,4 +71,4 @@ def _chance(x: Tables, n: int) -> float:
         different += first
     if different <= FEW:
         return 1.0
-    return min(1.0, (pairs + 1) / (SAME_WINDOW * (SAME_WINDOW - 1) // 2 + 1))
+    return min(1.0, (pairs + 1) / (REPEAT_WINDOW * (REPEAT_WINDOW - 1) // 2 + 1))

@@ -10,7 +10,7 @@ from handctl.core.constants import ConstantTables
 from handctl.core.detectors.residuals import TENSION
 from handctl.safety.faults.tendon import SLACK_N, TAUT_N
 
-LIMP_SEEN_S = 0.08
+LATE_READING_S = 0.08
 """Time after the cut from which the last reading counts if the latest is missing [s]."""
 
 
@@ -52,7 +52,7 @@ def after_cut(x: Tables, c: ConstantTables, tared: bool) -> None:
             x.tendon[s.CUT_FROM, n] = x.tendon[s.CELL_VALUE, n] if math.isnan(tension) else tension
         elif math.isnan(x.tendon[s.CUT_FROM, n]):
             x.tendon[s.CUT_FROM, n] = tension
-        if ticks * c.run[h.PERIOD] < LIMP_SEEN_S:
+        if ticks * c.run[h.PERIOD] < LATE_READING_S:
             x.tendon[s.CUT_BEARS, n] = math.nan
         elif not math.isnan(tension):
             x.tendon[s.CUT_BEARS, n] = tension

@@ -46,7 +46,7 @@ RELAX = 5
 
 
 @inner
-def detect(x: Tables, c: ConstantTables, armed: bool, found: Found) -> None:
+def detect(x: Tables, c: ConstantTables, armed: bool, evidence: Found) -> None:
     """Write the findings of the module's rows, with or without torque."""
     rail, low = c.run[h.TENSION_RAIL], c.run[h.TENSION_LOW]
     relaxing_s = x.run_int[s.T_NS] * 1e-9 - x.run[s.MODE_SINCE]
@@ -54,50 +54,50 @@ def detect(x: Tables, c: ConstantTables, armed: bool, found: Found) -> None:
     for n in range(x.tendon.shape[1]):
         tension = x.tendon[s.MEASURED_TENSION, n]
         if c.tendon[h.TENSION_TRIP, n] < tension < rail:
-            found[T03, n] = tension
+            evidence[T03, n] = tension
         if c.tendon[h.DRIVE_LIMIT, n] < tension < rail:
-            found[T03B, n] = tension
+            evidence[T03B, n] = tension
         if relaxed and tension > c.tendon[h.TENSION_TRIP, n]:
-            found[T03C, n] = tension
+            evidence[T03C, n] = tension
         # At an end of the range, or tared and beyond what a tendon can make: a tare may hide the one or the other.
         if armed and (tension >= rail or tension <= low or x.tendon_int[s.SATURATED, n]):
-            found[T06, n] = tension
+            evidence[T06, n] = tension
 
 
 @inner
-def detect_under_torque(x: Tables, c: ConstantTables, found: Found) -> None:
+def detect_under_torque(x: Tables, c: ConstantTables, evidence: Found) -> None:
     """Write the findings of rows for a hand under torque."""
     for n in range(x.tendon.shape[1]):
-        _slack(x, c, n, found)
+        _slack(x, c, n, evidence)
         unexplained, rubs = residuals.unexplained(x, c, n), residuals.friction(x, n)
         if unexplained > RESIDUAL_WARN_N:
-            found[T04A, n] = unexplained
+            evidence[T04A, n] = unexplained
         if unexplained > RESIDUAL_TRIP_N:
-            found[T04B, n] = unexplained
+            evidence[T04B, n] = unexplained
         if rubs > FRICTION_WARN_N:
-            found[T09, n] = rubs
+            evidence[T09, n] = rubs
         pushed = stuck.away(x.tendon[s.RESIDUAL + residuals.QUICK_FORCE, n], x.tendon[s.CELL_ANCHOR, n])
         same = x.tendon_int[s.CELL_STUCK, n] >= CELL_TICKS
         if same and pushed > CELL_FORCE_N and x.tendon[s.CELL_VALUE, n] > TAUT_N:
-            found[T05, n] = pushed
+            evidence[T05, n] = pushed
         age = replayed(x, n)
         if age > 0:
-            found[T05B, n] = age
+            evidence[T05B, n] = age
         slip = abs(x.tendon[s.SLIP, n])
         if x.tendon[s.DERAILED, n] >= DERAILED_READINGS and slip > DERAILED_DEG:
-            found[T08, n] = slip
+            evidence[T08, n] = slip
 
 
 @inner
-def _slack(x: Tables, c: ConstantTables, n: int, found: Found) -> None:
+def _slack(x: Tables, c: ConstantTables, n: int, evidence: Found) -> None:
     """Find a tendon without tension: snapped if the spool runs, slack if tension is commanded."""
     period, wanted, speed = c.run[h.PERIOD], x.tendon[s.WANTED, n], x.tendon[s.SPEED, n]
     since = x.tendon_int[s.SLACK_TICKS, n] * period
     if since > SLACK_WARN_S:
-        found[T02A, n] = since
+        evidence[T02A, n] = since
     if since > SLACK_TRIP_S:
-        found[T02B, n] = since
+        evidence[T02B, n] = since
     tension = x.tendon[s.MEASURED_TENSION, n] if x.run_int[s.TARED] else math.nan
     was_taut = 0.0 <= x.tendon_int[s.TAUT_AGO, n] * period < SNAP_MEMORY_S
     if speed > SNAP_SPEED and wanted > SNAP_N and tension < SNAP_FRACTION * wanted and was_taut:
-        found[T01, n] = speed
+        evidence[T01, n] = speed

@@ -6,7 +6,7 @@ tick. Each row and each fault is declared once, in the module of its kind: ``bus
 an event and the reaction follow from the declaration.
 
 A compiled detector in ``core.detectors`` finds a fault with ``per``. The declaration returns
-the index of the fault for the detector: ``found[N07, motor]``. A bus, the host or the
+the index of the fault for the detector: ``evidence[N07, motor]``. A bus, the host or the
 recorder reports a fault with ``reports``.
 """
 
@@ -15,15 +15,26 @@ from typing import NamedTuple
 
 from handctl.safety.action import Action, Release
 
-OPERATOR, ITSELF = "a person", "by itself"
-"""Who ends a fault: an operator clears a latched fault, any other fault ends with the cause."""
+OPERATOR = "by the operator"
+ITSELF = "by itself"
+"""How a fault ends: the operator clears a latched fault, any other fault ends with its cause."""
 
-TENDON, MOTOR, JOINT, NODE, HAND = "tendon", "motor", "joint", "node", "hand"
+TENDON = "tendon"
+MOTOR = "motor"
+JOINT = "joint"
+NODE = "node"
+HAND = "hand"
 """Kinds of instances of a fault. ``NODE``: the motors, then the load cells. ``HAND``: a single instance."""
 
-DETECTED, REPLACED, LOST = "detected", "replaced", "lost"
+DETECTED = "detected"
+REPLACED = "replaced"
+LOST = "lost"
 """Visibility of a fault in a protocol: visible, replaced by a weaker sign, or invisible."""
-TICK, ARMING, DRIVE, LOOP, FILES = "fault table", "before arming", "the drive itself", "loop and recorder", "files"
+TICK = "fault table"
+ARMING = "before arming"
+DRIVE = "the drive itself"
+LOOP = "loop and recorder"
+FILES = "files"
 """Places where a row is judged."""
 
 
@@ -40,10 +51,10 @@ class Row(NamedTuple):
         ticks: latest reaction in ticks, plus ``ms``.
         ms: time in addition to ``ticks`` [ms].
         odrive_ms: additional time of an ODrive, with a heartbeat every 100 ms [ms].
-        asked: ticks of 5 ms for an ideal drive in the project's fault catalogue. 0: no time is
+        required: ticks of 5 ms for an ideal drive in the project's fault catalogue. 0: no time is
             given, as before torque.
-        why: reason for more ticks than ``asked``, else empty.
-        tried: ``campaign``, or the test with the fault.
+        why: reason for more ticks than ``required``, else empty.
+        tested: ``campaign``, or the test with the fault.
     """
 
     id: str
@@ -55,9 +66,9 @@ class Row(NamedTuple):
     ticks: int = 0
     ms: float = 0.0
     odrive_ms: float = 0.0
-    asked: int = 0
+    required: int = 0
     why: str = ""
-    tried: str = "campaign"
+    tested: str = "campaign"
 
     def latest_ms(self, rate_hz: float) -> float:
         """Return the latest reaction at a control rate [ms]. An ODrive may take ``odrive_ms`` more."""
@@ -73,7 +84,9 @@ class Fault:
         title: name for an operator.
         detection: condition of the fault.
         action: reaction.
-        clears: who ends the fault, ``OPERATOR`` or ``ITSELF``.
+        clears: how the fault ends, ``OPERATOR`` or ``ITSELF``.
+        cause: usual causes, for the operator, in whole sentences.
+        remedy: what to do about it, one line for the operator, in whole sentences.
         debounce: consecutive ticks before the fault counts.
         release: method of removing the torque in RELAX.
         per: kinds of instances, empty for a reported fault.
@@ -87,6 +100,8 @@ class Fault:
     detection: str
     action: Action
     clears: str
+    cause: str
+    remedy: str
     debounce: int = 1
     release: Release = Release.LOOP
     per: tuple[str, ...] = ()
@@ -114,7 +129,7 @@ CATALOGUE: list[Row] = []
 """All rows, in the order of their declaration."""
 TABLE: list[Fault] = []
 """All faults, in the order of their declaration."""
-FOUND: list[tuple[Fault, str]] = []
+DETECTOR_ROWS: list[tuple[Fault, str]] = []
 """Fault and kind of instance of each row of the detectors' result table. The kinds of a fault follow each other."""
 
 
@@ -130,6 +145,8 @@ def fault(
     action: Action,
     clears: str,
     *per: str,
+    cause: str,
+    remedy: str,
     debounce: int = 1,
     release: Release = Release.LOOP,
     name: str = "",
@@ -141,9 +158,9 @@ def fault(
         Row index of the fault's first kind of instance in the detectors' result table. -1 for a
             reported fault.
     """
-    one = Fault(id_, title, detection, action, clears, debounce, release, per, name, reports)
-    TABLE.append(one)
+    declared = Fault(id_, title, detection, action, clears, cause, remedy, debounce, release, per, name, reports)
+    TABLE.append(declared)
     # One detector row for each kind of instance. Detectors use the index of the first kind plus 1.
-    first = len(FOUND)
-    FOUND.extend((one, kind) for kind in per)
+    first = len(DETECTOR_ROWS)
+    DETECTOR_ROWS.extend((declared, kind) for kind in per)
     return first if per else -1

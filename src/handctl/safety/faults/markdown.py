@@ -1,10 +1,10 @@
-"""Tables of README and docs in Markdown, generated from the fault declarations."""
+"""Tables and sections of README and docs in Markdown, generated from the fault declarations."""
 
 from handctl.safety.faults.fault import TICK, Fault, Row
 from handctl.safety.faults.host import ON_HARDWARE
 from handctl.safety.faults.table import CATALOGUE, TABLE
 
-ASKED_MS = 5.0
+REQUIRED_MS = 5.0
 """Tick of the ideal drive in the project's fault catalogue [ms]."""
 RATE_HZ = 500.0
 """Control rate of the catalogue's times [Hz], as of the packaged hand with a motor per digit."""
@@ -12,25 +12,38 @@ RATE_HZ = 500.0
 
 def fault_table(table: tuple[Fault, ...] = TABLE) -> str:
     """Return the fault table in Markdown, a row per fault."""
+    head = ["| id | fault | detected by | action | cleared |", "|---|---|---|---|---|"]
     rows = [f"| {f.id} | {f.title} | {f.detection} | {f.reaction} | {f.clears} |" for f in table]
-    return "\n".join(["| id | fault | noticed by | action | ended |", "|---|---|---|---|---|", *rows])
+    return "\n".join([*head, *rows])
+
+
+def fault_sections(table: tuple[Fault, ...] = TABLE) -> str:
+    """Return a section per fault in Markdown: what happened, why, what happens now, what to do."""
+    return "\n\n".join(
+        f"### {f.id}: {f.title}\n\n"
+        f"- **What happened:** {f.detection}.\n"
+        f"- **Why:** {f.cause}\n"
+        f"- **Reaction:** {f.reaction}, cleared {f.clears}.\n"
+        f"- **What to do:** {f.remedy}"
+        for f in table
+    )
 
 
 def catalogue(entries: tuple[Row, ...] = CATALOGUE) -> str:
     """Return the catalogue in Markdown, with the visibility of each row in each protocol."""
-    head = "| id | fault | judged by | MIT | ODrive | CiA 402 | at the latest | tried by |"
+    head = "| id | fault | judged by | MIT | ODrive | CiA 402 | latest reaction | tested by |"
     return "\n".join([head, "|---|---|---|---|---|---|---|---|", *map(_row, entries)])
 
 
-# A row may have several faults (its stages), or none if it is judged outside of ticks.
 def _row(entry: Row) -> str:
+    # A row may have several faults (its stages), or none if it is judged outside of ticks.
     judged = ", ".join(f"{f.id} {f.action.name}" for f in TABLE if f.row == entry.id) or entry.where
     latest = f"{entry.latest_ms(RATE_HZ):g} ms, {_ticks(entry)} ticks"
-    latest += f"; ODrive {entry.odrive_ms:g} ms more" if entry.odrive_ms else ""
+    latest += f", ODrive {entry.odrive_ms:g} ms more" if entry.odrive_ms else ""
     latest = latest if entry.ticks or entry.ms else "before torque" if entry.where != TICK else "1 tick"
     return (
         f"| {entry.id} | {entry.title} | {judged} | {entry.mit} | {entry.odrive} | {entry.cia402} | {latest} "
-        f"| {entry.tried} |"
+        f"| {entry.tested} |"
     )
 
 
@@ -43,18 +56,18 @@ def late(entry: Row) -> bool:
 
     A row without a time in the catalogue is never late.
     """
-    return 0 < entry.asked < _ticks(entry)
+    return 0 < entry.required < _ticks(entry)
 
 
 def later(entries: tuple[Row, ...] = CATALOGUE) -> str:
     """Return the rows with a later reaction than in the project's fault catalogue, with reasons, in Markdown."""
     rows = [
-        f"| {e.id} | {e.title} | {e.asked} | {_ticks(e)} | {e.asked * ASKED_MS:g} ms | {e.latest_ms(RATE_HZ):g} ms "
-        f"| {e.why} |"
+        f"| {e.id} | {e.title} | {e.required} | {_ticks(e)} | {e.required * REQUIRED_MS:g} ms "
+        f"| {e.latest_ms(RATE_HZ):g} ms | {e.why} |"
         for e in entries
         if late(e)
     ]
-    head = "| id | fault | asked, ticks | at 500 Hz, ticks | asked | takes | why |"
+    head = "| id | fault | required, ticks | at 500 Hz, ticks | required | takes | why |"
     return "\n".join([head, "|---|---|---|---|---|---|---|", *rows])
 
 

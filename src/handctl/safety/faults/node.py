@@ -17,137 +17,238 @@ from handctl.safety.faults.fault import (
     fault,
     row,
 )
-from handctl.safety.limits import SILENT_S, SILENT_TICKS_LEAST
+from handctl.safety.limits import MIN_SILENT_TICKS, SILENT_S
 
-STUCK_S, STUCK_GOAL_M, STUCK_TENSION_N, STUCK_JOINT_DEG = 0.1, 0.5e-3, 8.0, 10.0
+STUCK_S = 0.1
+STUCK_GOAL_M = 0.5e-3
+STUCK_TENSION_N = 8.0
+STUCK_JOINT_DEG = 10.0
 """Longest time of a constant reading while a reference moves, and the motion of each reference.
 
 For a motor: 0.5 mm of goal, or 8 N of tension (a stretch of 80 um). For a joint: 10 degrees
 as turned by the spools.
 """
-SLIP_WARN_DEG, SLIP_TRIP_DEG = 3.0, 6.0
+SLIP_WARN_DEG = 3.0
+SLIP_TRIP_DEG = 6.0
+"""Difference of joint encoder and spool [deg]: above the first WARN, above the second RELAX."""
 NOISE_FACTOR = 9.0
 """Variance of a noise burst, as a multiple of the variance from drive torque on the bare rotor and encoder rounding."""
 WARM_TICKS = 20
+"""Consecutive ticks of a high temperature."""
 DISOBEYED_N = 15.0
-SWING_N, SWING_S, SWING_HZ = 8.0, 0.25, 8.0
+"""Difference of commanded and reported torque, as tension [N]."""
+SWING_N = 8.0
+SWING_S = 0.25
+SWING_HZ = 8.0
 """RMS of a swing of tension [N] (an amplitude of 11 N), duration until the hand relaxes [s], and lowest
 frequency [Hz].
 
 A command step of 75 N at 5000 N/s exceeds the RMS for 0.15 s.
 """
-HALVED_MISSES = 7
+HALF_RATE_MISSES = 7
 """Misses within ``SHORT`` ticks of a node at half rate.
 
 Two misses in a row occur where the phase shifts.
 """
-LIMP_AFTER_S, LIMP_FRACTION, LIMP_N = 0.1, 0.5, 10.0
+PULLED_AFTER_S = 0.1
+PULLED_FRACTION = 0.5
+PULLED_N = 10.0
 """Time after a cut of the torque [s], and least fraction and tension [N] of a tendon still pulled then.
 
 In a released grasp, the packaged hands' tendons bear at most a third after this time. With a motor
 still pulling, at least 0.74.
 """
-REPORTED_PART, REPORTED_S = 0.4, 0.25
+REPORTED_FRACTION = 0.4
+REPORTED_S = 0.25
 """Least reported fraction of the command's changes, and time constant of the comparison [s]."""
 
 # Texts of the catalogue's columns for protocols without a direct sign.
 _BEAT = f"{DETECTED}: by the heartbeat, every 100 ms"
-_BESIDE = f"{LOST}: cyclic messages come beside the answers"
-_JOINTS = f"{REPLACED}: only where there are joint encoders; else the motor's encoder has no second"
-_SLOWLY = f"{REPLACED}: cyclic messages come in between; single losses (B01)"
-_AGAIN = "limit and watchdog are read by turns while enabled, one each 500 ms"
-_SILENCE = f"for {SILENT_S * 1e3:g} ms, at least {SILENT_TICKS_LEAST} in a row"
+_BESIDE = f"{LOST}: cyclic messages come in addition to replies"
+_JOINTS = f"{REPLACED}: only with joint encoders, else the motor's encoder has no reference"
+_SLOWLY = f"{REPLACED}: cyclic messages come in between, single losses (B01)"
+_AGAIN = "limit and watchdog are read in turn while enabled, one every 500 ms"
+_SILENCE = f"for {SILENT_S * 1e3:g} ms, at least {MIN_SILENT_TICKS} in a row"
 _MODES = "tests/controller/test_modes.py"
 
-row("N01", "reset in motion", odrive=_BEAT, ticks=4, odrive_ms=100, asked=2,
-    why="4 where the drive is silent while it restarts (CiA 402), else 2")  # fmt: skip
-N01 = fault("N01", "a drive dropped out", "it says that it is disabled, or has restarted", Action.RELAX, OPERATOR,
-            MOTOR)  # fmt: skip
+row("N01", "reset in motion", odrive=_BEAT, ticks=4, odrive_ms=100, required=2,
+    why="4 if the drive is silent while it restarts (CiA 402), else 2")  # fmt: skip
+N01 = fault(
+    "N01", "a drive dropped out", "the drive reports to be disabled, or has restarted",
+    Action.RELAX, OPERATOR, MOTOR,
+    cause="The drive has restarted, usually because its supply voltage dropped.",
+    remedy="Check supply voltage and wiring of the motor under load, then start a new run.",
+)  # fmt: skip
 
-row("N02", "silent node", ticks=1, ms=30, asked=4,
-    why=SILENT_WHY + "; joint encoders that are read in every fourth tick: four readings, 85 ms at 200 Hz")  # fmt: skip
-N02 = fault("N02", "load cells silent", f"no tension frame {_SILENCE}", Action.RELAX, OPERATOR, TENDON)
-N02B = fault("N02b", "joint encoders silent", f"no joint frame {_SILENCE}", Action.RELAX, OPERATOR, JOINT)
+row("N02", "silent node", ticks=1, ms=30, required=4,
+    why=SILENT_WHY + ". Joint encoders in every fourth tick: four readings, 85 ms at 200 Hz")  # fmt: skip
+N02 = fault(
+    "N02", "the load cells are silent", f"no tension frame {_SILENCE}",
+    Action.RELAX, OPERATOR, TENDON,
+    cause="The sensor node has lost power or its cable, or has crashed.",
+    remedy="Check supply and cable of the sensor node, then start a new run.",
+)  # fmt: skip
+N02B = fault(
+    "N02b", "the joint encoders are silent", f"no joint frame {_SILENCE}",
+    Action.RELAX, OPERATOR, JOINT,
+    cause="The sensor node, or its joint encoders, have lost power or cable.",
+    remedy="Check supply and cable of the sensor node and of the joint encoders, then start a new run.",
+)  # fmt: skip
 
-row("N03", "missing at start", ARMING, tried=_MODES)
+row("N03", "missing at start", ARMING, tested=_MODES)
 
-row("N04", "encoder stuck", ticks=2, ms=500, asked=22,
-    why="it is wrong only where the goal moves by 0.5 mm or the tension by 8 N, for more than 100 ms")  # fmt: skip
-N04 = fault("N04", "an encoder is stuck",
-            f"constant for {STUCK_S * 1e3:g} ms while goal, tension or spool move", Action.RELAX, OPERATOR, MOTOR,
-            JOINT, release=Release.OPEN)  # fmt: skip
+row("N04", "encoder stuck", ticks=2, ms=500, required=22,
+    why="a constant reading is wrong only if goal (0.5 mm) or tension (8 N) move, for more than 100 ms")  # fmt: skip
+N04 = fault(
+    "N04", "an encoder is stuck", f"constant for {STUCK_S * 1e3:g} ms while goal, tension or spool moves",
+    Action.RELAX, OPERATOR, MOTOR, JOINT, release=Release.OPEN,
+    cause="The encoder or its magnet has failed, or the drive repeats old values.",
+    remedy="Turn the shaft or joint by hand and watch its angle in handctl view. Replace the encoder if it stays.",
+)  # fmt: skip
 
-row("N05", "encoder jump", ticks=3, asked=3)
-N05A = fault("N05a", "an encoder jumped", "a step that no rotor makes; the sample is dropped", Action.WARN, ITSELF,
-             MOTOR, JOINT)  # fmt: skip
-N05B = fault("N05b", "an encoder jumps", "the same in two readings running", Action.RELAX, OPERATOR, MOTOR, JOINT,
-             release=Release.OPEN)  # fmt: skip
+row("N05", "encoder jump", ticks=3, required=3)
+N05A = fault(
+    "N05a", "an encoder jumped", "a step that no rotor can make, the sample is rejected",
+    Action.WARN, ITSELF, MOTOR, JOINT,
+    cause="A disturbed reading, by noise on the encoder's cable or its magnet.",
+    remedy="Ignore single cases. If it repeats, check cable and magnet of the encoder.",
+)  # fmt: skip
+N05B = fault(
+    "N05b", "an encoder jumps", "such a step in two readings in a row",
+    Action.RELAX, OPERATOR, MOTOR, JOINT, release=Release.OPEN,
+    cause="The encoder or its magnet is loose, or the drive has lost its reference.",
+    remedy="Check magnet and cable of the encoder, then commission the hand again (handctl commission).",
+)  # fmt: skip
 
-row("N06", "encoder drift or slip", TICK, _JOINTS, _JOINTS, _JOINTS, ticks=4, ms=900, asked=200,
-    why="sooner than the 1000 ms asked")  # fmt: skip
-N06A = fault("N06a", "joint and spool disagree", f"more than {SLIP_WARN_DEG:g} deg, filtered", Action.WARN, ITSELF,
-             TENDON)  # fmt: skip
-N06B = fault("N06b", "an encoder slips", f"more than {SLIP_TRIP_DEG:g} deg, filtered", Action.RELAX, OPERATOR, TENDON,
-             release=Release.OPEN)  # fmt: skip
+row("N06", "encoder drift or slip", TICK, _JOINTS, _JOINTS, _JOINTS, ticks=4, ms=900, required=200,
+    why="sooner than the required 1000 ms")  # fmt: skip
+N06A = fault(
+    "N06a", "joint and spool disagree", f"difference above {SLIP_WARN_DEG:g} deg, filtered",
+    Action.WARN, ITSELF, TENDON,
+    cause="A tendon stretches or slips on its spool, or an encoder drifts.",
+    remedy="Check the tendon's clamp and the encoder's magnet. Commission the hand again (handctl commission).",
+)  # fmt: skip
+N06B = fault(
+    "N06b", "an encoder or a tendon slips", f"difference above {SLIP_TRIP_DEG:g} deg, filtered",
+    Action.RELAX, OPERATOR, TENDON, release=Release.OPEN,
+    cause="The tendon slips on its spool, has left a pulley, or an encoder has come loose.",
+    remedy="Check the tendon's clamp and way and the encoder's magnet, then commission again (handctl commission).",
+)  # fmt: skip
 
-row("N07", "encoder noise", ticks=4, ms=60, asked=52)
-N07 = fault("N07", "a noisy encoder", f"{NOISE_FACTOR:g} times the jerk that drive and noise can make, over 100 ms",
-            Action.HOLD, ITSELF, MOTOR)  # fmt: skip
+row("N07", "encoder noise", ticks=4, ms=60, required=52)
+N07 = fault(
+    "N07", "a noisy encoder", f"{NOISE_FACTOR:g} times the jerk of drive torque and rounding, over 100 ms",
+    Action.HOLD, ITSELF, MOTOR,
+    cause="Interference on the encoder's cable, or a magnet that is too far away.",
+    remedy="Check shield and cable of the encoder, and the distance of its magnet.",
+)  # fmt: skip
 
-row("N08", "the drive's watchdog fired", odrive=_BEAT, ticks=2, odrive_ms=100, asked=2)
-N08 = fault("N08", "a drive's watchdog fired", "the drive says so", Action.RELAX, OPERATOR, MOTOR)
+row("N08", "the drive's watchdog fired", odrive=_BEAT, ticks=2, odrive_ms=100, required=2)
+N08 = fault(
+    "N08", "a drive's watchdog fired", "the drive reports it", Action.RELAX, OPERATOR, MOTOR,
+    cause="The drive received no command in time: this host was too slow, or commands were lost.",
+    remedy="Run handctl doctor (priority, cores), close other programs, or lower the rate.",
+)  # fmt: skip
 
-row("N09", "over-temperature", odrive=f"{DETECTED}: asked five times a second",
-    cia402=f"{REPLACED}: no temperature in the PDO; the drive's own limit by EMCY (N11)",
-    ticks=22, odrive_ms=200, asked=22)  # fmt: skip
-N09A = fault("N09a", "drive warm", "temperature above the soft limit; its tendon's limit falls with it", Action.WARN,
-             ITSELF, MOTOR, debounce=WARM_TICKS)  # fmt: skip
-N09B = fault("N09b", "drive too hot", "temperature above the hard limit", Action.RELAX, OPERATOR, MOTOR,
-             debounce=WARM_TICKS)  # fmt: skip
+row("N09", "over-temperature", odrive=f"{DETECTED}: requested five times a second",
+    cia402=f"{REPLACED}: no temperature in the PDO, the drive's own limit by EMCY (N11)",
+    ticks=22, odrive_ms=200, required=22)  # fmt: skip
+N09A = fault(
+    "N09a", "a drive is warm", "temperature above the soft limit, its tendon's tension limit falls",
+    Action.WARN, ITSELF, MOTOR, debounce=WARM_TICKS,
+    cause="The hand holds much tension for long, or the drive is badly cooled.",
+    remedy="Let the hand rest, hold with less tension, or improve the cooling.",
+)  # fmt: skip
+N09B = fault(
+    "N09b", "a drive is too hot", "temperature above the hard limit",
+    Action.RELAX, OPERATOR, MOTOR, debounce=WARM_TICKS,
+    cause="The hand holds much tension for long, or the drive is badly cooled.",
+    remedy="Let the drive cool down. Hold with less tension, or improve the cooling.",
+)  # fmt: skip
 
-row("N10", "under- or over-voltage", odrive=_BEAT, ticks=2, odrive_ms=100, asked=2)
-N10 = fault("N10", "supply voltage", "the drive says too low or too high", Action.RELAX, OPERATOR, MOTOR)
+row("N10", "under- or over-voltage", odrive=_BEAT, ticks=2, odrive_ms=100, required=2)
+N10 = fault(
+    "N10", "wrong supply voltage", "the drive reports a voltage too low or too high",
+    Action.RELAX, OPERATOR, MOTOR,
+    cause="The supply is too weak, or braking motors raise the voltage.",
+    remedy="Measure the supply under load. Use a stronger supply, or a brake resistor.",
+)  # fmt: skip
 
-row("N11", "node fault code", odrive=_BEAT, ticks=2, odrive_ms=100, asked=2)
-N11 = fault("N11", "drive reports an error", "error code in the feedback", Action.RELAX, OPERATOR, MOTOR)
-N11B = fault("N11b", "drive reports an unknown error", "an unknown code counts as the most severe", Action.CUT,
-             OPERATOR, MOTOR)  # fmt: skip
+row("N11", "node fault code", odrive=_BEAT, ticks=2, odrive_ms=100, required=2)
+N11 = fault(
+    "N11", "a drive reports an error", "error code in the feedback", Action.RELAX, OPERATOR, MOTOR,
+    cause="The drive has detected an error of its own, for example over-current or a failed encoder.",
+    remedy="Look the code up in the drive's manual, remove its cause, and start the next run with --clear.",
+)  # fmt: skip
+N11B = fault(
+    "N11b", "a drive reports an unknown error", "an unknown error code counts as the most severe",
+    Action.CUT, OPERATOR, MOTOR,
+    cause="The drive has another firmware than handctl knows.",
+    remedy="Look the code up in the drive's manual, and check the firmware version in the hand file.",
+)  # fmt: skip
 
-row("N12", "wrong firmware or settings", TICK, f"{REPLACED}: registers, no serial number; {_AGAIN}",
-    f"{REPLACED}: protocol version and endpoints, no serial number; {_AGAIN}",
-    f"{REPLACED}: objects, no serial number; {_AGAIN}", ticks=4, ms=1000)  # fmt: skip
-N12 = fault("N12", "another drive than configured", "a read-back differs, or somebody else has enabled it", Action.CUT,
-            OPERATOR, MOTOR, release=Release.OPEN)  # fmt: skip
+row("N12", "wrong firmware or settings", TICK, f"{REPLACED}: registers, no serial number, {_AGAIN}",
+    f"{REPLACED}: protocol version and endpoints, no serial number, {_AGAIN}",
+    f"{REPLACED}: objects, no serial number, {_AGAIN}", ticks=4, ms=1000)  # fmt: skip
+N12 = fault(
+    "N12", "a drive is not as configured", "a read-back differs, or another host has enabled the drive",
+    Action.CUT, OPERATOR, MOTOR, release=Release.OPEN,
+    cause="The drive was replaced, has lost its settings, or another program writes to it.",
+    remedy="Close other programs, compare the drive with the hand file, and restart the drive.",
+)  # fmt: skip
 
-row("N13", "two nodes with one id", odrive=_BESIDE, ticks=4, asked=2,
-    why="2 if the second answer has other bytes; the same bytes three times in a row")  # fmt: skip
-N13 = fault("N13", "two nodes with one id", "two answers to a question, three ticks running", Action.RELAX, OPERATOR,
-            NODE, debounce=3, release=Release.OPEN)  # fmt: skip
+row("N13", "two nodes with one id", odrive=_BESIDE, ticks=4, required=2,
+    why="2 if the second reply has different bytes, else three times in a row")  # fmt: skip
+N13 = fault(
+    "N13", "two nodes with one identifier", "two replies to a request in three ticks in a row",
+    Action.RELAX, OPERATOR, NODE, debounce=3, release=Release.OPEN,
+    cause="Two nodes on the bus have the same identifier.",
+    remedy="Connect the nodes one at a time, run handctl scan, and give each its own identifier.",
+)  # fmt: skip
 
 row("N14", "command not obeyed", odrive=f"{REPLACED}: by tension (T04) unless torque_feedback is set",
-    ticks=22, ms=600, asked=22,
-    why="22 where reported and commanded torque differ; a ripple that no drive reports, by its swing (N14b)",
+    ticks=22, ms=600, required=22,
+    why="22 if reported and commanded torque differ. Ripple that no drive reports is found by the oscillation (N14b)",
     )  # fmt: skip
-N14 = fault("N14", "a command is not obeyed",
-            f"commanded and reported torque differ by {DISOBEYED_N:g} N at the tendon, filtered", Action.RELAX,
-            OPERATOR, MOTOR, release=Release.OPEN)  # fmt: skip
-N14B = fault("N14b", "the tension swings",
-             f"{SWING_N:g} N RMS about its command, above {SWING_HZ:g} Hz, for {SWING_S * 1e3:g} ms", Action.RELAX,
-             OPERATOR, TENDON, release=Release.OPEN)  # fmt: skip
+N14 = fault(
+    "N14", "a command is not obeyed",
+    f"commanded and reported torque differ by {DISOBEYED_N:g} N at the tendon, filtered",
+    Action.RELAX, OPERATOR, MOTOR, release=Release.OPEN,
+    cause="The drive limits its torque, is in another mode, or its torque constant is wrong.",
+    remedy="Check torque limit and torque constant of the drive, and run handctl conformance on it.",
+)  # fmt: skip
+N14B = fault(
+    "N14b", "the tension oscillates",
+    f"{SWING_N:g} N RMS about the command, above {SWING_HZ:g} Hz, for {SWING_S * 1e3:g} ms",
+    Action.RELAX, OPERATOR, TENDON, release=Release.OPEN,
+    cause="Torque ripple of the motor, or gains too high for this hand.",
+    remedy="Lower the gains (handctl gains, handctl tune), and calibrate the drive against cogging.",
+)  # fmt: skip
 
-row("N15", "slow node", odrive=_SLOWLY, ticks=22, asked=22)
-N15 = fault("N15", "a slow node", f"misses {HALVED_MISSES} of {SHORT} answers, seldom two running", Action.WARN, ITSELF,
-            NODE)  # fmt: skip
+row("N15", "slow node", odrive=_SLOWLY, ticks=22, required=22)
+N15 = fault(
+    "N15", "a slow node", f"misses {HALF_RATE_MISSES} of {SHORT} replies, rarely two in a row",
+    Action.WARN, ITSELF, NODE,
+    cause="The node replies to every second request only: its control rate is lower than the hand's.",
+    remedy="Raise the node's rate, or lower the control rate of the hand.",
+)  # fmt: skip
 
-row("N16", "node refuses to let go", ticks=2, ms=100, asked=21,
-    why="the time of 21 ticks of 5 ms, which the springs need to open the finger")  # fmt: skip
-N16 = fault("N16", "a drive does not let go",
-            f"tension not falling {LIMP_AFTER_S * 1e3:g} ms after the torque was cut", Action.CUT, OPERATOR,
-            TENDON)  # fmt: skip
+row("N16", "node refuses to release", ticks=2, ms=100, required=21,
+    why="the time of 21 ticks of 5 ms, in which the springs open the finger")  # fmt: skip
+N16 = fault(
+    "N16", "a drive does not release", f"tension not falling {PULLED_AFTER_S * 1e3:g} ms after the torque was cut",
+    Action.CUT, OPERATOR, TENDON,
+    cause="The drive does not obey the cut, or something else pulls the tendon.",
+    remedy="Remove the motor power now. Then check the drive before the hand is powered again.",
+)  # fmt: skip
 
 row("N17", "drives exchanged, or obeying late",
-    odrive=f"{REPLACED}: N05, N06 or T04 where motion or unequal tension show it; no torque is reported",
+    odrive=f"{REPLACED}: N05, N06 or T04 in motion or with unequal tensions, because no torque is reported",
     ticks=2, ms=4000)  # fmt: skip
-N17 = fault("N17", "torque reports of another motor",
-            f"less than {REPORTED_PART:g} of the command's small changes are reported, {REPORTED_S * 1e3:g} ms",
-            Action.RELAX, OPERATOR, MOTOR, release=Release.OPEN)  # fmt: skip
+N17 = fault(
+    "N17", "torque reports of another motor",
+    f"less than {REPORTED_FRACTION:g} of the command's small changes are reported, over {REPORTED_S * 1e3:g} ms",
+    Action.RELAX, OPERATOR, MOTOR, release=Release.OPEN,
+    cause="Cables or identifiers of two motors are exchanged, or the drive obeys late.",
+    remedy="Check the identifiers of all motors with handctl scan, and commission again (handctl commission).",
+)  # fmt: skip

@@ -11,11 +11,11 @@ BY_ID = {fault.id: fault for fault in TABLE}
 CATALOGUE: tuple[Row, ...] = tuple(declared.CATALOGUE)
 """All rows of the catalogue."""
 
-FOUND: tuple[tuple[Fault, str], ...] = tuple(declared.FOUND)
+DETECTOR_ROWS: tuple[tuple[Fault, str], ...] = tuple(declared.DETECTOR_ROWS)
 """Fault and kind of instance of each row of the detectors' result table."""
-DEBOUNCE = np.array([fault.debounce for fault, _ in FOUND], dtype=np.int64)
+DEBOUNCE = np.array([fault.debounce for fault, _ in DETECTOR_ROWS], dtype=np.int64)
 """(rows,) consecutive ticks before a fault counts."""
-ACTIONS = np.array([int(fault.action) for fault, _ in FOUND], dtype=np.int64)
+ACTIONS = np.array([int(fault.action) for fault, _ in DETECTOR_ROWS], dtype=np.int64)
 """(rows,) action of the fault."""
 
 REPORTS: dict[str, tuple[Fault, ...]] = {
@@ -23,3 +23,9 @@ REPORTS: dict[str, tuple[Fault, ...]] = {
     for kind in dict.fromkeys(kind for fault in TABLE for kind in fault.reports)
 }
 """Faults of each kind of report from a bus, the host or the recorder."""
+
+
+def remedy(text: str) -> str:
+    """Return what to do about the fault of an event's text, which begins with the id. Empty for other texts."""
+    fault = BY_ID.get(text.partition(" ")[0])
+    return fault.remedy if fault else ""
