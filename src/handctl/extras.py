@@ -42,8 +42,23 @@ def require(user: str, *packages: str) -> None:
         MissingExtraError: one is not installed.
     """
     for package in packages:
-        if (package not in sys.modules and find_spec(package) is None) or sys.modules.get(package, True) is None:
+        if not is_installed(package):
             raise MissingExtraError(user, package)
+
+
+def is_installed(package: str) -> bool:
+    """Return True if a package can be imported, without importing it."""
+    if package in sys.modules:
+        return sys.modules[package] is not None
+    return find_spec(package) is not None
+
+
+def extras_installed() -> dict[str, bool]:
+    """Return each extra, and whether all of its packages are installed."""
+    return {
+        extra: all(is_installed(package) for package, other in EXTRAS.items() if other == extra)
+        for extra in EXTRAS.values()
+    }
 
 
 def missing_extra(user: str, error: ImportError) -> MissingExtraError | None:

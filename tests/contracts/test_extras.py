@@ -1,6 +1,7 @@
 """An optional package that is not installed is reported in one line, before the verb begins."""
 
 import ast
+import json
 import re
 import subprocess
 import sys
@@ -85,6 +86,18 @@ def test_what_is_installed_is_not_missing(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(MissingExtraError):
         require("view", "pyarrow", "rerun")
+
+
+def test_the_doctor_names_what_is_installed(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "rerun_cli", None)
+    main(["doctor", "--json"])
+    report = json.loads(capsys.readouterr().out)
+    assert report["extras"] == {"sim": True, "view": False, "export": True, "tune": True, "dask": True}
+    assert {"version", "python", "platform"} <= report.keys()
+    main(["doctor"])
+    assert "not installed: view\n" in capsys.readouterr().out
 
 
 def test_no_verb_s_help_or_module_needs_an_extra() -> None:

@@ -1,22 +1,26 @@
 """``handctl doctor``: what this machine grants, and the command that would fix what it does not."""
 
 import argparse
+import platform
 import shutil
 import socket
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 from handctl.cli.console.options import print_json
 from handctl.errors import BusError
+from handctl.extras import extras_installed
 from handctl.runtime.clock import Priority, give_back_priority, take_priority
 from handctl.runtime.places import run_dir
 
 
 def run(args: argparse.Namespace) -> int:
     """Check priority, CAN, viewer and space."""
-    findings = [_priority(), _memory(), _socketcan(), _interfaces(), _vulkan(), _space()]
+    findings = [_priority(), _memory(), _socketcan(), _interfaces(), _vulkan(), _extras(), _space()]
     if args.json:
-        print_json({"findings": [{"what": what, "good": good, "fix": fix} for what, good, fix in findings]})
+        rows = [{"what": what, "good": good, "fix": fix} for what, good, fix in findings]
+        print_json({"findings": rows} | _versions())
         return 0
     for what, good, fix in findings:
         print(f"{'ok ' if good else '-- '} {what}" + ("" if good else f"\n      {fix}"))
@@ -24,6 +28,21 @@ def run(args: argparse.Namespace) -> int:
 
 
 Finding = tuple[str, bool, str]
+
+
+def _versions() -> dict[str, object]:
+    """Return what a report of an error needs: versions, system, installed extras."""
+    return {
+        "version": version("handctl"),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "extras": extras_installed(),
+    }
+
+
+def _extras() -> Finding:
+    missing = [extra for extra, installed in extras_installed().items() if not installed]
+    return f"optional packages; not installed: {', '.join(missing) or 'none'}", True, ""  # a controller needs none
 
 
 def _granted() -> Priority:
