@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from handctl.campaign.scenarios import GRASP
-from handctl.campaign.stage import bring, hand_in, started
+from handctl.campaign.stage import advance_to, hand_in, started
 from handctl.controller.state import State
 from handctl.core import block as s
 from handctl.core import stages
@@ -70,7 +70,7 @@ def test_where_time_stands_still_the_goal_has_no_speed(jamia: HandModel) -> None
 def course():
     """A hand of MIT drives that holds a cylinder."""
     with started(hand_in("jamia", "mit"), 250.0, 0) as begun:
-        bring(begun, GRASP)
+        advance_to(begun, GRASP)
         yield begun
 
 

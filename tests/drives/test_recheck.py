@@ -6,7 +6,7 @@ from itertools import pairwise
 import pytest
 
 from handctl.campaign.scenarios import ALL, FREE
-from handctl.campaign.stage import bring, hand_in, started
+from handctl.campaign.stage import advance_to, hand_in, started
 from handctl.controller.bus_load import bus_loads
 from handctl.core.types import Mode
 from handctl.drives import readback
@@ -96,7 +96,7 @@ def test_requests_without_answer_end_in_a_fault_and_a_few_do_not():
 def test_a_hand_whose_drive_lost_its_settings_is_cut(protocol, seed):
     hand = hand_in("jamia", protocol)
     with started(hand, fastest(bus_loads(hand)), seed) as course:
-        bring(course, FREE)
+        advance_to(course, FREE)
         course.peer.inject(f"forget node={hand.motor[seed % 4].name}")
         end_s = course.k * course.period_ns * 1e-9 + 1.01
         assert course.until(lambda out: out.mode == Mode.CUT, 1.02)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from handctl.campaign import campaign
-from handctl.campaign.scenarios import ALL, ARMING, FREE, GRASP, LEFT_OUT, MATRIX, Row, Scenario, pairs, scenarios
-from handctl.campaign.stage import FREE_S, branch, bring, hand_in, started
-from handctl.campaign.trial import Result, try_out
+from handctl.campaign.scenario_run import ScenarioResult, run_scenario
+from handctl.campaign.scenarios import ALL, ARMING, FREE, GRASP, LEFT_OUT, MATRIX, MatrixRow, Scenario, pairs, scenarios
+from handctl.campaign.stage import FREE_S, advance_to, branch, hand_in, started
 from handctl.cli.studies.fault_campaign import rate_of
 from handctl.core.types import Event, Mode
 from handctl.safety.action import Action
@@ -26,16 +26,16 @@ SAMPLE = ("N08", "H13")
 def report():
     """Some rows on MIT drives, and the calm hand for a second."""
     return campaign.run(
-        "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, quick=False, calm_s=1.0,
-        told=lambda protocol, done, most: None, keep=lambda course, result: None, only=SAMPLE,
+        "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, quick=False, fault_free_s=1.0,
+        on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None, row_ids=SAMPLE,
     )  # fmt: skip
 
 
 def test_every_scenario_is_felt_and_answered_in_time(report):
-    wrong = [(result.scenario, result.why) for result in report.all_results if not result.ok]
+    wrong = [(result.scenario, result.problem) for result in report.all_results if not result.ok]
     assert wrong == []
     assert {result.id for result in report.all_results} == set(SAMPLE)
-    assert all(result.felt for result in report.all_results)
+    assert all(result.effects for result in report.all_results)
 
 
 def test_the_report_says_what_it_promises(report):
@@ -54,10 +54,11 @@ def test_the_undisturbed_hand_alone():
         return []
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(campaign, "calm", seen)
+        patch.setattr(campaign, "run_fault_free", seen)
         report = campaign.run(
-            "jamia", ["mit"], lambda hand: RATE_HZ, jobs=1, quick=False, calm_s=30.0, calm_only=True, seed=76,
-            told=lambda protocol, done, most: None, keep=lambda course, result: None,
+            "jamia", ["mit"], lambda hand: RATE_HZ, jobs=1, quick=False, fault_free_s=30.0,
+            fault_free_only=True, seed=76,
+            on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
         )  # fmt: skip
     assert (seeds, report.all_results, report.simulated_s) == ([(500, 30.0, 76)], [], 30.0)
 
@@ -69,18 +70,18 @@ def undisturbed(phase, *texts):
 
     @contextlib.contextmanager
     def started(hand, rate_hz, seed, perturb):
-        course = Simulation(None, SimpleNamespace(inject=lambda text: None), 10**9, SimpleNamespace(failure=""))
+        simulation = Simulation(None, SimpleNamespace(inject=lambda text: None), 10**9, SimpleNamespace(failure=""))
 
         def tick():
-            course.k, course.out = course.k + 1, out
+            simulation.k, simulation.out = simulation.k + 1, out
             return out
 
-        course.tick = tick
-        yield course
+        simulation.tick = tick
+        yield simulation
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(campaign, "started", started)
-        return campaign.calm(hand_in("jamia", "mit"), 1.0, 9.0, seed=5)
+        return campaign.run_fault_free(hand_in("jamia", "mit"), 1.0, 9.0, seed=5)
 
 
 def test_an_undisturbed_hand_that_holds_or_does_not_grasp_is_a_false_alarm():
@@ -94,48 +95,51 @@ def test_an_undisturbed_hand_that_holds_or_does_not_grasp_is_a_false_alarm():
 def test_at_a_hundred_hertz_noise_keeps_no_hand_from_its_grasp():
     """With three times the noise one of eleven tendons looks loose in each fifth tick, and none is."""
     hand = hand_in("jamia11", "odrive")
-    assert campaign.calm(hand, rate_of(hand), 8.0, seed=80111) == []
+    assert campaign.run_fault_free(hand, rate_of(hand), 8.0, seed=80111) == []
 
 
 def test_a_reaction_that_does_not_come_is_late(tmp_path):
     """The judge is judged: a fault that nobody can notice in time, and one that does nothing, are told."""
     hand = hand_in("jamia", "mit")
-    never = Row("B01", "drop node=index_motor p=0", Action.WARN, 3, rows=("B01",))
-    slow = Row("T04", "drift cell=index_tendon size=1", Action.RELAX, 3, rows=("T04",))
+    never = MatrixRow("B01", "drop node=index_motor p=0", Action.WARN, 3, rows=("B01",))
+    slow = MatrixRow("T04", "drift cell=index_tendon size=1", Action.RELAX, 3, rows=("T04",))
     found, kept = [], tmp_path / "kept"
-    with started(hand, RATE_HZ, 0) as course:
-        course.tick()
+    with started(hand, RATE_HZ, 0) as simulation:
+        simulation.tick()
         todo = [Scenario(row, row.fault, GRASP) for row in (never, slow)]
         branch(
-            course,
+            simulation,
             todo,
             2,
-            lambda course, one: try_out(course, one, "mit"),
+            lambda simulation, one: run_scenario(simulation, one, "mit"),
             found.append,
-            lambda course, result: kept.touch(),
+            lambda simulation, result: kept.touch(),
         )
-    assert sorted(result.why for result in found) == ["no reaction; torque is left", "the disturbance was not felt"]
+    assert sorted(result.problem for result in found) == [
+        "no reaction; torque remains",
+        "the disturbance had no effect",
+    ]
     assert kept.exists(), "a failure leaves its log"
 
 
 def test_a_reaction_for_another_reason_is_none_of_the_row_s():
     """A hand that ends since a drive dropped out says nothing of its load cells."""
-    row = Row("T05", "error node=index_motor", Action.RELAX, 3, rows=("T05",))
-    with started(hand_in("jamia", "mit"), RATE_HZ, 0) as course:
-        bring(course, ARMING)
-        bring(course, FREE)
-        result = try_out(course, Scenario(row, row.fault, FREE), "mit")
-    assert "T05" in result.why
+    row = MatrixRow("T05", "error node=index_motor", Action.RELAX, 3, rows=("T05",))
+    with started(hand_in("jamia", "mit"), RATE_HZ, 0) as simulation:
+        advance_to(simulation, ARMING)
+        advance_to(simulation, FREE)
+        result = run_scenario(simulation, Scenario(row, row.fault, FREE), "mit")
+    assert "T05" in result.problem
     assert not result.ok
 
 
 @pytest.mark.parametrize(("name", "rate_hz"), [("jamia", RATE_HZ), ("jamia11", 200.0)])
 def test_a_free_motion_is_disturbed_while_it_moves(name, rate_hz):
-    with started(hand_in(name, "mit"), rate_hz, 0) as course:
-        bring(course, ARMING)
-        bring(course, FREE)
-        free = [out for _, out in course.kept if out.phase == "free"]
-        assert len(free) * course.period_ns == pytest.approx(FREE_S * 1e9, abs=2 * course.period_ns)
+    with started(hand_in(name, "mit"), rate_hz, 0) as simulation:
+        advance_to(simulation, ARMING)
+        advance_to(simulation, FREE)
+        free = [out for _, out in simulation.kept if out.phase == "free"]
+        assert len(free) * simulation.period_ns == pytest.approx(FREE_S * 1e9, abs=2 * simulation.period_ns)
         speed = free[-1].telemetry.dq_goal
         assert np.degrees(speed).max() > 10.0
 
@@ -155,23 +159,23 @@ def test_joint_encoders_that_fall_silent_are_missed(joint):
     every = hand_in("jamia11", "mit").sensor_node.joint_decimation
     for frames, found in ((3, ""), (4, f"N02b {joint}")):
         fault = f"mute joint={joint} for={5 * every * frames}ms"
-        row = Row("N02", fault, Action.RELAX, 4 * every, rows=("N02",))
-        with started(hand_in("jamia11", "mit"), 200.0, 0) as course:
-            bring(course, ARMING)
-            bring(course, FREE)
-            result = try_out(course, Scenario(row, fault, FREE), "mit")
-        assert (result.felt, result.found) == (frames, found)
-        assert result.ok == bool(found), result.why
+        row = MatrixRow("N02", fault, Action.RELAX, 4 * every, rows=("N02",))
+        with started(hand_in("jamia11", "mit"), 200.0, 0) as simulation:
+            advance_to(simulation, ARMING)
+            advance_to(simulation, FREE)
+            result = run_scenario(simulation, Scenario(row, fault, FREE), "mit")
+        assert (result.effects, result.detected_by) == (frames, found)
+        assert result.ok == bool(found), result.problem
 
 
 def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
     """The filter's steady gains did: 171 N in a rope that was to bear 7."""
     row = next(row for row in MATRIX if row.id == "N15" and "cia402" in row.protocols)
-    with started(hand_in("jamia11", "cia402"), 200.0, 0) as course:
-        bring(course, ARMING)
-        bring(course, FREE)
-        result = try_out(course, Scenario(row, "slow node=index_m1 size=2", FREE), "cia402")
-    assert result.ok, result.why
+    with started(hand_in("jamia11", "cia402"), 200.0, 0) as simulation:
+        advance_to(simulation, ARMING)
+        advance_to(simulation, FREE)
+        result = run_scenario(simulation, Scenario(row, "slow node=index_m1 size=2", FREE), "cia402")
+    assert result.ok, result.problem
     assert result.tension < 30.0
 
 
@@ -183,16 +187,16 @@ def test_true_tension_stays_within_what_drive_and_momentum_explain():
     host's reaction can only lower that.
     """
     hand = hand_in("jamia", "mit")
-    with started(hand, RATE_HZ, 0) as course:
-        bring(course, GRASP)
-        space, at = course.controller.model.space, course.peer.truth()["tension"][0]
-        v = abs(float(course.out.telemetry.motor_velocity[0]) * float(space.spool[0])) + 0.01
+    with started(hand, RATE_HZ, 0) as simulation:
+        advance_to(simulation, GRASP)
+        space, at = simulation.controller.model.space, simulation.peer.truth()["tension"][0]
+        v = abs(float(simulation.out.telemetry.motor_velocity[0]) * float(space.spool[0])) + 0.01
         row = next(row for row in MATRIX if row.fault == "runaway node={node} size=1 seed=1")
         scenario = Scenario(row, row.fault.replace("{node}", hand.motor[0].name), GRASP)
-        result = try_out(course, scenario, "mit")
+        result = run_scenario(simulation, scenario, "mit")
     limit, k, m = hand.tendon[0].drive_limit_N, float(space.stiffness[0]), float(space.motor_mass[0])
     bound = limit + math.sqrt((limit - at) ** 2 + k * m * v**2)
-    assert result.ok, result.why
+    assert result.ok, result.problem
     assert at < result.tension <= bound, f"{result.tension:.0f} N, bound {bound:.0f} N"
 
 
@@ -200,10 +204,10 @@ def test_a_drive_that_does_not_relax_is_cut_though_its_load_cell_is_at_its_rail(
     """An ODrive that tells no torque, behind cells that saturate below what cuts at once; its torque took a second."""
     hand = hand_in("jamia_bench", "odrive")
     row = next(row for row in MATRIX if row.fault == "runaway node={node} size=1 seed=1")
-    with started(hand, 400.0, 0) as course:
-        bring(course, GRASP)
-        result = try_out(course, Scenario(row, row.fault.replace("{node}", "thumb_motor"), GRASP), "odrive")
-    assert result.ok, result.why
+    with started(hand, 400.0, 0) as simulation:
+        advance_to(simulation, GRASP)
+        result = run_scenario(simulation, Scenario(row, row.fault.replace("{node}", "thumb_motor"), GRASP), "odrive")
+    assert result.ok, result.problem
     assert result.safe_ticks <= 400.0 * RELAXED_S + row.ticks + 5
 
 
@@ -234,10 +238,10 @@ def test_quick_samples_of_consecutive_seeds_are_the_whole_campaign():
 def test_the_quick_sample_whatever_the_seed(hand: str, seed: int):
     protocol = ALL[seed % len(ALL)]
     report = campaign.run(
-        hand, [protocol], rate_of, jobs=2, quick=True, calm_s=4.0, seed=seed,
-        told=lambda protocol, done, most: None, keep=lambda course, result: None,
+        hand, [protocol], rate_of, jobs=2, quick=True, fault_free_s=4.0, seed=seed,
+        on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None,
     )  # fmt: skip
-    assert [(result.scenario, result.why) for result in report.all_results if not result.ok] == []
+    assert [(result.scenario, result.problem) for result in report.all_results if not result.ok] == []
     assert report.alarms == {protocol: []}
 
 
@@ -247,10 +251,10 @@ def test_the_quick_sample_whatever_the_seed(hand: str, seed: int):
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 @pytest.mark.parametrize("protocol", ALL)
 def test_the_whole_matrix(hand: str, protocol: str):
-    wrong: list[Result] = []
+    wrong: list[ScenarioResult] = []
     report = campaign.run(
-        hand, [protocol], rate_of, jobs=2, quick=False, calm_s=600.0,
-        told=lambda protocol, done, most: None, keep=lambda course, result: wrong.append(result),
+        hand, [protocol], rate_of, jobs=2, quick=False, fault_free_s=600.0,
+        on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: wrong.append(result),
     )  # fmt: skip
-    assert [(result.scenario, result.why) for result in report.all_results if not result.ok] == []
+    assert [(result.scenario, result.problem) for result in report.all_results if not result.ok] == []
     assert report.alarms == {protocol: []}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from handctl.campaign.scenarios import FREE, GRASP
-from handctl.campaign.stage import TASK, bring, hand_in, started
+from handctl.campaign.stage import TASK, advance_to, hand_in, started
 from handctl.core.types import Mode
 from handctl.runtime.mailbox import STOP
 from handctl.session.simulate import Simulation
@@ -49,7 +49,7 @@ def look(course: Simulation) -> Instant:
     return Instant(torque / spool, np.array(peer.truth()["tension"]), np.array([m.omega for m in motors]) * spool)
 
 
-def explained(course: Simulation, decided: Instant, force: np.ndarray) -> np.ndarray:
+def tension_bound(course: Simulation, decided: Instant, force: np.ndarray) -> np.ndarray:
     """Return (N,) largest tension that rotor and stretch explain [N].
 
     A rotor of mass m at the tendon, of speed v, under a force that is never above F, overshoots against the tendon's
@@ -74,7 +74,7 @@ def test_no_motor_is_commanded_to_pull_harder_and_no_tendon_bears_more(
     a, b = chance.sample([motor.name for motor in hand.motor], 2)
     fault = chance.choice(FAULTS).format(a=a, b=b, t=chance.choice(hand.tendon_names))
     with started(hand, rate, seed, perturb, task) as course:
-        bring(course, chance.choice((FREE, GRASP)))
+        advance_to(course, chance.choice((FREE, GRASP)))
         for _ in range(int(chance.uniform(0.0, 3.0) * rate)):
             course.tick()
         if fault:
@@ -106,7 +106,7 @@ def judge(course: Simulation, stop_at: int, window: int, fault: str) -> None:
         peak, force = np.maximum(peak, now.tension), np.maximum(force, now.force)
     # A drive that is told its share makes no more than before; one that exaggerates, no more than it did before.
     assert (force <= np.maximum(before, 0.0) + ROUNDED_N).all(), f"{fault}: {force} after {before}"
-    most = explained(course, decided, before)
+    most = tension_bound(course, decided, before)
     assert (peak <= most).all(), f"{fault}: {peak} N, at most {most} N are explained, from {decided}"
     assert course.state.mode == Mode.DONE
     assert not math.isnan(float(peak.max()))

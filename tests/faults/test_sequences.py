@@ -11,35 +11,35 @@ from firmware_sim.faults.text import parse_fault
 from handctl.campaign import sequences
 from handctl.campaign.scenarios import ALL, ARMING, HOST
 from handctl.campaign.sequences import (
-    TICKS,
+    SEQUENCE_TICKS,
+    FaultStep,
     Sequence,
-    Step,
-    broken_again,
-    broken_at_end,
-    broken_in_step,
     draw,
-    endure,
     run,
+    run_sequence,
+    violations_at_end,
+    violations_in_tick,
+    violations_on_replay,
 )
-from handctl.campaign.stage import STAGES, branch, bring, hand_in, started
+from handctl.campaign.stage import STAGES, advance_to, branch, hand_in, started
 from handctl.cli.studies.fault_campaign import rate_of
 from handctl.core.types import Mode
 from handctl.safety.judge import Latched
 
-NOBODY = {"told": lambda done: None, "keep": lambda course, result: None}
+NOBODY = {"on_progress": lambda done: None, "on_failure": lambda simulation, result: None}
 
 
 @pytest.fixture(scope="module")
-def course():
+def simulation():
     """A hand that arms, in slow ticks; each test takes a copy."""
-    with started(hand_in("jamia", "mit"), 200.0, 0) as course:
-        bring(course, ARMING)
-        yield course
+    with started(hand_in("jamia", "mit"), 200.0, 0) as simulation:
+        advance_to(simulation, ARMING)
+        yield simulation
 
 
 @pytest.fixture
-def arming(course):
-    return replace(course, kept=list(course.kept))
+def arming(simulation):
+    return replace(simulation, kept=list(simulation.kept))
 
 
 @pytest.mark.parametrize("protocol", ALL)
@@ -53,25 +53,25 @@ def test_a_seed_is_a_sequence_that_the_simulator_understands(protocol, tmp_path)
     assert {one.stage for one in drawn} == set(STAGES)
     assert len({one.steps for one in drawn}) == len(drawn)
     for step in [step for one in drawn for step in one.steps]:
-        assert 0 <= step.tick < TICKS
+        assert 0 <= step.tick < SEQUENCE_TICKS
         if not step.fault.startswith(HOST):
             parse_fault(step.fault, simulated)
 
 
 def test_no_rule_is_broken():
     found = run(hand_in("jamia", "mit"), "mit", 200.0, range(9), jobs=2, **NOBODY)
-    assert [(one.scenario, one.why) for one in found if not one.ok] == []
-    assert sum(one.felt for one in found) >= 5
+    assert [(one.scenario, one.problem) for one in found if not one.ok] == []
+    assert sum(one.effects for one in found) >= 5
 
 
 def test_a_sequence_that_breaks_a_rule_says_which(arming, monkeypatch):
     """A drive that runs away explains what its rope bears, and nothing else does."""
-    found, sequence = [], Sequence(0, ARMING, (Step(20, "runaway node=index_motor"),))
-    for explains in (sequences.RUNS_AWAY, "nobody"):
-        monkeypatch.setattr(sequences, "RUNS_AWAY", explains)
-        branch(arming, [sequence], 1, endure, found.append, lambda course, result: None)
+    found, sequence = [], Sequence(0, ARMING, (FaultStep(20, "runaway node=index_motor"),))
+    for explains in (sequences.RUNAWAY, "nobody"):
+        monkeypatch.setattr(sequences, "RUNAWAY", explains)
+        branch(arming, [sequence], 1, run_sequence, found.append, lambda simulation, result: None)
     assert (found[0].ok, found[1].ok) == (True, False)
-    assert found[1].why.endswith("N in a rope, at most 140 are explained")
+    assert found[1].problem.endswith("N in a rope, at most 140 N are explained")
     assert found[0].tension == found[1].tension
 
 
@@ -81,34 +81,36 @@ def test_steps_that_break_a_rule(arming):
     before.decide(latched=(Latched("T03", "index_tendon"),))
     after = before.copy()
     after.view("setpoint")[...] += 1.0
-    assert broken_in_step(before, after, cleared=False) == ["a set-point rises while the hand relaxes"]
+    assert violations_in_tick(before, after, cleared=False) == ["a setpoint rises while the hand relaxes"]
     gone = before.copy()
     gone.decide(latched=())
-    assert broken_in_step(before, gone, cleared=False) == ["no longer latched: T03"]
-    assert broken_in_step(before, gone, cleared=True) == []
+    assert violations_in_tick(before, gone, cleared=False) == ["no longer latched: T03"]
+    assert violations_in_tick(before, gone, cleared=True) == []
     back = before.copy()
     back.mode = Mode.ACTIVE
-    assert broken_in_step(before, back, cleared=False) == ["the mode goes back: RELAX to ACTIVE"]
+    assert violations_in_tick(before, back, cleared=False) == ["the mode goes back: RELAX to ACTIVE"]
 
 
 def test_ends_that_break_a_rule(arming):
-    assert broken_at_end(arming) == ["the run does not end: ARMING"]
+    assert violations_at_end(arming) == ["the run does not end: ARMING"]
     arming.peer = SimpleNamespace(truth=lambda: {"torque": [0.0, 0.1, 0.0, 0.0]})
     arming.state = arming.state.copy()
     arming.state.mode = Mode.DONE
-    assert broken_at_end(arming) == ["torque is left: middle_tendon"]
+    assert violations_at_end(arming) == ["torque remains: middle_tendon"]
     arming.state.decide(failure="REMOVE POWER: not confirmed disabled: middle_motor")
-    assert broken_at_end(arming) == []
+    assert violations_at_end(arming) == []
 
 
 def test_a_tick_that_comes_to_something_else_is_found(arming):
     begin, first = arming.state, len(arming.kept)
     for _ in range(5):
         arming.tick()
-    assert broken_again(arming, begin, first) == []
+    assert violations_on_replay(arming, begin, first) == []
     other = begin.copy()
     other.goal_time += 1e-9
-    assert broken_again(arming, other, first) == [f"tick {arming.kept[first][0].k} does not come to the same again"]
+    assert violations_on_replay(arming, other, first) == [
+        f"tick {arming.kept[first][0].k} does not repeat with the same inputs"
+    ]
 
 
 @pytest.mark.nightly
@@ -120,4 +122,4 @@ def test_two_thousand(hand, protocol):
     """A third of a thousand of each kind."""
     described = hand_in(hand, protocol)
     found = run(described, protocol, rate_of(described), range(334), jobs=2, **NOBODY)
-    assert [(one.scenario, one.why) for one in found if not one.ok] == []
+    assert [(one.scenario, one.problem) for one in found if not one.ok] == []

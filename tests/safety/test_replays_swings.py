@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from handctl.campaign.scenarios import GRASP
-from handctl.campaign.stage import bring, hand_in, started
+from handctl.campaign.stage import advance_to, hand_in, started
 from handctl.controller.bus_load import bus_loads
 from handctl.core.detectors import replays
 from handctl.core.types import Mode
@@ -105,7 +105,7 @@ def test_a_step_and_a_small_swing_are_none(rate: float) -> None:
 def test_a_grasping_hand_relaxes(fault: str, rows: set[str], seconds: float, seed: int) -> None:
     hand = hand_in("jamia", "mit")
     with started(hand, fastest(bus_loads(hand)), seed) as course:
-        bring(course, GRASP)
+        advance_to(course, GRASP)
         which = seed % 4
         course.peer.inject(fault.format(tendon=hand.tendon[which].name, motor=hand.motor[which].name))
         assert course.until(lambda out: out.mode in (Mode.RELAX, Mode.CUT), seconds)

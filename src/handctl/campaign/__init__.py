@@ -1,1 +1,1 @@
-"""The whole fault matrix against a simulated hand in lockstep: felt, reacted to, in time."""
+"""Fault campaign: the whole fault matrix against a simulated hand in lockstep."""

@@ -1,49 +1,55 @@
-"""The whole matrix for one hand and some protocols, and what the undisturbed hand raises."""
+"""Fault campaign: the whole matrix for one hand and some protocols, and the run without faults."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
+from handctl.campaign.scenario_run import ScenarioResult, run_scenario
 from handctl.campaign.scenarios import Scenario, pairs, scenarios
 from handctl.campaign.stage import hand_in, started, try_all
-from handctl.campaign.trial import Result, try_out
 from handctl.core.types import Event, Mode
 from handctl.hand.description import Hand
 from handctl.safety.action import Action
 from handctl.session.simulate import Simulation
 
 QUICK_EVERY = 7
-"""A sample takes every so-manieth scenario."""
-NOISE, LOSS = 3.0, 0.001
-"""What the undisturbed hand must bear: times the specified noise, and the share of frames that are lost."""
-RUN_NS, GRASPED = 8_000_000_000, "hold"
-"""How long a run of the undisturbed hand takes; and the phase in which it must be then."""
+"""A quick campaign runs every seventh scenario."""
+NOISE_FACTOR = 3.0
+"""Factor on the specified sensor noise in the run without faults."""
+FRAME_LOSS = 0.001
+"""Probability that a frame is lost in the run without faults."""
+RUN_NS = 8_000_000_000
+"""Longest run of the hand without faults [ns]."""
+GRASPED = "hold"
+"""Phase in which such a run must end."""
 
 
 @dataclass
 class Report:
-    """What a campaign came to.
+    """Results of a campaign.
 
     Attributes:
-        hand: its name. rates: control rate by protocol [Hz].
-        results: by protocol. alarms: faults of the undisturbed hand with HOLD or more, by protocol.
-        simulated_s: how long it was simulated undisturbed, in all [s].
+        hand: name of the hand.
+        rates: control rate by protocol [Hz].
+        results: results by protocol.
+        alarms: faults with action HOLD or more that the run without faults raised, by protocol.
+        simulated_s: simulated time without faults, over all protocols [s].
     """
 
     hand: str
     rates: dict[str, float] = field(default_factory=dict)
-    results: dict[str, list[Result]] = field(default_factory=dict)
+    results: dict[str, list[ScenarioResult]] = field(default_factory=dict)
     alarms: dict[str, list[str]] = field(default_factory=dict)
     simulated_s: float = 0.0
 
     @property
-    def all_results(self) -> list[Result]:
-        """Of all protocols."""
+    def all_results(self) -> list[ScenarioResult]:
+        """Return the results of all protocols."""
         return [result for results in self.results.values() for result in results]
 
     def plain(self) -> dict[str, Any]:
-        """As plain values: the figures first."""
+        """Return the report as plain values, the figures first."""
         results = self.all_results
         return {
             "hand": self.hand,
@@ -53,7 +59,7 @@ class Report:
             "worst_ticks": max((result.ticks for result in results), default=0),
             "worst_share_of_bound": max((result.ticks / max(result.bound, 1) for result in results), default=0.0),
             "worst_tension_N": max((result.tension for result in results), default=0.0),
-            "not_felt": sum(not result.felt for result in results),
+            "not_felt": sum(not result.effects for result in results),
             "false_alarms": sum(map(len, self.alarms.values())),
             "false_alarm_run_s": self.simulated_s,
             "alarms": self.alarms,
@@ -61,20 +67,23 @@ class Report:
         }
 
 
-Told = Callable[[str, int, int], None]
-"""Protocol, scenarios done, scenarios in all."""
+ProgressCallback = Callable[[str, int, int], None]
+"""Called with the protocol, the number of finished scenarios and the number of scenarios."""
 
 
 def plan(
-    hand: Hand, protocol: str, rate_hz: float, quick: bool, only: Sequence[str] = (), seed: int = 0
+    hand: Hand, protocol: str, rate_hz: float, quick: bool, row_ids: Sequence[str] = (), seed: int = 0
 ) -> list[Scenario]:
-    """List what is tried: everything, a sample, which is another one for the next seed, or some rows."""
+    """Select the scenarios: all of them, a sample of every seventh, or some rows.
+
+    The seed decides where the sample begins, so the next seed takes other scenarios.
+    """
     period_ms = 1e3 / rate_hz
-    found = scenarios(hand, protocol, period_ms)
-    if only:
-        return [one for one in found if one.row.id in only]
-    found += pairs(hand, protocol, period_ms)
-    return found[seed % QUICK_EVERY :: QUICK_EVERY] if quick else found
+    selected = scenarios(hand, protocol, period_ms)
+    if row_ids:
+        return [scenario for scenario in selected if scenario.row.id in row_ids]
+    selected += pairs(hand, protocol, period_ms)
+    return selected[seed % QUICK_EVERY :: QUICK_EVERY] if quick else selected
 
 
 def run(
@@ -84,70 +93,81 @@ def run(
     *,
     jobs: int,
     quick: bool,
-    calm_s: float,
-    told: Told,
-    keep: Callable[[Simulation, Result], None],
-    only: Sequence[str] = (),
-    calm_only: bool = False,
+    fault_free_s: float,
+    on_progress: ProgressCallback,
+    on_failure: Callable[[Simulation, ScenarioResult], None],
+    row_ids: Sequence[str] = (),
+    fault_free_only: bool = False,
     seed: int = 1,
 ) -> Report:
-    """Try everything out.
+    """Run a campaign.
 
     Args:
-        name: of the hand. protocols: of its drives, one after the other.
-        rate_of: control rate of a hand [Hz].
-        jobs: processes at a time. quick: a sample.
-        calm_s: how long the undisturbed hand is watched, for each protocol [s].
-        told: progress. keep: called where a scenario failed, with its course.
-        only: rows to try; all if empty.
-        calm_only: nothing but the undisturbed hand.
-        seed: of the run that is disturbed, and of the undisturbed hand's first one; its next ones count on.
+        name: name of the hand.
+        protocols: protocols of its drives, one after the other.
+        rate_of: function from a hand to its control rate [Hz].
+        jobs: number of processes at a time.
+        quick: take a sample of the scenarios.
+        fault_free_s: duration of the run without faults, for each protocol [s].
+        on_progress: called after each scenario.
+        on_failure: called with the simulation of a failed scenario and its result.
+        row_ids: rows of the matrix to run, all if empty.
+        fault_free_only: leave the scenarios out.
+        seed: seed of the disturbed runs and of the first run without faults. Later runs count
+            up.
     """
     report = Report(name)
     for protocol in protocols:
         hand = hand_in(name, protocol)
         rate = report.rates[protocol] = rate_of(hand)
-        todo = [] if calm_only else plan(hand, protocol, rate, quick, only, seed)
+        scenarios_to_run = [] if fault_free_only else plan(hand, protocol, rate, quick, row_ids, seed)
         results = report.results[protocol] = []
 
+        # The defaults bind the present values. A closure would see those of the last protocol.
         def done(
-            result: Result, results: list[Result] = results, protocol: str = protocol, most: int = len(todo)
+            result: ScenarioResult,
+            results: list[ScenarioResult] = results,
+            protocol: str = protocol,
+            total: int = len(scenarios_to_run),
         ) -> None:
             results.append(result)
-            told(protocol, len(results), most)
+            on_progress(protocol, len(results), total)
 
-        if todo:
-            attempt = partial(try_out, protocol=protocol)
-            try_all(hand, rate, todo, jobs, attempt, done, keep, seed)
-        report.alarms[protocol] = calm(hand, rate, calm_s, seed)
-        report.simulated_s += calm_s
+        if scenarios_to_run:
+            attempt = partial(run_scenario, protocol=protocol)
+            try_all(hand, rate, scenarios_to_run, jobs, attempt, done, on_failure, seed)
+        report.alarms[protocol] = run_fault_free(hand, rate, fault_free_s, seed)
+        report.simulated_s += fault_free_s
     return report
 
 
-def calm(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) -> list[str]:
-    """Faults with HOLD or more that an undisturbed hand raises while it moves and grasps, with noise and frame loss.
+def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) -> list[str]:
+    """Return the faults with HOLD or more of a hand without faults, at raised noise and frame loss.
 
-    A run in which it does not come to grasp has tried nothing, and is told as well.
+    The hand moves and grasps again and again. A run that does not reach its grasp has tested
+    nothing and counts as an alarm.
     """
     alarms: list[str] = []
-    left = seconds
-    while left > 0.0:
-        with started(hand, rate_hz, seed, {"noise": NOISE}) as course:
+    remaining_s = seconds
+    while remaining_s > 0.0:
+        with started(hand, rate_hz, seed, {"noise": NOISE_FACTOR}) as simulation:
             for bus in hand.bus_names:
-                course.peer.inject(f"drop bus={bus} p={LOSS} seed={seed}")
-                course.peer.inject(f"deaf bus={bus} p={LOSS} seed={seed}")
-            before, over = len(alarms), False
-            while left > 0.0 and not over:
-                out = course.tick()
-                left -= course.period_ns * 1e-9
+                # `drop` loses frames to the host, `deaf` frames to the drives.
+                simulation.peer.inject(f"drop bus={bus} p={FRAME_LOSS} seed={seed}")
+                simulation.peer.inject(f"deaf bus={bus} p={FRAME_LOSS} seed={seed}")
+            alarms_before = len(alarms)
+            ended = False
+            while remaining_s > 0.0 and not ended:
+                out = simulation.tick()
+                remaining_s -= simulation.period_ns * 1e-9
                 alarms += [event.text for event in out.events if event.name == "fault" and _holds(event)]
-                over = out.mode == Mode.DONE or course.k * course.period_ns >= RUN_NS
-            if over and len(alarms) == before and course.out and course.out.phase != GRASPED:
-                alarms.append(f"seed {seed} came to no grasp: {course.state.failure or course.out.phase}")
+                ended = out.mode == Mode.DONE or simulation.k * simulation.period_ns >= RUN_NS
+            if ended and len(alarms) == alarms_before and simulation.out and simulation.out.phase != GRASPED:
+                alarms.append(f"seed {seed} came to no grasp: {simulation.state.failure or simulation.out.phase}")
         seed += 1
     return alarms
 
 
 def _holds(event: Event) -> bool:
-    """Whether a fault that is told, its action at the end, makes the hand hold at least."""
+    """Return whether the action at the end of a fault's event text is HOLD or stronger."""
     return Action[event.text.rpartition(" ")[2]] >= Action.HOLD

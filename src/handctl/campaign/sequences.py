@@ -1,12 +1,18 @@
-"""Random sequences of faults: in no order may they make a hand dangerous, or a controller forget what it has latched.
+"""Random sequences of faults, and the rules that hold in every order of faults.
 
-The matrix asks whether each fault is found in time. Here nobody knows what will be found: several faults come one after
-the other, last for a while or for good, on any instance and in any stage, and a person asks for things in between.
+The matrix asks whether each fault is detected in time. A sequence has several faults one after the
+other, for a while or permanent, on any instance and in any stage, with requests in between.
 
-What must hold whatever comes: no tick raises; the mode never goes back; what has latched stays latched until a person
-clears it; no set-point rises while the hand relaxes; no rope bears more than its trip limit or, if a drive runs away,
-than that drive and its momentum explain; a stop ends the run and all torque, or tells a person to remove the power; and
-the same inputs come to the same states again.
+Rules:
+
+- No tick raises an exception.
+- The mode never goes back.
+- A latched fault stays latched until a clear request.
+- No setpoint rises while the hand relaxes.
+- No tendon exceeds its trip tension. After a runaway drive the limit is the tension that the drive
+and its momentum explain.
+- A stop ends the run without torque, or asks the operator to remove the power.
+- The same inputs lead to the same states.
 """
 
 import random
@@ -15,9 +21,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from handctl.campaign.scenario_run import RUNAWAY, Host, ScenarioResult, overshoot
 from handctl.campaign.scenarios import HOST, MATRIX, texts
 from handctl.campaign.stage import STAGES, try_all
-from handctl.campaign.trial import RUNS_AWAY, Host, Result, overshoot
 from handctl.controller.state import State
 from handctl.core.types import Mode
 from handctl.errors import REMOVE_POWER
@@ -25,65 +31,83 @@ from handctl.hand.description import Hand
 from handctl.runtime.mailbox import CLEAR, STOP
 from handctl.session.simulate import Simulation
 
-TICKS, FEWEST, MOST = 200, 2, 6
-"""Length of a sequence, and how many faults it has."""
-LASTING_MS = (5, 200)
-"""Of the faults that end by themselves [ms]."""
-FOR_GOOD = ("snap", "slack")
-"""What does not mend by itself."""
-BETWEEN_SHARE, BRIEF_SHARE = 0.2, 0.6
+SEQUENCE_TICKS = 200
+"""Length of a sequence [ticks]."""
+MIN_FAULTS = 2
+MAX_FAULTS = 6
+"""Largest number of faults of a sequence."""
+BRIEF_MS = (5, 200)
+"""Shortest and longest duration of a fault that ends by itself [ms]."""
+PERMANENT = ("snap", "slack")
+"""Faults that never end by themselves."""
+BETWEEN_FRACTION = 0.2
+"""Fraction of steps that are requests or host faults."""
+BRIEF_FRACTION = 0.6
+"""Fraction of the other faults that end by themselves."""
 BETWEEN = (f"{HOST}ask stop", f"{HOST}ask clear", f"{HOST}ask nonsense 1", f"{HOST}skip 3", f"{HOST}late 0.3")
-"""What a person asks, and what the host does, in between."""
-END_S = 2.5
-"""From the stop on: relaxing and disarming, each with its timeout, and what an ODrive's heartbeat takes [s]."""
-WATCHDOG_S, REACTION_TICKS = 0.05, 10
-"""After so long a drive that hears nothing is off by itself [s]; ticks in which the hand lets one go that runs away."""
+"""Requests and host faults between the faults of the simulator."""
+SHUTDOWN_S = 2.5
+"""Time after the stop: relaxing and disarming with their timeouts, and an ODrive's heartbeat [s]."""
+WATCHDOG_S = 0.05
+"""Time without a command after which a drive disables itself [s]."""
+REACTION_TICKS = 10
+"""Ticks until the controller stops commanding a runaway drive."""
 FORWARD = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
-"""Modes in the order in which a run may come to them."""
+"""Modes in the order in which a run may enter them."""
 
 
-class Step(NamedTuple):
-    """One fault of a sequence. Attributes: tick: when, from the stage on. fault: text for simulator or host."""
+class FaultStep(NamedTuple):
+    """One fault of a sequence.
+
+    Attributes:
+        tick: tick of the fault, counted from the stage.
+        fault: text for the simulator or the host.
+    """
 
     tick: int
     fault: str
 
 
 class Sequence(NamedTuple):
-    """Several faults.
+    """A random sequence of faults.
 
     Attributes:
-        seed: it was drawn with. stage: where it begins. steps: in the order of their ticks.
+        seed: seed that it was drawn with.
+        stage: stage in which it begins.
+        steps: faults in the order of their ticks.
     """
 
     seed: int
     stage: str
-    steps: tuple[Step, ...]
+    steps: tuple[FaultStep, ...]
 
     @property
     def id(self) -> str:
-        """It is of no row."""
+        """Return the id in reports. A sequence belongs to no row of the matrix."""
         return "sequence"
 
     @property
     def name(self) -> str:
-        """For people."""
+        """Return a description for reports."""
         return f"seed {self.seed}, {self.stage}: " + "; ".join(f"{step.tick}: {step.fault}" for step in self.steps)
 
 
 def draw(hand: Hand, protocol: str, period_ms: float, seed: int) -> Sequence:
-    """The sequence of a seed; the same for the same hand, protocol and control period [ms]."""
+    """Draw the sequence of a seed.
+
+    The result depends only on the seed, the hand, the protocol and the control period [ms].
+    """
     chance = random.Random(f"sequence {seed}")
     rows = [row for row in MATRIX if protocol in row.protocols]
-    count = chance.randint(FEWEST, MOST)
+    count = chance.randint(MIN_FAULTS, MAX_FAULTS)
     steps = []
-    for tick in sorted(chance.sample(range(TICKS), count)):
-        if chance.random() < BETWEEN_SHARE:
-            steps.append(Step(tick, chance.choice(BETWEEN)))
+    for tick in sorted(chance.sample(range(SEQUENCE_TICKS), count)):
+        if chance.random() < BETWEEN_FRACTION:
+            steps.append(FaultStep(tick, chance.choice(BETWEEN)))
             continue
         fault = chance.choice(texts(hand, chance.choice(rows).fault, period_ms) or list(BETWEEN))
-        brief = not fault.startswith((HOST, *FOR_GOOD)) and " for=" not in fault and chance.random() < BRIEF_SHARE
-        steps.append(Step(tick, f"{fault} for={chance.randint(*LASTING_MS)}ms" if brief else fault))
+        brief = not fault.startswith((HOST, *PERMANENT)) and " for=" not in fault and chance.random() < BRIEF_FRACTION
+        steps.append(FaultStep(tick, f"{fault} for={chance.randint(*BRIEF_MS)}ms" if brief else fault))
     return Sequence(seed, STAGES[seed % len(STAGES)], tuple(steps))
 
 
@@ -94,107 +118,130 @@ def run(
     seeds: Iterable[int],
     *,
     jobs: int,
-    told: Callable[[int], None],
-    keep: Callable[[Simulation, Result], None],
-) -> list[Result]:
-    """Bring one run to each stage, and let the sequences that begin there branch off.
+    on_progress: Callable[[int], None],
+    on_failure: Callable[[Simulation, ScenarioResult], None],
+) -> list[ScenarioResult]:
+    """Run sequences, which branch off from one run at its stages.
 
     Args:
-        hand: with its drives in ``protocol``. rate_hz: control rate.
-        seeds: of the sequences. jobs: processes at a time.
-        told: called with how many are done. keep: called where a rule was broken, with the course.
+        hand: hand with its drives in `protocol`.
+        protocol: protocol of the drives.
+        rate_hz: control rate [Hz].
+        seeds: seeds of the sequences.
+        jobs: number of processes at a time.
+        on_progress: called with the number of finished sequences.
+        on_failure: called with the simulation in which a rule was violated, and the result.
     """
-    todo, found = [draw(hand, protocol, 1e3 / rate_hz, seed) for seed in seeds], list[Result]()
+    sequences = [draw(hand, protocol, 1e3 / rate_hz, seed) for seed in seeds]
+    results = list[ScenarioResult]()
 
-    def done(result: Result) -> None:
-        found.append(result)
-        told(len(found))
+    def done(result: ScenarioResult) -> None:
+        results.append(result)
+        on_progress(len(results))
 
-    try_all(hand, rate_hz, todo, jobs, endure, done, keep)
-    return found
+    try_all(hand, rate_hz, sequences, jobs, run_sequence, done, on_failure)
+    return results
 
 
-def endure(course: Simulation, sequence: Sequence) -> Result:
-    """Let a sequence happen, stop the hand, and look which rules were not kept.
+def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
+    """Run a sequence, stop the hand, and list the violated rules.
 
     Args:
-        course: at the stage of the sequence; it is used up.
-        sequence: what happens.
+        simulation: simulation at the stage of the sequence. It is used up.
+        sequence: faults to inject.
     """
-    begin, taut = (course.state, len(course.kept)), course.peer.truth()["tension"]
-    broken: list[str] = []
+    start = (simulation.state, len(simulation.kept))
+    start_tension = simulation.peer.truth()["tension"]
+    violations: list[str] = []
     tension = 0.0
-    for now in _ticks(course, sequence):
-        before = course.state
-        course.tick(**now)
-        tension = max(tension, *course.peer.truth()["tension"])
-        broken += broken_in_step(before, course.state, cleared=CLEAR in now["requests"])
-        if course.state.mode == Mode.DONE:
+    for inputs in _ticks(simulation, sequence):
+        before = simulation.state
+        simulation.tick(**inputs)
+        tension = max(tension, *simulation.peer.truth()["tension"])
+        violations += violations_in_tick(before, simulation.state, cleared=CLEAR in inputs["requests"])
+        if simulation.state.mode == Mode.DONE:
             break
-    felt = sum(int(fault["felt"]) > 0 for fault in course.peer.told())
-    most = _explained(course, sequence, taut)
-    if tension > most:
-        broken.append(f"{tension:.0f} N in a rope, at most {most:.0f} are explained")
-    broken += [*broken_at_end(course), *broken_again(course, *begin)]
-    why = "; ".join(dict.fromkeys(broken))
-    return Result(
-        sequence.name, sequence.id, sequence.stage, felt=felt, tension=tension, most=most, ok=not broken, why=why
+    active_faults = sum(int(fault["felt"]) > 0 for fault in simulation.peer.told())
+    bound = _tension_bound(simulation, sequence, start_tension)
+    if tension > bound:
+        violations.append(f"{tension:.0f} N in a tendon, at most {bound:.0f} N are explained")
+    violations += [*violations_at_end(simulation), *violations_on_replay(simulation, *start)]
+    problem = "; ".join(dict.fromkeys(violations))
+    return ScenarioResult(
+        sequence.name,
+        sequence.id,
+        sequence.stage,
+        effects=active_faults,
+        tension=tension,
+        tension_bound=bound,
+        ok=not violations,
+        problem=problem,
     )
 
 
-def _ticks(course: Simulation, sequence: Sequence) -> Iterator[dict[str, Any]]:
-    """What each tick is given; the faults of the simulator begin on the way, and at the end a person stops the hand."""
-    hosts: list[tuple[int, Host]] = []
-    for i in range(TICKS + round(END_S * 1e9 / course.period_ns)):
+def _ticks(simulation: Simulation, sequence: Sequence) -> Iterator[dict[str, Any]]:
+    """Yield the inputs of each tick, and inject the simulator's faults on the way.
+
+    The stop request comes at the end of the sequence.
+    """
+    host_faults: list[tuple[int, Host]] = []
+    for i in range(SEQUENCE_TICKS + round(SHUTDOWN_S * 1e9 / simulation.period_ns)):
         for fault in [step.fault for step in sequence.steps if step.tick == i]:
             if fault.startswith(HOST):
-                hosts.append((i, Host(fault.removeprefix(HOST))))
+                host_faults.append((i, Host(fault.removeprefix(HOST))))
             else:
-                course.peer.inject(fault)
-        now: dict[str, Any] = {"io": (), "requests": (STOP,) if i == TICKS else ()}
-        for began, host in hosts:
-            for key, value in host.at(i - began, course).items():
-                now[key] = now[key] + value if key in ("io", "requests") else value
-        yield now
+                simulation.peer.inject(fault)
+        inputs: dict[str, Any] = {"io": (), "requests": (STOP,) if i == SEQUENCE_TICKS else ()}
+        for start_tick, host in host_faults:
+            for key, value in host.at(i - start_tick, simulation).items():
+                inputs[key] = inputs[key] + value if key in ("io", "requests") else value
+        yield inputs
 
 
-def broken_in_step(before: State, after: State, cleared: bool) -> list[str]:
-    """Rules of one tick that are broken."""
-    broken = []
+def violations_in_tick(before: State, after: State, cleared: bool) -> list[str]:
+    """Return the rules that one tick violates."""
+    violations = []
     if FORWARD.index(after.mode) < FORWARD.index(before.mode):
-        broken.append(f"the mode goes back: {before.mode.name} to {after.mode.name}")
-    gone = set(before.latched) - set(after.latched)
-    if gone and not cleared:
-        broken.append(f"no longer latched: {', '.join(sorted(mark.id for mark in gone))}")
+        violations.append(f"the mode goes back: {before.mode.name} to {after.mode.name}")
+    unlatched = set(before.latched) - set(after.latched)
+    if unlatched and not cleared:
+        violations.append(f"no longer latched: {', '.join(sorted(mark.id for mark in unlatched))}")
     if before.mode == after.mode == Mode.RELAX and np.any(after.view("setpoint") > before.view("setpoint") + 1e-9):
-        broken.append("a set-point rises while the hand relaxes")
+        violations.append("a setpoint rises while the hand relaxes")
+    # The relative tolerance covers rounding of the torque that is sent.
     if after.mode == Mode.RELAX and np.any(after.view("asked") > np.maximum(before.view("asked"), 0.0) * (1.0 + 1e-9)):
-        broken.append("a motor is commanded to pull harder while the hand relaxes")
-    return broken
+        violations.append("a motor is commanded to pull harder while the hand relaxes")
+    return violations
 
 
-def _explained(course: Simulation, sequence: Sequence, taut: list[float]) -> float:
-    """Largest tension that may be [N]; of a drive that runs away from a slack rope, until its watchdog has fired."""
-    limits, model = course.controller.limits, course.controller.model
-    if not any(step.fault.startswith(RUNS_AWAY) for step in sequence.steps):
-        return max(*limits.tension_trip, *taut)
-    still = [0.0] * model.tendon_count
-    return overshoot(model, still, still, WATCHDOG_S + REACTION_TICKS * course.period_ns * 1e-9)
+def _tension_bound(simulation: Simulation, sequence: Sequence, start_tension: list[float]) -> float:
+    """Return the largest tension that is explained [N].
+
+    A runaway drive acts on a slack tendon until its watchdog has fired.
+    """
+    # Without a runaway drive the bound is the trip tension, or the tension at the start.
+    limits = simulation.controller.limits
+    model = simulation.controller.model
+    if not any(step.fault.startswith(RUNAWAY) for step in sequence.steps):
+        return max(*limits.tension_trip, *start_tension)
+    at_rest = [0.0] * model.tendon_count
+    return overshoot(model, at_rest, at_rest, WATCHDOG_S + REACTION_TICKS * simulation.period_ns * 1e-9)
 
 
-def broken_at_end(course: Simulation) -> list[str]:
-    """Rules of the end that are broken."""
-    state, names = course.state, course.controller.model.hand.tendon_names
+def violations_at_end(simulation: Simulation) -> list[str]:
+    """Return the rules that the end of a run violates."""
+    state = simulation.state
+    names = simulation.controller.model.hand.tendon_names
     if state.mode != Mode.DONE:
         return [f"the run does not end: {state.mode.name}"]
-    left = [name for name, torque in zip(names, course.peer.truth()["torque"], strict=True) if torque]
-    return [f"torque is left: {', '.join(left)}"] if left and REMOVE_POWER not in state.failure else []
+    with_torque = [name for name, torque in zip(names, simulation.peer.truth()["torque"], strict=True) if torque]
+    return [f"torque remains: {', '.join(with_torque)}"] if with_torque and REMOVE_POWER not in state.failure else []
 
 
-def broken_again(course: Simulation, state: State, first: int) -> list[str]:
-    """The first tick that does not come to the same from the same inputs."""
-    for entry, out in course.kept[first:]:
-        state, again = course.controller.tick(state, entry)
-        if (again.state_hash, again.frames, again.events) != (out.state_hash, out.frames, out.events):
-            return [f"tick {entry.k} does not come to the same again"]
+def violations_on_replay(simulation: Simulation, state: State, first: int) -> list[str]:
+    """Return the first tick that does not repeat its state, frames and events from the same inputs."""
+    for entry, out in simulation.kept[first:]:
+        state, replayed = simulation.controller.tick(state, entry)
+        if (replayed.state_hash, replayed.frames, replayed.events) != (out.state_hash, out.frames, out.events):
+            return [f"tick {entry.k} does not repeat with the same inputs"]
     return []

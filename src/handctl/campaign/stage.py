@@ -1,14 +1,15 @@
-"""Hands in each protocol, and a run brought to each stage, from which scenarios branch off as processes."""
+"""Hands in each protocol, and runs at each stage from which scenarios branch off as processes."""
 
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from functools import partial
 from typing import Any, Protocol, TypeVar, cast
 
+from handctl.campaign.scenario_run import ScenarioResult
 from handctl.campaign.scenarios import ARMING, CIA402, FREE, GRASP, MIT, ODRIVE
-from handctl.campaign.trial import Result
 from handctl.controller.setup import make_controller
 from handctl.core.gains.gains import Gains
 from handctl.core.types import Mode
@@ -21,6 +22,7 @@ from handctl.programs.task import Task
 from handctl.session.simulate import Simulation, Simulator
 
 FIRST_NODE = 0x10
+"""Node id of the first motor in protocols other than the hand file's."""
 OPTIONS: dict[str, dict[str, Any]] = {
     MIT: {},
     ODRIVE: {
@@ -29,6 +31,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
     },
     CIA402: {"rated_torque_N_m": 0.4, "counts_per_turn": 65536},
 }  # fmt: skip
+"""Drive options of each protocol."""
 TASK: dict[str, Any] = {
     "schema": 1,
     "name": "campaign",
@@ -38,14 +41,17 @@ TASK: dict[str, Any] = {
         {"kind": "hold", "tension_N": 24.0, "rate_N_per_s": 30.0, "duration_s": 60.0},
     ],
 }
+"""Task of all runs: a free motion, then a grasp that lasts."""
 STAGES = (ARMING, FREE, GRASP)
-"""In the order in which a run comes to them."""
-FREE_S, STAGE_TIMEOUT_S = 0.2, 12.0
-"""Time into the free motion at which it is disturbed; and the longest way to a stage [s]."""
+"""Stages in the order in which a run reaches them."""
+FREE_S = 0.2
+"""Time into the free motion at which faults begin [s]."""
+STAGE_TIMEOUT_S = 12.0
+"""Longest time to the next stage [s]."""
 
 
 def hand_in(name: str, protocol: str) -> Hand:
-    """A hand with all its drives in one protocol."""
+    """Return a hand with all its drives in one protocol."""
     hand = load_hand(name)
     if protocol == MIT and all(motor.protocol == MIT for motor in hand.motor):
         return hand
@@ -64,7 +70,15 @@ def started(
     perturb: dict[str, float] | None = None,
     task: dict[str, Any] = TASK,
 ) -> Iterator[Simulation]:
-    """A run that begins, in a scene with a cylinder, with a hand that is homed; ``task``: its first phase is a move."""
+    """Yield a run at its start: a homed hand in a scene with a cylinder.
+
+    Args:
+        hand: hand to simulate.
+        rate_hz: control rate [Hz].
+        seed: seed of the simulator's noise.
+        perturb: factors on the plant's parameters.
+        task: task whose first phase is a move.
+    """
     angles = dict.fromkeys(hand.digit_names, 25.0)
     phases = [dict(phase) for phase in cast(list[dict[str, Any]], task["phase"])]
     phases[0]["angle_deg"] = angles
@@ -74,11 +88,11 @@ def started(
         yield run
 
 
-def bring(course: Simulation, stage: str) -> None:
-    """Go on to a stage.
+def advance_to(simulation: Simulation, stage: str) -> None:
+    """Advance a run to a stage.
 
     Raises:
-        ConfigError: it is not reached: this hand cannot be tried.
+        ConfigError: The run does not reach the stage, so this hand cannot be tested.
     """
     free_ticks = 0
 
@@ -86,28 +100,37 @@ def bring(course: Simulation, stage: str) -> None:
         nonlocal free_ticks
         if stage == ARMING:
             return bool(out.mode == Mode.ARMING)
+        # In a grasp at least one digit is in contact, and some tendon is above 16 N.
         free_ticks += out.phase == "free"
-        free = free_ticks * course.period_ns > FREE_S * 1e9
+        free = free_ticks * simulation.period_ns > FREE_S * 1e9
         holds = out.phase == "hold" and min(out.telemetry.contact.max(), out.telemetry.tension.max() / 16.0) >= 1.0
         return bool(free if stage == FREE else holds)
 
-    if not course.until(reached, STAGE_TIMEOUT_S):
-        failure = course.state.failure or course.state.mode.name
-        raise ConfigError(f"the simulated hand does not come to {stage}: {failure}", "--hand", "a hand that grasps")
+    if not simulation.until(reached, STAGE_TIMEOUT_S):
+        failure = simulation.state.failure or simulation.state.mode.name
+        raise ConfigError(f"the simulated hand does not reach stage {stage}: {failure}", "--hand", "a hand that grasps")
 
 
-class Trial(Protocol):
-    """What is tried from a stage on. Attributes: name: for people. id: of its row. stage: where it begins."""
+class Experiment(Protocol):
+    """What branches off from a stage: a scenario of the matrix or a sequence."""
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Return the description for reports."""
+        ...
+
     @property
-    def id(self) -> str: ...
+    def id(self) -> str:
+        """Return the id of its row."""
+        ...
+
     @property
-    def stage(self) -> str: ...
+    def stage(self) -> str:
+        """Return the stage in which it begins."""
+        ...
 
 
-T = TypeVar("T", bound=Trial)
+T = TypeVar("T", bound=Experiment)
 
 
 def try_all(
@@ -115,62 +138,70 @@ def try_all(
     rate_hz: float,
     todo: Sequence[T],
     jobs: int,
-    attempt: Callable[[Simulation, T], Result],
-    told: Callable[[Result], None],
-    keep: Callable[[Simulation, Result], None],
+    attempt: Callable[[Simulation, T], ScenarioResult],
+    on_result: Callable[[ScenarioResult], None],
+    on_failure: Callable[[Simulation, ScenarioResult], None],
     seed: int = 0,
 ) -> None:
-    """Bring one run of a seed to each stage, and let what is tried there branch off; see ``branch``."""
-    with started(hand, rate_hz, seed) as course:
+    """Advance one run to each stage, and branch the experiments of the stage off. See `branch`."""
+    with started(hand, rate_hz, seed) as simulation:
         for stage in STAGES:
-            here = [one for one in todo if one.stage == stage]
-            if here:
-                bring(course, stage)
-                branch(course, here, jobs, attempt, told, keep)
+            at_stage = [experiment for experiment in todo if experiment.stage == stage]
+            if at_stage:
+                advance_to(simulation, stage)
+                branch(simulation, at_stage, jobs, attempt, on_result, on_failure)
 
 
 def branch(
-    course: Simulation,
+    simulation: Simulation,
     todo: Sequence[T],
     jobs: int,
-    attempt: Callable[[Simulation, T], Result],
-    told: Callable[[Result], None],
-    keep: Callable[[Simulation, Result], None],
+    attempt: Callable[[Simulation, T], ScenarioResult],
+    on_result: Callable[[ScenarioResult], None],
+    on_failure: Callable[[Simulation, ScenarioResult], None],
 ) -> None:
-    """Try things out from here, each in a copy of this process, so many at a time.
+    """Run experiments, each in a copy of this process.
+
+    A copy begins with the present state of the simulation. So the way to the stage is simulated
+    once for all experiments.
 
     Args:
-        course: at their stage; it stays as it is.
-        todo: what is tried.
-        jobs: processes at a time.
-        attempt: tries one out, in the copy.
-        told: called with each result.
-        keep: called in the copy in which one failed, with its course.
+        simulation: simulation at their stage. It stays as it is.
+        todo: experiments to run.
+        jobs: number of processes at a time.
+        attempt: runs one experiment in the copy.
+        on_result: called with each result.
+        on_failure: called in the copy of a failed experiment with its simulation and result.
     """
     running: dict[int, tuple[int, T]] = {}
     waiting = list(todo)
     while waiting or running:
         while waiting and len(running) < jobs:
-            one = waiting.pop(0)
-            child, reading = in_copy(partial(_tried, partial(attempt, course, one), partial(keep, course)))
-            running[child] = (reading, one)
+            experiment = waiting.pop(0)
+            child, reading = in_copy(
+                partial(_run_one, partial(attempt, simulation, experiment), partial(on_failure, simulation))
+            )
+            running[child] = (reading, experiment)
         child, status = os.wait()
         if child in running:
-            reading, one = running.pop(child)
-            told(_result(reading, one, status))
+            reading, experiment = running.pop(child)
+            on_result(_result(reading, experiment, status))
 
 
-def _tried(attempt: Callable[[], Result], keep: Callable[[Result], None]) -> str:
-    """Try one out, keep it if it failed, and return its result as text."""
+def _run_one(attempt: Callable[[], ScenarioResult], on_failure: Callable[[ScenarioResult], None]) -> str:
+    """Run one experiment, call `on_failure` if it failed, and return the result as JSON."""
     result = attempt()
     if not result.ok:
-        keep(result)
-    return json.dumps(result.plain())
+        on_failure(result)
+    return json.dumps(asdict(result))
 
 
-def _result(reading: int, one: Trial, status: int) -> Result:
+def _result(reading: int, experiment: Experiment, status: int) -> ScenarioResult:
+    """Read the result from the pipe of a finished copy."""
     with os.fdopen(reading) as pipe:
         text = pipe.read()
     if status or not text:
-        return Result(one.name, one.id, one.stage, why=f"its process ended with status {status}")
-    return Result(**json.loads(text))
+        return ScenarioResult(
+            experiment.name, experiment.id, experiment.stage, problem=f"its process ended with status {status}"
+        )
+    return ScenarioResult(**json.loads(text))

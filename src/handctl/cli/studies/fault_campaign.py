@@ -9,9 +9,9 @@ from pathlib import Path
 from handctl.campaign.campaign import Report
 from handctl.campaign.campaign import run as run_campaign
 from handctl.campaign.page import lines, write_page
+from handctl.campaign.scenario_run import ScenarioResult
 from handctl.campaign.scenarios import ALL, MATRIX, scenarios
 from handctl.campaign.stage import hand_in
-from handctl.campaign.trial import Result
 from handctl.cli.console.options import check_seed, print_json
 from handctl.cli.console.progress import progress
 from handctl.controller.bus_load import bus_loads
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     for id_ in sorted(set(args.row) - tried):
         raise ConfigError(repr(id_), "--row", f"a row that this hand can be tried with by {args.protocol}")
     folder = report_folder(args)
-    calm_s = args.calm if args.calm is not None else QUICK_CALM_S if args.quick else CALM_S
+    fault_free_s = args.calm if args.calm is not None else QUICK_CALM_S if args.quick else CALM_S
     with progress(FIRST, quiet=args.json) as told:
         report = run_campaign(
             args.hand,
@@ -55,11 +55,11 @@ def run(args: argparse.Namespace) -> int:
             rate_of,
             jobs=args.jobs,
             quick=args.quick,
-            calm_s=calm_s,
-            told=lambda protocol, done, most: told(done, most, protocol),
-            keep=keeper(folder),
-            only=args.row,
-            calm_only=args.calm_only,
+            fault_free_s=fault_free_s,
+            on_progress=lambda protocol, done, total: told(done, total, protocol),
+            on_failure=keeper(folder),
+            row_ids=args.row,
+            fault_free_only=args.calm_only,
             seed=args.seed,
         )
     write_page(folder / "report.html", report)
@@ -90,10 +90,10 @@ def _say(report: Report, folder: Path, as_json: bool) -> None:
     print(f"written: {folder / 'report.html'}")
 
 
-def keeper(folder: Path) -> Callable[[Simulation, Result], None]:
+def keeper(folder: Path) -> Callable[[Simulation, ScenarioResult], None]:
     """Writes the log of a scenario that failed."""
 
-    def keep(course: Simulation, result: Result) -> None:
+    def keep(course: Simulation, result: ScenarioResult) -> None:
         name = re.sub(r"[^A-Za-z0-9=.]+", "-", result.scenario)
         model = course.controller.model
         plan = Plan(model.hand, Gains(), 1.0 / model.period, ())
@@ -102,6 +102,6 @@ def keeper(folder: Path) -> Callable[[Simulation, Result], None]:
         recorder = Recorder.start(path, run_header(plan, course.controller, None, lockstep=True))
         for entry, out in course.kept:
             recorder.record(pack(entry, out))
-        recorder.close(result.why)
+        recorder.close(result.problem)
 
     return keep

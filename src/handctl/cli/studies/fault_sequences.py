@@ -30,8 +30,8 @@ def run(args: argparse.Namespace) -> int:
             rate_of(hand),
             seeds,
             jobs=args.jobs,
-            told=lambda done: told(done, args.count, args.protocol),
-            keep=keeper(folder),
+            on_progress=lambda done: told(done, args.count, args.protocol),
+            on_failure=keeper(folder),
         )
     broken = [result for result in found if not result.ok]
     figures: dict[str, Any] = {
@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> int:
         "first_seed": args.seed,
         "sequences": len(found),
         "broken": len(broken),
-        "felt": sum(result.felt for result in found),
+        "felt": sum(result.effects for result in found),
         "worst_tension_N": max(result.tension for result in found),
     }
     if args.json:
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"{len(found)} sequences, {figures['felt']} faults felt; {len(broken)} broke a rule")
         print(f"largest true tension {figures['worst_tension_N']:.0f} N")
         for result in broken:
-            print(f"{result.scenario}: {result.why}")
+            print(f"{result.scenario}: {result.problem}")
         if broken:
             print(f"their logs: {folder}; one again: --seed SEED --count 1")
     return Exit.FAILED if broken else Exit.DONE

@@ -1,0 +1,242 @@
+"""One scenario on a running simulation: inject the fault, then measure detection and reaction."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from handctl.campaign.scenarios import GRASP, HOST, MatrixRow, Scenario
+from handctl.core.model import HandModel
+from handctl.core.types import IoEvent, Mode, TickOut
+from handctl.errors import REMOVE_POWER
+from handctl.runtime.mailbox import CUT
+from handctl.safety.action import Action
+from handctl.session.simulate import Simulation
+
+OBSERVE_S = 1.3
+"""Time for which a scenario is observed beyond its bound, until no torque remains [s]."""
+RUNAWAY = "runaway"
+"""Fault in which a drive pulls with its own limit, whatever it is commanded."""
+SHUT_DOWN_MODES = (Mode.DISARM, Mode.DONE)
+"""Modes after the reaction."""
+SECOND_AT_TICKS = 5
+"""Ticks between the two faults of a pair."""
+PAIR_TICKS = 2
+"""Delay that the second fault of a pair may add: a missed tick and its neighbour [ticks]."""
+
+
+@dataclass
+class ScenarioResult:
+    """Result of a scenario.
+
+    Attributes:
+        scenario: description of the scenario.
+        id: row of the matrix.
+        stage: stage in which it was run.
+        effects: number of times the disturbance took effect, the positive control.
+        ticks: ticks from the physical event to the frames that carry the reaction, -1 without a
+            reaction.
+        bound: largest number of ticks that is allowed.
+        detected_by: row that detected it, as id and instance, empty if none did.
+        safe_ticks: ticks from the event until no motor is commanded a torque, -1 if that never
+            happened.
+        tension: largest true tension from the event on [N].
+        tension_bound: largest tension that is explained [N], see the function `tension_bound`.
+        ok: the fault took effect, was detected by one of its rows, and was answered in time.
+        problem: reason why the result is not ok.
+    """
+
+    scenario: str
+    id: str
+    stage: str
+    effects: int = 0
+    ticks: int = -1
+    bound: int = 0
+    detected_by: str = ""
+    safe_ticks: int = -1
+    tension: float = 0.0
+    tension_bound: float = 0.0
+    ok: bool = False
+    problem: str = ""
+
+    def plain(self) -> dict[str, Any]:
+        """Return the result as plain values."""
+        # The keys are those of the report file, which other programs read.
+        keys = {"effects": "felt", "detected_by": "found", "tension_bound": "most", "problem": "why"}
+        return {keys.get(name, name): value for name, value in asdict(self).items()}
+
+
+def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> ScenarioResult:
+    """Run a scenario to its end.
+
+    Args:
+        simulation: simulation at the stage of the scenario. It is used up.
+        scenario: scenario to run.
+        protocol: protocol of the drives.
+    """
+    row = scenario.row
+    bound = row.bound(protocol, simulation.period_ns / 1e6) + (PAIR_TICKS if scenario.second else 0)
+    result = ScenarioResult(scenario.name, row.id, scenario.stage, bound=bound)
+    start_ns = simulation.k * simulation.period_ns
+    start_tension = simulation.peer.truth()["tension"]
+    speed = _speeds(simulation)
+    host = Host(scenario.fault.removeprefix(HOST)) if scenario.fault.startswith(HOST) else None
+    if host is None:
+        simulation.peer.inject(scenario.fault)
+    second_host = Host(scenario.second.removeprefix(HOST)) if scenario.second.startswith(HOST) else None
+    for i in range(bound + SECOND_AT_TICKS + round(OBSERVE_S * 1e9 / simulation.period_ns)):
+        inputs: dict[str, Any] = {"requests": (CUT,)} if i == 1 and row.id == "N16" else {}
+        inputs |= host.at(i, simulation) if host else {}
+        if i == SECOND_AT_TICKS and second_host:
+            inputs |= second_host.at(0, simulation)
+        elif i == SECOND_AT_TICKS and scenario.second:
+            simulation.peer.inject(scenario.second)
+        t_ns = (simulation.k + int(inputs.get("skip", 0))) * simulation.period_ns
+        # A host that stood still is judged from the tick in which it wakes up.
+        start_ns = t_ns if host and i == 0 else start_ns
+        out = simulation.tick(**inputs)
+        _observe(result, simulation, scenario, out, _first_effect_ns(simulation, host, start_ns), t_ns)
+        if out.mode == Mode.DONE:
+            break
+    result.effects = 1 if host else int(simulation.peer.told()[0]["felt"])
+    result.tension_bound = tension_bound(
+        simulation, scenario, start_tension, speed, max(result.safe_ticks, bound) * simulation.period_ns * 1e-9
+    )
+    return _judge(result, row)
+
+
+def _speeds(simulation: Simulation) -> list[float]:
+    """Return the measured speed of each tendon [m/s], zero before the first tick."""
+    if simulation.out is None:
+        return [0.0] * simulation.controller.model.tendon_count
+    spool = simulation.controller.model.space.spool
+    return [float(v) for v in np.nan_to_num(np.abs(simulation.out.telemetry.motor_velocity * spool))]
+
+
+def tension_bound(
+    simulation: Simulation, scenario: Scenario, start_tension: list[float], speed: list[float], seconds: float
+) -> float:
+    """Return the largest tension that the drives and their momentum explain [N].
+
+    Only the fault `runaway` makes a drive pull harder than commanded. With all other faults the
+    tension must stay below the trip limit, at which one sample relaxes the hand.
+
+    Args:
+        simulation: simulation of the run.
+        scenario: scenario that was run.
+        start_tension: tension of each tendon at the time of the fault [N].
+        speed: speed of each tendon at that time [m/s].
+        seconds: time until no motor is commanded a torque [s].
+    """
+    if RUNAWAY not in (scenario.fault.split()[0], *scenario.second.split()[:1]):
+        return max(*simulation.controller.limits.tension_trip, *start_tension)
+    return overshoot(simulation.controller.model, start_tension, speed, 0.0 if scenario.stage == GRASP else seconds)
+
+
+def overshoot(model: HandModel, start_tension: Sequence[float], speed: Sequence[float], seconds: float) -> float:
+    """Return the largest tension that a runaway drive explains [N].
+
+    The drive pushes its rotor, of mass m at the tendon, with its limit F against the tendon's
+    stiffness k. From the tension T the rotor overshoots to F + sqrt((F - T)^2 + k m v^2). v is the
+    speed of the rotor, plus the speed that F adds while the finger is free.
+
+    Args:
+        model: model of the hand.
+        start_tension: tension of each tendon at the time of the fault [N].
+        speed: speed of each tendon at that time [m/s].
+        seconds: time for which the finger moves freely [s].
+    """
+    space = model.space
+    bounds = []
+    for tendon, k, m, tension, v in zip(
+        model.hand.tendon, space.stiffness, space.motor_mass, start_tension, speed, strict=True
+    ):
+        limit = tendon.drive_limit_N
+        bounds.append(limit + math.sqrt((limit - tension) ** 2 + k * m * (v + limit / m * seconds) ** 2))
+    return float(max(bounds))
+
+
+def _first_effect_ns(simulation: Simulation, host: "Host | None", start_ns: int) -> int:
+    """Return the time at which the disturbance first took effect [ns], -1 before that."""
+    if host is not None:
+        return start_ns
+    return int(simulation.peer.told()[0]["first_ns"])
+
+
+def _observe(
+    result: ScenarioResult, simulation: Simulation, scenario: Scenario, out: TickOut, first_effect_ns: int, t_ns: int
+) -> None:
+    """Update a result with what one tick shows."""
+    row = scenario.row
+    truth = simulation.peer.truth()
+    result.tension = max(result.tension, *truth["tension"])
+    if first_effect_ns < 0:
+        return
+    since = math.ceil((t_ns - first_effect_ns) / simulation.period_ns)
+    for event in out.events:
+        is_report = event.name == "fault" or REMOVE_POWER in event.text
+        is_expected = event.text.startswith(tuple(filter(None, row.rows))) or not any(row.rows) or scenario.second
+        if not result.detected_by and is_report and is_expected:
+            result.detected_by = " ".join(event.text.split(":")[0].split()[:1]) + f" {event.where}"
+    # A mode beyond the required action counts as well. RELAX does not count as CUT.
+    reacted = out.action >= row.action or (
+        row.action >= Action.RELAX and out.mode in (*SHUT_DOWN_MODES, Mode.RELAX, Mode.CUT)
+    )
+    reacted = reacted and not (row.action == Action.CUT and out.mode == Mode.RELAX)
+    # H01 is logged only, so detection is the reaction.
+    if row.id == "H01":
+        reacted = bool(result.detected_by)
+    if result.ticks < 0 and reacted and (result.detected_by or not any(row.rows) or out.mode in SHUT_DOWN_MODES):
+        result.ticks = max(0, since)
+    if result.ticks >= 0 and result.safe_ticks < 0 and not any(truth["torque"]):
+        result.safe_ticks = max(0, since)
+
+
+def _judge(result: ScenarioResult, row: MatrixRow) -> ScenarioResult:
+    """Set the verdict of a result, and list the problems."""
+    problems = []
+    if not result.effects:
+        problems.append("the disturbance had no effect")
+    elif result.ticks < 0:
+        problems.append("no reaction")
+    elif result.ticks > result.bound:
+        problems.append(f"late: {result.ticks} ticks, at most {result.bound}")
+    elif not result.detected_by and any(row.rows):
+        problems.append(f"none of {', '.join(filter(None, row.rows))} was reported")
+    if row.action >= Action.RELAX and result.effects and result.safe_ticks < 0:
+        problems.append("torque remains")
+    if result.tension > result.tension_bound:
+        problems.append(f"{result.tension:.0f} N in a tendon, at most {result.tension_bound:.0f} N are explained")
+    result.ok = not problems
+    result.problem = "; ".join(problems)
+    return result
+
+
+class Host:
+    """A fault of the host.
+
+    Forms: `io KIND [WHERE] [lasting]`, `skip N`, `late FRACTION`, `ask REQUEST [TIMES]`.
+    """
+
+    def __init__(self, text: str) -> None:
+        """Parse the text of a host fault."""
+        self.verb, *self.words = text.split()
+
+    def at(self, i: int, simulation: Simulation) -> dict[str, Any]:
+        """Return the arguments of the i-th tick after the fault began."""
+        first = i == 0
+        if self.verb == "io":
+            if not first and "lasting" not in self.words:
+                return {}
+            where = self.words[1] if len(self.words) > 1 and self.words[1] != "lasting" else "bus"
+            return {"io": (IoEvent(self.words[0], where),)}
+        if not first:
+            return {}
+        if self.verb == "skip":
+            return {"skip": int(self.words[0])}
+        if self.verb == "late":
+            return {"late_ns": round(float(self.words[0]) * simulation.period_ns)}
+        times = int(self.words[1]) if len(self.words) > 1 else 1
+        return {"requests": (f'{{"do": "{self.words[0]}"}}',) * times}
