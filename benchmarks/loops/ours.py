@@ -26,8 +26,8 @@ DESIGN_HZ = 1000.0
 class Stay:
     """A program that holds every digit where it is."""
 
-    def begin(self, model):
-        return Progress.begin(len(model.digits), "start")
+    def initial(self, model):
+        return Progress.initial(len(model.digits), "start")
 
     def advance(self, model, progress, estimate, measured, t):
         if progress.phase == "start":

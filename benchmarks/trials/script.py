@@ -40,9 +40,9 @@ class Script:
 
     steps: tuple[Step, ...]
 
-    def begin(self, model: HandModel) -> Progress:
+    def initial(self, model: HandModel) -> Progress:
         """See ``Program``."""
-        return LiveProgram().begin(model)
+        return LiveProgram().initial(model)
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float

@@ -105,7 +105,7 @@ def state(request: pytest.FixtureRequest) -> State:
         part = layout.view(block, field.name)
         whole = field.table.endswith(INT)
         part[...] = rng.integers(-(2**40), 2**40, part.shape) if whole else rng.normal(size=part.shape)
-    return State(layout, block, Decisions((), Progress.begin(len(model.digits), "test")))
+    return State(layout, block, Decisions((), Progress.initial(len(model.digits), "test")))
 
 
 @pytest.mark.parametrize(("schema", "module"), [(STATE, state_block), (HAND, constants)])

@@ -15,7 +15,7 @@ from handctl.drives.frame import Frame
 from handctl.errors import ConfigError
 from handctl.hand.load import hand_from, load_hand
 from handctl.programs.calibration import Calibration, load_calibration
-from handctl.programs.commission import CROSSTALK_SHARE, PULL_FORCE_LIMIT_N, PULL_N, CommissionProgram, result
+from handctl.programs.commission import MAX_CROSSTALK_FRACTION, PULL_FORCE_LIMIT_N, PULL_N, CommissionProgram, result
 from handctl.programs.program import Progress
 from tests.controller.bench import Bench, bench
 from tests.controller.synthetic import nothing_read, slack, under
@@ -58,7 +58,7 @@ def commissioned(
     Each load cell's zero walks at random by ``drift`` [N] in 100 s.
     """
     rng, program = np.random.default_rng(seed), CommissionProgram()
-    progress, n = program.begin(model), model.tendon_count
+    progress, n = program.initial(model), model.tendon_count
     walked, step = np.zeros(n), drift * np.sqrt(model.period / 100.0)
     for k in range(round(60.0 / model.period)):
         walked += step * rng.normal(size=n) if drift else 0.0
@@ -139,7 +139,7 @@ def test_many_load_cells_may_drift_while_one_tendon_after_the_other_is_pulled(fi
     progress = commissioned(fifteen, good(fifteen), drift=2.0, seed=seed)
     assert not progress.failure
     found = result(fifteen, progress, "2024-01-01T00:00:00+00:00").tendon
-    assert max(row.crosstalk_N for row in found.values()) < CROSSTALK_SHARE * PULL_N
+    assert max(row.crosstalk_N for row in found.values()) < MAX_CROSSTALK_FRACTION * PULL_N
     assert [row.answer_N for row in found.values()] == pytest.approx([PULL_N] * 15, abs=1.0)
 
 
@@ -225,7 +225,7 @@ def test_a_tare_leaves_room_to_either_end_of_the_range(model: HandModel, tare: f
 
 def tared(model: HandModel, cells: Cells) -> Progress:
     """The program after its tare."""
-    program, progress, k = CommissionProgram(), CommissionProgram().begin(model), 0
+    program, progress, k = CommissionProgram(), CommissionProgram().initial(model), 0
     while progress.step == 0 and not progress.finished:
         measured = nothing_read(model)._replace(tension=cells(-1) + BIAS_N)
         progress, _ = program.advance(model, progress, slack(model), measured, k * model.period)

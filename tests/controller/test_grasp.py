@@ -44,7 +44,7 @@ class Run:
 
     def __init__(self, model: HandModel, task: dict[str, object] = TASK) -> None:
         self.model, self.program = model, TaskProgram(Task.model_validate_json(json.dumps(task)))
-        self.progress: Progress = self.program.begin(model)
+        self.progress: Progress = self.program.initial(model)
         self.events: list[Event] = []
         self.t, self.state = 0.0, blank(model)
 

@@ -23,7 +23,7 @@ def asked(text: str) -> MoveDigits | HoldTension:
 def live(model: HandModel, estimate: Estimate) -> tuple[LiveProgram, Progress]:
     """A live session that waits for requests."""
     program = LiveProgram()
-    progress, t = program.begin(model), 0.0
+    progress, t = program.initial(model), 0.0
     while progress.phase != "live":
         t += model.period
         assert t < TIGHTEN_TIMEOUT_S
@@ -87,7 +87,7 @@ def test_a_request_with_one_mistake_changes_nothing(model: HandModel, text: str,
 
 def test_nothing_is_accepted_before_the_tendons_are_taut(model: HandModel) -> None:
     estimate, program = slack(model), LiveProgram()
-    progress = program.begin(model)
+    progress = program.initial(model)
     for t in (0.0, 0.1):
         after, events = apply_goal(model, progress, asked('{"do": "move", "angle_deg": {"index": 0}}'), estimate, t)
         assert after is progress
@@ -99,7 +99,7 @@ def test_nothing_is_accepted_before_the_tendons_are_taut(model: HandModel) -> No
 def test_a_live_session_with_a_loose_tendon_gives_up(model: HandModel) -> None:
     loose, program, t = under(model, 5.0), LiveProgram(), 0.0
     loose.slack[2] = True
-    progress = program.begin(model)
+    progress = program.initial(model)
     while not progress.finished:
         t += model.period
         assert t < 2 * TIGHTEN_TIMEOUT_S
@@ -118,7 +118,7 @@ def test_a_live_session_never_ends_by_itself(model: HandModel) -> None:
 
 def test_a_jog_keeps_its_goal_for_its_time(model: HandModel) -> None:
     estimate, jog, t = under(model, 5.0), JogProgram(asked('{"do": "hold", "tension_N": {"thumb": 8}}'), 0.5), 0.0  # type: ignore[arg-type]
-    progress, began = jog.begin(model), -1.0
+    progress, began = jog.initial(model), -1.0
     while not progress.finished:
         t += model.period
         assert t < 10.0
@@ -132,7 +132,7 @@ def test_a_jog_keeps_its_goal_for_its_time(model: HandModel) -> None:
 
 def test_a_jog_that_cannot_be_fails(model: HandModel) -> None:
     estimate, jog, t = under(model, 5.0), JogProgram(asked('{"do": "move", "angle_deg": {"index": 101}}'), 0.5), 0.0  # type: ignore[arg-type]
-    progress = jog.begin(model)
+    progress = jog.initial(model)
     while not progress.finished:
         t += model.period
         assert t < 2.0

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from handctl.programs.requests import Arm, Clear, Cut, HoldTension, MoveDigits, Stop, parse_request, said_of
+from handctl.programs.requests import Arm, Clear, Cut, HoldTension, MoveDigits, Stop, events_for_request, parse_request
 from handctl.runtime.mailbox import LARGEST
 
 GOOD = [
@@ -110,10 +110,10 @@ def test_nothing_raises_and_every_number_is_finite(text: str) -> None:
 def test_what_is_said_of_a_request_goes_up_to_the_next() -> None:
     texts = ["asked: move", "refused: a", "asked: hold by b", "hold index 3", "more", "asked: move by c", "refused: c"]
     events = [{"name": "fault", "text": "T01"}, *({"name": "request", "text": text} for text in texts)]
-    assert said_of("b", events) == ["hold index 3", "more"]
-    assert said_of("c", events) == ["refused: c"]
-    assert said_of("nobody", events) is None
-    assert said_of("b", []) is None
+    assert events_for_request("b", events) == ["hold index 3", "more"]
+    assert events_for_request("c", events) == ["refused: c"]
+    assert events_for_request("nobody", events) is None
+    assert events_for_request("b", []) is None
 
 
 @pytest.mark.parametrize("by", ["a b", "x" * 41, "\n", "é!"])

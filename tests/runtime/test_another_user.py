@@ -21,7 +21,7 @@ from firmware_sim.bus.hub import Hub
 from firmware_sim.description import SimulatorError
 from handctl.cli.main import main
 from handctl.errors import BusError, PowerError, UnconfirmedError
-from handctl.programs.requests import parse_request, taken
+from handctl.programs.requests import describe_request, parse_request
 from handctl.runtime.asking import confirmed, ordered
 from handctl.runtime.buses.local import connect
 from handctl.runtime.mailbox import Mailbox, Watcher
@@ -269,7 +269,10 @@ class Answering:
         mode, k = "ACTIVE", 0
         while self._on:
             k += 1
-            events = [{"name": "request", "where": "", "text": taken(parse_request(text))} for text in self.box.read()]
+            events = [
+                {"name": "request", "where": "", "text": describe_request(parse_request(text))}
+                for text in self.box.read()
+            ]
             self.taken += [event["text"].split()[1] for event in events]
             line = {"k": k, "t_s": k * 0.002, "mode": mode, "phase": "", "events": events}
             if mode == "RELAX":

@@ -12,7 +12,17 @@ from handctl.core.types import LETTING_GO, Event, Mode
 from handctl.programs.commission import CommissionProgram
 from handctl.programs.live import LiveProgram, apply_goal
 from handctl.programs.program import Program
-from handctl.programs.requests import Arm, Clear, Cut, HoldTension, MoveDigits, SetGains, Stop, parse_request, taken
+from handctl.programs.requests import (
+    Arm,
+    Clear,
+    Cut,
+    HoldTension,
+    MoveDigits,
+    SetGains,
+    Stop,
+    describe_request,
+    parse_request,
+)
 from handctl.safety.faults.table import BY_ID, DEBOUNCE
 
 BEFORE_READY = (Mode.SILENT, Mode.INVENTORY)
@@ -38,7 +48,7 @@ def answer(
         if isinstance(request, str):
             events.append(Event("warn", "request", "", request))
             continue
-        events.append(Event("info", "request", "", taken(request)))
+        events.append(Event("info", "request", "", describe_request(request)))
         if isinstance(request, Stop):
             wishes = replace(wishes, stop=True)
         elif isinstance(request, Cut):

@@ -113,7 +113,7 @@ class Controller:
     def initial(self) -> State:
         """Return the state before the first tick, as determined by the configuration."""
         drives = tuple(drive.initial() for drive in self.drives)
-        decisions = Decisions(tuple(known.with_values() for known in drives), self.program.begin(self.model))
+        decisions = Decisions(tuple(known.with_values() for known in drives), self.program.initial(self.model))
         state = State(self.layout, self.layout.initial.copy(), decisions)
         state.armed = self.arm_at_once
         state.view("turn_sigma")[...] = self.constants.layout.view(self.constants.block, "range_sigma")

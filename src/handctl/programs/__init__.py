@@ -1,1 +1,1 @@
-"""Programs decide the goals of all digits, tick after tick."""
+"""Programs: they decide the goals of all digits, tick after tick."""

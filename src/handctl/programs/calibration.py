@@ -1,4 +1,4 @@
-"""What was found out about one hand: tares, zeros, that every tendon pulls what it should, and what it is made of."""
+"""Calibration file of a hand: tares, motor zeros, the proof of each tendon's direction, identified parameters."""
 
 import datetime
 from collections.abc import Mapping
@@ -18,16 +18,16 @@ from handctl.hand.load import read_toml
 
 
 class TendonCalibration(Document):
-    """One tendon's result of the sign test."""
+    """Result of the sign test of one tendon."""
 
     tare_N: float
     """Load-cell reading without tension."""
     zero_rad: float = Field(ge=-1000, le=1000)
-    """Motor position at which the rope is just taut and the digit open."""
+    """Motor position at which the tendon is just taut and the digit open."""
     answer_N: float
-    """How much its own load cell answered to the pull."""
+    """Response of the tendon's own load cell to the pull."""
     crosstalk_N: float
-    """The most that any other load cell answered."""
+    """Largest response of any other load cell."""
 
     @field_validator("tare_N")
     @classmethod
@@ -38,19 +38,19 @@ class TendonCalibration(Document):
 
 
 class Calibration(Document):
-    """A hand's calibration file."""
+    """Calibration file of a hand."""
 
     schema_: int = Field(1, alias="schema", ge=1, le=1)
     hand: str
     identity: str
-    """Hash of the hand description it was made with."""
+    """Hash of the hand description that it was made with."""
     made: str
     """Date and time, ISO 8601, UTC."""
     tendon: dict[str, TendonCalibration]
     drive: dict[str, str] = Field(default_factory=dict)
-    """What tells each drive from others, by motor, see ``Drive.identity``; empty in files of earlier versions."""
+    """Identity of each drive by motor, see `Drive.identity`. Empty in files of earlier versions."""
     identified: dict[str, Identified] = Field(default_factory=dict)
-    """What identification found, by tendon; what is not there is as the hand file says."""
+    """Identified parameters by tendon. Parameters that are missing have the values of the hand file."""
 
     @field_validator("made")
     @classmethod
@@ -59,28 +59,34 @@ class Calibration(Document):
         return made
 
     def tare(self, hand: Hand) -> Vector:
-        """(N,) load-cell tare [N]."""
+        """Return the load-cell tares (N,) [N]."""
         return np.array([self.tendon[name].tare_N for name in hand.tendon_names])
 
     def zero(self, hand: Hand) -> Vector:
-        """(N,) motor zero [rad]."""
+        """Return the motor zeros (N,) [rad]."""
         return np.array([self.tendon[name].zero_rad for name in hand.tendon_names])
 
 
 def load_calibration(path: Path, hand: Hand) -> Calibration:
-    """Read a calibration and check that it belongs to this hand.
+    """Read a calibration and check that it belongs to a hand.
 
     Raises:
-        ConfigError: it cannot be read, is for another hand or another version of its description, or lacks a tendon.
+        ConfigError: The file cannot be read, is for another hand or another version of its
+            description, or lacks a tendon.
     """
     return calibration_from(read_toml(path), hand, str(path))
 
 
 def calibration_from(content: Mapping[str, Any], hand: Hand, source: str) -> Calibration:
-    """Check a calibration file's content.
+    """Check the content of a calibration file.
+
+    Args:
+        content: parsed file.
+        hand: hand that it must belong to.
+        source: name of the file, for messages.
 
     Raises:
-        ConfigError: as ``load_calibration``; the line names the source.
+        ConfigError: As `load_calibration`.
     """
     calibration = validated(content, Calibration, source)
     if calibration.identity != hand.identity:

@@ -1,7 +1,7 @@
-"""The program that makes a hand show what it is: one digit after the other, step by step, all other digits limp.
+"""Program that excites a hand for identification: one digit after the other, all other digits without torque.
 
-What the steps are is decided by whoever wants to know; this program only carries them out, and names every phase
-``DIGIT STEP`` so that the log says what each tick was good for.
+The steps come from the identification. Each phase is named `DIGIT STEP`, so that the log assigns
+every tick to a step.
 """
 
 from dataclasses import dataclass, replace
@@ -19,25 +19,27 @@ from handctl.document import Document
 from handctl.programs.program import Progress, coordinates
 
 TAUT_TIMEOUT_S = 4.0
-"""A tendon that has not become taut by then is loose or broken."""
+"""Time after which a tendon that is not taut counts as broken [s]."""
 
 
 class ExciteStep(Document):
-    """One thing that one digit does.
+    """One step of one digit.
 
-    ``limp``: no torque; ``taut``: take up slack, to ``target`` [N]; ``move``: to ``target`` [rad] in
-    ``duration_s``; ``chirp``: swing by ``amplitude`` [rad] about ``target`` [rad], from ``low_Hz`` to ``high_Hz``;
-    ``tension``: to ``target`` [N] at ``rate`` [N/s].
+    - `limp`: no torque.
+    - `taut`: take up slack, to `target` [N].
+    - `move`: move to `target` [rad] in `duration_s`.
+    - `chirp`: swing by `amplitude` [rad] about `target` [rad], from `low_Hz` to `high_Hz`.
+    - `tension`: change the tension to `target` [N] at `rate` [N/s].
     """
 
     digit: str
     name: str
-    """Of the phase."""
+    """Name of the step in the phase."""
     kind: Literal["limp", "taut", "move", "chirp", "tension"]
     duration_s: float = Field(gt=0, le=60)
     target: float = 0.0
     held: bool = False
-    """Something stops the digit: the filter is not to believe that it moves."""
+    """An obstacle stops the digit, so the filter treats it as blocked."""
     rate: float = Field(100.0, gt=0, le=5000)
     amplitude: float = Field(0.0, ge=0, le=1)
     low_Hz: float = Field(0.5, gt=0, le=100)
@@ -46,22 +48,22 @@ class ExciteStep(Document):
 
 @dataclass(frozen=True, slots=True)
 class ExciteProgram:
-    """Carries out steps in order.
+    """Program that carries out steps in order.
 
     Attributes:
-        steps: of all digits.
+        steps: steps of all digits.
     """
 
     steps: tuple[ExciteStep, ...]
 
-    def begin(self, model: HandModel) -> Progress:
-        """Limp, before the first step."""
-        return replace(Progress.begin(len(model.digits), "start"), step=-1)
+    def initial(self, model: HandModel) -> Progress:
+        """Return the progress before the first step: no torque."""
+        return replace(Progress.initial(len(model.digits), "start"), step=-1)
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
     ) -> tuple[Progress, tuple[Event, ...]]:
-        """One tick; see ``Program``."""
+        """Advance by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
         if progress.step < 0:
@@ -83,24 +85,26 @@ class ExciteProgram:
     def _enter(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float, index: int
     ) -> tuple[Progress, tuple[Event, ...]]:
-        """Begin a step, or the end."""
-        limp = [DigitGoal()] * len(model.digits)
+        """Enter a step, or the end."""
+        goals = [DigitGoal()] * len(model.digits)
         if index == len(self.steps):
-            done = replace(progress, finished=True, phase="end", goals=tuple(limp), contact=(False,) * len(limp))
+            done = replace(progress, finished=True, phase="end", goals=tuple(goals), contact=(False,) * len(goals))
             return done, (Event("info", "phase", "", "excitation complete"),)
         step = self.steps[index]
         d = model.hand.digit_names.index(step.digit)
-        limp[d] = _goal(model, d, step, estimate, t)
+        goals[d] = _goal(model, d, step, estimate, t)
         phase = f"{step.digit} {step.name}"
-        known = phase == progress.phase
-        contact = tuple(i == d and step.held for i in range(len(limp)))
-        progress = replace(progress, step=index, since=t, phase=phase, goals=tuple(limp), contact=contact)
-        return progress, () if known else (Event("info", "phase", step.digit, phase),)
+        same_phase = phase == progress.phase
+        contact = tuple(i == d and step.held for i in range(len(goals)))
+        progress = replace(progress, step=index, since=t, phase=phase, goals=tuple(goals), contact=contact)
+        # Steps of one name that follow each other are one phase in the log.
+        return progress, () if same_phase else (Event("info", "phase", step.digit, phase),)
 
 
 def _goal(model: HandModel, d: int, step: ExciteStep, estimate: Estimate, t: float) -> DigitGoal:
-    """What a step asks of its digit."""
-    digit, tendons = model.digits[d], model.digit_tendons[d]
+    """Return the goal of digit d in a step."""
+    digit = model.digits[d]
+    tendons = model.digit_tendons[d]
     here = coordinates(digit, estimate)
     if step.kind == "move":
         path = MinimumJerk(here, np.full_like(here, step.target), step.duration_s)

@@ -1,4 +1,4 @@
-"""The program that carries out a task file: move, close until contact, hold, release."""
+"""Program that carries out a task file: move, close until contact, hold, release."""
 
 import math
 from dataclasses import dataclass, replace
@@ -13,33 +13,55 @@ from handctl.core.law.trajectory import Curve, duration_for
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Vector
 from handctl.hand.dynamics import static_torque
-from handctl.programs.contact import needed
 from handctl.programs.grip import Grip, GripPlan, hold
-from handctl.programs.program import TIGHTEN_S, TIGHTEN_TIMEOUT_S, Progress, coordinates, loose, motion_to, tighten
+from handctl.programs.program import (
+    TIGHTEN_S,
+    TIGHTEN_TIMEOUT_S,
+    Progress,
+    coordinates,
+    motion_to,
+    slack_tendons,
+    tighten,
+)
 from handctl.programs.task import SHORTEST_MOVE_S, Close, Follow, Hold, Move, Release, Task, for_digit
 
 FOLLOW_START_DEG = 4.0
-"""How far a digit may be from where its curve begins."""
+"""Largest distance of a digit from the start of its curve [deg]."""
 SETTLE_AFTER_CLOSE_S = 0.3
-"""A digit that found nothing may come to rest before the next phase."""
-RELEASED_WITHIN_N, RELEASE_TIMEOUT_S = 2.0, 10.0
-"""A digit has let go when its tensions are so near to what they shall fall to; it is waited for so long, if not."""
+"""Time in which a digit without contact comes to rest before the next phase [s]."""
+RELEASED_WITHIN_N = 2.0
+"""A digit is released when its tensions are this close to the released tension [N]."""
+RELEASE_TIMEOUT_S = 10.0
+"""Longest time that a release waits for that [s]."""
+REFERENCE_JOINTS = 2
+"""Joints of a digit to which the contact threshold refers.
+
+Each further joint adds its own friction to the estimated tip force, 0.33 N on fingers of three
+joints that touch nothing. They detect a contact long before 1 N.
+"""
+ARRIVAL_S = 0.15
+"""Time after the end of a trajectory at which a digit counts as arrived [s]."""
+ARRIVAL_FACTOR = 2.0
+"""Factor on the contact threshold of a digit that has arrived.
+
+A digit at rest meets nothing new by itself, and creeping friction could look like a contact.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class TaskProgram:
-    """Runs a task; step 0 takes up the slack, step n is the task's phase n - 1."""
+    """Program that runs a task. Step 0 takes up the slack, step n is the task's phase n - 1."""
 
     task: Task
 
-    def begin(self, model: HandModel) -> Progress:
-        """Limp until the hand is armed."""
-        return Progress.begin(len(model.digits), "start")
+    def initial(self, model: HandModel) -> Progress:
+        """Return the progress until the hand is armed: no torque."""
+        return Progress.initial(len(model.digits), "start")
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
     ) -> tuple[Progress, tuple[Event, ...]]:
-        """One tick of the task; see ``Program``."""
+        """Advance the task by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
         if progress.phase == "start":
@@ -47,7 +69,7 @@ class TaskProgram:
             return progress, (Event("info", "phase", "", "tighten: taking up slack"),)
         if progress.phase == "tighten" and progress.step == 0:
             return self._tighten(model, progress, estimate, t)
-        progress, events = self._watch_contact(model, progress, estimate, t)
+        progress, events = self._detect_contact(model, progress, estimate, t)
         progress, slipped = self._hold_on(model, progress, estimate, t)
         events += slipped
         if self._phase_over(model, progress, estimate, t):
@@ -59,8 +81,12 @@ class TaskProgram:
     def _tighten(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float
     ) -> tuple[Progress, tuple[Event, ...]]:
-        """Wait until all tendons were taut for a while; noise in which now and then one looks loose delays it."""
-        slack = loose(model, estimate)
+        """Wait until all tendons have been taut for a while.
+
+        A tick with a slack tendon counts one down, so noise delays the start but does not restart
+        the wait.
+        """
+        slack = slack_tendons(model, estimate)
         ticks = max(0, progress.touching[0] + (-1 if slack else 1))
         progress = replace(progress, touching=(ticks, *progress.touching[1:]))
         if ticks * model.period >= TIGHTEN_S:
@@ -73,17 +99,18 @@ class TaskProgram:
     def _enter(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float
     ) -> tuple[Progress, tuple[Event, ...]]:
-        """Begin the next phase of the task, or finish."""
+        """Enter the next phase of the task, or finish."""
         step = progress.step + 1
         if step > len(self.task.phase):
             return replace(progress, finished=True, phase="end"), (Event("info", "phase", "", "task complete"),)
         phase = self.task.phase[step - 1]
+        # A motion and the phase after a release begin without contact.
         free = isinstance(phase, Move | Follow) or (step > 1 and isinstance(self.task.phase[step - 2], Release))
         contact = (False,) * len(model.digits) if free else progress.contact
         progress = replace(progress, step=step, since=t, phase=phase.name, contact=contact)
         names = model.hand.digit_names
-        if isinstance(phase, Follow) and (away := _far_from(model, phase, estimate)):
-            return replace(progress, finished=True, failure=away), (Event("error", "phase", "", away),)
+        if isinstance(phase, Follow) and (error := _distance_error(model, phase, estimate)):
+            return replace(progress, finished=True, failure=error), (Event("error", "phase", "", error),)
         goals = tuple(self._goal(model, progress, d, names[d], estimate, t) for d in range(len(names)))
         events = [Event("info", "phase", "", phase.name)]
         if isinstance(phase, Hold) and not any(contact):
@@ -94,35 +121,41 @@ class TaskProgram:
         return replace(progress, closing=_closing(phase, progress)), tuple(events)
 
     def _goal(self, model: HandModel, progress: Progress, d: int, name: str, estimate: Estimate, t: float) -> DigitGoal:
-        """Goal of one digit at the beginning of the present phase."""
-        phase, old, digit = self.task.phase[progress.step - 1], progress.goals[d], model.digits[d]
+        """Return the goal of digit d at the beginning of the present phase."""
+        phase = self.task.phase[progress.step - 1]
+        previous = progress.goals[d]
+        digit = model.digits[d]
         if isinstance(phase, Move):
             angle = for_digit(phase.angle_deg, name)
-            return old if angle is None else motion_to(digit, estimate, np.radians(angle), phase.duration_s, t)
+            return previous if angle is None else motion_to(digit, estimate, np.radians(angle), phase.duration_s, t)
         if isinstance(phase, Follow):
             angles = phase.angle_deg.get(name)
             if angles is None:
-                return old
+                return previous
             curve = Curve.through(phase.time_s, tuple(map(math.radians, angles)), digit.coupling.shape[1])
             return DigitGoal(Kind.MOTION, curve, since=t)
         if isinstance(phase, Close):
             angle = for_digit(phase.angle_deg, name)
             if angle is None or progress.contact[d]:
-                return old
-            way = float(np.abs(np.radians(angle) - coordinates(digit, estimate)).max())
-            duration = duration_for(way, math.radians(phase.speed_deg_s), SHORTEST_MOVE_S)
+                return previous
+            travel = float(np.abs(np.radians(angle) - coordinates(digit, estimate)).max())
+            duration = duration_for(travel, math.radians(phase.speed_deg_s), SHORTEST_MOVE_S)
             return motion_to(digit, estimate, np.radians(angle), duration, t)
         if not progress.contact[d]:
-            return old
+            return previous
         if isinstance(phase, Release):
             target = np.full(len(digit.reduced_moment_arms), phase.tension_N)
             return DigitGoal(Kind.TENSION, tension=target, rate=phase.rate_N_per_s)
-        wanted = self._hold_tension(model, phase, d, name, estimate)
-        return old if wanted is None else DigitGoal(Kind.TENSION, tension=wanted, rate=phase.rate_N_per_s)
+        tension = self._hold_tension(model, phase, d, name, estimate)
+        return previous if tension is None else DigitGoal(Kind.TENSION, tension=tension, rate=phase.rate_N_per_s)
 
     def _hold_tension(self, model: HandModel, phase: Hold, d: int, name: str, estimate: Estimate) -> Vector | None:
-        """Tension targets (n_t,) of a held digit [N], from a tension or from a tip-equivalent force."""
-        digit, tendons = model.digits[d], model.digit_tendons[d]
+        """Return the tension targets (n_t,) of a held digit [N], from a tension or from a tip force.
+
+        None leaves the digit as it is.
+        """
+        digit = model.digits[d]
+        tendons = model.digit_tendons[d]
         if phase.tension_N is not None:
             tension = for_digit(phase.tension_N, name)
             return None if tension is None else np.full(tendons.stop - tendons.start, tension)
@@ -131,13 +164,14 @@ class TaskProgram:
         if force is None:
             return None
         q = estimate.q[digit.joints]
+        # Springs and gravity, plus the tip force by its lever, in the digit's coordinates.
         torque = digit.coupling.T @ np.asarray(static_torque(digit, q)) + force * tip_lever(digit, q)
         return allocate(digit.reduced_moment_arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
 
     def _hold_on(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float
     ) -> tuple[Progress, tuple[Event, ...]]:
-        """While holding, keep the grip and answer slip."""
+        """Keep the grip while holding, and answer slip."""
         phase = self.task.phase[progress.step - 1]
         if progress.grip is None or not isinstance(phase, Hold):
             return progress, ()
@@ -146,23 +180,28 @@ class TaskProgram:
             return progress, events
         return replace(progress, grip=grip, goals=goals), events
 
-    def _watch_contact(
+    def _detect_contact(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float
     ) -> tuple[Progress, tuple[Event, ...]]:
-        """While closing, find the digits that have met something and let them hold."""
+        """Detect contact of closing digits and let them hold."""
         phase = self.task.phase[progress.step - 1]
         if not isinstance(phase, Close):
             return progress, ()
         gains = model.gains.contact
         forces = estimate.grown.tolist()
-        goals, contact, touching = list(progress.goals), list(progress.contact), list(progress.touching)
+        goals = list(progress.goals)
+        contact = list(progress.contact)
+        touching = list(progress.touching)
         events: list[Event] = []
         for d, tendons in enumerate(model.digit_tendons):
             closing = goals[d].kind == Kind.MOTION and not contact[d]
-            enough = closing and forces[d] > needed(goals[d], model.digits[d].joint_count, gains.threshold_N, t)
-            touching[d] = touching[d] + 1 if enough else 0
+            above = closing and forces[d] > contact_threshold(
+                goals[d], model.digits[d].joint_count, gains.threshold_N, t
+            )
+            touching[d] = touching[d] + 1 if above else 0
             if touching[d] >= gains.ticks:
                 contact[d] = True
+                # A digit that pulls harder than the contact tension keeps its tension.
                 start = np.maximum(estimate.tension[tendons], phase.contact_tension_N)
                 goals[d] = DigitGoal(Kind.TENSION, tension=start, rate=model.gains.tension.rate_N_per_s)
                 name = model.hand.digit_names[d]
@@ -173,7 +212,9 @@ class TaskProgram:
         return replace(changed, closing=_closing(phase, changed)), tuple(events)
 
     def _phase_over(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> bool:
-        phase, elapsed = self.task.phase[progress.step - 1], t - progress.since
+        """Return True if the present phase has ended."""
+        phase = self.task.phase[progress.step - 1]
+        elapsed = t - progress.since
         if isinstance(phase, Move | Hold):
             return elapsed >= phase.duration_s
         if isinstance(phase, Follow):
@@ -183,37 +224,39 @@ class TaskProgram:
             longest = max((goal.trajectory.duration for goal in moving if goal.trajectory), default=0.0)
             return elapsed >= min(longest + SETTLE_AFTER_CLOSE_S, phase.timeout_s) if moving else True
         late = elapsed > RELEASE_TIMEOUT_S
-        return elapsed >= phase.settle_s and (late or not _pulling(model, progress, phase, estimate))
+        return elapsed >= phase.settle_s and (late or not _still_tensioned(model, progress, phase, estimate))
 
     def _not_released(self, model: HandModel, progress: Progress, estimate: Estimate) -> tuple[Event, ...]:
-        """At the end of a release, which digits have not let go in their time."""
+        """Return warnings at the end of a release, for digits that are still under tension."""
         phase = self.task.phase[progress.step - 1]
         if not isinstance(phase, Release):
             return ()
         waited = max(phase.settle_s, RELEASE_TIMEOUT_S)
         text = f"{phase.name}: above {phase.tension_N:g} N after {waited:g} s, and going on"
-        return tuple([Event("warn", "phase", name, text) for name in _pulling(model, progress, phase, estimate)])
+        return tuple(
+            [Event("warn", "phase", name, text) for name in _still_tensioned(model, progress, phase, estimate)]
+        )
 
 
 def _closing(phase: Move | Follow | Close | Hold | Release, progress: Progress) -> tuple[bool, ...]:
-    """Return per digit whether it closes until it touches; empty in other phases."""
+    """Return for each digit whether it closes until contact, empty in other phases."""
     if not isinstance(phase, Close):
         return ()
     rows = zip(progress.goals, progress.contact, strict=True)
-    return tuple([goal.kind == Kind.MOTION and not known for goal, known in rows])
+    return tuple([goal.kind == Kind.MOTION and not in_contact for goal, in_contact in rows])
 
 
-def _pulling(model: HandModel, progress: Progress, phase: Release, estimate: Estimate) -> list[str]:
-    """Names of the digits that hold a tension, and still more of it than a release leaves them."""
-    most = phase.tension_N + RELEASED_WITHIN_N
+def _still_tensioned(model: HandModel, progress: Progress, phase: Release, estimate: Estimate) -> list[str]:
+    """Return the names of tension-controlled digits above the tension of a release."""
+    limit = phase.tension_N + RELEASED_WITHIN_N
     rows = zip(model.hand.digit_names, progress.goals, model.digit_tendons, strict=True)
     return [
-        name for name, goal, tendons in rows if goal.kind == Kind.TENSION and estimate.tension[tendons].max() >= most
+        name for name, goal, tendons in rows if goal.kind == Kind.TENSION and estimate.tension[tendons].max() >= limit
     ]
 
 
 def _plan(model: HandModel, phase: Hold) -> GripPlan:
-    """What a hold says of its grip, along the tendons."""
+    """Return the grip that a hold asks for, per tendon."""
     limit = np.full(model.tendon_count, np.nan)
     if phase.slip_limit_N is not None:
         for name, tendons in zip(model.hand.digit_names, model.digit_tendons, strict=True):
@@ -222,12 +265,27 @@ def _plan(model: HandModel, phase: Hold) -> GripPlan:
     return GripPlan(1e3 * phase.stiffness_N_per_mm, limit)
 
 
-def _far_from(model: HandModel, phase: Follow, estimate: Estimate) -> str:
-    """Which digit is not where a curve begins, in a line; empty if all are."""
+def _distance_error(model: HandModel, phase: Follow, estimate: Estimate) -> str:
+    """Return a message for a digit that is not at the start of its curve, empty if all are."""
     for digit, name in zip(model.digits, model.hand.digit_names, strict=True):
         if name not in phase.angle_deg:
             continue
-        begin, here = phase.angle_deg[name][0], np.degrees(coordinates(digit, estimate))
-        if np.abs(here - begin).max() > FOLLOW_START_DEG:
-            return f"{name} is at {here.mean():.1f} deg, but the trajectory begins at {begin:g} deg: move there first"
+        first = phase.angle_deg[name][0]
+        angle = np.degrees(coordinates(digit, estimate))
+        if np.abs(angle - first).max() > FOLLOW_START_DEG:
+            return f"{name} is at {angle.mean():.1f} deg, but the trajectory begins at {first:g} deg: move there first"
     return ""
+
+
+def contact_threshold(goal: DigitGoal, joints: int, threshold: float, t: float) -> float:
+    """Return the tip force that counts as contact [N].
+
+    Args:
+        goal: goal of the digit.
+        joints: number of its joints.
+        threshold: threshold of a moving digit with two joints [N].
+        t: time [s].
+    """
+    threshold *= joints / REFERENCE_JOINTS
+    is_moving = goal.trajectory is not None and t - goal.since < goal.trajectory.duration + ARRIVAL_S
+    return threshold if is_moving else ARRIVAL_FACTOR * threshold

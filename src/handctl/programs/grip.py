@@ -1,9 +1,9 @@
-"""A grasp while it holds: stiffness between its digits, and slip noticed and answered by more force.
+"""Grip of a holding grasp: its stiffness, and slip that is detected and answered with more tension.
 
-What can be noticed: a digit whose tension is kept, but whose tendon pays out, is pushed open: what it holds is moving.
-The tendon's excursion, travel less stretch, is known to a few micrometres, so a fraction of a millimetre at the object
-is plain. What cannot: a force along the hinges moves no joint (J^T F = 0), so an even bar that slides along the hinges
-is not felt by any tendon or joint encoder.
+Slip is detected by a digit that is pushed open: its tension is kept, but its tendon pays out. The
+tendon's excursion, travel less stretch, is known to a few micrometres, so a fraction of a
+millimetre at the object is visible. A force along the hinges moves no joint (J^T F = 0). Therefore
+neither tendons nor joint encoders show an even bar that slides along the hinges.
 """
 
 import math
@@ -18,27 +18,31 @@ from handctl.core.model import HandModel
 from handctl.core.types import Event, Vector
 
 OPENING_M = 20e-6
-"""Difference that counts as slip: six standard deviations of the excursion in a quiet hold (3.5 um), about 0.1 mm/s
-of tendon, 0.3 to 1 mm/s of object."""
+"""Excursion difference that counts as slip [m].
+
+Six standard deviations of the excursion in a quiet hold (3.5 um). It is about 0.1 mm/s of tendon,
+0.3 to 1 mm/s of object.
+"""
 QUIET_S = 0.4
-"""Nothing is judged so long after the grip's own tension has stopped changing: fingers conform when it does."""
+"""Time without slip detection after the grip's own tension changed [s]. Fingers conform then."""
 PAUSE_S = 0.1
-"""From one answer to the next."""
+"""Time from one answer to the next [s]."""
 STEP = 1.2
-"""Factor on every tension of the grip with each answer."""
+"""Factor of each answer on every tension of the grip."""
 RATE_N_PER_S = 300.0
-"""How fast an answer is given; a slip is faster than the closing of a grasp."""
+"""Tension rate of an answer [N/s]. Slip is faster than the closing of a grasp."""
 
 
 class Grip(NamedTuple):
-    """What a hold carries from tick to tick, (N,) each; NaN for tendons of digits that do not hold.
+    """State of a hold, (N,) each, NaN for tendons of digits that do not hold.
 
     Attributes:
-        tension: that was asked at the beginning [N].
-        anchor: excursion at which a stiff grip pulls exactly that [m]; NaN until the grip has settled.
-        ready: from when on slip is judged [s].
-        raised: factor on the tensions by now.
-        limited: whether it has been said that no more is allowed.
+        tension: tension targets at the beginning [N].
+        anchor: excursion at which a stiff grip pulls exactly these tensions [m], NaN until the
+            grip has settled.
+        ready: time from which slip is detected [s].
+        raised: present factor on the tensions.
+        limited: the event that no more tension is allowed has been reported.
     """
 
     tension: Vector
@@ -49,22 +53,24 @@ class Grip(NamedTuple):
 
     @staticmethod
     def of(model: HandModel, goals: tuple[DigitGoal, ...], estimate: Estimate, t: float) -> "Grip":
-        """The grip of goals that have just been set."""
-        tension, lasts = np.full(model.tendon_count, np.nan), 0.0
+        """Return the grip of goals that have just been set."""
+        tension = np.full(model.tendon_count, np.nan)
+        settling_s = 0.0
         for tendons, goal in zip(model.digit_tendons, goals, strict=True):
             if goal.kind == Kind.TENSION and goal.tension is not None:
                 tension[tendons] = goal.tension
-                lasts = max(lasts, float(np.abs(goal.tension - estimate.tension[tendons]).max()) / goal.rate)
-        return Grip(tension, np.full_like(tension, np.nan), t + lasts + QUIET_S)
+                settling_s = max(settling_s, float(np.abs(goal.tension - estimate.tension[tendons]).max()) / goal.rate)
+        return Grip(tension, np.full_like(tension, np.nan), t + settling_s + QUIET_S)
 
 
 @dataclass(frozen=True, slots=True)
 class GripPlan:
-    """What a task says of a grip.
+    """Grip that a task asks for.
 
     Attributes:
-        stiffness: tension more per metre a tendon is pulled out [N/m]; 0: tensions are kept.
-        limit: (N,) tension that slip may raise to [N]; NaN: as it is. If all are, slip is told, not answered.
+        stiffness: tension per metre that a tendon is pulled out [N/m], 0 keeps the tensions.
+        limit: (N,) tension to which slip may raise [N], NaN for no rise. If all are NaN, slip
+            is reported only.
     """
 
     stiffness: float
@@ -72,28 +78,29 @@ class GripPlan:
 
 
 def excursion(model: HandModel, estimate: Estimate) -> Vector:
-    """(N,) cable wound at the spool less the rope's stretch, up to a constant [m]."""
+    """Return the excursions (N,) up to a constant [m]: tendon wound at the spool less its stretch."""
     return np.asarray(estimate.travel - estimate.tension / model.space.stiffness)
 
 
 def hold(
     model: HandModel, grip: Grip, plan: GripPlan, goals: tuple[DigitGoal, ...], estimate: Estimate, t: float
 ) -> tuple[Grip, tuple[DigitGoal, ...], tuple[Event, ...]]:
-    """One tick of a grip.
+    """Advance a grip by one tick.
 
     Args:
-        model: the hand.
-        grip: from the last tick.
-        plan: what the task says.
-        goals: per digit.
-        estimate: of this instant.
+        model: model of the hand.
+        grip: grip of the last tick.
+        plan: grip that the task asks for.
+        goals: goals of the digits.
+        estimate: estimate of this tick.
         t: time [s].
 
     Returns:
-        the grip, the goals, and what is to be told.
+        The grip, the goals, and the events.
     """
     events: tuple[Event, ...] = ()
-    judged, settled = t >= grip.ready, not math.isnan(grip.anchor[0])
+    judged = t >= grip.ready
+    settled = not math.isnan(grip.anchor[0])
     if judged and not settled:
         grip = grip._replace(anchor=estimate.grip.copy())
     if judged:
@@ -106,7 +113,7 @@ def hold(
 
 
 def _answer(model: HandModel, grip: Grip, plan: GripPlan, opening: Vector, t: float) -> tuple[Grip, tuple[Event, ...]]:
-    """Raise the force, as far as the task allows."""
+    """Raise the tensions, as far as the task allows."""
     worst = int(np.argmax(opening))
     digit = next(
         name
@@ -115,22 +122,24 @@ def _answer(model: HandModel, grip: Grip, plan: GripPlan, opening: Vector, t: fl
     )
     grip = grip._replace(ready=t + PAUSE_S)
     moved = f"{digit} is pushed open, {1e6 * opening[worst]:.0f} um of tendon"
-    most = float(np.nanmax(np.append(plan.limit / grip.tension, 1.0)))
-    if grip.raised < most:
-        grip = grip._replace(raised=min(grip.raised * STEP, most))
+    # The tendon with the most room decides, all tendons rise by the same factor.
+    max_factor = float(np.nanmax(np.append(plan.limit / grip.tension, 1.0)))
+    if grip.raised < max_factor:
+        grip = grip._replace(raised=min(grip.raised * STEP, max_factor))
         return grip, (Event("warn", "slip", digit, f"{moved}: force x {grip.raised:.2f}"),)
-    told = Event("warn", "slip", digit, f"{moved}; the task allows no more force")
-    return grip._replace(limited=True), () if grip.limited else (told,)
+    refused = Event("warn", "slip", digit, f"{moved}; the task allows no more force")
+    return grip._replace(limited=True), () if grip.limited else (refused,)
 
 
 def _goals(
-    model: HandModel, grip: Grip, plan: GripPlan, goals: tuple[DigitGoal, ...], here: Vector
+    model: HandModel, grip: Grip, plan: GripPlan, goals: tuple[DigitGoal, ...], excursion: Vector
 ) -> tuple[DigitGoal, ...]:
-    """The goals with what slip and stiffness ask of the tensions; never below the floor."""
-    most = np.fmax(plan.limit, grip.tension)
-    wanted = np.minimum(grip.raised * grip.tension, most) + plan.stiffness * (grip.anchor - here)
-    wanted = np.clip(wanted, np.minimum(model.floor, grip.tension), most if plan.stiffness == 0.0 else model.ceiling)
+    """Return the goals with the tensions of slip and stiffness, never below the floor."""
+    limit = np.fmax(plan.limit, grip.tension)
+    target = np.minimum(grip.raised * grip.tension, limit) + plan.stiffness * (grip.anchor - excursion)
+    # A stiff grip may exceed the limit of slip, up to the hand's own ceiling.
+    target = np.clip(target, np.minimum(model.floor, grip.tension), limit if plan.stiffness == 0.0 else model.ceiling)
     return tuple(
-        goal if np.isnan(wanted[tendons]).any() else replace(goal, tension=wanted[tendons], rate=RATE_N_PER_S)
+        goal if np.isnan(target[tendons]).any() else replace(goal, tension=target[tendons], rate=RATE_N_PER_S)
         for goal, tendons in zip(goals, model.digit_tendons, strict=True)
     )

@@ -1,4 +1,4 @@
-"""The program that does a recorded run again, at the recorded times: its trajectories, or its tensions."""
+"""Program that repeats a recorded run at the recorded times: its trajectories, or its tensions."""
 
 import base64
 from dataclasses import dataclass, replace
@@ -14,18 +14,21 @@ from handctl.programs.live import LiveProgram
 from handctl.programs.program import Progress, coordinates
 
 APPROACH_S = 2.0
-"""Slow move to the first pose of the recording."""
+"""Duration of the slow move to the first pose of the recording [s]."""
 APPROACH_RATE_N_PER_S = 20.0
+"""Tension rate on the way to the first recorded tension [N/s]."""
 FOLLOW_RATE_N_PER_S = 5000.0
-"""Recorded set-points have had their rate limited already."""
+"""Tension rate while following [N/s]. The rate of recorded setpoints was limited before."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """What is to be done again, one row a tick of the present controller.
+    """Recorded goals, one row per tick of the present controller.
 
     Attributes:
-        q, dq, ddq: (ticks, J) joint goals [rad], [rad/s], [rad/s^2]; NaN where the digit held a tension.
+        q: (ticks, J) joint goals [rad], NaN where the digit held a tension.
+        dq: (ticks, J) their rates [rad/s].
+        ddq: (ticks, J) their accelerations [rad/s^2].
         tension: (ticks, N) tension goals at the load cells [N].
     """
 
@@ -35,16 +38,17 @@ class Recording:
     tension: Vector
 
     def text(self) -> str:
-        """As text that reads back bit for bit."""
+        """Return the recording as text that reads back to the last bit."""
         table = np.hstack([self.q, self.dq, self.ddq, self.tension])
+        # Little-endian float64, so that the text is the same on every machine.
         return base64.b64encode(table.astype("<f8").tobytes()).decode()
 
     @staticmethod
     def read(text: str, joints: int, tendons: int) -> "Recording":
-        """Inverse of ``text``.
+        """Read the text of a recording.
 
         Raises:
-            ValueError: the text is no table of this width.
+            ValueError: The text is not a table of this width.
         """
         table = np.frombuffer(base64.b64decode(text, validate=True), "<f8").reshape(-1, 3 * joints + tendons)
         q, dq, ddq, tension = np.split(table, [joints, 2 * joints, 3 * joints], axis=1)
@@ -53,25 +57,26 @@ class Recording:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaybackProgram:
-    """Tightens, moves slowly to the first pose, then follows the recording.
+    """Program that tightens, moves slowly to the first pose, then follows the recording.
 
     Attributes:
-        recording: what to follow.
-        raw: follow its tensions and leave the joints to themselves: the speed of its trajectories is fed forward, but
-            no angle is corrected, and a newton too much is 12 degrees of a free finger's springs.
+        recording: recording to follow.
+        raw: follow the tensions and leave the joints uncontrolled. The speed of the
+            trajectories is fed forward, but no angle is corrected. One newton too much is 12
+            degrees of a free finger's springs.
     """
 
     recording: Recording
     raw: bool = False
 
-    def begin(self, model: HandModel) -> Progress:
-        """Limp until the hand is armed."""
-        return LiveProgram().begin(model)
+    def initial(self, model: HandModel) -> Progress:
+        """Return the progress until the hand is armed: no torque."""
+        return LiveProgram().initial(model)
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
     ) -> tuple[Progress, tuple[Event, ...]]:
-        """One tick; see ``Program``."""
+        """Advance by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
         if progress.phase in ("start", "tighten"):
@@ -89,10 +94,11 @@ class PlaybackProgram:
     def _approach(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float
     ) -> tuple[Progress, tuple[Event, ...]]:
-        """Slowly to where the recording begins."""
+        """Start the slow move to the first pose of the recording."""
         goals = []
         for d, digit in enumerate(model.digits):
-            tendons, first = model.digit_tendons[d], self.recording.q[0, digit.joints]
+            tendons = model.digit_tendons[d]
+            first = self.recording.q[0, digit.joints]
             if np.isnan(first).any():
                 tension = self.recording.tension[0, tendons]
                 goals.append(DigitGoal(Kind.TENSION, tension=tension, rate=APPROACH_RATE_N_PER_S))
@@ -104,18 +110,23 @@ class PlaybackProgram:
         return progress, (Event("info", "phase", "", "approach: slowly to the first pose"),)
 
     def _follow(self, model: HandModel, progress: Progress) -> Progress:
-        """Goals of the present row."""
-        i, rows, goals, contact = progress.step, self.recording, [], []
+        """Set the goals of the present row."""
+        i = progress.step
+        rows = self.recording
+        goals = []
+        contact = []
         for d, digit in enumerate(model.digits):
-            held = bool(np.isnan(rows.q[i, digit.joints]).any())
-            contact.append(held)
+            # Joint goals are NaN where the digit held a tension.
+            holding = bool(np.isnan(rows.q[i, digit.joints]).any())
+            contact.append(holding)
             q, dq, ddq = (
-                np.asarray(digit.joints_to_coordinates @ part[i, digit.joints]) for part in (rows.q, rows.dq, rows.ddq)
+                np.asarray(digit.joints_to_coordinates @ signal[i, digit.joints])
+                for signal in (rows.q, rows.dq, rows.ddq)
             )
-            way = None if held else Sample(q, dq, ddq)
-            if way is not None and not self.raw:
-                goals.append(DigitGoal(Kind.MOTION, way))
+            reference = None if holding else Sample(q, dq, ddq)
+            if reference is not None and not self.raw:
+                goals.append(DigitGoal(Kind.MOTION, reference))
                 continue
             tension = rows.tension[i, model.digit_tendons[d]]
-            goals.append(DigitGoal(Kind.TENSION, way, tension=tension, rate=FOLLOW_RATE_N_PER_S))
+            goals.append(DigitGoal(Kind.TENSION, reference, tension=tension, rate=FOLLOW_RATE_N_PER_S))
         return replace(progress, goals=tuple(goals), contact=tuple(contact))

@@ -1,4 +1,4 @@
-"""A program decides the goals of all digits, tick after tick: a task, a commissioning, a live session."""
+"""Programs and their progress: the goals of all digits, tick after tick."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -16,21 +16,22 @@ from handctl.programs.grip import Grip
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Where a program stands; the same for all programs, so that the state's hash covers it.
+    """State of a program, with the same fields for all programs, so that the state's hash covers it.
 
     Attributes:
         step: index of the present step.
-        since: when it began [s].
-        goals: per digit.
-        contact: per digit, whether it touches.
-        touching: per digit, consecutive ticks that spoke for contact; before that, what a program counts.
-        phase: name of the present step, for people and logs.
-        finished: True when nothing more is to come.
-        failure: why the program gave up; empty if it did not.
+        since: time at which it began [s].
+        goals: goals of the digits.
+        contact: for each digit, whether it is in contact.
+        touching: for each digit, consecutive ticks with evidence of contact. Programs use it as
+            a counter before that.
+        phase: name of the present step, for events and logs.
+        finished: the program has ended.
+        failure: reason why the program gave up, empty otherwise.
         record: numbers that the program keeps for its result.
-        closing: per digit, whether it closes until it touches; empty otherwise.
-        grip: of a hold; None otherwise.
-        tare: what every load cell is to read less from now on [N]; empty for what the controller knows anyway.
+        tare: tares that the load cells use from now on [N], empty for those of the calibration.
+        closing: for each digit, whether it closes until contact, empty in other phases.
+        grip: grip of a hold, None in other phases.
     """
 
     step: int
@@ -47,54 +48,72 @@ class Progress:
     grip: Grip | None = None
 
     @staticmethod
-    def begin(digits: int, phase: str) -> "Progress":
-        """Limp and untouched."""
+    def initial(digits: int, phase: str) -> "Progress":
+        """Return the progress before the first step: no torque, no contact."""
         return Progress(0, 0.0, (DigitGoal(),) * digits, (False,) * digits, (0,) * digits, phase)
 
 
 class Program(Protocol):
-    """What the tick asks of a program; immutable, all change is in ``Progress``."""
+    """Interface of a program. It is immutable, all change is in `Progress`."""
 
-    def begin(self, model: HandModel) -> Progress:
-        """Progress before the hand is armed."""
+    def initial(self, model: HandModel) -> Progress:
+        """Return the progress before the hand is armed."""
         ...
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
     ) -> tuple[Progress, tuple[Event, ...]]:
-        """Progress one tick on, while the hand is active; t [s]."""
+        """Advance by one tick while the hand is active.
+
+        Args:
+            model: model of the hand.
+            progress: progress of the last tick.
+            estimate: estimate of this tick.
+            measured: measurements of this tick.
+            t: time [s].
+
+        Returns:
+            The progress and the events of this tick.
+        """
         ...
 
 
 TARE_PHASE = "tare"
-"""Name of the step of commissioning before whose end no load cell's zero is known."""
+"""Step of commissioning before whose end the zeros of the load cells are unknown."""
 TIGHTEN_MARGIN_N = 1.5
-"""Tension above the floor to which slack is taken up; still below what moves a finger against its springs."""
+"""Tension above the floor to which slack is taken up [N].
+
+It is too small to move a finger against its springs.
+"""
 TIGHTEN_S = 0.3
-"""The hand is ready when no tendon was loose for so much longer than one was."""
+"""Time for which all tendons must be taut before the hand is ready [s]."""
 TIGHTEN_TIMEOUT_S = 4.0
+"""Longest time that taking up the slack may last [s]."""
 
 
 def tighten(model: HandModel) -> tuple[DigitGoal, ...]:
-    """Goals that take up the slack of every tendon."""
+    """Return goals that take up the slack of every tendon."""
     return tuple(
         DigitGoal(Kind.TENSION, tension=model.floor[tendons] + TIGHTEN_MARGIN_N, rate=40.0)
         for tendons in model.digit_tendons
     )
 
 
-def loose(model: HandModel, estimate: Estimate) -> list[str]:
-    """Names of the tendons that do not carry at least half of the floor."""
+def slack_tendons(model: HandModel, estimate: Estimate) -> list[str]:
+    """Return the names of the tendons that carry less than half of the floor."""
     taut = ~np.asarray(estimate.slack, dtype=bool) & (estimate.tension > 0.5 * model.floor)
     return [name for name, ok in zip(model.hand.tendon_names, taut, strict=True) if not ok]
 
 
 def coordinates(digit: DigitModel, estimate: Estimate) -> Vector:
-    """Present coordinates (n_c,) of a digit, those of its excursions [rad]; contact turns its joints besides."""
+    """Return the coordinates (n_c,) of a digit by its excursions [rad].
+
+    Contact may turn the joints further than the excursions show.
+    """
     return np.asarray(digit.joints_to_coordinates @ digit.excursion_to_joints @ estimate.excursion[digit.tendons])
 
 
 def motion_to(digit: DigitModel, estimate: Estimate, angle: float | Vector, duration: float, t: float) -> DigitGoal:
-    """Goal that moves the coordinates of a digit from where they are to an angle, or one each [rad], in a time [s]."""
+    """Return a goal that moves a digit's coordinates to an angle, or to one angle each [rad], in a time [s]."""
     start = coordinates(digit, estimate)
     return DigitGoal(Kind.MOTION, MinimumJerk(start, np.full_like(start, angle), duration), since=t)

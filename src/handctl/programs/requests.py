@@ -1,6 +1,6 @@
-"""What people and programs may ask of a running controller: one JSON object a datagram, checked here.
+"""Requests to a running controller: one JSON object per datagram, validated here.
 
-Requests enter the tick as text, so that a log can be executed again with exactly what was asked.
+Requests enter the tick as text, so that a log is re-executed with exactly the same requests.
 """
 
 from collections.abc import Iterable, Mapping
@@ -12,46 +12,46 @@ from handctl.document import Document
 from handctl.programs.task import SHORTEST_MOVE_S, Angle, Tension
 
 
-class Asked(Document):
-    """What every request may say besides."""
+class RequestBase(Document):
+    """Fields of every request."""
 
     by: str = Field("", max_length=40, pattern=r"^[\w.-]*$")
-    """Who asks, e.g. a program and its number: whoever hears what the controller says then knows to whom."""
+    """Sender of the request, e.g. a program and its number, so that the sender recognises the answer."""
 
 
-class Arm(Asked):
-    """Enable the drives once everything has answered."""
+class Arm(RequestBase):
+    """Enable the drives once every node has replied."""
 
     do: Literal["arm"]
 
 
-class Stop(Asked):
-    """Relax the tensions, disable the drives, confirm, end."""
+class Stop(RequestBase):
+    """Relax the tensions, disable the drives, confirm, and end the run."""
 
     do: Literal["stop"]
 
 
-class Cut(Asked):
-    """Take the torque away at once."""
+class Cut(RequestBase):
+    """Remove the torque at once."""
 
     do: Literal["cut"]
 
 
-class Clear(Asked):
-    """Clear latched faults; a hand that they disarmed stays so."""
+class Clear(RequestBase):
+    """Clear latched faults. A hand that they disarmed stays disarmed."""
 
     do: Literal["clear"]
 
 
-class MoveDigits(Asked):
-    """Move digits to joint angles; of a one-tendon digit the mean joint angle."""
+class MoveDigits(RequestBase):
+    """Move digits to joint angles, a one-tendon digit by its mean joint angle."""
 
     do: Literal["move"]
     angle_deg: dict[str, Angle] = Field(min_length=1)
     duration_s: float = Field(1.0, ge=SHORTEST_MOVE_S, le=600)
 
 
-class HoldTension(Asked):
+class HoldTension(RequestBase):
     """Hold tensions, one for all tendons of a digit."""
 
     do: Literal["hold"]
@@ -59,49 +59,56 @@ class HoldTension(Asked):
     rate_N_per_s: float = Field(100.0, gt=0, le=5000)
 
 
-class SetGains(Asked):
+class SetGains(RequestBase):
     """Change gains of the running controller."""
 
     do: Literal["gains"]
     set: dict[str, float] = Field(min_length=1)
-    """Key, e.g. ``motion.force_N``, to value; all of them or none."""
+    """Value by key, e.g. `motion.force_N`. All values are applied, or none."""
 
 
 Request = Arm | Stop | Cut | Clear | MoveDigits | HoldTension | SetGains
 
-_TAKEN = "asked: "
+_PREFIX = "asked: "
 _ADAPTER: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 LONGEST_LINE = 200
+"""Longest line that quotes a refused request [characters]."""
 REFUSED = "refused: "
-"""How the text of an event begins that says that a request is not carried out."""
+"""Prefix of the event of a refused request."""
 
 
-def taken(request: Request) -> str:
-    """Text of the event with which a request is taken; what follows up to the next such is of this one."""
-    return f"{_TAKEN}{request.do}" + (f" by {request.by}" if request.by else "")
+def describe_request(request: Request) -> str:
+    """Return the event text of an accepted request.
+
+    Request events up to the next such text belong to this request.
+    """
+    return f"{_PREFIX}{request.do}" + (f" by {request.by}" if request.by else "")
 
 
-def said_of(by: str, events: Iterable[Mapping[str, Any]]) -> list[str] | None:
-    """What a tick says of the request of one who asks; None if there is none of theirs in it.
+def events_for_request(by: str, events: Iterable[Mapping[str, Any]]) -> list[str] | None:
+    """Return the event texts of one sender's request, None if this tick has no request of the sender.
 
     Args:
-        by: who asked.
-        events: of the tick, as a status line has them.
+        by: sender.
+        events: events of the tick, as in a status line.
     """
-    found: list[str] | None = None
+    texts: list[str] | None = None
     for text in [event["text"] for event in events if event["name"] == "request"]:
-        if text.startswith(_TAKEN):
-            if found is not None:
+        if text.startswith(_PREFIX):
+            if texts is not None:
                 break
-            found = [] if text.endswith(f" by {by}") else None
-        elif found is not None:
-            found.append(text)
-    return found
+            texts = [] if text.endswith(f" by {by}") else None
+        elif texts is not None:
+            texts.append(text)
+    return texts
 
 
 def parse_request(text: str) -> Request | str:
-    """A request, or one line that says why it is none; whatever was sent, it can be printed."""
+    """Parse a request, and return one line with the reason if it is invalid.
+
+    The line is printable whatever the datagram contained.
+    """
     try:
         return _ADAPTER.validate_json(text)
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""Task files: the phases of a grasp as a person writes them."""
+"""Task files: the phases of a grasp as a user writes them."""
 
 import math
 from collections.abc import Mapping
@@ -19,55 +19,62 @@ Angle = Annotated[float, Field(ge=-30, le=150)]
 Tension = Annotated[float, Field(ge=0, le=1000)]
 Force = Annotated[float, Field(ge=0, le=200)]
 Angles = Angle | Annotated[tuple[Angle, ...], Field(min_length=1)]
-"""Of a digit: one for all its joints, or one for each of its coordinates."""
+"""Angles of a digit: one for all its joints, or one for each of its coordinates."""
 Tensions = Tension | Annotated[tuple[Tension, ...], Field(min_length=1)]
-"""Of a digit: one for all its tendons, or one for each."""
+"""Tensions of a digit: one for all its tendons, or one for each."""
 Duration = Annotated[float, Field(gt=0, le=3600)]
 
 
 FOLLOW_SPEED_DEG_S = 700.0
-"""Fastest joint speed of a motion: a rotor that is stopped dead adds tension in proportion to its speed."""
+"""Largest joint speed of a motion [deg/s].
+
+A rotor that stops at once adds tension in proportion to its speed.
+"""
 SHORTEST_MOVE_S = 0.05
-"""What is shorter is no move but a step, and the square of its duration need not be a number."""
-OURS = ("start", "tare")
-"""Names by which the controller knows the beginning of a program and load cells that are not tared yet."""
+"""Shortest duration of a move [s]. Anything shorter is a step, and its square may underflow."""
+RESERVED_NAMES = ("start", "tare")
+"""Phase names of the controller: the beginning of a program, and load cells without a tare."""
 
 
 class Move(Document):
-    """Move to joint angles along a minimum-jerk path; digits not named stay where they are."""
+    """Move to joint angles along a minimum-jerk path. Digits without an angle stay where they are."""
 
     kind: Literal["move"]
     name: str = "move"
     angle_deg: Angle | dict[str, Angles]
-    """One angle for all joints, or one per digit; of a one-tendon digit the mean joint angle. Of a digit with a tendon
-    for each joint also a list, from the palm outwards."""
+    """One angle for all joints, or one per digit.
+
+    The angle of a one-tendon digit is its mean joint angle. A digit with a tendon for each joint
+    also takes a list, from the palm outwards.
+    """
     duration_s: float = Field(1.0, ge=SHORTEST_MOVE_S, le=3600)
 
 
 class Close(Document):
-    """Close until contact: each digit that touches goes over to holding its tension, the others go on."""
+    """Close until contact: a digit in contact holds its tension, the others go on."""
 
     kind: Literal["close"]
     name: str = "close"
     angle_deg: Angle | dict[str, Angles] = 90.0
-    """How far to close where there is nothing to touch."""
+    """Angle at which a digit without contact stops."""
     speed_deg_s: float = Field(60.0, gt=0, le=FOLLOW_SPEED_DEG_S)
     contact_tension_N: Tension = 8.0
-    """Tension that a digit holds from its contact on, if it is not more already."""
+    """Least tension that a digit holds from its contact on."""
     timeout_s: Duration = 10.0
 
 
 class Hold(Document):
-    """Hold a tension, or a tip-equivalent force, with the digits that are in contact; the others stay."""
+    """Hold a tension or a tip force with the digits in contact. The others stay where they are."""
 
     kind: Literal["hold"]
     name: str = "hold"
     tension_N: Tension | dict[str, Tensions] | None = None
     tip_force_N: Force | dict[str, Force] | None = None
     slip_limit_N: Tension | dict[str, Tension] | None = None
-    """Slip raises the tensions up to this; without it slip is told, not answered."""
+    """Tension up to which slip raises the tensions. Without it slip is reported only."""
     stiffness_N_per_mm: float = Field(0.0, ge=0, le=50)
-    """Tension more for each millimetre that a tendon is pulled out once the grip has settled; 0: tension is kept."""
+    """Additional tension per millimetre that a tendon is pulled out after the grip has settled, 0
+    for constant tension."""
     rate_N_per_s: float = Field(60.0, gt=0, le=5000)
     duration_s: Duration = 3.0
 
@@ -79,7 +86,7 @@ class Hold(Document):
 
 
 class Release(Document):
-    """Let the tension go down; from the next phase on the digits count as free again, and must touch anew to hold."""
+    """Lower the tension. From the next phase on the digits count as free and need a new contact to hold."""
 
     kind: Literal["release"]
     name: str = "release"
@@ -89,14 +96,14 @@ class Release(Document):
 
 
 class Follow(Document):
-    """Follow a curve through given angles, from rest to rest; the digits must already be where it begins."""
+    """Follow a curve through given angles, from rest to rest. The digits must already be at its start."""
 
     kind: Literal["follow"]
     name: str = "follow"
     time_s: tuple[Annotated[float, Field(ge=0, le=3600)], ...] = Field(min_length=2, max_length=100_000)
-    """Rising from 0."""
+    """Times, rising from 0."""
     angle_deg: dict[str, tuple[Angle, ...]] = Field(min_length=1)
-    """Per digit an angle for each time; digits not named stay where they are."""
+    """Angles of each digit, one for each time. Digits without angles stay where they are."""
 
     @model_validator(mode="after")
     def _rising(self) -> "Follow":
@@ -106,17 +113,19 @@ class Follow(Document):
             if len(angles) != len(self.time_s):
                 raise ValueError(f"{digit} must have an angle for each of the {len(self.time_s)} times")
             peak = math.degrees(_peak_speed(self.time_s, tuple(map(math.radians, angles))))
-            if not peak <= FOLLOW_SPEED_DEG_S:  # nor if it is no number
+            # The negation also refuses NaN.
+            if not peak <= FOLLOW_SPEED_DEG_S:
                 raise ValueError(f"at most {FOLLOW_SPEED_DEG_S:g} deg/s on the way; {digit} reaches {peak:.0f}")
         return self
 
 
 def _peak_speed(times: tuple[float, ...], angles: tuple[float, ...]) -> float:
-    """Largest speed of a curve [rad/s]; inf or NaN if its times are too close together for numbers."""
+    """Return the largest speed of a curve [rad/s], inf or NaN if its times are too close together."""
     with np.errstate(all="ignore"):
         try:
             return Curve.through(times, angles, 1).peak_speed()
-        except ValueError:  # scipy's, of slopes that are not finite
+        # scipy refuses slopes that are not finite.
+        except ValueError:
             return math.inf
 
 
@@ -124,7 +133,7 @@ Phase = Annotated[Move | Close | Hold | Release | Follow, Field(discriminator="k
 
 
 class Task(Document):
-    """A grasp as a list of phases; the hand arms before the first and relaxes after the last."""
+    """A grasp as a list of phases. The hand arms before the first phase and relaxes after the last."""
 
     schema_: int = Field(alias="schema", ge=1, le=1)
     name: str
@@ -134,8 +143,8 @@ class Task(Document):
     @model_validator(mode="after")
     def _named(self) -> "Task":
         for phase in self.phase:
-            if phase.name in OURS:
-                raise ValueError(f"a phase must not be named {' or '.join(OURS)}")
+            if phase.name in RESERVED_NAMES:
+                raise ValueError(f"a phase must not be named {' or '.join(RESERVED_NAMES)}")
         return self
 
 
@@ -149,24 +158,25 @@ class TrajectoryFile(Document):
 
 
 def load_trajectory(path: Path) -> Task:
-    """Read a trajectory file as a task: go slowly to its first pose, then follow it.
+    """Read a trajectory file as a task: a slow move to its first pose, then the trajectory.
 
     Raises:
-        ConfigError: it cannot be read, time does not rise, an angle or a speed is out of range.
+        ConfigError: The file cannot be read, time does not rise, or an angle or a speed is out
+            of range.
     """
     return trajectory_from(read_toml(path), str(path))
 
 
 def trajectory_from(content: Mapping[str, Any], source: str) -> Task:
-    """Make a task of a trajectory file's content.
+    """Make a task from the content of a trajectory file.
 
     Raises:
-        ConfigError: as ``load_trajectory``; the line names the source.
+        ConfigError: As `load_trajectory`. The message names the source.
     """
     file = validated(content, TrajectoryFile, source)
-    begin = {digit: angles[0] for digit, angles in file.angle_deg.items() if angles}
+    first = {digit: angles[0] for digit, angles in file.angle_deg.items() if angles}
     follow = {"kind": "follow", "time_s": file.time_s, "angle_deg": file.angle_deg}
-    phases = [{"kind": "move", "name": "to the start", "angle_deg": begin, "duration_s": 1.5}, follow]
+    phases = [{"kind": "move", "name": "to the start", "angle_deg": first, "duration_s": 1.5}, follow]
     return validated({"schema": 1, "name": file.name, "phase": phases}, Task, source)
 
 
@@ -174,17 +184,17 @@ def load_task(path: Path) -> Task:
     """Read a task file.
 
     Raises:
-        ConfigError: it cannot be read, or a key or value is wrong.
+        ConfigError: The file cannot be read, or a key or a value is wrong.
     """
     return load_document(path, Task)
 
 
 class Shape(NamedTuple):
-    """How many numbers a digit takes.
+    """Numbers that describe a digit in a task.
 
     Attributes:
-        coordinates: reduced coordinates, each with an angle.
-        tendons: each with a tension. A finger of n joints may have n + 1.
+        coordinates: number of reduced coordinates, each with an angle.
+        tendons: number of tendons, each with a tension. A finger of n joints may have n + 1.
     """
 
     coordinates: int
@@ -206,48 +216,50 @@ def check_task(
     """Check a task against a hand.
 
     Args:
-        task: the task.
-        digits: the hand's digit names.
-        ceiling: the hand's smallest tension limit [N].
-        where: the file's name, for the message.
-        digit_shapes: of each digit; None: not checked.
+        task: task to check.
+        digits: names of the hand's digits.
+        ceiling: smallest tension limit of the hand [N].
+        where: name of the file, for messages.
+        digit_shapes: shape of each digit, None to skip this check.
 
     Raises:
-        ConfigError: it names a digit that is not there, gives it too many numbers, or asks for too much tension.
+        ConfigError: The task names an unknown digit, gives a digit the wrong number of values,
+            or requests too much tension.
     """
     for i, phase in enumerate(task.phase):
         for key in ("angle_deg", "tension_N", "tip_force_N", "contact_tension_N", "slip_limit_N"):
-            value, place = getattr(phase, key, None), f"{where}: phase[{i}].{key}"
+            value = getattr(phase, key, None)
+            key_path = f"{where}: phase[{i}].{key}"
             per_digit = value if isinstance(value, dict) else {}
             for digit in per_digit.keys() - set(digits):
-                raise ConfigError(f"no digit {digit!r}", place, "one of " + ", ".join(digits))
+                raise ConfigError(f"no digit {digit!r}", key_path, "one of " + ", ".join(digits))
             if key.endswith("deg") and isinstance(phase, Follow):
                 continue
-            for digit, given in per_digit.items():
-                _count(digit, given, digit_shapes, place)
+            for digit, setting in per_digit.items():
+                _count(digit, setting, digit_shapes, key_path)
             values = per_digit.values() if isinstance(value, dict) else [value]
             numbers = [n for v in values for n in (v if isinstance(v, tuple) else (v,))]
             largest = max((n for n in numbers if n is not None), default=0.0)
             if key in ("tension_N", "contact_tension_N", "slip_limit_N") and largest > ceiling:
-                raise ConfigError(f"{largest:g} N", place, f"at most tension_max_N = {ceiling:g} N")
+                raise ConfigError(f"{largest:g} N", key_path, f"at most tension_max_N = {ceiling:g} N")
 
 
-def _count(digit: str, given: object, digit_shapes: Mapping[str, Shape] | None, place: str) -> None:
+def _count(digit: str, value: object, digit_shapes: Mapping[str, Shape] | None, key_path: str) -> None:
     """Refuse a list that does not fit its digit: an angle per coordinate, a tension per tendon."""
-    if digit_shapes is None or not isinstance(given, tuple):
+    if digit_shapes is None or not isinstance(value, tuple):
         return
     shape = digit_shapes[digit]
-    count = shape.coordinates if place.endswith("deg") else shape.tendons
-    if len(given) == count:
+    count = shape.coordinates if key_path.endswith("deg") else shape.tendons
+    if len(value) == count:
         return
-    noun = "coordinate" if place.endswith("deg") else "tendon"
-    right = f"one number, or {count}: it has {count} {noun}s" if count > 1 else f"one number: it has one {noun}"
-    raise ConfigError(f"{len(given)} numbers for {digit}", place, right)
+    noun = "coordinate" if key_path.endswith("deg") else "tendon"
+    expected = f"one number, or {count}: it has {count} {noun}s" if count > 1 else f"one number: it has one {noun}"
+    raise ConfigError(f"{len(value)} numbers for {digit}", key_path, expected)
 
 
 Value = TypeVar("Value")
 
 
 def for_digit(value: float | dict[str, Value], digit: str) -> float | Value | None:
-    """The value that a phase gives a digit; None if it names others only."""
+    """Return the value that a phase gives a digit, None if it names other digits only."""
     return value.get(digit) if isinstance(value, dict) else float(value)

@@ -14,7 +14,7 @@ from typing import Any
 
 from handctl.core.types import Mode
 from handctl.errors import REMOVE_POWER, BusError, PowerError, UnconfirmedError
-from handctl.programs.requests import said_of
+from handctl.programs.requests import events_for_request
 from handctl.runtime.mailbox import NOT_THERE_S, WATCH, Watcher
 
 ANSWER_S = 2.0
@@ -72,7 +72,7 @@ def confirmed(watcher: Watcher, request: Mapping[str, Any], repeat: bool = False
             continue
         left = max(0.0, end - time.monotonic())
         for line in watcher.heard(min(left, AGAIN_S) if repeat else left):
-            if (said := said_of(me, line["events"])) is not None:
+            if (said := events_for_request(me, line["events"])) is not None:
                 return line, said
     raise UnconfirmedError(watcher.name, str(request["do"]), why)
 

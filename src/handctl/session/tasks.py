@@ -4,9 +4,8 @@ from pathlib import Path
 
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
-from handctl.programs.pace import check_pace
-from handctl.programs.reach import check_reach, check_tip_force
 from handctl.programs.task import Task, check_task, load_task, load_trajectory, shapes
+from handctl.programs.task_checks import check_joint_range, check_speed, check_tip_force
 
 TASKS = Path(__file__).parents[1] / "tasks"
 
@@ -46,5 +45,5 @@ def check_suits(task: Task, hand: Hand, where: str) -> None:
     """
     check_task(task, hand.digit_names, min(tendon.tension_max_N for tendon in hand.tendon), where, shapes(hand))
     check_tip_force(task, hand, where)
-    check_reach(task, hand, where)
-    check_pace(task, hand.digit_names, where)
+    check_joint_range(task, hand, where)
+    check_speed(task, hand.digit_names, where)

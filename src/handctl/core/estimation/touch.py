@@ -1,6 +1,6 @@
 """Detection of blocked digits: an unplanned contact with a stop or an object.
 
-``programs.contact`` judges a closing digit finely. The test here needs a tension beyond any error
+``programs.grasp`` judges a closing digit finely. The test here needs a tension beyond any error
 of the model. The filter depends on the result: it assumes a free digit to follow the tendon, and a
 loop with this assumption oscillates against a blocked digit.
 """
