@@ -1,1 +1,1 @@
-"""The source paper reproduced: every equation, number and figure, with what is wrong in it."""
+"""The source paper reproduced: every equation, number and figure, with its errors."""

@@ -1,24 +1,24 @@
-"""One thing that the paper prints, and what is right: an item of the errata."""
+"""Item of the errata: one statement of the paper, and the correct one."""
 
 from dataclasses import dataclass
 from enum import StrEnum
 
 
 class Verdict(StrEnum):
-    """How what is printed compares with what is computed."""
+    """Comparison of a printed statement with the computed one."""
 
     EQUAL = "equal"
-    """Right as printed; of a statement: it holds."""
+    """Correct as printed. A statement is true."""
     ROUNDED = "rounded"
-    """The exact value, correctly rounded to the printed digits (or computed from a value that was)."""
+    """The exact value, correctly rounded to the printed digits, or computed from such a value."""
     TRUNCATED = "truncated"
-    """The exact value with its further digits cut off (or computed from a value that was)."""
+    """The exact value with further digits cut off, or computed from such a value."""
     BOUND = "bound"
     """A bound that holds: the exact or measured value is beyond it."""
     WRONG = "wrong"
-    """Neither of these; of a statement: it does not hold."""
+    """None of the above. A statement is false."""
     UNDECIDABLE = "undecidable"
-    """The paper contradicts itself, or can be read in several ways, and prints nothing that settles it."""
+    """The paper contradicts itself or is ambiguous, and prints nothing that decides."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,15 +26,17 @@ class Item:
     """One row of the errata.
 
     Attributes:
-        id: unique, of words joined by dots, e.g. ``eq10.gravity``.
+        id: unique id of words joined by dots, e.g. `eq10.gravity`.
         where: equation or section.
-        printed: as in the paper.
-        computed: full precision, or the corrected expression; None if nothing can be computed.
-        unit: of the computed value; empty for expressions and counts.
-        verdict: derived from the two.
-        why: what is wrong or how it comes about, for a reader who holds the paper.
-        evidence: how it is known, e.g. ``arithmetic``, ``Euler-Lagrange``, ``dimensions``.
-        deviation: of an expression, largest difference at random states relative to the right one; None for numbers.
+        printed: statement as in the paper.
+        computed: value in full precision, or the corrected expression. None if nothing can be
+            computed.
+        unit: unit of the computed value, empty for expressions and counts.
+        verdict: verdict, derived from the two.
+        why: explanation for a reader of the paper.
+        evidence: kinds of evidence, e.g. `arithmetic`, `Euler-Lagrange`, `dimensions`.
+        deviation: largest relative difference of an expression at random states, None for
+            numbers.
     """
 
     id: str

@@ -1,4 +1,4 @@
-"""The page as Markdown, as HTML that needs nothing else, and as plain values for JSON."""
+"""Page about the paper: as Markdown, as one self-contained HTML file, and as plain values for JSON."""
 
 import base64
 import html
@@ -9,40 +9,44 @@ from pathlib import Path
 from typing import Any
 
 from handctl.paper.item import Item
-from handctl.paper.sections import INTRODUCTION, REFERENCE, TITLE, Section, tally
+from handctl.paper.sections import INTRODUCTION, REFERENCE, TITLE, PageSection, tally
 
 FIGURES = "figures"
-"""Folder beside the Markdown page."""
+"""Folder of figures beside the Markdown page."""
 PREFIX = "paper-"
+"""Prefix of the figures' file names."""
 REGENERATE = "handctl paper --markdown --figures docs/figures --results docs/evidence/paper-results.json"
+"""Command that regenerates the page."""
 MEASURED_MARK = "<!-- measured in the simulator: differs in its last digits from machine to machine -->"
+"""Mark of the sections that differ between machines."""
 CAPTIONS = {
     "fig1-hand": "Fig. 1: the hand from its description, half closed.",
     "fig2-model": "Fig. 2: kinematic model of a finger, with relative angles q and absolute angles θ.",
     "fig3-path": "Fig. 3: path of the tip (Eq. 1-2) and workspace, finger and thumb.",
-    "fig4-statics": "Fig. 4 and 6: moments that a tip force asks for, and what one tendon gives.",
+    "fig4-statics": "Fig. 4 and 6: moments of a tip force, and those of one tendon.",
     "fig5-force-displacement": "Fig. 5: the tendon's curve, measured, with both printed knees and the stress limit.",
-    "fig7-torques": "Fig. 7: torque of closing a digit by 60° a joint, by cause, at three speeds.",
+    "fig7-torques": "Fig. 7: torque of closing a digit by 60° per joint, by cause, at three speeds.",
     "fig7-eq10": "Eq. 10 as printed and corrected, for a closing finger.",
     "fig8-payload": "Payload along each axis for three cylinders, beside the paper's formula and friction's bounds.",
 }
+"""Caption of each figure."""
 
 
 def plain(items: Sequence[Item]) -> list[dict[str, Any]]:
-    """Items as JSON's values."""
+    """Return items as plain values for JSON."""
     return [{**asdict(item), "verdict": item.verdict.value, "evidence": list(item.evidence)} for item in items]
 
 
 def value(item: Item) -> str:
-    """What is right, for people: a number to seven digits with its unit, or an expression."""
+    """Return the correct value as text: a number to seven digits with its unit, or an expression."""
     if item.computed is None:
         return "—"
     text = item.computed if isinstance(item.computed, str) else f"{item.computed:.7g}"
     return f"{text} {item.unit}".rstrip()
 
 
-def markdown(parts: Sequence[Section]) -> str:
-    """The page as Markdown; figures are in the folder ``figures`` beside it."""
+def markdown(parts: Sequence[PageSection]) -> str:
+    """Return the page as Markdown. Figures are in the folder `figures` beside it."""
     rows = [item for part in parts for item in part.items]
     lines = [f"# {TITLE}", "", _fill(REFERENCE), "", _fill(INTRODUCTION), "", _fill(_summary(rows)), ""]
     for part in parts:
@@ -60,7 +64,7 @@ def markdown(parts: Sequence[Section]) -> str:
 
 
 def _rows(table: Sequence[Sequence[str]]) -> list[str]:
-    """A table of numbers, its titles first; nothing if it is empty."""
+    """Return a table of numbers, titles first, empty if the table is."""
     if not table:
         return []
     titles, *rows = ("| " + " | ".join(row) + " |" for row in table)
@@ -68,23 +72,27 @@ def _rows(table: Sequence[Sequence[str]]) -> list[str]:
 
 
 def _summary(rows: list[Item]) -> str:
+    """Return the counts of verdicts, and how to regenerate the page."""
     counts = ", ".join(f"{count} {verdict}" for verdict, count in tally(rows).items())
     return (
         f"Of {len(rows)} items: {counts}. `bound` is a lower bound that holds: more was reached than is claimed. "
-        f"Regenerate this page with `{REGENERATE}`; without the file of results the experiments are done again."
+        f"Regenerate this page with `{REGENERATE}`. Without the file of results the experiments run again."
     )
 
 
 def _row(item: Item) -> tuple[str, ...]:
+    """Return the cells of an item."""
     off = f" (deviation {item.deviation:.2g})" if item.deviation is not None and item.verdict != "equal" else ""
     return (item.id, item.where, item.printed, value(item), f"**{item.verdict.value}**", item.why + off)
 
 
 def _cell(text: str) -> str:
+    """Return a cell with Markdown's special characters escaped."""
     return text.replace("|", "\\|").replace("*", "\\*") if not text.startswith("**") else text
 
 
 def _fill(paragraph: str) -> str:
+    """Return a paragraph wrapped to 118 characters."""
     return textwrap.fill(paragraph, 118, break_long_words=False, break_on_hyphens=False)
 
 
@@ -103,11 +111,11 @@ figcaption { font-size: .88rem; opacity: .75 }
 """
 
 
-def report(parts: Sequence[Section], figures: Mapping[str, Path]) -> str:
-    """The page as one HTML file; figures are inside.
+def report(parts: Sequence[PageSection], figures: Mapping[str, Path]) -> str:
+    """Return the page as one HTML file with the figures inside.
 
     Args:
-        parts: sections.
+        parts: sections of the page.
         figures: SVG file of each figure.
     """
     rows = [item for part in parts for item in part.items]
@@ -125,16 +133,18 @@ def report(parts: Sequence[Section], figures: Mapping[str, Path]) -> str:
 
 
 def _badge(verdict: str) -> str:
+    """Return a verdict as an HTML badge."""
     return f'<span class="verdict {verdict}">{verdict}</span>'
 
 
 def _inline(paragraph: str) -> str:
-    """A paragraph with its code marked as such."""
+    """Return a paragraph as HTML with its code marked."""
     pieces = html.escape(paragraph).split("`")
     return "".join(f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(pieces))
 
 
 def _figure(name: str, path: Path) -> str:
+    """Return a figure as HTML."""
     data = base64.b64encode(path.read_bytes()).decode()
     caption = html.escape(CAPTIONS[name])
     image = f'<img alt="{caption}" src="data:image/svg+xml;base64,{data}">'
@@ -142,17 +152,19 @@ def _figure(name: str, path: Path) -> str:
 
 
 def _numbers(table: Sequence[Sequence[str]]) -> str:
-    """A table of numbers, its titles first."""
+    """Return a table of numbers as HTML, titles first."""
     titles, *rows = ("".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in table)
-    head, body = titles.replace("td>", "th>"), "".join(f"<tr>{row}</tr>" for row in rows)
+    head = titles.replace("td>", "th>")
+    body = "".join(f"<tr>{row}</tr>" for row in rows)
     return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
 
 
 def _table(items: Sequence[Item]) -> str:
+    """Return a table of items as HTML."""
     titles = "".join(f"<th>{name}</th>" for name in ("id", "where", "printed", "right", "verdict", "why"))
     rows = []
     for item in items:
-        id, where, printed, right, _, why = map(html.escape, _row(item))
-        cells = (id, where, printed, right, _badge(item.verdict.value), why)
+        id, where, printed, right, _, reason = map(html.escape, _row(item))
+        cells = (id, where, printed, right, _badge(item.verdict.value), reason)
         rows.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
     return f'<div class="wide"><table><thead><tr>{titles}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'

@@ -1,4 +1,4 @@
-"""Verdicts, derived from the digits that are printed and the exact value."""
+"""Verdicts, derived from the printed digits and the exact value."""
 
 from collections.abc import Sequence
 from fractions import Fraction
@@ -6,17 +6,19 @@ from fractions import Fraction
 from handctl.paper.item import Verdict
 
 EXACT = Fraction(1, 10**12)
-"""Relative difference that counts as none: rounding of the floats that some values come from."""
+"""Relative difference that counts as rounding of the floats that some values come from."""
 
 
 def of_number(printed: str, exact: Fraction | float) -> Verdict:
     """Compare printed digits with an exact value: equal, else rounded, else truncated, else wrong.
 
     Args:
-        printed: a decimal number, e.g. ``18.33``.
-        exact: what it should be.
+        printed: decimal number, e.g. `18.33`.
+        exact: exact value.
     """
-    shown, value, unit = Fraction(printed), Fraction(exact), last_digit(printed)
+    shown = Fraction(printed)
+    value = Fraction(exact)
+    unit = last_digit(printed)
     if abs(shown - value) <= EXACT * abs(value):
         return Verdict.EQUAL
     if 2 * abs(shown - value) <= unit:
@@ -30,10 +32,10 @@ def of_carried(printed: str, exact: Fraction | float, carried: Fraction, source:
     """Compare digits that were computed from digits printed before.
 
     Args:
-        printed: a decimal number.
-        exact: what it should be.
-        carried: what follows from the value printed before.
-        source: verdict on that value, which is handed on if it explains what is printed.
+        printed: decimal number.
+        exact: exact value.
+        carried: value that follows from the digits printed before.
+        source: verdict on those digits. It is passed on if it explains the printed number.
     """
     verdict = of_number(printed, exact)
     explained = of_number(printed, carried) == Verdict.EQUAL
@@ -41,23 +43,26 @@ def of_carried(printed: str, exact: Fraction | float, carried: Fraction, source:
 
 
 def of_statement(holds: bool) -> Verdict:
-    """A statement holds or it does not."""
+    """Return the verdict of a statement that is true or false."""
     return Verdict.EQUAL if holds else Verdict.WRONG
 
 
 def of_lower_bound(printed: str, value: float) -> Verdict:
-    """Compare a number that is claimed to be reached with what is reached: equal as a number, else a bound or wrong."""
+    """Compare a claimed number with the reached one: equal as a number, else a bound or wrong."""
     verdict = of_number(printed, value)
     return Verdict.BOUND if verdict == Verdict.WRONG and value > float(printed) else verdict
 
 
 def of_readings(right: Sequence[bool]) -> Verdict:
-    """Something that can be read in several ways: right or wrong in all of them, or undecidable."""
+    """Return the verdict of several readings: right or wrong in all of them, or undecidable."""
     return of_statement(all(right)) if len(set(right)) == 1 else Verdict.UNDECIDABLE
 
 
 def of_contradiction(printed: Sequence[str], exact: Fraction | float | None) -> Verdict:
-    """Several values for one quantity: with nothing to compute it from, different ones cannot be judged."""
+    """Return the verdict of several values for one quantity.
+
+    Without an exact value different ones cannot be decided.
+    """
     if exact is None:
         return of_readings([value == printed[0] for value in printed])
     verdicts = [of_number(value, exact) for value in printed]
@@ -65,11 +70,11 @@ def of_contradiction(printed: Sequence[str], exact: Fraction | float | None) -> 
 
 
 def last_digit(printed: str) -> Fraction:
-    """Worth of the last printed digit."""
+    """Return the value of one unit in the last printed digit."""
     return Fraction(1, 10 ** len(printed.partition(".")[2]))
 
 
 def interval(printed: str) -> tuple[Fraction, Fraction]:
-    """Values that a correctly rounded number may stand for."""
+    """Return the interval of values that a correctly rounded number may stand for."""
     half = last_digit(printed) / 2
     return Fraction(printed) - half, Fraction(printed) + half

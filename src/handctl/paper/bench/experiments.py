@@ -1,4 +1,4 @@
-"""The experiments of the paper as jobs: plain values in, plain values out, so that another process can do them."""
+"""Experiments of the paper as jobs: plain input, plain output, so that another process can run them."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -11,15 +11,15 @@ from handctl.paper.bench import force_displacement, payload
 Job = Mapping[str, Any]
 Result = Mapping[str, Any]
 Workers = Callable[[Sequence[Job]], list[Result]]
-"""Does jobs, possibly several at a time; results in the order of the jobs."""
+"""Function that runs jobs, possibly several at a time, and returns results in the order of the jobs."""
 
 
 def do(job: Job, folder: Path) -> Result:
-    """Do one job.
+    """Run one job.
 
     Args:
-        job: ``do`` and arguments, as from ``first_jobs`` and ``second_jobs``.
-        folder: for its files.
+        job: `do` and arguments, see `measure`.
+        folder: folder for its files.
     """
     match job["do"]:
         case "pull":
@@ -32,7 +32,7 @@ def do(job: Job, folder: Path) -> Result:
 
 
 def name(job: Job) -> str:
-    """What to call a job while it is being done."""
+    """Return the description of a job for progress reports."""
     match job["do"]:
         case "pull":
             return "pulling a blocked finger to 242 N"
@@ -42,21 +42,21 @@ def name(job: Job) -> str:
 
 
 def count() -> int:
-    """How many jobs there are."""
+    """Return the number of jobs."""
     return 1 + len(payload.DIAMETERS_MM) * (1 + len(payload.AXES))
 
 
 def measure(workers: Workers) -> dict[str, Any]:
-    """Do all experiments.
+    """Run all experiments.
 
     Returns:
-        ``force_displacement``, see there, and ``payload``, a result for each diameter and axis.
+        `force_displacement`, see there, and `payload`, one result for each diameter and axis.
     """
     searches = [{"do": "search", "diameter_mm": diameter} for diameter in payload.DIAMETERS_MM]
-    pulled, *found = workers([{"do": "pull"}, *searches])
+    pulled, *grips = workers([{"do": "pull"}, *searches])
     loads = [
         {"do": "load", "diameter_mm": diameter, "axis": axis, "found": grip}
-        for diameter, grip in zip(payload.DIAMETERS_MM, found, strict=True)
+        for diameter, grip in zip(payload.DIAMETERS_MM, grips, strict=True)
         for axis in payload.AXES
     ]
     return {"force_displacement": pulled, "payload": workers(loads)}
@@ -67,7 +67,7 @@ DIGITS = 6
 
 
 def shortened(results: Any) -> Any:
-    """Return results with every float to ``DIGITS`` digits."""
+    """Return results with every float rounded to `DIGITS` digits."""
     if isinstance(results, float):
         return float(f"{results:.{DIGITS}g}")
     if isinstance(results, Mapping):
@@ -76,19 +76,20 @@ def shortened(results: Any) -> Any:
 
 
 def load_results(path: Path) -> dict[str, Any]:
-    """Read what ``measure`` returned, from a file.
+    """Read the results of `measure` from a file.
 
     Raises:
-        ConfigError: it cannot be read, or is no such file.
+        ConfigError: The file cannot be read, or is not complete.
     """
     cases = {(diameter, axis) for diameter in payload.DIAMETERS_MM for axis in payload.AXES}
     try:
         results: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        found = {(case["diameter_mm"], case["axis"]) for case in results["payload"]}
-        if found != cases or not results["force_displacement"]["ropes"]:
+        measured_cases = {(case["diameter_mm"], case["axis"]) for case in results["payload"]}
+        if measured_cases != cases or not results["force_displacement"]["ropes"]:
             raise ValueError("results are missing")
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        why = error.strerror if isinstance(error, OSError) else "not all experiments are in it"
-        what, right = f"no results of the experiments: {why}", "a file that --results has written"
-        raise ConfigError(what, str(path), right) from None
+        reason = error.strerror if isinstance(error, OSError) else "not all experiments are in it"
+        problem = f"no results of the experiments: {reason}"
+        expected = "a file that --results has written"
+        raise ConfigError(problem, str(path), expected) from None
     return results

@@ -1,4 +1,4 @@
-"""Figure 5, measured: a blocked finger is pulled over the bus, and encoder and load cell give the tendon's curve."""
+"""Figure 5, measured: a blocked finger is pulled over the bus, its encoder and load cell give the tendon's curve."""
 
 import copy
 from collections.abc import Mapping
@@ -20,28 +20,31 @@ from handctl.paper.verdict import of_contradiction
 from handctl.programs.task import Task
 
 HAND = "jamia_bench"
+"""Packaged hand of the bench."""
 BLOCKED_DEG = 0.01
-"""Travel that a clamp leaves a joint: 1.6 um of rope over three pulleys."""
+"""Range that a clamp leaves a joint [deg], 1.6 um of tendon over three pulleys."""
 PULL_N = 238.0
-"""Below 244 N, where the bench hand's load cells count as saturated, by what a loop may overshoot."""
+"""Tension of the pull [N], below 244 N, where the bench hand's load cells count as saturated, less overshoot."""
 RATE_N_PER_S = 60.0
+"""Rate of the pull [N/s]."""
 LINEAR_N = (30.0, 150.0)
-"""Range in which every rope is straight; the curve's origin is extrapolated from here."""
+"""Range in which every tendon is linear [N]. The curve's origin is extrapolated from it."""
 STRAIGHT = 1.2
-"""A residual of so many standard deviations of the load cell still counts as noise."""
+"""Largest residual that still counts as noise [standard deviations of the load cell]."""
 
 
 @dataclass(frozen=True, slots=True)
-class Curve:
-    """One rope's measured curve.
+class TendonCurve:
+    """Measured curve of one tendon.
 
     Attributes:
-        knee_given: that the simulator's rope has [N].
-        displacement: (samples,) of the spool, zero where the straight part meets the axis [mm].
+        knee_given: knee of the simulator's tendon [N].
+        displacement: (samples,) displacement at the spool, zero where the linear part meets the
+            axis [mm].
         force: (samples,) load cell [N].
-        stiffness: of the straight part [N/m].
-        knee: found in the data [N]; None if it is straight to the end.
-        knee_sigma: standard deviation of that [N].
+        stiffness: stiffness of the linear part [N/m].
+        knee: knee in the data [N], None if the curve is linear to its end.
+        knee_sigma: standard deviation of that knee [N].
     """
 
     knee_given: float
@@ -53,7 +56,7 @@ class Curve:
 
 
 def blocked_hand(knees: tuple[float, ...]) -> Hand:
-    """The bench hand with clamped joints and ropes that bend at the given tensions, from the first finger on."""
+    """Return the bench hand with clamped joints, and with the given knees from the first finger on."""
     content = copy.deepcopy(load_hand(HAND).content)
     for digit in content["digit"]:
         digit["joint_max_deg"] = [low + BLOCKED_DEG for low in digit["joint_min_deg"]]
@@ -63,10 +66,10 @@ def blocked_hand(knees: tuple[float, ...]) -> Hand:
 
 
 def measure(folder: Path) -> dict[str, Any]:
-    """Pull index and middle finger; plain values, for the other side of a pipe.
+    """Pull index and middle finger, and return plain values.
 
     Args:
-        folder: for the files of the experiment.
+        folder: folder for the files of the experiment.
     """
     knees = tuple(map(float, src.KNEES_N))
     hand = blocked_hand(knees)
@@ -75,7 +78,8 @@ def measure(folder: Path) -> dict[str, Any]:
     pulled = dict.fromkeys(hand.digit_names[: len(knees)], PULL_N)
     recording = run(str(path), None, _task(pulled))
     rows = recording.in_phase("pull")
-    force, travel = np.array(recording.tension)[rows], np.array(recording.travel)[rows]
+    force = np.array(recording.tension)[rows]
+    travel = np.array(recording.travel)[rows]
     spools = [hand.motor_of(name).spool_radius_m for name in hand.tendon_names]
     return {
         "ropes": [
@@ -86,6 +90,7 @@ def measure(folder: Path) -> dict[str, Any]:
 
 
 def _task(tension: dict[str, float]) -> Task:
+    """Return the task that pulls digits to a tension."""
     phases = (
         {"kind": "close", "name": "touch", "angle_deg": 30.0, "speed_deg_s": 20.0, "contact_tension_N": 12.0},
         {
@@ -99,55 +104,60 @@ def _task(tension: dict[str, float]) -> Task:
     return Task.model_validate({"schema": 1, "name": "force and displacement", "phase": phases})
 
 
-def curve(measured: Mapping[str, Any], noise: float) -> Curve:
-    """Find the straight part and the knee of what was measured.
+def curve(measured: Mapping[str, Any], noise: float) -> TendonCurve:
+    """Find the linear part and the knee of a measurement.
 
     Args:
-        measured: a rope of ``measure``.
+        measured: one tendon of `measure`.
         noise: standard deviation of the load cell [N].
     """
-    travel, force = np.array(measured["travel_m"]), np.array(measured["force_N"])
-    good = np.isfinite(travel) & np.isfinite(force)
-    travel, force = travel[good], force[good]
+    travel = np.array(measured["travel_m"])
+    force = np.array(measured["force_N"])
+    finite = np.isfinite(travel) & np.isfinite(force)
+    travel = travel[finite]
+    force = force[finite]
     straight = (force > LINEAR_N[0]) & (force < LINEAR_N[1])
     slope, offset = np.polyfit(travel[straight], force[straight], 1)
     displacement = travel + offset / slope
     residual = float(np.sqrt(np.mean((force - slope * displacement) ** 2)))
     knee, sigma = (None, 0.0) if residual <= STRAIGHT * noise else _knee(displacement, force, float(slope))
-    return Curve(float(measured["knee_N"]), 1000.0 * displacement, force, float(slope), knee, sigma)
+    return TendonCurve(float(measured["knee_N"]), 1000.0 * displacement, force, float(slope), knee, sigma)
 
 
 def _knee(displacement: Array, force: Array, slope: float) -> tuple[float, float]:
-    """Tension at which the rope's law bends, by least squares, and its standard deviation [N]."""
+    """Return the knee by least squares, and its standard deviation [N]."""
 
     def law(x: Array, knee: float, ratio: float, width: float) -> Array:
-        rope = TendonLaw(slope, ratio * slope, knee, width, 0.0)
-        return np.array([rope.elastic(value) for value in x.tolist()])
+        tendon = TendonLaw(slope, ratio * slope, knee, width, 0.0)
+        return np.array([tendon.elastic(value) for value in x.tolist()])
 
     bounds = ([100.0, 0.05, 1e-5], [300.0, 0.95, 2e-3])
-    best, spread = curve_fit(law, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds)
-    return float(best[0]), float(np.sqrt(spread[0, 0]))
+    # Every fourth sample: neighbours add cost, but no information about the knee.
+    parameters, covariance = curve_fit(law, displacement[::4], force[::4], (180.0, 0.5, 2e-4), bounds=bounds)
+    return float(parameters[0]), float(np.sqrt(covariance[0, 0]))
 
 
-def curves(measured: Mapping[str, Any]) -> list[Curve]:
-    """All ropes of ``measure``."""
+def curves(measured: Mapping[str, Any]) -> list[TendonCurve]:
+    """Return the curves of all tendons of `measure`."""
     noise = load_hand(HAND).sensor_node.tension_noise_N
-    return [curve(rope, noise) for rope in measured["ropes"]]
+    return [curve(tendon, noise) for tendon in measured["ropes"]]
 
 
 def items(measured: Mapping[str, Any]) -> list[Item]:
-    """What the bench found, beside what the paper says."""
+    """Return the measured knees beside those of the paper."""
     made = []
     verdict = of_contradiction([str(knee) for knee in src.KNEES_N], None)
-    for place, found in zip(("Sec. 5", "Abstract"), curves(measured), strict=True):
-        given, top = found.knee_given, float(found.force.max())
-        seen = f"{found.knee:.1f} ± {found.knee_sigma:.1f} N" if found.knee else f"none up to {top:.0f} N"
+    for place, tendon in zip(("Sec. 5", "Abstract"), curves(measured), strict=True):
+        knee_given = tendon.knee_given
+        top = float(tendon.force.max())
+        measured_text = f"{tendon.knee:.1f} ± {tendon.knee_sigma:.1f} N" if tendon.knee else f"none up to {top:.0f} N"
         made.append(
             Item(
-                f"fig5.measured{given:g}", f"Fig. 5, {place}", f"linear up to {given:g} N", found.knee, "N", verdict,
-                f"Measured on the simulator's bench with a rope that was given a knee at {given:g} N: {seen}, "
-                f"{found.stiffness / 1000:.1f} N/mm below. Each claim draws a curve of its own; the paper's data, not "
-                "printed, would decide.", ("simulator",),
+                f"fig5.measured{knee_given:g}", f"Fig. 5, {place}", f"linear up to {knee_given:g} N",
+                tendon.knee, "N", verdict,
+                f"Measured on the simulator's bench with a tendon whose knee is at {knee_given:g} N: "
+                f"{measured_text}, {tendon.stiffness / 1000:.1f} N/mm below. Each claim has its own curve. "
+                "Only the paper's data could decide, and it prints none.", ("simulator",),
             )
         )  # fmt: skip
     return made

@@ -1,4 +1,4 @@
-"""The payload, measured: grip with 6 N a finger in the simulator, load the object along each axis until it slips."""
+"""Payload, measured: grip with 6 N per finger in the simulator, and load the object along each axis until it slips."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -8,29 +8,40 @@ import numpy as np
 
 from handctl.hand.digit import Array
 from handctl.paper import sources as src
-from handctl.paper.bench.run import Recording, run
+from handctl.paper.bench.run import BenchRecording, run
 from handctl.paper.item import Item
 from handctl.paper.verdict import of_lower_bound
 from handctl.programs.task import Task
 from handctl.report.truth import Truth, read_truth
 
 HAND = "jamia"
+"""Packaged hand that grips."""
 DIAMETERS_MM = (30.0, 35.0, 40.0)
+"""Diameters of the cylinders [mm]."""
 AXES: dict[str, tuple[int, int, int]] = {"x": (1, 0, 0), "y": (0, -1, 0), "z": (0, 0, -1)}
+"""Direction of the load by axis."""
 AXIS_NAMES = {"x": "out of the palm", "y": "towards the thumb", "z": "down, along the cylinder"}
+"""Description of each axis."""
 MASS_KG = 0.05
+"""Mass of the cylinder [kg]."""
 STAIRS_N = (20.0, 26.0, 32.0, 38.0, 44.0)
-"""Tensions among which the one that presses with 6 N is searched."""
+"""Tensions of the stairs, between which the tension for 6 N is interpolated [N]."""
 STAIR_S = 0.5
+"""Duration of one stair [s]."""
 SETTLE_S = 0.8
+"""Time before the load begins [s]."""
 LOAD_RATE_N_PER_S = 4.0
+"""Rate of the load [N/s]."""
 LOAD_S = 5.5
+"""Duration of the load [s]."""
 CREEP_M_PER_S = 1e-3
+"""Speed from which the object counts as slipping [m/s]."""
 MOVED_M = 2e-3
+"""Distance from which the object counts as slipping [m]."""
 WINDOW_S = 0.1
-"""Creep is a speed over this time."""
+"""Window of the creep speed [s]."""
 AVERAGE_ROWS = 100
-"""Rows of truth, of a millisecond each, that a steady value is taken over."""
+"""Rows of ground truth, of a millisecond each, that a steady value averages."""
 SCENE = """name = "payload"
 [object]
 shape = "cylinder"
@@ -47,53 +58,54 @@ direction = {direction}
 start_s = {start}
 rate_N_per_s = {rate}
 """
+"""Template of the scene file."""
 
 
 def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
-    """Tension of each digit at which the fingers press with 6 N.
+    """Return the tension of each digit at which the fingers press with 6 N, and the time of the grip.
 
-    A stair of tensions, and between its steps a line; then a grip with what that gives, and a last correction, since
-    friction makes a grip depend on its way. The thumb, which must balance the fingers, pulls with their mean tension.
-
-    Returns:
-        the tensions, and when the grip began, which is the same in every run on this diameter.
+    The tension is interpolated between stairs, then corrected once with a direct grip, because
+    friction makes a grip depend on its history. The thumb balances the fingers, so it pulls with
+    their mean tension. The grip begins at the same time in every run on this diameter.
     """
     names = src.hand().digit_names
     phases = [_hold(f"stair {tension:g}", dict.fromkeys(names, tension), STAIR_S) for tension in STAIRS_N]
     recording, truth = _grip(folder, diameter_mm, "z", 1e3, phases)
     normals = np.array([_normals(truth, _end(recording, phase["name"])) for phase in phases])
+    # Interpolation needs rising values, and 1e-6 N makes equal ones rise.
     normals = np.maximum.accumulate(normals + 1e-6 * np.arange(len(phases))[:, None])
-    began = recording.t_ns[recording.phase.index(phases[0]["name"])] / 1e9
-    wanted = np.full(len(names), float(src.GRIP_FINGER_N))
-    tension = _for_normals(normals, wanted)
+    start_s = recording.t_ns[recording.phase.index(phases[0]["name"])] / 1e9
+    target_normals = np.full(len(names), float(src.GRIP_FINGER_N))
+    tension = _for_normals(normals, target_normals)
     recording, truth = _grip(folder, diameter_mm, "z", 1e3, [_hold("try", tension, SETTLE_S)])
-    missing = wanted - _normals(truth, _end(recording, "try"))
-    return {"tension_N": _for_normals(normals, wanted + missing), "began_s": began}
+    shortfall = target_normals - _normals(truth, _end(recording, "try"))
+    return {"tension_N": _for_normals(normals, target_normals + shortfall), "began_s": start_s}
 
 
-def _for_normals(stairs: Array, wanted: Array) -> dict[str, float]:
-    """Tension of each digit [N] that presses as wanted [N], by the stair's normal forces (steps, digits) [N]."""
+def _for_normals(stairs: Array, target_normals: Array) -> dict[str, float]:
+    """Return the tension of each digit for normal forces [N], by the stairs' normal forces (steps, digits)."""
     names = src.hand().digit_names
-    tension = {name: float(np.interp(wanted[i], stairs[:, i], STAIRS_N)) for i, name in enumerate(names)}
+    tension = {name: float(np.interp(target_normals[i], stairs[:, i], STAIRS_N)) for i, name in enumerate(names)}
     tension["thumb"] = float(np.mean([tension[name] for name in names if name != "thumb"]))
     return tension
 
 
-def load_until_slip(folder: Path, diameter_mm: float, axis: str, found: Mapping[str, Any]) -> dict[str, Any]:
-    """Grip with the tensions found and load the object; plain values, for the other side of a pipe."""
-    tension = found["tension_N"]
+def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[str, Any]) -> dict[str, Any]:
+    """Grip with the given tensions, load the object until it slips, and return plain values."""
+    tension = grip["tension_N"]
     hold = _hold("load", tension, SETTLE_S + LOAD_S)
-    start = found["began_s"] + SETTLE_S
+    start = grip["began_s"] + SETTLE_S
     recording, truth = _grip(folder, diameter_mm, axis, start, [hold])
-    begin = int(np.searchsorted(truth.t_ns, round(start * 1e9)))
-    last = int(np.searchsorted(truth.t_ns, _end(recording, "load")))
-    normals = _normals(truth, int(truth.t_ns[begin]))
-    slip, ended = _slip(truth, begin, last)
+    first = int(np.searchsorted(truth.t_ns, round(start * 1e9)))
+    end = int(np.searchsorted(truth.t_ns, _end(recording, "load")))
+    normals = _normals(truth, int(truth.t_ns[first]))
+    slip, ended = _slip(truth, first, end)
     weight = MASS_KG * float(src.GRAVITY) if axis == "z" else 0.0
     load = float(truth.at("load", truth.t_ns[slip : slip + 1])[0]) + weight
-    palm = sum(float(truth.at(f"contact_force/{name}/x", truth.t_ns[begin : begin + 1])[0]) for name in tension)
-    times = truth.t_ns[begin:last:10]
-    moved = np.linalg.norm(_places(truth, times) - _places(truth, times)[0], axis=1)
+    # The palm carries the difference of the digits' forces out of the palm.
+    palm = sum(float(truth.at(f"contact_force/{name}/x", truth.t_ns[first : first + 1])[0]) for name in tension)
+    times = truth.t_ns[first:end:10]
+    moved = np.linalg.norm(_positions(truth, times) - _positions(truth, times)[0], axis=1)
     return {
         "diameter_mm": diameter_mm, "axis": axis, "tension_N": dict(tension),
         "normal_N": dict(zip(tension, normals, strict=True)), "palm_N": max(0.0, palm), "load_N": load, "ended": ended,
@@ -103,14 +115,16 @@ def load_until_slip(folder: Path, diameter_mm: float, axis: str, found: Mapping[
 
 
 def _hold(name: str, tension: Mapping[str, float], duration: float) -> dict[str, Any]:
+    """Return a hold phase."""
     return {"kind": "hold", "name": name, "tension_N": dict(tension), "rate_N_per_s": 60.0, "duration_s": duration}
 
 
 def _grip(
     folder: Path, diameter_mm: float, axis: str, start: float, holds: Sequence[Mapping[str, Any]]
-) -> tuple[Recording, Truth]:
+) -> tuple[BenchRecording, Truth]:
     """Close on a cylinder and hold it."""
-    scene, truth = folder / "payload.toml", folder / "payload.truth"
+    scene = folder / "payload.toml"
+    truth = folder / "payload.truth"
     diameter = diameter_mm / 1000.0
     text = SCENE.format(
         diameter=diameter, mass=MASS_KG, friction=float(src.FRICTION), x=diameter / 2 + 0.002,
@@ -126,47 +140,49 @@ def _grip(
     return run(HAND, str(scene), task, truth), read_truth(truth)
 
 
-def _end(recording: Recording, phase: str) -> int:
-    """Last tick of a phase [ns]."""
+def _end(recording: BenchRecording, phase: str) -> int:
+    """Return the time of a phase's last tick [ns]."""
     return recording.t_ns[int(np.flatnonzero(recording.in_phase(phase))[-1])]
 
 
 def _normals(truth: Truth, until_ns: int) -> list[float]:
-    """Sum of normal forces of each digit over the last moments before a time [N]."""
+    """Return the sum of normal forces of each digit before a time, averaged [N]."""
     end = int(np.searchsorted(truth.t_ns, until_ns))
     times = truth.t_ns[end - AVERAGE_ROWS : end]
     return [float(truth.at(f"normal/{name}", times).mean()) for name in src.hand().digit_names]
 
 
-def _places(truth: Truth, times: Any) -> Array:
+def _positions(truth: Truth, times: Any) -> Array:
+    """Return the positions of the object (times, 3) [m]."""
     return truth.table([f"object/{axis}" for axis in "xyz"], times)
 
 
-def _slip(truth: Truth, begin: int, last: int) -> tuple[int, str]:
-    """Row at which the object counts as slipping, and by which criterion."""
-    places = _places(truth, truth.t_ns[begin:last])
+def _slip(truth: Truth, first: int, end: int) -> tuple[int, str]:
+    """Return the row at which the object slips, and the criterion."""
+    positions = _positions(truth, truth.t_ns[first:end])
     window = round(WINDOW_S * 1000)
-    moved = np.linalg.norm(places - places[0], axis=1)
-    speed = np.linalg.norm(places[window:] - places[:-window], axis=1) / WINDOW_S
+    moved = np.linalg.norm(positions - positions[0], axis=1)
+    speed = np.linalg.norm(positions[window:] - positions[:-window], axis=1) / WINDOW_S
     crossings = {"moved": np.flatnonzero(moved > MOVED_M), "creep": np.flatnonzero(speed > CREEP_M_PER_S) + window}
     first = [(int(rows[0]), ended) for ended, rows in crossings.items() if len(rows)]
     row, ended = min(first, default=(len(moved) - 1, "held"))
-    return begin + row, ended
+    return first + row, ended
 
 
 def bound_kg(result: Mapping[str, Any]) -> float:
-    """Coulomb's bound by the measured normal forces of all digits and the palm [kg]."""
+    """Return Coulomb's bound by the measured normal forces of all digits and the palm [kg]."""
     normal = sum(result["normal_N"].values()) + result["palm_N"]
     return float(src.FRICTION) * float(normal) / float(src.GRAVITY)
 
 
 def items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
-    """One item a load case."""
+    """Return one item per load case."""
     made = []
     for result in results:
-        axis, payload = result["axis"], float(result["payload_kg"])
+        axis = result["axis"]
+        payload = float(result["payload_kg"])
         fingers = [force for name, force in result["normal_N"].items() if name != "thumb"]
-        why = (
+        reason = (
             f"Cylinder of {result['diameter_mm']:g} mm, load {AXIS_NAMES[axis]}; fingers press with "
             f"{', '.join(f'{force:.1f}' for force in fingers)} N, the thumb with {result['normal_N']['thumb']:.1f} N; "
             f"{ENDS[result['ended']]}. Coulomb's bound by all normal forces is {bound_kg(result):.2f} kg."
@@ -175,27 +191,28 @@ def items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
             Item(
                 f"payload.{axis}.d{result['diameter_mm']:g}", "Sec. 5", f"we can lift {src.PAYLOAD_KG} kg",
                 payload, "kg or more" if result["ended"] == "held" else "kg", of_lower_bound(src.PAYLOAD_KG, payload),
-                why, ("simulator",),
+                reason, ("simulator",),
             )
         )  # fmt: skip
     return made
 
 
 def table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:
-    """Measured payload beside the paper's formula and the bounds of friction, titles first."""
+    """Return the measured payload beside the paper's formula and the bounds of friction, titles first."""
     formula = float(src.payload_kg(src.FINGERS * src.GRIP_FINGER_N))
     titles = ("cylinder", "load", "fingers", "thumb", "palm", "measured", "3 μF/g", "both sides", "Coulomb's bound")
     rows = []
     for result in results:
         normal = result["normal_N"]
         fingers = sum(force for name, force in normal.items() if name != "thumb")
-        held = "≥ " if result["ended"] == "held" else ""
+        bound_mark = "≥ " if result["ended"] == "held" else ""
         rows.append((
             f"⌀ {result['diameter_mm']:g} mm", f"{result['axis']}: {AXIS_NAMES[result['axis']]}", f"{fingers:.1f} N",
-            f"{normal['thumb']:.1f} N", f"{result['palm_N']:.1f} N", f"{held}{result['payload_kg']:.2f} kg",
+            f"{normal['thumb']:.1f} N", f"{result['palm_N']:.1f} N", f"{bound_mark}{result['payload_kg']:.2f} kg",
             f"{formula:.3f} kg", f"{2 * formula:.3f} kg", f"{bound_kg(result):.2f} kg",
         ))  # fmt: skip
     return (titles, *rows)
 
 
 ENDS = {"moved": "it had moved by 2 mm", "creep": "it crept faster than 1 mm/s", "held": "it still held at the end"}
+"""Description of each criterion."""

@@ -1,4 +1,4 @@
-"""Experiments in processes of their own, as many at a time as there are cores for."""
+"""Pool of worker processes for experiments."""
 
 import json
 import selectors
@@ -14,16 +14,16 @@ from handctl.paper.bench.experiments import Job, Result, Workers
 WORKER = "handctl.paper.bench.worker"
 Child = subprocess.Popen[str]
 Report = Callable[[Job, bool], None]
-"""Told of each job when it begins (False) and when it is done (True)."""
+"""Called with each job when it begins (False) and when it is finished (True)."""
 
 
 @contextmanager
 def pool(size: int, report: Report) -> Iterator[Workers]:
-    """Start workers, and end them with the body, whatever happens.
+    """Start workers, and end them with the body in any case.
 
     Args:
         size: number of processes.
-        report: told of each job.
+        report: called with the state of each job.
     """
     command = [sys.executable, "-m", WORKER]
     children = [  # out of reach of the terminal's Ctrl-C, also while they import
@@ -31,7 +31,7 @@ def pool(size: int, report: Report) -> Iterator[Workers]:
         for _ in range(size)
     ]
     try:
-        yield lambda jobs: _share(children, jobs, report)
+        yield lambda jobs: _distribute(children, jobs, report)
     finally:
         for child in children:
             child.terminate()
@@ -39,8 +39,8 @@ def pool(size: int, report: Report) -> Iterator[Workers]:
             child.communicate()
 
 
-def _share(children: Sequence[Child], jobs: Sequence[Job], report: Report) -> list[Result]:
-    """Give each worker a job, and another one whenever it has answered."""
+def _distribute(children: Sequence[Child], jobs: Sequence[Job], report: Report) -> list[Result]:
+    """Send each worker a job, and another one after each answer."""
     results: dict[int, Result] = {}
     waiting = iter(enumerate(jobs))
     busy: dict[Child, int] = {}
@@ -59,6 +59,7 @@ def _share(children: Sequence[Child], jobs: Sequence[Job], report: Report) -> li
 
 
 def _next(child: Child, waiting: Iterator[tuple[int, Job]], busy: dict[Child, int], report: Report) -> None:
+    """Send a worker the next job, if there is one."""
     for index, job in waiting:
         busy[child] = index
         report(job, False)
@@ -69,10 +70,10 @@ def _next(child: Child, waiting: Iterator[tuple[int, Job]], busy: dict[Child, in
 
 
 def _answer(child: Child) -> Result:
-    """One line of a worker.
+    """Read one answer of a worker.
 
     Raises:
-        HandctlError: the experiment failed, or the worker ended.
+        HandctlError: The experiment failed, or the worker ended.
     """
     line = _pipe(child.stdout).readline()
     if not line:
@@ -85,5 +86,6 @@ def _answer(child: Child) -> Result:
 
 
 def _pipe(pipe: IO[str] | None) -> IO[str]:
+    """Return a pipe that is known to exist."""
     assert pipe is not None
     return pipe

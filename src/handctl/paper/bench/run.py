@@ -1,4 +1,4 @@
-"""A hand on the simulator's bench: the real controller over the simulated bus, in lockstep."""
+"""Simulated bench: the real controller over the simulated bus, in lockstep."""
 
 from dataclasses import dataclass, field
 from functools import cache
@@ -16,15 +16,16 @@ from handctl.programs.task import Task
 from handctl.session.simulate import Simulator, homed_controller, simulate
 
 RATE_HZ = 500.0
+"""Control rate of all experiments [Hz]."""
 
 
 @dataclass
-class Recording:
-    """What the controller read from the bus and decided, tick by tick.
+class BenchRecording:
+    """Measurements and decisions of the controller, tick by tick.
 
     Attributes:
-        t_ns: of each tick.
-        phase: of each tick.
+        t_ns: time of each tick [ns].
+        phase: phase of each tick.
         tension: (ticks, N) load cells [N].
         travel: (ticks, N) motor encoders [rad].
     """
@@ -35,31 +36,32 @@ class Recording:
     travel: list[Vector] = field(default_factory=list)
 
     def take(self, entry: TickIn, out: TickOut) -> None:
-        """Take down one tick."""
+        """Record one tick."""
         self.t_ns.append(entry.t_ns)
         self.phase.append(out.phase)
         self.tension.append(out.telemetry.tension_raw)
         self.travel.append(out.telemetry.motor_position)
 
     def in_phase(self, name: str) -> Vector:
-        """(ticks,) whether each tick belongs to a phase."""
+        """Return for each tick whether it belongs to a phase (ticks,)."""
         return np.array([phase == name for phase in self.phase])
 
 
-def run(hand_file: str, scene: str | None, task: Task, truth: Path | None = None, seed: int = 0) -> Recording:
-    """Let a homed hand carry out a task against the simulator.
+def run(hand_file: str, scene: str | None, task: Task, truth: Path | None = None, seed: int = 0) -> BenchRecording:
+    """Run a task with a homed hand in the simulator.
 
     Args:
-        hand_file: packaged name or file.
-        scene: of the simulator.
-        task: what the controller does.
-        truth: where the simulator writes what really happened.
-        seed: of its noise.
+        hand_file: name of a packaged hand, or a file.
+        scene: scene of the simulator.
+        task: task of the controller.
+        truth: file for the simulator's ground truth.
+        seed: seed of its noise.
 
     Raises:
-        DriveError: the controller gave up or safety ended the run.
+        DriveError: The controller gave up, or safety ended the run.
     """
-    model, recording = _model(hand_file), Recording()
+    model = _model(hand_file)
+    recording = BenchRecording()
     bench = Simulator(hand_file, scene, seed, homed=True, truth=truth)
     state = simulate(homed_controller(model, TaskProgram(task)), bench, recording.take)
     if state.failure:
@@ -69,5 +71,5 @@ def run(hand_file: str, scene: str | None, task: Task, truth: Path | None = None
 
 @cache
 def _model(hand_file: str) -> HandModel:
-    """Gains are designed once for a hand, which takes a second."""
+    """Return the model of a hand. Its gains are designed once, which takes a second."""
     return HandModel.of(load_hand(hand_file), Gains(), RATE_HZ)

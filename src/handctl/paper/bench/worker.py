@@ -1,4 +1,4 @@
-"""A process that does experiments: a job on each line of its standard input, a result on each line of its output."""
+"""Worker process for experiments: one job per line of its standard input, one result per line of its output."""
 
 import json
 import signal
@@ -11,9 +11,10 @@ from handctl.paper.bench.experiments import do
 
 
 def main() -> None:
-    """Work until the input ends; an experiment that fails answers with its error.
+    """Run jobs until the input ends. A failed experiment answers with its error.
 
-    Ctrl-C is for the process that gives the jobs; it ends this one by SIGTERM, which takes the folder away, too.
+    Ctrl-C is handled by the process that sends the jobs. It ends the worker by SIGTERM, which also
+    removes the folder.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))

@@ -1,1 +1,1 @@
-"""The paper's figures as PNG and SVG."""
+"""Figures of the paper as PNG and SVG."""

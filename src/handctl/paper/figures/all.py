@@ -1,4 +1,4 @@
-"""All figures that can be drawn from what is known."""
+"""All figures: names, sizes, and the functions that draw them."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -9,10 +9,11 @@ from handctl.paper.figures import hand, measured, model, path, statics, torques
 from handctl.paper.figures.style import draw
 
 Content = Callable[[Any], None]
+"""Function that draws on a figure."""
 
 
 def contents(results: Mapping[str, Any] | None) -> dict[str, tuple[tuple[float, float], Content]]:
-    """Size [inch] and content of each figure; without results of experiments those that need none."""
+    """Return size [inch] and content of each figure. Without results the measured figures are left out."""
     drawn: dict[str, tuple[tuple[float, float], Content]] = {
         "fig1-hand": (hand.SIZE, hand.hand),
         "fig2-model": (model.SIZE, model.model),
@@ -22,7 +23,8 @@ def contents(results: Mapping[str, Any] | None) -> dict[str, tuple[tuple[float, 
         "fig7-eq10": (torques.SIZE_EQ10, torques.eq10),
     }
     if results is not None:
-        bench, loads = curves(results["force_displacement"]), results["payload"]
+        bench = curves(results["force_displacement"])
+        loads = results["payload"]
         drawn |= {
             "fig5-force-displacement": (measured.SIZE_FORCE, lambda fig: measured.force_displacement(fig, bench)),
             "fig8-payload": (measured.SIZE_PAYLOAD, lambda fig: measured.payloads(fig, loads)),
@@ -34,8 +36,8 @@ def draw_all(folder: Path, results: Mapping[str, Any] | None) -> dict[str, Path]
     """Draw every figure as PNG and SVG.
 
     Args:
-        folder: to write to; made if it is not there.
-        results: of ``experiments.measure``; None leaves the measured figures out.
+        folder: folder to write to, created if it does not exist.
+        results: results of `experiments.measure`, None to leave the measured figures out.
 
     Returns:
         SVG file of each figure.

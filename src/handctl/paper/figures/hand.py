@@ -1,4 +1,4 @@
-"""Fig. 1: the hand in three dimensions, from its description alone."""
+"""Fig. 1: the hand in three dimensions, drawn from its description."""
 
 from itertools import pairwise
 from typing import Any
@@ -14,14 +14,20 @@ from handctl.paper.figures.style import BLUE, GREEN, ORANGE, PURPLE
 SIZE = (7.2, 5.6)
 COLOURS = (BLUE, GREEN, PURPLE, ORANGE)
 POSE_DEG = {"index": 24.0, "middle": 30.0, "ring": 36.0, "thumb": 30.0}
+"""Angle of all joints of each digit [deg]."""
 LABEL_MM = {"index": (4, 0, 8), "middle": (4, 0, 8), "ring": (-8, -4, -14), "thumb": (0, 0, 8)}
-AROUND, ALONG = 24, 6
+"""Offset of each digit's label [mm]."""
+AROUND = 24
+ALONG = 6
+"""Faces around a bar, and along its round end."""
 LIGHT = np.array([0.35, -0.45, 0.82])
+"""Direction of the light."""
 VIEW = (24.0, -58.0)
+"""Elevation and azimuth of the view [deg]."""
 
 
 def hand(figure: Any) -> None:
-    """Draw the palm, and before it the digits in one collection, so that near faces hide far ones."""
+    """Draw the palm, then all digits in one collection, so that near faces hide far ones."""
     from matplotlib.patheffects import withStroke
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped,unused-ignore]
 
@@ -34,58 +40,66 @@ def hand(figure: Any) -> None:
         model = DigitModel.of(src.hand(), name)
         nodes = 1000.0 * to_palm(model, points(model, np.radians(np.full(model.joint_count, POSE_DEG[name]))))
         for start, end in pairwise(nodes):
-            own = _capsule(start, end, 1000.0 * model.radius)
-            faces += own
-            colours += [_shaded(face, colour) for face in own]
-        place = (nodes[0] + nodes[1]) / 2.0 + np.array(LABEL_MM[name])
+            capsule = _capsule(start, end, 1000.0 * model.radius)
+            faces += capsule
+            colours += [_shaded(face, colour) for face in capsule]
+        label_position = (nodes[0] + nodes[1]) / 2.0 + np.array(LABEL_MM[name])
         outline = [withStroke(linewidth=2.5, foreground="white")]
-        axes.text(*place, name, color=colour, weight="bold", ha="center", zorder=9, path_effects=outline)
+        axes.text(*label_position, name, color=colour, weight="bold", ha="center", zorder=9, path_effects=outline)
     links = Poly3DCollection(faces, facecolors=colours, edgecolors=colours, linewidths=0.25, zorder=3)
     axes.add_collection3d(links)
     _axes(axes)
 
 
 def _axes(axes: Any) -> None:
+    """Set limits, labels and title of the axes."""
     axes.set(xlabel="x, out of the palm [mm]", ylabel="y, thumb to fingers [mm]", zlabel="z, along the hinges [mm]")
     axes.set(xlim=(-12, 62), ylim=(-37, 37), zlim=(-37, 37))
     axes.set_box_aspect((1, 1, 1), zoom=1.05)
     axes.view_init(*VIEW)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
-    finger, thumb = (" + ".join(f"{length}" for length in src.millimetres(d.link_length_m)) for d in _two())
+    finger, thumb = (
+        " + ".join(f"{length}" for length in src.millimetres(d.link_length_m)) for d in _finger_and_thumb()
+    )
     joints = sum(len(digit.joints) for digit in src.hand().digit)
     text = f"fingers {finger} mm, thumb {thumb} mm; {joints} hinges along z, {len(src.hand().tendon)} tendons"
     axes.set_title(text, fontsize=9.5, weight="normal", loc="center")
 
 
-def _two() -> tuple[Any, Any]:
+def _finger_and_thumb() -> tuple[Any, Any]:
+    """Return a finger and the thumb."""
     return src.finger(), src.thumb()
 
 
 def _palm() -> list[Array]:
-    """The six sides of the palm's box."""
+    """Return the six sides of the palm's box."""
     mounts = np.array([digit.mount_position_m for digit in src.hand().digit])
-    low, high = 1000.0 * (mounts.min(axis=0) - PALM_MARGIN), 1000.0 * (mounts.max(axis=0) + PALM_MARGIN)
-    low[0], high[0] = -1000.0 * PALM_THICKNESS, 0.0
+    low = 1000.0 * (mounts.min(axis=0) - PALM_MARGIN)
+    high = 1000.0 * (mounts.max(axis=0) + PALM_MARGIN)
+    low[0] = -1000.0 * PALM_THICKNESS
+    high[0] = 0.0
     faces = []
     for axis in range(3):
         one, two = (other for other in range(3) if other != axis)
         for level in (low[axis], high[axis]):
             face = np.full((4, 3), level)
-            face[:, one], face[:, two] = low[one], low[two]
-            face[1:3, one], face[2:4, two] = high[one], high[two]
+            face[:, one] = low[one]
+            face[:, two] = low[two]
+            face[1:3, one] = high[one]
+            face[2:4, two] = high[two]
             faces.append(face)
     return faces
 
 
 def _capsule(start: Array, end: Array, radius: float) -> list[Array]:
-    """Faces of a bar with a round far end."""
+    """Return the faces of a bar with a round far end."""
     along = (end - start) / np.linalg.norm(end - start)
     side = np.cross(along, (0.0, 0.0, 1.0))
     side /= np.linalg.norm(side)
     up = np.cross(along, side)
     quarter = np.linspace(0.0, np.pi / 2, ALONG)
-    rings = [(start + (end - start) * share, radius) for share in np.linspace(0.0, 0.9, 5)]
+    rings = [(start + (end - start) * fraction, radius) for fraction in np.linspace(0.0, 0.9, 5)]
     rings += [(end + along * radius * np.sin(a), radius * np.cos(a)) for a in quarter]
     turn = np.linspace(0.0, 2.0 * np.pi, AROUND + 1)
     circle = np.outer(np.cos(turn), side) + np.outer(np.sin(turn), up)
@@ -94,7 +108,7 @@ def _capsule(start: Array, end: Array, radius: float) -> list[Array]:
 
 
 def _shaded(face: Array, colour: str) -> tuple[float, float, float]:
-    """Colour under a lamp that stands still, both sides alike."""
+    """Return a face's colour under a fixed light, the same on both sides."""
     from matplotlib.colors import to_rgb
 
     normal = np.cross(face[2] - face[0], face[3] - face[1])

@@ -1,4 +1,4 @@
-"""Fig. 5 and the payload: what the simulator's bench measured, with the paper's values marked."""
+"""Fig. 5 and the payload: measurements on the simulated bench, with the paper's values marked."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -7,7 +7,7 @@ import numpy as np
 
 from handctl.paper import sources as src
 from handctl.paper.bench import payload
-from handctl.paper.bench.force_displacement import Curve
+from handctl.paper.bench.force_displacement import TendonCurve
 from handctl.paper.figures.style import BLUE, GREEN, GREY, ORANGE, PURPLE, RED
 
 SIZE_FORCE = (7.6, 5.0)
@@ -15,8 +15,8 @@ SIZE_PAYLOAD = (9.6, 6.4)
 SHADES = (BLUE, ORANGE, GREEN)
 
 
-def force_displacement(figure: Any, curves: Sequence[Curve]) -> None:
-    """Both ropes, both printed knees, and the stress that section 5 allows."""
+def force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
+    """Draw both tendons, both printed knees, and the stress limit of section 5."""
     axes = figure.subplots()
     allowed = float(src.GRIP_FINGER_N * src.tension_per_newton(src.finger()))
     top = 1.12 * float(max(src.KNEES_N))
@@ -35,8 +35,10 @@ def force_displacement(figure: Any, curves: Sequence[Curve]) -> None:
         label = f"measured, rope with its knee at {curve.knee_given:g} N"
         axes.plot(curve.displacement[::4], curve.force[::4], ".", color=colour, markersize=3, label=label, zorder=4)
         if curve.knee is not None:
-            place = (1e3 * curve.knee / curve.stiffness, curve.knee)
-            axes.plot(*place, "o", color="white", markeredgecolor=colour, markersize=8, markeredgewidth=1.8, zorder=6)
+            position = (1e3 * curve.knee / curve.stiffness, curve.knee)
+            axes.plot(
+                *position, "o", color="white", markeredgecolor=colour, markersize=8, markeredgewidth=1.8, zorder=6
+            )
             text = f"knee found at {curve.knee:.0f} ± {2 * curve.knee_sigma:.0f} N"
             axes.text(0.985 * end, curve.knee - 12, text, color=colour, weight="bold", ha="right", va="top")
     axes.annotate(f"{stiffness / 1000:.1f} N/mm", (0.6, 60.0), (12, -6), textcoords="offset points")
@@ -49,7 +51,7 @@ def force_displacement(figure: Any, curves: Sequence[Curve]) -> None:
 
 
 def payloads(figure: Any, results: Sequence[Mapping[str, Any]]) -> None:
-    """Bars for each axis and diameter, and how the object moved under the growing load."""
+    """Draw bars for each axis and diameter, and the object's motion under the growing load."""
     grid = figure.add_gridspec(2, len(payload.AXES), height_ratios=(1.25, 1.0))
     _bars(figure.add_subplot(grid[0, :]), results)
     first = None
@@ -62,17 +64,18 @@ def payloads(figure: Any, results: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
+    """Draw the payload of each load case."""
     width = 0.26
     for k, diameter in enumerate(payload.DIAMETERS_MM):
         rows = {result["axis"]: result for result in results if result["diameter_mm"] == diameter}
-        places = np.arange(len(payload.AXES)) + (k - 1) * width
+        positions = np.arange(len(payload.AXES)) + (k - 1) * width
         heights = [rows[axis]["payload_kg"] for axis in payload.AXES]
-        bars = axes.bar(places, heights, 0.9 * width, color=SHADES[k], label=f"⌀ {diameter:g} mm", zorder=3)
+        bars = axes.bar(positions, heights, 0.9 * width, color=SHADES[k], label=f"⌀ {diameter:g} mm", zorder=3)
         more = ["≥ " if rows[axis]["ended"] == "held" else "" for axis in payload.AXES]
         axes.bar_label(bars, [f"{sign}{height:.2f}" for sign, height in zip(more, heights, strict=True)], fontsize=8.5)
         bounds = [payload.bound_kg(rows[axis]) for axis in payload.AXES]
         axes.plot(
-            places, bounds, "_", color="black", markersize=20, markeredgewidth=1.6, zorder=4,
+            positions, bounds, "_", color="black", markersize=20, markeredgewidth=1.6, zorder=4,
             label="Coulomb's bound, all normal forces before loading" if k == 2 else None)  # fmt: skip
     _lines(axes)
     labels = [f"{axis}: {payload.AXIS_NAMES[axis]}" for axis in payload.AXES]
@@ -85,7 +88,7 @@ def _bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _lines(axes: Any) -> None:
-    """The paper's value and friction on both sides."""
+    """Draw the paper's value, and the payload with friction on both sides."""
     both = 2.0 * float(src.payload_kg(src.FINGERS * src.GRIP_FINGER_N))
     edge = len(payload.AXES) - 0.6
     for value, colour, text in (
@@ -97,12 +100,13 @@ def _lines(axes: Any) -> None:
 
 
 def _traces(axes: Any, axis: str, results: Sequence[Mapping[str, Any]]) -> None:
+    """Draw the object's motion for one axis."""
     gravity = float(src.GRAVITY)
     for result, colour in zip(results, SHADES, strict=True):
         axes.plot(result["trace_mm"], np.array(result["trace_N"]) / gravity, color=colour, linewidth=1.3)
         row = int(np.searchsorted(result["trace_N"], result["load_N"]))
-        place = result["trace_mm"][min(row, len(result["trace_mm"]) - 1)]
-        axes.plot(place, result["payload_kg"], "o", color="white", markeredgecolor=colour, markersize=6, zorder=5)
+        position = result["trace_mm"][min(row, len(result["trace_mm"]) - 1)]
+        axes.plot(position, result["payload_kg"], "o", color="white", markeredgecolor=colour, markersize=6, zorder=5)
     axes.axhline(float(src.PAYLOAD_KG), color=RED, linewidth=1.0, linestyle="--")
     axes.set(xlim=(0, 3.0), ylim=(0, 2.4), xlabel="object has moved [mm]")
     axes.set_title(f"along {axis}", fontsize=9.5)

@@ -12,7 +12,7 @@ from handctl.paper.model import kinematics
 SIZE = (9.6, 5.0)
 POSE_DEG = (25.0, 30.0, 35.0)
 ARC_MM = (9.0, 6.0, 5.0)
-"""Radius of the arc of each relative angle."""
+"""Radius of the arc of each relative angle [mm]."""
 
 
 def model(figure: Any) -> None:
@@ -45,7 +45,7 @@ def model(figure: Any) -> None:
 
 
 def _ray(axes: Any, start: Any, angle: float, length: float, colour: str) -> None:
-    """Draw the dashed line from which an angle is counted."""
+    """Draw the dashed line from which an angle is measured."""
     end = start + length * np.array([np.cos(angle), np.sin(angle)])
     axes.plot(*np.column_stack((start, end)), "--", color=colour, linewidth=1.0, zorder=2)
 

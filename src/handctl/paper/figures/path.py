@@ -1,4 +1,4 @@
-"""Fig. 3: where the tips go: the curve of Eq. 1-2, the hand's own limits, and what independent joints could reach."""
+"""Fig. 3: workspace of the tips: the curve of Eq. 1-2, the hand's limits, and the area of independent joints."""
 
 from typing import Any
 
@@ -13,13 +13,15 @@ from handctl.paper.model import kinematics
 
 SIZE = (9.6, 4.5)
 CELL_MM = 0.25
+"""Size of the cells of the area [mm]."""
 SAMPLES = {"index": 161, "thumb": 900}
+"""Samples per joint of each digit."""
 HEIGHT_MM = (-12.0, 60.0)
 POSES_DEG = (0.0, 30.0, 60.0, 90.0)
 
 
 def path(figure: Any) -> None:
-    """Finger and thumb side by side on the same scale."""
+    """Draw finger and thumb side by side on the same scale."""
     left, right = figure.subplots(1, 2, width_ratios=(110, 58), sharey=True)
     _digit(left, "index", "Finger: Eq. 1-2", (-46, 64))
     _digit(right, "thumb", "Thumb: the same with 15 and 10 mm", (-24, 34))
@@ -28,11 +30,12 @@ def path(figure: Any) -> None:
 
 
 def _digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
+    """Draw one digit: area, curve, poses."""
     model = kinematics.digit(name)
     _area(axes, kinematics.workspace(name, SAMPLES[name]), x, HEIGHT_MM)
     low, high = coordinate_limits(model)
-    whole = kinematics.path(name, np.linspace(low, high, 400))
-    axes.plot(*whole.T, color=BLUE, linewidth=2.2, label="tip, θ₁ = θ₂ = θ₃ = θ", zorder=4)
+    full_path = kinematics.path(name, np.linspace(low, high, 400))
+    axes.plot(*full_path.T, color=BLUE, linewidth=2.2, label="tip, θ₁ = θ₂ = θ₃ = θ", zorder=4)
     for degrees in POSES_DEG:
         nodes = 1000.0 * points(model, np.full(model.joint_count, np.radians(degrees)))
         axes.plot(*nodes.T, color=GREY, linewidth=1.1, marker="o", markersize=2.8, zorder=3)
@@ -54,7 +57,7 @@ def _digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
 
 
 def _area(axes: Any, tips: Array, x: tuple[float, float], y: tuple[float, float]) -> None:
-    """Cells that a sampled tip falls into, gaps between samples closed."""
+    """Draw the cells that contain a sampled tip, with gaps between samples closed."""
     bins = [np.arange(low, high + CELL_MM, CELL_MM) for low, high in (x, y)]
     hit = binary_closing(np.histogram2d(tips[:, 0], tips[:, 1], bins=bins)[0] > 0, iterations=3)
     smooth = gaussian_filter(hit.astype(float), 1.5).T

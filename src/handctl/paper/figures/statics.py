@@ -1,4 +1,4 @@
-"""Fig. 4 and 6: the moment that a tip force asks for along a straight digit, and the moment that one tendon gives."""
+"""Fig. 4 and 6: the moment of a tip force along a straight digit, and the moment of one tendon."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ SIZE = (9.6, 4.2)
 
 
 def statics(figure: Any) -> None:
-    """Finger and thumb, moments per newton at the tip."""
+    """Draw finger and thumb, moments per newton at the tip."""
     left, right = figure.subplots(1, 2, width_ratios=(1.0, 0.62), sharey=True)
     _digit(left, src.finger(), "Finger: M₁ = 55F, M₂ = 25F, M₃ = 10F", "T = 18.33F")
     _digit(right, src.thumb(), "Thumb: M₁ = 25F, M₂ = 10F", "T = 8.33F")
@@ -19,29 +19,39 @@ def statics(figure: Any) -> None:
 
 
 def _digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
+    """Draw one digit's required and available moments."""
     levers = [float(lever) for lever in src.levers(digit)]
-    places = [levers[0] - lever for lever in levers]
-    given = levers[0]
+    positions = [levers[0] - lever for lever in levers]
+    constant = levers[0]
     axes.plot([0, levers[0]], [levers[0], 0], color=BLUE, label="asked for by F at the tip", zorder=3)
-    axes.plot(places, levers, "o", color=BLUE, zorder=4)
+    axes.plot(positions, levers, "o", color=BLUE, zorder=4)
     axes.plot(
-        [0, places[-1] + 2.0], [given, given], color=ORANGE, label="given by one tendon on 3 mm pulleys", zorder=3
+        [0, positions[-1] + 2.0],
+        [constant, constant],
+        color=ORANGE,
+        label="given by one tendon on 3 mm pulleys",
+        zorder=3,
     )
-    for i, (place, lever) in enumerate(zip(places, levers, strict=True)):
-        axes.annotate(f"{lever:g}F", (place, lever), (7, 3), textcoords="offset points", color=BLUE, weight="bold")
-        if given > lever:
+    for i, (position, lever) in enumerate(zip(positions, levers, strict=True)):
+        axes.annotate(f"{lever:g}F", (position, lever), (7, 3), textcoords="offset points", color=BLUE, weight="bold")
+        if constant > lever:
             axes.annotate(
-                "", (place, given), (place, lever), arrowprops={"arrowstyle": "<->", "color": RED, "shrinkA": 4}
+                "",
+                (position, constant),
+                (position, lever),
+                arrowprops={"arrowstyle": "<->", "color": RED, "shrinkA": 4},
             )
-            axes.text(place + 0.8, (given + lever) / 2, f"{given - lever:g}F\ntoo much", color=RED, fontsize=8.5)
-        axes.text(place, -7.8, f"joint {i + 1}", ha="center", fontsize=8.5, color=GREY)
-    axes.text(0.3 * given, given + 1.2, tension, color="#a87400", fontsize=9)
-    _drawing(axes, [*places, levers[0]])
+            axes.text(
+                position + 0.8, (constant + lever) / 2, f"{constant - lever:g}F\ntoo much", color=RED, fontsize=8.5
+            )
+        axes.text(position, -7.8, f"joint {i + 1}", ha="center", fontsize=8.5, color=GREY)
+    axes.text(0.3 * constant, constant + 1.2, tension, color="#a87400", fontsize=9)
+    _drawing(axes, [*positions, levers[0]])
     axes.set(xlabel="along the digit [mm]", title=title, xlim=(-4, levers[0] + 6), ylim=(-17, 64))
 
 
 def _drawing(axes: Any, nodes: list[float]) -> None:
-    """The digit itself below the axis, with the force at its tip."""
+    """Draw the digit below the axis, with the force at its tip."""
     axes.plot(nodes, [-12.5] * len(nodes), color=GREY, linewidth=6, solid_capstyle="round", alpha=0.45)
     axes.plot(nodes[:-1], [-12.5] * (len(nodes) - 1), "o", color="white", markeredgecolor=GREY, markersize=6)
     axes.annotate(

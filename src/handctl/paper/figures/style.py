@@ -1,4 +1,4 @@
-"""What all figures have in common: colours that colour-blind people can tell apart, sizes, and how they are saved."""
+"""Style of all figures: colours for colour-blind readers, sizes, and saving."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,8 +7,13 @@ from typing import Any
 from handctl.output import save_figure
 from handctl.paper.page import PREFIX
 
-BLUE, ORANGE, GREEN, RED, PURPLE, GREY = "#0072b2", "#e69f00", "#009e73", "#d55e00", "#8e5ba6", "#6b6b6b"
-"""Source: Okabe & Ito, Color Universal Design."""
+BLUE = "#0072b2"
+ORANGE = "#e69f00"
+GREEN = "#009e73"
+RED = "#d55e00"
+PURPLE = "#8e5ba6"
+GREY = "#6b6b6b"
+"""Source of the colours: Okabe & Ito, Color Universal Design."""
 SETTINGS: Any = {
     "font.size": 9.5,
     "axes.titlesize": 10.5,
@@ -30,13 +35,13 @@ def draw(folder: Path, name: str, size: tuple[float, float], content: Callable[[
     """Draw one figure and write it as PNG and SVG.
 
     Args:
-        folder: to write to.
-        name: of the figure, as in ``page.CAPTIONS``.
+        folder: folder to write to.
+        name: name of the figure, as in `page.CAPTIONS`.
         size: width and height [inch].
-        content: draws on the figure that it is given.
+        content: function that draws on the figure.
 
     Returns:
-        the SVG file.
+        The SVG file.
     """
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg

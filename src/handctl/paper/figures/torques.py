@@ -1,4 +1,4 @@
-"""Fig. 7: what the torque of a closing digit consists of; and Eq. 10 beside itself."""
+"""Fig. 7: parts of the torque of a closing digit, and Eq. 10 as printed and corrected."""
 
 from typing import Any
 
@@ -11,39 +11,40 @@ SIZE = (9.6, 9.0)
 SIZE_EQ10 = (9.0, 3.6)
 COLOURS = dict(zip(PARTS, (BLUE, RED, GREEN, ORANGE, PURPLE), strict=True))
 LINKS = PARTS[:3]
-"""What Eq. 3 to 12 describe."""
+"""Parts that Eq. 3 to 12 describe."""
 
 
 def torques(figure: Any) -> None:
-    """Finger and thumb at three speeds; below each the links' own part, enlarged."""
+    """Draw finger and thumb at three speeds, and below each the links' own part, enlarged."""
     rows = figure.subplots(4, len(DURATIONS_S), sharey="row", height_ratios=(1.15, 1, 1.15, 1))
     for pair, (name, title) in enumerate((("index", "finger"), ("thumb", "thumb"))):
         for column, duration in enumerate(DURATIONS_S):
             motion = closing(name, duration)
-            whole, links = rows[2 * pair][column], rows[2 * pair + 1][column]
+            total_axes = rows[2 * pair][column]
+            link_axes = rows[2 * pair + 1][column]
             for part in PARTS:
-                whole.plot(1e3 * motion.times, 1e3 * motion.parts[part], color=COLOURS[part], label=part)
+                total_axes.plot(1e3 * motion.times, 1e3 * motion.parts[part], color=COLOURS[part], label=part)
             total = sum(motion.parts.values(), np.zeros(len(motion.times)))
-            whole.plot(1e3 * motion.times, 1e3 * total, color="black", linewidth=1.0, linestyle="--", label="sum")
+            total_axes.plot(1e3 * motion.times, 1e3 * total, color="black", linewidth=1.0, linestyle="--", label="sum")
             for part in LINKS:
-                links.plot(1e3 * motion.times, 1e3 * motion.parts[part], color=COLOURS[part])
-            whole.set_title(f"{title}, {CLOSED_DEG:g}° in {duration:g} s", fontsize=9.5)
-            links.set_title("links alone (Eq. 3-12)", fontsize=9, weight="normal")
-            for axes in (whole, links):
+                link_axes.plot(1e3 * motion.times, 1e3 * motion.parts[part], color=COLOURS[part])
+            total_axes.set_title(f"{title}, {CLOSED_DEG:g}° in {duration:g} s", fontsize=9.5)
+            link_axes.set_title("links alone (Eq. 3-12)", fontsize=9, weight="normal")
+            for axes in (total_axes, link_axes):
                 axes.margins(x=0)
                 axes.axhline(0.0, color=GREY, linewidth=0.7)
                 _tension(axes, motion.lever, column == len(DURATIONS_S) - 1)
             if column == 0:
-                whole.set(ylabel="torque [mN m]")
-                links.set(ylabel="torque [mN m]")
+                total_axes.set(ylabel="torque [mN m]")
+                link_axes.set(ylabel="torque [mN m]")
             if pair == 1:
-                links.set(xlabel="time [ms]")
+                link_axes.set(xlabel="time [ms]")
     handles, labels = rows[0][0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=6, fontsize=9)
 
 
 def _tension(axes: Any, lever: float, labelled: bool) -> None:
-    """The same as tension of the tendon."""
+    """Add an axis with the tension of the tendon."""
     factor = 1e-3 / lever
     side = axes.secondary_yaxis("right", functions=(lambda torque: torque * factor, lambda force: force / factor))
     if labelled:
@@ -53,7 +54,7 @@ def _tension(axes: Any, lever: float, labelled: bool) -> None:
 
 
 def eq10(figure: Any) -> None:
-    """T_1 as printed and as it is, on the print's scale and on its own."""
+    """Draw T_1 as printed and corrected, on the print's scale and on its own."""
     times, printed, right = first_torque(DURATIONS_S[1])
     wide, close = figure.subplots(1, 2)
     for axes in (wide, close):

@@ -1,1 +1,1 @@
-"""The paper's equations and numbers, each checked against the right ones."""
+"""The paper's equations and numbers, each checked against the correct ones."""

@@ -1,4 +1,4 @@
-"""What the model assumes and the paper does not say, each with the number that shows it."""
+"""Assumptions of the model that the paper does not state, each with the number that shows it."""
 
 from fractions import Fraction
 
@@ -12,42 +12,49 @@ from handctl.paper.verdict import of_number, of_statement
 
 STATICS = ("statics",)
 BEND_RATIO = 18.0
-"""Least pulley-to-rope diameter in rope practice. Source: ISO 4308-1, factor h2 of mechanism class M4."""
+"""Least ratio of pulley to rope diameter in rope practice.
+
+Source: ISO 4308-1, factor h2 of mechanism class M4.
+"""
 WRAP_DEG = (15.0, 30.0, 45.0)
-"""A finger around an object, each link touched at its middle. Source: Birglen, Laliberte & Gosselin (2008)."""
+"""Joint angles of a finger around an object that touches each link at its middle [deg].
+
+Source: Birglen, Laliberte & Gosselin (2008).
+"""
 
 
 def items() -> list[Item]:
-    """One item a number."""
+    """Return one item per number."""
     return [*_one_tendon(), *_coupling(), *_balance(), *_both_sides(), _bending(), _lift_off()]
 
 
 def _one_tendon() -> list[Item]:
-    """T r_p = M at every joint of the straight finger."""
+    """Check T r_p = M at every joint of the straight finger."""
     levers = src.levers(src.finger())
     given = src.tension_per_newton(src.finger()) * src.PULLEY_MM
-    made = []
-    for i, needed in enumerate(levers):
-        radius = needed / src.tension_per_newton(src.finger())
-        made.append(
+    rows = []
+    for i, required in enumerate(levers):
+        radius = required / src.tension_per_newton(src.finger())
+        rows.append(
             Item(
-                f"tendon.joint{i + 1}", "Sec. 5", f"M = T r_p with T = 18.33F, M{'₁₂₃'[i]} = {needed}F",
+                f"tendon.joint{i + 1}", "Sec. 5", f"M = T r_p with T = 18.33F, M{'₁₂₃'[i]} = {required}F",
                 float(given), "N mm per N",
-                of_statement(given == needed),
-                f"One tendon on equal pulleys gives {given}F at every joint; this one needs {needed}F, the surplus of "
-                f"{given - needed}F goes to stops or other contacts. Balance would need a pulley of "
+                of_statement(given == required),
+                f"One tendon on equal pulleys gives {given}F at every joint. This joint requires {required}F. The "
+                f"surplus of {given - required}F goes to stops or other contacts. Balance requires a pulley of "
                 f"{float(radius):.4g} mm.",
                 STATICS,
             )
         )  # fmt: skip
-    return made
+    return rows
 
 
 def _coupling() -> list[Item]:
-    """Equal angles by a mechanism: the tendon's work equals the tip's."""
+    """Check equal angles by a mechanism: the tendon's work equals the tip's."""
     levers = src.levers(src.finger())
     tension = sum(levers, Fraction(0)) / (len(levers) * src.PULLEY_MM)
-    force, torque = src.GRIP_FINGER_N * tension, src.GRIP_FINGER_N * tension * src.SPOOL_MM / 1000
+    force = src.GRIP_FINGER_N * tension
+    torque = src.GRIP_FINGER_N * tension * src.SPOOL_MM / 1000
     arms = src.hand().moment_arms[src.hand().digit_tendons["index"], src.hand().digit_joints["index"]]
     free = len(levers) - int(np.linalg.matrix_rank(arms))
     return [
@@ -59,13 +66,13 @@ def _coupling() -> list[Item]:
         Item(
             "coupling.freedom", "Sec. 4", "the rotation angle of first to third link are always equal", float(free), "",
             of_statement(free == 0),
-            f"One tendon sets one sum of three angles; {free} remain free. Without contact they are equal only if "
+            f"One tendon sets one sum of three angles, and {free} remain free. Without contact they are equal only if "
             "springs are in proportion to the pulleys, and with contact not at all.", ("rank",)),
     ]  # fmt: skip
 
 
 def _balance() -> list[Item]:
-    """Fingers press with 3 x 6 N, the thumb with 10 N."""
+    """Check the balance of three fingers with 6 N each and the thumb with 10 N."""
     fingers = src.FINGERS * src.GRIP_FINGER_N
     tension = fingers * src.tension_per_newton(src.thumb())
     torque = tension * src.SPOOL_MM / 1000
@@ -73,21 +80,22 @@ def _balance() -> list[Item]:
         Item(
             "grip.balance", "Sec. 5 against Sec. 6", f"{src.GRIP_THUMB_N} N thumb, {src.GRIP_FINGER_N} N each finger",
             float(fingers), "N", of_statement(fingers == src.GRIP_THUMB_N),
-            f"Three fingers press with {fingers} N, the thumb with {src.GRIP_THUMB_N} N: the object would be thrown. "
-            f"For {fingers} N the thumb's tendon needs {tension} N and its motor {float(torque):g} N m.",
+            f"Three fingers press with {fingers} N, the thumb with {src.GRIP_THUMB_N} N: the object would be pushed "
+            f"out. For {fingers} N the thumb's tendon needs {tension} N and its motor {float(torque):g} N m.",
             STATICS),
     ]  # fmt: skip
 
 
 def _both_sides() -> list[Item]:
-    """Friction acts where the thumb presses, too."""
+    """Compute the payload with friction on the thumb's side as well."""
     fingers = src.FINGERS * src.GRIP_FINGER_N
-    both, limited = 2 * src.payload_kg(fingers), 2 * src.payload_kg(src.GRIP_THUMB_N)
+    both = 2 * src.payload_kg(fingers)
+    limited = 2 * src.payload_kg(src.GRIP_THUMB_N)
     return [
         Item(
             "payload.both_sides", "Sec. 5", f"m = {src.PAYLOAD_KG} kg", float(both), "kg",
             of_number(src.PAYLOAD_KG, both),
-            "Friction is counted on the finger side only; a thumb that holds against 18 N carries as much again.",
+            "Friction is counted on the finger side only. A thumb that holds against 18 N carries the same again.",
             STATICS),
         Item(
             "payload.thumb_limit", "Sec. 5 against Sec. 6", f"m = {src.PAYLOAD_KG} kg", float(limited), "kg",
@@ -97,18 +105,20 @@ def _both_sides() -> list[Item]:
 
 
 def _bending() -> Item:
+    """Check the bending ratio of the wire."""
     diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.finger()))
     ratio = float(2 * src.PULLEY_MM) / diameter
     return Item(
         "wire.bending", "Sec. 5", "r_p = 3 mm, wire 0.86 mm", ratio, "", of_statement(ratio >= BEND_RATIO),
-        f"Pulley to rope diameter; rope practice asks for {BEND_RATIO:g} at least. Bending stress, fatigue, friction, "
+        f"Pulley to rope diameter. Rope practice requires {BEND_RATIO:g} at least. Bending stress, fatigue, friction, "
         "return springs and a safety factor are not considered, and 190 MPa is an aluminium's, not a steel rope's.",
         ("arithmetic",))  # fmt: skip
 
 
 def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_DEG) -> Array:
-    """Normal forces at the middle of each link that balance a tendon on equal pulleys, (3,) [N]."""
-    lengths, absolute = np.array(digit("index").lengths), np.cumsum(np.radians(angles_deg))
+    """Return the normal forces at the middle of each link that balance a tendon on equal pulleys (3,) [N]."""
+    lengths = np.array(digit("index").lengths)
+    absolute = np.cumsum(np.radians(angles_deg))
     levers = np.zeros((3, 3))
     for joint in range(3):
         for link in range(joint, 3):
@@ -118,6 +128,7 @@ def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_DEG) -> 
 
 
 def _lift_off() -> Item:
+    """Check whether all links of a wrapped finger press on the object."""
     forces = contact_forces(110.0)
     return Item(
         "grip.middle_link", "Sec. 5", "one tendon, equal pulleys, three phalanges on the object", float(forces[1]), "N",

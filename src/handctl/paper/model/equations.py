@@ -1,7 +1,7 @@
-"""The paper's equations 1 to 12, term by term: as they can be read, and as they should be.
+"""The paper's equations 1 to 12, term by term: their readings, and the correct terms.
 
-Each ``right`` follows from Lagrange's equations; the tests derive them with sympy. ``readings`` has more than one
-entry where the print allows it: an operator is missing, or a bracket never closes.
+Each `right` follows from Lagrange's equations. The tests derive them with sympy. `readings` has
+more than one entry where the print is ambiguous: an operator is missing, or a bracket never closes.
 """
 
 from dataclasses import dataclass
@@ -14,13 +14,14 @@ class Term:
     """One term, or a group of terms that belong together.
 
     Attributes:
-        id: of the item.
+        id: id of the item.
         where: equation.
-        printed: as in the paper.
-        readings: what that can mean; a symbol that the paper never defines is read as the one it must stand for.
-        right: what it should be.
-        why: what is wrong, for a reader.
-        mirror: id of the term that must have the same coefficient, since the mass matrix is symmetric.
+        printed: term as in the paper.
+        readings: possible meanings. An undefined symbol is read as the one that it must stand
+            for.
+        right: correct term.
+        why: explanation of the error.
+        mirror: id of the term with the same coefficient, because the mass matrix is symmetric.
     """
 
     id: str
@@ -33,10 +34,11 @@ class Term:
 
 
 def _term(id: str, printed: str, readings: str | tuple[str, ...], right: str, why: str = "", mirror: str = "") -> Term:
+    """Return a term, with its equation from its id."""
     texts = (readings,) if isinstance(readings, str) else readings
     number = id.removeprefix("eq").partition(".")[0]
-    good = why or "As derived."
-    return Term(id, f"Eq. {number}", printed, tuple(map(Expression, texts)), Expression(right), good, mirror)
+    reason = why or "As derived."
+    return Term(id, f"Eq. {number}", printed, tuple(map(Expression, texts)), Expression(right), reason, mirror)
 
 
 KINETIC_1 = (
@@ -67,7 +69,7 @@ KINETIC_3 = (
         "½ m₃ d₃²",
         "m3*d3**2/2",
         "m3*d3**2*dth3**2/2",
-        "θ̇₃² is missing: a constant, which no derivative would ever see.",
+        "θ̇₃² is missing. The term is a constant, which no derivative contains.",
     ),
     _term(
         "eq5.cross12",
@@ -80,14 +82,14 @@ KINETIC_3 = (
         "½ m₃ 2 L₂ d₂ θ̇₂ θ̇₃ cos(θ₂ − θ₃)",
         "m3*L2*d2*dth2*dth3*cos(th2 - th3)",
         "m3*L2*d3*dth2*dth3*cos(th2 - th3)",
-        "d₂ stands for d₃; only the dimensions agree.",
+        "d₂ replaces d₃. Only the dimensions agree.",
     ),
     _term(
         "eq5.cross13",
         "½ m₃ L₁ d₃ θ̇₁ θ̇₃ cos(θ₁ − θ₃)",
         "m3*L1*d3*dth1*dth3*cos(th1 - th3)/2",
         "m3*L1*d3*dth1*dth3*cos(th1 - th3)",
-        "Stands outside of the bracket 2[ ]: half as much as it should be.",
+        "It is outside of the bracket 2[ ]: half the correct value.",
     ),
 )
 POTENTIAL = (
@@ -112,7 +114,7 @@ TORQUE_1 = (
         "[I₁ + m₁ d₁² + m₂ L₁²] θ̈₁",
         "(I1 + m1*d1**2 + m2*L1**2)*ddth1",
         "(I1 + m1*d1**2 + (m2 + m3)*L1**2)*ddth1",
-        "m₃ L₁² is missing: link 3 rides on link 1, too.",
+        "m₃ L₁² is missing: link 3 moves with link 1 as well.",
     ),
     _term(
         "eq10.coupling12",
@@ -135,22 +137,22 @@ TORQUE_1 = (
         "−[L₂ d₂ + L₁ L₂] sin(θ₁ − θ₂)(θ̇₁ − θ̇₂) θ̇₂",
         "-(L2*d2 + L1*L2)*sin(th1 - th2)*(dth1 - dth2)*dth2",
         "(m2*d2 + m3*L2)*L1*sin(th1 - th2)*dth2**2",
-        "L₂ d₂ stands for L₁ d₂, both masses are missing, and −∂L/∂θ₁ (a term with θ̇₁ θ̇₂) is lost; "
-        "with it the products of speeds cancel.",
+        "L₂ d₂ replaces L₁ d₂, both masses are missing, and −∂L/∂θ₁ (a term with θ̇₁ θ̇₂) is missing. "
+        "With it the products of speeds cancel.",
     ),
     _term(
         "eq10.velocity13",
         "(not printed)",
         "0*m3*L1*d3*dth3**2",
         "m3*L1*d3*sin(th1 - th3)*dth3**2",
-        "All terms with sin(θ₁ − θ₃) are lost.",
+        "All terms with sin(θ₁ − θ₃) are missing.",
     ),
     _term(
         "eq10.gravity",
         "−[a d₁ + m₂ L₁ + m₃ L₃] g cos θ₁",
         "-(m1*d1 + m2*L1 + m3*L3)*g*cos(th1)",
         "(m1*d1 + (m2 + m3)*L1)*g*cos(th1)",
-        "The sign is wrong (the torque must hold the finger up, as in Eq. 11 and 12), L₃ stands for L₁, and a, never "
+        "The sign is wrong (the torque must hold the finger up, as in Eq. 11 and 12), L₃ replaces L₁, and a, never "
         "defined, is read as m₁.",
     ),
 )
@@ -174,7 +176,7 @@ TORQUE_2 = (
         "m₃ L₂ d₂ cos(θ₂ − θ₃) θ̈₃",
         "m3*L2*d2*cos(th2 - th3)*ddth3",
         "m3*L2*d3*cos(th2 - th3)*ddth3",
-        "d₂ stands for d₃, as in Eq. 5; Eq. 12 has it right.",
+        "d₂ replaces d₃, as in Eq. 5. Eq. 12 is correct here.",
         mirror="eq12.coupling23",
     ),
     _term(
@@ -183,7 +185,7 @@ TORQUE_2 = (
         (f"{_A}*(dth1 - dth2)*dth1 + {_A}*dth1*dth2", f"-{_A}*(dth1 - dth2)*dth1 + {_A}*dth1*dth2"),
         "-(m2*d2 + m3*L2)*L1*sin(th1 - th2)*dth1**2",
         "The operator before the first bracket is missing, and the sign before the second is wrong. Read with a plus "
-        "the whole term is turned round, read with a minus the products of speeds add up instead of cancelling.",
+        "the whole term has the wrong sign, read with a minus the products of speeds add up instead of cancelling.",
     ),
     _term(
         "eq11.velocity23",
@@ -224,14 +226,14 @@ TORQUE_3 = (
         ),
         "-m3*L2*d3*sin(th2 - th3)*dth2**2",
         "The mass m₃ is missing in the second part, and the bracket never closes: whether the minus holds for the "
-        "second part, too, is left open.",
+        "second part as well is not decided.",
     ),
     _term(
         "eq12.velocity13",
         "−[ .. + m₃ L₁ d₃ sin(θ₁ − θ₃) θ̇₁ θ̇₃",
         ("-m3*L1*d3*sin(th1 - th3)*dth1*dth3", "m3*L1*d3*sin(th1 - th3)*dth1*dth3"),
         "-m3*L1*d3*sin(th1 - th3)*dth1**2",
-        "−m₃ L₁ d₃ sin(θ₁ − θ₃)(θ̇₁ − θ̇₃) θ̇₁ is lost; with it the products of speeds cancel.",
+        "−m₃ L₁ d₃ sin(θ₁ − θ₃)(θ̇₁ − θ̇₃) θ̇₁ is missing. With it the products of speeds cancel.",
     ),
     _term(
         "eq12.gravity",
@@ -239,7 +241,7 @@ TORQUE_3 = (
         ("m3*d3*g*cos(th3)", "-m3*d3*g*cos(th3)"),
         "m3*d3*g*cos(th3)",
         "Two plus signs, and a bracket that never closes: read without it the term is right, enclosed by −[ ] its sign "
-        "is turned round, and the torque would pull the finger down.",
+        "is wrong, and the torque would pull the finger down.",
     ),
 )
 KINETIC = KINETIC_1 + KINETIC_2 + KINETIC_3

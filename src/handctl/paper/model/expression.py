@@ -1,6 +1,6 @@
-"""Formulas as text: evaluated on numbers or arrays, checked for dimensions, and written for people.
+"""Formulas as text: evaluated on numbers or arrays, checked for dimensions, and typeset.
 
-The same text is what the tests give to sympy, so that what is proven is what is printed.
+The tests give the same text to sympy, so that the proven formula is the printed one.
 """
 
 import ast
@@ -18,55 +18,58 @@ NONE: Dimension = (0, 0, 0)
 
 
 class DimensionError(Exception):
-    """Two things are added, or an angle is taken of something, whose dimensions do not allow it."""
+    """Dimensions do not allow a sum, or the argument of a function is no angle."""
 
 
 @dataclass(frozen=True, slots=True)
 class Expression:
-    """A formula of names, numbers, ``+ - * / **``, ``sin``, ``cos`` and ``pi``.
+    """A formula of names, numbers, `+ - * / **`, `sin`, `cos` and `pi`.
 
     Attributes:
-        text: in Python's notation; ``th1``, ``dth1``, ``ddth1`` are an angle and its derivatives.
+        text: formula in Python's notation. `th1`, `dth1`, `ddth1` are an angle and its
+            derivatives.
     """
 
     text: str
 
     @property
     def tree(self) -> ast.expr:
-        """Its syntax tree."""
+        """Return the syntax tree."""
         return ast.parse(self.text, mode="eval").body
 
     @property
     def names(self) -> frozenset[str]:
-        """Names that occur in it, functions left out."""
-        found = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
-        return frozenset(found - FUNCTIONS.keys() - {"pi"})
+        """Return the names in the formula, without functions."""
+        names = {node.id for node in ast.walk(self.tree) if isinstance(node, ast.Name)}
+        return frozenset(names - FUNCTIONS.keys() - {"pi"})
 
     def value(self, values: Mapping[str, Any]) -> Any:
-        """Its value; arrays are taken element by element.
+        """Return the value, element by element for arrays.
 
         Raises:
-            KeyError: a name has no value.
+            KeyError: A name has no value.
         """
         return _value(self.tree, values)
 
     def dimension(self, dimensions: Mapping[str, Dimension]) -> Dimension:
-        """Its dimension.
+        """Return the dimension.
 
         Raises:
-            DimensionError: it has none.
+            DimensionError: The formula has no consistent dimension.
         """
         return _dimension(self.tree, dimensions)
 
     def pretty(self) -> str:
-        """For people: θ̇₁² and products without signs."""
+        """Return the formula as typeset text: θ̇₁², products without signs."""
         return _pretty(self.tree)[0]
 
 
 FUNCTIONS: dict[str, Callable[[Any], Any]] = {"sin": np.sin, "cos": np.cos}
+"""Functions that a formula may use."""
 
 
 def _value(node: ast.expr, values: Mapping[str, Any]) -> Any:
+    """Evaluate a node of the syntax tree."""
     match node:
         case ast.Constant(value=int() | float() as number):
             return number
@@ -92,27 +95,29 @@ _OPERATIONS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
 }
 
 
-def _dimension(node: ast.expr, known: Mapping[str, Dimension]) -> Dimension:
+def _dimension(node: ast.expr, dimensions: Mapping[str, Dimension]) -> Dimension:
+    """Return the dimension of a node."""
     match node:
         case ast.Constant() | ast.Name(id="pi"):
             return NONE
         case ast.Name(id=name):
-            return known[name]
+            return dimensions[name]
         case ast.UnaryOp(operand=inner):
-            return _dimension(inner, known)
+            return _dimension(inner, dimensions)
         case ast.Call(args=[inner]):
-            if _dimension(inner, known) != NONE:
+            if _dimension(inner, dimensions) != NONE:
                 raise DimensionError(f"{ast.unparse(node)}: not an angle")
             return NONE
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)):
-            kg, m, s = _dimension(left, known)
+            kg, m, s = _dimension(left, dimensions)
             return (kg * power, m * power, s * power)
         case ast.BinOp(left=left, op=op, right=right):
-            return _combined(node, op, _dimension(left, known), _dimension(right, known))
+            return _combined(node, op, _dimension(left, dimensions), _dimension(right, dimensions))
     raise ValueError(f"not a formula: {ast.unparse(node)}")
 
 
 def _combined(node: ast.expr, op: ast.operator, one: Dimension, other: Dimension) -> Dimension:
+    """Return the dimension of a sum, product or quotient."""
     if isinstance(op, ast.Add | ast.Sub):
         if one != other:
             raise DimensionError(f"{ast.unparse(node)}: {shown(one)} and {shown(other)}")
@@ -122,7 +127,7 @@ def _combined(node: ast.expr, op: ast.operator, one: Dimension, other: Dimension
 
 
 def shown(dimension: Dimension) -> str:
-    """A dimension as text, e.g. kg m² s⁻²."""
+    """Return a dimension as text, e.g. kg m² s⁻²."""
     units = zip(("kg", "m", "s"), dimension, strict=True)
     parts = [unit + ("" if power == 1 else str(power).translate(_RAISED)) for unit, power in units if power]
     return " ".join(parts) or "1"
@@ -130,37 +135,39 @@ def shown(dimension: Dimension) -> str:
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
-_SUM, _PRODUCT, _POWER = 1, 2, 3
+_SUM = 1
+_PRODUCT = 2
+_POWER = 3
 
 
 def _pretty(node: ast.expr) -> tuple[str, int]:
-    """Text and how strongly it binds."""
+    """Return a node as text, and how strongly it binds."""
     match node:
         case ast.Constant(value=value):
             return f"{value:g}" if isinstance(value, int | float) else str(value), _POWER
         case ast.Name(id=name):
             return pretty_name(name), _POWER
         case ast.UnaryOp(operand=inner):
-            return "−" + _bound(inner, _PRODUCT), _SUM
+            return "−" + _bracketed(inner, _PRODUCT), _SUM
         case ast.Call(func=ast.Name(id=name), args=[inner]):
             text, strength = _pretty(inner)
             return (f"{name} {text}" if strength == _POWER else f"{name}({text})"), _PRODUCT
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=power)):
-            return _bound(left, _POWER) + str(power).translate(_RAISED), _POWER
+            return _bracketed(left, _POWER) + str(power).translate(_RAISED), _POWER
         case ast.BinOp(op=ast.Mult() | ast.Div()) if (positive := _without_minus(node)) is not node:
             return "−" + _pretty(positive)[0], _SUM
         case ast.BinOp(left=left, op=ast.Div(), right=right):
-            return f"{_bound(left, _PRODUCT)}/{_bound(right, _POWER)}", _PRODUCT
+            return f"{_bracketed(left, _PRODUCT)}/{_bracketed(right, _POWER)}", _PRODUCT
         case ast.BinOp(left=left, op=ast.Mult(), right=right):
-            return f"{_bound(left, _PRODUCT)} {_bound(right, _PRODUCT)}", _PRODUCT
+            return f"{_bracketed(left, _PRODUCT)} {_bracketed(right, _PRODUCT)}", _PRODUCT
         case ast.BinOp(left=left, op=op, right=right):
             sign = "+" if isinstance(op, ast.Add) else "−"
-            return f"{_bound(left, _SUM)} {sign} {_bound(right, _SUM if sign == '+' else _PRODUCT)}", _SUM
+            return f"{_bracketed(left, _SUM)} {sign} {_bracketed(right, _SUM if sign == '+' else _PRODUCT)}", _SUM
     raise ValueError(f"not a formula: {ast.unparse(node)}")
 
 
 def _without_minus(node: ast.expr) -> ast.expr:
-    """A product without the minus of its first factor; the node itself if there is none."""
+    """Return a product without the minus of its first factor, or the node itself if there is none."""
     match node:
         case ast.UnaryOp(op=ast.USub(), operand=inner):
             return inner
@@ -170,16 +177,17 @@ def _without_minus(node: ast.expr) -> ast.expr:
     return node
 
 
-def _bound(node: ast.expr, least: int) -> str:
+def _bracketed(node: ast.expr, min_strength: int) -> str:
+    """Return a node as text, in brackets if it binds less strongly than required."""
     text, strength = _pretty(node)
-    return text if strength >= least else f"({text})"
+    return text if strength >= min_strength else f"({text})"
 
 
 def pretty_name(name: str) -> str:
-    """A name as physicists write it: ddth1 is θ̈₁, L1 is L₁."""
-    found = re.fullmatch(r"(d{0,2})th(\d)", name)
-    if found:
-        dots = ("θ", "θ̇", "θ̈")[len(found[1])]
-        return dots + found[2].translate(_LOWERED)
+    """Return a name in mathematical notation: ddth1 is θ̈₁, L1 is L₁."""
+    match = re.fullmatch(r"(d{0,2})th(\d)", name)
+    if match:
+        dots = ("θ", "θ̇", "θ̈")[len(match[1])]
+        return dots + match[2].translate(_LOWERED)
     greek = {"pi": "π", "theta": "θ", "L_L": "L_L", "mu": "μ", "sigma": "σ"}
     return greek.get(name) or re.sub(r"\d+$", lambda number: number[0].translate(_LOWERED), name)

@@ -1,4 +1,4 @@
-"""Section 4: Eq. 1 and 2 against the hand's kinematics, what their angles are, and where a digit reaches."""
+"""Section 4: Eq. 1 and 2 against the hand's kinematics, the meaning of their angles, and a digit's workspace."""
 
 from collections.abc import Callable
 
@@ -16,26 +16,27 @@ from handctl.paper.verdict import of_statement
 EQ1 = Expression("30*cos(theta) + 15*cos(2*theta) + 10*cos(3*theta)")
 EQ2 = Expression("30*sin(theta) + 15*sin(2*theta) + 10*sin(3*theta)")
 ANGLES = np.linspace(-1.0, 2.0, 61)
+"""Angles at which Eq. 1 and 2 are compared [rad]."""
 
 
 def digit(name: str) -> DigitModel:
-    """A digit of the paper's hand."""
+    """Return a digit of the paper's hand."""
     return DigitModel.of(src.hand(), name)
 
 
 def items() -> list[Item]:
-    """Eq. 1-2, the meaning of their angles, and inverse kinematics."""
+    """Return Eq. 1-2, the meaning of their angles, and inverse kinematics."""
     return [_hinges(), *_general(), *_paths(), _meaning(), _absolute(), _inverse()]
 
 
 def path(name: str, angles: Array) -> Array:
-    """Tip of a digit all of whose joints have the same angle, (angles, 2) [mm]."""
+    """Return the tip of a digit whose joints all have the same angle (angles, 2) [mm]."""
     model = digit(name)
     return 1000.0 * np.array([forward(model, np.full(model.joint_count, angle))[:2] for angle in angles])
 
 
 def workspace(name: str, per_joint: int) -> Array:
-    """Tips of a digit all of whose joints move for themselves within their limits, (points, 2) [mm]."""
+    """Return the tips of a digit whose joints move independently within their limits (points, 2) [mm]."""
     model = digit(name)
     axes = [np.linspace(low, high, per_joint) for low, high in zip(model.joint_min, model.joint_max, strict=True)]
     absolute = np.cumsum(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes)), axis=1)
@@ -44,9 +45,10 @@ def workspace(name: str, per_joint: int) -> Array:
 
 
 def _paths() -> list[Item]:
+    """Check Eq. 1 and 2 on the path of the tip."""
     tips = path("index", ANGLES)
     thumb = " + ".join(f"{length} cos {'' if i == 0 else i + 1}θ" for i, length in enumerate(_lengths("thumb")))
-    why = (
+    reason = (
         f"With equal joint angles q₁ = q₂ = q₃ = θ. The thumb's, not printed, are X = {thumb} and the same with sines."
     )
     rows = (("eq1.x", "Eq. 1", "X", EQ1, tips[:, 0]), ("eq2.y", "Eq. 2", "Y", EQ2, tips[:, 1]))
@@ -55,19 +57,21 @@ def _paths() -> list[Item]:
         off = deviation(printed.value({"theta": ANGLES}), right)
         shown = f"{axis} = {printed.pretty()}"
         made.append(
-            Item(id, where, shown, shown, "mm", of_statement(off < TOLERANCE), why, ("forward kinematics",), off)
+            Item(id, where, shown, shown, "mm", of_statement(off < TOLERANCE), reason, ("forward kinematics",), off)
         )
     return made
 
 
 def _lengths(name: str) -> list[str]:
+    """Return the link lengths of a digit as text [mm]."""
     return [str(length) for length in src.millimetres(src.hand().digit_named(name).link_length_m)]
 
 
 def _general() -> list[Item]:
-    """Section 4's components of the tip, L1 cos q1 + L2 cos(q1 + q2) + .. and sines, at random angles."""
-    model, chance = digit("index"), np.random.default_rng(1)
-    rows = chance.uniform(-2.0, 2.0, (100, 3))
+    """Check section 4's tip position, L1 cos q1 + L2 cos(q1 + q2) + .. and sines, at random angles."""
+    model = digit("index")
+    random = np.random.default_rng(1)
+    rows = random.uniform(-2.0, 2.0, (100, 3))
     lengths = {f"L{i + 1}": length for i, length in enumerate(model.lengths)}
     angles = {f"q{i + 1}": rows[:, i] for i in range(3)}
     tips = np.array([forward(model, q)[:2] for q in rows])
@@ -87,10 +91,11 @@ def _general() -> list[Item]:
 
 
 def _hinges() -> Item:
-    """Fig. 2 shows a chain of three hinges about z: all points of the finger stay in one plane, at their distances."""
-    model, chance = digit("index"), np.random.default_rng(3)
+    """Check that Fig. 2's chain of three hinges about z stays in one plane, at the links' lengths."""
+    model = digit("index")
+    random = np.random.default_rng(3)
     worst = 0.0
-    for q in chance.uniform(-2.0, 2.0, (100, 3)):
+    for q in random.uniform(-2.0, 2.0, (100, 3)):
         nodes = to_palm(model, points(model, q))
         steps = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
         worst = max(worst, float(np.ptp(nodes[:, 2])), float(np.abs(steps - model.lengths).max()))
@@ -102,7 +107,11 @@ def _hinges() -> Item:
 
 
 def _meaning() -> Item:
-    """Eq. 6 is the weight's energy only if its angles are absolute; Eq. 1-2 hold only if theirs are relative."""
+    """Check that one kind of angle fits both Eq. 6 and Eq. 1-2.
+
+    Eq. 6 is the potential energy only with absolute angles. Eq. 1-2 are true only with relative
+    ones.
+    """
     model = digit("index")
     q = np.array([0.3, 0.5, 0.7])
     absolute = np.cumsum(q)
@@ -112,15 +121,15 @@ def _meaning() -> Item:
     return Item(
         "sec4-7.angles", "Sec. 4 against Sec. 7", "θ₁, θ₂, θ₃ in both", "θ = S q, S lower triangular of ones", "",
         of_statement(same),
-        "One letter for two angles: section 4's are those between neighbouring links (q here), as its sums show, and "
-        "section 7 says that its own are absolute. Nothing converts them. At q = 0.3, 0.5, 0.7 rad the sines of Eq. 6 "
-        f"put the tip {1000 * height(q):.2f} mm high if they took section 4's angles, {1000 * height(absolute):.2f} mm "
-        f"if absolute ones; section 4 says {1000 * tip:.2f} mm.",
+        "One letter for two angles: section 4's are those between neighbouring links (q here), as its sums show. "
+        "Section 7 states that its own are absolute. The paper never converts them. At q = 0.3, 0.5, 0.7 rad "
+        f"the sines of Eq. 6 put the tip {1000 * height(q):.2f} mm high with section 4's angles, "
+        f"{1000 * height(absolute):.2f} mm with absolute ones. Section 4 gives {1000 * tip:.2f} mm.",
         ("forward kinematics",))  # fmt: skip
 
 
 def _absolute() -> Item:
-    """Section 7 says what its angles are: the heights of Eq. 6 are right with absolute ones."""
+    """Check section 7's statement on its angles: the heights of Eq. 6 are correct with absolute ones."""
     model = digit("index")
     q = np.array([0.3, 0.5, 0.7])
     height = 1000.0 * float(np.array(model.lengths) @ np.sin(np.cumsum(q)))
@@ -133,15 +142,16 @@ def _absolute() -> Item:
 
 
 def _inverse() -> Item:
-    """Inverse kinematics, which the paper does not have: forward after inverse."""
-    model, chance = digit("index"), np.random.default_rng(2)
+    """Check inverse kinematics, which the paper does not have: forward after inverse."""
+    model = digit("index")
+    random = np.random.default_rng(2)
     worst = 0.0
-    for q in chance.uniform(0.05, 1.7, (200, 3)):
+    for q in random.uniform(0.05, 1.7, (200, 3)):
         pose = forward(model, q)
-        found = [forward(model, solution) for solution in inverse(model, *pose)]
-        worst = max(worst, *(max(abs(again.x - pose.x), abs(again.y - pose.y)) for again in found))
+        solutions = [forward(model, solution) for solution in inverse(model, *pose)]
+        worst = max(worst, *(max(abs(repeated.x - pose.x), abs(repeated.y - pose.y)) for repeated in solutions))
     return Item(
         "sec4.inverse", "Sec. 4", "(not printed)", "forward(inverse(X, Y, θ)) = (X, Y, θ)", "",
         of_statement(worst < 1e-12),
-        "The way back, in closed form: forward after inverse kinematics at 200 random poses, all solutions.",
+        "The inverse, in closed form: forward after inverse kinematics at 200 random poses, all solutions.",
         ("forward kinematics",), worst)  # fmt: skip

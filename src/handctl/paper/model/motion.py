@@ -1,4 +1,4 @@
-"""Section 7 in motion: the torque of a closing digit, split into what causes it."""
+"""Section 7 in motion: the torque of a closing digit, split by its causes."""
 
 from dataclasses import dataclass
 
@@ -15,21 +15,25 @@ from handctl.paper.model.lagrange import finger_states, printed_sum
 from handctl.paper.verdict import of_readings, of_statement
 
 CLOSED_DEG = 60.0
+"""Angle of each joint at the end of the motion [deg]."""
 DURATIONS_S = (0.6, 0.3, 0.15)
+"""Durations of the motion [s]."""
 SAMPLES = 301
+"""Samples of a motion."""
 PARTS = ("inertia", "Coriolis", "gravity", "springs", "motor inertia")
+"""Causes of the torque. The first three are the links'."""
 
 
 @dataclass(frozen=True, slots=True)
 class Closing:
-    """A digit closes, all joints alike, along a minimum-jerk path.
+    """Torques of a digit that closes along a minimum-jerk path, all joints alike.
 
     Attributes:
-        digit: name.
-        duration: [s].
-        times: (samples,) [s].
-        parts: torque in the digit's one coordinate by its cause, (samples,) each [N m].
-        lever: tendon's lever on that coordinate, sum of the pulleys' radii [m].
+        digit: name of the digit.
+        duration: duration [s].
+        times: (samples,) time [s].
+        parts: torque in the digit's one coordinate by cause, (samples,) each [N m].
+        lever: lever of the tendon on that coordinate, the sum of the pulleys' radii [m].
     """
 
     digit: str
@@ -39,34 +43,37 @@ class Closing:
     lever: float
 
     def tension(self, part: str) -> float:
-        """Largest tension that a cause asks of the tendon [N]."""
+        """Return the largest tension that one cause requires [N]."""
         return float(np.abs(self.parts[part]).max()) / self.lever
 
 
 def upright(name: str) -> DigitModel:
-    """A digit whose plane is vertical and whose weight opens it, as in Eq. 6."""
+    """Return a digit whose plane is vertical and whose weight opens it, as in Eq. 6."""
     model = DigitModel.of(src.hand(), name)
     return model.under(model.mount_rotation @ np.array([0.0, -float(src.GRAVITY), 0.0]))
 
 
 def closing(name: str, duration: float) -> Closing:
-    """Torques of closing a digit from straight to 60 degrees a joint.
+    """Compute the torques of closing a digit from straight to 60 degrees per joint.
 
     Args:
-        name: of the digit.
-        duration: [s].
+        name: name of the digit.
+        duration: duration [s].
     """
-    digit, times = upright(name), np.linspace(0.0, duration, SAMPLES)
+    digit = upright(name)
+    times = np.linspace(0.0, duration, SAMPLES)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_DEG]), duration)
     rotor = float(reflected_inertia(digit)[0, 0])
-    share = digit.coupling[:, 0]
+    coupling = digit.coupling[:, 0]
     rows = []
     for t in times:
         theta, dtheta, ddtheta = (float(value[0]) for value in path.at(float(t)))
-        q, dq, ddq = share * theta, share * dtheta, share * ddtheta
+        q = coupling * theta
+        dq = coupling * dtheta
+        ddq = coupling * ddtheta
         rows.append((
-            share @ dynamics.mass_matrix(digit, q) @ ddq, share @ dynamics.bias_torque(digit, q, dq),
-            share @ dynamics.gravity_torque(digit, q), share @ dynamics.spring_torque(digit, q), rotor * ddtheta,
+            coupling @ dynamics.mass_matrix(digit, q) @ ddq, coupling @ dynamics.bias_torque(digit, q, dq),
+            coupling @ dynamics.gravity_torque(digit, q), coupling @ dynamics.spring_torque(digit, q), rotor * ddtheta,
         ))  # fmt: skip
     columns = np.array(rows).T
     lever = float(digit.reduced_moment_arms[0, 0])
@@ -74,8 +81,9 @@ def closing(name: str, duration: float) -> Closing:
 
 
 def first_torque(duration: float) -> tuple[Array, Array, Array]:
-    """T_1 of a closing finger: times [s], as Eq. 10 prints it, and as it is [N m]."""
-    digit, times = upright("index"), np.linspace(0.0, duration, SAMPLES)
+    """Return T_1 of a closing finger: times [s], as printed in Eq. 10, and corrected [N m]."""
+    digit = upright("index")
+    times = np.linspace(0.0, duration, SAMPLES)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_DEG]), duration)
     moves = np.array([[value[0] for value in path.at(float(t))] for t in times])
     states = dict(finger_states(digit))
@@ -86,12 +94,12 @@ def first_torque(duration: float) -> tuple[Array, Array, Array]:
 
 
 def items() -> list[Item]:
-    """Judge Eq. 10 for a straight finger, what Eq. 3 to 12 describe, and what section 8 says of them."""
+    """Judge Eq. 10 for a straight finger, the scope of Eq. 3 to 12, and section 8's statement on them."""
     return [_static(), _complete(), _approximate()]
 
 
 def _static() -> Item:
-    """A torque at joint 1 holds the straight finger: the sum of Eq. 10 to 12, not Eq. 10 alone."""
+    """Check the torque at joint 1 that holds the straight finger: the sum of Eq. 10 to 12, not Eq. 10 alone."""
     _, printed, right = first_torque(DURATIONS_S[1])
     digit = upright("index")
     joint = float(dynamics.gravity_torque(digit, np.zeros(digit.joint_count))[0])
@@ -99,12 +107,12 @@ def _static() -> Item:
         "eq10.static", "Eq. 10", f"T₁ = {printed[0]:.3g} N m", joint, "N m",
         of_statement(bool(abs(printed[0] - joint) < 1e-9 * abs(joint))),
         "Torque at joint 1 that holds the straight finger up against its weight: Eq. 10 would let it fall. Corrected, "
-        f"T₁ alone is {1000 * right[0]:.4g} mN m, which belongs to the absolute angle θ₁; the joint must hold "
+        f"T₁ alone is {1000 * right[0]:.4g} mN m, which belongs to the absolute angle θ₁. The joint must hold "
         f"τ₁ = T₁ + T₂ + T₃ = {1000 * joint:.4g} mN m.", ("statics", "virtual work"))  # fmt: skip
 
 
 def _complete() -> Item:
-    """The paper has no springs, so they do not count; of the actuator it prints a radius and no inertia."""
+    """Check whether Eq. 3 to 12 are the whole torque. The paper has no springs and no actuator inertia."""
     fast = closing("index", DURATIONS_S[-1])
     links = sum(fast.parts[part] for part in PARTS[:3])
     driven = links + fast.parts["motor inertia"]
@@ -113,13 +121,13 @@ def _complete() -> Item:
         "sec7.complete", "Sec. 7", "the torque required to move the fingers", links_peak, "N",
         of_readings([True, links_peak > 0.5 * driven_peak]),
         f"Peak tension of closing a finger by {CLOSED_DEG:g}° in {fast.duration:g} s, by the links' dynamics, which is "
-        "all that Eq. 3 to 12 describe. It is everything if the actuator has no inertia; the paper prints none. With "
+        "all that Eq. 3 to 12 describe. It is complete if the actuator has no inertia. The paper prints none. With "
         f"this project's rotor it is {driven_peak:.1f} N. This project's return springs (peak "
         f"{fast.tension('springs'):.1f} N) are no part of the paper's hand.", ("this project's dynamics",))  # fmt: skip
 
 
 def _approximate() -> Item:
-    """Section 8 speaks of a value; Eq. 10 to 12 are symbols, and no number is put into them."""
+    """Check section 8's value of the torque. Eq. 10 to 12 contain symbols only."""
     fast = closing("index", DURATIONS_S[-1])
     peak = 1000.0 * float(np.abs(sum(fast.parts[part] for part in PARTS[:3])).max())
     terms = [term for terms in equations.TORQUES for term in terms if not term.printed.startswith("(")]

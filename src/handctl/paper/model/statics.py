@@ -13,17 +13,20 @@ STATICS = ("statics",)
 
 
 def items() -> list[Item]:
-    """Every number of the statics."""
+    """Return every number of the statics."""
     return [*_moments(), *_labels(), *_formulas(), *_finger(), *_payload(), *_wire(), *_knee(), *_thumb()]
 
 
-def number(id: str, where: str, printed: str, exact: Fraction | float, unit: str, why: str, symbol: str = "") -> Item:
-    """An item whose verdict follows from its digits; the symbol stands behind them in print."""
+def number(
+    id: str, where: str, printed: str, exact: Fraction | float, unit: str, reason: str, symbol: str = ""
+) -> Item:
+    """Return an item whose verdict follows from its digits. The symbol stands behind them in print."""
     verdict = of_number(printed, exact)
-    return Item(id, where, printed + symbol, float(exact), unit, verdict, why, ARITHMETIC)
+    return Item(id, where, printed + symbol, float(exact), unit, verdict, reason, ARITHMETIC)
 
 
 def _moments() -> list[Item]:
+    """Check the moments of section 5 and 6."""
     rows = [
         ("sec5.M", "Sec. 5", src.finger(), ("55", "25", "10"), "F"),
         ("sec6.MT", "Sec. 6", src.thumb(), ("25", "10"), "Fₜ"),
@@ -43,11 +46,11 @@ LABELS = (
     ("sec6.MT1_label", "Sec. 6", "M_T1: moment at each joint from the end", src.thumb, 0, (0, 1)),
     ("sec6.MT2_label", "Sec. 6", "M_T2: moment at end joint link2", src.thumb, 1, (1,)),
 )
-"""Label of each moment: the joint that it belongs to, and those that the label names, from the palm on."""
+"""Label of each moment: its joint, and the joints that the label names, from the palm on."""
 
 
 def _labels() -> list[Item]:
-    """Each moment is that of one joint; a label that names several says that they are equal."""
+    """Check the labels of the moments. A label that names several joints states that their moments are equal."""
     made = []
     for id, where, printed, digit, joint, named in LABELS:
         levers = src.levers(digit())
@@ -63,50 +66,57 @@ def _labels() -> list[Item]:
     return made
 
 
-FORCE, LENGTH, MASS, STRESS = (1, 1, -2), (0, 1, 0), (1, 0, 0), (1, -1, -2)
+FORCE = (1, 1, -2)
+LENGTH = (0, 1, 0)
+MASS = (1, 0, 0)
+STRESS = (1, -1, -2)
 DIMENSIONS: dict[str, Dimension] = {
     "M": (1, 2, -2), "T": FORCE, "F": FORCE, "r_p": LENGTH, "r_a": LENGTH, "g": (0, 1, -2), "mu": NONE, "A": (0, 2, 0),
     "sigma": STRESS,
 }  # fmt: skip
+"""Dimension of each symbol."""
 
 
 def _formulas() -> list[Item]:
-    """Section 5's formulas, by their dimensions and against the hand's statics."""
-    hand, rope = src.hand(), src.hand().digit_tendons["index"]
-    arms = hand.moment_arms[rope, hand.digit_joints["index"]][0].tolist()
-    spool = hand.motor_of(hand.tendon_names[rope][0]).spool_radius_m
-    tension, newtons = 110.0, float(src.GRIP_FINGER_N)
-    known = {
+    """Check section 5's formulas by their dimensions and against the hand's statics."""
+    hand = src.hand()
+    tendons = src.hand().digit_tendons["index"]
+    arms = hand.moment_arms[tendons, hand.digit_joints["index"]][0].tolist()
+    spool = hand.motor_of(hand.tendon_names[tendons][0]).spool_radius_m
+    tension = 110.0
+    newtons = float(src.GRIP_FINGER_N)
+    values = {
         "T": tension, "F": newtons, "r_p": float(src.PULLEY_MM) / 1000, "r_a": float(src.SPOOL_MM) / 1000,
         "g": float(src.GRAVITY), "mu": float(src.FRICTION), "sigma": 1e6 * float(src.STRESS_MPA),
     }  # fmt: skip
     diameter = src.wire_diameter_mm(tension) / 1000
-    known["A"] = math.pi * diameter**2 / 4
+    values["A"] = math.pi * diameter**2 / 4
     rows = (
         ("moment", "M = T r_p", "T*r_p", (1, 2, -2), arms[0] * tension,
          "By virtual work: the tendon's moment arm at each joint is its pulley's radius."),
         ("torque", "T_orque = T r_a", "T*r_a", (1, 2, -2), spool * tension,
-         "By virtual work at the spool. The letter T stands for the tension, T_orque for a torque."),
+         "By virtual work at the spool. The letter T is the tension, T_orque a torque."),
         ("payload", "m = F μ/g", "F*mu/g", MASS, float(src.payload_kg(src.GRIP_FINGER_N)),
          "Coulomb's friction at one contact with normal force F, along its tangent."),
         ("stress", "σ = T/A", "T/A", STRESS, 1e6 * src.wire_stress_mpa(tension, 1000 * diameter),
          "Mean stress of the wire in tension."),
         ("wire", "D_min = √(4T/(π σ_a))", "4*T/(pi*sigma)", (0, 2, 0), diameter**2,
-         "Solves σ_a = T/A with A = π d²/4; judged by its square."),
+         "Solves σ_a = T/A with A = π d²/4. Judged by its square."),
     )  # fmt: skip
     made = []
-    for name, printed, text, dimension, right, why in rows:
+    for name, printed, text, dimension, right, reason in rows:
         expression = Expression(text)
-        good = expression.dimension(DIMENSIONS) == dimension and math.isclose(
-            expression.value(known), right, rel_tol=1e-9
+        holds = expression.dimension(DIMENSIONS) == dimension and math.isclose(
+            expression.value(values), right, rel_tol=1e-9
         )
         where = "Sec. 5, Sec. 6" if name in ("moment", "torque") else "Sec. 5"
         evidence = ("dimensions", "statics")
-        made.append(Item(f"sec5.{name}_formula", where, printed, printed, "", of_statement(good), why, evidence))
+        made.append(Item(f"sec5.{name}_formula", where, printed, printed, "", of_statement(holds), reason, evidence))
     return made
 
 
 def _finger() -> list[Item]:
+    """Check tension and torque of the finger."""
     tension = src.tension_per_newton(src.finger())
     torque = tension * src.SPOOL_MM / 1000
     tension_item = number(
@@ -121,8 +131,10 @@ def _finger() -> list[Item]:
 
 
 def _payload() -> list[Item]:
-    one, three = src.payload_kg(src.GRIP_FINGER_N), src.payload_kg(src.FINGERS * src.GRIP_FINGER_N)
-    first = number("sec5.payload", "Sec. 5", "0.305", one, "kg", "μ F/g = 0.5 × 6/9.81, cut off instead of rounded.")
+    """Check the payloads."""
+    one = src.payload_kg(src.GRIP_FINGER_N)
+    three = src.payload_kg(src.FINGERS * src.GRIP_FINGER_N)
+    first = number("sec5.payload", "Sec. 5", "0.305", one, "kg", "μ F/g = 0.5 × 6/9.81, truncated instead of rounded.")
     verdict = of_carried("0.915", three, 3 * Fraction("0.305"), first.verdict)
     force = src.GRAVITY / (src.FINGERS * src.FRICTION)
     tension = src.tension_for_kg(1)
@@ -137,13 +149,14 @@ def _payload() -> list[Item]:
 
 
 def _wire() -> list[Item]:
+    """Check the wire diameters."""
     tension = src.GRIP_FINGER_N * src.tension_per_newton(src.finger())
     diameter = src.wire_diameter_mm(tension)
     low, high = (src.STRESS_MPA * Fraction(math.pi) * edge**2 / 4 for edge in interval("0.866"))
     return [
         number(
             "sec5.wire", "Sec. 5", "0.866", diameter, "mm",
-            f"√(4 × {float(tension):g}/(π 190)); 0.866 mm belongs to {float(low):.4g} to {float(high):.4g} N."),
+            f"√(4 × {float(tension):g}/(π 190)). 0.866 mm belongs to {float(low):.4g} to {float(high):.4g} N."),
         number(
             "abstract.wire", "Abstract", "0.86", diameter, "mm",
             "The wire of that load: 0.917 kg, which the abstract rounds to 1 kg. Here the digits are right, unlike in "
@@ -153,39 +166,44 @@ def _wire() -> list[Item]:
 
 
 def _area() -> Item:
-    """A = pi d2/4 is an area only if the 2 is an exponent."""
-    printed, right = Expression("pi*d2/4"), Expression("pi*d**2/4")
+    """Check the formula of the area, A = pi d2/4. It is an area only if the 2 is an exponent."""
+    printed = Expression("pi*d2/4")
+    right = Expression("pi*d**2/4")
     lengths = {"d": (0, 1, 0), "d2": (0, 1, 0)}
     try:
-        good = printed.dimension(lengths) == right.dimension(lengths)
+        holds = printed.dimension(lengths) == right.dimension(lengths)
     except DimensionError:
-        good = False
+        holds = False
     return Item(
-        "sec5.area", "Sec. 5", "A = π d2/4", right.pretty(), "", of_statement(good),
-        "The exponent has slipped to the line: as printed it is a length.", ("dimensions",))  # fmt: skip
+        "sec5.area", "Sec. 5", "A = π d2/4", right.pretty(), "", of_statement(holds),
+        "The exponent is on the base line: as printed it is a length.", ("dimensions",))  # fmt: skip
 
 
 def _knee() -> list[Item]:
+    """Check the knees of the force-displacement curve."""
     diameter = src.wire_diameter_mm(src.GRIP_FINGER_N * src.tension_per_newton(src.finger()))
     knee, knee_abstract = src.KNEES_N
     stress = src.wire_stress_mpa(knee, diameter)
     claims = [str(value) for value in src.KNEES_N]
     verdict = of_contradiction(claims, None)
-    why = "Section 5 says 200 N, the abstract 250 N; the paper prints neither data nor a law from which one follows."
+    reason = (
+        "Section 5 states 200 N, the abstract 250 N. The paper prints neither data nor a law from which one follows."
+    )
     return [
         Item(
-            "fig5.knee", "Abstract, Sec. 5", f"linear up to {knee_abstract} N / {knee} N", None, "N", verdict, why,
+            "fig5.knee", "Abstract, Sec. 5", f"linear up to {knee_abstract} N / {knee} N", None, "N", verdict, reason,
             ("contradiction",)),
         Item(
             "fig5.stress", "Sec. 5", f"σ = 190 MPa allowed, wire used up to {knee} N and beyond", stress, "MPa",
             of_statement(stress <= src.STRESS_MPA),
-            f"In the 0.8586 mm wire 190 MPa are reached at 110 N; 200 N are {stress:.0f} MPa and 250 N "
+            f"In the 0.8586 mm wire 190 MPa are reached at 110 N. 200 N are {stress:.0f} MPa and 250 N "
             f"{src.wire_stress_mpa(knee_abstract, diameter):.0f} MPa: the knee lies far beyond what section 5 allows.",
             ARITHMETIC),
     ]  # fmt: skip
 
 
 def _thumb() -> list[Item]:
+    """Check tension and torque of the thumb."""
     tension = src.tension_per_newton(src.thumb())
     torque = tension * src.SPOOL_MM / 1000
     first = number(
@@ -202,16 +220,16 @@ def _thumb() -> list[Item]:
             "Computed from the rounded 8.33.", ARITHMETIC),
         number(
             "sec6.torque10", "Sec. 6", "0.4166", src.GRIP_THUMB_N * torque, "N m",
-            f"5/12, cut off (rounded it were 0.4167). The thumb's wire, not printed, needs {wire:.4f} mm."),
+            f"5/12, truncated (rounded it is 0.4167). The thumb's wire, not printed, needs {wire:.4f} mm."),
     ]  # fmt: skip
 
 
 def _pulley() -> Item:
-    """The radius that is missing in print follows from the printed 8.33 F."""
+    """Compute the radius that is missing in print from the printed 8.33 F."""
     printed = "r_p = mm"
     low, high = sorted(src.levers(src.thumb())[0] / edge for edge in interval("8.33"))
     whole = [radius for radius in range(1, 10) if low <= radius <= high]
     return Item(
         "sec6.pulley", "Sec. 6", printed, float(whole[0]), "mm", of_statement(f"= {whole[0]} mm" in printed),
-        f"The number is missing; 8.33 F implies {float(low):.4f} to {float(high):.4f} mm: the fingers' 3 mm.",
+        f"The number is missing. 8.33 F implies {float(low):.4f} to {float(high):.4f} mm: the fingers' 3 mm.",
         ("back-computed",))  # fmt: skip

@@ -1,4 +1,4 @@
-"""What the paper says in words, where it can be counted or computed."""
+"""Statements of the paper in words, where they can be counted or computed."""
 
 import re
 from collections.abc import Sequence
@@ -14,23 +14,26 @@ from handctl.paper.verdict import of_number, of_readings, of_statement
 
 COUNT = ("count",)
 SYMBOL = re.compile(r"(?<![A-Za-z])[A-Za-z](?:_[A-Za-z]|[₀-₉])?(?![A-Za-z])")
-"""A letter with or without an index, in a printed equation."""
+"""A letter with or without an index in a printed equation."""
 CONTROL_WORDS = ("desired", "error", "gain", "measured", "reference", "feedback")
-"""What the symbols of a control law stand for."""
+"""Meanings of the symbols of a control law."""
 SYMBOL_WORDS = {
     "I": "moment of inertia", "m": "mass", "L": "length", "d": "distance of the centre of mass", "g": "gravity",
 }  # fmt: skip
+"""Meaning of each letter in the paper."""
 
 
 def items() -> list[Item]:
-    """Counts and statements."""
+    """Return counts and statements."""
     return [*_freedom(), _palm(), _fingers(), _phalanges(), _undefined(), _lengths(), _axis(), _control()]
 
 
 def _freedom() -> list[Item]:
+    """Check the degrees of freedom."""
     hand = src.hand()
     joints = [len(digit.joints) for digit in hand.digit]
-    each, total = max(joints), sum(joints)
+    each = max(joints)
+    total = sum(joints)
     ranks = [int(np.linalg.matrix_rank(hand.moment_arms[tendons])) for tendons in hand.digit_tendons.values()]
     spread = " + ".join(map(str, joints))
     return [
@@ -38,18 +41,19 @@ def _freedom() -> list[Item]:
              f"{spread} joints.", COUNT),
         Item("abstract.joints_each", "Abstract, Sec. 1", "each finger having three DOF", min(joints), "",
              of_readings([of_number("3", count) == of_number("3", 3) for count in joints]),
-             f"True of the fingers, not of the thumb: with {each} each it would be {each * len(joints)}, not {total}; "
-             "whether the thumb counts as a finger is not said.", COUNT),
+             f"True of the fingers, not of the thumb: with {each} each it would be {each * len(joints)}, not {total}. "
+             "The paper does not state whether the thumb counts as a finger.", COUNT),
         Item("abstract.freedom_each", "Abstract", "every finger and thumb has one degree of freedom", max(ranks), "",
              of_number("1", max(ranks)),
              f"True of what the motors control: the tendons of each digit have rank 1, {sum(ranks)} in all, for "
-             f"{total} joints. It contradicts the three DOF two sentences before; the paper never tells the two apart.",
+             f"{total} joints. It contradicts the three DOF two sentences before. The paper never "
+             "distinguishes the two.",
              COUNT),
     ]  # fmt: skip
 
 
 def _palm() -> Item:
-    """Section 3 fixes a joint in the palm link: the finger's first, or the palm itself."""
+    """Check section 3's fixed joint in the palm link: the finger's first joint, or the palm itself."""
     joints = len(src.finger().joints)
     angles = {name for term in equations.KINETIC for name in term.right.names if name.startswith("dth")}
     readings = [joints - 1 == len(angles), joints == len(angles)]
@@ -62,13 +66,14 @@ def _palm() -> Item:
 
 
 def _fingers() -> Item:
+    """Check the number of fingers."""
     digits = len(src.hand().digit)
     return Item("sec8.fingers", "Sec. 8", "it is designed with two fingers", digits, "", of_number("2", digits),
-                "The hand has three fingers and a thumb; the sentence belongs to another gripper.", COUNT)  # fmt: skip
+                "The hand has three fingers and a thumb. The sentence belongs to another gripper.", COUNT)  # fmt: skip
 
 
 def _depends(term: Sequence[Term], name: str) -> bool:
-    """Whether an energy changes with a rate."""
+    """Return True if an energy changes with a rate."""
     states = random_states()
     moved = {**states, name: states[name] + 1.0}
     change = sum(np.abs(each.right.value(moved) - each.right.value(states)) for each in term)
@@ -76,7 +81,7 @@ def _depends(term: Sequence[Term], name: str) -> bool:
 
 
 def _phalanges() -> Item:
-    """Links of one finger move each other; separate fingers do not."""
+    """Check that links of one finger move each other. Separate fingers do not."""
     apart = not _depends(equations.KINETIC_2, "dth1") and not _depends(equations.KINETIC_3, "dth2")
     return Item(
         "sec1.fingers", "Sec. 1", "three fingers: the first is proximal, the second middle, the third distal",
@@ -86,23 +91,25 @@ def _phalanges() -> Item:
 
 
 def _undefined() -> Item:
-    """Symbols in the equations that the paper defines nowhere."""
-    known = {name[0] + "₀₁₂₃"[int(name[1])] for name in DIMENSIONS if len(name) == 2} | {"g"}
-    loose = sorted(_symbols() - known)
+    """Find symbols in the equations that the paper never defines."""
+    defined = {name[0] + "₀₁₂₃"[int(name[1])] for name in DIMENSIONS if len(name) == 2} | {"g"}
+    undefined = sorted(_symbols() - defined)
     return Item(
-        "eq10.symbols", "Eq. 10", ", ".join(loose), "L₁, m₁", "", of_statement(not loose),
-        "Of all symbols in Eq. 3 to 12 those that the paper defines nowhere; both are in Eq. 10.", COUNT)  # fmt: skip
+        "eq10.symbols", "Eq. 10", ", ".join(undefined), "L₁, m₁", "", of_statement(not undefined),
+        "Symbols in Eq. 3 to 12 that the paper never defines. Both are in Eq. 10.", COUNT)  # fmt: skip
 
 
 def _symbols() -> set[str]:
-    """Symbols of the printed equations 3 to 12, angles left out."""
+    """Return the symbols of the printed equations 3 to 12, without angles."""
     torques = (term for terms in equations.TORQUES for term in terms)
     terms = (*equations.KINETIC, *equations.POTENTIAL, *torques)
     return {symbol for term in terms if not term.printed.startswith("(") for symbol in SYMBOL.findall(term.printed)}
 
 
 def _lengths() -> Item:
-    listed, needed = {"L₁", "L₂", "L₃", "p₃"}, {f"L{'₀₁₂₃'[i]}" for i in (1, 2, 3)}
+    """Check section 7's list of lengths."""
+    listed = {"L₁", "L₂", "L₃", "p₃"}
+    needed = {f"L{'₀₁₂₃'[i]}" for i in (1, 2, 3)}
     return Item(
         "sec7.lengths", "Sec. 7", "the phalanges L₁, L₂ are L₃, and p₃",
         "lengths L₁, L₂, L₃; d₁, d₂, d₃ to the centres of mass", "", of_statement(listed == needed),
@@ -110,8 +117,10 @@ def _lengths() -> Item:
 
 
 def _axis() -> Item:
-    """Kinetic energy of a bar that turns in its x-y plane, summed over its points, against both moments of inertia."""
-    length, height, width = 30.0, 8.0, 10.0
+    """Compare the kinetic energy of a bar that turns in its x-y plane with both moments of inertia."""
+    length = 30.0
+    height = 8.0
+    width = 10.0
     grid = [np.linspace(-1.0 + 1.0 / 60, 1.0 - 1.0 / 60, 60) * side / 2.0 for side in (length, height, width)]
     x, y, z = np.meshgrid(*grid, indexing="ij")
     energy = float(np.mean(x**2 + y**2)) / 2.0
@@ -126,10 +135,11 @@ def _axis() -> Item:
 
 
 def _control() -> Item:
+    """Check for symbols of a control law."""
     meanings = {SYMBOL_WORDS.get(symbol[0], "") for symbol in _symbols()} | {"angle", "torque"}
     control = [meaning for meaning in meanings if any(word in meaning for word in CONTROL_WORDS)]
     return Item(
         "sec8.control", "Sec. 8", "the force controlling is calculated", float(len(control)), "",
         of_statement(bool(control)),
-        "No symbol of any equation stands for a desired or measured value: there is no control law in the paper.",
+        "No symbol of any equation is a desired or measured value: the paper has no control law.",
         COUNT)  # fmt: skip
