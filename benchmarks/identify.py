@@ -29,7 +29,7 @@ from handctl.session.plan import Plan, fastest
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import Simulator
 from handctl.tune.identify.excitation import excitation
-from handctl.tune.identify.identify import Found, identify
+from handctl.tune.identify.identify import TendonResult, identify
 
 Row = dict[str, Any]
 
@@ -77,7 +77,7 @@ def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float
 
 def excited(
     hand_name: str, digit: str, seed: int, factors: dict[str, float], gains: Gains, folder: Path
-) -> tuple[dict[str, Found], Row]:
+) -> tuple[dict[str, TendonResult], Row]:
     """Excite and fit one digit of one simulated hand: what was found, and what it cost or why it failed.
 
     Args:
@@ -123,7 +123,7 @@ def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
     return row
 
 
-def judged(name: str, tendon: str, real: float, found: Found) -> Row:
+def judged(name: str, tendon: str, real: float, found: TendonResult) -> Row:
     """One parameter beside the truth; widths and error as shares of it."""
     known, error = name in found.judged.names, found.fit.values[name] / real - 1.0
     width = found.fit.half_widths[name] / real

@@ -28,10 +28,10 @@ from handctl.core.model import HandModel
 from handctl.hand.description import Hand
 from handctl.session.plan import fastest
 from handctl.tune.loops.design import linear_factors, worst_of
+from handctl.tune.scoring import Score, exercise
 from handctl.tune.search.ensemble import ensemble
-from handctl.tune.search.search import Found, Plan, search
+from handctl.tune.search.search import SearchPlan, SearchResult, search
 from handctl.tune.search.workers import Workers, workers
-from handctl.tune.trial import Score, exercise
 
 PLANT = {"stiffness": 0.7, "friction": 1.3, "mass": 1.3, "spring": 1.1, "motor_inertia": 0.7, "damping": 1.3}
 """The real plant, fixed before anything was tuned."""
@@ -87,11 +87,11 @@ def compare(
         with tempfile.TemporaryDirectory() as passing:
             folder = into or Path(passing)
             folder.mkdir(parents=True, exist_ok=True)
-            blind = Plan(hand.to_toml(), rate, detuned, ensemble(plants, 0), 1, trials, (packaged,))
-            knowing = Plan(blind.hand, rate, detuned, (PLANT,), 1, trials, (packaged,))
+            blind = SearchPlan(hand.to_toml(), rate, detuned, ensemble(plants, 0), 1, trials, (packaged,))
+            knowing = SearchPlan(blind.hand, rate, detuned, (PLANT,), 1, trials, (packaged,))
             found, spent = _searched(blind, folder / "blind", crew)
             known, _ = _searched(knowing, folder / "knowing", crew)
-            around = Plan(twin.to_toml(), rate, detuned, ensemble(plants, 0, spread), 1, trials, (packaged,))
+            around = SearchPlan(twin.to_toml(), rate, detuned, ensemble(plants, 0, spread), 1, trials, (packaged,))
             fitted = _searched(around, folder / "identified", crew)[0] if fit else None
         jobs = [_judged(knowing, gains) for gains in (detuned, packaged, _best(detuned, found), _best(detuned, known))]
         scores = [Score(**score) for _, score in sorted(crew.scores(jobs), key=lambda pair: pair[0])]
@@ -117,10 +117,10 @@ def compare(
     }
 
 
-def _searched(plan: Plan, storage: Path, crew: Workers) -> tuple[Found, float]:
+def _searched(plan: SearchPlan, storage: Path, crew: Workers) -> tuple[SearchResult, float]:
     began = time.monotonic()
 
-    def show(found: Found) -> None:
+    def show(found: SearchResult) -> None:
         best = f"{found.cost(found.best):.3f}" if found.best else "none good yet"
         print(f"\r{storage.name}: trial {len(found.trials)} of {plan.trials}, best {best}   ", end="", file=sys.stderr)
 
@@ -129,13 +129,13 @@ def _searched(plan: Plan, storage: Path, crew: Workers) -> tuple[Found, float]:
     return found, time.monotonic() - began
 
 
-def _best(base: Gains, found: Found) -> Gains:
+def _best(base: Gains, found: SearchResult) -> Gains:
     if found.best is None:
         raise SystemExit("no trial kept its margins; expected more --trials")
     return with_values(base, found.best.values, "study") if found.best.number else base
 
 
-def _judged(plan: Plan, gains: Gains) -> dict[str, Any]:
+def _judged(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
     """A job on the real plant, with noise that no search has seen, whatever the margins."""
     table = {"gains": gains.model_dump(by_alias=True), "seed": JUDGE_SEED, "must_keep_margins": False}
     return plan.job(0, {}) | table

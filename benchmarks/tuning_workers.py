@@ -18,7 +18,7 @@ from handctl.core.gains.bounds import with_values
 from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
 from handctl.tune.search.ensemble import ensemble
-from handctl.tune.search.workers import Processes
+from handctl.tune.search.workers import ProcessPool
 
 Row = dict[str, Any]
 
@@ -41,7 +41,7 @@ def cpu_s(pid: int) -> float:
 def timed(count: int, work: list[Row]) -> tuple[Row, list[Row]]:
     """How long workers take, and the scores in order."""
     began = time.monotonic()
-    crew = Processes(count)
+    crew = ProcessPool(count)
     try:
         scores = dict(crew.scores(work))
         spent = [cpu_s(pid) for pid in crew.pids]

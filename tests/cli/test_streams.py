@@ -14,7 +14,7 @@ from handctl.cli.console.ended import Terminated, ended_by_signals
 from handctl.cli.console.screen import screen
 from handctl.cli.main import main
 from handctl.paper.bench.pool import pool
-from handctl.tune.search.workers import Processes
+from handctl.tune.search.workers import ProcessPool
 
 VERSION = (sys.executable, "-m", "handctl.cli", "--version")
 BUFFERED = {key: value for key, value in os.environ.items() if key != "PYTHONUNBUFFERED"}
@@ -136,7 +136,7 @@ def test_a_search_that_is_interrupted_says_how_it_goes_on(monkeypatch, capsys):
     assert capsys.readouterr() == ("", "handctl: interrupted; the same command goes on with jamia.study\n")
 
 
-@pytest.mark.parametrize("workers", [lambda: closing(Processes(1)), lambda: pool(1, print)], ids=["search", "paper"])
+@pytest.mark.parametrize("workers", [lambda: closing(ProcessPool(1)), lambda: pool(1, print)], ids=["search", "paper"])
 def test_the_ctrl_c_of_a_terminal_is_not_for_workers(monkeypatch, workers):
     children = []
     begin = subprocess.Popen

@@ -19,8 +19,8 @@ from handctl.log.read.reader import RunLog
 from handctl.log.write.writer import LogWriter
 from handctl.programs.calibration import Calibration, TendonCalibration, load_calibration
 from handctl.session.calibration import write_calibration
-from handctl.tune.search.search import Found, Trial
-from handctl.tune.trial import Score
+from handctl.tune.scoring import Score
+from handctl.tune.search.search import SearchResult, Trial
 from tests.cli.refused import refused
 
 GOLDEN = str(Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap")
@@ -31,7 +31,7 @@ A = Namespace(candidate="new.toml", hand="jamia")
 def searched(monkeypatch):
     """A search that is over at once, with the trials that are put into it."""
     trials = []
-    monkeypatch.setattr("handctl.tune.search.search.search", lambda *words: Found.of(tuple(trials)))
+    monkeypatch.setattr("handctl.tune.search.search.search", lambda *words: SearchResult.of(tuple(trials)))
     monkeypatch.setattr("handctl.cli.tuning.tune_search._designed", lambda *words: ())
     return trials
 
@@ -58,7 +58,7 @@ def test_a_design_without_stable_gains_writes_nothing(place, capsys, monkeypatch
 
 
 def test_poles_that_are_not_stable_in_simulation_are_not_written(place, capsys, monkeypatch):
-    monkeypatch.setattr("handctl.tune.loops.steps.Proof._ask", lambda self, model: ": plant 1 of 1 swings by 9 N")
+    monkeypatch.setattr("handctl.tune.loops.steps.Proof._simulate", lambda self, model: ": plant 1 of 1 swings by 9 N")
     assert main(["tune", "design", "--plants", "1", "--poles-Hz", "5,25"]) == 1
     assert "not stable on every plant: plant 1 of 1 swings by 9 N; nothing is written" in capsys.readouterr().err
     assert not list(place.iterdir())
@@ -177,13 +177,14 @@ def test_what_a_simulated_hand_is_made_of_is_not_kept_for_the_real_one(place, ca
 def found_of(digit, stiffness, blocked="", met="", names=("rope_stiffness",)):
     """A fit of a digit's tendon: what it would keep, and what the digit met while it was excited."""
     from handctl.tune.identify.fit import NAMES
-    from handctl.tune.identify.identify import Found
+    from handctl.tune.identify.identify import TendonResult
 
     values = dict.fromkeys(NAMES, 1.0) | {"rope_stiffness": stiffness}
     problem = SimpleNamespace(nominal=np.ones(len(NAMES)))
     fit = SimpleNamespace(problem=problem, covariance=np.eye(len(NAMES)), values=values, half_widths=values)
     judged = SimpleNamespace(names=names, missing=())
-    return Found(SimpleNamespace(digit=digit), fit, judged, 1.0, (np.zeros(1), np.zeros(1)), blocked=blocked, met=met)
+    spectrum = (np.zeros(1), np.zeros(1))
+    return TendonResult(SimpleNamespace(digit=digit), fit, judged, 1.0, spectrum, blocked=blocked, met=met)
 
 
 def _identifies(monkeypatch, made, found):

@@ -71,7 +71,7 @@ def test_a_sequence_that_breaks_a_rule_says_which(arming, monkeypatch):
         monkeypatch.setattr(sequences, "RUNAWAY", explains)
         branch(arming, [sequence], 1, run_sequence, found.append, lambda simulation, result: None)
     assert (found[0].ok, found[1].ok) == (True, False)
-    assert found[1].problem.endswith("N in a rope, at most 140 N are explained")
+    assert found[1].problem.endswith("N in a tendon, at most 140 N are explained")
     assert found[0].tension == found[1].tension
 
 

@@ -11,7 +11,7 @@ from handctl.core.identified import Identified
 from handctl.core.model import HandModel
 from handctl.tune.loops.design import design, keeps, linear_factors, placed, redesigned, with_poles, worst_of
 from handctl.tune.loops.linear import LoopKind, PlantFactors
-from handctl.tune.search.ensemble import LEAST_SPREAD, ensemble, widths
+from handctl.tune.search.ensemble import MIN_SPREAD, ensemble, widths
 
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
@@ -75,7 +75,7 @@ def test_placed_poles_that_no_weights_have_are_refused(
 
 def test_an_ensemble_is_never_narrower_than_service_makes_it() -> None:
     drawn = ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4})
-    assert drawn[0] == dict.fromkeys(LEAST_SPREAD, 1.0)
+    assert drawn[0] == dict.fromkeys(MIN_SPREAD, 1.0)
     assert ensemble(65, 3, {"stiffness": 0.01, "mass": 0.4}) == drawn != ensemble(65, 4)
     stiffness, mass = (np.array([one[key] for one in drawn]) for key in ("stiffness", "mass"))
     assert 0.8 <= stiffness.min() < 0.83

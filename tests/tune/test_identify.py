@@ -20,7 +20,7 @@ from handctl.tune.identify.figure import _parameters
 from handctl.tune.identify.fit import NAMES
 from handctl.tune.identify.fit_load import Bins, DigitLoad, LoadParameters
 from handctl.tune.identify.fit_motor import HALF_S, _bend, _cumulative, _slope, _window
-from handctl.tune.identify.identifiability import _why
+from handctl.tune.identify.identifiability import _reason
 
 SEEDS = 100
 COVERED = 90
@@ -159,9 +159,9 @@ def test_what_is_tuned_is_the_hand_as_identified(tmp_path: Path) -> None:
 def test_a_delay_is_missed_by_its_own_measure() -> None:
     """A delay of nothing is known as well as any: parts of its value say nothing."""
     rows = np.ones((3, len(NAMES)))
-    assert _why(rows, "delay") == "the 95 % interval is wider than 0.5 ms to either side"
-    assert "50 % of the value" in _why(rows, "capstan")
-    assert "nothing in the data" in _why(0.0 * rows, "delay")
+    assert _reason(rows, "delay") == "the 95 % interval is wider than 0.5 ms to either side"
+    assert "50 % of the value" in _reason(rows, "capstan")
+    assert "no data depend" in _reason(0.0 * rows, "delay")
 
 
 def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:

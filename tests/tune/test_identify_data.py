@@ -7,7 +7,7 @@ import numpy as np
 from handctl.core.types import Mode
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
-from handctl.tune.identify.data import LATE_S, STOP_DEG, tendon_data
+from handctl.tune.identify.data import STOP_DEG, TRANSIENT_S, tendon_data
 
 GRASP = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
@@ -23,7 +23,7 @@ def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
             joints = hand.digit_joints[digit.name]
             found += int((data.free & active).sum())
             for k in np.flatnonzero(data.free):
-                while_before = slice(k - round(LATE_S / period) + 1, k + 1)
+                while_before = slice(k - round(TRANSIENT_S / period) + 1, k + 1)
                 assert not held[while_before, joints].any()
                 assert (angles[while_before, joints] > np.array(digit.joint_min_deg) + STOP_DEG).all()
                 assert (angles[while_before, joints] < np.array(digit.joint_max_deg) - STOP_DEG).all()

@@ -13,33 +13,33 @@ import pytest
 from handctl.core.gains.gains import Gains, MotionGains
 from handctl.errors import ConfigError
 from handctl.hand.load import load_hand
+from handctl.tune.scoring import Score, evaluate
 from handctl.tune.search.ensemble import ensemble
-from handctl.tune.search.search import RANDOM_BATCHES, Found, Plan, Trial, _sampler, _study, search
-from handctl.tune.search.space import SPACE, within
-from handctl.tune.search.workers import Cluster, Here, Processes, Workers
-from handctl.tune.trial import Score, evaluate
+from handctl.tune.search.search import RANDOM_BATCHES, SearchPlan, SearchResult, Trial, _sampler, _study, search
+from handctl.tune.search.space import SPACE, clamped
+from handctl.tune.search.workers import Cluster, InProcessWorkers, ProcessPool, Workers
 
 TRIALS = 3
 
 
 @pytest.fixture(scope="session")
-def plan() -> Plan:
+def plan() -> SearchPlan:
     """Few trials on the nominal plant."""
-    return Plan(load_hand("jamia").to_toml(), 500.0, Gains(), ensemble(1, 0), seed=5, trials=TRIALS)
+    return SearchPlan(load_hand("jamia").to_toml(), 500.0, Gains(), ensemble(1, 0), seed=5, trials=TRIALS)
 
 
-def _nothing(found: Found) -> None:
+def _nothing(found: SearchResult) -> None:
     return
 
 
 @pytest.fixture(scope="session")
-def found(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Found:
+def found(plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory) -> SearchResult:
     """Searched in this process."""
-    return search(plan, tmp_path_factory.mktemp("study") / "one", Here(), _nothing)
+    return search(plan, tmp_path_factory.mktemp("study") / "one", InProcessWorkers(), _nothing)
 
 
-def test_two_processes_find_what_one_finds(plan: Plan, found: Found, tmp_path: Path) -> None:
-    crew = Processes(2)
+def test_two_processes_find_what_one_finds(plan: SearchPlan, found: SearchResult, tmp_path: Path) -> None:
+    crew = ProcessPool(2)
     try:
         assert search(plan, tmp_path / "two", crew, _nothing) == found
     finally:
@@ -48,7 +48,9 @@ def test_two_processes_find_what_one_finds(plan: Plan, found: Found, tmp_path: P
     assert not found.trials[0].score.failure
 
 
-def test_the_sampler_knows_which_trials_keep_their_margins(plan: Plan, found: Found, tmp_path: Path) -> None:
+def test_the_sampler_knows_which_trials_keep_their_margins(
+    plan: SearchPlan, found: SearchResult, tmp_path: Path
+) -> None:
     """Those that were drawn at random, too; and Optuna has nothing to warn of."""
     search(plan, tmp_path / "study", Remembered(found), _nothing)
     told = [one for one in _study(plan, tmp_path / "study").trials if one.state.is_finished()]
@@ -61,7 +63,7 @@ def test_the_sampler_knows_which_trials_keep_their_margins(plan: Plan, found: Fo
 class Remembered:
     """Knows the scores already."""
 
-    def __init__(self, found: Found) -> None:
+    def __init__(self, found: SearchResult) -> None:
         self.found = found
 
     def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
@@ -90,13 +92,13 @@ class Tired:
 
 
 @pytest.mark.nightly
-def test_an_interrupted_search_goes_on_to_the_same_end(plan: Plan, found: Found, tmp_path: Path) -> None:
+def test_an_interrupted_search_goes_on_to_the_same_end(plan: SearchPlan, found: SearchResult, tmp_path: Path) -> None:
     crew: Workers = Tired(2)
     seen: list[int] = []
     with pytest.raises(KeyboardInterrupt):
         search(plan, tmp_path / "study", crew, lambda now: seen.append(len(now.trials)))
     assert seen == [1, 2]
-    assert search(plan, tmp_path / "study", Here(), lambda now: seen.append(len(now.trials))) == found
+    assert search(plan, tmp_path / "study", InProcessWorkers(), lambda now: seen.append(len(now.trials))) == found
     assert seen == [1, 2, 3]
 
 
@@ -114,7 +116,7 @@ class Quick:
 
 
 @pytest.fixture(scope="module")
-def long(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Plan, Found, bytes]:
+def long(plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory) -> tuple[SearchPlan, SearchResult, bytes]:
     """A search beyond the random batches, with what it found and its journal."""
     longer = replace(plan, trials=8 * RANDOM_BATCHES + 2, others=(Gains(motion=MotionGains(force_N=20.0)),))
     path = tmp_path_factory.mktemp("study") / "whole"
@@ -123,7 +125,7 @@ def long(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Plan, Fo
 
 @pytest.mark.parametrize("share", [0.01, 0.03, 0.1, 0.25, 0.45, 0.6, 0.9, 0.99])
 def test_a_journal_that_ends_anywhere_goes_on_to_the_same_end(
-    long: tuple[Plan, Found, bytes], tmp_path: Path, share: float
+    long: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, share: float
 ) -> None:
     """Also while a batch is being asked, and in the middle of a line."""
     longer, found, journal = long
@@ -134,7 +136,9 @@ def test_a_journal_that_ends_anywhere_goes_on_to_the_same_end(
     assert search(longer, path, Quick(), _nothing) == found
 
 
-def test_a_search_that_is_made_longer_is_that_of_one_run(long: tuple[Plan, Found, bytes], tmp_path: Path) -> None:
+def test_a_search_that_is_made_longer_is_that_of_one_run(
+    long: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path
+) -> None:
     longer, found, _ = long
     assert len(search(replace(longer, trials=10), tmp_path / "study", Quick(), _nothing).trials) == 10
     assert search(longer, tmp_path / "study", Quick(), _nothing) == found
@@ -151,7 +155,7 @@ def test_a_search_that_is_made_longer_is_that_of_one_run(long: tuple[Plan, Found
     ],
 )
 def test_a_damaged_journal_is_refused_and_keeps_what_it_holds(
-    long: tuple[Plan, Found, bytes], tmp_path: Path, was: bytes, now: bytes
+    long: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, was: bytes, now: bytes
 ) -> None:
     longer, _, journal = long
     damaged = journal.replace(was, now)
@@ -163,8 +167,8 @@ def test_a_damaged_journal_is_refused_and_keeps_what_it_holds(
 
 
 @pytest.mark.nightly
-def test_the_death_of_a_worker_loses_nothing(plan: Plan, found: Found) -> None:
-    crew = Processes(1)
+def test_the_death_of_a_worker_loses_nothing(plan: SearchPlan, found: SearchResult) -> None:
+    crew = ProcessPool(1)
     try:
         os.kill(crew.pids[0], signal.SIGKILL)
         jobs = [plan.job(i, one.values) for i, one in enumerate(found.trials)]
@@ -179,7 +183,7 @@ def test_the_death_of_a_worker_loses_nothing(plan: Plan, found: Found) -> None:
 
 
 @pytest.mark.nightly
-def test_a_dask_cluster_finds_what_one_process_finds(plan: Plan, found: Found, tmp_path: Path) -> None:
+def test_a_dask_cluster_finds_what_one_process_finds(plan: SearchPlan, found: SearchResult, tmp_path: Path) -> None:
     from distributed import LocalCluster
 
     with LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster:
@@ -190,27 +194,27 @@ def test_a_dask_cluster_finds_what_one_process_finds(plan: Plan, found: Found, t
             crew.close()
 
 
-def test_two_searches_do_not_share_a_journal(plan: Plan, tmp_path: Path) -> None:
-    class Meanwhile(Here):
+def test_two_searches_do_not_share_a_journal(plan: SearchPlan, tmp_path: Path) -> None:
+    class Meanwhile(InProcessWorkers):
         """Another search begins while this one computes."""
 
         def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
             with pytest.raises(ConfigError, match="another search uses it"):
-                search(plan, tmp_path / "one", Here(), _nothing)
+                search(plan, tmp_path / "one", InProcessWorkers(), _nothing)
             yield from super().scores(jobs)
 
     assert len(search(replace(plan, trials=1), tmp_path / "one", Meanwhile(), _nothing).trials) == 1
 
 
-def test_a_study_of_something_else_is_refused(plan: Plan, tmp_path: Path) -> None:
-    other = Plan(plan.hand, plan.rate_hz, plan.gains, plan.plants, seed=6, trials=1)
+def test_a_study_of_something_else_is_refused(plan: SearchPlan, tmp_path: Path) -> None:
+    other = SearchPlan(plan.hand, plan.rate_hz, plan.gains, plan.plants, seed=6, trials=1)
     with pytest.raises(KeyboardInterrupt):
         search(plan, tmp_path / "study", Tired(0), _nothing)
     with pytest.raises(ConfigError, match="another search"):
-        search(other, tmp_path / "study", Here(), _nothing)
+        search(other, tmp_path / "study", InProcessWorkers(), _nothing)
     (tmp_path / "text").write_text("no journal\n")
     with pytest.raises(ConfigError, match="cannot be used"):
-        search(plan, tmp_path / "text", Here(), _nothing)
+        search(plan, tmp_path / "text", InProcessWorkers(), _nothing)
 
 
 def test_only_good_trials_are_chosen() -> None:
@@ -221,7 +225,7 @@ def test_only_good_trials_are_chosen() -> None:
     best, front = trial(1, 1.0, 2.0, 10.0, 60.0, -0.1), trial(2, 0.5, 5.0, 10.0, 60.0, -0.1)
     short, failed = trial(3, 0.1, 0.1, 0.1, 60.0, 0.1), trial(4, 0.1, 0.1, 0.1, 60.0, -1.0, failure="not taut")
     beaten = trial(5, 1.1, 2.1, 11.0, 60.0, -0.1)
-    found = Found.of((first, best, front, short, failed, beaten))
+    found = SearchResult.of((first, best, front, short, failed, beaten))
     assert found.best == best
     assert found.front == (1, 2)
     assert found.cost(first) == pytest.approx(1.0)
@@ -229,20 +233,20 @@ def test_only_good_trials_are_chosen() -> None:
 
 def test_costs_are_those_of_the_first_good_trial_if_the_first_failed() -> None:
     lost = Trial(0, {}, Score(1e3, 1e3, 1e3, 60.0, 0.0, "not taut"))
-    good = [Trial(1, {}, Score(1.0, 2.0, 3.0, 60.0, -0.1)), Trial(2, {}, Score(0.5, 1.0, 1.5, 60.0, -0.1))]
-    found = Found.of((lost, *good))
-    assert [found.cost(one) for one in good] == pytest.approx([1.0, 0.5])
-    assert found.best == good[1]
+    feasible = [Trial(1, {}, Score(1.0, 2.0, 3.0, 60.0, -0.1)), Trial(2, {}, Score(0.5, 1.0, 1.5, 60.0, -0.1))]
+    found = SearchResult.of((lost, *feasible))
+    assert [found.cost(one) for one in feasible] == pytest.approx([1.0, 0.5])
+    assert found.best == feasible[1]
 
 
-def test_gains_outside_of_what_is_searched_are_what_the_first_trial_tried(plan: Plan) -> None:
+def test_gains_outside_of_what_is_searched_are_what_the_first_trial_tried(plan: SearchPlan) -> None:
     bold = replace(plan, gains=Gains(motion=MotionGains(speed_error_m_s=0.01)))
-    assert bold.gains_of(0, within(bold.gains)) == bold.gains
-    assert bold.job(0, within(bold.gains))["gains"] == bold.gains.model_dump(by_alias=True)
-    assert bold.gains_of(1, within(bold.gains)).motion.speed_error_m_s == SPACE["motion.speed_error_m_s"].low
+    assert bold.gains_of(0, clamped(bold.gains)) == bold.gains
+    assert bold.job(0, clamped(bold.gains))["gains"] == bold.gains.model_dump(by_alias=True)
+    assert bold.gains_of(1, clamped(bold.gains)).motion.speed_error_m_s == SPACE["motion.speed_error_m_s"].low
 
 
 def test_every_key_of_the_space_is_a_gain_and_the_packaged_ones_are_inside() -> None:
-    assert all(one.low <= within(Gains())[key] <= one.high for key, one in SPACE.items())
+    assert all(one.low <= clamped(Gains())[key] <= one.high for key, one in SPACE.items())
     wild = Gains(motion=MotionGains(position_error_m=0.09))
-    assert within(wild)["motion.position_error_m"] == SPACE["motion.position_error_m"].high
+    assert clamped(wild)["motion.position_error_m"] == SPACE["motion.position_error_m"].high

@@ -11,7 +11,7 @@ from handctl.core.model import HandModel
 from handctl.hand.load import hand_from, load_hand, packaged_hands
 from handctl.tune.loops.design import Design, design, linear_factors, unlike_tendons
 from handctl.tune.loops.linear import LoopKind, System, _half_closed, controller, loop
-from handctl.tune.loops.margins import MOST_DB, Margins, confirmed, is_stable, margins
+from handctl.tune.loops.margins import MAX_GAIN_DB, Margins, confirmed, is_stable, margins
 from handctl.tune.loops.steps import Proof, Swing, rings, swing
 from handctl.tune.search.ensemble import ensemble
 from tests.conftest import NIGHTLY
@@ -88,8 +88,8 @@ def brute_force(system: System) -> tuple[float, float]:
     def radius(factor: complex) -> float:
         return float(np.abs(np.linalg.eigvals(system.A - factor * (system.B @ system.C))).max())
 
-    decibels = np.arange(0.0, MOST_DB, 0.1)
-    gain = next((x for x in decibels if max(radius(10 ** (x / 20)), radius(10 ** (-x / 20))) >= 1.0), MOST_DB)
+    decibels = np.arange(0.0, MAX_GAIN_DB, 0.1)
+    gain = next((x for x in decibels if max(radius(10 ** (x / 20)), radius(10 ** (-x / 20))) >= 1.0), MAX_GAIN_DB)
     phase = next((x for x in np.arange(0.0, 180.0, 0.5) if radius(np.exp(1j * math.radians(x))) >= 1.0), 180.0)
     return float(gain), float(phase)
 
@@ -166,7 +166,7 @@ def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: 
     """Chatter that the plant makes without feedback is not the loop's."""
     model = HandModel.of(load_hand(hand), Gains(), RATES.get(hand, 200.0))
     proof = proof_of(model)
-    assert proof(model), proof.told
+    assert proof(model), proof.reason
 
 
 @pytest.mark.parametrize("hand", HANDS)
@@ -187,7 +187,7 @@ def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
     monkeypatch.setattr("handctl.tune.loops.steps.swing", fake)
     proof = proof_of(model)
     assert proof(model) == good
-    assert ("0.5 of the friction swings" in proof.told) != good
+    assert ("0.5 of the friction swings" in proof.reason) != good
 
 
 def proof_with(
@@ -210,7 +210,7 @@ def test_what_one_tendon_chatters_hides_no_swing_of_another(monkeypatch: pytest.
     assert proof_with(monkeypatch, jamia, own, (5.0, 0.1, 4.4, 0.1))(jamia)
     proof = proof_with(monkeypatch, jamia, own, (4.1, 3.9, 3.9, 3.9))
     assert not proof(jamia)
-    assert "0.5 of the friction swings" in proof.told
+    assert "0.5 of the friction swings" in proof.reason
 
 
 def test_a_loop_that_rings_is_not_hidden_by_chatter(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
@@ -223,7 +223,7 @@ def test_a_loop_that_rings_is_not_hidden_by_chatter(monkeypatch: pytest.MonkeyPa
     assert not rings(jamia, linear_factors({"friction": 0.5}))
     proof = proof_with(monkeypatch, ringing, own, own)
     assert not proof(ringing)
-    assert "of a loop that rings" in proof.told
+    assert "of a loop that rings" in proof.reason
     assert proof_with(monkeypatch, jamia, own, own)(jamia)
 
 
@@ -238,7 +238,7 @@ def test_what_fails_on_the_plant_with_the_least_friction_is_refused(
     )
     proof = proof_of(jamia)
     assert not proof(jamia)
-    assert "N14b" in proof.told
+    assert "N14b" in proof.reason
 
 
 COUPLED = [((1.0,), (0.5,), (0.25,)), ((0.2,), (1.0,), (1.0,)), ((1.0,), (-0.4,), (0.6,))]

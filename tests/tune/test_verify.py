@@ -14,18 +14,18 @@ from handctl.replay.execute import execute
 from handctl.session.plan import Plan, fastest
 from handctl.session.run import make_controller, run_lockstep
 from handctl.session.simulate import Simulator
-from handctl.tune.verify import Watch, scores
+from handctl.tune.verify import VerifyObserver, scores
 
 CALM = Gains(motion=MotionGains(force_N=12.0, disturbance_rejection=0.5), tension=TensionGains(force_N=2.7))
 WILD = Gains(motion=MotionGains(force_N=450.0), tension=TensionGains(force_N=300.0))
 
 
-def _verified(new: Gains, log: Path) -> Watch:
+def _verified(new: Gains, log: Path) -> VerifyObserver:
     hand = load_hand("jamia")
     rate = fastest(bus_loads(hand))
     plan = Plan(hand, CALM, rate, (0.5,))
     amplitudes = (0.2, 0.2)
-    watch = Watch(hand, CALM, new, amplitudes=amplitudes, old_rounds=1)
+    watch = VerifyObserver(hand, CALM, new, amplitudes=amplitudes, old_rounds=1)
     with Simulator(hand, homed=True).clock(plan.period_ns) as clock:
         run_lockstep(plan, make_controller(plan, Exercise(amplitudes), None, True), log, clock, watch)
     return watch

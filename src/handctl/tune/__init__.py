@@ -1,1 +1,1 @@
-"""From a hand with unknown friction and doubtful gains to gains with evidence: identify, design, search, verify."""
+"""Tuning of a hand with unknown friction: identify, design, search, verify."""

@@ -1,7 +1,8 @@
-"""The gains of a hand on disk: the present ones, and every one before them, numbered, so that a way back exists.
+"""Gains of a hand on disk: the present ones and a numbered history, so that every change can be undone.
 
-``HAND.gains.toml`` is what runs use; ``HAND.gains/0001.toml`` and so on is what was ever applied. Both are written
-beside and moved into place: whoever reads finds the old file or the new one, never a part.
+Runs use `HAND.gains.toml`. Every set of gains that was ever applied is in `HAND.gains/0001.toml`
+and so on. Both are written to a temporary file and renamed, so a reader finds either the old file
+or the new one.
 """
 
 import datetime
@@ -15,15 +16,16 @@ from handctl.errors import ConfigError
 from handctl.output import write_whole
 
 BY_HAND = "edited by hand"
+"""Note of gains that a user edited."""
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """Gains that were applied.
+    """Gains of the history.
 
     Attributes:
-        path: of the file in the history.
-        file: gains and provenance; the number is ``file.provenance.number``.
+        path: file in the history.
+        file: gains and provenance. The number is `file.provenance.number`.
     """
 
     path: Path
@@ -31,7 +33,7 @@ class Entry:
 
     @property
     def number(self) -> int:
-        """Number in the history."""
+        """Return the number in the history."""
         return self.file.provenance.number
 
 
@@ -39,41 +41,52 @@ class GainsStore:
     """Present and former gains of a hand.
 
     Attributes:
-        path: of the present ones.
-        history: folder of all of them.
+        path: file of the present gains.
+        history: folder of all gains.
     """
 
     def __init__(self, hand: str, identity: str = "", folder: Path = Path()) -> None:
-        """Args: name and identity of the hand; where its files are."""
-        self.hand, self.identity = hand, identity
-        self.path, self.history = folder / f"{hand}.gains.toml", folder / f"{hand}.gains"
+        """Set the paths of a hand's gains.
+
+        Args:
+            hand: name of the hand.
+            identity: hash of the description.
+            folder: folder of its files.
+        """
+        self.hand = hand
+        self.identity = identity
+        self.path = folder / f"{hand}.gains.toml"
+        self.history = folder / f"{hand}.gains"
 
     def present(self) -> GainsFile | None:
-        """The gains that runs use; None if they are the packaged ones.
+        """Return the gains that runs use, None if they are the packaged ones.
 
         Raises:
-            ConfigError: the file cannot be used.
+            ConfigError: The file cannot be used.
         """
         return load_gains_file(self.path) if self.path.exists() else None
 
     def entries(self) -> list[Entry]:
-        """Everything that was ever applied, oldest first.
+        """Return all gains that were ever applied, oldest first.
 
         Raises:
-            ConfigError: a file of the history cannot be used.
+            ConfigError: A file of the history cannot be used.
         """
         paths = sorted(self.history.glob("[0-9][0-9][0-9][0-9].toml"))
         return [Entry(path, load_gains_file(path)) for path in paths]
 
     def set_aside(self) -> Path | None:
-        """Move a present file that cannot be used out of the way, so that there is a way back; its new name.
+        """Rename a present file that cannot be used, and return its new path.
+
+        None means that the file can be used. Afterwards rollback works again.
 
         Raises:
-            ConfigError: it cannot be moved.
+            ConfigError: The file cannot be renamed.
         """
         try:
             self.present()
         except ConfigError:
+            # The first free name of NAME.damaged.toml, NAME.damaged1.toml, and so on.
             numbers = (Path(f"{self.path.with_suffix('')}.damaged{n or ''}.toml") for n in itertools.count())
             aside = next(path for path in numbers if not path.exists())
             try:
@@ -83,66 +96,72 @@ class GainsStore:
         return None
 
     def apply(self, gains: Gains, provenance: Provenance) -> GainsFile:
-        """Make gains the present ones; those that were edited by hand are kept in the history first.
+        """Make gains the present ones. Gains that a user edited are first kept in the history.
 
         Raises:
-            ConfigError: the files cannot be written, or the present ones not be read; see ``set_aside``.
+            ConfigError: The files cannot be written, or the present file cannot be read, see
+                `set_aside`.
         """
         self._keep_edited()
         return self._put(gains, provenance)
 
     def rollback(self, to: int | None = None) -> GainsFile:
-        """Bring back what was there before, or the gains of a number; 0 is the packaged ones.
+        """Restore the gains before the present ones, or those of a number. 0 is the packaged gains.
 
         Raises:
-            ConfigError: there is nothing to go back to, or no such number.
+            ConfigError: There are no earlier gains, or the number does not exist.
         """
         self._keep_edited()
-        entries, present = {entry.number: entry for entry in self.entries()}, self.present()
+        entries = {entry.number: entry for entry in self.entries()}
+        present = self.present()
         if to is None and (present is None or present.provenance.number not in entries):
             raise ConfigError("nothing was applied before", str(self.history), "handctl gains apply first")
         number = _before(entries, present) if to is None and present is not None else to or 0
         if number and number not in entries:
-            known = ", ".join(map(str, [0, *entries]))
-            raise ConfigError(f"no gains number {number}", str(self.history), f"one of {known}")
+            numbers = ", ".join(map(str, [0, *entries]))
+            raise ConfigError(f"no gains number {number}", str(self.history), f"one of {numbers}")
         old = entries[number].file if number else GainsFile()
         note = f"rollback to {number}" if number else "rollback to the packaged gains"
         return self._put(old.gains, old.provenance.model_copy(update={"note": note}), restores=number)
 
     def _keep_edited(self) -> None:
-        """Take present gains that are not those of the history into it."""
+        """Add present gains that are not in the history to the history."""
         present = self.present()
         if present is None:
             return
-        kept = {entry.number: entry.file.gains for entry in self.entries()}
-        if kept.get(present.provenance.number) != present.gains:
+        gains_by_number = {entry.number: entry.file.gains for entry in self.entries()}
+        if gains_by_number.get(present.provenance.number) != present.gains:
             self._put(present.gains, present.provenance.model_copy(update={"note": BY_HAND}))
 
     def _put(self, gains: Gains, provenance: Provenance, restores: int | None = None) -> GainsFile:
         """Write the next number of the history, then the present gains.
 
-        A present file that is none of the history, as one that was copied here, came after the newest of it.
+        A present file that is not in the history, e.g. a copy, counts as newer than the newest
+        entry.
         """
-        present, entries = self.present(), self.entries()
+        present = self.present()
+        entries = self.entries()
         numbers = [0, *(entry.number for entry in entries)]
-        before = present.provenance.number if present else 0
-        if present and (before not in numbers[1:]):
-            before = numbers[-1]
-        told = provenance.model_copy(
+        replaced = present.provenance.number if present else 0
+        if present and (replaced not in numbers[1:]):
+            replaced = numbers[-1]
+        written = provenance.model_copy(
             update={
                 "made": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
                 "version": version("handctl"),
                 "hand": self.hand,
                 "identity": provenance.identity or self.identity,
                 "number": entries[-1].number + 1 if entries else 1,
-                "replaces": before,
+                "replaces": replaced,
                 "restores": restores,
             }
         )
-        text = gains_text(gains, told)
+        text = gains_text(gains, written)
         try:
             self.history.mkdir(parents=True, exist_ok=True)
-            write_whole(self.history / f"{told.number:04d}.toml", text, new=True)
+            # The history first: a crash between the two writes leaves the present gains as they
+            # were.
+            write_whole(self.history / f"{written.number:04d}.toml", text, new=True)
             write_whole(self.path, text)
         except OSError as error:
             raise ConfigError(f"cannot be written: {error.strerror}", str(self.path), "a folder to write in") from None
@@ -150,18 +169,22 @@ class GainsStore:
 
 
 def _before(entries: dict[int, Entry], present: GainsFile) -> int:
-    """Number of the gains before the present ones; a rollback does not count as a step of its own.
+    """Return the number of the gains before the present ones.
+
+    A rollback does not count as a step: its provenance names the restored number.
 
     Raises:
-        ConfigError: the present ones are the packaged ones again, or the history has a gap there.
+        ConfigError: The present gains are the packaged ones again, or the history has a gap.
     """
-    told = present.provenance
-    while told.restores:
-        if told.restores not in entries:
+    provenance = present.provenance
+    while provenance.restores:
+        if provenance.restores not in entries:
             raise ConfigError(
-                f"number {told.restores} is not in the history", "rollback", "handctl gains rollback --to N"
+                f"number {provenance.restores} is not in the history",
+                "rollback",
+                "handctl gains rollback --to N",
             )
-        told = entries[told.restores].file.provenance
-    if told.restores == 0:
+        provenance = entries[provenance.restores].file.provenance
+    if provenance.restores == 0:
         raise ConfigError("the packaged gains are the first", "rollback", "handctl gains rollback --to N")
-    return told.replaces
+    return provenance.replaces

@@ -1,4 +1,4 @@
-"""The pictures of a tuning: loops before and after, the Pareto front, the verification."""
+"""Figures of a tuning: loops before and after, the Pareto front, the verification."""
 
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,16 @@ from handctl.report.summary import mean_angles
 from handctl.report.truth import Truth
 from handctl.tune.loops.linear import LoopKind, loop
 from handctl.tune.loops.margins import GAIN_MARGIN_DB, PHASE_MARGIN_DEG, grid, step_response
-from handctl.tune.search.search import Found
-from handctl.tune.verify import OLD_ROUNDS, Return
+from handctl.tune.search.search import SearchResult
+from handctl.tune.verify import OLD_ROUNDS, Rollback
 
-BEFORE, AFTER, GREY = "#d9822b", "#3b6fb6", "#9a9a9a"
+BEFORE = "#d9822b"
+AFTER = "#3b6fb6"
+GREY = "#9a9a9a"
 STEP_S = {LoopKind.MOTION: 0.4, LoopKind.TENSION: 0.4}
+"""Duration of the disturbance step by loop [s]."""
 STEP_UNIT = {LoopKind.MOTION: (1e6, "travel [um]"), LoopKind.TENSION: (1.0, "tension [N]")}
+"""Scale and label of the step's response by loop."""
 
 
 def _figure(width: float, height: float) -> Any:
@@ -26,17 +30,19 @@ def _figure(width: float, height: float) -> Any:
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(width, height), layout="constrained")
+    # A canvas of its own needs neither a display nor pyplot's global state.
     FigureCanvasAgg(figure)
     return figure
 
 
 def draw_loops(path: Path, before: HandModel, after: HandModel, title: str) -> None:
-    """Bode, Nyquist and disturbance step of the first tendon's two loops, before and after.
+    """Draw Bode plot, Nyquist plot and disturbance step of the first tendon's two loops, before and after.
 
     Args:
-        path: PNG to write.
-        before, after: the hand with old and new gains.
-        title: above it.
+        path: PNG file to write.
+        before: model of the hand with the old gains.
+        after: model with the new gains.
+        title: title of the figure.
     """
     figure = _figure(13, 8)
     figure.suptitle(f"{title}: {before.hand.tendon_names[0]}")
@@ -70,36 +76,46 @@ def _frame(row: Any, kind: LoopKind) -> None:
     turn = np.linspace(0.0, 2.0 * np.pi, 200)
     plane.plot(np.cos(turn), np.sin(turn), color=GREY, linewidth=0.8)
     plane.plot([-1.0], [0.0], "+", color="black")
+    # On the negative real axis the gain margin is the distance to -1 as a factor.
     plane.plot([-(10.0 ** (-GAIN_MARGIN_DB / 20.0))], [0.0], "|", color="black")
-    plane.set(title=f"Nyquist; bar: {GAIN_MARGIN_DB:g} dB", xlim=(-2.5, 1.5), ylim=(-2.0, 2.0), aspect="equal")
+    plane.set(
+        title=f"Nyquist; bar: {GAIN_MARGIN_DB:g} dB",
+        xlim=(-2.5, 1.5),
+        ylim=(-2.0, 2.0),
+        aspect="equal",
+    )
     step.set(title="push of 1 N on the rotor", xlabel="time [s]", ylabel=STEP_UNIT[kind][1])
     for axes in row:
         axes.grid(alpha=0.3)
 
 
-def draw_search(path: Path, found: Found, title: str) -> None:
-    """The trials of a search with their Pareto front, and how the best came down.
+def draw_search(path: Path, result: SearchResult, title: str) -> None:
+    """Draw the trials of a search with their Pareto front, and the cost of the best one.
 
     Args:
-        path: PNG to write.
+        path: PNG file to write.
         found: finished trials.
-        title: above it.
+        title: title of the figure.
     """
     figure = _figure(11, 4.8)
     figure.suptitle(title)
     left, right = figure.subplots(1, 2)
-    good = [one for one in found.trials if one.good]
-    first = found.trials[0]
-    effort = [one.score.effort_Nm_per_s for one in good]
+    feasible = [trial for trial in result.trials if trial.feasible]
+    first = result.trials[0]
+    effort = [trial.score.effort_Nm_per_s for trial in feasible]
     dots = left.scatter(
-        [one.score.tracking_deg for one in good], [one.score.tension_N for one in good], c=effort, s=22, cmap="viridis"
+        [trial.score.tracking_deg for trial in feasible],
+        [trial.score.tension_N for trial in feasible],
+        c=effort,
+        s=22,
+        cmap="viridis",
     )
-    if good:
+    if feasible:
         figure.colorbar(dots, ax=left, label="effort [N m/s]")
-    front = [one for one in good if one.number in found.front]
+    front = [trial for trial in feasible if trial.number in result.front]
     left.plot(
-        [one.score.tracking_deg for one in front],
-        [one.score.tension_N for one in front],
+        [trial.score.tracking_deg for trial in front],
+        [trial.score.tension_N for trial in front],
         "o",
         mfc="none",
         mec=BEFORE,
@@ -107,14 +123,27 @@ def draw_search(path: Path, found: Found, title: str) -> None:
         label="Pareto front",
     )
     if not first.score.failure:
-        left.plot(first.score.tracking_deg, first.score.tension_N, "x", color="black", label="where it began")
-    if found.best:
-        left.plot(found.best.score.tracking_deg, found.best.score.tension_N, "*", color=AFTER, ms=14, label="chosen")
+        left.plot(
+            first.score.tracking_deg,
+            first.score.tension_N,
+            "x",
+            color="black",
+            label="where it began",
+        )
+    if result.best:
+        left.plot(
+            result.best.score.tracking_deg,
+            result.best.score.tension_N,
+            "*",
+            color=AFTER,
+            ms=14,
+            label="chosen",
+        )
     left.set(xlabel="tracking error [deg rms]", ylabel="tension error [N rms]", title="good trials")
     left.legend()
-    costs = [found.cost(one) if one.good else np.nan for one in found.trials]
+    costs = [result.cost(trial) if trial.feasible else np.nan for trial in result.trials]
     right.plot(costs, ".", color=GREY)
-    if good:
+    if feasible:
         right.step(range(len(costs)), np.fmin.accumulate(costs), where="post", color=AFTER)
     right.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
     right.set(xlabel="trial", ylabel="cost, the first trial's is 1", title="the best so far")
@@ -123,16 +152,23 @@ def draw_search(path: Path, found: Found, title: str) -> None:
     save_figure(figure, path)
 
 
-def draw_verify(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int, back: Return | None) -> None:
-    """Angles, tensions and motor torques of a verification, with where new gains came and went.
+def draw_verify(
+    path: Path,
+    log: RunLog,
+    hand: Hand,
+    truth: Truth | None,
+    offset_ns: int,
+    rollback: Rollback | None,
+) -> None:
+    """Draw angles, tensions and motor torques of a verification, and the change of gains.
 
     Args:
-        path: PNG to write.
-        log: of the verification.
-        hand: that ran.
-        truth: of the simulator, or None.
-        offset_ns: the run's t = 0 on the simulator's clock [ns].
-        back: the way back, if it was taken.
+        path: PNG file to write.
+        log: log of the verification.
+        hand: hand of the run.
+        truth: ground truth of the simulator, None on hardware.
+        offset_ns: time of the run's t = 0 on the simulator's clock [ns].
+        rollback: return to the old gains, if there was one.
     """
     figure = _figure(12, 7.5)
     figure.suptitle(f"{hand.name}: {hand.digit_names[0]}, old gains first, new ones shaded")
@@ -144,19 +180,33 @@ def draw_verify(path: Path, log: RunLog, hand: Hand, truth: Truth | None, offset
     tension.plot(log.times, log.field("tension")[:, 0], color=AFTER, linewidth=0.9)
     if truth is not None:
         t_ns = log.t_ns + offset_ns
-        real = mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns))[:, 0]
-        angle.plot(log.times, np.degrees(real), color=BEFORE, linewidth=0.7, label="truth")
-        tension.plot(log.times, truth.at(f"tension/{hand.tendon_names[0]}", t_ns), color=BEFORE, linewidth=0.7)
+        true_angle = mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns))[:, 0]
+        angle.plot(log.times, np.degrees(true_angle), color=BEFORE, linewidth=0.7, label="truth")
+        tension.plot(
+            log.times,
+            truth.at(f"tension/{hand.tendon_names[0]}", t_ns),
+            color=BEFORE,
+            linewidth=0.7,
+        )
     torque.plot(log.times, log.field("motor_torque_goal")[:, 0], color=AFTER, linewidth=0.6)
-    begins = [change.t_ns / 1e9 for change in log.phases if change.name == "settle"]
-    for axes, name in ((angle, "mean angle [deg]"), (tension, "tension [N]"), (torque, "motor torque [N m]")):
-        if len(begins) > OLD_ROUNDS:
-            axes.axvspan(begins[OLD_ROUNDS], back.t_s if back else float(log.times[-1]), color=AFTER, alpha=0.1)
-        if back:
-            axes.axvline(back.t_s, color="#b03030")
+    starts = [change.t_ns / 1e9 for change in log.phases if change.name == "settle"]
+    for axes, name in (
+        (angle, "mean angle [deg]"),
+        (tension, "tension [N]"),
+        (torque, "motor torque [N m]"),
+    ):
+        if len(starts) > OLD_ROUNDS:
+            axes.axvspan(
+                starts[OLD_ROUNDS],
+                rollback.t_s if rollback else float(log.times[-1]),
+                color=AFTER,
+                alpha=0.1,
+            )
+        if rollback:
+            axes.axvline(rollback.t_s, color="#b03030")
         axes.set(ylabel=name)
         axes.grid(alpha=0.3)
         axes.margins(x=0)
     angle.legend(loc="upper right")
-    torque.set(xlabel=f"time [s]{'; red: ' + back.why if back else ''}")
+    torque.set(xlabel=f"time [s]{'; red: ' + rollback.why if rollback else ''}")
     save_figure(figure, path)

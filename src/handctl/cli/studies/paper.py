@@ -19,7 +19,7 @@ from handctl.paper.bench.pool import pool
 from handctl.paper.figures.all import draw_all
 from handctl.paper.item import Verdict
 from handctl.paper.page import markdown, plain, report, value
-from handctl.paper.sections import Section, sections, tally
+from handctl.paper.sections import PageSection, sections, tally
 from handctl.session.exit_codes import Exit
 
 COLOURS = {
@@ -81,7 +81,7 @@ def _export(folder: Path) -> None:
     write_whole(folder / f"{hand.name}.xml", mjcf(hand))
 
 
-def _print(args: argparse.Namespace, parts: tuple[Section, ...]) -> None:
+def _print(args: argparse.Namespace, parts: tuple[PageSection, ...]) -> None:
     if args.json:
         json.dump(plain([item for part in parts for item in part.items]), sys.stdout, indent=2)
         sys.stdout.write("\n")
@@ -107,7 +107,7 @@ def _measured(jobs: int) -> dict[str, Any]:
             return measure(workers)
 
 
-def _table(parts: tuple[Section, ...]) -> None:
+def _table(parts: tuple[PageSection, ...]) -> None:
     """The items for a terminal."""
     from rich.table import Table
     from rich.text import Text

@@ -36,7 +36,7 @@ from handctl.session.run import Outcome, Runner, make_controller, run_live, run_
 from handctl.session.simulate import Simulator
 from handctl.tune.identify.excitation import excitation
 from handctl.tune.identify.figure import draw
-from handctl.tune.identify.identify import Found, identify, now, table
+from handctl.tune.identify.identify import TendonResult, identify, now, table
 
 CLEAR_THE_WAY = "expected a digit that touches nothing: move away what it meets, or correct the hand file's springs"
 
@@ -113,7 +113,7 @@ def _from_logs(args: argparse.Namespace) -> int:
     if _simulated(args.logs) and not args.calibration:
         path = _of_simulated(hand)
     calibration = load_calibration(path, hand) if path.exists() else None
-    found: dict[Path, dict[str, Found]] = {}
+    found: dict[Path, dict[str, TendonResult]] = {}
     for log in args.logs:
         _say(f"reading {log}")
         with RunLog(log) as record:
@@ -152,7 +152,7 @@ def _simulated(logs: list[Path]) -> bool:
 def _report(
     args: argparse.Namespace,
     hand: Hand,
-    found: dict[Path, dict[str, Found]],
+    found: dict[Path, dict[str, TendonResult]],
     path: Path,
     calibration: Calibration | None,
 ) -> int:
@@ -196,7 +196,7 @@ def _search_command(args: argparse.Namespace, path: Path) -> str:
     return shlex.join(words + same_hand_words(args))
 
 
-def _pictures(hand: Hand, found: dict[Path, dict[str, Found]], say: Callable[[str], None]) -> list[Path]:
+def _pictures(hand: Hand, found: dict[Path, dict[str, TendonResult]], say: Callable[[str], None]) -> list[Path]:
     pictures = []
     for log, tendons in found.items():
         for name, one in tendons.items():
@@ -207,6 +207,6 @@ def _pictures(hand: Hand, found: dict[Path, dict[str, Found]], say: Callable[[st
     return pictures
 
 
-def _told(found: dict[Path, dict[str, Found]], pictures: list[Path], path: Path | None) -> dict[str, Any]:
-    logs = {str(log): {name: one.told() for name, one in tendons.items()} for log, tendons in found.items()}
+def _told(found: dict[Path, dict[str, TendonResult]], pictures: list[Path], path: Path | None) -> dict[str, Any]:
+    logs = {str(log): {name: one.as_json() for name, one in tendons.items()} for log, tendons in found.items()}
     return {"logs": logs, "pictures": pictures, "calibration": path}

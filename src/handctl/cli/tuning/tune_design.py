@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
         except ValueError as error:
             return _nothing(args, str(error))
         if not found.worst_after.stable or not proof(redesigned(model, found.gains)):
-            return _nothing(args, f"these poles are not stable on every plant{proof.told}")
+            return _nothing(args, f"these poles are not stable on every plant{proof.reason}")
         found = found if proof(model) else found.with_unproven_before()
     after = HandModel.of(twin, found.gains, rate)
     note = f"tune design at {rate:g} Hz on {len(plants)} plants, seed {args.seed}"
@@ -115,10 +115,10 @@ def _print(found: Any, rate: float, plants: int) -> None:
 
 
 def _cells(before: Any, after: Any) -> list[str]:
-    from handctl.tune.loops.margins import MOST_DB, MOST_DELAY_S
+    from handctl.tune.loops.margins import MAX_DELAY_S, MAX_GAIN_DB
 
     def one(margins: Any, name: str, scale: float, digits: int) -> str:
-        most = {"gain_db": MOST_DB, "delay_s": MOST_DELAY_S}.get(name, math.inf)
+        most = {"gain_db": MAX_GAIN_DB, "delay_s": MAX_DELAY_S}.get(name, math.inf)
         value = getattr(margins, name)
         if not margins.stable:
             return "none"

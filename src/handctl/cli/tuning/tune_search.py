@@ -22,7 +22,7 @@ from handctl.session.plan import control_rate
 def run(args: argparse.Namespace) -> int:
     """Search, draw, write."""
     from handctl.tune.plots import draw_search
-    from handctl.tune.search.search import Plan, search
+    from handctl.tune.search.search import SearchPlan, search
     from handctl.tune.search.workers import workers
 
     hand, twin, spread = subject(args.hand, args.fit)
@@ -34,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     crew_size = checked_count(args.workers, "--workers", 64)
     storage = args.study or Path(f"{hand.name}.study")
     with _Progress(trials, args.json) as progress:
-        plan = Plan(twin.to_toml(), rate, gains, plants, args.seed, trials, _designed(twin, gains, rate, plants))
+        plan = SearchPlan(twin.to_toml(), rate, gains, plants, args.seed, trials, _designed(twin, gains, rate, plants))
         crew = workers(crew_size, args.scheduler)
         try:
             found = search(plan, storage, crew, progress.show)
@@ -118,7 +118,7 @@ def _result(found: Any, storage: Path, out: Path | None, picture: Path) -> dict[
     chosen = best and {"trial": best.number, "values": best.values, "score": asdict(best.score)}
     return {
         "trials": len(found.trials),
-        "good": sum(one.good for one in found.trials),
+        "good": sum(one.feasible for one in found.trials),
         "best": chosen and chosen | {"cost": found.cost(best)},
         "first": asdict(first.score),
         "front": list(found.front),

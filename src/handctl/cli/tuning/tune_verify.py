@@ -24,7 +24,7 @@ from handctl.session.simulate import Simulator
 def run(args: argparse.Namespace) -> int:
     """Verify; 0 only if the new gains went through at full amplitude."""
     from handctl.programs.exercise import Exercise
-    from handctl.tune.verify import AMPLITUDES, Watch
+    from handctl.tune.verify import AMPLITUDES, VerifyObserver
 
     if bool(args.bus) == args.lockstep:
         raise ConfigError("one of them is needed", "--bus or --lockstep", "--lockstep for a simulated hand")
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     for seed in range(first, first + (checked_count(args.seeds, "--seeds", 100) if args.lockstep else 1)):
         args.seed = seed
         own = log if seed == first else log.with_stem(f"{log.stem}-seed{seed}")
-        watch = Watch(plan.hand, base, new.gains)
+        watch = VerifyObserver(plan.hand, base, new.gains)
         outcome, truth = _run(args, plan, Exercise(AMPLITUDES), watch, own)
         runs.append(_judged(plan, outcome, watch, own, truth))
         if not runs[-1]["through"]:

@@ -1,1 +1,1 @@
-"""What a hand is made of: excited, fitted, judged."""
+"""Identification of a hand's parameters: excitation, fit, identifiability."""

@@ -1,4 +1,4 @@
-"""What a log tells of one tendon: travel, tension and torque at the same instants, and what each is good for."""
+"""Data of a tendon from a log: travel, tension and torque at the same instants, and their use in the fit."""
 
 import json
 from dataclasses import dataclass, replace
@@ -16,36 +16,40 @@ from handctl.log.read.reader import RunLog
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-TARES = ("tare",)
-ON_STOP = ("stretch",)
-FREE = ("sweep",)
-UNSURE = ("close", "open")
-"""Steps in which something is met or left: the motor's force may jump within a sample."""
+SLACK_STEPS = ("tare",)
+"""Steps in which the tendon is slack."""
+STOP_STEPS = ("stretch",)
+"""Steps in which the tendon is taut and the digit on its open stop."""
+FREE_STEPS = ("sweep",)
+"""Steps in which the digit moves freely."""
+CONTACT_STEPS = ("close", "open")
+"""Steps in which a contact begins or ends. The motor's force may jump within a sample."""
 SETTLE_S = 0.02
-LATE_S = 0.35
-"""Time at the beginning of a step in which the digit still falls open, or the rope becomes slack."""
+"""Time left out at the beginning of a step [s]."""
+TRANSIENT_S = 0.35
+"""Time until the digit has fallen open or the tendon is slack [s]."""
 STOP_DEG = 2.0
-"""Angle from a stop within which nobody knows what the stop bears."""
-LEAST_TENSION_N = 2.0
-"""Mean tension of a stretch of a log that counts as taut."""
+"""Distance from a stop with an unknown share of the load [deg]."""
+MIN_TENSION_N = 2.0
+"""Tension above which a tendon counts as taut [N]."""
 
 
 @dataclass(frozen=True, slots=True)
 class TendonData:
-    """One tendon during the time of its digit; row j of every array belongs to the instant t = j periods.
+    """Data of a tendon while its digit is excited. Row j of every array is the instant t = j periods.
 
     Attributes:
-        tendon: name.
-        digit: name.
-        period: [s].
-        t: (n,) [s] on the log's clock.
-        travel: (n,) cable travel at the spool [m]; NaN where it was not read.
-        tension: (n,) load cell, tared [N]; NaN where it was not read.
-        command: (n,) motor force at the cable that the drive was told from this instant on [N].
-        joints: (n, joints) joint encoders of the digit [rad]; NaN where they were not read.
-        limp: rope slack: the load cell shows its offset.
-        stop: taut, on the open stop.
-        free: taut, moving with nothing in the way.
+        tendon: name of the tendon.
+        digit: name of its digit.
+        period: control period [s].
+        t: (n,) time on the log's clock [s].
+        travel: (n,) travel at the spool [m], NaN where missing.
+        tension: (n,) load cell without its tare [N], NaN where missing.
+        command: (n,) motor force at the tendon, commanded from this instant on [N].
+        joints: (n, joints) joint encoders of the digit [rad], NaN where missing.
+        slack: tendon slack, so that the load cell shows its offset.
+        stop: tendon taut, digit on the open stop.
+        free: tendon taut, digit moving freely.
         acting: the motor equation holds.
     """
 
@@ -57,33 +61,38 @@ class TendonData:
     tension: Array
     command: Array
     joints: Array
-    limp: Mask
+    slack: Mask
     stop: Mask
     free: Mask
     acting: Mask
 
 
 def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
-    """Data of every tendon that was excited, or of all tendons if the log is not one of an excitation.
+    """Return the data of every excited tendon, or of all tendons if the log has no excitation.
 
-    A tick's measurements were taken at the instant of the tick before, so they are moved there.
+    A tick's measurements were taken at the instant of the tick before, so they are shifted by one
+    tick.
 
     Args:
-        log: of any run.
-        hand: that ran.
+        log: log of any run.
+        hand: hand of the run.
     """
     period = log.header.period_ns * 1e-9
     phases = phase_of_each(log.phases, log.k)
-    excited = {name.partition(" ")[0] for name in phases if name.partition(" ")[2] in (*ON_STOP, *FREE)}
-    settle, late = round(SETTLE_S / period), round(LATE_S / period)
+    excited = {name.partition(" ")[0] for name in phases if name.partition(" ")[2] in (*STOP_STEPS, *FREE_STEPS)}
+    settle = round(SETTLE_S / period)
+    transient = round(TRANSIENT_S / period)
+    # The last tick has no later measurement, so every array ends one tick early.
     active = (log.mode == Mode.ACTIVE)[:-1]
-    whole = np.append(np.diff(log.k) == 1, True)[:-1]
+    # A missed tick breaks the equation between a command and the next measurement.
+    consecutive = np.append(np.diff(log.k) == 1, True)[:-1]
     contact = log.field("contact")[:-1]
     gain = _logged_gain(log, len(hand.tendon))
-    found = []
+    result = []
     for i, tendon in enumerate(hand.tendon):
-        d = next(d for d, name in enumerate(hand.digit_names) if _has(hand, name, i))
-        digit, spool = hand.digit_names[d], hand.motor_of(tendon.name).spool_radius_m
+        d = next(d for d, name in enumerate(hand.digit_names) if _digit_has_tendon(hand, name, i))
+        digit = hand.digit_names[d]
+        spool = hand.motor_of(tendon.name).spool_radius_m
         data = TendonData(
             tendon=tendon.name,
             digit=digit,
@@ -93,56 +102,60 @@ def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
             tension=log.field("tension_raw")[1:, i],
             command=log.field("motor_torque_goal")[:-1, i] / spool / gain[i],
             joints=log.field("joint_encoder")[1:, hand.digit_joints[digit]],
-            limp=_during(phases, digit, TARES, late)[:-1],
-            stop=_during(phases, digit, ON_STOP, settle)[:-1] & active,
-            free=_during(phases, digit, FREE, settle)[:-1] & active,
-            acting=active & whole & ~_during(phases, digit, UNSURE, 0)[:-1],
+            slack=_during(phases, digit, SLACK_STEPS, transient)[:-1],
+            stop=_during(phases, digit, STOP_STEPS, settle)[:-1] & active,
+            free=_during(phases, digit, FREE_STEPS, settle)[:-1] & active,
+            acting=active & consecutive & ~_during(phases, digit, CONTACT_STEPS, 0)[:-1],
         )
         if excited:
-            found += [_cut(data, phases, digit)] if digit in excited else []
+            result += [_cut(data, phases, digit)] if digit in excited else []
         else:
-            taut = (log.field("tension_goal")[:-1, i] > LEAST_TENSION_N) & (data.tension > LEAST_TENSION_N)
-            free = active & taut & (contact[:, d] < 0.5) & _unheld(log, hand, digit)[:-1]
-            found.append(replace(data, free=free))
-    return found
+            taut = (log.field("tension_goal")[:-1, i] > MIN_TENSION_N) & (data.tension > MIN_TENSION_N)
+            free = active & taut & (contact[:, d] < 0.5) & _free_motion(log, hand, digit)[:-1]
+            result.append(replace(data, free=free))
+    return result
 
 
 def _logged_gain(log: RunLog, tendons: int) -> list[float]:
-    """(N,) torque gain that the run's controller already made up for."""
+    """Return the torque gains (N,) that the run's controller already compensated."""
     text = log.header.attachments.get(ATTACHMENT, b"{}")
     with Reading(f"{ATTACHMENT} in the log"):
         setup = json.loads(text)
         if not isinstance(setup, dict):
             raise ValueError("not a table")
-        known = setup.get("torque_gain") or [1.0] * tendons
-        if len(known) != tendons:
-            raise ValueError(f"{len(known)} torque gains of {tendons} tendons")
-        return [float(gain) for gain in known]
+        gains = setup.get("torque_gain") or [1.0] * tendons
+        if len(gains) != tendons:
+            raise ValueError(f"{len(gains)} torque gains of {tendons} tendons")
+        return [float(gain) for gain in gains]
 
 
-def _has(hand: Hand, digit: str, tendon: int) -> bool:
-    place = hand.digit_tendons[digit]
-    return bool(place.start <= tendon < place.stop)
+def _digit_has_tendon(hand: Hand, digit: str, tendon: int) -> bool:
+    """Return True if a tendon belongs to a digit."""
+    tendons = hand.digit_tendons[digit]
+    return bool(tendons.start <= tendon < tendons.stop)
 
 
-def _unheld(log: RunLog, hand: Hand, digit: str) -> Mask:
-    """Ticks in which a digit follows a trajectory, away from the stops, and has done so for a while."""
+def _free_motion(log: RunLog, hand: Hand, digit: str) -> Mask:
+    """Return the ticks in which a digit has followed a trajectory away from its stops for a while."""
     joints = hand.digit_joints[digit]
-    (part,) = (one for one in hand.digit if one.name == digit)
-    q, margin = np.degrees(log.field("q")[:, joints]), STOP_DEG
-    inside = (q > np.array(part.joint_min_deg) + margin) & (q < np.array(part.joint_max_deg) - margin)
+    (digit_file,) = (candidate for candidate in hand.digit if candidate.name == digit)
+    # A stop carries a part of the load near the ends of a joint's range.
+    q = np.degrees(log.field("q")[:, joints])
+    margin = STOP_DEG
+    inside = (q > np.array(digit_file.joint_min_deg) + margin) & (q < np.array(digit_file.joint_max_deg) - margin)
     moving = ~np.isnan(log.field("q_goal")[:, joints]).any(axis=1)
-    return _lasting(np.asarray(moving & inside.all(axis=1)), round(LATE_S * 1e9 / log.header.period_ns))
+    return _lasting(np.asarray(moving & inside.all(axis=1)), round(TRANSIENT_S * 1e9 / log.header.period_ns))
 
 
 def _lasting(mask: Mask, late: int) -> Mask:
-    """Where a mask has held for more than ``late`` ticks."""
+    """Return where a mask has been True for more than `late` ticks."""
+    # Index of the latest False up to each tick, -1 before the first.
     last = np.maximum.accumulate(np.where(mask, -1, np.arange(len(mask))))
     return np.asarray(np.arange(len(mask)) - last > late)
 
 
 def _during(phases: NDArray[np.str_], digit: str, steps: tuple[str, ...], settle: int) -> Mask:
-    """Ticks of some steps of a digit, each without its first ``settle`` ticks."""
+    """Return the ticks of some steps of a digit, each without its first `settle` ticks."""
     inside = np.isin(phases, [f"{digit} {step}" for step in steps])
     settled = inside.copy()
     for shift in range(1, settle):
@@ -151,11 +164,21 @@ def _during(phases: NDArray[np.str_], digit: str, steps: tuple[str, ...], settle
 
 
 def _cut(data: TendonData, phases: NDArray[np.str_], digit: str) -> TendonData:
-    """Only the time in which the digit was excited."""
-    own = np.flatnonzero(np.char.startswith(phases[:-1], f"{digit} "))
-    place = slice(int(own[0]), int(own[-1]) + 1)
+    """Return the data of the time in which the digit was excited."""
+    ticks = np.flatnonzero(np.char.startswith(phases[:-1], f"{digit} "))
+    rows = slice(int(ticks[0]), int(ticks[-1]) + 1)
     parts = {
-        name: getattr(data, name)[place]
-        for name in ("t", "travel", "tension", "command", "joints", "limp", "stop", "free", "acting")
+        name: getattr(data, name)[rows]
+        for name in (
+            "t",
+            "travel",
+            "tension",
+            "command",
+            "joints",
+            "slack",
+            "stop",
+            "free",
+            "acting",
+        )
     }
     return replace(data, **parts)

@@ -1,4 +1,4 @@
-"""What a digit does so that its parameters show: within its limits, in about twenty seconds."""
+"""Excitation of a digit, so that its parameters show: within its limits, in about twenty seconds."""
 
 import math
 
@@ -6,53 +6,85 @@ from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.programs.excite import ExciteStep
 
-LOW_DEG, HIGH_DEG = 6.0, 32.0
-"""Range of free sweeps: clear of the open stop, and short of where the packaged hands' fingers meet thumb or palm."""
-SWING_DEG, SWING_LOW_HZ, SWING_HIGH_HZ = 9.0, 0.7, 6.0
-PRESS_SHARE = (0.08, 0.15, 0.5)
-"""Tension to which a press ends, and between which a digit is pressed, as shares of the most allowed. A motor 30 %
-weaker than its file lacks a third of what it is asked for; pressed harder, it is taken for a wrong load cell (T04b)."""
-LEAST_N, LIFT_SHARE = 1.1, 0.6
-"""A digit on its open stop is stretched between the first, above what counts as slack, and the second, a share of the
-tension that lifts it off against springs as in the hand file."""
-LEAST_STRETCH_N = 0.5
-"""Range of that stretch, at least: less is lost in the load cell's noise."""
-STRETCH_S, STRETCHES = 0.9, 4
-"""The motor's own friction is more than this tension, and gains may be weak: on quicker ramps the rope's tension
-makes a third of its way."""
+LOW_DEG = 6.0
+"""Margin of free sweeps to the open stop and the closed ends [deg]."""
+HIGH_DEG = 32.0
+"""Upper end of free sweeps above the open stop [deg].
+
+The fingers of the packaged hands meet thumb or palm beyond it.
+"""
+SWING_DEG = 9.0
+"""Amplitude of the swing [deg]."""
+SWING_LOW_HZ = 0.7
+"""Lowest frequency of the swing [Hz]."""
+SWING_HIGH_HZ = 6.0
+"""Highest frequency of the swing [Hz]."""
+PRESS_FRACTIONS = (0.08, 0.15, 0.5)
+"""Tension at the end of a press and the two tensions of the press, as fractions of the maximum.
+
+A motor 30 % weaker than its file lacks a third of the commanded tension. At higher tensions it
+would look like a wrong load cell (T04b).
+"""
+MIN_TENSION_N = 1.1
+"""Lower tension of a stretch on the open stop, above the slack limit [N]."""
+LIFT_FRACTION = 0.6
+"""Upper tension of a stretch, as a fraction of the tension that lifts the digit off its stop.
+
+The springs are those of the hand file.
+"""
+MIN_STRETCH_RANGE_N = 0.5
+"""Least range of a stretch [N]. Less is lost in the load cell's noise."""
+STRETCH_S = 0.9
+"""Duration of a stretch [s].
+
+The motor's own friction exceeds the tension, and gains may be weak. On quicker ramps the tension
+makes a third of its way.
+"""
+STRETCHES = 4
+"""Number of stretches up and down."""
 SWEEP_S = (0.8, 0.3, 0.55, 0.8)
+"""Durations of the free sweeps [s]."""
 
 
 def excitation(hand: Hand, digits: tuple[str, ...]) -> tuple[ExciteStep, ...]:
-    """Steps of the named digits, one digit after the other.
+    """Return the steps of the named digits, one digit after the other.
 
     Raises:
-        ConfigError: there is no such digit, or its springs are too weak to stretch its tendon on the open stop.
+        ConfigError: A digit does not exist, or its springs are too weak to stretch its tendon
+            on the open stop.
     """
     for name in digits:
         if name not in hand.digit_names:
             raise ConfigError(repr(name), "--digits", "some of " + ", ".join(hand.digit_names))
-        if LIFT_SHARE * (tension := lift_off(hand, name)) < LEAST_N + LEAST_STRETCH_N:
-            least = (LEAST_N + LEAST_STRETCH_N) / LIFT_SHARE
-            what = f"{tension:.2f} N lifts it off its open stop, too little to stretch its tendon there"
+        if LIFT_FRACTION * (tension := lift_off(hand, name)) < MIN_TENSION_N + MIN_STRETCH_RANGE_N:
+            min_preload = (MIN_TENSION_N + MIN_STRETCH_RANGE_N) / LIFT_FRACTION
+            problem = f"{tension:.2f} N lifts it off its open stop, too little to stretch its tendon there"
             raise ConfigError(
-                what, f"digit {name}", f"springs with a preload of {least:.2f} N or more, or other --digits"
+                problem,
+                f"digit {name}",
+                f"springs with a preload of {min_preload:.2f} N or more, or other --digits",
             )
     return tuple(step for name in digits for step in _steps(hand, name))
 
 
 def _steps(hand: Hand, digit: str) -> list[ExciteStep]:
-    """Tare, stop, free sweeps slow and fast, a swing of rising frequency, presses against whatever stops it."""
+    """Return a digit's steps: tare, stretches, slow and fast sweeps, a swing, presses against an obstacle."""
     tendons = hand.tendon[hand.digit_tendons[digit]]
-    most = min(tendon.tension_max_N for tendon in tendons)
+    max_tension = min(tendon.tension_max_N for tendon in tendons)
     floor = max(tendon.tension_floor_N for tendon in tendons)
     low, high = (math.radians(angle) for angle in _range(hand, digit))
-    middle, swing = 0.5 * (low + high), math.radians(SWING_DEG)
-    lift = LIFT_SHARE * lift_off(hand, digit)
-    let_go, soft, hard = (share * most for share in PRESS_SHARE)
+    middle = 0.5 * (low + high)
+    swing = math.radians(SWING_DEG)
+    lift = LIFT_FRACTION * lift_off(hand, digit)
+    let_go, soft, hard = (fraction * max_tension for fraction in PRESS_FRACTIONS)
 
     def step(
-        name: str, kind: str, duration_s: float, target: float = 0.0, rate: float = 100.0, held: bool = False
+        name: str,
+        kind: str,
+        duration_s: float,
+        target: float = 0.0,
+        rate: float = 100.0,
+        held: bool = False,
     ) -> ExciteStep:
         return ExciteStep.model_validate(
             {"digit": digit, "name": name, "kind": kind, "duration_s": duration_s}
@@ -64,9 +96,9 @@ def _steps(hand: Hand, digit: str) -> list[ExciteStep]:
     sweeps = [step("sweep", "move", duration, goal) for duration in SWEEP_S for goal in (high, low)]
     presses = [step("press", "tension", 0.22, goal, 250.0, held=True) for _ in range(3) for goal in (hard, soft)]
     stretch = [
-        step("stretch", "tension", STRETCH_S, goal, (lift - LEAST_N) / STRETCH_S)
+        step("stretch", "tension", STRETCH_S, goal, (lift - MIN_TENSION_N) / STRETCH_S)
         for _ in range(STRETCHES)
-        for goal in (lift, LEAST_N)
+        for goal in (lift, MIN_TENSION_N)
     ]
     return [
         step("tare", "limp", 0.5),
@@ -86,15 +118,23 @@ def _steps(hand: Hand, digit: str) -> list[ExciteStep]:
 
 
 def _range(hand: Hand, digit: str) -> tuple[float, float]:
-    """Free range of the digit's joints [deg]."""
-    known = hand.digit_named(digit)
-    least, most = max(known.joint_min_deg), min(known.joint_max_deg)
-    return least + LOW_DEG, min(least + HIGH_DEG, most - LOW_DEG)
+    """Return the range of free sweeps of a digit's joints [deg]."""
+    digit_file = hand.digit_named(digit)
+    lower = max(digit_file.joint_min_deg)
+    upper = min(digit_file.joint_max_deg)
+    return lower + LOW_DEG, min(lower + HIGH_DEG, upper - LOW_DEG)
 
 
 def lift_off(hand: Hand, digit: str) -> float:
-    """Tension that lifts a joint of the digit off its open stop, without friction and weight [N]."""
-    known, joints = hand.digit_named(digit), hand.digit_joints[digit]
+    """Return the tension that lifts a joint of the digit off its open stop, without friction and weight [N]."""
+    digit_file = hand.digit_named(digit)
+    joints = hand.digit_joints[digit]
     arms = abs(hand.moment_arms[hand.digit_tendons[digit], joints]).sum(axis=0)
-    preload = zip(known.spring_stiffness_N_m_per_rad, known.spring_preload_rad, arms.tolist(), strict=True)
+    preload = zip(
+        digit_file.spring_stiffness_N_m_per_rad,
+        digit_file.spring_preload_rad,
+        arms.tolist(),
+        strict=True,
+    )
+    # Virtual work: the tension times its arm balances the spring at the open stop.
     return min(float(stiffness * angle / arm) for stiffness, angle, arm in preload if arm > 0.0)

@@ -1,4 +1,4 @@
-"""From logs to parameters: every tendon fitted, judged, and put into the form that a calibration keeps."""
+"""Identification: every tendon of a log is fitted, judged and stored in the form of a calibration."""
 
 import datetime
 from collections.abc import Callable
@@ -14,27 +14,39 @@ from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
 from handctl.log.read.moments import phase_of_each
 from handctl.log.read.reader import RunLog
-from handctl.tune.identify.contact import joints_moving
+from handctl.tune.identify.contact_detection import joints_moving
 from handctl.tune.identify.data import Array, TendonData, tendon_data
-from handctl.tune.identify.fit import NAMES, Fit, Problem, fit
+from handctl.tune.identify.fit import NAMES, Fit, Problem, fit_tendon
 from handctl.tune.identify.fit_digit import Balance, fit_digit, joined
-from handctl.tune.identify.identifiability import Identifiability, excitation_coherence, identifiability
+from handctl.tune.identify.identifiability import (
+    Identifiability,
+    excitation_coherence,
+    identifiability,
+)
 
 BAND_HZ = (0.7, 6.0)
-"""Band over which coherence is averaged: that of the swing."""
-OF_THE_SWEEPS = (*DIGIT_KEYS, "capstan")
-"""What a contact in the sweeps spoils. Motor and rope are found without the digit's balance."""
+"""Frequency band of the mean coherence, that of the swing [Hz]."""
+SWEEP_PARAMETERS = (*DIGIT_KEYS, "capstan")
+"""Parameters that a contact in the sweeps spoils.
+
+Motor and tendon do not depend on the digit's balance.
+"""
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """What one log tells of one tendon.
+class TendonResult:
+    """Identification of a tendon from one log.
 
     Attributes:
-        data: from the log. fit: of all parameters. judged: what of it counts. coherence: mean over the swing's band.
-        spectrum: frequencies [Hz] and coherence. balance: of the digit, if it has several tendons and joint encoders.
-        blocked: when and what the digit met while it was excited; empty if nothing, or if it was not excited.
-        met: how the sweeps show that something touches the digit; empty if they do not.
+        data: data from the log.
+        fit: fit of all parameters.
+        judged: identifiability of the parameters.
+        coherence: mean coherence over the swing's band.
+        spectrum: frequencies [Hz] and coherence.
+        balance: balance of the digit, if it has several tendons and joint encoders.
+        blocked: event in which the controller found the digit blocked during its excitation,
+            empty otherwise.
+        met: evidence of a contact in the sweeps, empty otherwise.
     """
 
     data: TendonData
@@ -48,20 +60,22 @@ class Found:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the data tell and nothing has spoilt."""
+        """Return the parameters that are identified and not spoilt."""
         if self.blocked:
             return ()
-        return tuple(name for name in self.judged.names if not (self.met and name in OF_THE_SWEEPS))
+        return tuple(name for name in self.judged.names if not (self.met and name in SWEEP_PARAMETERS))
 
     def identified(self, log: Path, made: str) -> Identified | None:
-        """For the calibration file; None if the data tell nothing, or are spoilt by what the digit met."""
+        """Return the entry of the calibration file, None if no parameter is identified or all are spoilt."""
         names = self.names
         if not names:
             return None
         at = [NAMES.index(name) for name in names]
         scale = self.fit.problem.nominal[at]
+        # The fit's parameters are scaled, those of the file are in SI units.
         covariance = self.fit.covariance[np.ix_(at, at)] * np.outer(scale, scale)
-        values, widths = self.fit.values, self.fit.half_widths
+        values = self.fit.values
+        widths = self.fit.half_widths
         return Identified(
             names=names,
             values=tuple(values[name] for name in names),
@@ -72,9 +86,11 @@ class Found:
             made=made,
         )
 
-    def told(self) -> dict[str, Any]:
-        """For JSON."""
-        values, widths, nominal = self.fit.values, self.fit.half_widths, self.fit.problem.nominal
+    def as_json(self) -> dict[str, Any]:
+        """Return the result as plain values for JSON."""
+        values = self.fit.values
+        widths = self.fit.half_widths
+        nominal = self.fit.problem.nominal
         together = self.fit.half_widths_of(max(1, len(self.judged.names)))
         rows = {
             name: {
@@ -105,140 +121,157 @@ class Found:
         }
 
 
-def identify(log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda text: None) -> dict[str, Found]:
-    """Fit every tendon that a log tells of, by name; those that hardly move are left out.
+def identify(log: RunLog, hand: Hand, progress: Callable[[str], None] = lambda text: None) -> dict[str, TendonResult]:
+    """Fit every tendon of a log, and return the results by name. Tendons that hardly move are left out.
 
     Args:
-        log: of any run.
-        hand: that ran, as its file says.
-        progress: told what is being done.
+        log: log of any run.
+        hand: hand of the run, as in its file.
+        progress: called with a description of each step.
 
     Raises:
-        LogError: nothing in the log moves.
+        LogError: Nothing in the log moves.
     """
-    solved, why = [], LogError("no tendon of this hand in it", "the log", "a run in which digits move")
+    solved = []
+    failure = LogError("no tendon of this hand in it", "the log", "a run in which digits move")
     for data in tendon_data(log, hand):
         progress(f"fitting {data.tendon}")
         try:
-            solved.append((data, fit(Problem.of(data, hand))))
+            solved.append((data, fit_tendon(Problem.of(data, hand))))
         except LogError as error:
-            why = error
+            failure = error
     if not solved:
-        raise why
-    found: dict[str, Found] = {}
+        raise failure
+    results: dict[str, TendonResult] = {}
     for name in hand.digit_names:
-        own = [(data, one) for data, one in solved if data.digit == name]
-        balance, fits = _of_digit(hand, name, own)
-        found |= {data.tendon: _found(hand, data, one, balance) for (data, _), one in zip(own, fits, strict=True)}
+        fits_of_digit = [(data, fit) for data, fit in solved if data.digit == name]
+        balance, fits = _of_digit(hand, name, fits_of_digit)
+        results |= {
+            data.tendon: _tendon_result(hand, data, fit, balance)
+            for (data, _), fit in zip(fits_of_digit, fits, strict=True)
+        }
     events = blocked(log)
-    return {name: _spoilt(hand, one, events.get(one.data.digit, "")) for name, one in found.items()}
+    return {name: _spoilt(hand, fit, events.get(fit.data.digit, "")) for name, fit in results.items()}
 
 
-def _spoilt(hand: Hand, one: Found, event: str) -> Found:
-    """Return what was found with what has spoilt it.
+def _spoilt(hand: Hand, result: TendonResult, event: str) -> TendonResult:
+    """Return a result with the contacts that spoil it.
 
-    The controller judges by the hand file's springs, and takes springs that are a third stiffer for an obstacle. So
-    its event does not count if the fit explains the whole sweep.
+    The controller judges by the hand file's springs, and takes springs that are a third stiffer for
+    an obstacle. Therefore its event does not count if the fit explains the whole sweep.
     """
-    met, ramp = contact_of(hand, one), one.fit.ramp
+    met = contact_text(hand, result)
+    ramp = result.fit.ramp
     cleared = not met and ramp is not None and ramp.clear
-    return replace(one, met=met, blocked="" if cleared else event)
+    return replace(result, met=met, blocked="" if cleared else event)
 
 
-def contact_of(hand: Hand, one: Found) -> str:
-    """Return how a fit shows that something touches the digit in its sweeps; empty if it does not."""
-    ramp = one.fit.ramp
+def contact_text(hand: Hand, result: TendonResult) -> str:
+    """Return the evidence of a contact in the sweeps as text, empty otherwise."""
+    ramp = result.fit.ramp
     if ramp is not None and ramp.met:
-        several = len(hand.tendon[hand.digit_tendons[one.data.digit]]) > 1
+        several = len(hand.tendon[hand.digit_tendons[result.data.digit]]) > 1
         size = f"{1e3 * abs(ramp.rise):.1f} mN m at a joint" if several else f"{abs(ramp.rise):.1f} N"
-        kind = "more" if ramp.rise > 0.0 else "less"
-        begin, end = np.degrees([ramp.begin, ramp.end])
+        kind = "higher" if ramp.rise > 0.0 else "lower"
+        start, end = np.degrees([ramp.begin, ramp.end])
         return (
-            f"from {begin:.0f} deg on it takes {kind} than its springs explain, {size} at {end:.0f} deg "
+            f"from {start:.0f} deg on its load is {kind} than its springs explain, {size} at {end:.0f} deg "
             f"({abs(ramp.score):.1f} standard deviations)"
         )
-    return _stands_still(hand, one)
+    return _blocked_joint_text(hand, result)
 
 
-def _stands_still(hand: Hand, one: Found) -> str:
-    """Return how a digit with one tendon shows that one of its joints does not move; empty if all move."""
-    load, data, values = one.fit.problem.load, one.data, one.fit.values
-    if load is None or "spring_preload" not in one.judged.names:
+def _blocked_joint_text(hand: Hand, result: TendonResult) -> str:
+    """Return the evidence that a joint of a digit with one tendon does not move, empty if all move."""
+    load = result.fit.problem.load
+    data = result.data
+    values = result.fit.values
+    if load is None or "spring_preload" not in result.judged.names:
         return ""
     stretch = data.tension / values["rope_stiffness"] + values["stretch_offset"]
     travel = float(np.nanmax(np.where(data.acting, data.travel - stretch, np.nan)))
     full = float(abs(load.arms) @ np.radians(hand.digit_named(data.digit).joint_max_deg))
-    preload, width = values["spring_preload"], one.fit.half_widths["spring_preload"]
+    preload = values["spring_preload"]
+    width = result.fit.half_widths["spring_preload"]
     if joints_moving(len(load.arms), preload, width, travel, full):
         return ""
     return (
-        f"it looks as if a joint stood still: its springs have {preload:.2f} of the hand file's preload, and "
+        f"a joint does not seem to move: its springs have {preload:.2f} of the hand file's preload, and "
         f"it closes by {1e3 * travel:.1f} mm of {1e3 * full:.1f} mm"
     )
 
 
 def blocked(log: RunLog) -> dict[str, str]:
-    """Return what each excited digit met while it was to move freely, by digit; nothing of those that met nothing.
+    """Return the first event in which each excited digit was blocked, by digit.
 
-    The digit that was excited is spoilt, whichever of two that touch each other is found blocked.
+    Digits without such an event are left out. If two digits touch each other, the excited one is
+    spoilt, whichever of them was found blocked.
     """
-    events = [one for one in log.events if one.event.name == "blocked" and one.event.text.count("is blocked")]
+    events = [
+        event_entry
+        for event_entry in log.events
+        if event_entry.event.name == "blocked" and event_entry.event.text.count("is blocked")
+    ]
     if not events:
         return {}
-    phases = phase_of_each(log.phases, np.array([one.k for one in events]))
-    found: dict[str, str] = {}
-    for one, phase in zip(events, phases, strict=True):
+    phases = phase_of_each(log.phases, np.array([event_entry.k for event_entry in events]))
+    texts: dict[str, str] = {}
+    for event_entry, phase in zip(events, phases, strict=True):
         digit, _, step = str(phase).partition(" ")
         if step:
-            found.setdefault(digit, f"{one.event.text} at {one.t_ns / 1e9:.1f} s, in its {step}")
-    return found
+            texts.setdefault(digit, f"{event_entry.event.text} at {event_entry.t_ns / 1e9:.1f} s, in its {step}")
+    return texts
 
 
-def _of_digit(hand: Hand, name: str, own: list[tuple[TendonData, Fit]]) -> tuple[Balance | None, list[Fit]]:
-    """Fits of a digit's tendons; where there are several, with what only all of them together tell."""
-    fits = [one for _, one in own]
-    if len(own) < 2 or len(own) < len(hand.tendon[hand.digit_tendons[name]]):
+def _of_digit(hand: Hand, name: str, fitted: list[tuple[TendonData, Fit]]) -> tuple[Balance | None, list[Fit]]:
+    """Return the fits of a digit's tendons, with the joint fit if there are several tendons."""
+    fits = [fit for _, fit in fitted]
+    if len(fitted) < 2 or len(fitted) < len(hand.tendon[hand.digit_tendons[name]]):
         return None, fits
-    balance = Balance.of(DigitModel.of(hand, name), [data for data, _ in own], fits)
+    balance = Balance.of(DigitModel.of(hand, name), [data for data, _ in fitted], fits)
     return balance, fits if balance is None else joined(fits, fit_digit(balance), balance)
 
 
-def _found(hand: Hand, data: TendonData, one: Fit, balance: Balance | None) -> Found:
+def _tendon_result(hand: Hand, data: TendonData, fit: Fit, balance: Balance | None) -> TendonResult:
+    """Return the result of a tendon without contacts."""
     spectrum = excitation_coherence(data)
     inside = (spectrum[0] >= BAND_HZ[0]) & (spectrum[0] <= BAND_HZ[1])
     mean = float(spectrum[1][inside].mean()) if inside.any() else float("nan")
     tendon = hand.tendon[hand.tendon_names.index(data.tendon)]
-    return Found(data, one, identifiability(one, tendon), mean, spectrum, balance)
+    return TendonResult(data, fit, identifiability(fit, tendon), mean, spectrum, balance)
 
 
 def now() -> str:
-    """This instant, ISO 8601, UTC."""
+    """Return the present time, ISO 8601, UTC."""
     return datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds")
 
 
-def table(found: dict[str, Found]) -> list[str]:
-    """Lines for a person: every parameter with its interval and what the hand file says."""
+def table(results: dict[str, TendonResult]) -> list[str]:
+    """Return lines for a terminal: every parameter with its interval and the value of the hand file."""
     lines = []
-    for name, one in found.items():
-        lines.append(f"{name}: coherence {one.coherence:.2f}, load cell {one.fit.problem.sigma:.2f} N rms")
-        values, widths = one.fit.values, one.fit.half_widths
+    for name, result in results.items():
+        lines.append(f"{name}: coherence {result.coherence:.2f}, load cell {result.fit.problem.sigma:.2f} N rms")
+        values = result.fit.values
+        widths = result.fit.half_widths
         for key, unit in UNITS.items():
-            nominal = one.fit.problem.nominal[NAMES.index(key)]
+            nominal = result.fit.problem.nominal[NAMES.index(key)]
             size, shown = (1e3, "ms") if key == "delay" else (1.0, unit)
-            value, width = size * values[key], size * widths[key]
-            if key not in one.names:
-                spoilt = key in one.judged.names
-                lines.append(f"  {key:<17} {'spoilt by what the digit met' if spoilt else 'not identified'}")
+            value = size * values[key]
+            width = size * widths[key]
+            if key not in result.names:
+                spoilt = key in result.judged.names
+                lines.append(f"  {key:<17} {'spoilt by a contact' if spoilt else 'not identified'}")
                 continue
-            share = "" if key == "delay" else f"{100 * width / abs(value):5.1f} %   hand file {nominal:.4g}"
-            lines.append(f"  {key:<17} {value:10.4g} +- {width:<9.2g} {shown:<11} {share}")
-        count = max(1, len(one.names))
-        wider = [one.fit.half_widths_of(count)[name] / widths[name] for name in one.names]
+            note = "" if key == "delay" else f"{100 * width / abs(value):5.1f} %   hand file {nominal:.4g}"
+            lines.append(f"  {key:<17} {value:10.4g} +- {width:<9.2g} {shown:<11} {note}")
+        count = max(1, len(result.names))
+        wider = [result.fit.half_widths_of(count)[name] / widths[name] for name in result.names]
         if wider:
             lines.append(
                 f"  to cover all {count} at once with 95 %: {min(wider):.2f} to {max(wider):.2f} times as wide"
             )
-        lines.append(f"  data tell {one.judged.rank} of {one.judged.columns} combinations; least: {one.judged.weakest}")
-        lines += [f"  {a} and {b} trade off: correlation {r:+.2f}" for a, b, r in one.judged.correlated]
-        lines += [f"  cannot be told: {text}" for text in one.judged.missing]
+        rank = f"{result.judged.rank} of {result.judged.columns} combinations"
+        lines.append(f"  the data determine {rank}, least {result.judged.weakest}")
+        lines += [f"  {a} and {b} trade off: correlation {r:+.2f}" for a, b, r in result.judged.correlated]
+        lines += [f"  not identifiable: {text}" for text in result.judged.missing]
     return lines

@@ -1,1 +1,1 @@
-"""The control loops as linear systems: designed, with their margins."""
+"""Control loops as linear systems: design and margins."""

@@ -1,12 +1,13 @@
-"""Both loops as linear systems: the controller differentiated where it runs, the plant from the hand file.
+"""Linear models of both loops: the controller by finite differences of its own code, the plant by the hand file.
 
-The controller's matrices are finite differences of the very stages that a tick calls, so whatever changes in the
-filter or the law changes here too. Each tendon is taken by itself, as the gains are designed. Friction is left out: in
-motion it is saturated and has no slope. The delay is the bus's: a tick acts on samples of the tick before.
+The controller's matrices are finite differences of the stages that a tick calls, so they follow
+every change of filter or control law. Each tendon is taken by itself, as the gains are designed.
+Friction is left out: in motion it is saturated and has no slope. The delay is that of the bus: a
+tick acts on samples of the tick before.
 
-The linear law is differentiated, not the limits around it. A force at its limit has no slope, and the loop of a
-saturated law looks as if it had no gain and every margin. So the motor's limits are taken away, and the goals are put
-where the estimate of the operating point is, which makes every feedback error there zero.
+The control law is differentiated without its limits. A force at its limit has no slope, so a
+saturated loop would seem to have no gain and every margin. Therefore the motors have no limits
+here. The goals are at the estimate of the operating point, where every feedback error is zero.
 """
 
 import enum
@@ -38,27 +39,33 @@ from handctl.hand.digit import DigitModel
 Matrix = NDArray[np.float64]
 
 CURRENT_LAG_S = 0.3e-3
-"""First-order lag of a drive's torque. Source: current loops of some 500 Hz, as all three protocols' drives have."""
+"""First-order lag of a drive's torque [s].
+
+Source: current loops of some 500 Hz in all three protocols' drives.
+"""
 TENSION_N = 20.0
-"""Operating point: tension, far from slack and from the limits."""
+"""Tension of the operating point, far from slack and from the limits [N]."""
 SPEED_M_S = 0.015
-"""Operating point: cable speed at which friction is saturated."""
+"""Tendon speed of the operating point, at which friction is saturated [m/s]."""
 ANGLE_RAD = 0.6
-"""Operating point: joint angle, between the stops."""
+"""Joint angle of the operating point, between the stops [rad]."""
 STEP = {"travel": 1e-7, "tension": 1e-2, "state": 2.0**-14}
-"""Steps of the differences [m], [N], and as a share of what a state usually is."""
+"""Steps of the differences: travel [m], tension [N], and states as a fraction of their size."""
 UNLIMITED = 1e12
-"""Motor torque [N m] and force [N] that no gains ask for: the linear law has no limits."""
+"""Motor torque [N m] and force [N] beyond all gains."""
 DEVELOPED_N = 1e4
-"""Expected tension of a moving digit, far beyond its friction band: the expectation is at the band's edge."""
+"""Expected tension of a moving digit, far beyond its friction band [N].
+
+The expectation is then at the band's edge.
+"""
 INSIDE = 0.1
-"""Distance of the operating point from a joint's limits, as a share of its range, at least."""
-CONSTANT = 1e-9
-"""Largest coefficient by which anything else changes a state that is a constant."""
+"""Least distance of the operating point from a joint's limits, as a fraction of the range."""
+CONSTANT_TOLERANCE = 1e-9
+"""Largest coefficient of anything else on a state that counts as constant."""
 
 
 class LoopKind(enum.StrEnum):
-    """Which feedback loop of a tendon."""
+    """Feedback loop of a tendon."""
 
     MOTION = "motion"
     """The digit moves freely along a trajectory."""
@@ -68,11 +75,14 @@ class LoopKind(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class System:
-    """A discrete linear system x' = A x + B u, y = C x + D u, over one control period.
+    """Discrete linear system x' = A x + B u, y = C x + D u, over one control period.
 
     Attributes:
-        A: (n, n). B: (n, m). C: (p, n). D: (p, m).
-        period: [s].
+        A: (n, n) state matrix.
+        B: (n, m) input matrix.
+        C: (p, n) output matrix.
+        D: (p, m) feedthrough matrix.
+        period: control period [s].
     """
 
     A: Matrix
@@ -82,7 +92,8 @@ class System:
     period: float
 
     def response(self, omega: Matrix) -> NDArray[np.complex128]:
-        """Frequency response (len(omega), p, m) at angular frequencies [rad/s]."""
+        """Return the frequency response (len(omega), p, m) at angular frequencies [rad/s]."""
+        # The unit circle of the z-plane is the frequency axis.
         z = np.exp(1j * omega * self.period)
         inverse = np.linalg.solve(z[:, None, None] * np.eye(len(self.A)) - self.A, self.B.astype(complex))
         return np.asarray(self.C @ inverse + self.D)
@@ -90,7 +101,7 @@ class System:
 
 @dataclass(frozen=True, slots=True)
 class PlantFactors:
-    """How a real plant differs from its hand file: factors on what the linear plant is made of."""
+    """Factors of a real plant on the linear parameters of its hand file."""
 
     stiffness: float = 1.0
     damping: float = 1.0
@@ -101,78 +112,100 @@ class PlantFactors:
 
 
 NOMINAL = PlantFactors()
-"""As the hand file says."""
+"""Plant of the hand file."""
 
 
 def plant(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL) -> System:
-    """Rotor, rope and digit of one tendon, sampled: motor force [N] to travel [m], tension [N] and excursion [m].
+    """Return rotor, tendon and digit, sampled: motor force [N] to travel [m], tension [N], excursion [m].
 
     Args:
-        model: the hand.
-        tendon: index.
-        kind: of loop; in TENSION the digit is blocked.
-        factors: what is different from the hand file.
+        model: model of the hand.
+        tendon: index of the tendon.
+        kind: kind of the loop. With TENSION the digit is blocked.
+        factors: factors on the hand file.
 
-    Source: two masses on a rope; torque with a first-order lag; zero-order hold.
+    Returns:
+        The system with the states travel, its rate, excursion, its rate, motor force. The blocked
+        digit has no excursion.
+
+    Source: two masses on a spring, torque with a first-order lag, zero-order hold.
     """
-    space, i = model.space, tendon
-    m, b = space.motor_mass[i] * factors.motor_inertia, space.motor_damping[i] * factors.damping
-    k, c = space.stiffness[i] * factors.stiffness, space.damping[i] * factors.damping
-    rope = np.array([k, c, -k, -c, 0.0])
-    A, B = np.zeros((5, 5)), np.zeros((5, 1))
+    space = model.space
+    i = tendon
+    m = space.motor_mass[i] * factors.motor_inertia
+    b = space.motor_damping[i] * factors.damping
+    k = space.stiffness[i] * factors.stiffness
+    c = space.damping[i] * factors.damping
+    tendon_force = np.array([k, c, -k, -c, 0.0])
+    A = np.zeros((5, 5))
+    B = np.zeros((5, 1))
     A[0, 1] = 1.0
-    A[1] = -rope / m
+    # Newton's law of the rotor: motor force less tension and friction.
+    A[1] = -tendon_force / m
     A[1, 1] -= b / m
     A[1, 4] = 1.0 / m
+    # The last state is the motor force, a first-order lag of the command.
     A[4, 4], B[4, 0] = -1.0 / CURRENT_LAG_S, factors.torque_constant / CURRENT_LAG_S
     if kind == LoopKind.MOTION:
         load = space.load_mass[i] * factors.mass
         A[2, 3] = 1.0
-        A[3] = rope / load
+        # Newton's law of the digit, reflected to the tendon.
+        A[3] = tendon_force / load
         A[3, 2] -= space.load_stiffness[i] * factors.spring / load
         A[3, 3] -= space.load_damping[i] * factors.damping / load
     else:
         keep = [0, 1, 4]
-        A, B, rope = A[np.ix_(keep, keep)], B[keep], rope[keep]
+        A = A[np.ix_(keep, keep)]
+        B = B[keep]
+        tendon_force = tendon_force[keep]
     n = len(A)
-    held = expm(np.block([[A, B], [np.zeros((1, n + 1))]]) * model.period)
+    # Zero-order hold: the exponential of [[A, B], [0, 0]] has both discrete matrices.
+    discrete = expm(np.block([[A, B], [np.zeros((1, n + 1))]]) * model.period)
     C = np.zeros((3, n))
-    C[0, 0], C[1] = 1.0, rope
+    C[0, 0] = 1.0
+    C[1] = tendon_force
     if kind == LoopKind.MOTION:
         C[2, 2] = 1.0
-    return System(held[:n, :n], held[:n, n:], C, np.zeros((3, 1)), model.period)
+    return System(discrete[:n, :n], discrete[:n, n:], C, np.zeros((3, 1)), model.period)
 
 
 def controller(model: HandModel, tendon: int, kind: LoopKind) -> System:
-    """Filter and law of one tendon: travel [m], tension [N], excursion [m] of the tick before to motor force [N].
+    """Return filter and control law of a tendon, from the measurements of the tick before to motor force [N].
+
+    The measurements are travel [m], tension [N] and excursion [m].
 
     Args:
-        model: the hand.
-        tendon: index.
-        kind: of loop.
+        model: model of the hand.
+        tendon: index of the tendon.
+        kind: kind of the loop.
     """
     tick, state, reading, scale = _operating_point(model, tendon, kind)
-    n, centre = len(state), tick(state, reading)
+    n = len(state)
+    centre = tick(state, reading)
     columns = [_slope(partial(_at, tick, state, reading, j), scale[j]) for j in range(n)]
     steps = (STEP["travel"], STEP["tension"], STEP["travel"])
     entries = [_slope(partial(_with, tick, state, reading, j), steps[j]) for j in range(3)]
-    J, E = np.column_stack(columns), np.column_stack(entries)
+    J = np.column_stack(columns)
+    E = np.column_stack(entries)
     assert len(centre) == n + 1
     return System(J[:n], E[:n], J[n:], E[n:], model.period)
 
 
 def loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = NOMINAL) -> System:
-    """The loop of one tendon; see ``joined``."""
+    """Return the loop of a tendon, see `joined`."""
     return joined(plant(model, tendon, kind, factors), controller(model, tendon, kind))
 
 
 def joined(P: System, K: System) -> System:
-    """The loop of a plant and a controller, broken at the motor's force: what comes back for a force that goes in.
+    """Return the loop of a plant and a controller, broken at the motor force.
 
-    Negative feedback is taken out of it, so that margins are read from 1 + L.
+    Its output is the returned force with its sign reversed. So negative feedback is taken out, and
+    margins follow from 1 + L.
     """
     K = _without_constants(K)
-    p, n, y = len(P.A), len(K.A), len(P.C)
+    p = len(P.A)
+    n = len(K.A)
+    y = len(P.C)
     A = np.zeros((p + y + n, p + y + n))
     A[:p, :p] = P.A
     A[p : p + y, :p] = P.C  # the samples that the next tick acts on
@@ -184,101 +217,115 @@ def joined(P: System, K: System) -> System:
 
 
 def _without_constants(K: System) -> System:
-    """Return a system without the states that nothing changes, such as a set-point.
+    """Return a system without its constant states, such as a setpoint.
 
-    Their deviation is zero for ever, and their poles at one say nothing about stability.
+    Their deviation is always zero, and their poles at one say nothing about stability.
     """
-    A, B = K.A - np.eye(len(K.A)), K.B
-    kept = np.flatnonzero((np.abs(A).max(axis=1) > CONSTANT) | (np.abs(B).max(axis=1) > CONSTANT))
-    return System(K.A[np.ix_(kept, kept)], K.B[kept], K.C[:, kept], K.D, K.period)
+    A = K.A - np.eye(len(K.A))
+    B = K.B
+    varying = np.flatnonzero(
+        (np.abs(A).max(axis=1) > CONSTANT_TOLERANCE) | (np.abs(B).max(axis=1) > CONSTANT_TOLERANCE)
+    )
+    return System(K.A[np.ix_(varying, varying)], K.B[varying], K.C[:, varying], K.D, K.period)
 
 
 _Tick = Callable[[Matrix, Matrix], Matrix]
-"""(state, reading) to (next state, force): one tick of one tendon as a function of flat vectors."""
+"""One tick of a tendon as a function of flat vectors: (state, reading) to (next state, force)."""
 
 
 def _slope(function: Callable[[float], Matrix], step: float) -> Matrix:
-    """Central difference."""
+    """Return the central difference."""
     return np.asarray((function(step) - function(-step)) / (2.0 * step))
 
 
 def _at(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
+    """Return the tick's result with state j moved by a step."""
     moved = state.copy()
     moved[j] += step
     return tick(moved, reading)
 
 
 def _with(tick: _Tick, state: Matrix, reading: Matrix, j: int, step: float) -> Matrix:
+    """Return the tick's result with reading j moved by a step."""
     moved = reading.copy()
     moved[j] += step
     return tick(state, moved)
 
 
 ROWS = [*range(s.TRAVEL, s.STRETCH_OFFSET + 1), s.SETPOINT, s.INTEGRAL, s.FORCE, s.PLANNED, s.RATE]
-"""Rows of a tendon that take part in the feedback: what the filter carries from tick to tick, then the law."""
+"""Rows of a tendon that take part in the feedback: the state of the filter, then that of the control law."""
 READ = [s.MEASURED_TRAVEL, s.MEASURED_TENSION, s.MEASURED_EXCURSION]
-"""Rows of its measurements."""
-_USUAL = 2.0 ** np.array([-17, -7, -17, -7, 0, 0, -17, 0, 0, 0, 0, 0])
-"""Size of the states in ``ROWS``, by which the differences are scaled.
+"""Rows of the tendon's measurements."""
+_STATE_SIZE = 2.0 ** np.array([-17, -7, -17, -7, 0, 0, -17, 0, 0, 0, 0, 0])
+"""Sizes of the states in `ROWS`, which scale the differences.
 
-Powers of two: the difference of a state that is only copied is then exactly one.
+They are powers of two. So the difference of a state that is only copied is exactly one.
 """
 
 
 class _Bench:
-    """Filter and linear law of a hand on a block of its state.
+    """Filter and linear control law of a hand on a block of its state.
 
     Attributes:
-        model: the hand; the law has its gains, and neither limits nor friction of the motors.
-        layout: of the block.
+        model: model of the hand. The control law has its gains, without limits and motor
+            friction.
+        layout: layout of the block.
     """
 
     def __init__(self, model: HandModel) -> None:
+        """Remove limits and friction from a model."""
         unlimited = np.full(model.tendon_count, UNLIMITED)
         space = replace(model.space, coulomb=np.zeros_like(unlimited))
         self.model = replace(model, torque_limit=unlimited, space=space)
         self.layout: Layout = layout_of(model, 1)
         self._constants = HandConstants(self.model, {})
-        self._known = self._constants.block, self._constants.layout.places
+        self._constant_args = self._constants.block, self._constants.layout.places
 
     def estimate(self, block: Block) -> None:
-        """Take in the measurements and predict; no torque acts yet, so that no touch is felt."""
+        """Correct and predict the filter. No torque acts yet, so that no contact is detected."""
         self.layout.view(block, "mode")[...] = Mode.ARMING
-        stages.correct(block, self.layout.places, *self._known)
+        stages.correct(block, self.layout.places, *self._constant_args)
         predict(self.model, self.layout, block)
-        stages.conclude(block, self.layout.places, *self._known)
+        stages.conclude(block, self.layout.places, *self._constant_args)
 
     def act(self, block: Block) -> None:
-        """Command the torques that the goals and the estimate require."""
+        """Command the torques for the goals and the estimate."""
         self.layout.view(block, "mode")[...] = Mode.ACTIVE
         write_loads(self.model, self.layout, self._constants, block)
-        stages.act(block, self.layout.places, *self._known, 0.0, 0, 1)
+        stages.act(block, self.layout.places, *self._constant_args, 0.0, 0, 1)
 
 
 def _operating_point(model: HandModel, tendon: int, kind: LoopKind) -> tuple[_Tick, Matrix, Matrix, Matrix]:
-    """The tick of one tendon about a point, that point's state and reading, and the step of each state."""
+    """Return the tick of a tendon, the state and reading of the operating point, and the states' steps."""
     bench = _Bench(model)
     point = _point(bench, tendon, kind)
 
     def tick(values: Matrix, reading: Matrix) -> Matrix:
         block = point.copy()
         table = bench.layout.table(block, "tendon")
-        table[ROWS, tendon], table[READ, tendon] = values, reading
+        table[ROWS, tendon] = values
+        table[READ, tendon] = reading
         bench.estimate(block)
         bench.act(block)
         return np.append(table[ROWS, tendon], table[s.TORQUE, tendon] / model.space.spool[tendon])
 
     table = bench.layout.table(point, "tendon")
-    return tick, table[ROWS, tendon].copy(), table[READ, tendon].copy(), _USUAL * STEP["state"]
+    return tick, table[ROWS, tendon].copy(), table[READ, tendon].copy(), _STATE_SIZE * STEP["state"]
 
 
 def _point(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
-    """Every digit half closed, every tendon taut, one of them winding (motion) or at rest (tension), without error."""
-    model, layout, moving = bench.model, bench.layout, kind == LoopKind.MOTION
+    """Return the block of the operating point.
+
+    Every digit is half closed and every tendon taut. One tendon winds (motion) or is at rest
+    (tension), without error.
+    """
+    model = bench.model
+    layout = bench.layout
+    moving = kind == LoopKind.MOTION
     coordinates = [_half_closed(digit) for digit in model.digits]
     rates = [_winding(model, d, tendon, SPEED_M_S if moving else 0.0) for d in range(len(model.digits))]
-    q = np.concatenate([digit.coupling @ own for digit, own in zip(model.digits, coordinates, strict=True)])
-    dq = np.concatenate([digit.coupling @ own for digit, own in zip(model.digits, rates, strict=True)])
+    q = np.concatenate([digit.coupling @ position for digit, position in zip(model.digits, coordinates, strict=True)])
+    dq = np.concatenate([digit.coupling @ position for digit, position in zip(model.digits, rates, strict=True)])
     block = layout.initial.copy()
     table = layout.table(block, "tendon")
     table[s.EXCURSION] = model.hand.moment_arms @ q
@@ -295,19 +342,20 @@ def _point(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
     estimated = block.copy()
     bench.estimate(estimated)
     reached = layout.table(estimated, "tendon")
-    table[s.SETPOINT], table[s.PLANNED] = reached[s.TENSION], DEVELOPED_N if moving else TENSION_N
-    goals = tuple(_hold(tendons) for tendons in model.digit_tendons)
+    table[s.SETPOINT] = reached[s.TENSION]
+    table[s.PLANNED] = DEVELOPED_N if moving else TENSION_N
+    goals = tuple(_hold_goal(tendons) for tendons in model.digit_tendons)
     if moving:
         goals = tuple(
-            _move(
+            _move_goal(
                 digit,
-                own,
+                position,
                 rate,
                 reached[s.EXCURSION, digit.tendons],
                 reached[s.SPEED, digit.tendons],
                 tendon - digit.tendons.start,
             )
-            for digit, own, rate in zip(model.digits, coordinates, rates, strict=True)
+            for digit, position, rate in zip(model.digits, coordinates, rates, strict=True)
         )
     write_goals(model, layout, block, goals)
     sample(model, layout, block, goals, 0.0)
@@ -315,49 +363,56 @@ def _point(bench: _Bench, tendon: int, kind: LoopKind) -> Block:
 
 
 def _half_closed(digit: DigitModel) -> Matrix:
-    """(n_c,) coordinates of a digit at which all its joints are inside their ranges [rad].
+    """Return the coordinates (n_c,) of a digit at which all its joints are inside their ranges [rad].
 
-    All joints at ``ANGLE_RAD`` where the coupling has such a point, else the point farthest from all limits.
+    All joints are at `ANGLE_RAD` where the coupling has such a point. Otherwise it is the point
+    farthest from all limits.
     """
-    low, high = digit.joint_min, digit.joint_max
-    own: Matrix = digit.joints_to_coordinates @ np.full(digit.joint_count, ANGLE_RAD)
-    joints, margin = digit.coupling @ own, INSIDE * (high - low)
+    low = digit.joint_min
+    high = digit.joint_max
+    position: Matrix = digit.joints_to_coordinates @ np.full(digit.joint_count, ANGLE_RAD)
+    joints = digit.coupling @ position
+    margin = INSIDE * (high - low)
     if np.all(joints >= low + margin) and np.all(joints <= high - margin):
-        return own
-    count, span = digit.coupling.shape[1], (high - low)[:, None]
-    found = linprog(
+        return position
+    count = digit.coupling.shape[1]
+    span = (high - low)[:, None]
+    solution = linprog(
         np.append(np.zeros(count), -1.0),
         A_ub=np.block([[digit.coupling, span], [-digit.coupling, span]]),
         b_ub=np.concatenate([high, -low]),
         bounds=[(None, None)] * count + [(None, 0.5)],
     )
-    return own if found.x is None else np.asarray(found.x[:count])
+    return position if solution.x is None else np.asarray(solution.x[:count])
 
 
 def _winding(model: HandModel, d: int, tendon: int, speed: float) -> Matrix:
-    """(n_c,) rates of a digit's coordinates at which its tendons wind, the one asked for at a speed [m/s]."""
+    """Return the coordinate rates (n_c,) of a digit whose tendons wind, the given one at a speed [m/s]."""
     digit = model.digits[d]
-    arms, i = digit.reduced_moment_arms, tendon - digit.tendons.start
+    arms = digit.reduced_moment_arms
+    i = tendon - digit.tendons.start
     if 0 <= i < len(arms):
         return np.asarray(arms[i] * speed / (arms[i] @ arms[i]))
     return np.asarray(np.linalg.pinv(arms) @ np.full(len(arms), speed))
 
 
 def _joint_gain(model: HandModel) -> Matrix:
-    """(N,) 1 where joint encoders give a tendon's excursion, NaN where they do not."""
+    """Return 1 where joint encoders measure a tendon's excursion, NaN elsewhere (N,)."""
     seen = [bool(np.any(blocks[Regime.FREE].K[:, 2])) for blocks in model.filter.blocks]
     return np.where(seen, 1.0, math.nan)
 
 
-def _hold(tendons: slice) -> DigitGoal:
+def _hold_goal(tendons: slice) -> DigitGoal:
+    """Return a goal that holds the tension of the operating point."""
     n = tendons.stop - tendons.start
     return DigitGoal(Kind.TENSION, tension=np.full(n, TENSION_N), rate=0.0, force_limit=UNLIMITED)
 
 
-def _move(digit: DigitModel, own: Matrix, rate: Matrix, reached: Matrix, wound: Matrix, i: int) -> DigitGoal:
-    """A way that is, for the digit's tendon i, where its estimate is: excursion [m] and cable speed [m/s]."""
+def _move_goal(digit: DigitModel, position: Matrix, rate: Matrix, reached: Matrix, speed: Matrix, i: int) -> DigitGoal:
+    """Return a motion goal at the estimate of the digit's tendon i: excursion [m] and speed [m/s]."""
     arms = digit.reduced_moment_arms
     if 0 <= i < len(arms):
-        towards = arms[i] / (arms[i] @ arms[i])
-        own, rate = own + towards * (reached[i] - arms[i] @ own), rate + towards * (wound[i] - arms[i] @ rate)
-    return DigitGoal(Kind.MOTION, Sample(own, rate, np.zeros_like(own)))
+        direction = arms[i] / (arms[i] @ arms[i])
+        position = position + direction * (reached[i] - arms[i] @ position)
+        rate = rate + direction * (speed[i] - arms[i] @ rate)
+    return DigitGoal(Kind.MOTION, Sample(position, rate, np.zeros_like(position)))

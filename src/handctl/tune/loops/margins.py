@@ -1,9 +1,9 @@
-"""How far a loop is from trouble: gain, phase and disk margin, bandwidth, and the step response.
+"""Margins of a loop: gain, phase and disk margin, delay, bandwidth, and the step response.
 
-A search asks for thousands of margins, so they are read from one frequency response each; ``control``'s own are the
-oracle in the tests. A margin that is reported is confirmed by the closed loop's eigenvalues: within it no change of
-gain, phase or delay has a pole on the unit circle. Source: balanced disk margin 1 / max |S - 1/2| (Seiler, Packard,
-Gahinet, 2020).
+A search needs thousands of margins, so each is read from one frequency response. The margins of the
+package `control` are the reference in the tests. Reported margins are confirmed by the closed
+loop's eigenvalues: within them no change of gain, phase or delay moves a pole to the unit circle.
+Source: balanced disk margin 1 / max |S - 1/2| (Seiler, Packard, Gahinet, 2020).
 """
 
 import math
@@ -17,32 +17,40 @@ from handctl.core.model import HandModel
 from handctl.tune.loops.linear import NOMINAL, LoopKind, Matrix, PlantFactors, System, loop, plant
 
 GAIN_MARGIN_DB = 6.0
+"""Least gain margin of tuned gains on every plant of an ensemble [dB]."""
 PHASE_MARGIN_DEG = 45.0
-"""What tuned gains are to keep on every plant of an ensemble."""
+"""Least phase margin of tuned gains on every plant of an ensemble [deg]."""
 LOWEST_HZ = 0.3
+"""Lowest frequency of a response [Hz]."""
 POINTS = 300
+"""Frequencies of a response in a search."""
 FINE_POINTS = 3000
-"""Frequencies of a margin that is reported."""
+"""Frequencies of a response for reported margins."""
 NO_GAIN = 1e-6
-"""A loop whose gain never exceeds this feeds nothing back, and has no margin."""
-MOST_DB, MOST_DELAY_S = 60.0, 0.1
-"""Margins beyond these are reported as these: further ones are not confirmed."""
-SIZES, DIRECTIONS = 10, 6
-"""Parts of a margin, and directions of a disk, at which eigenvalues are computed."""
+"""Gain below which a loop feeds nothing back and has no margin."""
+MAX_GAIN_DB = 60.0
+"""Largest reported gain margin [dB]. Larger ones are not confirmed."""
+MAX_DELAY_S = 0.1
+"""Largest reported delay margin [s]. Larger ones are not confirmed."""
+SIZES = 10
+"""Fractions of a margin at which eigenvalues are computed."""
+DIRECTIONS = 6
+"""Directions of a disk at which eigenvalues are computed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """Of one loop.
+    """Margins of a loop.
 
     Attributes:
-        gain_db: factor by which the loop's gain may rise or fall; the smaller of both [dB]. Zero if it is unstable.
-        phase_deg: smallest distance of the phase from -180 degrees where the gain is one.
-        disk: balanced disk margin; 0 is unstable, 2 the largest.
-        delay_s: further delay that the loop bears [s].
-        crossover_hz: highest frequency at which the loop's gain is one; NaN if it never is.
+        gain_db: factor by which the loop's gain may rise or fall, the smaller of both [dB].
+            Zero if the loop is unstable.
+        phase_deg: smallest distance of the phase from -180 degrees where the gain is one [deg].
+        disk: balanced disk margin, 0 for an unstable loop, 2 at most.
+        delay_s: additional delay that the loop tolerates [s].
+        crossover_hz: highest frequency at which the loop's gain is one [Hz], NaN otherwise.
         peak: largest sensitivity [1].
-        stable: whether the closed loop is.
+        stable: stability of the closed loop.
     """
 
     gain_db: float
@@ -55,24 +63,24 @@ class Margins:
 
     @property
     def enough(self) -> bool:
-        """Whether the loop keeps what tuned gains are to keep."""
+        """Return True if the margins suffice for tuned gains."""
         return self.stable and self.gain_db >= GAIN_MARGIN_DB and self.phase_deg >= PHASE_MARGIN_DEG
 
     @property
     def shortfall(self) -> float:
-        """How much is missing, as a share of what is asked; 0 or less if nothing is."""
+        """Return the missing margin as a fraction of the required one, 0 or less if nothing is missing."""
         if not self.stable:
             return 1.0 + min(self.peak, 100.0)
         return max(1.0 - self.gain_db / GAIN_MARGIN_DB, 1.0 - self.phase_deg / PHASE_MARGIN_DEG)
 
 
 def unproven(one: Margins) -> Margins:
-    """Return no margins: what linear loops promise and a simulation does not show."""
+    """Return zero margins, for linear margins that a simulation contradicts."""
     return _none(one.crossover_hz, one.peak, stable=False)
 
 
 def worse(one: Margins, other: Margins) -> Margins:
-    """Of each kind of margin the smaller; crossover and peak the larger."""
+    """Return the smaller of each margin, and the larger crossover and peak."""
     return Margins(
         gain_db=min(one.gain_db, other.gain_db),
         phase_deg=min(one.phase_deg, other.phase_deg),
@@ -85,14 +93,14 @@ def worse(one: Margins, other: Margins) -> Margins:
 
 
 def grid(period: float, points: int = POINTS) -> Matrix:
-    """Angular frequencies from a third of a hertz to just below half the sampling rate (points,) [rad/s]."""
+    """Return angular frequencies from a third of a hertz to just below half the sampling rate (points,) [rad/s]."""
     return np.geomspace(2.0 * math.pi * LOWEST_HZ, 0.999 * math.pi / period, points)
 
 
 def margins(system: System, points: int = POINTS) -> Margins:
     """Compute the margins of a loop L with 1 + L in the denominator.
 
-    An unstable loop and a loop without gain have none.
+    An unstable loop and a loop without gain have no margins.
     """
     omega = grid(system.period, points)
     if not (np.isfinite(system.A).all() and np.isfinite(system.C).all()):
@@ -101,7 +109,8 @@ def margins(system: System, points: int = POINTS) -> Margins:
     if not (stable := is_stable(system)) or float(np.abs(L).max()) <= NO_GAIN:
         return _none(math.nan, float(np.abs(1.0 / (1.0 + L)).max()), stable)
     sensitivity = 1.0 / (1.0 + L)
-    factors, angles = _gain_factors(L), _phase_angles(L, omega)
+    factors = _gain_factors(L)
+    angles = _phase_angles(L, omega)
     return Margins(
         gain_db=min((20.0 * abs(math.log10(gain)) for gain in factors), default=math.inf),
         phase_deg=min((math.degrees(angle) for angle, _ in angles), default=180.0),
@@ -114,16 +123,17 @@ def margins(system: System, points: int = POINTS) -> Margins:
 
 
 def _none(crossover_hz: float, peak: float, stable: bool) -> Margins:
+    """Return zero margins."""
     return Margins(0.0, 0.0, 0.0, 0.0, crossover_hz, peak, stable)
 
 
 def is_stable(system: System, factor: complex = 1.0, delay: int = 0) -> bool:
-    """Return whether all closed-loop eigenvalues are inside the unit circle.
+    """Return True if all closed-loop eigenvalues are inside the unit circle.
 
     Args:
         system: loop.
-        factor: on its gain, complex for a change of phase.
-        delay: further ticks in it.
+        factor: factor on its gain, complex for a change of phase.
+        delay: additional ticks of delay.
     """
     n = len(system.A)
     A = np.zeros((n + delay, n + delay), dtype=complex)
@@ -138,92 +148,106 @@ def is_stable(system: System, factor: complex = 1.0, delay: int = 0) -> bool:
 
 
 def confirmed(system: System) -> Margins:
-    """Compute margins that frequency response and eigenvalues agree on.
+    """Compute margins that the closed loop's eigenvalues confirm.
 
-    A margin within which an eigenvalue leaves the unit circle is cut down to where it does. The frequency response
-    alone misses a resonance between two of its points.
+    A margin within which an eigenvalue leaves the unit circle is reduced to where that happens. The
+    frequency response alone misses a resonance between two of its points.
     """
-    found = margins(system, FINE_POINTS)
-    if not found.stable or found.phase_deg == 0.0:
-        return found
-    ticks = int(min(found.delay_s, MOST_DELAY_S) / system.period)
+    result = margins(system, FINE_POINTS)
+    if not result.stable or result.phase_deg == 0.0:
+        return result
+    ticks = int(min(result.delay_s, MAX_DELAY_S) / system.period)
     delays = np.unique(np.linspace(0, ticks, SIZES + 1).astype(int))[1:].tolist()
-    lost = next((i for i, k in enumerate(delays) if not is_stable(system, delay=k)), None)
+    first_unstable = next((i for i, k in enumerate(delays) if not is_stable(system, delay=k)), None)
     return replace(
-        found,
-        gain_db=_kept(min(found.gain_db, MOST_DB), lambda x: _bears(system, (10.0 ** (x / 20.0), 10.0 ** (-x / 20.0)))),
-        phase_deg=_kept(found.phase_deg, lambda x: _bears(system, (np.exp(1j * math.radians(x)),))),
-        disk=_kept(found.disk, lambda x: _bears(system, _disk(x)), SIZES // 3),
-        delay_s=min(found.delay_s, MOST_DELAY_S) if lost is None else [0, *delays][lost] * system.period,
+        result,
+        gain_db=_largest_confirmed(
+            min(result.gain_db, MAX_GAIN_DB),
+            lambda x: _stable_with_all(system, (10.0 ** (x / 20.0), 10.0 ** (-x / 20.0))),
+        ),
+        phase_deg=_largest_confirmed(
+            result.phase_deg, lambda x: _stable_with_all(system, (np.exp(1j * math.radians(x)),))
+        ),
+        disk=_largest_confirmed(result.disk, lambda x: _stable_with_all(system, _disk(x)), SIZES // 3),
+        delay_s=min(result.delay_s, MAX_DELAY_S)
+        if first_unstable is None
+        else [0, *delays][first_unstable] * system.period,
     )
 
 
-def _bears(system: System, factors: Sequence[complex] | NDArray[np.complex128]) -> bool:
+def _stable_with_all(system: System, factors: Sequence[complex] | NDArray[np.complex128]) -> bool:
+    """Return True if the loop is stable with each of the factors."""
     return all(is_stable(system, complex(factor)) for factor in factors)
 
 
 def _disk(size: float) -> NDArray[np.complex128]:
-    """Return factors on the rim of a balanced disk; those of its mirror image have the same eigenvalues."""
+    """Return factors on the rim of a balanced disk. Those of its mirror image have the same eigenvalues."""
     delta = size * np.exp(1j * np.linspace(0.0, np.pi, DIRECTIONS))
     return np.asarray((2.0 + delta) / (2.0 - delta))
 
 
-def _kept(margin: float, bears: Callable[[float], bool], sizes: int = SIZES) -> float:
-    """Return the largest part of a margin up to which the loop bears everything.
+def _largest_confirmed(margin: float, is_confirmed: Callable[[float], bool], sizes: int = SIZES) -> float:
+    """Return the largest part of a margin up to which all tested fractions are confirmed.
 
-    The last hundredth is interpolation of the frequency response, and is not tried.
+    The last hundredth is interpolation of the frequency response, and is not tested.
     """
     tried = margin * np.linspace(0.0, 0.99, sizes + 1)[1:]
     for before, at in zip([0.0, *tried[:-1]], tried, strict=True):
-        if not bears(float(at)):
+        if not is_confirmed(float(at)):
             return float(before)
     return margin
 
 
 def _gain_factors(L: NDArray[np.complex128]) -> list[float]:
-    """1 / |L| wherever L crosses the negative real axis, interpolated."""
+    """Return 1 / |L| where L crosses the negative real axis, interpolated."""
+    # A sign change of the imaginary part between two samples with negative real parts.
     i = np.flatnonzero((np.diff(np.sign(L.imag)) != 0.0) & (L.real[:-1] < 0.0) & (L.real[1:] < 0.0))
-    share = L.imag[i] / (L.imag[i] - L.imag[i + 1])
-    return [1.0 / abs(value) for value in (L.real[i] + share * (L.real[i + 1] - L.real[i])).tolist()]
+    fraction = L.imag[i] / (L.imag[i] - L.imag[i + 1])
+    return [1.0 / abs(value) for value in (L.real[i] + fraction * (L.real[i + 1] - L.real[i])).tolist()]
 
 
 def _phase_angles(L: NDArray[np.complex128], omega: Matrix) -> list[tuple[float, float]]:
-    """(angle from -180 degrees [rad], frequency [rad/s]) wherever the gain crosses one, interpolated."""
+    """Return (angle from -180 degrees [rad], frequency [rad/s]) where the gain crosses one, interpolated."""
     size = np.log(np.maximum(np.abs(L), NO_GAIN))
     i = np.flatnonzero(np.diff(np.sign(size)) != 0.0)
-    share = size[i] / (size[i] - size[i + 1])
-    angle = np.abs(np.angle(-L[i] * (L[i + 1] / L[i]) ** share))
-    return list(zip(angle.tolist(), (omega[i] * (omega[i + 1] / omega[i]) ** share).tolist(), strict=True))
+    fraction = size[i] / (size[i] - size[i + 1])
+    # Interpolation in log magnitude and phase, where a response is almost linear.
+    angle = np.abs(np.angle(-L[i] * (L[i + 1] / L[i]) ** fraction))
+    return list(zip(angle.tolist(), (omega[i] * (omega[i + 1] / omega[i]) ** fraction).tolist(), strict=True))
 
 
 def all_margins(model: HandModel, factors: PlantFactors = NOMINAL) -> dict[tuple[str, LoopKind], Margins]:
-    """Margins of every tendon's two loops."""
+    """Return the confirmed margins of both loops of every tendon."""
     names = model.hand.tendon_names
     return {(name, kind): confirmed(loop(model, i, kind, factors)) for i, name in enumerate(names) for kind in LoopKind}
 
 
-def worst(found: dict[tuple[str, LoopKind], Margins]) -> tuple[tuple[str, LoopKind], Margins]:
-    """The loop with the largest shortfall, and its name."""
-    return max(found.items(), key=lambda item: item[1].shortfall)
+def worst(
+    margins_by_loop: dict[tuple[str, LoopKind], Margins],
+) -> tuple[tuple[str, LoopKind], Margins]:
+    """Return the loop with the largest shortfall, and its name."""
+    return max(margins_by_loop.items(), key=lambda item: item[1].shortfall)
 
 
 def step_response(model: HandModel, tendon: int, kind: LoopKind, duration: float) -> tuple[Matrix, Matrix]:
-    """Answer of the closed loop to a step of force on the rotor: how it pushes a disturbance of 1 N away.
+    """Return the response of the closed loop to a force step of 1 N on the rotor.
 
     Args:
-        model: the hand.
-        tendon: index.
-        kind: of loop.
-        duration: [s].
+        model: model of the hand.
+        tendon: index of the tendon.
+        kind: kind of the loop.
+        duration: duration [s].
 
     Returns:
-        times (k,) [s], and travel [m] (motion) or tension [N] (tension), (k,).
+        Times (k,) [s], and travel [m] (motion) or tension [N] (tension), (k,).
     """
-    L, P = loop(model, tendon, kind), plant(model, tendon, kind)
+    L = loop(model, tendon, kind)
+    P = plant(model, tendon, kind)
     closed = L.A - L.B @ L.C
     row = np.zeros(len(L.A))
     row[: len(P.A)] = P.C[0 if kind == LoopKind.MOTION else 1]
-    state, values = np.zeros(len(L.A)), []
+    state = np.zeros(len(L.A))
+    values = []
     times = np.arange(round(duration / L.period)) * L.period
     for _ in times:
         values.append(float(row @ state))

@@ -1,1 +1,1 @@
-"""The search for gains on an ensemble of simulated hands."""
+"""Search for gains on an ensemble of simulated hands."""

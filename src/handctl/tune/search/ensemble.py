@@ -1,4 +1,4 @@
-"""Plants that the real one may be: drawn around the hand as it is known, as far as that leaves them uncertain."""
+"""Ensembles of plants: drawn around the identified hand, as wide as its uncertainty."""
 
 from collections.abc import Mapping
 
@@ -7,26 +7,39 @@ from scipy.stats import qmc
 
 from handctl.core.identified import Identified
 
-LEAST_SPREAD = {"stiffness": 0.2, "friction": 0.5, "mass": 0.2, "spring": 0.1, "motor_inertia": 0.1, "damping": 0.5}
-"""Half width of each factor, at least: what an identification is never trusted beyond. The first two are those that a
-tendon changes in service; keys are those of the simulator's ``perturb``."""
+MIN_SPREAD = {
+    "stiffness": 0.2,
+    "friction": 0.5,
+    "mass": 0.2,
+    "spring": 0.1,
+    "motor_inertia": 0.1,
+    "damping": 0.5,
+}
+"""Least half width of each factor, whatever an identification says.
 
-MOST_SPREAD = 0.9
-"""A factor never comes near zero, where there is no plant."""
+A tendon changes stiffness and friction in service. Keys are those of the simulator's `perturb`.
+"""
+
+MAX_SPREAD = 0.9
+"""Largest half width. A factor near zero has no plant."""
 
 
 def ensemble(count: int, seed: int, spread: Mapping[str, float] | None = None) -> tuple[dict[str, float], ...]:
-    """Factors on plant parameters: the nominal plant first, then a scrambled Sobol sequence.
+    """Draw factors on plant parameters: the nominal plant first, then a scrambled Sobol sequence.
 
     Args:
-        count: plants, the nominal one included.
-        seed: of the sequence.
-        spread: half width of each factor by key, e.g. from an identification; never less than ``LEAST_SPREAD``.
+        count: number of plants, the nominal one included.
+        seed: seed of the sequence.
+        spread: half width of each factor by key, e.g. from an identification, never less than
+            `MIN_SPREAD`.
 
     Returns:
-        ``count`` times key to factor.
+        Tables from key to factor, `count` of them.
     """
-    half = {key: min(MOST_SPREAD, max(least, (spread or {}).get(key, 0.0))) for key, least in LEAST_SPREAD.items()}
+    half = {
+        key: min(MAX_SPREAD, max(min_spread, (spread or {}).get(key, 0.0))) for key, min_spread in MIN_SPREAD.items()
+    }
+    # Sobol sequences are balanced for powers of two, so the count is rounded up.
     drawn = qmc.Sobol(len(half), seed=seed).random(1 << max(0, (max(count - 1, 1) - 1).bit_length()))
     factors = 1.0 + np.array(list(half.values())) * (2.0 * drawn[: max(count - 1, 0)] - 1.0)
     nominal = dict.fromkeys(half, 1.0)
@@ -42,18 +55,18 @@ KINDS = {
     "spring_stiffness": "spring",
     "motor_inertia": "motor_inertia",
 }
-"""Key of the ensemble that covers each identified parameter."""
+"""Key of the ensemble for each identified parameter."""
 
 
-def widths(found: Mapping[str, Identified]) -> dict[str, float]:
-    """Half width of each factor that reaches, around what was identified, to the ends of every 95 % interval.
+def widths(identified: Mapping[str, Identified]) -> dict[str, float]:
+    """Return the half width of each factor that covers all 95 % intervals of an identification.
 
     Args:
-        found: identified parameters by tendon.
+        identified: identified parameters by tendon.
     """
     spread: dict[str, float] = {}
-    for known in found.values():
-        for name, value, half in zip(known.names, known.values, known.half_widths, strict=True):
+    for tendon in identified.values():
+        for name, value, half in zip(tendon.names, tendon.values, tendon.half_widths, strict=True):
             if name in KINDS and value > 0.0:
                 spread[KINDS[name]] = max(spread.get(KINDS[name], 0.0), half / value)
     return spread

@@ -1,8 +1,9 @@
-"""The search for gains on the twin: Optuna asks in fixed batches and is told in order, so only the seed decides.
+"""Search for gains in simulation with Optuna. Its result depends on nothing but the seed.
 
-Each batch has a sampler of its own, seeded by the study's seed and the batch's number. That makes the result the same
-for one process, several and a cluster, and lets a study that was interrupted go on where it stopped: a batch that was
-asked goes on with its open trials, one that was asked in part is asked anew.
+Trials are asked in fixed batches and reported in order. Each batch has its own sampler, seeded by
+the study's seed and the batch's number. So one process, several and a cluster find the same result,
+and an interrupted study resumes where it stopped: a complete batch resumes with its open trials, an
+incomplete one is asked again.
 """
 
 import fcntl
@@ -16,29 +17,30 @@ from typing import Any
 from handctl.core.gains.bounds import with_values
 from handctl.core.gains.gains import Gains
 from handctl.errors import ConfigError
-from handctl.tune.search.space import SPACE, within
+from handctl.tune.scoring import Score
+from handctl.tune.search.space import SPACE, clamped
 from handctl.tune.search.workers import Workers
-from handctl.tune.trial import Score
 
 BATCH = 8
-"""Trials asked at once; more workers than this would wait."""
+"""Trials per batch. Further workers would be idle."""
 RANDOM_BATCHES = 2
-"""Before the sampler has seen enough to learn from."""
+"""Batches of random trials before the sampler learns."""
 NAME = "handctl"
+"""Name of the study in the journal."""
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What a search does.
+class SearchPlan:
+    """Plan of a search.
 
     Attributes:
-        hand: text of its file, which a worker on another machine need not have.
-        rate_hz: control rate.
-        gains: to begin from; the first trial.
-        others: more points to try first, e.g. a design's.
-        plants: ensemble of factors.
-        seed: of sampler, plants' noise.
-        trials: number in all.
+        hand: text of the hand file, which a worker on another machine need not have.
+        rate_hz: control rate [Hz].
+        gains: gains of the first trial.
+        plants: factors of the ensemble.
+        seed: seed of the sampler and of the plants' noise.
+        trials: number of trials.
+        others: further gains to try first, e.g. those of a design.
     """
 
     hand: str
@@ -50,11 +52,14 @@ class Plan:
     others: tuple[Gains, ...] = ()
 
     def gains_of(self, number: int, values: Mapping[str, float]) -> Gains:
-        """Gains of a trial; those of the first may lie outside of what is searched."""
+        """Return the gains of a trial. Those of the first trial may lie outside of the search space."""
         return with_values(self.gains, values, "study") if number else self.gains
 
     def job(self, number: int, values: Mapping[str, float]) -> dict[str, Any]:
-        """One trial for a worker; the first is simulated whatever its margins, to compare with."""
+        """Return a trial as a job for a worker.
+
+        The first trial is simulated whatever its margins, as the reference.
+        """
         return {
             "hand": self.hand,
             "rate_hz": self.rate_hz,
@@ -66,8 +71,13 @@ class Plan:
 
     @property
     def identity(self) -> str:
-        """What must be the same for a study to be continued."""
-        plain = {"hand": self.hand, "rate_hz": self.rate_hz, "plants": self.plants, "seed": self.seed}
+        """Return the part of the plan that must be equal to resume a study."""
+        plain = {
+            "hand": self.hand,
+            "rate_hz": self.rate_hz,
+            "plants": self.plants,
+            "seed": self.seed,
+        }
         return json.dumps(plain | {"gains": self.gains.model_dump(by_alias=True)}, sort_keys=True)
 
 
@@ -80,19 +90,19 @@ class Trial:
     score: Score
 
     @property
-    def good(self) -> bool:
-        """Whether it got through and keeps the margins."""
+    def feasible(self) -> bool:
+        """Return True if the trial finished the exercise and keeps the margins."""
         return not self.score.failure and self.score.shortfall <= 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """Where a search stands.
+class SearchResult:
+    """Result of a search.
 
     Attributes:
-        trials: finished ones, in order; the first is of the gains to begin from.
-        best: the good one with the least cost; None if none is good.
-        front: numbers of the good trials that no other good one beats in every objective.
+        trials: finished trials in order. The first has the gains of the plan.
+        best: feasible trial with the smallest cost, None if no trial is feasible.
+        front: numbers of the Pareto-optimal feasible trials.
     """
 
     trials: tuple[Trial, ...]
@@ -100,56 +110,58 @@ class Found:
     front: tuple[int, ...]
 
     @staticmethod
-    def of(trials: tuple[Trial, ...]) -> "Found":
-        """Judge trials."""
-        good = [one for one in trials if one.good]
-        best = min(good, key=lambda one: (one.score.cost(_scale(trials)), one.number)) if good else None
-        front = [one.number for one in good if not any(_beats(other.score, one.score) for other in good)]
-        return Found(trials, best, tuple(front))
+    def of(trials: tuple[Trial, ...]) -> "SearchResult":
+        """Evaluate trials."""
+        feasible = [one for one in trials if one.feasible]
+        best = min(feasible, key=lambda one: (one.score.cost(_scale(trials)), one.number)) if feasible else None
+        front = [one.number for one in feasible if not any(_dominates(other.score, one.score) for other in feasible)]
+        return SearchResult(trials, best, tuple(front))
 
     def cost(self, trial: Trial) -> float:
-        """Cost of a trial in terms of the first; of the first good one if that failed."""
+        """Return the cost of a trial relative to the first trial, or to the first feasible one if that failed."""
         return trial.score.cost(_scale(self.trials))
 
 
 def _scale(trials: tuple[Trial, ...]) -> Score:
-    """What costs are multiples of."""
-    first, good = trials[0].score, (one.score for one in trials if one.good)
-    return next(good, first) if first.failure else first
+    """Return the score that costs are relative to."""
+    first = trials[0].score
+    feasible = (one.score for one in trials if one.feasible)
+    return next(feasible, first) if first.failure else first
 
 
-def _beats(one: Score, other: Score) -> bool:
+def _dominates(one: Score, other: Score) -> bool:
+    """Return True if a score is nowhere worse and somewhere better than another one."""
     pairs = list(zip(one.objectives, other.objectives, strict=True))
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
 
 
-def search(plan: Plan, storage: Path, crew: Workers, show: Callable[[Found], None]) -> Found:
-    """Run a search, or go on with it.
+def search(plan: SearchPlan, storage: Path, workers: Workers, show: Callable[[SearchResult], None]) -> SearchResult:
+    """Run a search, or resume it.
 
     Args:
-        plan: what to search.
-        storage: Optuna journal; a new file, or one of the same plan.
-        crew: who computes.
+        plan: plan of the search.
+        storage: journal of Optuna, a new file or one of the same plan.
+        workers: workers that compute the trials.
         show: called after each trial.
 
     Raises:
-        ConfigError: the storage holds another search, or another process uses it.
+        ConfigError: The storage holds another search, or another process uses it.
     """
-    with _alone(storage):
+    with _exclusive_lock(storage):
         study = _study(plan, storage)
         while len(_finished(study)) < plan.trials:
-            _batch(study, plan, crew, show)
-        return Found.of(_finished(study))
+            _batch(study, plan, workers, show)
+        return SearchResult.of(_finished(study))
 
 
 @contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Keep other searches from a journal; the system lets go of it when this process ends, however that is.
+def _exclusive_lock(path: Path) -> Iterator[None]:
+    """Lock a journal against other searches. The lock ends with this process, however that ends.
 
     Raises:
-        ConfigError: another search has it, or it cannot be opened.
+        ConfigError: Another search has the lock, or the file cannot be opened.
     """
-    right = "a new file, or a journal of `tune search`"
+    expected = "a new file, or a journal of `tune search`"
     try:
         with path.open("ab") as file:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -159,36 +171,49 @@ def _alone(path: Path) -> Iterator[None]:
     except OSError as error:
         if error.filename != str(path):
             raise
-        raise ConfigError(f"cannot be used: {error.strerror}", str(path), right) from None
+        raise ConfigError(f"cannot be used: {error.strerror}", str(path), expected) from None
 
 
-def _study(plan: Plan, path: Path) -> Any:
+def _study(plan: SearchPlan, path: Path) -> Any:
+    """Open the study of a plan in a journal.
+
+    Raises:
+        ConfigError: The journal cannot be used, or holds another search.
+    """
     import optuna
     from optuna.storages import JournalStorage
     from optuna.storages.journal import JournalFileBackend
 
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:
-        _mend(path)
+        _truncate_partial_line(path)
         backend = JournalStorage(JournalFileBackend(str(path)))
         study = optuna.create_study(storage=backend, study_name=NAME, directions=["minimize"] * 3, load_if_exists=True)
         _finished(study)
-    except (OSError, ValueError, LookupError, TypeError, AssertionError) as error:  # Optuna reads without looking
+    except (
+        OSError,
+        ValueError,
+        LookupError,
+        TypeError,
+        AssertionError,
+    ) as error:  # Optuna reads without looking
         raise ConfigError(f"cannot be used: {error}", str(path), "a new file, or a journal of `tune search`") from None
     if study.user_attrs.get("plan", plan.identity) != plan.identity:
         raise ConfigError(
-            "holds another search", str(path), "the same hand, gains, rate, plants and seed, or a new file"
+            "holds another search",
+            str(path),
+            "the same hand, gains, rate, plants and seed, or a new file",
         )
     study.set_user_attr("plan", plan.identity)
     return study
 
 
-def _mend(path: Path) -> None:
-    """Take away a last line that was not written to its end, as by a power cut: Optuna would write on behind it.
+def _truncate_partial_line(path: Path) -> None:
+    """Remove an incomplete last line, e.g. after a power failure. Optuna would append to it.
 
     Raises:
-        OSError: it cannot be read or written.
-        ValueError: it is no journal, and is left as it is.
+        OSError: The file cannot be read or written.
+        ValueError: The file is no journal. It stays unchanged.
     """
     if not path.is_file():
         return
@@ -199,43 +224,45 @@ def _mend(path: Path) -> None:
         file.truncate(content.rfind(b"\n") + 1)
 
 
-def _batch(study: Any, plan: Plan, crew: Workers, show: Callable[[Found], None]) -> None:
-    """Compute what the present batch lacks, and tell in the order in which it was asked."""
-    done = len(_finished(study))
-    asked = _asked(study, plan, done)[: plan.trials - done]
-    jobs = [plan.job(done + i, trial.params) for i, trial in enumerate(asked)]
+def _batch(study: Any, plan: SearchPlan, workers: Workers, show: Callable[[SearchResult], None]) -> None:
+    """Compute the missing trials of the present batch, and report them in the order they were asked in."""
+    finished_count = len(_finished(study))
+    trials = _open_trials(study, plan, finished_count)[: plan.trials - finished_count]
+    jobs = [plan.job(finished_count + i, trial.params) for i, trial in enumerate(trials)]
     scores: dict[int, dict[str, Any]] = {}
-    told = 0
-    for i, score in crew.scores(jobs):
+    reported = 0
+    for i, score in workers.scores(jobs):
         scores[i] = score
-        while told in scores:
-            _tell(study, asked[told], Score(**scores[told]))
-            told += 1
-            show(Found.of(_finished(study)))
+        while reported in scores:
+            _report_score(study, trials[reported], Score(**scores[reported]))
+            reported += 1
+            show(SearchResult.of(_finished(study)))
 
 
-def _asked(study: Any, plan: Plan, done: int) -> list[Any]:
-    """Open trials of the present batch: all of it is asked before any of it is told, whatever number is wanted now.
+def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]:
+    """Return the open trials of the present batch.
 
-    Who wants more later, or comes after an interruption, so finds those that one run would have asked.
+    A whole batch is asked before its first score is reported, whatever the number of trials. So a
+    longer or a resumed search asks for the same trials as a single run.
     """
-    from optuna.trial import Trial as Asked
+    from optuna.trial import Trial as OptunaTrial
     from optuna.trial import TrialState
 
-    count = BATCH - done % BATCH
+    count = BATCH - finished_count % BATCH
     still_open = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
+    # A batch that was asked completely has all its open trials with all parameters.
     if len(still_open) == count and all(len(one.params) == len(SPACE) for one in still_open):
-        return [Asked(study, one._trial_id) for one in still_open]
-    _forget(study)
-    if done == 0:
+        return [OptunaTrial(study, one._trial_id) for one in still_open]
+    _close_open_trials(study)
+    if finished_count == 0:
         for gains in (plan.gains, *plan.others):
-            study.enqueue_trial(within(gains))
-    study.sampler = _sampler(plan.seed, done // BATCH)
+            study.enqueue_trial(clamped(gains))
+    study.sampler = _sampler(plan.seed, finished_count // BATCH)
     return [study.ask(_distributions()) for _ in range(count)]
 
 
-def _forget(study: Any) -> None:
-    """Close what is queued or open."""
+def _close_open_trials(study: Any) -> None:
+    """Close the queued and the open trials."""
     from optuna.trial import TrialState
 
     while study.get_trials(deepcopy=False, states=(TrialState.WAITING,)):
@@ -244,7 +271,9 @@ def _forget(study: Any) -> None:
         study.tell(trial.number, state=TrialState.FAIL)
 
 
-def _tell(study: Any, trial: Any, score: Score) -> None:
+def _report_score(study: Any, trial: Any, score: Score) -> None:
+    """Report a score to the study."""
+    # The attribute comes before the state, so a finished trial always has its score.
     trial.set_user_attr("score", asdict(score))
     if not trial.constraints:  # it has them if an interruption came between the next line and this one
         trial.set_constraint("margins", score.shortfall)
@@ -252,21 +281,25 @@ def _tell(study: Any, trial: Any, score: Score) -> None:
 
 
 def _sampler(seed: int, batch: int) -> Any:
+    """Return the sampler of a batch."""
     from optuna.samplers import RandomSampler, TPESampler
 
-    own = (seed * 7919 + batch) % (1 << 31)
+    # A prime factor keeps the seeds of different batches and studies apart.
+    batch_seed = (seed * 7919 + batch) % (1 << 31)
     if batch < RANDOM_BATCHES:
-        return RandomSampler(seed=own)
-    return TPESampler(seed=own, multivariate=True, constant_liar=True)
+        return RandomSampler(seed=batch_seed)
+    return TPESampler(seed=batch_seed, multivariate=True, constant_liar=True)
 
 
 def _distributions() -> dict[str, Any]:
+    """Return Optuna's distributions of the search space."""
     from optuna.distributions import FloatDistribution
 
     return {key: FloatDistribution(one.low, one.high, log=one.log) for key, one in SPACE.items()}
 
 
 def _finished(study: Any) -> tuple[Trial, ...]:
+    """Return the finished trials in order."""
     from optuna.trial import TrialState
 
     done = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))

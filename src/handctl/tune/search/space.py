@@ -1,4 +1,4 @@
-"""What a search may turn: gains by key, with the range of each."""
+"""Search space: gains by key, with the range of each."""
 
 from typing import NamedTuple
 
@@ -7,7 +7,7 @@ from handctl.core.gains.gains import Gains
 
 
 class Range(NamedTuple):
-    """Of one gain; ``log``: factors count, not differences."""
+    """Range of one gain. With `log` the search is uniform in the logarithm."""
 
     low: float
     high: float
@@ -25,10 +25,13 @@ SPACE = {
     "filter.motor_disturbance_N": Range(0.03, 3.0, True),
     "filter.free_rate_N_per_s": Range(5.0, 400.0, True),
 }
-"""Weights, rejection and filter; the force of Bryson's rule is left alone, for only ratios count."""
+"""Ranges of weights, rejection and filter.
+
+The force of Bryson's rule is fixed, because only ratios of weights count.
+"""
 
 
-def within(gains: Gains) -> dict[str, float]:
-    """The gains as a point of the space, moved to its edge where they are outside."""
+def clamped(gains: Gains) -> dict[str, float]:
+    """Return gains as a point of the search space, clamped to its ranges."""
     values = flat(gains)
     return {key: min(max(values[key], one.low), one.high) for key, one in SPACE.items()}

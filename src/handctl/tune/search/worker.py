@@ -1,15 +1,15 @@
-"""A worker of a search: jobs as JSON lines on standard input, scores as JSON lines on standard output."""
+"""Worker process of a search: jobs as JSON lines on standard input, scores on standard output."""
 
 import json
 import signal
 import sys
 
 from handctl.errors import HandctlError
-from handctl.tune.trial import evaluate
+from handctl.tune.scoring import evaluate
 
 
 def main() -> int:
-    """Work until the input ends; Ctrl-C is the search's business."""
+    """Evaluate jobs until the input ends. The search handles Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for line in sys.stdin:
         try:

@@ -1,4 +1,4 @@
-"""Who computes the trials of a search: this process, processes beside it, or a Dask cluster; with the same scores."""
+"""Workers of a search: this process, a pool of processes, or a Dask cluster, all with the same scores."""
 
 import json
 import os
@@ -11,49 +11,50 @@ from typing import IO, Any, Protocol
 
 from handctl.errors import ConfigError
 from handctl.extras import require
-from handctl.tune.trial import evaluate
+from handctl.tune.scoring import evaluate
 
 Job = dict[str, Any]
 Result = dict[str, Any]
 
 ATTEMPTS = 3
-"""Times that a job is given to a worker before its death is taken for the job's fault."""
+"""Attempts at a job. If a worker dies in each of them, the job counts as the cause."""
 
 
 class Workers(Protocol):
-    """Those who compute."""
+    """Interface of workers that compute scores."""
 
     def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
-        """(index, score) of each job, in the order in which they are done."""
+        """Yield (index, score) of each job in the order of completion."""
         ...
 
     def close(self) -> None:
-        """Let them go."""
+        """Release the workers."""
         ...
 
 
-class Here:
-    """This process, one after the other."""
+class InProcessWorkers:
+    """Worker in this process, one job after the other."""
 
     def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
-        """See ``Workers``."""
+        """Yield (index, score) of each job. See `Workers`."""
         for i, job in enumerate(jobs):
             yield i, evaluate(job)
 
     def close(self) -> None:
-        """Nothing to let go."""
+        """Do nothing."""
 
 
-class Processes:
-    """Processes of this machine. One that dies is replaced and its job done again; nothing that is finished is lost."""
+class ProcessPool:
+    """Processes of this machine. A process that dies is replaced, and its job is repeated."""
 
     def __init__(self, count: int) -> None:
-        self._crew = [self._start() for _ in range(count)]
+        """Start the processes."""
+        self._processes = [self._start() for _ in range(count)]
 
     @property
     def pids(self) -> tuple[int, ...]:
-        """Process ids of the workers, for those who watch them."""
-        return tuple(worker.pid for worker in self._crew)
+        """Return the process ids of the workers."""
+        return tuple(worker.pid for worker in self._processes)
 
     @staticmethod
     def _start() -> "subprocess.Popen[bytes]":
@@ -62,44 +63,51 @@ class Processes:
         command = [sys.executable, "-m", "handctl.tune.search.worker"]
         # Out of reach of the terminal's Ctrl-C, also while it imports.
         return subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment, start_new_session=True
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=environment,
+            start_new_session=True,
         )
 
     def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
-        """See ``Workers``.
+        """Yield (index, score) of each job. See `Workers`.
 
         Raises:
-            ConfigError: a job is wrong, or no worker survives it.
+            ConfigError: A job is invalid, or no worker survives it.
         """
-        waiting, tried = deque(range(len(jobs))), [0] * len(jobs)
+        waiting = deque(range(len(jobs)))
+        attempts = [0] * len(jobs)
         busy: dict[int, int] = {}
         while waiting or busy:
-            for place in range(len(self._crew)):
-                if place not in busy and waiting:
-                    busy[place] = waiting.popleft()
-                    self._give(place, jobs[busy[place]])
-            for place in self._answering(busy):
-                i, line = busy.pop(place), _output(self._crew[place]).readline()
+            for slot in range(len(self._processes)):
+                if slot not in busy and waiting:
+                    busy[slot] = waiting.popleft()
+                    self._send_job(slot, jobs[busy[slot]])
+            for slot in self._readable(busy):
+                i = busy.pop(slot)
+                line = _output(self._processes[slot]).readline()
                 if line.endswith(b"\n"):
                     yield i, _checked(json.loads(line))
                     continue
-                self._replace(place)
-                tried[i] += 1
-                if tried[i] == ATTEMPTS:
+                self._replace(slot)
+                attempts[i] += 1
+                if attempts[i] == ATTEMPTS:
                     raise ConfigError(f"a worker died {ATTEMPTS} times on one trial", "tune search", "--workers 1")
+                # The job of a dead worker comes next, so the order of results changes little.
                 waiting.appendleft(i)
 
-    def _answering(self, busy: Iterable[int]) -> list[int]:
-        """Wait for those who have something to say, an end included."""
-        outputs = {_output(self._crew[place]): place for place in busy}
+    def _readable(self, busy: Iterable[int]) -> list[int]:
+        """Wait until a worker has written a line or ended, and return the indices of all such workers."""
+        outputs = {_output(self._processes[slot]): slot for slot in busy}
         ready, _, _ = select.select(list(outputs), [], [])
         return [outputs[output] for output in ready]
 
-    def _give(self, place: int, job: Job) -> None:
-        """Hand over a job; a worker found dead is replaced first."""
-        if self._crew[place].poll() is not None:
-            self._replace(place)
-        channel = self._crew[place].stdin
+    def _send_job(self, slot: int, job: Job) -> None:
+        """Send a job to a worker. A dead worker is replaced first."""
+        if self._processes[slot].poll() is not None:
+            self._replace(slot)
+        channel = self._processes[slot].stdin
         assert channel is not None
         try:
             channel.write(json.dumps(job).encode() + b"\n")
@@ -107,29 +115,31 @@ class Processes:
         except BrokenPipeError:
             return  # its output has ended too, which is found when it is read
 
-    def _replace(self, place: int) -> None:
-        self._crew[place].kill()
-        self._crew[place].communicate()
-        self._crew[place] = self._start()
+    def _replace(self, slot: int) -> None:
+        """Replace a worker."""
+        self._processes[slot].kill()
+        self._processes[slot].communicate()
+        self._processes[slot] = self._start()
 
     def close(self) -> None:
-        """End the workers, whatever they are at."""
-        for worker in self._crew:
+        """End the workers, also in the middle of a job."""
+        for worker in self._processes:
             worker.kill()
             worker.communicate()
 
 
 class Cluster:
-    """An existing Dask cluster.
-
-    Args:
-        address: of its scheduler.
-
-    Raises:
-        ConfigError: distributed is not installed, or nobody answers.
-    """
+    """An existing Dask cluster."""
 
     def __init__(self, address: str) -> None:
+        """Connect to a cluster.
+
+        Args:
+            address: address of its scheduler.
+
+        Raises:
+            ConfigError: distributed is not installed, or the scheduler does not answer.
+        """
         require("tune search --scheduler", "distributed")
         from distributed import Client
 
@@ -139,7 +149,7 @@ class Cluster:
             raise ConfigError(f"no cluster answers: {error}", f"--scheduler {address}", "tcp://HOST:PORT") from None
 
     def scores(self, jobs: Sequence[Job]) -> Iterator[tuple[int, Result]]:
-        """See ``Workers``; Dask does a lost worker's jobs again."""
+        """Yield (index, score) of each job. See `Workers`. Dask repeats the jobs of a lost worker."""
         from distributed import as_completed
 
         futures = self._client.map(evaluate, jobs, pure=False)
@@ -148,7 +158,7 @@ class Cluster:
             yield places[future.key], result
 
     def close(self) -> None:
-        """Leave the cluster as it is."""
+        """Disconnect. The cluster stays as it is."""
         self._client.close()
 
 
@@ -164,7 +174,7 @@ def _checked(result: Result) -> Result:
 
 
 def workers(count: int, scheduler: str | None) -> Workers:
-    """Whoever was asked for."""
+    """Return the workers for a count of processes, or of a Dask scheduler."""
     if scheduler:
         return Cluster(scheduler)
-    return Here() if count == 1 else Processes(count)
+    return InProcessWorkers() if count == 1 else ProcessPool(count)

@@ -5,7 +5,7 @@ import pytest
 from benchmarks.tuning import PLANT, detuned_gains
 from handctl.core.model import HandModel
 from handctl.hand.load import load_hand
-from handctl.tune.trial import exercise
+from handctl.tune.scoring import exercise
 
 
 @pytest.mark.parametrize("seed", [1000, 1002])

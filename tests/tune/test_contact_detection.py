@@ -8,8 +8,8 @@ import pytest
 from benchmarks.identify import detuned, excited, plant, truth
 from handctl.core.gains.gains import Gains
 from handctl.hand.load import load_hand
-from handctl.tune.identify.contact import CLEAR, KINK, Ramp, joints_moving, steepest
-from handctl.tune.identify.identify import OF_THE_SWEEPS, Found
+from handctl.tune.identify.contact_detection import CLEAR, KINK, Ramp, joints_moving, steepest
+from handctl.tune.identify.identify import SWEEP_PARAMETERS, TendonResult
 from tests.conftest import NIGHTLY
 
 SPRING = 1.2
@@ -27,7 +27,7 @@ def nearer(hand: str, thumb_mm: int, folder: Path) -> str:
     return str(path)
 
 
-def touching(hand: str, thumb_mm: int, seed: int, folder: Path) -> dict[str, Found]:
+def touching(hand: str, thumb_mm: int, seed: int, folder: Path) -> dict[str, TendonResult]:
     """What identification finds of a middle finger that meets the thumb."""
     path = nearer(hand, thumb_mm, folder)
     found, row = excited(path, "middle", seed, {"spring": SPRING}, Gains(), folder)
@@ -50,7 +50,7 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     found = touching(hand, thumb_mm, seed, tmp_path)
     for one in found.values():
         assert one.met or one.blocked
-        assert not set(one.names) & set(OF_THE_SWEEPS)
+        assert not set(one.names) & set(SWEEP_PARAMETERS)
     real = truth(load_hand(hand), next(iter(found)), plant(0) | dict.fromkeys(plant(0), 1.0))
     for one in found.values():  # what a contact in the sweeps does not spoil is kept, and right
         for name in set(one.names) & {"torque_gain", "motor_inertia", "motor_coulomb", "rope_stiffness"}:

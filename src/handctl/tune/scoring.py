@@ -1,4 +1,4 @@
-"""Gains on trial: the whole controller does the exercise on simulated plants in lockstep, and the truth judges it."""
+"""Scores of gains: the whole controller runs the exercise on simulated plants, and the ground truth scores it."""
 
 import tempfile
 import tomllib
@@ -25,20 +25,23 @@ from handctl.tune.loops.design import linear_factors, worst_of
 Array = NDArray[np.float64]
 
 FAILED = 1e3
-"""Objective of gains that did not get through the exercise."""
+"""Objective of gains that did not finish the exercise."""
 
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """What gains are worth, the root mean square over the plants.
+    """Score of gains, the root mean square over the plants.
 
     Attributes:
-        tracking_deg: error of the mean joint angle while moving, against the truth.
-        tension_N: error of the true tension against its set-point while holding.
-        effort_Nm_per_s: rate of the commanded motor torque, which is what wears and what is heard.
-        peak_tension_N: largest true tension on any plant.
-        shortfall: of the margins on the worst plant, as a share; 0 or less is enough.
-        failure: why the exercise ended early; empty if it did not.
+        tracking_deg: error of the mean joint angle while moving, against the ground truth
+            [deg].
+        tension_N: error of the true tension against its setpoint while holding [N].
+        effort_Nm_per_s: rate of the commanded motor torque, a measure of wear and noise [N
+            m/s].
+        peak_tension_N: largest true tension on any plant [N].
+        shortfall: missing margin on the worst plant as a fraction, 0 or less if the margins
+            suffice.
+        failure: reason of an early end, empty otherwise.
     """
 
     tracking_deg: float
@@ -50,27 +53,31 @@ class Score:
 
     @property
     def objectives(self) -> tuple[float, float, float]:
-        """What a search makes small."""
+        """Return the objectives that a search minimises."""
         return self.tracking_deg, self.tension_N, self.effort_Nm_per_s
 
     def cost(self, scale: "Score") -> float:
-        """One number: each objective as a multiple of another score's, effort at a tenth.
+        """Return one number: each objective as a multiple of another score's, the effort at a tenth.
 
-        What is measured first is tracking and tension; effort decides between gains that are alike in these.
+        Tracking and tension decide. The effort decides between gains that are alike in both.
         """
-        parts = [own / max(other, 1e-9) for own, other in zip(self.objectives, scale.objectives, strict=True)]
+        # Weights 1, 1 and 0.1, and 2.1 is their sum, so the reference costs 1.
+        parts = [
+            objective / max(other, 1e-9) for objective, other in zip(self.objectives, scale.objectives, strict=True)
+        ]
         return (parts[0] + parts[1] + 0.1 * parts[2]) / 2.1
 
 
 def evaluate(job: Mapping[str, Any]) -> dict[str, Any]:
-    """Score gains; a plain function of plain data, for whoever computes.
+    """Score gains. Input and output are plain values, so any process can evaluate a job.
 
     Args:
-        job: hand (text of its file), rate_hz, gains (table), plants (factor tables), seed, and optionally
-            must_keep_margins: do not simulate gains that fall short of them.
+        job: hand (text of its file), rate_hz, gains (table), plants (tables of factors), seed,
+            and optionally must_keep_margins: gains that fall short of the margins are not
+            simulated.
 
     Returns:
-        a ``Score`` as a table.
+        A `Score` as a table.
     """
     hand = hand_from(tomllib.loads(job["hand"]), "the hand on trial")
     gains = Gains.model_validate(job["gains"])
@@ -84,6 +91,7 @@ def evaluate(job: Mapping[str, Any]) -> dict[str, Any]:
         runs.append(exercise(hand, model, factors, int(job["seed"]) + i))
         if runs[-1].failure:
             return _table(Score(FAILED, FAILED, FAILED, runs[-1].peak_tension_N, shortfall, runs[-1].failure))
+    # Root mean square over the plants, so the worst plants weigh most.
     tracking, tension, effort = np.sqrt(np.mean([np.square(run.objectives) for run in runs], axis=0)).tolist()
     return _table(Score(tracking, tension, effort, max(run.peak_tension_N for run in runs), shortfall))
 
@@ -93,13 +101,13 @@ def _table(score: Score) -> dict[str, Any]:
 
 
 def exercise(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> Score:
-    """One run of the exercise on one plant, with nothing said of margins.
+    """Score one run of the exercise on a plant, without the margins.
 
     Args:
-        hand: description.
-        model: the hand with the gains.
-        factors: of the plant, on what the hand's description says.
-        seed: of its noise.
+        hand: description of the hand.
+        model: model with the gains.
+        factors: factors of the plant on the description.
+        seed: seed of the noise.
     """
     return judge(hand, *simulated(hand, model, Exercise(), factors, seed))
 
@@ -110,88 +118,97 @@ Ticks = list[tuple[TickIn, TickOut]]
 def simulated(
     hand: Hand, model: HandModel, program: Program, factors: Mapping[str, float], seed: int
 ) -> tuple[Ticks, Truth, str]:
-    """Run a program on one simulated plant in lockstep.
+    """Run a program on a simulated plant in lockstep.
 
     Args:
-        hand: description.
-        model: the hand with the gains.
-        program: to run.
-        factors: of the plant, on what the hand's description says.
-        seed: of its noise.
+        hand: description of the hand.
+        model: model with the gains.
+        program: program to run.
+        factors: factors of the plant on the description.
+        seed: seed of the noise.
 
     Returns:
-        ticks, the simulator's truth, and why it ended early (empty if it did not).
+        The ticks, the simulator's ground truth, and the reason of an early end, empty otherwise.
     """
     ticks: Ticks = []
     with tempfile.TemporaryDirectory(prefix="handctl-") as folder:
         file = Path(folder) / "truth"
         twin = Simulator(hand, seed=seed, perturb=factors, homed=True, truth=file)
-        state = simulate(homed_controller(model, program, hand), twin, lambda entry, out: ticks.append((entry, out)))
+        state = simulate(
+            homed_controller(model, program, hand),
+            twin,
+            lambda entry, out: ticks.append((entry, out)),
+        )
         return ticks, read_truth(file), state.failure
 
 
 def judge(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: Truth, failure: str) -> Score:
-    """Score of one run by the simulator's truth.
+    """Score one run by the simulator's ground truth.
 
     Args:
-        hand: that ran.
-        ticks: of the run.
-        truth: of the plant.
-        failure: why it ended early, or empty.
+        hand: hand of the run.
+        ticks: ticks of the run.
+        truth: ground truth of the plant.
+        failure: reason why the run ended early, or empty.
     """
-    kept = [(entry.t_ns, out) for entry, out in ticks if out.mode == Mode.ACTIVE]
+    active = [(entry.t_ns, out) for entry, out in ticks if out.mode == Mode.ACTIVE]
     tension = truth.values[:, [truth.columns.index(f"tension/{name}") for name in hand.tendon_names]]
     peak = float(tension.max(initial=0.0))
-    if failure or not kept:
+    if failure or not active:
         return Score(FAILED, FAILED, FAILED, peak, 0.0, failure or "never active")
-    t_ns = np.array([t for t, _ in kept])
-    goal, pull, torque = (
-        np.array([getattr(out.telemetry, name) for _, out in kept])
+    t_ns = np.array([t for t, _ in active])
+    goal, tension_goal, torque = (
+        np.array([getattr(out.telemetry, name) for _, out in active])
         for name in ("q_goal", "tension_goal", "motor_torque_goal")
     )
-    real = Reality.of(truth, hand, t_ns)
-    phase = np.array([out.phase for _, out in kept])
-    return score(t_ns, phase, mean_angles(hand, goal), pull, torque, real)
+    real = GroundTruth.of(truth, hand, t_ns)
+    phase = np.array([out.phase for _, out in active])
+    return score(t_ns, phase, mean_angles(hand, goal), tension_goal, torque, real)
 
 
-class Reality(NamedTuple):
-    """What a run is judged by: the simulator's truth, or on hardware the estimates.
+class GroundTruth(NamedTuple):
+    """Reference of a score: the simulator's ground truth, or on hardware the estimates.
 
     Attributes:
         angle: (ticks, D) mean joint angle [rad].
-        tension: (ticks, N) [N].
+        tension: (ticks, N) tension [N].
     """
 
     angle: Array
     tension: Array
 
     @staticmethod
-    def of(truth: Truth, hand: Hand, t_ns: NDArray[np.int64]) -> "Reality":
-        """The truth at times [ns on the simulator's clock]."""
-        return Reality(
+    def of(truth: Truth, hand: Hand, t_ns: NDArray[np.int64]) -> "GroundTruth":
+        """Return the ground truth at times on the simulator's clock [ns]."""
+        return GroundTruth(
             mean_angles(hand, truth.table([f"q/{joint}" for joint in hand.joints], t_ns)),
             truth.table([f"tension/{name}" for name in hand.tendon_names], t_ns),
         )
 
 
 def score(
-    t_ns: NDArray[np.int64], phase: NDArray[Any], angle: Array, tension: Array, torque: Array, real: Reality
+    t_ns: NDArray[np.int64],
+    phase: NDArray[Any],
+    angle: Array,
+    tension: Array,
+    torque: Array,
+    truth: GroundTruth,
 ) -> Score:
-    """Score of ticks of an exercise, with nothing said of margins.
+    """Score ticks of an exercise, without the margins.
 
     Args:
-        t_ns: (ticks,) [ns].
-        phase: (ticks,) names.
+        t_ns: (ticks,) times [ns].
+        phase: (ticks,) names of phases.
         angle: (ticks, D) goals of the mean joint angle [rad].
-        tension: (ticks, N) goals [N].
-        torque: (ticks, M) commanded [N m].
-        real: what really was.
+        tension: (ticks, N) tension goals [N].
+        torque: (ticks, M) commanded motor torques [N m].
+        truth: ground truth at these times.
     """
     rate = np.diff(torque, axis=0) / (np.diff(t_ns)[:, None] / 1e9)
     return Score(
-        tracking_deg=float(np.degrees(rms((angle - real.angle)[phase == "move"]))),
-        tension_N=rms((tension - real.tension)[phase == "hold"]),
+        tracking_deg=float(np.degrees(rms((angle - truth.angle)[phase == "move"]))),
+        tension_N=rms((tension - truth.tension)[phase == "hold"]),
         effort_Nm_per_s=rms(rate[np.isin(phase[1:], ("move", "hold"))]),
-        peak_tension_N=float(real.tension.max(initial=0.0)),
+        peak_tension_N=float(truth.tension.max(initial=0.0)),
         shortfall=0.0,
     )
