@@ -22,7 +22,7 @@ FRAME_LOSS = 0.001
 RUN_NS = 8_000_000_000
 """Longest run of the hand without faults [ns]."""
 GRASPED = "hold"
-"""Phase in which such a run must end."""
+"""Phase at the end of a successful run."""
 
 
 @dataclass
@@ -72,7 +72,12 @@ ProgressCallback = Callable[[str, int, int], None]
 
 
 def plan(
-    hand: Hand, protocol: str, rate_hz: float, quick: bool, row_ids: Sequence[str] = (), seed: int = 0
+    hand: Hand,
+    protocol: str,
+    rate_hz: float,
+    quick: bool,
+    row_ids: Sequence[str] = (),
+    seed: int = 0,
 ) -> list[Scenario]:
     """Select the scenarios: all of them, a sample of every seventh, or some rows.
 
@@ -104,7 +109,7 @@ def run(
 
     Args:
         name: name of the hand.
-        protocols: protocols of its drives, one after the other.
+        protocols: protocols of the drives, one after the other.
         rate_of: function from a hand to its control rate [Hz].
         jobs: number of processes at a time.
         quick: take a sample of the scenarios.
@@ -136,6 +141,7 @@ def run(
         if scenarios_to_run:
             attempt = partial(run_scenario, protocol=protocol)
             try_all(hand, rate, scenarios_to_run, jobs, attempt, done, on_failure, seed)
+        # Also with `quick`: false alarms are as bad as missed faults.
         report.alarms[protocol] = run_fault_free(hand, rate, fault_free_s, seed)
         report.simulated_s += fault_free_s
     return report
@@ -144,8 +150,8 @@ def run(
 def run_fault_free(hand: Hand, rate_hz: float, seconds: float, seed: int = 1) -> list[str]:
     """Return the faults with HOLD or more of a hand without faults, at raised noise and frame loss.
 
-    The hand moves and grasps again and again. A run that does not reach its grasp has tested
-    nothing and counts as an alarm.
+    The hand moves and grasps again and again. A run without a grasp is no test and counts as an
+    alarm.
     """
     alarms: list[str] = []
     remaining_s = seconds

@@ -1,4 +1,4 @@
-"""Campaign report as one self-contained HTML page, and as lines for a terminal."""
+"""Campaign report as a self-contained HTML page, and as lines for a terminal."""
 
 import html
 from collections import Counter
@@ -21,7 +21,19 @@ td.n { text-align: right; font-variant-numeric: tabular-nums; } .bad { color: #b
 """
 BAR_EM = 6.0
 """Width of a full bar [em]."""
-HEAD = ("row", "fault", "tried", "slowest scenario", "detected by", "time", "ticks", "bound", "fraction", "tension", "")
+HEAD = (
+    "row",
+    "fault",
+    "tried",
+    "slowest scenario",
+    "detected by",
+    "time",
+    "ticks",
+    "bound",
+    "fraction",
+    "tension",
+    "",
+)
 """Titles of the table's columns."""
 TITLES = {entry.id: entry.title for entry in CATALOGUE}
 """Title of each fault by its id."""
@@ -60,7 +72,7 @@ def write_page(path: Path, report: Report) -> None:
 
 
 def _slowest(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
-    """Return the scenario of each row that came closest to its bound."""
+    """Return the scenario of each row with the largest fraction of the bound."""
     slowest: dict[str, ScenarioResult] = {}
     for result in results:
         current = slowest.get(result.id)
@@ -71,7 +83,7 @@ def _slowest(results: Iterable[ScenarioResult]) -> list[ScenarioResult]:
 
 
 def bound_fraction(result: ScenarioResult) -> float:
-    """Return the reaction time as a fraction of its bound, 9.9 if there was no reaction."""
+    """Return the reaction time as a fraction of the bound, 9.9 without a reaction."""
     return result.ticks / max(result.bound, 1) if result.ticks >= 0 else 9.9
 
 

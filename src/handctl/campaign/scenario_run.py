@@ -18,7 +18,7 @@ from handctl.session.simulate import Simulation
 OBSERVE_S = 1.3
 """Time for which a scenario is observed beyond its bound, until no torque remains [s]."""
 RUNAWAY = "runaway"
-"""Fault in which a drive pulls with its own limit, whatever it is commanded."""
+"""Fault of a drive that pulls with its own limit against any command."""
 SHUT_DOWN_MODES = (Mode.DISARM, Mode.DONE)
 """Modes after the reaction."""
 SECOND_AT_TICKS = 5
@@ -34,17 +34,16 @@ class ScenarioResult:
     Attributes:
         scenario: description of the scenario.
         id: row of the matrix.
-        stage: stage in which it was run.
+        stage: stage of the run.
         effects: number of times the disturbance took effect, the positive control.
         ticks: ticks from the physical event to the frames that carry the reaction, -1 without a
             reaction.
         bound: largest number of ticks that is allowed.
-        detected_by: row that detected it, as id and instance, empty if none did.
-        safe_ticks: ticks from the event until no motor is commanded a torque, -1 if that never
-            happened.
+        detected_by: row of the detection, as id and instance, empty otherwise.
+        safe_ticks: ticks from the event until no motor is commanded a torque, -1 otherwise.
         tension: largest true tension from the event on [N].
         tension_bound: largest tension that is explained [N], see the function `tension_bound`.
-        ok: the fault took effect, was detected by one of its rows, and was answered in time.
+        ok: the fault took effect, was detected by one of the rows, and was answered in time.
         problem: reason why the result is not ok.
     """
 
@@ -64,12 +63,17 @@ class ScenarioResult:
     def plain(self) -> dict[str, Any]:
         """Return the result as plain values."""
         # The keys are those of the report file, which other programs read.
-        keys = {"effects": "felt", "detected_by": "found", "tension_bound": "most", "problem": "why"}
+        keys = {
+            "effects": "felt",
+            "detected_by": "found",
+            "tension_bound": "most",
+            "problem": "why",
+        }
         return {keys.get(name, name): value for name, value in asdict(self).items()}
 
 
 def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> ScenarioResult:
-    """Run a scenario to its end.
+    """Run a scenario to the end.
 
     Args:
         simulation: simulation at the stage of the scenario. It is used up.
@@ -102,7 +106,11 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
             break
     result.effects = 1 if host else int(simulation.peer.told()[0]["felt"])
     result.tension_bound = tension_bound(
-        simulation, scenario, start_tension, speed, max(result.safe_ticks, bound) * simulation.period_ns * 1e-9
+        simulation,
+        scenario,
+        start_tension,
+        speed,
+        max(result.safe_ticks, bound) * simulation.period_ns * 1e-9,
     )
     return _judge(result, row)
 
@@ -116,7 +124,11 @@ def _speeds(simulation: Simulation) -> list[float]:
 
 
 def tension_bound(
-    simulation: Simulation, scenario: Scenario, start_tension: list[float], speed: list[float], seconds: float
+    simulation: Simulation,
+    scenario: Scenario,
+    start_tension: list[float],
+    speed: list[float],
+    seconds: float,
 ) -> float:
     """Return the largest tension that the drives and their momentum explain [N].
 
@@ -132,7 +144,12 @@ def tension_bound(
     """
     if RUNAWAY not in (scenario.fault.split()[0], *scenario.second.split()[:1]):
         return max(*simulation.controller.limits.tension_trip, *start_tension)
-    return overshoot(simulation.controller.model, start_tension, speed, 0.0 if scenario.stage == GRASP else seconds)
+    return overshoot(
+        simulation.controller.model,
+        start_tension,
+        speed,
+        0.0 if scenario.stage == GRASP else seconds,
+    )
 
 
 def overshoot(model: HandModel, start_tension: Sequence[float], speed: Sequence[float], seconds: float) -> float:
@@ -166,9 +183,14 @@ def _first_effect_ns(simulation: Simulation, host: "Host | None", start_ns: int)
 
 
 def _observe(
-    result: ScenarioResult, simulation: Simulation, scenario: Scenario, out: TickOut, first_effect_ns: int, t_ns: int
+    result: ScenarioResult,
+    simulation: Simulation,
+    scenario: Scenario,
+    out: TickOut,
+    first_effect_ns: int,
+    t_ns: int,
 ) -> None:
-    """Update a result with what one tick shows."""
+    """Update a result from one tick."""
     row = scenario.row
     truth = simulation.peer.truth()
     result.tension = max(result.tension, *truth["tension"])

@@ -1,8 +1,8 @@
 """Fault matrix: the faults, their targets, their stages and the required reactions, as data.
 
-The time limit of a row runs from the physical event to the frames that carry the reaction. It is a
-number of ticks, plus a time in milliseconds where a row or a drive needs one. An ODrive reports its
-state every 100 ms and its temperature every 200 ms.
+The time limit of a row runs from the physical event to the frames that carry the reaction. The
+limit is a number of ticks, plus milliseconds where a row or a drive needs time. An ODrive reports
+its state every 100 ms and its temperature every 200 ms.
 """
 
 import math
@@ -27,7 +27,7 @@ MOVING = (FREE, GRASP)
 REPORT_DELAY_MS = {ODRIVE: 100.0}
 """Delay until a drive reports its state by itself, by protocol [ms]."""
 RESTART_TICKS = {CIA402: 2}
-"""Ticks for which a drive is silent while it restarts, by protocol."""
+"""Silent ticks of a drive during a restart, by protocol."""
 LATE_MS = 7.0
 """Delay that is late at every control rate [ms]."""
 LATE_TICKS = 1.5
@@ -59,9 +59,9 @@ class MatrixRow(NamedTuple):
         action: least action that is required.
         ticks: time limit, part in control periods.
         ms: time limit, part in milliseconds. The parts add up.
-        rows: prefixes of the faults that may detect it. The first is the row's own.
-        stages: stages in which it is run.
-        protocols: protocols with which it is run.
+        rows: prefixes of the faults with which a detection counts, the row's own fault first.
+        stages: stages of the runs.
+        protocols: protocols of the runs.
         extra_ms: further time that a protocol needs [ms].
         extra_ticks: further ticks that a protocol needs. Both add up.
     """
@@ -89,7 +89,7 @@ class Scenario(NamedTuple):
     Attributes:
         row: row of the matrix.
         fault: its text with the instance filled in.
-        stage: stage in which it is run.
+        stage: stage of the run.
         second: second fault of a pair, empty for single faults.
     """
 
@@ -100,7 +100,7 @@ class Scenario(NamedTuple):
 
     @property
     def id(self) -> str:
-        """Return the id of its row."""
+        """Return the id of the row."""
         return self.row.id
 
     @property
@@ -231,15 +231,15 @@ LEFT_OUT = {
     "H12": "real processes",
     "H14": "real processes", "H15": "the soak",
 }  # fmt: skip
-"""Rows of the sections 2.1 to 2.4 that are not in the matrix, and where they are tested."""
+"""Rows of the sections 2.1 to 2.4 outside of the matrix, with the place of their tests."""
 
 
 def scenarios(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
-    """List every row on its first and its last instance, in each of its stages.
+    """List every row on the first and the last instance, in all stages of the row.
 
     Args:
         hand: hand that is simulated.
-        protocol: protocol of its drives.
+        protocol: protocol of the drives.
         period_ms: control period [ms].
     """
     selected = []
@@ -261,6 +261,7 @@ def pairs(hand: Hand, protocol: str, period_ms: float) -> list[Scenario]:
     selected = []
     for i, first in enumerate(rows):
         for second in rows[i + 1 :]:
+            # The required reaction is that of the stronger action.
             main, other = (first, second) if first.action >= second.action else (second, first)
             text = texts(hand, main.fault, period_ms)[0]
             second_text = texts(hand, other.fault, period_ms)[-1]
@@ -289,7 +290,11 @@ def _instances(hand: Hand, fault: str) -> list[dict[str, str]]:
     if "{tendon}" in fault:
         limited = "{trip}" in fault or "{limit}" in fault
         return [
-            {"tendon": tendon.name, "trip": f"{tendon.tension_trip_N:g}", "limit": f"{tendon.drive_limit_N:g}"}
+            {
+                "tendon": tendon.name,
+                "trip": f"{tendon.tension_trip_N:g}",
+                "limit": f"{tendon.drive_limit_N:g}",
+            }
             for tendon in hand.tendon
             # A trip near the rail of the load cell would be reported as saturation.
             if not limited or tendon.tension_trip_N < READABLE_N

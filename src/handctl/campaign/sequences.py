@@ -44,7 +44,13 @@ BETWEEN_FRACTION = 0.2
 """Fraction of steps that are requests or host faults."""
 BRIEF_FRACTION = 0.6
 """Fraction of the other faults that end by themselves."""
-BETWEEN = (f"{HOST}ask stop", f"{HOST}ask clear", f"{HOST}ask nonsense 1", f"{HOST}skip 3", f"{HOST}late 0.3")
+BETWEEN = (
+    f"{HOST}ask stop",
+    f"{HOST}ask clear",
+    f"{HOST}ask nonsense 1",
+    f"{HOST}skip 3",
+    f"{HOST}late 0.3",
+)
 """Requests and host faults between the faults of the simulator."""
 SHUTDOWN_S = 2.5
 """Time after the stop: relaxing and disarming with their timeouts, and an ODrive's heartbeat [s]."""
@@ -53,7 +59,7 @@ WATCHDOG_S = 0.05
 REACTION_TICKS = 10
 """Ticks until the controller stops commanding a runaway drive."""
 FORWARD = (Mode.ARMING, Mode.ACTIVE, Mode.RELAX, Mode.CUT, Mode.DISARM, Mode.DONE)
-"""Modes in the order in which a run may enter them."""
+"""Modes in the order of a run."""
 
 
 class FaultStep(NamedTuple):
@@ -72,8 +78,8 @@ class Sequence(NamedTuple):
     """A random sequence of faults.
 
     Attributes:
-        seed: seed that it was drawn with.
-        stage: stage in which it begins.
+        seed: seed of the draw.
+        stage: stage of the beginning.
         steps: faults in the order of their ticks.
     """
 
@@ -98,6 +104,7 @@ def draw(hand: Hand, protocol: str, period_ms: float, seed: int) -> Sequence:
     The result depends only on the seed, the hand, the protocol and the control period [ms].
     """
     chance = random.Random(f"sequence {seed}")
+    # Every row has the same chance, whatever its number of instances.
     rows = [row for row in MATRIX if protocol in row.protocols]
     count = chance.randint(MIN_FAULTS, MAX_FAULTS)
     steps = []
@@ -242,6 +249,10 @@ def violations_on_replay(simulation: Simulation, state: State, first: int) -> li
     """Return the first tick that does not repeat its state, frames and events from the same inputs."""
     for entry, out in simulation.kept[first:]:
         state, replayed = simulation.controller.tick(state, entry)
-        if (replayed.state_hash, replayed.frames, replayed.events) != (out.state_hash, out.frames, out.events):
+        if (replayed.state_hash, replayed.frames, replayed.events) != (
+            out.state_hash,
+            out.frames,
+            out.events,
+        ):
             return [f"tick {entry.k} does not repeat with the same inputs"]
     return []

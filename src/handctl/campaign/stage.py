@@ -43,7 +43,7 @@ TASK: dict[str, Any] = {
 }
 """Task of all runs: a free motion, then a grasp that lasts."""
 STAGES = (ARMING, FREE, GRASP)
-"""Stages in the order in which a run reaches them."""
+"""Stages in order of time."""
 FREE_S = 0.2
 """Time into the free motion at which faults begin [s]."""
 STAGE_TIMEOUT_S = 12.0
@@ -70,7 +70,7 @@ def started(
     perturb: dict[str, float] | None = None,
     task: dict[str, Any] = TASK,
 ) -> Iterator[Simulation]:
-    """Yield a run at its start: a homed hand in a scene with a cylinder.
+    """Yield a run at the start: a homed hand in a scene with a cylinder.
 
     Args:
         hand: hand to simulate.
@@ -108,7 +108,11 @@ def advance_to(simulation: Simulation, stage: str) -> None:
 
     if not simulation.until(reached, STAGE_TIMEOUT_S):
         failure = simulation.state.failure or simulation.state.mode.name
-        raise ConfigError(f"the simulated hand does not reach stage {stage}: {failure}", "--hand", "a hand that grasps")
+        raise ConfigError(
+            f"the simulated hand does not reach stage {stage}: {failure}",
+            "--hand",
+            "a hand that grasps",
+        )
 
 
 class Experiment(Protocol):
@@ -121,12 +125,12 @@ class Experiment(Protocol):
 
     @property
     def id(self) -> str:
-        """Return the id of its row."""
+        """Return the id of the row."""
         ...
 
     @property
     def stage(self) -> str:
-        """Return the stage in which it begins."""
+        """Return the stage of the beginning."""
         ...
 
 
@@ -179,7 +183,11 @@ def branch(
         while waiting and len(running) < jobs:
             experiment = waiting.pop(0)
             child, reading = in_copy(
-                partial(_run_one, partial(attempt, simulation, experiment), partial(on_failure, simulation))
+                partial(
+                    _run_one,
+                    partial(attempt, simulation, experiment),
+                    partial(on_failure, simulation),
+                )
             )
             running[child] = (reading, experiment)
         child, status = os.wait()
@@ -202,6 +210,9 @@ def _result(reading: int, experiment: Experiment, status: int) -> ScenarioResult
         text = pipe.read()
     if status or not text:
         return ScenarioResult(
-            experiment.name, experiment.id, experiment.stage, problem=f"its process ended with status {status}"
+            experiment.name,
+            experiment.id,
+            experiment.stage,
+            problem=f"its process ended with status {status}",
         )
     return ScenarioResult(**json.loads(text))

@@ -1,4 +1,4 @@
-"""Page about the paper: as Markdown, as one self-contained HTML file, and as plain values for JSON."""
+"""Page about the paper: as Markdown, as a self-contained HTML file, and as plain values for JSON."""
 
 import base64
 import html
@@ -48,14 +48,28 @@ def value(item: Item) -> str:
 def markdown(parts: Sequence[PageSection]) -> str:
     """Return the page as Markdown. Figures are in the folder `figures` beside it."""
     rows = [item for part in parts for item in part.items]
-    lines = [f"# {TITLE}", "", _fill(REFERENCE), "", _fill(INTRODUCTION), "", _fill(_summary(rows)), ""]
+    lines = [
+        f"# {TITLE}",
+        "",
+        _fill(REFERENCE),
+        "",
+        _fill(INTRODUCTION),
+        "",
+        _fill(_summary(rows)),
+        "",
+    ]
     for part in parts:
         lines += [MEASURED_MARK] if part.measured else []
         lines += [f"## {part.title}", ""]
         for paragraph in part.text:
             lines += [_fill(paragraph), ""]
         for name in part.figures:
-            lines += [f"![{CAPTIONS[name]}]({FIGURES}/{PREFIX}{name}.png)", "", f"*{CAPTIONS[name]}*", ""]
+            lines += [
+                f"![{CAPTIONS[name]}]({FIGURES}/{PREFIX}{name}.png)",
+                "",
+                f"*{CAPTIONS[name]}*",
+                "",
+            ]
         lines += _rows(part.table)
         lines += ["| id | where | printed | right | verdict | why |", "|---|---|---|---|---|---|"]
         lines += ["| " + " | ".join(map(_cell, _row(item))) + " |" for item in part.items]
@@ -83,7 +97,14 @@ def _summary(rows: list[Item]) -> str:
 def _row(item: Item) -> tuple[str, ...]:
     """Return the cells of an item."""
     off = f" (deviation {item.deviation:.2g})" if item.deviation is not None and item.verdict != "equal" else ""
-    return (item.id, item.where, item.printed, value(item), f"**{item.verdict.value}**", item.why + off)
+    return (
+        item.id,
+        item.where,
+        item.printed,
+        value(item),
+        f"**{item.verdict.value}**",
+        item.why + off,
+    )
 
 
 def _cell(text: str) -> str:
@@ -139,6 +160,7 @@ def _badge(verdict: str) -> str:
 
 def _inline(paragraph: str) -> str:
     """Return a paragraph as HTML with its code marked."""
+    # Text and code alternate between the backquotes.
     pieces = html.escape(paragraph).split("`")
     return "".join(f"<code>{piece}</code>" if i % 2 else piece for i, piece in enumerate(pieces))
 

@@ -21,6 +21,7 @@ def of_number(printed: str, exact: Fraction | float) -> Verdict:
     unit = last_digit(printed)
     if abs(shown - value) <= EXACT * abs(value):
         return Verdict.EQUAL
+    # Half a unit of the last printed digit.
     if 2 * abs(shown - value) <= unit:
         return Verdict.ROUNDED
     if shown * value >= 0 and 0 < abs(value) - abs(shown) < unit:
@@ -66,6 +67,7 @@ def of_contradiction(printed: Sequence[str], exact: Fraction | float | None) -> 
     if exact is None:
         return of_readings([value == printed[0] for value in printed])
     verdicts = [of_number(value, exact) for value in printed]
+    # The order of the enumeration is the order of severity.
     return max(verdicts, key=list(Verdict).index)
 
 

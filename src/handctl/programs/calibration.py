@@ -18,7 +18,7 @@ from handctl.hand.load import read_toml
 
 
 class TendonCalibration(Document):
-    """Result of the sign test of one tendon."""
+    """Result of the sign test of a tendon."""
 
     tare_N: float
     """Load-cell reading without tension."""
@@ -43,7 +43,7 @@ class Calibration(Document):
     schema_: int = Field(1, alias="schema", ge=1, le=1)
     hand: str
     identity: str
-    """Hash of the hand description that it was made with."""
+    """Hash of the hand description."""
     made: str
     """Date and time, ISO 8601, UTC."""
     tendon: dict[str, TendonCalibration]
@@ -68,10 +68,10 @@ class Calibration(Document):
 
 
 def load_calibration(path: Path, hand: Hand) -> Calibration:
-    """Read a calibration and check that it belongs to a hand.
+    """Read the calibration of a hand.
 
     Raises:
-        ConfigError: The file cannot be read, is for another hand or another version of its
+        ConfigError: The file cannot be read, is for another hand or another version of the
             description, or lacks a tendon.
     """
     return calibration_from(read_toml(path), hand, str(path))
@@ -82,7 +82,7 @@ def calibration_from(content: Mapping[str, Any], hand: Hand, source: str) -> Cal
 
     Args:
         content: parsed file.
-        hand: hand that it must belong to.
+        hand: hand of the calibration.
         source: name of the file, for messages.
 
     Raises:

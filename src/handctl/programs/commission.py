@@ -1,7 +1,7 @@
 """Program that commissions a hand: tare, motor zeros, and the proof that each motor pulls its own tendon.
 
 One tendon after the other is pulled gently while all others are slack. Only its own load cell may
-respond. The pull is too weak to move a digit against its springs, so the joint encoders are not
+respond. The pull is too weak to move a digit against the springs, so the joint encoders are not
 tested.
 
 Load cells drift while many tendons are pulled one by one. Therefore the hand is without torque for
@@ -26,17 +26,17 @@ PULL_N = 3.0
 PULL_FORCE_LIMIT_N = 12.0
 """Largest motor force of a pull: the pull, friction and a margin, in case its load cell does not respond [N]."""
 TARE_S = 0.5
-"""Time over which the load cells are averaged for the first tare [s]."""
+"""Averaging time of the first tare [s]."""
 REST_SETTLE_S = 0.3
 """Time without torque before the load cells are read again [s]."""
 REST_S = 0.2
-"""Time over which they are averaged then [s]."""
+"""Averaging time before each pull [s]."""
 SETTLE_S = 0.7
 """Time between a taut tendon and the measurement [s]."""
 TAKE_UP_TIMEOUT_S = 3.0
 """Longest time until a pulled tendon is taut [s]."""
 MEASURE_S = 0.3
-"""Time over which the response to a pull is averaged [s]."""
+"""Averaging time of the response to a pull [s]."""
 MIN_ANSWER_FRACTION = 0.6
 """Least response of the tendon's own load cell, as a fraction of the pull."""
 MAX_CROSSTALK_FRACTION = 0.3
@@ -117,6 +117,7 @@ class CommissionProgram:
         table[:, REST_SUM] += measured.tension
         table[:, REST_SAMPLES] += 1.0
         samples = table[i, REST_SAMPLES]
+        # Missing readings do not count, so the time is counted in samples.
         if samples * model.period < REST_S:
             return _with_table(progress, table), ()
         # The average of the rest weighs as much as all samples before it.
@@ -160,7 +161,10 @@ class CommissionProgram:
             text = f"another load cell answers {crosstalk:.2f} N: swapped, or two tendons touch"
             return self._refuse(model, progress, i, text)
         event = Event(
-            "info", "commission", model.hand.tendon_names[i], f"answers {answer:.2f} N, others {crosstalk:.2f} N"
+            "info",
+            "commission",
+            model.hand.tendon_names[i],
+            f"answers {answer:.2f} N, others {crosstalk:.2f} N",
         )
         progress, entered = self._next(model, progress, t)
         return progress, (event, *entered)
@@ -173,13 +177,23 @@ class CommissionProgram:
             finished = replace(progress, finished=True, phase="end", goals=passive)
             return finished, (Event("info", "phase", "", "commissioned"),)
         return replace(
-            progress, step=step, since=t, goals=passive, phase="rest", touching=(RESTING,) * len(passive)
+            progress,
+            step=step,
+            since=t,
+            goals=passive,
+            phase="rest",
+            touching=(RESTING,) * len(passive),
         ), ()
 
     def _refuse(self, model: HandModel, progress: Progress, i: int, text: str) -> tuple[Progress, tuple[Event, ...]]:
         """End the program with a failure of tendon i."""
         name = model.hand.tendon_names[i]
-        failed = replace(progress, finished=True, failure=f"{name}: {text}", goals=(DigitGoal(),) * len(progress.goals))
+        failed = replace(
+            progress,
+            finished=True,
+            failure=f"{name}: {text}",
+            goals=(DigitGoal(),) * len(progress.goals),
+        )
         return failed, (Event("error", "commission", name, text),)
 
 

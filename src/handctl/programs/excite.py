@@ -19,7 +19,7 @@ from handctl.document import Document
 from handctl.programs.program import Progress, coordinates
 
 TAUT_TIMEOUT_S = 4.0
-"""Time after which a tendon that is not taut counts as broken [s]."""
+"""Longest time until a healthy tendon is taut [s]."""
 
 
 class ExciteStep(Document):
@@ -88,7 +88,13 @@ class ExciteProgram:
         """Enter a step, or the end."""
         goals = [DigitGoal()] * len(model.digits)
         if index == len(self.steps):
-            done = replace(progress, finished=True, phase="end", goals=tuple(goals), contact=(False,) * len(goals))
+            done = replace(
+                progress,
+                finished=True,
+                phase="end",
+                goals=tuple(goals),
+                contact=(False,) * len(goals),
+            )
             return done, (Event("info", "phase", "", "excitation complete"),)
         step = self.steps[index]
         d = model.hand.digit_names.index(step.digit)

@@ -17,7 +17,7 @@ REST_S = 0.15
 HOME_RAD = math.radians(5.0)
 """Angle clear of the open stop [rad].
 
-A digit that rests on its stop would show a smaller error than it has.
+At the stop the error of a digit would seem too small.
 """
 
 

@@ -23,16 +23,25 @@ from handctl.programs.program import (
     slack_tendons,
     tighten,
 )
-from handctl.programs.task import SHORTEST_MOVE_S, Close, Follow, Hold, Move, Release, Task, for_digit
+from handctl.programs.task import (
+    SHORTEST_MOVE_S,
+    Close,
+    Follow,
+    Hold,
+    Move,
+    Release,
+    Task,
+    for_digit,
+)
 
 FOLLOW_START_DEG = 4.0
-"""Largest distance of a digit from the start of its curve [deg]."""
+"""Largest distance of a digit from the start of the curve [deg]."""
 SETTLE_AFTER_CLOSE_S = 0.3
 """Time in which a digit without contact comes to rest before the next phase [s]."""
 RELEASED_WITHIN_N = 2.0
-"""A digit is released when its tensions are this close to the released tension [N]."""
+"""Tolerance of the released tension [N]."""
 RELEASE_TIMEOUT_S = 10.0
-"""Longest time that a release waits for that [s]."""
+"""Longest wait for a release [s]."""
 REFERENCE_JOINTS = 2
 """Joints of a digit to which the contact threshold refers.
 
@@ -266,7 +275,7 @@ def _plan(model: HandModel, phase: Hold) -> GripPlan:
 
 
 def _distance_error(model: HandModel, phase: Follow, estimate: Estimate) -> str:
-    """Return a message for a digit that is not at the start of its curve, empty if all are."""
+    """Return a message for a digit away from the start of the curve, empty otherwise."""
     for digit, name in zip(model.digits, model.hand.digit_names, strict=True):
         if name not in phase.angle_deg:
             continue
@@ -282,7 +291,7 @@ def contact_threshold(goal: DigitGoal, joints: int, threshold: float, t: float) 
 
     Args:
         goal: goal of the digit.
-        joints: number of its joints.
+        joints: number of the joints.
         threshold: threshold of a moving digit with two joints [N].
         t: time [s].
     """

@@ -59,7 +59,10 @@ class Grip(NamedTuple):
         for tendons, goal in zip(model.digit_tendons, goals, strict=True):
             if goal.kind == Kind.TENSION and goal.tension is not None:
                 tension[tendons] = goal.tension
-                settling_s = max(settling_s, float(np.abs(goal.tension - estimate.tension[tendons]).max()) / goal.rate)
+                settling_s = max(
+                    settling_s,
+                    float(np.abs(goal.tension - estimate.tension[tendons]).max()) / goal.rate,
+                )
         return Grip(tension, np.full_like(tension, np.nan), t + settling_s + QUIET_S)
 
 
@@ -83,7 +86,12 @@ def excursion(model: HandModel, estimate: Estimate) -> Vector:
 
 
 def hold(
-    model: HandModel, grip: Grip, plan: GripPlan, goals: tuple[DigitGoal, ...], estimate: Estimate, t: float
+    model: HandModel,
+    grip: Grip,
+    plan: GripPlan,
+    goals: tuple[DigitGoal, ...],
+    estimate: Estimate,
+    t: float,
 ) -> tuple[Grip, tuple[DigitGoal, ...], tuple[Event, ...]]:
     """Advance a grip by one tick.
 
@@ -102,6 +110,7 @@ def hold(
     judged = t >= grip.ready
     settled = not math.isnan(grip.anchor[0])
     if judged and not settled:
+        # The first tick after the settling fixes the position of a stiff grip.
         grip = grip._replace(anchor=estimate.grip.copy())
     if judged:
         opening = np.where(np.isnan(grip.tension), 0.0, estimate.opening)
@@ -138,7 +147,11 @@ def _goals(
     limit = np.fmax(plan.limit, grip.tension)
     target = np.minimum(grip.raised * grip.tension, limit) + plan.stiffness * (grip.anchor - excursion)
     # A stiff grip may exceed the limit of slip, up to the hand's own ceiling.
-    target = np.clip(target, np.minimum(model.floor, grip.tension), limit if plan.stiffness == 0.0 else model.ceiling)
+    target = np.clip(
+        target,
+        np.minimum(model.floor, grip.tension),
+        limit if plan.stiffness == 0.0 else model.ceiling,
+    )
     return tuple(
         goal if np.isnan(target[tendons]).any() else replace(goal, tension=target[tendons], rate=RATE_N_PER_S)
         for goal, tendons in zip(goals, model.digit_tendons, strict=True)

@@ -10,7 +10,14 @@ from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.law.trajectory import PEAK_SPEED
 from handctl.core.model import HandModel
 from handctl.core.types import Event
-from handctl.programs.program import TIGHTEN_TIMEOUT_S, Progress, coordinates, motion_to, slack_tendons, tighten
+from handctl.programs.program import (
+    TIGHTEN_TIMEOUT_S,
+    Progress,
+    coordinates,
+    motion_to,
+    slack_tendons,
+    tighten,
+)
 from handctl.programs.requests import HoldTension, MoveDigits
 from handctl.programs.task import FOLLOW_SPEED_DEG_S
 from handctl.programs.task_checks import ROUNDING_DEG
@@ -41,7 +48,7 @@ class LiveProgram:
 
 @dataclass(frozen=True, slots=True)
 class JogProgram:
-    """Program that pursues one goal for a while, then ends.
+    """Program with one goal for a limited time.
 
     Attributes:
         request: goal.
@@ -73,7 +80,11 @@ class JogProgram:
 
 
 def apply_goal(
-    model: HandModel, progress: Progress, request: MoveDigits | HoldTension, estimate: Estimate, t: float
+    model: HandModel,
+    progress: Progress,
+    request: MoveDigits | HoldTension,
+    estimate: Estimate,
+    t: float,
 ) -> tuple[Progress, tuple[Event, ...]]:
     """Apply the goals of a request.
 

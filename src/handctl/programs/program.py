@@ -20,7 +20,7 @@ class Progress:
 
     Attributes:
         step: index of the present step.
-        since: time at which it began [s].
+        since: time of its beginning [s].
         goals: goals of the digits.
         contact: for each digit, whether it is in contact.
         touching: for each digit, consecutive ticks with evidence of contact. Programs use it as
@@ -28,8 +28,8 @@ class Progress:
         phase: name of the present step, for events and logs.
         finished: the program has ended.
         failure: reason why the program gave up, empty otherwise.
-        record: numbers that the program keeps for its result.
-        tare: tares that the load cells use from now on [N], empty for those of the calibration.
+        record: numbers for the result of the program.
+        tare: new tares of the load cells [N], empty for the calibration's.
         closing: for each digit, whether it closes until contact, empty in other phases.
         grip: grip of a hold, None in other phases.
     """
@@ -83,7 +83,7 @@ TARE_PHASE = "tare"
 TIGHTEN_MARGIN_N = 1.5
 """Tension above the floor to which slack is taken up [N].
 
-It is too small to move a finger against its springs.
+It is too small to move a finger against the springs.
 """
 TIGHTEN_S = 0.3
 """Time for which all tendons must be taut before the hand is ready [s]."""

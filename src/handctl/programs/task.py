@@ -59,7 +59,7 @@ class Close(Document):
     """Angle at which a digit without contact stops."""
     speed_deg_s: float = Field(60.0, gt=0, le=FOLLOW_SPEED_DEG_S)
     contact_tension_N: Tension = 8.0
-    """Least tension that a digit holds from its contact on."""
+    """Least tension of a digit in contact."""
     timeout_s: Duration = 10.0
 
 
@@ -96,7 +96,7 @@ class Release(Document):
 
 
 class Follow(Document):
-    """Follow a curve through given angles, from rest to rest. The digits must already be at its start."""
+    """Follow a curve through given angles, from rest to rest. The digits must already be at the start."""
 
     kind: Literal["follow"]
     name: str = "follow"
@@ -176,7 +176,10 @@ def trajectory_from(content: Mapping[str, Any], source: str) -> Task:
     file = validated(content, TrajectoryFile, source)
     first = {digit: angles[0] for digit, angles in file.angle_deg.items() if angles}
     follow = {"kind": "follow", "time_s": file.time_s, "angle_deg": file.angle_deg}
-    phases = [{"kind": "move", "name": "to the start", "angle_deg": first, "duration_s": 1.5}, follow]
+    phases = [
+        {"kind": "move", "name": "to the start", "angle_deg": first, "duration_s": 1.5},
+        follow,
+    ]
     return validated({"schema": 1, "name": file.name, "phase": phases}, Task, source)
 
 
@@ -211,7 +214,11 @@ def shapes(hand: Hand) -> dict[str, Shape]:
 
 
 def check_task(
-    task: Task, digits: tuple[str, ...], ceiling: float, where: str, digit_shapes: Mapping[str, Shape] | None = None
+    task: Task,
+    digits: tuple[str, ...],
+    ceiling: float,
+    where: str,
+    digit_shapes: Mapping[str, Shape] | None = None,
 ) -> None:
     """Check a task against a hand.
 
@@ -245,7 +252,7 @@ def check_task(
 
 
 def _count(digit: str, value: object, digit_shapes: Mapping[str, Shape] | None, key_path: str) -> None:
-    """Refuse a list that does not fit its digit: an angle per coordinate, a tension per tendon."""
+    """Refuse a list of the wrong length: an angle per coordinate, a tension per tendon."""
     if digit_shapes is None or not isinstance(value, tuple):
         return
     shape = digit_shapes[digit]
@@ -261,5 +268,5 @@ Value = TypeVar("Value")
 
 
 def for_digit(value: float | dict[str, Value], digit: str) -> float | Value | None:
-    """Return the value that a phase gives a digit, None if it names other digits only."""
+    """Return the value of a phase for a digit, None if the phase names other digits only."""
     return value.get(digit) if isinstance(value, dict) else float(value)

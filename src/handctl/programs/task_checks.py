@@ -10,14 +10,23 @@ from handctl.core.types import Vector
 from handctl.errors import ConfigError
 from handctl.hand.description import Hand
 from handctl.hand.digit import DigitModel
-from handctl.programs.task import FOLLOW_SPEED_DEG_S, Close, Follow, Hold, Move, Phase, Task, for_digit
+from handctl.programs.task import (
+    FOLLOW_SPEED_DEG_S,
+    Close,
+    Follow,
+    Hold,
+    Move,
+    Phase,
+    Task,
+    for_digit,
+)
 
 Span = tuple[Vector, Vector]
 """Lowest and highest value of the coordinates of a digit [deg]."""
 
 
 def check_speed(task: Task, digits: tuple[str, ...], where: str) -> None:
-    """Refuse a move that exceeds the largest joint speed, from wherever the phases before it may end.
+    """Refuse a move above the largest joint speed, from any possible end of the phases before.
 
     Args:
         task: task whose numbers fit the digits.
@@ -45,7 +54,7 @@ def check_speed(task: Task, digits: tuple[str, ...], where: str) -> None:
 
 
 def _target(phase: Phase, digit: str) -> Vector | None:
-    """Return where a phase takes a digit [deg], None if it does not move it."""
+    """Return the angles of a digit after a phase [deg], None without a motion."""
     if isinstance(phase, Follow):
         return np.array(phase.angle_deg[digit][-1:]) if digit in phase.angle_deg else None
     if not isinstance(phase, (Move, Close)):

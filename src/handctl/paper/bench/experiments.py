@@ -53,6 +53,7 @@ def measure(workers: Workers) -> dict[str, Any]:
         `force_displacement`, see there, and `payload`, one result for each diameter and axis.
     """
     searches = [{"do": "search", "diameter_mm": diameter} for diameter in payload.DIAMETERS_MM]
+    # The searches come first, because the loads need their tensions.
     pulled, *grips = workers([{"do": "pull"}, *searches])
     loads = [
         {"do": "load", "diameter_mm": diameter, "axis": axis, "found": grip}

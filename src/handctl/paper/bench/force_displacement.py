@@ -35,7 +35,7 @@ STRAIGHT = 1.2
 
 @dataclass(frozen=True, slots=True)
 class TendonCurve:
-    """Measured curve of one tendon.
+    """Measured curve of a tendon.
 
     Attributes:
         knee_given: knee of the simulator's tendon [N].
@@ -43,7 +43,7 @@ class TendonCurve:
             axis [mm].
         force: (samples,) load cell [N].
         stiffness: stiffness of the linear part [N/m].
-        knee: knee in the data [N], None if the curve is linear to its end.
+        knee: knee in the data [N], None if the curve is linear to the end.
         knee_sigma: standard deviation of that knee [N].
     """
 
@@ -83,7 +83,11 @@ def measure(folder: Path) -> dict[str, Any]:
     spools = [hand.motor_of(name).spool_radius_m for name in hand.tendon_names]
     return {
         "ropes": [
-            {"knee_N": knee, "travel_m": (travel[:, i] * spools[i]).tolist(), "force_N": force[:, i].tolist()}
+            {
+                "knee_N": knee,
+                "travel_m": (travel[:, i] * spools[i]).tolist(),
+                "force_N": force[:, i].tolist(),
+            }
             for i, knee in enumerate(knees)
         ]
     }
@@ -92,7 +96,13 @@ def measure(folder: Path) -> dict[str, Any]:
 def _task(tension: dict[str, float]) -> Task:
     """Return the task that pulls digits to a tension."""
     phases = (
-        {"kind": "close", "name": "touch", "angle_deg": 30.0, "speed_deg_s": 20.0, "contact_tension_N": 12.0},
+        {
+            "kind": "close",
+            "name": "touch",
+            "angle_deg": 30.0,
+            "speed_deg_s": 20.0,
+            "contact_tension_N": 12.0,
+        },
         {
             "kind": "hold",
             "name": "pull",
@@ -118,6 +128,7 @@ def curve(measured: Mapping[str, Any], noise: float) -> TendonCurve:
     force = force[finite]
     straight = (force > LINEAR_N[0]) & (force < LINEAR_N[1])
     slope, offset = np.polyfit(travel[straight], force[straight], 1)
+    # The linear part meets the axis at -offset / slope.
     displacement = travel + offset / slope
     residual = float(np.sqrt(np.mean((force - slope * displacement) ** 2)))
     knee, sigma = (None, 0.0) if residual <= STRAIGHT * noise else _knee(displacement, force, float(slope))

@@ -35,9 +35,9 @@ LOAD_RATE_N_PER_S = 4.0
 LOAD_S = 5.5
 """Duration of the load [s]."""
 CREEP_M_PER_S = 1e-3
-"""Speed from which the object counts as slipping [m/s]."""
+"""Least speed of a slip [m/s]."""
 MOVED_M = 2e-3
-"""Distance from which the object counts as slipping [m]."""
+"""Least distance of a slip [m]."""
 WINDOW_S = 0.1
 """Window of the creep speed [s]."""
 AVERAGE_ROWS = 100
@@ -100,6 +100,7 @@ def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[s
     end = int(np.searchsorted(truth.t_ns, _end(recording, "load")))
     normals = _normals(truth, int(truth.t_ns[first]))
     slip, ended = _slip(truth, first, end)
+    # Along z the object's own weight acts in the direction of the load.
     weight = MASS_KG * float(src.GRAVITY) if axis == "z" else 0.0
     load = float(truth.at("load", truth.t_ns[slip : slip + 1])[0]) + weight
     # The palm carries the difference of the digits' forces out of the palm.
@@ -116,7 +117,13 @@ def load_until_slip(folder: Path, diameter_mm: float, axis: str, grip: Mapping[s
 
 def _hold(name: str, tension: Mapping[str, float], duration: float) -> dict[str, Any]:
     """Return a hold phase."""
-    return {"kind": "hold", "name": name, "tension_N": dict(tension), "rate_N_per_s": 60.0, "duration_s": duration}
+    return {
+        "kind": "hold",
+        "name": name,
+        "tension_N": dict(tension),
+        "rate_N_per_s": 60.0,
+        "duration_s": duration,
+    }
 
 
 def _grip(
@@ -133,7 +140,13 @@ def _grip(
     open_hand = {"index": 20.0, "middle": 20.0, "ring": 20.0, "thumb": 4.0}
     phases = (
         {"kind": "move", "name": "preshape", "angle_deg": open_hand, "duration_s": 0.6},
-        {"kind": "close", "name": "close", "angle_deg": 85.0, "speed_deg_s": 60.0, "contact_tension_N": 14.0},
+        {
+            "kind": "close",
+            "name": "close",
+            "angle_deg": 85.0,
+            "speed_deg_s": 60.0,
+            "contact_tension_N": 14.0,
+        },
         *holds,
     )
     task = Task.model_validate({"schema": 1, "name": "payload", "phase": phases})
@@ -163,7 +176,10 @@ def _slip(truth: Truth, first: int, end: int) -> tuple[int, str]:
     window = round(WINDOW_S * 1000)
     moved = np.linalg.norm(positions - positions[0], axis=1)
     speed = np.linalg.norm(positions[window:] - positions[:-window], axis=1) / WINDOW_S
-    crossings = {"moved": np.flatnonzero(moved > MOVED_M), "creep": np.flatnonzero(speed > CREEP_M_PER_S) + window}
+    crossings = {
+        "moved": np.flatnonzero(moved > MOVED_M),
+        "creep": np.flatnonzero(speed > CREEP_M_PER_S) + window,
+    }
     first = [(int(rows[0]), ended) for ended, rows in crossings.items() if len(rows)]
     row, ended = min(first, default=(len(moved) - 1, "held"))
     return first + row, ended
@@ -176,7 +192,7 @@ def bound_kg(result: Mapping[str, Any]) -> float:
 
 
 def items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
-    """Return one item per load case."""
+    """Return an item per load case."""
     made = []
     for result in results:
         axis = result["axis"]
@@ -200,7 +216,17 @@ def items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
 def table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:
     """Return the measured payload beside the paper's formula and the bounds of friction, titles first."""
     formula = float(src.payload_kg(src.FINGERS * src.GRIP_FINGER_N))
-    titles = ("cylinder", "load", "fingers", "thumb", "palm", "measured", "3 μF/g", "both sides", "Coulomb's bound")
+    titles = (
+        "cylinder",
+        "load",
+        "fingers",
+        "thumb",
+        "palm",
+        "measured",
+        "3 μF/g",
+        "both sides",
+        "Coulomb's bound",
+    )
     rows = []
     for result in results:
         normal = result["normal_N"]
@@ -214,5 +240,9 @@ def table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:
     return (titles, *rows)
 
 
-ENDS = {"moved": "it had moved by 2 mm", "creep": "it crept faster than 1 mm/s", "held": "it still held at the end"}
+ENDS = {
+    "moved": "it had moved by 2 mm",
+    "creep": "it crept faster than 1 mm/s",
+    "held": "it still held at the end",
+}
 """Description of each criterion."""

@@ -26,8 +26,15 @@ def pool(size: int, report: Report) -> Iterator[Workers]:
         report: called with the state of each job.
     """
     command = [sys.executable, "-m", WORKER]
-    children = [  # out of reach of the terminal's Ctrl-C, also while they import
-        subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    # A session of its own keeps the terminal's Ctrl-C from the workers.
+    children = [
+        subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
         for _ in range(size)
     ]
     try:

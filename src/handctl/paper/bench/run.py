@@ -55,7 +55,7 @@ def run(hand_file: str, scene: str | None, task: Task, truth: Path | None = None
         scene: scene of the simulator.
         task: task of the controller.
         truth: file for the simulator's ground truth.
-        seed: seed of its noise.
+        seed: seed of the noise.
 
     Raises:
         DriveError: The controller gave up, or safety ended the run.

@@ -26,7 +26,10 @@ def contents(results: Mapping[str, Any] | None) -> dict[str, tuple[tuple[float, 
         bench = curves(results["force_displacement"])
         loads = results["payload"]
         drawn |= {
-            "fig5-force-displacement": (measured.SIZE_FORCE, lambda fig: measured.force_displacement(fig, bench)),
+            "fig5-force-displacement": (
+                measured.SIZE_FORCE,
+                lambda fig: measured.force_displacement(fig, bench),
+            ),
             "fig8-payload": (measured.SIZE_PAYLOAD, lambda fig: measured.payloads(fig, loads)),
         }
     return drawn

@@ -45,7 +45,15 @@ def hand(figure: Any) -> None:
             colours += [_shaded(face, colour) for face in capsule]
         label_position = (nodes[0] + nodes[1]) / 2.0 + np.array(LABEL_MM[name])
         outline = [withStroke(linewidth=2.5, foreground="white")]
-        axes.text(*label_position, name, color=colour, weight="bold", ha="center", zorder=9, path_effects=outline)
+        axes.text(
+            *label_position,
+            name,
+            color=colour,
+            weight="bold",
+            ha="center",
+            zorder=9,
+            path_effects=outline,
+        )
     links = Poly3DCollection(faces, facecolors=colours, edgecolors=colours, linewidths=0.25, zorder=3)
     axes.add_collection3d(links)
     _axes(axes)
@@ -53,7 +61,11 @@ def hand(figure: Any) -> None:
 
 def _axes(axes: Any) -> None:
     """Set limits, labels and title of the axes."""
-    axes.set(xlabel="x, out of the palm [mm]", ylabel="y, thumb to fingers [mm]", zlabel="z, along the hinges [mm]")
+    axes.set(
+        xlabel="x, out of the palm [mm]",
+        ylabel="y, thumb to fingers [mm]",
+        zlabel="z, along the hinges [mm]",
+    )
     axes.set(xlim=(-12, 62), ylim=(-37, 37), zlim=(-37, 37))
     axes.set_box_aspect((1, 1, 1), zoom=1.05)
     axes.view_init(*VIEW)
@@ -77,6 +89,7 @@ def _palm() -> list[Array]:
     mounts = np.array([digit.mount_position_m for digit in src.hand().digit])
     low = 1000.0 * (mounts.min(axis=0) - PALM_MARGIN)
     high = 1000.0 * (mounts.max(axis=0) + PALM_MARGIN)
+    # The palm lies behind the plane of the mounts.
     low[0] = -1000.0 * PALM_THICKNESS
     high[0] = 0.0
     faces = []
@@ -113,6 +126,7 @@ def _shaded(face: Array, colour: str) -> tuple[float, float, float]:
 
     normal = np.cross(face[2] - face[0], face[3] - face[1])
     length = float(np.linalg.norm(normal))
+    # Ambient light of 0.55, the rest by the cosine to the light.
     bright = 0.55 + 0.45 * abs(float(normal @ LIGHT) / (length * float(np.linalg.norm(LIGHT)))) if length else 1.0
     red, green, blue = (min(1.0, bright * part + 0.06) for part in to_rgb(colour))
     return red, green, blue

@@ -28,23 +28,52 @@ def force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
     axes.text(0.985 * end, allowed - 3, text, color=RED, fontsize=8.5, ha="right", va="top")
     for knee, name in zip(src.KNEES_N, ("section 5", "abstract"), strict=True):
         axes.axhline(float(knee), color=GREY, linewidth=1.0, linestyle=(0, (5, 3)))
-        axes.text(0.02 * end, float(knee) + 3, f"“linear up to {knee} N” ({name})", color=GREY, fontsize=8.5)
+        axes.text(
+            0.02 * end,
+            float(knee) + 3,
+            f"“linear up to {knee} N” ({name})",
+            color=GREY,
+            fontsize=8.5,
+        )
     stiffness = curves[0].stiffness
     axes.plot([0, 1e3 * top / stiffness], [0, top], color="black", linewidth=0.9, linestyle=":", zorder=3)
     for curve, colour in zip(curves, (BLUE, ORANGE), strict=True):
         label = f"measured, rope with its knee at {curve.knee_given:g} N"
-        axes.plot(curve.displacement[::4], curve.force[::4], ".", color=colour, markersize=3, label=label, zorder=4)
+        axes.plot(
+            curve.displacement[::4],
+            curve.force[::4],
+            ".",
+            color=colour,
+            markersize=3,
+            label=label,
+            zorder=4,
+        )
         if curve.knee is not None:
             position = (1e3 * curve.knee / curve.stiffness, curve.knee)
             axes.plot(
-                *position, "o", color="white", markeredgecolor=colour, markersize=8, markeredgewidth=1.8, zorder=6
+                *position,
+                "o",
+                color="white",
+                markeredgecolor=colour,
+                markersize=8,
+                markeredgewidth=1.8,
+                zorder=6,
             )
             text = f"knee found at {curve.knee:.0f} ± {2 * curve.knee_sigma:.0f} N"
-            axes.text(0.985 * end, curve.knee - 12, text, color=colour, weight="bold", ha="right", va="top")
+            axes.text(
+                0.985 * end,
+                curve.knee - 12,
+                text,
+                color=colour,
+                weight="bold",
+                ha="right",
+                va="top",
+            )
     axes.annotate(f"{stiffness / 1000:.1f} N/mm", (0.6, 60.0), (12, -6), textcoords="offset points")
     axes.set(xlabel="displacement of the tendon at the spool [mm]", ylabel="tension at the load cell [N]")
     axes.set(xlim=(0, end), ylim=(0, top), title="Tendon of a blocked finger, pulled over the bus")
     axes.legend(loc="lower right", fontsize=8.5, markerscale=4)
+    # Stress is proportional to tension, so the second axis needs one factor.
     factor = src.wire_stress_mpa(1.0, wire)
     stress = axes.secondary_yaxis("right", functions=(lambda force: force * factor, lambda mpa: mpa / factor))
     stress.set_ylabel(f"stress in the {wire:.4f} mm wire [MPa]")
@@ -72,7 +101,11 @@ def _bars(axes: Any, results: Sequence[Mapping[str, Any]]) -> None:
         heights = [rows[axis]["payload_kg"] for axis in payload.AXES]
         bars = axes.bar(positions, heights, 0.9 * width, color=SHADES[k], label=f"⌀ {diameter:g} mm", zorder=3)
         more = ["≥ " if rows[axis]["ended"] == "held" else "" for axis in payload.AXES]
-        axes.bar_label(bars, [f"{sign}{height:.2f}" for sign, height in zip(more, heights, strict=True)], fontsize=8.5)
+        axes.bar_label(
+            bars,
+            [f"{sign}{height:.2f}" for sign, height in zip(more, heights, strict=True)],
+            fontsize=8.5,
+        )
         bounds = [payload.bound_kg(rows[axis]) for axis in payload.AXES]
         axes.plot(
             positions, bounds, "_", color="black", markersize=20, markeredgewidth=1.6, zorder=4,
@@ -100,13 +133,21 @@ def _lines(axes: Any) -> None:
 
 
 def _traces(axes: Any, axis: str, results: Sequence[Mapping[str, Any]]) -> None:
-    """Draw the object's motion for one axis."""
+    """Draw the object's motion for an axis."""
     gravity = float(src.GRAVITY)
     for result, colour in zip(results, SHADES, strict=True):
         axes.plot(result["trace_mm"], np.array(result["trace_N"]) / gravity, color=colour, linewidth=1.3)
         row = int(np.searchsorted(result["trace_N"], result["load_N"]))
         position = result["trace_mm"][min(row, len(result["trace_mm"]) - 1)]
-        axes.plot(position, result["payload_kg"], "o", color="white", markeredgecolor=colour, markersize=6, zorder=5)
+        axes.plot(
+            position,
+            result["payload_kg"],
+            "o",
+            color="white",
+            markeredgecolor=colour,
+            markersize=6,
+            zorder=5,
+        )
     axes.axhline(float(src.PAYLOAD_KG), color=RED, linewidth=1.0, linestyle="--")
     axes.set(xlim=(0, 3.0), ylim=(0, 2.4), xlabel="object has moved [mm]")
     axes.set_title(f"along {axis}", fontsize=9.5)

@@ -32,7 +32,13 @@ def model(figure: Any) -> None:
         _arc(axes, nodes[i], (0.0, theta[i]), 1.45 * radius, ORANGE, f"θ{'₁₂₃'[i]}")
         middle = (nodes[i] + nodes[i + 1]) / 2.0
         across = 3.4 * np.array([-np.sin(theta[i]), np.cos(theta[i])])
-        axes.text(*(middle + across), f"L{'₁₂₃'[i]} = {lengths[i]} mm", ha="right", va="bottom", fontsize=9.5)
+        axes.text(
+            *(middle + across),
+            f"L{'₁₂₃'[i]} = {lengths[i]} mm",
+            ha="right",
+            va="bottom",
+            fontsize=9.5,
+        )
     axes.plot([-4.0, -4.0], [-7.0, 7.0], color="black", linewidth=5, solid_capstyle="butt")
     axes.plot([-4.0, 0.0], [0.0, 0.0], color="black", linewidth=5, solid_capstyle="butt", zorder=3)
     axes.text(-4.0, -9.5, "palm", ha="center", fontsize=9.5)
@@ -53,7 +59,11 @@ def _ray(axes: Any, start: Any, angle: float, length: float, colour: str) -> Non
 def _arc(axes: Any, centre: Any, between: tuple[float, float], radius: float, colour: str, label: str) -> None:
     """Draw an angle with its name outside of the arc's middle."""
     angles = np.linspace(*between, 40)
-    axes.plot(*(centre[:, None] + radius * np.array([np.cos(angles), np.sin(angles)])), color=colour, zorder=3)
+    axes.plot(
+        *(centre[:, None] + radius * np.array([np.cos(angles), np.sin(angles)])),
+        color=colour,
+        zorder=3,
+    )
     at = between[0] + 0.45 * (between[1] - between[0])
     axes.text(*(centre + (radius + 1.8) * np.array([np.cos(at), np.sin(at)])), label, color=colour, ha="center",
               va="center", fontsize=10, zorder=6)  # fmt: skip

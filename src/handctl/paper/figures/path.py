@@ -30,7 +30,7 @@ def path(figure: Any) -> None:
 
 
 def _digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
-    """Draw one digit: area, curve, poses."""
+    """Draw a digit: area, curve, poses."""
     model = kinematics.digit(name)
     _area(axes, kinematics.workspace(name, SAMPLES[name]), x, HEIGHT_MM)
     low, high = coordinate_limits(model)
@@ -46,12 +46,25 @@ def _digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
             offset = (5, 4) if degrees < 45 else (-7, 6 if degrees < 75 else -5)
             side = "left" if degrees < 45 else "right"
             axes.annotate(
-                f"{degrees:g}°", tip, offset, textcoords="offset points", fontsize=8.5, color=BLUE, ha=side, zorder=6
+                f"{degrees:g}°",
+                tip,
+                offset,
+                textcoords="offset points",
+                fontsize=8.5,
+                color=BLUE,
+                ha=side,
+                zorder=6,
             )
     reach = 1000.0 * sum(model.lengths)
     axes.plot(reach, 0.0, "s", color=RED, markersize=6, fillstyle="none", zorder=6)
     axes.annotate(
-        f"{reach:g} mm", (reach, 0.0), (-4, -14), textcoords="offset points", fontsize=8.5, color=RED, ha="center"
+        f"{reach:g} mm",
+        (reach, 0.0),
+        (-4, -14),
+        textcoords="offset points",
+        fontsize=8.5,
+        color=RED,
+        ha="center",
     )
     axes.set(xlabel="X [mm]", title=title, xlim=x, ylim=HEIGHT_MM, aspect="equal")
 
@@ -59,10 +72,19 @@ def _digit(axes: Any, name: str, title: str, x: tuple[float, float]) -> None:
 def _area(axes: Any, tips: Array, x: tuple[float, float], y: tuple[float, float]) -> None:
     """Draw the cells that contain a sampled tip, with gaps between samples closed."""
     bins = [np.arange(low, high + CELL_MM, CELL_MM) for low, high in (x, y)]
+    # Cells between samples would look like holes in the workspace.
     hit = binary_closing(np.histogram2d(tips[:, 0], tips[:, 1], bins=bins)[0] > 0, iterations=3)
     smooth = gaussian_filter(hit.astype(float), 1.5).T
     middles = [(edges[:-1] + edges[1:]) / 2.0 for edges in bins]
     axes.contourf(*middles, smooth, levels=[0.5, 1.5], colors=["#cfe3f3"], zorder=1)
     axes.contour(*middles, smooth, levels=[0.5], colors=["#8db9da"], linewidths=0.8, zorder=2)
-    axes.plot([], [], "s", color="#cfe3f3", markeredgecolor="#8db9da", markersize=9, label="independent joints")
+    axes.plot(
+        [],
+        [],
+        "s",
+        color="#cfe3f3",
+        markeredgecolor="#8db9da",
+        markersize=9,
+        label="independent joints",
+    )
     axes.plot([], [], color=GREY, marker="o", markersize=2.8, linewidth=1.1, label="links")

@@ -1,4 +1,4 @@
-"""Fig. 4 and 6: the moment of a tip force along a straight digit, and the moment of one tendon."""
+"""Fig. 4 and 6: the moment of a tip force along a straight digit, and the moment of a tendon."""
 
 from typing import Any
 
@@ -19,7 +19,7 @@ def statics(figure: Any) -> None:
 
 
 def _digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
-    """Draw one digit's required and available moments."""
+    """Draw a digit's required and available moments."""
     levers = [float(lever) for lever in src.levers(digit)]
     positions = [levers[0] - lever for lever in levers]
     constant = levers[0]
@@ -33,7 +33,14 @@ def _digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
         zorder=3,
     )
     for i, (position, lever) in enumerate(zip(positions, levers, strict=True)):
-        axes.annotate(f"{lever:g}F", (position, lever), (7, 3), textcoords="offset points", color=BLUE, weight="bold")
+        axes.annotate(
+            f"{lever:g}F",
+            (position, lever),
+            (7, 3),
+            textcoords="offset points",
+            color=BLUE,
+            weight="bold",
+        )
         if constant > lever:
             axes.annotate(
                 "",
@@ -42,7 +49,11 @@ def _digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
                 arrowprops={"arrowstyle": "<->", "color": RED, "shrinkA": 4},
             )
             axes.text(
-                position + 0.8, (constant + lever) / 2, f"{constant - lever:g}F\ntoo much", color=RED, fontsize=8.5
+                position + 0.8,
+                (constant + lever) / 2,
+                f"{constant - lever:g}F\ntoo much",
+                color=RED,
+                fontsize=8.5,
             )
         axes.text(position, -7.8, f"joint {i + 1}", ha="center", fontsize=8.5, color=GREY)
     axes.text(0.3 * constant, constant + 1.2, tension, color="#a87400", fontsize=9)
@@ -53,9 +64,19 @@ def _digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
 def _drawing(axes: Any, nodes: list[float]) -> None:
     """Draw the digit below the axis, with the force at its tip."""
     axes.plot(nodes, [-12.5] * len(nodes), color=GREY, linewidth=6, solid_capstyle="round", alpha=0.45)
-    axes.plot(nodes[:-1], [-12.5] * (len(nodes) - 1), "o", color="white", markeredgecolor=GREY, markersize=6)
+    axes.plot(
+        nodes[:-1],
+        [-12.5] * (len(nodes) - 1),
+        "o",
+        color="white",
+        markeredgecolor=GREY,
+        markersize=6,
+    )
     axes.annotate(
-        "", (nodes[-1], -12.0), (nodes[-1], -1.5), arrowprops={"arrowstyle": "-|>", "color": "black", "linewidth": 1.4}
+        "",
+        (nodes[-1], -12.0),
+        (nodes[-1], -1.5),
+        arrowprops={"arrowstyle": "-|>", "color": "black", "linewidth": 1.4},
     )
     axes.text(nodes[-1] + 1.0, -6.5, "F", weight="bold")
     axes.axhline(0.0, color=GREY, linewidth=0.8)

@@ -25,7 +25,14 @@ def torques(figure: Any) -> None:
             for part in PARTS:
                 total_axes.plot(1e3 * motion.times, 1e3 * motion.parts[part], color=COLOURS[part], label=part)
             total = sum(motion.parts.values(), np.zeros(len(motion.times)))
-            total_axes.plot(1e3 * motion.times, 1e3 * total, color="black", linewidth=1.0, linestyle="--", label="sum")
+            total_axes.plot(
+                1e3 * motion.times,
+                1e3 * total,
+                color="black",
+                linewidth=1.0,
+                linestyle="--",
+                label="sum",
+            )
             for part in LINKS:
                 link_axes.plot(1e3 * motion.times, 1e3 * motion.parts[part], color=COLOURS[part])
             total_axes.set_title(f"{title}, {CLOSED_DEG:g}° in {duration:g} s", fontsize=9.5)

@@ -24,7 +24,7 @@ Source: Birglen, Laliberte & Gosselin (2008).
 
 
 def items() -> list[Item]:
-    """Return one item per number."""
+    """Return an item per number."""
     return [*_one_tendon(), *_coupling(), *_balance(), *_both_sides(), _bending(), _lift_off()]
 
 
@@ -52,6 +52,7 @@ def _one_tendon() -> list[Item]:
 def _coupling() -> list[Item]:
     """Check equal angles by a mechanism: the tendon's work equals the tip's."""
     levers = src.levers(src.finger())
+    # Virtual work at equal angles: T times 3 r_p is F times the sum of the levers.
     tension = sum(levers, Fraction(0)) / (len(levers) * src.PULLEY_MM)
     force = src.GRIP_FINGER_N * tension
     torque = src.GRIP_FINGER_N * tension * src.SPOOL_MM / 1000
@@ -122,6 +123,7 @@ def contact_forces(tension: float, angles_deg: tuple[float, ...] = WRAP_DEG) -> 
     levers = np.zeros((3, 3))
     for joint in range(3):
         for link in range(joint, 3):
+            # Lever of a normal force at the middle of `link` about `joint`.
             inner = lengths[joint:link] @ np.cos(absolute[link] - absolute[joint:link])
             levers[joint, link] = inner + lengths[link] / 2.0
     return np.linalg.solve(levers, np.full(3, tension * float(src.PULLEY_MM) / 1000.0))

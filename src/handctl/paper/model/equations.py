@@ -33,12 +33,27 @@ class Term:
     mirror: str = ""
 
 
-def _term(id: str, printed: str, readings: str | tuple[str, ...], right: str, why: str = "", mirror: str = "") -> Term:
+def _term(
+    id: str,
+    printed: str,
+    readings: str | tuple[str, ...],
+    right: str,
+    why: str = "",
+    mirror: str = "",
+) -> Term:
     """Return a term, with its equation from its id."""
     texts = (readings,) if isinstance(readings, str) else readings
     number = id.removeprefix("eq").partition(".")[0]
     reason = why or "As derived."
-    return Term(id, f"Eq. {number}", printed, tuple(map(Expression, texts)), Expression(right), reason, mirror)
+    return Term(
+        id,
+        f"Eq. {number}",
+        printed,
+        tuple(map(Expression, texts)),
+        Expression(right),
+        reason,
+        mirror,
+    )
 
 
 KINETIC_1 = (
@@ -52,7 +67,13 @@ KINETIC_1 = (
 KINETIC_2 = (
     _term("eq4.rotation", "½ I₂ θ̇₂²", "I2*dth2**2/2", "I2*dth2**2/2"),
     _term("eq4.base", "½ m₂ L₁² θ̇₁²", "m2*L1**2*dth1**2/2", "m2*L1**2*dth1**2/2"),
-    _term("eq4.own", "½ m₂ d₂ θ̇₂²", "m2*d2*dth2**2/2", "m2*d2**2*dth2**2/2", "The square of d₂ is missing."),
+    _term(
+        "eq4.own",
+        "½ m₂ d₂ θ̇₂²",
+        "m2*d2*dth2**2/2",
+        "m2*d2**2*dth2**2/2",
+        "The square of d₂ is missing.",
+    ),
     _term(
         "eq4.cross",
         "½ m₂ 2 L₁ d₂ θ̇₂ θ̇₁ cos(θ₁ − θ₂)",
@@ -63,7 +84,13 @@ KINETIC_2 = (
 KINETIC_3 = (
     _term("eq5.rotation", "½ I₃ θ̇₃²", "I3*dth3**2/2", "I3*dth3**2/2"),
     _term("eq5.base", "½ m₃ L₁² θ̇₁²", "m3*L1**2*dth1**2/2", "m3*L1**2*dth1**2/2"),
-    _term("eq5.middle", "½ m₃ L₂ θ̇₂²", "m3*L2*dth2**2/2", "m3*L2**2*dth2**2/2", "The square of L₂ is missing."),
+    _term(
+        "eq5.middle",
+        "½ m₃ L₂ θ̇₂²",
+        "m3*L2*dth2**2/2",
+        "m3*L2**2*dth2**2/2",
+        "The square of L₂ is missing.",
+    ),
     _term(
         "eq5.own",
         "½ m₃ d₃²",

@@ -109,6 +109,7 @@ def _dimension(node: ast.expr, dimensions: Mapping[str, Dimension]) -> Dimension
                 raise DimensionError(f"{ast.unparse(node)}: not an angle")
             return NONE
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=int() as power)):
+            # A power multiplies the exponents of the units.
             kg, m, s = _dimension(left, dimensions)
             return (kg * power, m * power, s * power)
         case ast.BinOp(left=left, op=op, right=right):
@@ -122,6 +123,7 @@ def _combined(node: ast.expr, op: ast.operator, one: Dimension, other: Dimension
         if one != other:
             raise DimensionError(f"{ast.unparse(node)}: {shown(one)} and {shown(other)}")
         return one
+    # A product adds the exponents of the units, a quotient subtracts them.
     sign = -1 if isinstance(op, ast.Div) else 1
     return (one[0] + sign * other[0], one[1] + sign * other[1], one[2] + sign * other[2])
 
@@ -154,6 +156,7 @@ def _pretty(node: ast.expr) -> tuple[str, int]:
             return (f"{name} {text}" if strength == _POWER else f"{name}({text})"), _PRODUCT
         case ast.BinOp(left=left, op=ast.Pow(), right=ast.Constant(value=power)):
             return _bracketed(left, _POWER) + str(power).translate(_RAISED), _POWER
+        # A leading minus moves to the front of the whole product.
         case ast.BinOp(op=ast.Mult() | ast.Div()) if (positive := _without_minus(node)) is not node:
             return "−" + _pretty(positive)[0], _SUM
         case ast.BinOp(left=left, op=ast.Div(), right=right):
@@ -162,7 +165,10 @@ def _pretty(node: ast.expr) -> tuple[str, int]:
             return f"{_bracketed(left, _PRODUCT)} {_bracketed(right, _PRODUCT)}", _PRODUCT
         case ast.BinOp(left=left, op=op, right=right):
             sign = "+" if isinstance(op, ast.Add) else "−"
-            return f"{_bracketed(left, _SUM)} {sign} {_bracketed(right, _SUM if sign == '+' else _PRODUCT)}", _SUM
+            return (
+                f"{_bracketed(left, _SUM)} {sign} {_bracketed(right, _SUM if sign == '+' else _PRODUCT)}",
+                _SUM,
+            )
     raise ValueError(f"not a formula: {ast.unparse(node)}")
 
 

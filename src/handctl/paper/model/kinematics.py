@@ -39,6 +39,7 @@ def workspace(name: str, per_joint: int) -> Array:
     """Return the tips of a digit whose joints move independently within their limits (points, 2) [mm]."""
     model = digit(name)
     axes = [np.linspace(low, high, per_joint) for low, high in zip(model.joint_min, model.joint_max, strict=True)]
+    # Absolute link angles are cumulative sums of joint angles.
     absolute = np.cumsum(np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(axes)), axis=1)
     lengths = 1000.0 * np.array(model.lengths)
     return np.column_stack((np.cos(absolute) @ lengths, np.sin(absolute) @ lengths))
@@ -57,7 +58,17 @@ def _paths() -> list[Item]:
         off = deviation(printed.value({"theta": ANGLES}), right)
         shown = f"{axis} = {printed.pretty()}"
         made.append(
-            Item(id, where, shown, shown, "mm", of_statement(off < TOLERANCE), reason, ("forward kinematics",), off)
+            Item(
+                id,
+                where,
+                shown,
+                shown,
+                "mm",
+                of_statement(off < TOLERANCE),
+                reason,
+                ("forward kinematics",),
+                off,
+            )
         )
     return made
 
@@ -149,7 +160,10 @@ def _inverse() -> Item:
     for q in random.uniform(0.05, 1.7, (200, 3)):
         pose = forward(model, q)
         solutions = [forward(model, solution) for solution in inverse(model, *pose)]
-        worst = max(worst, *(max(abs(repeated.x - pose.x), abs(repeated.y - pose.y)) for repeated in solutions))
+        worst = max(
+            worst,
+            *(max(abs(repeated.x - pose.x), abs(repeated.y - pose.y)) for repeated in solutions),
+        )
     return Item(
         "sec4.inverse", "Sec. 4", "(not printed)", "forward(inverse(X, Y, θ)) = (X, Y, θ)", "",
         of_statement(worst < 1e-12),

@@ -80,6 +80,8 @@ def _momentum_rate(states: States, i: int) -> Array:
     """Return d/dt of ∂K/∂θ̇_i. K is quadratic in the rates, so a difference over a whole unit is exact."""
     moved = dict(states)
     for j in (1, 2, 3):
+        # The total derivative by time: angles move with their rates, rates with their
+        # accelerations.
         moved[f"th{j}"] = states[f"th{j}"] + 1j * STEP * states[f"dth{j}"]
         moved[f"dth{j}"] = states[f"dth{j}"] + 1j * STEP * states[f"ddth{j}"]
     rate = f"dth{i}"
@@ -105,6 +107,7 @@ def _item(term: Term) -> Item:
     correct = term.right.value(random_states())
     deviations = [deviation(reading.value(states), correct) for reading in term.readings]
     verdict = of_readings([value < TOLERANCE for value in deviations])
+    # Dimensions and symmetry are evidence that a reader can check by hand.
     faults = [] if verdict == Verdict.EQUAL else [_dimensions(term), _symmetry(term)]
     return Item(
         term.id, term.where, term.printed, term.right.pretty(), "", verdict, term.why,

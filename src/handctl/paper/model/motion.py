@@ -63,6 +63,7 @@ def closing(name: str, duration: float) -> Closing:
     digit = upright(name)
     times = np.linspace(0.0, duration, SAMPLES)
     path = MinimumJerk(np.zeros(1), np.radians([CLOSED_DEG]), duration)
+    # The digit has one coordinate, so every torque is projected on the coupling.
     rotor = float(reflected_inertia(digit)[0, 0])
     coupling = digit.coupling[:, 0]
     rows = []

@@ -14,11 +14,26 @@ STATICS = ("statics",)
 
 def items() -> list[Item]:
     """Return every number of the statics."""
-    return [*_moments(), *_labels(), *_formulas(), *_finger(), *_payload(), *_wire(), *_knee(), *_thumb()]
+    return [
+        *_moments(),
+        *_labels(),
+        *_formulas(),
+        *_finger(),
+        *_payload(),
+        *_wire(),
+        *_knee(),
+        *_thumb(),
+    ]
 
 
 def number(
-    id: str, where: str, printed: str, exact: Fraction | float, unit: str, reason: str, symbol: str = ""
+    id: str,
+    where: str,
+    printed: str,
+    exact: Fraction | float,
+    unit: str,
+    reason: str,
+    symbol: str = "",
 ) -> Item:
     """Return an item whose verdict follows from its digits. The symbol stands behind them in print."""
     verdict = of_number(printed, exact)
@@ -41,7 +56,14 @@ def _moments() -> list[Item]:
 
 LABELS = (
     ("sec5.M1_label", "Sec. 5", "M₁: moment at first three joint", src.finger, 0, (0, 1, 2)),
-    ("sec5.M2_label", "Sec. 5", "M₂: moment at first two joints from the end of the link", src.finger, 1, (1, 2)),
+    (
+        "sec5.M2_label",
+        "Sec. 5",
+        "M₂: moment at first two joints from the end of the link",
+        src.finger,
+        1,
+        (1, 2),
+    ),
     ("sec5.M3_label", "Sec. 5", "M₃: moment at first joint at the end link", src.finger, 2, (2,)),
     ("sec6.MT1_label", "Sec. 6", "M_T1: moment at each joint from the end", src.thumb, 0, (0, 1)),
     ("sec6.MT2_label", "Sec. 6", "M_T2: moment at end joint link2", src.thumb, 1, (1,)),
@@ -111,7 +133,18 @@ def _formulas() -> list[Item]:
         )
         where = "Sec. 5, Sec. 6" if name in ("moment", "torque") else "Sec. 5"
         evidence = ("dimensions", "statics")
-        made.append(Item(f"sec5.{name}_formula", where, printed, printed, "", of_statement(holds), reason, evidence))
+        made.append(
+            Item(
+                f"sec5.{name}_formula",
+                where,
+                printed,
+                printed,
+                "",
+                of_statement(holds),
+                reason,
+                evidence,
+            )
+        )
     return made
 
 
@@ -134,7 +167,14 @@ def _payload() -> list[Item]:
     """Check the payloads."""
     one = src.payload_kg(src.GRIP_FINGER_N)
     three = src.payload_kg(src.FINGERS * src.GRIP_FINGER_N)
-    first = number("sec5.payload", "Sec. 5", "0.305", one, "kg", "μ F/g = 0.5 × 6/9.81, truncated instead of rounded.")
+    first = number(
+        "sec5.payload",
+        "Sec. 5",
+        "0.305",
+        one,
+        "kg",
+        "μ F/g = 0.5 × 6/9.81, truncated instead of rounded.",
+    )
     verdict = of_carried("0.915", three, 3 * Fraction("0.305"), first.verdict)
     force = src.GRAVITY / (src.FINGERS * src.FRICTION)
     tension = src.tension_for_kg(1)
@@ -207,7 +247,13 @@ def _thumb() -> list[Item]:
     tension = src.tension_per_newton(src.thumb())
     torque = tension * src.SPOOL_MM / 1000
     first = number(
-        "sec6.tension", "Sec. 6", "8.33", tension, "N per N", f"25/3. At 10 N: {float(10 * tension):.6g} N.", " Fₜ"
+        "sec6.tension",
+        "Sec. 6",
+        "8.33",
+        tension,
+        "N per N",
+        f"25/3. At 10 N: {float(10 * tension):.6g} N.",
+        " Fₜ",
     )
     carried = Fraction("8.33") * src.SPOOL_MM / 1000
     verdict = of_carried("0.04165", torque, carried, first.verdict)
@@ -227,6 +273,7 @@ def _thumb() -> list[Item]:
 def _pulley() -> Item:
     """Compute the radius that is missing in print from the printed 8.33 F."""
     printed = "r_p = mm"
+    # The interval of 8.33 gives an interval of radii, and one whole millimetre is in it.
     low, high = sorted(src.levers(src.thumb())[0] / edge for edge in interval("8.33"))
     whole = [radius for radius in range(1, 10) if low <= radius <= high]
     return Item(

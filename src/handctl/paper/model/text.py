@@ -25,7 +25,16 @@ SYMBOL_WORDS = {
 
 def items() -> list[Item]:
     """Return counts and statements."""
-    return [*_freedom(), _palm(), _fingers(), _phalanges(), _undefined(), _lengths(), _axis(), _control()]
+    return [
+        *_freedom(),
+        _palm(),
+        _fingers(),
+        _phalanges(),
+        _undefined(),
+        _lengths(),
+        _axis(),
+        _control(),
+    ]
 
 
 def _freedom() -> list[Item]:
@@ -82,6 +91,7 @@ def _depends(term: Sequence[Term], name: str) -> bool:
 
 def _phalanges() -> Item:
     """Check that links of one finger move each other. Separate fingers do not."""
+    # The energy of link 2 depends on the rate of link 1, that of link 3 on the rate of link 2.
     apart = not _depends(equations.KINETIC_2, "dth1") and not _depends(equations.KINETIC_3, "dth2")
     return Item(
         "sec1.fingers", "Sec. 1", "three fingers: the first is proximal, the second middle, the third distal",
