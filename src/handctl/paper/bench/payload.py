@@ -180,8 +180,9 @@ def _slip(truth: Truth, first: int, end: int) -> tuple[int, str]:
         "moved": np.flatnonzero(moved > MOVED_M),
         "creep": np.flatnonzero(speed > CREEP_M_PER_S) + window,
     }
-    first = [(int(rows[0]), ended) for ended, rows in crossings.items() if len(rows)]
-    row, ended = min(first, default=(len(moved) - 1, "held"))
+    # Creep is seen at the end of its window.
+    slips = [(int(rows[0]), ended) for ended, rows in crossings.items() if len(rows)]
+    row, ended = min(slips, default=(len(moved) - 1, "held"))
     return first + row, ended
 
 
