@@ -208,7 +208,7 @@ def test_springs_judge_nothing_that_the_paper_says() -> None:
 def test_no_row_says_that_the_paper_is_silent_of_what_it_says() -> None:
     found = {item.id: item for item in sections.items(None)}
     assert "Never said" not in found["sec4-7.angles"].why
-    assert "section 7 says that its own are absolute" in found["sec4-7.angles"].why
+    assert "Section 7 states that its own are absolute" in found["sec4-7.angles"].why
 
 
 def test_relative_and_absolute_angles() -> None:
