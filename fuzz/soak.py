@@ -104,7 +104,7 @@ class Soak:
         self.counts["controllers"] += 1
         watcher, until = Watcher(BUS), time.monotonic() + 60.0
         while time.monotonic() < until and self.controller.poll() is None:
-            line = watcher.next(0.2)
+            line = watcher.fresh_line(0.2)
             if line is not None and line["phase"] == "stay":
                 watcher.close()
                 return True

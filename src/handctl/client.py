@@ -21,9 +21,9 @@ from handctl.document import validated
 from handctl.errors import BusError, ConfigError, DriveError, PowerError, UnconfirmedError
 from handctl.printing import escaped
 from handctl.programs.requests import REFUSED, HoldTension, MoveDigits
-from handctl.runtime.asking import ANSWER_S, confirmed, follow_to_the_end, is_off
 from handctl.runtime.buses.open import real_buses
-from handctl.runtime.mailbox import LARGEST, Watcher, answers
+from handctl.runtime.confirm import ANSWER_S, follow_until_off, is_off, send_confirmed
+from handctl.runtime.mailbox import LARGEST, Watcher, is_running
 from handctl.session.buses import named_buses
 from handctl.session.defaults import DEFAULT_HAND
 from handctl.session.exit_codes import Exit
@@ -62,7 +62,7 @@ def connect(
     specs = list(named_buses(given).values())
     if not specs:
         raise ConfigError("no bus", "bus", "one, as in 'local:demo'")
-    if answers(specs[0]):
+    if is_running(specs[0]):
         return HandClient(specs[0])
     if hand is None and (real := real_buses(specs)):
         raise ConfigError(f"no hand is named, and {real[0]} may have real motors", "hand", "the hand that is there")
@@ -183,7 +183,7 @@ class HandClient:
         end = time.monotonic() + timeout_s
         while True:
             self._refuse_ended()
-            line = self._watcher.next(max(0.0, min(POLL_S, end - time.monotonic())))
+            line = self._watcher.fresh_line(max(0.0, min(POLL_S, end - time.monotonic())))
             if line is not None:
                 self._off |= is_off(line)
                 return line
@@ -227,7 +227,7 @@ class HandClient:
             raise ConfigError(f"{size} bytes", goal["do"], f"a request of at most {LARGEST}")
         self._asked = True
         try:
-            line, said = confirmed(self._watcher, goal)
+            line, said = send_confirmed(self._watcher, goal)
         except UnconfirmedError:
             self._refuse_ended()
             raise
@@ -247,7 +247,7 @@ class HandClient:
     def _refuse_ended(self) -> None:
         """Say so if there is nobody to ask any more; what a run says of itself at its end is waited for."""
         self._pass_on()
-        if self.child is not None and (self.child.poll() is not None or (self._live and not answers(self.bus))):
+        if self.child is not None and (self.child.poll() is not None or (self._live and not is_running(self.bus))):
             self._collect()
             self._told = True
             raise self._error()
@@ -265,8 +265,8 @@ class HandClient:
         self._closed = True
         try:
             if self.child is None and self._asked and not self._off:
-                line, _ = confirmed(self._watcher, {"do": "stop"}, repeat=True)
-                follow_to_the_end(self._watcher, "stop", line)
+                line, _ = send_confirmed(self._watcher, {"do": "stop"}, repeat=True)
+                follow_until_off(self._watcher, "stop", line)
         finally:
             self._watcher.close()
             self._collect()

@@ -51,7 +51,7 @@ def hear(bus, for_s, seen):
 def scanned(*specs, talk=(), force=False) -> tuple[Scan, Bench, BenchBus]:
     bench = Bench([drive_spec(*spec) for spec in specs])
     bus = BenchBus(bench, talk)
-    return scan(bus, force, hear=hear), bench, bus
+    return scan(bus, force, listen=hear), bench, bus
 
 
 def test_damiao_and_canopen_drives_are_found_on_one_bus():
@@ -73,14 +73,14 @@ def test_beside_an_odrive_nothing_is_asked_that_it_would_obey():
     assert (drive.firmware, drive.serial, drive.state) == ("0.6.10", "0D5A11000003", "idle")
     orders = [frame for frame in bus.heard if not frame.can_id & REMOTE and frame.can_id >> 5 in (3, 48, 0x3F)]
     assert orders == [], "0x7ff is Enter_DFU_Mode, 0x602 the Estop of node 48"
-    assert 0x7FF in {frame.can_id for frame in result.unasked}
+    assert 0x7FF in {frame.can_id for frame in result.omitted}
     assert [node.state for node in bench.nodes[:2]] == [1, 1]
 
 
 def test_an_enabled_drive_stays_as_it_is():
     bench = Bench([drive_spec("mit", 2)])
     bench.receive(SimFrame(2, b"\xff" * 7 + b"\xfc"))
-    result = scan(BenchBus(bench), hear=hear)
+    result = scan(BenchBus(bench), listen=hear)
     assert [node.state for node in result.found] == ["enabled"]
     assert bench.motors[0].servo.torque == 0.0
 
@@ -100,12 +100,12 @@ def test_the_sensor_node_of_a_hand_is_found_but_not_beside_drives_that_know_sync
     beside = {"mit": True, "cia402": False}
     for protocol, seen in beside.items():
         bench = HandBench(hand_file(tmp_path, [protocol]))
-        result = scan(BenchBus(bench.rig.world), hear=hear)
+        result = scan(BenchBus(bench.rig.world), listen=hear)
         bench.rig.close()
         assert len([node for node in result.found if node.protocol == protocol]) == 4
         sensors = [node for node in result.found if node.protocol == "sensor"]
         assert [node.node_id for node in sensors] == ([0x1A0] if seen else [])
-        assert (0x080 in {frame.can_id for frame in result.unasked}) is not seen
+        assert (0x080 in {frame.can_id for frame in result.omitted}) is not seen
         assert not seen or "4 channels" in sensors[0].notes[0]
 
 
@@ -164,4 +164,4 @@ def test_the_last_frame_of_a_host_that_has_ended_is_no_host():
     bench = Bench([drive_spec("mit", 1)])
     bus = BenchBus(bench)
     bus.waiting = [SimFrame(0x7FF, bytes(8))]
-    assert scan(bus, hear=hear).foreign == ()
+    assert scan(bus, listen=hear).foreign == ()

@@ -15,7 +15,7 @@ from handctl.drives.frame import Frame
 from handctl.drives.mit.cubemars import MODELS, CubemarsDrive
 from handctl.drives.registry import make_drive
 from handctl.errors import ConfigError
-from handctl.runtime.diagnostics.conformance import Subject, Verdict, checks
+from handctl.runtime.diagnostics.conformance import DeviceUnderTest, Verdict, checks
 from tests.drives.protocol_bench import Bench, described, hand_file, servo_torques
 from tests.drives.virtual_bench import VirtualBench, rig_on
 
@@ -133,7 +133,7 @@ def test_what_is_no_torque_cannot_be_encoded(bench: Bench, torque: float) -> Non
 def test_of_the_contract_only_what_needs_a_state_in_the_feedback_cannot_be_kept() -> None:
     place = VirtualBench("cubemars")
     rig = rig_on(place, "cubemars", 0.1)
-    found = list(checks(Subject(rig, 0.1, 0.05)))
+    found = list(checks(DeviceUnderTest(rig, 0.1, 0.05)))
     failed = [check for check in found if check.verdict is not Verdict.PASSED]
     dead_host, cut = failed
     assert dead_host.name == "lets go of a dead host, and stays off"

@@ -26,7 +26,7 @@ from handctl.log.read.reader import RunLog
 from handctl.programs.calibration import load_calibration
 from handctl.programs.grasp import TaskProgram
 from handctl.report.truth import Truth, read_truth
-from handctl.runtime.places import faults_path, local_bus_path, run_dir
+from handctl.runtime.paths import faults_path, local_bus_path, run_dir
 from handctl.session.plan import Plan, bus_specs
 from handctl.session.run import make_controller, run_live
 from handctl.session.tasks import load_task

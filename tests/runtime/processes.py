@@ -78,7 +78,7 @@ def wait_for(phase: str, watcher: Watcher, process: "subprocess.Popen[str]", tim
     until = time.monotonic() + timeout_s
     while time.monotonic() < until:
         assert process.poll() is None, process.communicate()
-        line = watcher.next(0.2)
+        line = watcher.fresh_line(0.2)
         if line is not None and line["phase"] == phase:
             return
     raise AssertionError(f"never in phase {phase}")

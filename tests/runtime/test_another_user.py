@@ -22,10 +22,10 @@ from firmware_sim.description import SimulatorError
 from handctl.cli.main import main
 from handctl.errors import BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import describe_request, parse_request
-from handctl.runtime.asking import confirmed, ordered
 from handctl.runtime.buses.local import connect
+from handctl.runtime.confirm import request_action, send_confirmed
 from handctl.runtime.mailbox import Mailbox, Watcher
-from handctl.runtime.places import mailbox_path, run_dir
+from handctl.runtime.paths import mailbox_path, run_dir
 from tests.runtime.processes import BUS, end, ended_well, handctl, said, start_handctl, wait_for
 
 NOBODY = 65534
@@ -80,7 +80,7 @@ def refuses(word: str) -> None:
         assert "\n" not in str(caught.value)
         assert "HANDCTL_RUN_DIR" in str(caught.value)
     with pytest.raises(UnconfirmedError, match=UNCONFIRMED):
-        ordered("local:x", "stop")
+        request_action("local:x", "stop")
     for refused in (lambda: Hub("x"), simulated.run_dir):
         with pytest.raises(SimulatorError, match=word) as caught:
             refused()
@@ -193,7 +193,7 @@ def test_the_order_to_stop_does_not_reach_who_took_the_mailbox_s_place(shared):
     os.read(begun, 1)
     assert mailbox.stat().st_uid == NOBODY, "the other one's, in the mailbox's place"
     with pytest.raises(UnconfirmedError, match=UNCONFIRMED):
-        ordered("local:x", "stop")
+        request_action("local:x", "stop")
     attack.join()
     assert heard == ["TimeoutError"], "nothing was sent there"
     box.close()
@@ -214,12 +214,12 @@ def test_nobody_else_s_request_is_taken_and_nobody_else_s_word_believed(shared):
 
     assert as_nobody(lambda: send(box.path, b'{"do": "stop"}')) == "sent"
     assert as_nobody(lambda: send(watcher.path, b'{"mode": "DONE"}')) == "sent"
-    assert watcher.following(0.1) is None
+    assert watcher.next_line(0.1) is None
     assert box.read() == ()
     send(box.path, b'{"do": "arm"}')
     assert box.read() == ('{"do": "arm"}',), "positive control: this user's is"
     box.socket.sendto(b'{"mode": "READY"}', str(watcher.path))
-    assert watcher.following(0.1) == {"mode": "READY"}
+    assert watcher.next_line(0.1) == {"mode": "READY"}
     watcher.close()
     box.close()
 
@@ -303,7 +303,7 @@ def test_a_stop_after_which_a_drive_stays_on_says_so(place, capsys):
 @pytest.fixture
 def impatient(monkeypatch):
     """Who asks waits for a fifth of the time."""
-    monkeypatch.setattr("handctl.runtime.asking.ANSWER_S", 0.4)
+    monkeypatch.setattr("handctl.runtime.confirm.ANSWER_S", 0.4)
 
 
 def test_a_controller_that_falls_silent_after_it_took_the_order_has_confirmed_nothing(place, impatient, capsys):
@@ -327,13 +327,13 @@ def test_who_asks_is_answered_although_others_have_taken_all_places_of_watchers(
         def crowd():
             while time.monotonic() < until:
                 for other in others:
-                    other.next(0.0)
+                    other.fresh_line(0.0)
 
         crowding = threading.Thread(target=crowd)
         crowding.start()
         asking = Watcher(BUS)
         for _ in range(20):
-            assert confirmed(asking, {"do": "arm"})[1] == []
+            assert send_confirmed(asking, {"do": "arm"})[1] == []
         asking.close()
         crowding.join()
     assert controller.taken.count("arm") == 20
@@ -362,7 +362,7 @@ def test_a_mailbox_that_nobody_reads_confirms_nothing_and_nobody_waits_for_it(pl
         assert filled(box.path)
     began = time.monotonic()
     with pytest.raises(UnconfirmedError, match=UNCONFIRMED) as caught:
-        ordered(BUS, word)
+        request_action(BUS, word)
     assert time.monotonic() - began < 2.4
     assert isinstance(caught.value, PowerError)
     assert ("its mailbox is full" if full else "the controller is silent") in str(caught.value)

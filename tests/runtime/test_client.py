@@ -13,7 +13,7 @@ import pytest
 import handctl as library
 from handctl import BusError, ConfigError, DriveError, PowerError
 from handctl.client import HandClient
-from handctl.runtime.mailbox import Watcher, answers
+from handctl.runtime.mailbox import Watcher, is_running
 from tests.runtime.processes import BUS, ended_well, handctl, start_handctl, wait_for
 
 REALTIME = pytest.mark.realtime
@@ -65,7 +65,7 @@ def test_what_is_said_to_others_is_not_heard(alone, monkeypatch, theirs):
         yield said("asked: move by somebody", theirs)
         yield said(theirs, f"asked: move by {sent[-1]['by']}", own, "asked: move by somebody", theirs)
 
-    monkeypatch.setattr(alone._watcher, "heard", heard)
+    monkeypatch.setattr(alone._watcher, "lines", heard)
     own = "move index 3"
     alone.move(index=3, wait=False)
     own = "refused: the hand is not ready yet"
@@ -190,7 +190,7 @@ def test_a_fault_that_nobody_asked_about_is_told_at_the_end(place, hand, calibra
     client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale)
     client.wait("live", 60.0)
     assert handctl("fault", "inject", "--bus", BUS, "off node=index_motor").returncode == 0
-    wait_until(lambda: not answers(BUS))
+    wait_until(lambda: not is_running(BUS))
     with pytest.raises(PowerError, match=r"fault .*; REMOVE POWER: not confirmed disabled: index_motor"):
         client.close()
 
@@ -207,7 +207,7 @@ def test_a_task_of_somebody_else_goes_on(place, hand, calibrated, processes, mon
         pass
     time.sleep(1.0)
     assert process.poll() is None
-    assert answers(BUS)
+    assert is_running(BUS)
 
 
 def start_program(processes, *words):
@@ -221,13 +221,13 @@ def start_program(processes, *words):
 @REALTIME
 def test_ctrl_c_while_it_starts_leaves_no_controller(place, hand, processes, scale):
     program = start_program(processes, "--log", "live.mcap", *scale)
-    wait_until(lambda: answers(BUS))
+    wait_until(lambda: is_running(BUS))
     program.send_signal(signal.SIGINT)
     _, err = program.communicate(timeout=60.0)
     assert "KeyboardInterrupt" in err
-    assert not answers(BUS)
+    assert not is_running(BUS)
     time.sleep(2.0)
-    assert not answers(BUS), "nor does it go on after commissioning"
+    assert not is_running(BUS), "nor does it go on after commissioning"
 
 
 @REALTIME
@@ -236,5 +236,5 @@ def test_a_program_that_is_killed_leaves_no_armed_hand(place, hand, calibrated, 
     assert program.stdout.readline() == "live\n"
     program.kill()
     program.wait()
-    wait_until(lambda: not answers(BUS), 20.0)
+    wait_until(lambda: not is_running(BUS), 20.0)
     assert ended_well(place / "live.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]

@@ -3,7 +3,7 @@
 import pytest
 
 from firmware_sim.faults.broken import FAULTS
-from handctl.runtime.diagnostics.conformance import Check, Subject, Verdict, checks
+from handctl.runtime.diagnostics.conformance import Check, DeviceUnderTest, Verdict, checks
 from handctl.runtime.diagnostics.drive_rig import DriveRig
 from tests.drives.protocol_bench import GUARDED
 from tests.drives.virtual_bench import VirtualBench, rig_on
@@ -14,7 +14,7 @@ LIMIT = 0.1
 def judged(protocol, fault="", options=None, inertia=None, delay=0) -> tuple[dict[str, Check], VirtualBench, DriveRig]:
     place = VirtualBench(protocol, fault, inertia, delay)
     rig = rig_on(place, protocol, LIMIT, options)
-    return {check.name: check for check in checks(Subject(rig, LIMIT, 0.05))}, place, rig
+    return {check.name: check for check in checks(DeviceUnderTest(rig, LIMIT, 0.05))}, place, rig
 
 
 @pytest.fixture(params=GUARDED)

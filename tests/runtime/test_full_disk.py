@@ -66,13 +66,13 @@ def test_a_full_disk_is_announced_and_the_hand_holds_on(place, disk, scale):
     watcher = Watcher(BUS)
     try:
         wait_for("stay", watcher, process)
-        full_at = watcher.next(2.0)["k"]
+        full_at = watcher.fresh_line(2.0)["k"]
         fill(disk / "other")
         assert seconds_until(process, b"H08 disk full") < 2.5, "the recorder looks every second"
         after = None
         until = time.monotonic() + 1.0
         while time.monotonic() < until:
-            after = watcher.next(0.2) or after
+            after = watcher.fresh_line(0.2) or after
         assert after["k"] > full_at
         assert (after["mode"], after["phase"]) == ("ACTIVE", "stay"), "a warning stops nothing"
         assert min(after["tension_N"]) > 4.0

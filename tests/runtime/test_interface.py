@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from handctl.runtime.buses.interface import compared, wrong_rate
+from handctl.runtime.buses.interface import rate_difference, wrong_rate
 from handctl.runtime.buses.link import parse_link
 
 
@@ -32,7 +32,7 @@ def test_another_bit_rate_than_the_hand_files_is_said(
 ) -> None:
     link = parse_link(shown(nominal, data))
     assert link
-    line = compared("can0", link, 1_000_000, wanted)
+    line = rate_difference("can0", link, 1_000_000, wanted)
     assert says in line
     assert bool(line) == bool(says)
 

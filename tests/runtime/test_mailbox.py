@@ -13,9 +13,9 @@ import pytest
 
 from handctl.cli.main import main
 from handctl.errors import BusError
-from handctl.runtime.asking import confirmed
-from handctl.runtime.mailbox import LARGEST, PER_TICK, Mailbox, Watcher, answers, held
-from handctl.runtime.places import local_bus_path, mailbox_path, run_dir, truth_path
+from handctl.runtime.confirm import send_confirmed
+from handctl.runtime.mailbox import LARGEST, PER_TICK, Mailbox, Watcher, bus_lock, is_running
+from handctl.runtime.paths import local_bus_path, mailbox_path, run_dir, truth_path
 from tests.drives.protocol_bench import hand_file, on_two_buses
 
 
@@ -85,13 +85,13 @@ def test_a_second_controller_is_refused_and_disturbs_nothing() -> None:
 
 
 def test_a_further_bus_of_a_hand_is_held_as_its_first_one_is() -> None:
-    with held("local:x"):
-        for other in (held("local:x"), held("local:x")):
+    with bus_lock("local:x"):
+        for other in (bus_lock("local:x"), bus_lock("local:x")):
             with pytest.raises(BusError, match="another controller runs here"), other:
                 pass
         with pytest.raises(BusError, match="another controller runs here"):
             Mailbox("local:x")
-    with held("local:x"):
+    with bus_lock("local:x"):
         pass
 
 
@@ -155,12 +155,12 @@ else:
 def test_nobody_to_ask_is_one_line() -> None:
     watcher = Watcher("local:x")
     with pytest.raises(BusError, match="no controller answers") as caught:
-        confirmed(watcher, {"do": "arm"})
+        send_confirmed(watcher, {"do": "arm"})
     assert "local:x" in str(caught.value)
     box = Mailbox("local:x")
     box.close()
     with pytest.raises(BusError, match="no controller answers"):
-        confirmed(watcher, {"do": "arm"})
+        send_confirmed(watcher, {"do": "arm"})
     watcher.close()
 
 
@@ -211,22 +211,22 @@ def test_a_program_may_watch_two_controllers() -> None:
     boxes = [Mailbox("local:x"), Mailbox("local:y")]
     watchers = [Watcher("local:x"), Watcher("local:y")]
     for box, watcher in zip(boxes, watchers, strict=True):
-        watcher.next(0.0)
+        watcher.fresh_line(0.0)
         box.read()
         box.publish({"name": watcher.name})
-    assert [watcher.following(1.0) for watcher in watchers] == [{"name": "local:x"}, {"name": "local:y"}]
+    assert [watcher.next_line(1.0) for watcher in watchers] == [{"name": "local:x"}, {"name": "local:y"}]
     for one in (*watchers, *boxes):
         one.close()
 
 
 def test_what_a_killed_controller_leaves_behind_does_not_answer(folder: Path) -> None:
-    assert not answers("local:x")
+    assert not is_running("local:x")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as left:
         left.bind(str(mailbox_path("local:x")))
     assert mailbox_path("local:x").exists()
-    assert not answers("local:x")
+    assert not is_running("local:x")
     box = Mailbox("local:x")
-    assert answers("local:x")
+    assert is_running("local:x")
     assert box.read() == (), "to be looked for is no request"
     box.close()
 
@@ -246,13 +246,13 @@ def test_a_watcher_that_does_not_read_never_blocks_the_controller() -> None:
 
 def test_a_watcher_sees_the_present_not_the_past() -> None:
     watcher = Watcher("local:x")
-    assert watcher.next(0.01) is None, "nobody is there yet"
+    assert watcher.fresh_line(0.01) is None, "nobody is there yet"
     box = Mailbox("local:x")
-    assert watcher.next(0.01) is None
+    assert watcher.fresh_line(0.01) is None
     box.read()
     box.publish({"k": 1})
     box.publish({"k": 2})
-    assert watcher.next(0.01) is None, "what waits from before is forgotten"
+    assert watcher.fresh_line(0.01) is None, "what waits from before is forgotten"
     watcher.close()
     assert not watcher.path.exists()
     box.close()

@@ -32,19 +32,19 @@ def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyP
     """Filling hundreds of MB under SCHED_FIFO kept whatever else wanted the core waiting for a tenth of a second."""
     asked: list[str] = []
     monkeypatch.setattr(clock, "_lock_memory", lambda: asked.append("memory") is None)
-    monkeypatch.setattr(clock, "_fifo", lambda level: asked.append("priority") is None)
+    monkeypatch.setattr(clock, "_enter_fifo", lambda level: asked.append("priority") is None)
     assert take_priority() == clock.Priority(realtime=True, locked=True)
     assert asked == ["memory", "priority"]
 
 
-def test_only_the_ticks_are_urgent() -> None:
+def test_only_ticks_have_realtime_priority() -> None:
     """Starting a loop, garbage and all, and closing its log kept others from the core as well."""
     granted = clock.prepare_priority()
     seen = []
     assert policy() == os.SCHED_OTHER
-    with clock.urgent() as urgent:
+    with clock.realtime_priority() as granted_now:
         seen.append(policy())
     give_back_priority()
-    assert urgent == granted.realtime
-    assert seen == [os.SCHED_FIFO if urgent else os.SCHED_OTHER]
+    assert granted_now == granted.realtime
+    assert seen == [os.SCHED_FIFO if granted_now else os.SCHED_OTHER]
     assert policy() == os.SCHED_OTHER

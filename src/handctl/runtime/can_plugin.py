@@ -16,9 +16,9 @@ from handctl.drives.frame import ERROR, FDF, Frame
 from handctl.errors import BusError
 from handctl.runtime.buses.local import LocalBus
 from handctl.runtime.buses.pythoncan import frame_of, message_of
-from handctl.runtime.places import run_dir
+from handctl.runtime.paths import run_dir
 
-AGAIN_S = 1e-3
+RETRY_S = 1e-3
 """Pause before a frame is sent again that found the queue full [s]."""
 
 
@@ -48,11 +48,12 @@ class LocalCanBus(can.BusABC):
         offset = time.time_ns() - time.monotonic_ns()
         try:
             # One record per read: a program that waits on ``fileno`` takes one message and waits again.
-            self._link = LocalBus(channel, 0, lambda t_ns: t_ns + offset, most=1)
+            self._link = LocalBus(channel, 0, lambda t_ns: t_ns + offset, max_records=1)
         except BusError as error:
             raise can.CanInitializationError(str(error)) from None
         self.channel_info = f"handctl local bus {channel}"
-        self._fd, self._own = fd, receive_own_messages
+        self._fd = fd
+        self._receive_own = receive_own_messages
         self._waiting: deque[Frame] = deque()
         self._can_protocol = can.CanProtocol.CAN_FD if fd else can.CanProtocol.CAN_20
         super().__init__(channel=channel, can_filters=can_filters, **kwargs)
@@ -98,8 +99,8 @@ class LocalCanBus(can.BusABC):
             left = end - time.monotonic()
             if left <= 0:
                 raise can.CanOperationError("the local bus takes no more frames")
-            select.select([self._link], [], [], min(left, AGAIN_S))
-        if self._own:
+            select.select([self._link], [], [], min(left, RETRY_S))
+        if self._receive_own:
             self._waiting.append(frame)
 
     def fileno(self) -> int:

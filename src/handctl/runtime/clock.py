@@ -95,38 +95,38 @@ def take_priority(level: int = 60) -> Priority:
     """Request SCHED_FIFO and locked memory. The result says what was refused, without an error."""
     # Memory first: locking it fills hundreds of MB. Under SCHED_FIFO nothing else would get the core meanwhile.
     locked = _lock_memory()
-    return Priority(_fifo(level), locked)
+    return Priority(_enter_fifo(level), locked)
 
 
 def prepare_priority() -> Priority:
-    """Lock the memory and try whether :func:`urgent` will be granted SCHED_FIFO.
+    """Lock the memory and try whether :func:`realtime_priority` will be granted SCHED_FIFO.
 
     To start a loop takes a quarter of a second. Other processes keep the core in this time.
     """
     locked = _lock_memory()
-    with urgent() as granted:
+    with realtime_priority() as granted:
         return Priority(granted, locked)
 
 
 @contextmanager
-def urgent(level: int = 60) -> Iterator[bool]:
+def realtime_priority(level: int = 60) -> Iterator[bool]:
     """Run a block under SCHED_FIFO. Yields True if SCHED_FIFO was granted."""
     try:
-        yield _fifo(level)
+        yield _enter_fifo(level)
     finally:
-        _ordinary()
+        _leave_fifo()
 
 
 def give_back_priority() -> None:
     """Return to ordinary scheduling and unlocked memory after the loop."""
-    _ordinary()
+    _leave_fifo()
     if sys.platform.startswith("linux"):
         import ctypes
 
         ctypes.CDLL(None).munlockall()
 
 
-def _ordinary() -> None:
+def _leave_fifo() -> None:
     """Leave SCHED_FIFO. Another scheduling class stays as it is."""
     if not sys.platform.startswith("linux"):
         return
@@ -136,7 +136,7 @@ def _ordinary() -> None:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def _fifo(level: int) -> bool:
+def _enter_fifo(level: int) -> bool:
     """Enter SCHED_FIFO and return True if it was granted. Child processes start with ordinary scheduling."""
     if not sys.platform.startswith("linux"):
         return False
@@ -149,8 +149,9 @@ def _fifo(level: int) -> bool:
     return True
 
 
-MCL_CURRENT, MCL_FUTURE = 1, 2
-"""Source: Linux ``mman.h``."""
+MCL_CURRENT = 1
+MCL_FUTURE = 2
+"""Flags of ``mlockall``. Source: Linux ``mman.h``."""
 
 
 def _lock_memory() -> bool:

@@ -75,7 +75,8 @@ class LockstepClock:
 
     def __init__(self, peer: Peer, period_ns: int) -> None:
         """Start at tick 0 of the peer's time, with a control period [ns]."""
-        self.peer, self.period_ns = peer, period_ns
+        self.peer = peer
+        self.period_ns = period_ns
         self._exchange: Callable[[int, Records], Records]
         self._exchange = getattr(peer, "exchange", None) or partial(_exchange_objects, peer)
         self.outgoing: list[Frames] = []
@@ -128,8 +129,8 @@ class LockstepBus:
 
     def drain(self) -> Frames:
         """Return the answers of the peer. Error frames become events."""
-        parts, self.clock.incoming = self.clock.incoming, []
-        frames = joined(parts)
+        frames = joined(self.clock.incoming)
+        self.clock.incoming = []
         # One OR over all identifiers: a tick without error frames needs no look at each frame.
         if not len(frames) or not int(np.bitwise_or.reduce(frames.records["can_id"])) & ERROR:
             return frames

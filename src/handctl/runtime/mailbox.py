@@ -18,8 +18,8 @@ from contextlib import contextmanager
 from typing import Any
 
 from handctl.errors import BusError
+from handctl.runtime.paths import mailbox_path, watcher_path
 from handctl.runtime.peers import name_senders, receive
-from handctl.runtime.places import mailbox_path, watcher_path
 
 LARGEST = 4096
 """Longest request [bytes]. A longer one is truncated and then refused, because it is no JSON."""
@@ -30,11 +30,11 @@ WATCHERS = 4
 """Largest number of programs that watch at once. The newest replace the oldest."""
 LARGEST_STATUS = 65536
 """Longest status line [bytes]."""
-NOT_THERE_S = 0.05
+RETRY_S = 0.05
 """Pause between requests to a controller that does not run yet [s]."""
 PER_TICK = 16
 """Requests read per tick. The limit keeps a flood of requests from making a tick long."""
-A_FOLDER = "a short path of a folder that can be written in HANDCTL_RUN_DIR"
+RIGHT_FOLDER = "a short path of a folder that can be written in HANDCTL_RUN_DIR"
 
 
 class Mailbox:
@@ -55,13 +55,13 @@ class Mailbox:
         """
         self.path = mailbox_path(name)
         try:
-            self._lock = _taken(name)
+            self._lock = _lock_bus(name)
             self.path.unlink(missing_ok=True)
             self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
             name_senders(self.socket)
             self.socket.bind(str(self.path))
         except OSError as error:
-            raise _refused(name, error) from None
+            raise _lock_error(name, error) from None
         self.socket.setblocking(False)
         self.watchers: list[str] = []
         self.askers: list[str] = []
@@ -106,30 +106,30 @@ class Mailbox:
 
 
 @contextmanager
-def held(name: str) -> Iterator[None]:
+def bus_lock(name: str) -> Iterator[None]:
     """Lock a further bus of a hand, one without a mailbox, against other controllers.
 
     Raises:
         BusError: another controller uses the bus.
     """
     try:
-        lock = _taken(name)
+        lock = _lock_bus(name)
     except OSError as error:
-        raise _refused(name, error) from None
+        raise _lock_error(name, error) from None
     try:
         yield
     finally:
         os.close(lock)
 
 
-def _refused(name: str, error: OSError) -> BusError:
+def _lock_error(name: str, error: OSError) -> BusError:
     """Describe why a bus cannot be locked."""
     if isinstance(error, BlockingIOError):
         return BusError("another controller runs here", f"bus {name}", "one controller a bus: handctl stop")
-    return BusError(f"cannot take requests there: {error}", str(mailbox_path(name).parent), A_FOLDER)
+    return BusError(f"cannot take requests there: {error}", str(mailbox_path(name).parent), RIGHT_FOLDER)
 
 
-def _taken(name: str) -> int:
+def _lock_bus(name: str) -> int:
     """Take the lock of a bus and return its descriptor. The kernel releases the lock when this process ends.
 
     Raises:
@@ -145,7 +145,7 @@ def _taken(name: str) -> int:
     return descriptor
 
 
-def answers(name: str) -> bool:
+def is_running(name: str) -> bool:
     """Return True if a controller takes requests on a bus now. A socket left over from a killed one does not count."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         try:
@@ -172,7 +172,8 @@ class Watcher:
         Raises:
             BusError: the socket cannot be made.
         """
-        self.name, self.path = name, watcher_path(next(self._numbers))
+        self.name = name
+        self.path = watcher_path(next(self._numbers))
         self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         try:
             self.path.unlink(missing_ok=True)
@@ -180,17 +181,17 @@ class Watcher:
             self.socket.bind(str(self.path))
         except OSError as error:
             self.socket.close()
-            raise BusError(f"cannot listen there: {error}", str(self.path.parent), A_FOLDER) from None
+            raise BusError(f"cannot listen there: {error}", str(self.path.parent), RIGHT_FOLDER) from None
 
-    def next(self, timeout_s: float) -> dict[str, Any] | None:
+    def fresh_line(self, timeout_s: float) -> dict[str, Any] | None:
         """Request and return a status line newer than this call. None if none came in time [s]."""
-        self.forget()
+        self.discard()
         try:
             self.send(WATCH, timeout_s)
         except OSError:
-            time.sleep(min(timeout_s, NOT_THERE_S))
+            time.sleep(min(timeout_s, RETRY_S))
             return None
-        return self.following(timeout_s)
+        return self.next_line(timeout_s)
 
     def send(self, data: bytes, timeout_s: float) -> None:
         """Send a datagram to the controller from this socket, which lets the controller answer.
@@ -205,7 +206,7 @@ class Watcher:
         self.socket.settimeout(timeout_s)
         self.socket.sendto(data, str(mailbox_path(self.name)))
 
-    def following(self, timeout_s: float) -> dict[str, Any] | None:
+    def next_line(self, timeout_s: float) -> dict[str, Any] | None:
         """Return the next unread status line. None if there is none within the timeout [s]."""
         self.socket.settimeout(timeout_s)
         try:
@@ -217,15 +218,15 @@ class Watcher:
         line: dict[str, Any] = json.loads(data)
         return line
 
-    def heard(self, timeout_s: float) -> Iterator[dict[str, Any]]:
+    def lines(self, timeout_s: float) -> Iterator[dict[str, Any]]:
         """Yield each status line that arrives within the timeout [s]."""
         end = time.monotonic() + timeout_s
         while (left := end - time.monotonic()) > 0.0:
-            line = self.following(left)
+            line = self.next_line(left)
             if line is not None:
                 yield line
 
-    def forget(self) -> None:
+    def discard(self) -> None:
         """Discard the unread status lines."""
         self.socket.setblocking(False)
         try:

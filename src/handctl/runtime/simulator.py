@@ -8,11 +8,11 @@ from typing import Any
 
 from handctl.errors import BusError, ConfigError
 from handctl.runtime.buses.open import check_spec
-from handctl.runtime.places import faults_path, run_dir
+from handctl.runtime.paths import faults_path, run_dir
 
-PATIENCE_S = 5.0
+ANSWER_S = 5.0
 """Longest wait for an answer [s]."""
-LARGEST = 1 << 18
+MAX_ANSWER = 1 << 18
 """Longest answer [bytes]."""
 
 
@@ -26,11 +26,11 @@ def find_simulator(bus: str | None) -> Path:
     if bus is not None:
         check_spec(bus)
         return faults_path(bus)
-    found = sorted(run_dir().glob("*.faults"))
-    if len(found) != 1:
-        running = ", ".join(path.stem.replace("_", ":", 1) for path in found) or "none"
+    sockets = sorted(run_dir().glob("*.faults"))
+    if len(sockets) != 1:
+        running = ", ".join(path.stem.replace("_", ":", 1) for path in sockets) or "none"
         raise BusError(f"simulators that run: {running}", "--bus", "the bus of one, as in --bus local:demo")
-    return found[0]
+    return sockets[0]
 
 
 def ask_simulator(path: Path, question: dict[str, Any]) -> dict[str, Any]:
@@ -40,20 +40,20 @@ def ask_simulator(path: Path, question: dict[str, Any]) -> dict[str, Any]:
         BusError: no simulator answers.
         ConfigError: the simulator refuses the request, for instance an unknown fault.
     """
-    own = run_dir() / f"asking-{os.getpid()}"
-    own.unlink(missing_ok=True)
-    where, right = f"bus {path.stem.replace('_', ':', 1)}", "a running handctl sim"
+    reply_path = run_dir() / f"asking-{os.getpid()}"
+    reply_path.unlink(missing_ok=True)
+    where = f"bus {path.stem.replace('_', ':', 1)}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
         try:
-            asking.bind(str(own))
-            asking.settimeout(PATIENCE_S)
+            asking.bind(str(reply_path))
+            asking.settimeout(ANSWER_S)
             asking.sendto(json.dumps(question).encode(), str(path))
-            answer: dict[str, Any] = json.loads(asking.recv(LARGEST))
+            answer: dict[str, Any] = json.loads(asking.recv(MAX_ANSWER))
         except OSError as error:
             reason = os.strerror(error.errno) if error.errno else "no answer"
-            raise BusError(f"no simulator answers ({reason})", where, right) from None
+            raise BusError(f"no simulator answers ({reason})", where, "a running handctl sim") from None
         finally:
-            own.unlink(missing_ok=True)
+            reply_path.unlink(missing_ok=True)
     if "error" in answer:
         raise ConfigError(str(answer["error"]), where)
     return answer

@@ -5,9 +5,9 @@ from collections.abc import Callable
 
 from handctl.core.types import IoEvent
 
-LEAST_NS = 20_000_000
+MIN_SUSPEND_NS = 20_000_000
 """Shortest suspend that is reported [ns]."""
-TOGETHER_NS = 1_000_000
+MAX_READING_NS = 1_000_000
 """Longest reading of both clocks. A longer one was interrupted and is discarded [ns]."""
 
 
@@ -27,19 +27,21 @@ class SuspendWatch:
             boot: clock that goes on in a suspend [ns].
             monotonic: clock that stands still in a suspend [ns].
         """
-        self._boot, self._monotonic = boot, monotonic
-        self._apart_ns = self._look()
+        self._boot = boot
+        self._monotonic = monotonic
+        self._difference_ns = self._difference()
 
-    def _look(self) -> int | None:
+    def _difference(self) -> int | None:
         """Return the difference of the clocks [ns]. None if the reading was interrupted."""
-        before, boot = self._monotonic(), self._boot()
-        return boot - before if self._monotonic() - before < TOGETHER_NS else None
+        before = self._monotonic()
+        boot = self._boot()
+        return boot - before if self._monotonic() - before < MAX_READING_NS else None
 
     def events(self) -> list[IoEvent]:
         """Return an event for a suspend since the last call, with its duration [ms]."""
-        apart_ns = self._look()
-        if apart_ns is None:
+        difference_ns = self._difference()
+        if difference_ns is None:
             return []
-        known, self._apart_ns = self._apart_ns, apart_ns
-        slept_ns = 0 if known is None else apart_ns - known
-        return [IoEvent("suspended", "host", slept_ns // 1_000_000)] if slept_ns > LEAST_NS else []
+        suspend_ns = 0 if self._difference_ns is None else difference_ns - self._difference_ns
+        self._difference_ns = difference_ns
+        return [IoEvent("suspended", "host", suspend_ns // 1_000_000)] if suspend_ns > MIN_SUSPEND_NS else []

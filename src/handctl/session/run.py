@@ -23,10 +23,10 @@ from handctl.log.write.recorder import Recorder
 from handctl.programs.calibration import Calibration
 from handctl.programs.program import Program
 from handctl.runtime.buses.open import open_bus
-from handctl.runtime.clock import Clock, Priority, RealClock, give_back_priority, prepare_priority, urgent
+from handctl.runtime.clock import Clock, Priority, RealClock, give_back_priority, prepare_priority, realtime_priority
 from handctl.runtime.lockstep import LockstepBus, LockstepClock
 from handctl.runtime.loop import Loop, LoopBus, LoopStats, Signals
-from handctl.runtime.mailbox import CLEAR, Mailbox, held
+from handctl.runtime.mailbox import CLEAR, Mailbox, bus_lock
 from handctl.runtime.status import status
 from handctl.runtime.suspend import SuspendWatch
 from handctl.session.exit_codes import Exit
@@ -130,7 +130,7 @@ def run_live(
         mailbox = Mailbox(plan.buses[0])
         stack.callback(mailbox.close)
         for spec in sorted({*plan.buses} - {plan.buses[0]}):
-            stack.enter_context(held(spec))
+            stack.enter_context(bus_lock(spec))
         buses: list[LoopBus] = []
         for index, (spec, bus) in enumerate(zip(plan.buses, plan.hand.bus, strict=True)):
             opened = open_bus(spec, index, bus.bitrate, bus.data_bitrate, clock.of)
@@ -223,7 +223,7 @@ def _loop(
         show=show,
         keep=keeper(recorder),
         let_go=partial(let_go, controller),
-        urgent=urgent if isinstance(clock, RealClock) else nullcontext,
+        urgent=realtime_priority if isinstance(clock, RealClock) else nullcontext,
     )
 
 

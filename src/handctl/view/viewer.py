@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import IO
 
 from handctl.errors import ConfigError, HandctlError
-from handctl.runtime.places import run_dir
+from handctl.runtime.paths import run_dir
 
 LOOPBACK = "127.0.0.1"
 """The viewer accepts connections from this machine only."""

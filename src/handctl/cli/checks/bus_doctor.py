@@ -13,7 +13,7 @@ from handctl.hand.description import Hand
 from handctl.hand.file.sections import Bus as BusSection
 from handctl.hand.load import load_hand
 from handctl.runtime.buses.contract import Bus
-from handctl.runtime.buses.link import NoTool, read_link
+from handctl.runtime.buses.link import MissingTool, read_link
 from handctl.runtime.buses.open import open_bus
 from handctl.runtime.diagnostics.link_findings import WIRING, Finding, absent, findings
 from handctl.runtime.diagnostics.round_trip import RoundTrip, round_trip
@@ -74,7 +74,7 @@ def _examined(spec: str, wanted: BusSection, hand: Hand | None) -> dict[str, Any
 def _interface(channel: str, wanted: BusSection) -> list[Finding]:
     try:
         link = read_link(channel)
-    except NoTool:
+    except MissingTool:
         return [Finding("the interface's state is not known: no 'ip' here", False, "sudo apt-get install iproute2")]
     if link is None:
         return [absent(channel, wanted.bitrate, wanted.data_bitrate)]

@@ -23,10 +23,10 @@ from handctl.hand.load import parse_toml
 from handctl.runtime.buses.contract import Bus
 from handctl.runtime.buses.open import check_spec, open_bus
 from handctl.runtime.clock import RealClock, give_back_priority, take_priority
-from handctl.runtime.diagnostics.conformance import PROMISES, Check, Subject, Verdict, checks
+from handctl.runtime.diagnostics.conformance import PROMISES, Check, DeviceUnderTest, Verdict, checks
 from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
-from handctl.runtime.diagnostics.scan import Scan, hear, scan
-from handctl.runtime.mailbox import held
+from handctl.runtime.diagnostics.scan import Scan, listen, scan
+from handctl.runtime.mailbox import bus_lock
 from handctl.session.exit_codes import Exit
 
 WATCHDOG_MS = 100
@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     warning = f"the shaft of {args.drive} {args.node} on {args.bus} turns, with at most {args.limit:g} N m"
     ask(warning, args.yes)
     _tell(f"{warning}. Ctrl-C lets go.")
-    with held(args.bus):
+    with bus_lock(args.bus):
         found = _found(args)
         drive = _drive(args, options, found)
         results, off = _checked(args, drive, _restoring(drive, found))
@@ -149,7 +149,7 @@ def _listened(args: argparse.Namespace, bus: Bus) -> Scan:
     Whether it is there at all, the first check tells.
     """
     seen: list[Frame] = []
-    hear(bus, LISTEN_S, seen)
+    listen(bus, LISTEN_S, seen)
     foreign = tuple(frame for frame in seen if frame.can_id == args.node)
     return Scan((Found(args.drive, args.node),), foreign, (), (), len(seen))
 
@@ -171,7 +171,7 @@ def _checked(args: argparse.Namespace, drive: Drive, restoring: Drive) -> tuple[
     try:
         rig = DriveRig(drive, bus, clock)
         try:
-            for check in checks(Subject(rig, args.limit, WATCHDOG_MS / 1e3)):
+            for check in checks(DeviceUnderTest(rig, args.limit, WATCHDOG_MS / 1e3)):
                 results.append(check)
                 if not args.json:
                     print(f"{MARKS[check.verdict]}  {check.name}: {check.why}", flush=True)

@@ -12,7 +12,7 @@ from handctl.cli.console.options import print_json
 from handctl.errors import BusError
 from handctl.extras import extras_installed
 from handctl.runtime.clock import Priority, give_back_priority, take_priority
-from handctl.runtime.places import run_dir
+from handctl.runtime.paths import run_dir
 
 
 def run(args: argparse.Namespace) -> int:

@@ -90,7 +90,7 @@ def _plain(name: str, spec: str, result: Scan) -> dict[str, Any]:
         "bus": spec,
         "frames_heard": result.frames,
         "another_host": [_text(frame) for frame in result.foreign],
-        "not_asked": sorted({_text(frame) for frame in result.unasked}),
+        "not_asked": sorted({_text(frame) for frame in result.omitted}),
         "events": [list(event) for event in result.events],
         "nodes": [dataclasses.asdict(drive) for drive in result.found],
     }
@@ -107,8 +107,8 @@ def _print(buses: dict[str, str], scans: dict[str, Scan], piece: str) -> None:
         if result.foreign:
             heard = ", ".join(_text(frame) for frame in result.foreign[:SHOWN])
             print(f"  another host is at work here ({heard}): only listened; end it, or --force")
-        if result.unasked:
-            kinds = sorted({f"{frame.can_id:#05x}" for frame in result.unasked})
+        if result.omitted:
+            kinds = sorted({f"{frame.can_id:#05x}" for frame in result.omitted})
             print(f"  not asked on {', '.join(kinds)}: a drive that is here would take it as an order;")
             print("  for what answers on that, scan again with that drive off")
         for drive in result.found:

@@ -7,13 +7,13 @@ import argparse
 
 from handctl.cli.console.buses import controller_bus
 from handctl.cli.console.options import print_json
-from handctl.runtime.asking import ordered
+from handctl.runtime.confirm import request_action
 
 
 def run(args: argparse.Namespace) -> int:
     """Ask the controller of the bus to clear; 71 if it does not say that it has."""
     bus = controller_bus(args)
-    line = ordered(bus, "clear")
+    line = request_action(bus, "clear")
     if args.json:
         print_json({"asked": "clear", "bus": bus, "confirmed": True, "mode": line["mode"]})
     else:

@@ -24,7 +24,7 @@ from handctl.controller.tick import Controller
 from handctl.errors import BusError, ConfigError, DriveError
 from handctl.hand.load import load_hand
 from handctl.programs.grasp import TaskProgram
-from handctl.runtime.places import truth_path
+from handctl.runtime.paths import truth_path
 from handctl.session.calibration import Known, commission, identified_in, write_calibration
 from handctl.session.exit_codes import Exit
 from handctl.session.gains import assignments

@@ -16,7 +16,7 @@ from handctl.hand.file.toml_text import toml_text
 from handctl.programs.grasp import TaskProgram
 from handctl.programs.live import LiveProgram
 from handctl.programs.program import Program
-from handctl.runtime.places import truth_path
+from handctl.runtime.paths import truth_path
 from handctl.session.calibration import ensure_calibration
 from handctl.session.pace import remedy
 from handctl.session.plan import Plan, commission_log, default_log

@@ -4,14 +4,14 @@ import argparse
 
 from handctl.cli.console.buses import controller_bus
 from handctl.cli.console.options import print_json
-from handctl.runtime.asking import ordered
+from handctl.runtime.confirm import request_action
 
 
 def run(args: argparse.Namespace) -> int:
     """Ask the controller of the bus to stop; 71 unless it says that the hand has let go."""
     word = "cut" if args.cut else "stop"
     bus = controller_bus(args)
-    line = ordered(bus, word)
+    line = request_action(bus, word)
     if args.json:
         print_json({"asked": word, "bus": bus, "confirmed": True, "mode": line["mode"]})
     else:

@@ -163,15 +163,15 @@ def _line(entry: Entry, entries: list[Entry]) -> str:
 
 def _set(args: argparse.Namespace) -> int:
     """Change gains of a running controller; what cannot be is refused before anything is sent."""
-    from handctl.runtime.asking import confirmed, watching
+    from handctl.runtime.confirm import open_watcher, send_confirmed
 
     values = assignments(args.values, "gains set")
     with_values(Gains(), values, "gains set", live=True)
     bus = controller_bus(args)
-    watcher = watching(bus, "gains")
+    watcher = open_watcher(bus, "gains")
     try:
-        watcher.next(TAKEN_OVER_S)
-        line, texts = confirmed(watcher, {"do": "gains", "set": values})
+        watcher.fresh_line(TAKEN_OVER_S)
+        line, texts = send_confirmed(watcher, {"do": "gains", "set": values})
         for text in texts:
             _heed(text)
         said = _answers(watcher, values, line)
@@ -192,7 +192,7 @@ def _answers(watcher: Any, values: dict[str, float], taken: dict[str, Any]) -> d
         UnconfirmedError: it says nothing.
     """
     said: dict[str, str] = {}
-    for line in itertools.chain((taken,), watcher.heard(TAKEN_OVER_S)):
+    for line in itertools.chain((taken,), watcher.lines(TAKEN_OVER_S)):
         for event in line["events"]:
             if event["name"] == "gain" and event["where"] in values:
                 said[event["where"]] = event["text"]

@@ -19,15 +19,18 @@ from handctl.drives.records import RECORD, Frames, Records
 from handctl.runtime.buses.contract import check_size
 
 STRUCT = np.dtype([("can_id", "<u4"), ("length", "u1"), ("flags", "u1"), ("reserved", "<u2"), ("data", "<u8", (8,))])
-SIZE, CLASSICAL_SIZE = STRUCT.itemsize, 16
-"""Bytes of ``struct canfd_frame`` and ``struct can_frame``."""
+SIZE = STRUCT.itemsize
+"""Size of ``struct canfd_frame`` [bytes]."""
+CLASSICAL_SIZE = 16
+"""Size of ``struct can_frame`` [bytes]."""
 LONGEST = 64
 """Payload of the longest frame [bytes]."""
-KEPT = 256
+CACHED_BATCHES = 256
 """Number of batches whose heads are cached."""
-LONGEST_KEPT = 128
+LONGEST_CACHED = 128
 """Most frames of a cached batch. The limit keeps a flood of frames from filling the memory."""
-WORD, PAYLOAD = np.dtype("<u8"), np.dtype(("<u8", (8,)))
+WORD = np.dtype("<u8")
+PAYLOAD = np.dtype(("<u8", (8,)))
 _HEAD = np.dtype(STRUCT.descr[:-1])
 T_NS_AT, HEAD_AT, DATA_AT = (RECORD.fields[name][1] for name in ("t_ns", "can_id", "data"))  # type: ignore[index]
 """Offsets of the time, of the head (identifier to length), and of the payload in a record [bytes]."""
@@ -67,24 +70,25 @@ class Received(NamedTuple):
 
 
 @functools.lru_cache
-def _flags(kept: int, more: int) -> bytes:
+def _flags(mask: int, added: int) -> bytes:
     """Return a table for ``bytes.translate``: flags of a struct to flags of a record."""
-    return bytes(flags & kept | more for flags in range(256))
+    return bytes(flags & mask | added for flags in range(256))
 
 
-@functools.lru_cache(maxsize=KEPT)
-def _received(raw: bytes, bus: int, kept_flags: int, more_flags: int) -> Received:
+@functools.lru_cache(maxsize=CACHED_BATCHES)
+def _received(raw: bytes, bus: int, flag_mask: int, added_flags: int) -> Received:
     """Convert heads of structs to heads of records.
 
     The conversion works on columns of bytes, which is faster than numpy for a batch that is not cached.
     """
     # Bytes of a head in a struct:  can_id 0..3 | length 4 | flags 5 | reserved 6..7
     # Bytes of a head in a record:  can_id 0..3 | flags  4 | zero  5 | bus 6 | length 7
-    lengths, count = raw[4::8].translate(_LENGTHS), len(raw) // 8
+    lengths = raw[4::8].translate(_LENGTHS)
+    count = len(raw) // 8
     heads = bytearray(len(raw))
     for i in range(4):
         heads[i::8] = raw[i::8]
-    heads[4::8] = raw[5::8].translate(_flags(kept_flags, more_flags))
+    heads[4::8] = raw[5::8].translate(_flags(flag_mask, added_flags))
     heads[6::8] = bytes((bus,)) * count
     heads[7::8] = lengths
     words = max(1, -(-max(lengths, default=0) // 8))  # rounded up
@@ -109,7 +113,7 @@ class Sent(NamedTuple):
     sizes: Words
 
 
-@functools.lru_cache(maxsize=KEPT)
+@functools.lru_cache(maxsize=CACHED_BATCHES)
 def _sent(raw: bytes) -> Sent:
     """Convert heads of records to heads of structs.
 
@@ -124,7 +128,8 @@ def _sent(raw: bytes) -> Sent:
     for i in np.flatnonzero(lengths > np.where(fd, LONGEST, 8))[:1]:
         check_size(Frame(int(records["can_id"][i]), bytes(int(lengths[i])), int(records["flags"][i])))
     heads = np.zeros(len(records), _HEAD)
-    heads["can_id"], heads["length"] = records["can_id"], lengths
+    heads["can_id"] = records["can_id"]
+    heads["length"] = lengths
     heads["flags"] = np.where(fd, records["flags"], 0)
     longest = max(1, -(-int(lengths.max(initial=0)) // 8))
     return Sent(heads.view(WORD), longest, np.where(fd, SIZE, CLASSICAL_SIZE).astype(np.uint64))
@@ -141,43 +146,45 @@ class Structs:
         """Make views into ``memory``, a writable buffer of a whole number of structs."""
         rows = np.frombuffer(memory, WORD).reshape(-1, SIZE // 8)
         self.count = len(rows)
-        self._heads, self._data, self._first = rows[:, 0], rows[:, 1:], rows[:, 1]
+        self._heads = rows[:, 0]
+        self._data = rows[:, 1:]
+        self._first = rows[:, 1]
         self._written = 8
 
-    def found(self, count: int, bus: int, kept_flags: int = 0xFF, more_flags: int = 0) -> Received:
+    def converted_heads(self, count: int, bus: int, flag_mask: int = 0xFF, added_flags: int = 0) -> Received:
         """Convert the heads of the first structs.
 
         Args:
             count: number of structs.
             bus: index of the bus.
-            kept_flags: mask of the flags that are taken from the structs.
-            more_flags: flags that all frames get in addition.
+            flag_mask: mask of the flags that are taken from the structs.
+            added_flags: flags that all frames get in addition.
         """
-        convert = _received if count <= LONGEST_KEPT else _received.__wrapped__
-        return convert(self._heads[:count].tobytes(), bus, kept_flags, more_flags)
+        convert = _received if count <= LONGEST_CACHED else _received.__wrapped__
+        return convert(self._heads[:count].tobytes(), bus, flag_mask, added_flags)
 
     def reserved(self, at: int) -> int:
         """Return the reserved 16 bits of a struct."""
         return int(self._heads[at]) >> 48
 
-    def read(self, count: int, found: Received, t_ns: "int | NDArray[np.int64]") -> Records:
+    def read(self, count: int, heads: Received, t_ns: "int | NDArray[np.int64]") -> Records:
         """Convert the first structs to records.
 
         Args:
             count: number of structs.
-            found: their converted heads.
+            heads: their converted heads.
             t_ns: time of reception, one for all or one for each [ns].
         """
         records: Records = np.zeros(count, RECORD)
         records.setfield(t_ns, np.dtype("<i8"), T_NS_AT)
-        records.setfield(found.heads, WORD, HEAD_AT)
-        if found.words == 1:
+        records.setfield(heads.heads, WORD, HEAD_AT)
+        if heads.words == 1:
             first = self._first[:count]
-            records.setfield(first if found.masks is None else first & found.masks, WORD, DATA_AT)
+            records.setfield(first if heads.masks is None else first & heads.masks, WORD, DATA_AT)
         else:
-            data = self._data[:count, : found.words]
-            payload = records.getfield(PAYLOAD, DATA_AT)[:, : found.words]
-            payload[...] = data if found.masks is None else data & found.masks
+            data = self._data[:count, : heads.words]
+            payload = records.getfield(PAYLOAD, DATA_AT)[:, : heads.words]
+            payload[...] = data if heads.masks is None else data & heads.masks
         return records
 
     def write(self, frames: Frames) -> Sent:
@@ -188,17 +195,17 @@ class Structs:
         """
         records = frames.records
         count = len(records)
-        convert = _sent if count <= LONGEST_KEPT else _sent.__wrapped__
-        what = convert(records.getfield(WORD, HEAD_AT).tobytes())
-        self._heads[:count] = what.heads
-        if what.words < self._written:  # longer payloads of the batch before would show behind these
-            self._data[:, what.words :] = 0
-        self._written = what.words
-        if what.words == 1:
+        convert = _sent if count <= LONGEST_CACHED else _sent.__wrapped__
+        sent = convert(records.getfield(WORD, HEAD_AT).tobytes())
+        self._heads[:count] = sent.heads
+        if sent.words < self._written:  # longer payloads of the batch before would show behind these
+            self._data[:, sent.words :] = 0
+        self._written = sent.words
+        if sent.words == 1:
             self._first[:count] = records.getfield(WORD, DATA_AT)
         else:
-            self._data[:count, : what.words] = records.getfield(PAYLOAD, DATA_AT)[:, : what.words]
-        return what
+            self._data[:count, : sent.words] = records.getfield(PAYLOAD, DATA_AT)[:, : sent.words]
+        return sent
 
 
 def without_errors(records: Records) -> tuple[Frames, list[Frame]]:

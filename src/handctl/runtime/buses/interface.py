@@ -1,6 +1,6 @@
 """Comparison of the bit rates of an interface with the hand file. ``link`` reads the state of an interface."""
 
-from handctl.runtime.buses.link import Link, NoTool, read_link
+from handctl.runtime.buses.link import Link, MissingTool, read_link
 
 
 def wrong_rate(channel: str, bitrate: int, data_bitrate: int | None) -> str:
@@ -13,12 +13,12 @@ def wrong_rate(channel: str, bitrate: int, data_bitrate: int | None) -> str:
     """
     try:
         link = read_link(channel)
-    except NoTool:
+    except MissingTool:
         return ""
-    return compared(channel, link, bitrate, data_bitrate) if link else ""
+    return rate_difference(channel, link, bitrate, data_bitrate) if link else ""
 
 
-def compared(channel: str, link: Link, bitrate: int, data_bitrate: int | None) -> str:
+def rate_difference(channel: str, link: Link, bitrate: int, data_bitrate: int | None) -> str:
     """Describe a wrong bit rate of ``link`` in one line. An interface without bit timing (vcan, slcan) has none."""
     if link.bitrate is None:
         return ""

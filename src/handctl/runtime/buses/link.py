@@ -44,7 +44,7 @@ class Link(NamedTuple):
     counts: Mapping[str, int]
 
 
-class NoTool(Exception):  # noqa: N818 - tells that a program is missing
+class MissingTool(Exception):  # noqa: N818 - tells that a program is missing
     """The program ``ip`` is not installed or does not answer in time."""
 
 
@@ -52,37 +52,37 @@ def read_link(name: str) -> Link | None:
     """Read the state of an interface. None if the interface does not exist.
 
     Raises:
-        NoTool: iproute2 is not installed or does not answer.
+        MissingTool: iproute2 is not installed or does not answer.
     """
     command = ["ip", "-details", "-statistics", "-json", "link", "show", "dev", name]
     try:
-        told = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+        output = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
     except (FileNotFoundError, subprocess.TimeoutExpired):
-        raise NoTool from None
-    return parse_link(told.stdout) if told.returncode == 0 else None
+        raise MissingTool from None
+    return parse_link(output.stdout) if output.returncode == 0 else None
 
 
 def parse_link(text: str) -> Link | None:
     """Parse the output of ``ip``. None if it lists no interface."""
     try:
-        (shown,) = json.loads(text)
+        (link,) = json.loads(text)
     except ValueError:
         return None
-    info: dict[str, Any] = shown.get("linkinfo", {})
+    info: dict[str, Any] = link.get("linkinfo", {})
     data: dict[str, Any] = info.get("info_data", {})
     counters = data.get("berr_counter", {})
     return Link(
-        up="UP" in shown.get("flags", ()),
+        up="UP" in link.get("flags", ()),
         kind=str(info.get("info_kind", "")),
-        queue=int(shown.get("txqlen", 0)),
-        fd=int(shown.get("mtu", 0)) >= MTU_FD,
+        queue=int(link.get("txqlen", 0)),
+        fd=int(link.get("mtu", 0)) >= MTU_FD,
         bitrate=data.get("bittiming", {}).get("bitrate"),
         data_bitrate=data.get("data_bittiming", {}).get("bitrate"),
         state=str(data.get("state", "")),
         sending=int(counters.get("tx", 0)),
         receiving=int(counters.get("rx", 0)),
         restart_ms=data.get("restart_ms") if data else None,
-        counts={**info.get("info_xstats", {}), **_dropped(shown.get("stats64", {}))},
+        counts={**info.get("info_xstats", {}), **_dropped(link.get("stats64", {}))},
     )
 
 

@@ -18,23 +18,24 @@ from handctl.errors import BusError
 from handctl.runtime.buses.canfd import SIZE, Structs, without_errors
 from handctl.runtime.buses.contract import Stamp, check_size
 from handctl.runtime.buses.events import BusEvents, Event
+from handctl.runtime.paths import local_bus_path
 from handctl.runtime.peers import served_by_us
-from handctl.runtime.places import local_bus_path
 
 RECORD = struct.Struct("<IBBH64s")
 """One record: identifier with flag bits, length, flags, dropped frames modulo 65536, payload."""
 BUFFER = 1 << 20
 """Size of the socket buffer requested for each direction [bytes]."""
-MOST = 4096
+MAX_RECORDS = 4096
 """Records per read at most."""
-ROOM = 64
+SEND_RECORDS = 64
 """Initial size of the send buffer [records]."""
-QUEUE_TOLD, QUEUE = 0xE0000000, struct.Struct("<II")
-"""Identifier and payload of a queue report, which a hub with a simulated wire sends.
+QUEUE_REPORT = 0xE0000000
+"""Identifier of a queue report, which a hub with a simulated wire sends.
 
-The payload is the number of this client's frames that have left the queue, modulo 2**32, and the capacity
-of the queue. A hub without a wire sends no report, and its clients have no queue.
+A hub without a wire sends no report, and its clients have no queue.
 """
+QUEUE = struct.Struct("<II")
+"""Payload of a queue report: frames of this client that have left the queue, modulo 2**32, and its capacity."""
 READS = 4
 """Reads per drain. The limit keeps a flood of frames from making a tick long."""
 CONNECT_TIMEOUT_S = 2.0
@@ -73,57 +74,60 @@ class LocalBus:
         early: frames that were read during a ``send``. The next ``drain`` returns them first.
     """
 
-    def __init__(self, channel: str, index: int, stamp: Stamp, most: int = MOST) -> None:
+    def __init__(self, channel: str, index: int, stamp: Stamp, max_records: int = MAX_RECORDS) -> None:
         """Connect to the hub.
 
         Args:
             channel: name of the bus.
             index: of the bus in the hand's list.
             stamp: converts a CLOCK_MONOTONIC time to the run's time.
-            most: records per read at most. With 1 the socket stays readable while a frame waits.
+            max_records: records per read at most. With 1 the socket stays readable while a frame waits.
 
         Raises:
             BusError: no hub of this name is running.
         """
         self._socket = connect(channel)
         self.name = f"local:{channel}"
-        self._index, self._stamp = index, stamp
+        self._index = index
+        self._stamp = stamp
         self._events = BusEvents(self.name)
-        memory = bytearray(most * SIZE)
-        self._buffer, self._structs = memoryview(memory), Structs(memory)
-        self._make_room(ROOM)
-        self._reads = min(READS, most)
-        self._kept = 0
+        memory = bytearray(max_records * SIZE)
+        self._buffer = memoryview(memory)
+        self._structs = Structs(memory)
+        self._allocate(SEND_RECORDS)
+        self._reads = min(READS, max_records)
+        self._partial = 0
         self._rest = b""
         self._dropped = 0
         self.early = EMPTY
-        self._sent = self._taken = self._depth = 0
+        self._sent = self._left_queue = self._depth = 0
         self._gone = False
 
-    def _make_room(self, count: int) -> None:
+    def _allocate(self, count: int) -> None:
         """Allocate a send buffer for ``count`` records."""
         memory = bytearray(count * SIZE)
-        self._out, self._out_structs = memoryview(memory), Structs(memory)
+        self._out = memoryview(memory)
+        self._out_structs = Structs(memory)
 
     def drain(self) -> Frames:
         """Return all received frames, see ``contract.Bus``."""
         parts = [self.early] if self.early else []
         self.early = EMPTY
         for _ in range(self._reads):
-            kept = self._kept
-            size = self._read(self._buffer[kept:] if kept else self._buffer)
+            partial = self._partial
+            size = self._read(self._buffer[partial:] if partial else self._buffer)
             if size:
-                parts.append(self._take(kept + size))
-            if size < len(self._buffer) - kept:
+                parts.append(self._take(partial + size))
+            if size < len(self._buffer) - partial:
                 break
         return joined(parts)
 
-    def _read(self, room: memoryview) -> int:
+    def _read(self, buffer: memoryview) -> int:
         """Read into a buffer and return the number of bytes. 0 if nothing has arrived."""
         if self._gone:
             return 0
         try:
-            size = self._socket.recv_into(room)
+            size = self._socket.recv_into(buffer)
         except BlockingIOError:
             return 0
         except OSError:
@@ -139,34 +143,35 @@ class LocalBus:
 
     def _take(self, filled: int) -> Frames:
         """Convert the complete records in the first ``filled`` bytes. Keep the beginning of an incomplete one."""
-        count, self._kept = divmod(filled, SIZE)
+        count, self._partial = divmod(filled, SIZE)
         if not count:
             return EMPTY
         structs = self._structs
-        found = structs.found(count, self._index)
-        frames = Frames(structs.read(count, found, self._stamp(time.monotonic_ns())))
-        if found.errors:
+        heads = structs.converted_heads(count, self._index)
+        frames = Frames(structs.read(count, heads, self._stamp(time.monotonic_ns())))
+        if heads.errors:
             frames, errors = without_errors(frames.records)
             for frame in errors:
-                self._told(frame.can_id, frame.data)
+                self._take_control(frame.can_id, frame.data)
         self._count_dropped(structs.reserved(count - 1))
-        if self._kept:
-            self._buffer[: self._kept] = self._buffer[filled - self._kept : filled]
+        if self._partial:
+            self._buffer[: self._partial] = self._buffer[filled - self._partial : filled]
         return frames
 
     def receive_one(self) -> Frame | None:
         """Return the next frame as an object, for programs that take one message at a time. None if there is none."""
         if self.early:
-            frame, self.early = self.early[0], self.early[1:]
+            frame = self.early[0]
+            self.early = self.early[1:]
             return frame
-        filled = self._kept + self._read(self._buffer[self._kept : SIZE])
-        self._kept = filled % SIZE
+        filled = self._partial + self._read(self._buffer[self._partial : SIZE])
+        self._partial = filled % SIZE
         if filled < SIZE:
             return None
         can_id, length, flags, lost, data = RECORD.unpack_from(self._buffer)
         self._count_dropped(lost)
         if can_id & ERROR:
-            self._told(can_id, data[:length])
+            self._take_control(can_id, data[:length])
             return None
         return Frame(can_id, data[:length], flags, self._index, self._stamp(time.monotonic_ns()))
 
@@ -176,25 +181,25 @@ class LocalBus:
             self._events.add("dropped", (lost - self._dropped) & 0xFFFF)
             self._dropped = lost
 
-    def _told(self, can_id: int, data: bytes) -> None:
+    def _take_control(self, can_id: int, data: bytes) -> None:
         """Take a queue report of the hub, or count an error frame."""
-        if can_id == QUEUE_TOLD:
-            self._taken, self._depth = QUEUE.unpack(data)
+        if can_id == QUEUE_REPORT:
+            self._left_queue, self._depth = QUEUE.unpack(data)
         else:
             self._events.error_frame(can_id, data)
 
     def _fitting(self, frames: Sequence[Frame]) -> Sequence[Frame]:
         """Return as many of the frames as fit in the queue. The others are refused."""
-        if len(frames) > self._room():
+        if len(frames) > self._free():
             self.early = self.drain()  # a queue report may have arrived meanwhile
-        room = self._room()
-        if len(frames) > room:
-            self._events.add("enobufs", len(frames) - room)
-        return frames[:room]
+        free = self._free()
+        if len(frames) > free:
+            self._events.add("enobufs", len(frames) - free)
+        return frames[:free]
 
-    def _room(self) -> int:
+    def _free(self) -> int:
         """Return the number of frames that fit in the queue of the simulated wire."""
-        return max(0, self._depth - (self._sent - self._taken & 0xFFFFFFFF))
+        return max(0, self._depth - (self._sent - self._left_queue & 0xFFFFFFFF))
 
     def send(self, frames: Sequence[Frame]) -> int:
         """Send a batch and return the number of accepted frames, see ``contract.Bus``."""
@@ -226,7 +231,7 @@ class LocalBus:
                 check_size(frame)
             return b"".join([RECORD.pack(can_id, len(data), flags, 0, data) for can_id, data, flags, _, _ in frames])
         if len(frames) > self._out_structs.count:
-            self._make_room(2 * len(frames))
+            self._allocate(2 * len(frames))
         self._out_structs.write(frames)
         return self._out[: SIZE * len(frames)]
 

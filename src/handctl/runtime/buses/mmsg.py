@@ -52,8 +52,10 @@ CONTROL = struct.Struct("@NiillNiiI12x")
 """
 STAMP_AT = struct.calcsize("@Nii")
 """Offset of the seconds in the control messages [bytes]. The nanoseconds follow."""
-STAMPED, COUNTED = struct.calcsize("@Niill"), struct.calcsize("@NiillNiiI")
-"""Length of the control messages with the stamp, and with stamp and counter [bytes]. A counter alone is shorter."""
+STAMPED = struct.calcsize("@Niill")
+"""Length of the control messages with a stamp [bytes]. A counter alone is shorter."""
+COUNTED = struct.calcsize("@NiillNiiI")
+"""Length of the control messages with stamp and counter [bytes]."""
 _TAIL = ctypes.sizeof(_Header) - _Header.size.offset - ctypes.sizeof(ctypes.c_uint)
 _GAP = _Header.size.offset - _Message.controllen.offset - ctypes.sizeof(ctypes.c_size_t)
 _HEADER = struct.Struct(f"@{_Message.controllen.offset}xN{_GAP}xI{_TAIL}x")
@@ -92,7 +94,8 @@ class Slots:
             size: of a slot [bytes].
             control: receive control messages, as for stamps.
         """
-        self.count, self.size = count, size
+        self.count = count
+        self.size = size
         store = (ctypes.c_char * (count * size))()
         messages = (ctypes.c_char * (count * CONTROL.size))()
         self._iovecs = (_Iovec * count)()
@@ -100,42 +103,46 @@ class Slots:
         for i in range(count):
             self._iovecs[i] = _Iovec(ctypes.addressof(store) + i * size, size)
             message = headers[i].message
-            message.iov, message.iovlen = ctypes.addressof(self._iovecs) + i * ctypes.sizeof(_Iovec), 1
+            message.iov = ctypes.addressof(self._iovecs) + i * ctypes.sizeof(_Iovec)
+            message.iovlen = 1
             if control:
-                message.control, message.controllen = ctypes.addressof(messages) + i * CONTROL.size, CONTROL.size
-        self.data, self.control = memoryview(store).cast("B"), memoryview(messages).cast("B")
+                message.control = ctypes.addressof(messages) + i * CONTROL.size
+                message.controllen = CONTROL.size
+        self.data = memoryview(store).cast("B")
+        self.control = memoryview(messages).cast("B")
         self.headers = ctypes.addressof(headers)
         self._view = memoryview(headers).cast("B")
         self._sizes = np.frombuffer(memoryview(self._iovecs).cast("B"), np.uintp).reshape(count, 2)[:, 1]
         longs = np.frombuffer(self.control, "l").reshape(count, -1)
         at = STAMP_AT // longs.itemsize
-        self._seconds, self._nanoseconds = longs[:, at], longs[:, at + 1]
+        self._seconds = longs[:, at]
+        self._nanoseconds = longs[:, at + 1]
         self._fresh = bytes(self._view)
-        self._usual: tuple[bytes, int] = (b"", 0)
+        self._last_size: tuple[bytes, int] = (b"", 0)
 
-    def even(self, count: int) -> int:
+    def common_size(self, count: int) -> int:
         """Return the common size of the first datagrams [bytes], or 0 if they must be read one by one.
 
         They have a common size if all are equally long, with a stamp and without a counter. The kernel
         writes the same bytes into the headers tick after tick. The result for the last bytes is cached.
         """
         raw = bytes(self._view[: count * _HEADER.size])
-        if raw != self._usual[0]:
+        if raw != self._last_size[0]:
             kinds = set(_HEADER.iter_unpack(raw))
             length, size = kinds.pop()
-            self._usual = raw, 0 if kinds or length != STAMPED else size
-        return self._usual[1]
+            self._last_size = raw, 0 if kinds or length != STAMPED else size
+        return self._last_size[1]
 
     def datagrams(self, count: int) -> list[Datagram]:
         """Return size, stamp and loss counter of each of the first datagrams."""
         sizes = _HEADER.iter_unpack(self._view[: count * _HEADER.size])
         control = CONTROL.iter_unpack(self.control[: count * CONTROL.size])
-        told = []
+        result = []
         for (length, size), (_, level, kind, s, ns, _, level2, kind2, dropped) in zip(sizes, control, strict=True):
             stamped = length >= STAMPED and kind == SO_TIMESTAMPNS and level == _SOL_SOCKET
             counted = length >= COUNTED and kind2 == SO_RXQ_OVFL and level2 == _SOL_SOCKET
-            told.append((size, s * 1_000_000_000 + ns if stamped else 0, dropped if counted else 0))
-        return told
+            result.append((size, s * 1_000_000_000 + ns if stamped else 0, dropped if counted else 0))
+        return result
 
     def renew(self, count: int) -> None:
         """Reset the first headers to the values before reception."""

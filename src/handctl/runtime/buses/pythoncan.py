@@ -16,7 +16,7 @@ from handctl.errors import BusError
 from handctl.runtime.buses.contract import Stamp, check_size
 from handctl.runtime.buses.events import BusEvents, Event
 
-MOST = 4096
+MAX_FRAMES = 4096
 """Frames per drain at most. The limit keeps a flood of frames from making a tick long."""
 IDENTIFIER = 0x1FFFFFFF
 """Mask of the 29 bits of an identifier, without flag bits."""
@@ -100,14 +100,15 @@ class PythonCanBus:
             BusError: python-can has no such interface, or cannot open it.
         """
         self.name = f"{interface}:{channel}"
-        self._index, self._stamp = index, stamp
+        self._index = index
+        self._stamp = stamp
         self._events = BusEvents(self.name)
         self._bus = open_can(interface, channel, bitrate, data_bitrate)
 
     def drain(self) -> Frames:
         """Return all received frames, see ``contract.Bus``."""
         frames: list[Frame] = []
-        for _ in range(MOST):
+        for _ in range(MAX_FRAMES):
             try:
                 message = self._bus.recv(0)
             except (can.CanError, OSError) as error:

@@ -14,10 +14,10 @@ from handctl.drives.records import Frames, frames_of, joined
 from handctl.errors import BusError
 from handctl.runtime.buses import mmsg
 from handctl.runtime.buses.canfd import SIZE, Structs
+from handctl.runtime.buses.clock_offset import ClockOffset
 from handctl.runtime.buses.contract import Stamp
 from handctl.runtime.buses.events import BusEvents, Event
 from handctl.runtime.buses.interface import wrong_rate
-from handctl.runtime.buses.wall import WallOffset
 
 SLOTS = 128
 """Frames per system call."""
@@ -59,14 +59,18 @@ class SocketCanBus:
         """
         _prepare(link)
         self.name = name
-        self._socket, self._index, self._fd_mode, self._stamp = link, index, fd_mode, stamp
+        self._socket = link
+        self._index = index
+        self._fd_mode = fd_mode
+        self._stamp = stamp
         self._events = BusEvents(name)
         self._in = mmsg.Slots(SLOTS, SIZE, control=True)
         self._out = mmsg.Slots(SLOTS, SIZE, control=False)
-        self._structs, self._out_structs = Structs(self._in.data), Structs(self._out.data)
+        self._structs = Structs(self._in.data)
+        self._out_structs = Structs(self._out.data)
         self._dropped = 0
         self._latest = 0
-        self._offset = WallOffset()
+        self._offset = ClockOffset()
 
     def drain(self) -> Frames:
         """Return all received frames, see ``contract.Bus``."""
@@ -90,45 +94,51 @@ class SocketCanBus:
         Usually all datagrams are alike and their stamps follow the last stamps. Then they are converted
         as one batch, otherwise one by one.
         """
-        size = self._in.even(count)
-        frames = self._take_even(count, FDF if size == SIZE else 0) if size else None
+        size = self._in.common_size(count)
+        frames = self._take_batch(count, FDF if size == SIZE else 0) if size else None
         if frames is None:
             self._offset.renew()
             frames = self._take_each(self._in.datagrams(count), time.monotonic_ns())
         return frames
 
-    def _take_even(self, count: int, fd_flag: int) -> Frames | None:
+    def _take_batch(self, count: int, fd_flag: int) -> Frames | None:
         """Convert stamped frames of one kind. None if one is an error frame or a stamp must be checked."""
-        found = self._structs.found(count, self._index, 0xFF if fd_flag else 0, fd_flag)
-        if found.errors:
+        heads = self._structs.converted_heads(count, self._index, 0xFF if fd_flag else 0, fd_flag)
+        if heads.errors:
             return None
         times = self._in.stamps(count)
         times += self._offset.ns()
-        each, earliest = times.tolist(), self._latest
-        first, last = min(each), max(each)
+        each = times.tolist()
+        earliest = self._latest
+        first = min(each)
+        last = max(each)
         if not earliest <= first <= last <= earliest + AHEAD_NS:
             return None
-        begin, stamp = self._stamp(first), self._stamp
+        stamp = self._stamp
+        begin = stamp(first)
         if stamp(last) - begin == last - first:  # the run's time is not slowed
             times += begin - first
         else:
             times = np.array([stamp(t_ns) for t_ns in each])
         self._latest = each[-1]
-        return Frames(self._structs.read(count, found, times))
+        return Frames(self._structs.read(count, heads, times))
 
-    def _take_each(self, told: list[mmsg.Datagram], now: int) -> Frames:
+    def _take_each(self, datagrams: list[mmsg.Datagram], now: int) -> Frames:
         """Convert frames of any kind one by one. Count error frames and lost frames."""
-        index, stamp, earliest, offset = self._index, self._stamp, self._latest, self._offset.ns()
-        count, stamps = len(told), []
-        frames = Frames(self._structs.read(count, self._structs.found(count, index), 0))
-        kept = np.ones(count, bool)
-        for i, ((size, realtime, dropped), frame) in enumerate(zip(told, frames, strict=True)):
+        stamp = self._stamp
+        earliest = self._latest
+        offset = self._offset.ns()
+        count = len(datagrams)
+        stamps = []
+        frames = Frames(self._structs.read(count, self._structs.converted_heads(count, self._index), 0))
+        is_data = np.ones(count, bool)
+        for i, ((size, realtime, dropped), frame) in enumerate(zip(datagrams, frames, strict=True)):
             if dropped != self._dropped and dropped:
                 self._events.add("dropped", (dropped - self._dropped) & 0xFFFFFFFF)
                 self._dropped = dropped
             if frame.can_id & ERROR:
                 self._events.error_frame(frame.can_id, frame.data)
-                kept[i] = False
+                is_data[i] = False
                 continue
             frames.records["flags"][i] = frame.flags | FDF if size == SIZE else 0
             t_ns = realtime + offset
@@ -136,7 +146,7 @@ class SocketCanBus:
                 t_ns = now  # the stamp is missing, or the wall clock was set meanwhile
             stamps.append(stamp(t_ns))
             self._latest = max(self._latest, t_ns)
-        records = frames.records[kept]
+        records = frames.records[is_data]
         records["t_ns"] = stamps
         return Frames(records)
 
@@ -193,9 +203,10 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
         BusError: the kernel has no SocketCAN. Or the interface is missing, down, not in the required FD
             mode, set to another bit rate, or has too short a queue.
     """
-    name, fd_mode = f"socketcan:{channel}", data_bitrate is not None
-    there = channel in [known for _, known in socket.if_nameindex()]
-    hint = "type: " + advice(channel, bitrate, data_bitrate, there)
+    name = f"socketcan:{channel}"
+    fd_mode = data_bitrate is not None
+    exists = channel in [name for _, name in socket.if_nameindex()]
+    hint = "type: " + advice(channel, bitrate, data_bitrate, exists)
     try:
         link = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     except OSError as error:
@@ -205,7 +216,7 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
         link.setsockopt(socket.SOL_CAN_RAW, CAN_RAW_ERR_FILTER, ALL_ERRORS)
         link.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, int(fd_mode))
         link.bind((channel,))
-        problem = _problem(link, channel, fd_mode) or wrong_rate(channel, bitrate, data_bitrate)
+        problem = _interface_problem(link, channel, fd_mode) or wrong_rate(channel, bitrate, data_bitrate)
     except OSError as error:
         problem = f"cannot be opened: {os.strerror(error.errno or 0)}"
     if problem:
@@ -214,7 +225,7 @@ def open_socketcan(channel: str, index: int, bitrate: int, data_bitrate: int | N
     return SocketCanBus(link, name, index, fd_mode, stamp)
 
 
-def _problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
+def _interface_problem(link: socket.socket, channel: str, fd_mode: bool) -> str:
     """Describe what is wrong with an existing interface. Empty if it can be used."""
     if not _ask(link, channel, SIOCGIFFLAGS) & IFF_UP:
         return "the interface is down"
@@ -233,10 +244,10 @@ def _ask(link: socket.socket, channel: str, request: int) -> int:
     return int(number)
 
 
-def advice(channel: str, bitrate: int, data_bitrate: int | None, there: bool = False) -> str:
-    """Return the command that sets an interface up as the hand needs it. ``there``: the interface exists."""
+def advice(channel: str, bitrate: int, data_bitrate: int | None, exists: bool = False) -> str:
+    """Return the command that sets an interface up as the hand needs it. ``exists``: the interface exists."""
     if channel.startswith("vcan"):
-        steps = ["sudo ip link set {0} down" if there else "sudo ip link add {0} type vcan"]
+        steps = ["sudo ip link set {0} down" if exists else "sudo ip link add {0} type vcan"]
         steps += ["sudo ip link set {0} mtu 72"] * bool(data_bitrate) + ["sudo ip link set {0} up"]
         return " && ".join(steps).format(channel)
     fd = f" dbitrate {data_bitrate} fd on" if data_bitrate else ""

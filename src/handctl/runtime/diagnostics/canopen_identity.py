@@ -27,7 +27,7 @@ OBJECTS = {
 """Index and subindex of the numbers that are read. Source: CiA 301, CiA 402-2."""
 TEXTS = {"name": (0x1008, 0), "software": (0x100A, 0)}
 """Index and subindex of the texts that are read. Source: CiA 301."""
-PATIENCE_S = 0.3
+ANSWER_S = 0.3
 """Longest wait for the answer of a drive [s]."""
 
 
@@ -65,8 +65,9 @@ def identify(spec: str, bitrate: int, nodes: Sequence[int]) -> dict[int, Identit
 def _identity(network: canopen.Network, number: int) -> Identity:
     """Read the identity of one node."""
     node = network.add_node(number, canopen.ObjectDictionary())  # type: ignore[no-untyped-call]
-    node.sdo.RESPONSE_TIMEOUT = PATIENCE_S
-    numbers, texts = {}, {}
+    node.sdo.RESPONSE_TIMEOUT = ANSWER_S
+    numbers: dict[str, int] = {}
+    texts: dict[str, str] = {}
     for name, (index, sub) in OBJECTS.items():
         if raw := _upload(node, index, sub):
             numbers[name] = int.from_bytes(raw, "little")

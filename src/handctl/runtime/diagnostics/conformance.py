@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from handctl.drives.contract import Phase, Want
 from handctl.runtime.diagnostics.drive_rig import DriveRig
-from handctl.runtime.diagnostics.shaft import MOVED_RAD, STILL_RAD_S, brake, push
+from handctl.runtime.diagnostics.torque_step import MOVED_RAD, STILL_RAD_S, brake, torque_step
 
 FRESH_NS = 50_000_000
 """Largest age of fresh feedback [ns]."""
@@ -47,11 +47,11 @@ class Failed(Exception):  # noqa: N818 - a verdict, not an error; never leaves t
     """The drive broke the promise. The text describes the observation."""
 
 
-class Moot(Exception):  # noqa: N818
+class NotApplicable(Exception):  # noqa: N818
     """The promise cannot be judged. The text has the reason."""
 
 
-class Subject(NamedTuple):
+class DeviceUnderTest(NamedTuple):
     """The device under test.
 
     Attributes:
@@ -65,47 +65,48 @@ class Subject(NamedTuple):
     watchdog_s: float
 
 
-Promise = Callable[[Subject], str]
-"""Function that checks one promise and returns the observation. Raises Failed or Moot."""
+Promise = Callable[[DeviceUnderTest], str]
+"""Function that checks one promise and returns the observation. Raises Failed or NotApplicable."""
 
 
-def checks(subject: Subject) -> Iterator[Check]:
+def checks(device: DeviceUnderTest) -> Iterator[Check]:
     """Run all checks in order.
 
     The rest is not run after a check that leaves the drive in a state in which it cannot go on. The second
     check that turns the shaft is not run after the first has failed.
     """
-    usable, wrong_way = True, False
+    usable = True
+    wrong_way = False
     for name, promise, turns in PROMISES:
         if not usable or (turns and wrong_way):
-            yield _not_run(subject, name, promise)
+            yield _not_run(device, name, promise)
             continue
-        check = _judged(subject, name, promise)
+        check = _run_check(device, name, promise)
         yield check
         wrong_way |= turns and check.verdict is Verdict.FAILED
-        usable = subject.rig.rest()
+        usable = device.rig.rest()
 
 
-def _not_run(subject: Subject, name: str, promise: Promise) -> Check:
+def _not_run(device: DeviceUnderTest, name: str, promise: Promise) -> Check:
     """Report a check that cannot be run. A drive that stayed enabled between checks has failed to disable."""
-    if promise is _disables and subject.rig.state.phase == Phase.ENABLED:
+    if promise is _disables and device.rig.state.phase == Phase.ENABLED:
         return Check(name, Verdict.FAILED, "was told to disable after another check, and does not say that it is")
     return Check(name, Verdict.NOT_APPLICABLE, "not run, because of what failed before")
 
 
-def _judged(subject: Subject, name: str, promise: Promise) -> Check:
+def _run_check(device: DeviceUnderTest, name: str, promise: Promise) -> Check:
     """Run one check."""
     try:
-        return Check(name, Verdict.PASSED, promise(subject))
+        return Check(name, Verdict.PASSED, promise(device))
     except Failed as failed:
         return Check(name, Verdict.FAILED, str(failed))
-    except Moot as moot:
-        return Check(name, Verdict.NOT_APPLICABLE, str(moot))
+    except NotApplicable as not_applicable:
+        return Check(name, Verdict.NOT_APPLICABLE, str(not_applicable))
 
 
-def _configured(subject: Subject) -> str:
+def _configured(device: DeviceUnderTest) -> str:
     """Check that the drive takes its settings and becomes ready."""
-    rig = subject.rig
+    rig = device.rig
     if not rig.until(Want.POLL, lambda state: state.phase == Phase.READY, 5.0):
         raise Failed(rig.state.error_text or f"nothing that leads on from {rig.state.phase.name}")
     return "; ".join(rig.drive.caveats or ("settings read back",))
@@ -117,33 +118,36 @@ def _enabled(rig: DriveRig) -> None:
         raise Failed(rig.state.error_text or "is told to enable, and does not say that it is")
 
 
-def _waits(subject: Subject) -> str:
+def _waits(device: DeviceUnderTest) -> str:
     """Check that a ready drive makes no torque."""
-    rig, before = subject.rig, subject.rig.state.feedback_count
+    rig = device.rig
+    before = rig.state.feedback_count
     rig.keep(Want.POLL, 0.3)
     if rig.state.phase != Phase.READY:
         raise Failed(rig.state.error_text or f"went to {rig.state.phase.name}")
     if math.isfinite(rig.velocity) and abs(rig.velocity) > STILL_RAD_S:
-        raise Moot(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
+        raise NotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
     return f"{rig.state.feedback_count - before} times feedback meanwhile"
 
 
-def _enables(subject: Subject) -> str:
+def _enables(device: DeviceUnderTest) -> str:
     """Check that the drive enables, and measure the time."""
-    begin = subject.rig.t_ns
-    _enabled(subject.rig)
-    return f"after {(subject.rig.t_ns - begin) / 1e6:.0f} ms"
+    begin = device.rig.t_ns
+    _enabled(device.rig)
+    return f"after {(device.rig.t_ns - begin) / 1e6:.0f} ms"
 
 
-def _feedback(subject: Subject) -> str:
+def _feedback(device: DeviceUnderTest) -> str:
     """Check that fresh feedback is there in nearly every tick."""
-    rig = subject.rig
+    rig = device.rig
     _enabled(rig)
-    begin, ticks = rig.state.feedback_count, 100
+    begin = rig.state.feedback_count
+    ticks = 100
     ages = sorted(rig.t_ns - rig.tick(Want.ENABLE).feedback_t_ns for _ in range(ticks))
-    count, usual = rig.state.feedback_count - begin, ages[-LATE_OF_100]
+    count = rig.state.feedback_count - begin
+    late = ages[-LATE_OF_100]
     seen = f"{count} times in {ticks} ticks, at most {max(ages[-1], 0) / 1e6:.0f} ms old"
-    if count < 0.8 * ticks or usual > FRESH_NS:
+    if count < 0.8 * ticks or late > FRESH_NS:
         raise Failed(seen)
     return seen
 
@@ -151,48 +155,48 @@ def _feedback(subject: Subject) -> str:
 def _turns(sign: int) -> Promise:
     """Return the check that torque of a sign turns the shaft in this direction."""
 
-    def turns(subject: Subject) -> str:
-        rig = subject.rig
+    def turns(device: DeviceUnderTest) -> str:
+        rig = device.rig
         _enabled(rig)
-        if not brake(rig, subject.limit):
-            raise Moot(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
-        done = push(rig, sign, subject.limit)
-        if not done.enabled:
+        if not brake(rig, device.limit):
+            raise NotApplicable(f"the shaft turns by itself, {rig.velocity:.2g} rad/s")
+        step = torque_step(rig, sign, device.limit)
+        if not step.enabled:
             raise Failed(rig.state.error_text or "was not enabled any more")
-        if done.moved < -MOVED_RAD:
-            raise Failed(f"{done.torque:+.3f} N m turned it by {sign * done.moved:+.3f} rad, the wrong way")
-        if done.moved > MOVED_RAD:
-            brake(rig, subject.limit)
-            return f"at {done.torque:+.3f} N m; the drive tells {done.told:+.3f} N m"
-        raise _unmoved(subject, sign, done.told)
+        if step.moved < -MOVED_RAD:
+            raise Failed(f"{step.torque:+.3f} N m turned it by {sign * step.moved:+.3f} rad, the wrong way")
+        if step.moved > MOVED_RAD:
+            brake(rig, device.limit)
+            return f"at {step.torque:+.3f} N m; the drive tells {step.reported:+.3f} N m"
+        raise _unmoved(device, sign, step.reported)
 
     return turns
 
 
-def _unmoved(subject: Subject, sign: int, torque: float) -> Exception:
+def _unmoved(device: DeviceUnderTest, sign: int, torque: float) -> Exception:
     """Judge a shaft that did not turn at the torque limit, by the torque that the drive reported [N m]."""
-    told = sign * torque
-    if math.isfinite(told) and told < 0.3 * subject.limit:
-        return Failed(f"{sign * subject.limit:+.3f} N m did not turn it, and the drive tells {sign * told:+.3f} N m")
-    return Moot(f"did not turn at {sign * subject.limit:+.3f} N m: held, or friction is larger")
+    reported = sign * torque
+    if math.isfinite(reported) and reported < 0.3 * device.limit:
+        return Failed(f"{sign * device.limit:+.3f} N m did not turn it, and the drive tells {sign * reported:+.3f} N m")
+    return NotApplicable(f"did not turn at {sign * device.limit:+.3f} N m: held, or friction is larger")
 
 
-def _holds_limit(subject: Subject) -> str:
+def _holds_limit(device: DeviceUnderTest) -> str:
     """Check that a torque above the limit and a non-finite torque are refused before they are sent."""
-    rig = subject.rig
+    rig = device.rig
     _enabled(rig)
-    for torque in (1.01 * subject.limit, -1.01 * subject.limit, math.nan, math.inf):
+    for torque in (1.01 * device.limit, -1.01 * device.limit, math.nan, math.inf):
         try:
             rig.drive.advance(rig.state, rig.t_ns, Want.ENABLE, torque)
         except ValueError:
             continue
         raise Failed(f"{torque:g} N m would have been sent")
-    return f"more than {subject.limit:g} N m, NaN and infinity are refused before they are sent"
+    return f"more than {device.limit:g} N m, NaN and infinity are refused before they are sent"
 
 
-def _disables(subject: Subject) -> str:
+def _disables(device: DeviceUnderTest) -> str:
     """Check that the drive disables within a second and reports it."""
-    rig = subject.rig
+    rig = device.rig
     _enabled(rig)
     begin = rig.t_ns
     if not rig.until(Want.DISABLE, lambda state: state.phase != Phase.ENABLED, 1.0):
@@ -202,11 +206,11 @@ def _disables(subject: Subject) -> str:
     return f"after {(rig.t_ns - begin) / 1e6:.0f} ms"
 
 
-def _lets_go(subject: Subject) -> str:
+def _watchdog_disables(device: DeviceUnderTest) -> str:
     """Check that the watchdog of the drive disables it when the host falls silent, and that it stays off."""
-    rig = subject.rig
+    rig = device.rig
     _enabled(rig)
-    silence = max(SILENCE_S, 3.0 * subject.watchdog_s)
+    silence = max(SILENCE_S, 3.0 * device.watchdog_s)
     rig.keep(Want.LISTEN, silence)
     if not rig.until(Want.ENABLE, lambda state: state.phase != Phase.ENABLED, 0.5):
         hint = f" ({rig.drive.caveats[0]})" if rig.drive.caveats else ""
@@ -218,9 +222,9 @@ def _lets_go(subject: Subject) -> str:
     return text
 
 
-def _clears(subject: Subject) -> str:
+def _clears(device: DeviceUnderTest) -> str:
     """Check that the cut takes the torque away, and that only a clear makes the drive ready again."""
-    rig = subject.rig
+    rig = device.rig
     _enabled(rig)
     rig.cut()
     rig.keep(Want.LISTEN, 0.3)
@@ -233,9 +237,9 @@ def _clears(subject: Subject) -> str:
     return f"{text or 'off'}, and ready again after a clear"
 
 
-def _readable(subject: Subject) -> str:
+def _readable(device: DeviceUnderTest) -> str:
     """Check that every frame of the drive could be decoded."""
-    state = subject.rig.state
+    state = device.rig.state
     if state.misread:
         raise Failed(f"{state.misread} frames on its identifiers could not be read")
     return f"{state.feedback_count} times feedback, every frame on its identifiers could be read"
@@ -250,7 +254,7 @@ PROMISES: tuple[tuple[str, Promise, bool], ...] = (
     ("turns the negative way by negative torque", _turns(-1), True),
     ("cannot be told more than its limit", _holds_limit, False),
     ("disables when told, and says so", _disables, False),
-    ("lets go of a dead host, and stays off", _lets_go, False),
+    ("lets go of a dead host, and stays off", _watchdog_disables, False),
     ("is cut at once, and cleared by order only", _clears, False),
     ("says nothing that cannot be read", _readable, False),
 )

@@ -36,16 +36,21 @@ class DriveRig:
             clock: with PERIOD_NS, not started yet.
         """
         prepare()  # otherwise the first command compiles, and the watchdog of the drive expires meanwhile
-        self.drive, self._bus, self._clock = drive, bus, clock
+        self.drive = drive
+        self._bus = bus
+        self._clock = clock
         self.state: DriveState = drive.initial()
-        self.k, self.torque, self.inertia = 0, 0.0, math.nan
+        self.k = 0
+        self.torque = 0.0
+        self.inertia = math.nan
         self.events: list[tuple[str, str, int]] = []
         self._positions = [math.nan] * (SPAN + 1)
         clock.begin()
 
     def take(self, drive: Drive) -> None:
         """Continue with another description of the same drive, from its initial state."""
-        self.drive, self.state = drive, drive.initial()
+        self.drive = drive
+        self.state = drive.initial()
 
     @property
     def t_ns(self) -> int:

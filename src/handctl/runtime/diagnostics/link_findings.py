@@ -53,22 +53,22 @@ def findings(name: str, link: Link, bitrate: int, data_bitrate: int | None) -> l
         bitrate: of the hand file [bit/s].
         data_bitrate: of the hand file [bit/s]. None for a classical bus.
     """
-    set_up = advice(name, bitrate, data_bitrate, there=True)
-    found = [Finding(f"{name} is {'up' if link.up else 'down'}", link.up, set_up, fatal=not link.up)]
+    set_up = advice(name, bitrate, data_bitrate, exists=True)
+    result = [Finding(f"{name} is {'up' if link.up else 'down'}", link.up, set_up, fatal=not link.up)]
     if link.bitrate is not None or link.kind == "can":
-        found.append(_rate("bit rate", link.bitrate, bitrate, set_up))
+        result.append(_rate("bit rate", link.bitrate, bitrate, set_up))
     if data_bitrate is not None:
-        found.append(Finding("carries CAN FD" if link.fd else "does not carry CAN FD", link.fd, set_up))
+        result.append(Finding("carries CAN FD" if link.fd else "does not carry CAN FD", link.fd, set_up))
         if link.kind == "can":
-            found.append(_rate("bit rate of the data phase", link.data_bitrate, data_bitrate, set_up))
+            result.append(_rate("bit rate of the data phase", link.data_bitrate, data_bitrate, set_up))
     queue = f"sudo ip link set {name} txqueuelen 128; for good, in {UDEV_FILE}: {UDEV_QUEUE.format(name)}"
-    found.append(Finding(f"transmit queue of {link.queue} frames", link.queue >= QUEUE, queue))
-    return [*found, *_controller(name, link), *_counts(link)]
+    result.append(Finding(f"transmit queue of {link.queue} frames", link.queue >= QUEUE, queue))
+    return [*result, *_controller(name, link), *_counts(link)]
 
 
-def _rate(what: str, has: int | None, wanted: int, fix: str) -> Finding:
+def _rate(what: str, has: int | None, required: int, fix: str) -> Finding:
     """Judge a bit rate [bit/s]."""
-    return Finding(f"{what} {has or 'not set'}, the hand wants {wanted}", has == wanted, fix)
+    return Finding(f"{what} {has or 'not set'}, the hand wants {required}", has == required, fix)
 
 
 def _controller(name: str, link: Link) -> list[Finding]:
@@ -78,16 +78,16 @@ def _controller(name: str, link: Link) -> list[Finding]:
     restart = f"sudo ip link set {name} type can restart; " if link.state == "BUS-OFF" else ""
     counters = f"{link.state}, error counters {link.sending} sending, {link.receiving} receiving"
     good = link.state == "ERROR-ACTIVE" and link.sending + link.receiving == 0
-    found = [Finding(counters, good or not link.up, restart + WIRING)]
+    result = [Finding(counters, good or not link.up, restart + WIRING)]
     if link.restart_ms is not None:
         command = f"sudo ip link set {name} down; sudo ip link set {name} up type can restart-ms 100"
-        found.append(Finding(f"restarts {link.restart_ms} ms after bus-off", link.restart_ms > 0, command))
-    return found
+        result.append(Finding(f"restarts {link.restart_ms} ms after bus-off", link.restart_ms > 0, command))
+    return result
 
 
 def _counts(link: Link) -> list[Finding]:
     """Judge the event counters of an interface."""
-    told = [f"{number} {ERRORS[key]}" for key, number in link.counts.items() if number and key in ERRORS]
+    counted = [f"{number} {ERRORS[key]}" for key, number in link.counts.items() if number and key in ERRORS]
     bad = any(number for key, number in link.counts.items() if key in ERRORS and key not in HARMLESS)
     fix = f"since it was made; {WIRING}; look again after a run"
-    return [Finding("counted: " + (", ".join(told) or "no errors"), not bad, fix)]
+    return [Finding("counted: " + (", ".join(counted) or "no errors"), not bad, fix)]

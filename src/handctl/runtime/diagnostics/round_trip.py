@@ -7,8 +7,10 @@ from handctl.drives.discovery import Found
 from handctl.drives.registry import DISCOVERIES
 from handctl.runtime.buses.contract import Bus
 
-TIMES, PATIENCE_S = 20, 0.1
-"""Number of requests, and longest wait for an answer [s]."""
+TIMES = 20
+"""Number of requests."""
+ANSWER_S = 0.1
+"""Longest wait for an answer [s]."""
 
 
 class RoundTrip(NamedTuple):
@@ -43,7 +45,7 @@ def _once(bus: Bus, node: Found) -> float | None:
     bus.drain()
     begin = time.perf_counter()
     bus.send((discovery.ping(node),))
-    while (passed := time.perf_counter() - begin) < PATIENCE_S:
+    while (passed := time.perf_counter() - begin) < ANSWER_S:
         if any(discovery.pong(node, frame) for frame in bus.drain()):
             return time.perf_counter() - begin
         time.sleep(0.0001 if passed < 0.01 else 0.002)  # fine at first, then sparing of the processor

@@ -12,15 +12,17 @@ from handctl.drives.frame import Frame
 from handctl.drives.registry import DISCOVERIES
 from handctl.runtime.buses.contract import Bus
 
-BURST, PAUSE_S = 4, 0.003
-"""Frames that are sent at once, and the pause after them [s]. An interface may queue as few as 10 frames."""
-PATIENCE = 50
+BURST = 4
+"""Frames that are sent at once. An interface may queue as few as 10 frames."""
+PAUSE_S = 0.003
+"""Pause after a burst [s]."""
+TRIES = 50
 """Tries for a frame that the interface refuses."""
 
 
 STRAY = 1
 """Frames of another host that are ignored. They may be the last ones of a host that has just ended."""
-Hear = Callable[[Bus, float, list[Frame]], None]
+Listen = Callable[[Bus, float, list[Frame]], None]
 """Function that collects the frames that arrive on a bus during a time [s]."""
 
 
@@ -30,19 +32,19 @@ class Scan(NamedTuple):
     Attributes:
         found: drives, by protocol and number.
         foreign: frames of another host. If there are any, the scan has sent no request.
-        unasked: requests that were omitted because a present drive would have taken them as commands.
+        omitted: requests that were omitted because a present drive would have taken them as commands.
         events: of the bus during the scan.
         frames: number of received frames.
     """
 
     found: tuple[Found, ...]
     foreign: tuple[Frame, ...]
-    unasked: tuple[Frame, ...]
+    omitted: tuple[Frame, ...]
     events: tuple[tuple[str, str, int], ...]
     frames: int
 
 
-def hear(bus: Bus, for_s: float, seen: list[Frame]) -> None:
+def listen(bus: Bus, for_s: float, seen: list[Frame]) -> None:
     """Append the frames that arrive during a time [s] to ``seen``."""
     end = time.monotonic() + for_s
     while True:
@@ -53,50 +55,52 @@ def hear(bus: Bus, for_s: float, seen: list[Frame]) -> None:
         time.sleep(min(left, 0.005))
 
 
-def scan(bus: Bus, force: bool = False, tell: Callable[[str], None] = lambda text: None, hear: Hear = hear) -> Scan:
+def scan(
+    bus: Bus, force: bool = False, report: Callable[[str], None] = lambda text: None, listen: Listen = listen
+) -> Scan:
     """Scan a bus for drives, in some two seconds.
 
     Args:
         bus: open bus.
         force: send requests although another host seems to be active.
-        tell: called with a text about each step.
-        hear: lets time pass on the bus.
+        report: called with a text about each step.
+        listen: lets time pass on the bus.
     """
     seen: list[Frame] = []
-    unasked: list[Frame] = []
+    omitted: list[Frame] = []
     foreign: tuple[Frame, ...] = ()
     for turn in ROUNDS:
-        tell("listening" if turn == 0 else f"asking, round {turn} of {ROUNDS[-1]}")
-        for frame in _questions(turn, seen, unasked):
-            if not _send(bus, frame, seen, hear):
+        report("listening" if turn == 0 else f"asking, round {turn} of {ROUNDS[-1]}")
+        for frame in _requests(turn, seen, omitted):
+            if not _send(bus, frame, seen, listen):
                 break
-        hear(bus, LISTEN_S if turn == 0 else ANSWER_S, seen)
+        listen(bus, LISTEN_S if turn == 0 else ANSWER_S, seen)
         if turn == 0 and not force and (foreign := _foreign(seen)):
             break
     found = tuple(node for discovery in DISCOVERIES.values() for node in discovery.found(seen))
-    return Scan(found, foreign, tuple(unasked), tuple(bus.take_events()), len(seen))
+    return Scan(found, foreign, tuple(omitted), tuple(bus.take_events()), len(seen))
 
 
 def all_questions() -> tuple[Frame, ...]:
     """Return the requests that a scan sends on a bus without any answer."""
-    return tuple(frame for turn in ROUNDS for frame in _questions(turn, [], []))
+    return tuple(frame for turn in ROUNDS for frame in _requests(turn, [], []))
 
 
-def _questions(turn: int, seen: list[Frame], unasked: list[Frame]) -> list[Frame]:
+def _requests(turn: int, seen: list[Frame], omitted: list[Frame]) -> list[Frame]:
     """Return the requests of all protocols in a round.
 
     Requests that a present drive of another protocol would take as commands are omitted. They are
-    appended to ``unasked``.
+    appended to ``omitted``.
     """
-    asked: list[Frame] = []
+    requests: list[Frame] = []
     for name, discovery in DISCOVERIES.items():
-        kept, dropped = allowed(discovery.questions(turn, seen), _orders_of_others(name, seen))
-        asked += kept
-        unasked += dropped
-    return asked
+        allowed_frames, dropped = allowed(discovery.questions(turn, seen), _commands_of_others(name, seen))
+        requests += allowed_frames
+        omitted += dropped
+    return requests
 
 
-def _orders_of_others(name: str, seen: list[Frame]) -> list[frozenset[int]]:
+def _commands_of_others(name: str, seen: list[Frame]) -> list[frozenset[int]]:
     """Return the command identifiers of each present drive that has another protocol than ``name``."""
     others = (discovery for other, discovery in DISCOVERIES.items() if other != name)
     return [discovery.orders(node) for discovery in others for node in discovery.found(seen)]
@@ -107,18 +111,18 @@ def _foreign(seen: list[Frame]) -> tuple[Frame, ...]:
 
     An identifier that belongs to a present drive of another protocol does not count as foreign.
     """
-    strange: list[Frame] = []
+    foreign: list[Frame] = []
     for name, discovery in DISCOVERIES.items():
-        explained = frozenset().union(*_orders_of_others(name, seen))
-        strange += [frame for frame in discovery.foreign(seen) if frame.can_id not in explained]
-    return tuple(dict.fromkeys(strange)) if len(strange) > STRAY else ()
+        explained = frozenset().union(*_commands_of_others(name, seen))
+        foreign += [frame for frame in discovery.foreign(seen) if frame.can_id not in explained]
+    return tuple(dict.fromkeys(foreign)) if len(foreign) > STRAY else ()
 
 
-def _send(bus: Bus, frame: Frame, seen: list[Frame], hear: Hear) -> bool:
+def _send(bus: Bus, frame: Frame, seen: list[Frame], listen: Listen) -> bool:
     """Send a frame with pauses and listen meanwhile. Returns False if the interface refused it."""
-    for _ in range(PATIENCE):
+    for _ in range(TRIES):
         if bus.send((frame,)):
-            hear(bus, PAUSE_S / BURST, seen)
+            listen(bus, PAUSE_S / BURST, seen)
             return True
-        hear(bus, PAUSE_S, seen)
+        listen(bus, PAUSE_S, seen)
     return False

@@ -12,33 +12,37 @@ from handctl.runtime.diagnostics.drive_rig import PERIOD_NS, DriveRig
 
 PERIOD_S = PERIOD_NS * 1e-9
 """Period of a tick [s]."""
-MOVED_RAD, RAMP_S = 0.05, 1.0
-"""Angle that counts as a motion [rad], and duration of the ramp to the torque limit [s]."""
+MOVED_RAD = 0.05
+"""Angle that counts as a motion [rad]."""
+RAMP_S = 1.0
+"""Duration of the ramp to the torque limit [s]."""
 COAST_TICKS = 12
 """Ticks after a push until the measured velocity shows the whole effect of the push."""
-STILL_RAD_S, BRAKE_S = 0.1, 4.0
-"""Largest velocity of a shaft at rest [rad/s], and longest duration of braking [s]."""
+STILL_RAD_S = 0.1
+"""Largest velocity of a shaft at rest [rad/s]."""
+BRAKE_S = 4.0
+"""Longest duration of braking [s]."""
 SLOWING_S = 0.2
 """Time constant of the brake, far longer than the delay of the measured velocity [s]."""
 
 
-class Push(NamedTuple):
+class TorqueStep(NamedTuple):
     """Response of a shaft to a torque ramp.
 
     Attributes:
         moved: angle in the direction of the torque, less the angle that the shaft would have coasted [rad].
         torque: last command [N m].
-        told: torque that the drive reported then [N m].
+        reported: torque that the drive reported then [N m].
         enabled: the drive was enabled to the end.
     """
 
     moved: float
     torque: float
-    told: float
+    reported: float
     enabled: bool
 
 
-def push(rig: DriveRig, sign: int, limit: float) -> Push:
+def torque_step(rig: DriveRig, sign: int, limit: float) -> TorqueStep:
     """Raise the torque until the shaft has moved by MOVED_RAD in either direction, or to the limit. Then coast.
 
     Args:
@@ -46,7 +50,9 @@ def push(rig: DriveRig, sign: int, limit: float) -> Push:
         sign: of the torque.
         limit: largest torque [N m].
     """
-    start, coasting, impulse = rig.state.position, rig.velocity, 0.0
+    start = rig.state.position
+    coasting = rig.velocity
+    impulse = 0.0
     ticks = round(RAMP_S / PERIOD_S)
     moved = torque = 0.0
     for i in range(ticks):
@@ -54,17 +60,18 @@ def push(rig: DriveRig, sign: int, limit: float) -> Push:
         rig.tick(Want.ENABLE, torque)
         impulse += torque * PERIOD_S
         if rig.state.phase != Phase.ENABLED:
-            return Push(moved, torque, rig.state.torque, False)
-        travel, anyway = sign * (rig.state.position - start), abs(coasting) * (i + 1) * PERIOD_S
-        moved = math.copysign(max(0.0, abs(travel) - anyway), travel) if math.isfinite(anyway) else travel
+            return TorqueStep(moved, torque, rig.state.torque, False)
+        travel = sign * (rig.state.position - start)
+        coasted = abs(coasting) * (i + 1) * PERIOD_S
+        moved = math.copysign(max(0.0, abs(travel) - coasted), travel) if math.isfinite(coasted) else travel
         if abs(moved) > MOVED_RAD:
             break
-    told = rig.state.torque
+    reported = rig.state.torque
     rig.keep(Want.ENABLE, COAST_TICKS * PERIOD_S)
     gained = rig.velocity - (coasting if math.isfinite(coasting) else 0.0)
     if impulse * gained > 0.0:  # angular impulse [N m s] over the change of velocity
         rig.inertia = impulse / gained
-    return Push(moved, torque, told, True)
+    return TorqueStep(moved, torque, reported, True)
 
 
 def brake(rig: DriveRig, limit: float) -> bool:

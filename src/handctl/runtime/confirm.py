@@ -15,22 +15,23 @@ from typing import Any
 from handctl.core.types import Mode
 from handctl.errors import REMOVE_POWER, BusError, PowerError, UnconfirmedError
 from handctl.programs.requests import events_for_request
-from handctl.runtime.mailbox import NOT_THERE_S, WATCH, Watcher
+from handctl.runtime.mailbox import RETRY_S, WATCH, Watcher
 
 ANSWER_S = 2.0
 """Longest wait for a confirmation, and longest silence of a controller that relaxes the hand [s]."""
-AGAIN_S = 0.25
+REPEAT_S = 0.25
 """Interval at which a request is repeated that may arrive twice [s]."""
-LET_GO_S = 10.0
+OFF_S = 10.0
 """Longest time from a stop to the confirmation of the last drive, in the hand's time [s]."""
-SILENT, FULL = "the controller is silent", "its mailbox is full"
+SILENT = "the controller is silent"
+FULL = "its mailbox is full"
 _numbers = itertools.count(1)
 """Request numbers of this process. They make the name of each request unique."""
 
 Line = dict[str, Any]
 
 
-def watching(bus: str, word: str) -> Watcher:
+def open_watcher(bus: str, word: str) -> Watcher:
     """Open a watcher of the controller that a request goes to.
 
     Raises:
@@ -42,7 +43,7 @@ def watching(bus: str, word: str) -> Watcher:
         raise UnconfirmedError(bus, word, str(error)) from None
 
 
-def confirmed(watcher: Watcher, request: Mapping[str, Any], repeat: bool = False) -> tuple[Line, list[str]]:
+def send_confirmed(watcher: Watcher, request: Mapping[str, Any], repeat: bool = False) -> tuple[Line, list[str]]:
     """Send a request and wait until the controller confirms that it has taken the request.
 
     Args:
@@ -58,26 +59,28 @@ def confirmed(watcher: Watcher, request: Mapping[str, Any], repeat: bool = False
     Raises:
         UnconfirmedError: the controller has not confirmed the request.
     """
-    me = f"{os.getpid()}-{next(_numbers)}"
-    data = json.dumps({**request, "by": me}).encode()
-    end, sent, why = time.monotonic() + ANSWER_S, False, SILENT
-    watcher.forget()
+    name = f"{os.getpid()}-{next(_numbers)}"
+    data = json.dumps({**request, "by": name}).encode()
+    end = time.monotonic() + ANSWER_S
+    sent = False
+    reason = SILENT
+    watcher.discard()
     while (left := end - time.monotonic()) > 0.0:
         if repeat or not sent:
-            sent, why = _sent(watcher, data, min(left, AGAIN_S) if repeat else left)
+            sent, reason = _try_send(watcher, data, min(left, REPEAT_S) if repeat else left)
         if not sent:
-            if not (repeat or why == FULL):
+            if not (repeat or reason == FULL):
                 break
-            time.sleep(min(left, NOT_THERE_S))
+            time.sleep(min(left, RETRY_S))
             continue
         left = max(0.0, end - time.monotonic())
-        for line in watcher.heard(min(left, AGAIN_S) if repeat else left):
-            if (said := events_for_request(me, line["events"])) is not None:
-                return line, said
-    raise UnconfirmedError(watcher.name, str(request["do"]), why)
+        for line in watcher.lines(min(left, REPEAT_S) if repeat else left):
+            if (texts := events_for_request(name, line["events"])) is not None:
+                return line, texts
+    raise UnconfirmedError(watcher.name, str(request["do"]), reason)
 
 
-def _sent(watcher: Watcher, data: bytes, timeout_s: float) -> tuple[bool, str]:
+def _try_send(watcher: Watcher, data: bytes, timeout_s: float) -> tuple[bool, str]:
     """Send a request once.
 
     Returns:
@@ -92,7 +95,7 @@ def _sent(watcher: Watcher, data: bytes, timeout_s: float) -> tuple[bool, str]:
     return True, SILENT
 
 
-def ordered(bus: str, word: str) -> Line:
+def request_action(bus: str, word: str) -> Line:
     """Request ``clear``, ``stop`` or ``cut``. After ``stop`` and ``cut`` follow the hand until it is off.
 
     Args:
@@ -107,15 +110,15 @@ def ordered(bus: str, word: str) -> Line:
             drive was off.
         PowerError: a drive did not confirm that it is disabled.
     """
-    watcher = watching(bus, word)
+    watcher = open_watcher(bus, word)
     try:
-        line, _ = confirmed(watcher, {"do": word}, repeat=True)
-        return line if word == "clear" else follow_to_the_end(watcher, word, line)
+        line, _ = send_confirmed(watcher, {"do": word}, repeat=True)
+        return line if word == "clear" else follow_until_off(watcher, word, line)
     finally:
         watcher.close()
 
 
-def follow_to_the_end(watcher: Watcher, word: str, line: Line) -> Line:
+def follow_until_off(watcher: Watcher, word: str, line: Line) -> Line:
     """Follow a stopping hand until its controller reports that every drive is off.
 
     Args:
@@ -130,33 +133,34 @@ def follow_to_the_end(watcher: Watcher, word: str, line: Line) -> Line:
         UnconfirmedError: the controller has not reported that every drive is off.
         PowerError: a drive did not confirm that it is disabled.
     """
-    began_s = float(line["t_s"])
+    start_s = float(line["t_s"])
     while True:
         if is_off(line):
             return line
         if line["mode"] == Mode.DONE.name:
-            raise PowerError("; ".join(_told_of_modes(line)), f"bus {watcher.name}")
-        if line["t_s"] > began_s + LET_GO_S:
+            raise PowerError("; ".join(_mode_texts(line)), f"bus {watcher.name}")
+        if line["t_s"] > start_s + OFF_S:
             raise UnconfirmedError(watcher.name, word, f"taken, and the hand is still in mode {line['mode']}")
-        new, heard = None, time.monotonic()
+        new = None
+        last_line = time.monotonic()
         while new is None:
-            if time.monotonic() > heard + ANSWER_S:
+            if time.monotonic() > last_line + ANSWER_S:
                 raise UnconfirmedError(watcher.name, word, f"taken, and then {SILENT} in mode {line['mode']}")
-            new = watcher.following(0.0) or _watched(watcher)
+            new = watcher.next_line(0.0) or _resubscribed(watcher)
         line = new
 
 
 def is_off(line: Line) -> bool:
     """Return True if a status line reports the end of the run with every drive off."""
-    return bool(line["mode"] == Mode.DONE.name) and not any(REMOVE_POWER in text for text in _told_of_modes(line))
+    return bool(line["mode"] == Mode.DONE.name) and not any(REMOVE_POWER in text for text in _mode_texts(line))
 
 
-def _told_of_modes(line: Line) -> list[str]:
+def _mode_texts(line: Line) -> list[str]:
     """Return the texts of the mode changes in a status line."""
     return [event["text"] for event in line["events"] if event["name"] == "mode"]
 
 
-def _watched(watcher: Watcher) -> Line | None:
+def _resubscribed(watcher: Watcher) -> Line | None:
     """Subscribe to status lines again and wait for the next one."""
-    _sent(watcher, WATCH, AGAIN_S)
-    return watcher.following(AGAIN_S)
+    _try_send(watcher, WATCH, REPEAT_S)
+    return watcher.next_line(REPEAT_S)

@@ -22,11 +22,11 @@ OTHERS = stat.S_IRWXG | stat.S_IRWXO
 """Mode bits of group and others."""
 PRIVATE = 0o700
 """Mode of a folder that handctl makes."""
-LOOK = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC
+OPEN_FLAGS = getattr(os, "O_PATH", os.O_RDONLY) | os.O_DIRECTORY | os.O_CLOEXEC
 """Flags to open a folder above handctl's own. O_PATH needs no permission to read the folder."""
-MOST_LINKS = 8
+MAX_LINKS = 8
 """Symbolic links that the walk follows at most."""
-A_FOLDER = "a folder that is yours alone (mode 0700); HANDCTL_RUN_DIR names another"
+RIGHT_FOLDER = "a folder that is yours alone (mode 0700); HANDCTL_RUN_DIR names another"
 
 
 def run_dir() -> Path:
@@ -45,42 +45,43 @@ def run_dir() -> Path:
     return _private(Path(tempfile.gettempdir()) / f"handctl-{os.geteuid()}" / "handctl", 2)
 
 
-def _private(path: Path, own: int, links: int = 0) -> Path:
+def _private(path: Path, private_parts: int, links: int = 0) -> Path:
     """Walk down to a folder, check each step, and make missing folders.
 
     Args:
         path: of the folder.
-        own: number of its last parts that are handctl's own. They must belong to this user.
+        private_parts: number of its last parts that are handctl's own. They must belong to this user.
         links: number of symbolic links followed so far.
 
     Raises:
         BusError: see ``run_dir``.
     """
     parts = Path(os.path.abspath(path)).parts
-    here, at = Path(parts[0]), os.open(parts[0], LOOK)
+    here = Path(parts[0])
+    at = os.open(parts[0], OPEN_FLAGS)
     try:
         for number, part in enumerate(parts[1:], 1):
             here /= part
-            ours = number >= len(parts) - own
-            found = _found(part, at)
-            if stat.S_ISLNK(found.st_mode):
-                if ours or found.st_uid != 0 or links == MOST_LINKS:  # only links of root pass, as /tmp on macOS
-                    raise BusError("is a link", str(here), A_FOLDER)
+            private = number >= len(parts) - private_parts
+            state = _stat_or_make(part, at)
+            if stat.S_ISLNK(state.st_mode):
+                if private or state.st_uid != 0 or links == MAX_LINKS:  # only links of root pass, as /tmp on macOS
+                    raise BusError("is a link", str(here), RIGHT_FOLDER)
                 target = here.parent / os.readlink(part, dir_fd=at)
-                return _private(target.joinpath(*parts[number + 1 :]), own, links + 1)
-            flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if ours else LOOK
+                return _private(target.joinpath(*parts[number + 1 :]), private_parts, links + 1)
+            flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC if private else OPEN_FLAGS
             below = os.open(part, flags | os.O_NOFOLLOW, dir_fd=at)  # relative: a renamed parent changes nothing
             os.close(at)
             at = below
-            (_refuse_shared if ours else _refuse_unsafe)(here, at)
+            (_refuse_shared if private else _refuse_unsafe)(here, at)
     except OSError as error:
-        raise BusError(f"cannot be used: {error.strerror}", str(here), A_FOLDER) from None
+        raise BusError(f"cannot be used: {error.strerror}", str(here), RIGHT_FOLDER) from None
     finally:
         os.close(at)
     return Path(os.path.abspath(path))
 
 
-def _found(part: str, at: int) -> os.stat_result:
+def _stat_or_make(part: str, at: int) -> os.stat_result:
     """Return the state of a part of a path without following a link. Make a folder if the part is missing."""
     with suppress(FileNotFoundError):
         return os.stat(part, dir_fd=at, follow_symlinks=False)
@@ -91,12 +92,12 @@ def _found(part: str, at: int) -> os.stat_result:
 
 def _refuse_shared(here: Path, at: int) -> None:
     """Refuse a folder of handctl that others own or can write in. Make a readable one private."""
-    seen = os.fstat(at)
-    if seen.st_uid != os.geteuid():
-        raise BusError(f"belongs to {_user(seen.st_uid)}", str(here), A_FOLDER)
-    if seen.st_mode & OTHERS_WRITE:
-        raise BusError(f"is open to others (mode {stat.S_IMODE(seen.st_mode):04o})", str(here), A_FOLDER)
-    if seen.st_mode & OTHERS:
+    state = os.fstat(at)
+    if state.st_uid != os.geteuid():
+        raise BusError(f"belongs to {_user_name(state.st_uid)}", str(here), RIGHT_FOLDER)
+    if state.st_mode & OTHERS_WRITE:
+        raise BusError(f"is open to others (mode {stat.S_IMODE(state.st_mode):04o})", str(here), RIGHT_FOLDER)
+    if state.st_mode & OTHERS:
         os.fchmod(at, PRIVATE)
 
 
@@ -105,21 +106,21 @@ def _refuse_unsafe(here: Path, at: int) -> None:
 
     The sticky bit is enough: with it, as on /tmp, only the owner of an entry can replace it.
     """
-    seen = os.fstat(at)
-    if seen.st_uid not in (0, os.geteuid()):
-        raise BusError(f"belongs to {_user(seen.st_uid)}", str(here), A_FOLDER)
-    if seen.st_mode & OTHERS_WRITE and not seen.st_mode & stat.S_ISVTX:
-        raise BusError(f"is open to others (mode {stat.S_IMODE(seen.st_mode):04o})", str(here), A_FOLDER)
+    state = os.fstat(at)
+    if state.st_uid not in (0, os.geteuid()):
+        raise BusError(f"belongs to {_user_name(state.st_uid)}", str(here), RIGHT_FOLDER)
+    if state.st_mode & OTHERS_WRITE and not state.st_mode & stat.S_ISVTX:
+        raise BusError(f"is open to others (mode {stat.S_IMODE(state.st_mode):04o})", str(here), RIGHT_FOLDER)
 
 
-def _user(number: int) -> str:
+def _user_name(number: int) -> str:
     """Return the name of a user, or the number if the user has no name here."""
     with suppress(KeyError):
         return f"user {pwd.getpwuid(number).pw_name}"
     return f"user {number}"
 
 
-def _flat(spec: str) -> str:
+def _file_name(spec: str) -> str:
     """Turn a bus specification into a file name."""
     return spec.replace(":", "_").replace("/", "_")
 
@@ -131,7 +132,7 @@ def local_bus_path(name: str) -> Path:
 
 def mailbox_path(spec: str) -> Path:
     """Return the socket on which the controller of a bus takes requests."""
-    return run_dir() / f"{_flat(spec)}.requests"
+    return run_dir() / f"{_file_name(spec)}.requests"
 
 
 def watcher_path(number: int) -> Path:
@@ -141,9 +142,9 @@ def watcher_path(number: int) -> Path:
 
 def faults_path(spec: str) -> Path:
     """Return the socket on which the simulator of a bus takes faults."""
-    return run_dir() / f"{_flat(spec)}.faults"
+    return run_dir() / f"{_file_name(spec)}.faults"
 
 
 def truth_path(spec: str) -> Path:
     """Return the default truth file of the simulator of a bus."""
-    return run_dir() / f"{_flat(spec)}.truth"
+    return run_dir() / f"{_file_name(spec)}.truth"

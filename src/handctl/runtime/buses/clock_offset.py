@@ -13,30 +13,31 @@ TRIES = 3
 """Readings per measurement."""
 
 
-class WallOffset:
+class ClockOffset:
     """The offset between the clocks, measured every ``LIFE`` uses."""
 
     def __init__(self) -> None:
         """Start without a measurement."""
-        self._left = 0
+        self._uses_left = 0
         self._offset_ns = 0
 
     def ns(self) -> int:
         """Return CLOCK_MONOTONIC minus CLOCK_REALTIME [ns]."""
-        if not self._left:
+        if not self._uses_left:
             self._measure()
-        self._left -= 1
+        self._uses_left -= 1
         return self._offset_ns
 
     def renew(self) -> None:
         """Request a new measurement before the next use."""
-        self._left = 0
+        self._uses_left = 0
 
     def _measure(self) -> None:
         """Measure the offset. The fastest of some readings counts, since a reading may be interrupted."""
         readings = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(TRIES)]
         before, wall, after = min(readings, key=_width)
-        self._offset_ns, self._left = (before + after) // 2 - wall, LIFE
+        self._offset_ns = (before + after) // 2 - wall
+        self._uses_left = LIFE
 
 
 def _width(reading: tuple[int, int, int]) -> int:
