@@ -66,9 +66,9 @@ def _payload(rows: list[dict[str, Any]]) -> str:
             hand, direction, f"{over}{min(masses):.2f}", f"{np.mean(masses):.2f}", str(len(own)),
             " / ".join(f"{value:.1f}" for value in normal), f"{np.mean([row['coulomb_kg'] for row in own]):.2f}",
         ])  # fmt: skip
-    head = ["hand", "load", "least mass borne, kg", "mean, kg", "seeds", "normal forces before, N",
+    head = ["hand", "load", "smallest payload, kg", "mean, kg", "seeds", "normal forces before the load, N",
             "friction x their sum, kg"]  # fmt: skip
-    return f"{_table(head, table)}\n\nThe paper says {payload.PAPER_KG} kg at 6 N a finger and friction 0.5."
+    return f"{_table(head, table)}\n\nThe paper states {payload.PAPER_KG} kg at 6 N per finger and friction 0.5."
 
 
 def _tip(rows: list[dict[str, Any]]) -> str:
@@ -80,7 +80,7 @@ def _tip(rows: list[dict[str, Any]]) -> str:
             hand, digit, f"{asked:g}", f"{felt.mean():.2f} ± {felt.std():.2f}", f"{told.mean():.2f}",
             f"{np.sqrt((error**2).mean()):.2f}", f"{np.mean([row['noise'] for row in own]):.2f}", str(len(own)),
         ])  # fmt: skip
-    head = ["hand", "digit", "asked, N", "felt by the plant, N", "told by the controller, N", "told - felt, RMS, N",
+    head = ["hand", "digit", "command, N", "true force, N", "estimate, N", "error of the estimate, RMS, N",
             "its noise, N", "runs"]  # fmt: skip
     return _table(head, table)
 
@@ -95,12 +95,12 @@ def _contact(rows: list[dict[str, Any]]) -> str:
     head = [
         "hand",
         "contacts",
-        "found within 20 ms of 1 N",
-        "found before 1 N",
+        "detected within 20 ms of 1 N",
+        "detected before 1 N",
         "95 % within",
         "all within",
-        "free minutes",
-        "alarms",
+        "minutes of free motion",
+        "false alarms",
     ]
     return _table(head, table)
 
@@ -118,7 +118,14 @@ def _slip(rows: list[dict[str, Any]]) -> str:
             _range([row["tension_end_N"] for row in tried], 0),
         ])  # fmt: skip
     load = max(row["load_end_N"] for row in rows)
-    head = ["hand", "answer", "lost", f"motion by {load:.0f} N, mm", "first told after, mm", "tension at the end, N"]
+    head = [
+        "hand",
+        "tension raised",
+        "lost",
+        f"motion at {load:.0f} N, mm",
+        "first event after, mm",
+        "tension at the end, N",
+    ]
     return _table(head, table)
 
 
