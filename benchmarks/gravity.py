@@ -67,11 +67,13 @@ def section(result: dict) -> str:
     return f"""## Gravity: a hand that lies on its side
 
 `python benchmarks/gravity.py --seeds {seeds} --page`. The packaged hands stand upright. Gravity then points along the
-hinges and has no torque about them, so that the ablation's row "+ gravity and springs" is the springs' alone. Here the
-hands lie on their side, with fingertips {FINGERTIP_LOAD:g} times as heavy (21 g on a finger). Gravity pulls the
-fingers closed and the thumb open. The laws of a pair differ in gravity alone. They have the weights of the ablation
-that keep their margins, and no force loop. Error of the mean joint angle against the plant, the worst digit in the
-steady column, mean and spread over the seeds.
+hinges and has no torque about them, so the tracking table's row "+ gravity and springs" shows the springs only. Here
+the hands lie on their side, with fingertips {FINGERTIP_LOAD:g} times as heavy (21 g on a finger). Gravity pulls the
+fingers closed and the thumb open.
+
+The control laws of a pair differ in gravity only. They have the weights of the tracking table that keep their
+margins, and no force loop. The error is that of the mean joint angle against the plant, the worst digit in the steady
+column, mean and spread over the seeds.
 
 {page.table(head, rows)}
 
@@ -88,8 +90,11 @@ def _said(result: dict) -> str:
             told = [f"{speed} {_gain(laws[without][speed], laws[known][speed])}" for speed in SPEEDS]
             parts.append(f"{hand}, {known}: {', '.join(told)}")
     return (
-        "What knowing gravity gains in RMSE: " + "; ".join(parts) + ". A law that does not know friction lags behind. "
-        "Gravity pulls the fingers the way the motion goes, so that it hides a part of that lag from the first pair."
+        "Gain of gravity compensation in RMSE: "
+        + "; ".join(parts)
+        + ". A control law without friction compensation lags "
+        "behind. Gravity pulls the fingers in the direction of the motion, so it hides a part of that lag in the first "
+        "pair."
     )
 
 

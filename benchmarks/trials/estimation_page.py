@@ -29,18 +29,21 @@ def section(result: dict) -> str:
     """Markdown of a result of ``estimation.measure``."""
     parts = ["## The tension estimate", ""]
     few, many = min(result["seeds"].values()), max(result["seeds"].values())
-    parts.append(
+    parts += [
         "`python benchmarks/estimation.py --page`. RMSE of the tension at the load cell [N], all tendons, against the "
-        f"plant. Seeds: {many if few == many else f'{few} to {many}'}. A sample is a control period old when it is "
-        "worked on (2 ms on jamia, 5 ms on jamia11). *then* compares at the instant of the sample, *now* at present, "
-        "where the loop needs it: the filter's value against the load cell as it is read, and its prediction against "
-        "the same reading taken for the present. *average* and *cell alone* are the best exponential average and the "
-        "best filter on the load cell alone at present, both chosen with hindsight. *reference* is the error of the "
-        "filter that is optimal for a fixed noise model (motor 10 mN m, joint 5 mN m, offset unknown, cell drift). It "
-        "is no bound: the simulated plant is calmer than that model where a digit moves freely, and the controller's "
-        "filter is told the planned change of tension besides, so that it can be below the reference. NIS is per "
-        "degree of freedom; 1 is right."
-    )
+        f"plant. Seeds: {many if few == many else f'{few} to {many}'}. A sample is one control period old when the "
+        "controller uses it (2 ms on jamia, 5 ms on jamia11).",
+        "",
+        "- *then*: at the instant of the sample, the filter's value against the raw load cell.",
+        "- *now*: at present, where the control loop needs the tension, the filter's prediction against the same "
+        "sample.",
+        "- *average* and *cell alone*: the best exponential average and the best filter on the load cell alone at "
+        "present, both chosen with hindsight.",
+        "- *reference*: the error of the filter that is optimal for a fixed noise model (motor 10 mN m, joint 5 mN m, "
+        "offset unknown, cell drift). It is no bound. The simulated plant has less noise than that model where a digit "
+        "moves freely, and the controller's filter knows the planned change of tension, so it may be below.",
+        "- *NIS*: normalized innovation squared per degree of freedom, 1 is right.",
+    ]
     for hand, plants in result["hands"].items():
         rows = [[regime, *(f"{row[c]:.2f}" for c in COLUMNS.values())] for regime, row in plants["as known"].items()]
         parts += ["", table([hand, *COLUMNS], rows)]
@@ -72,29 +75,32 @@ def _conclusion(result: dict) -> str:
             good = ratio <= ASKED_LIMIT and ASKED_NIS[0] <= nis <= ASKED_NIS[1]
             (met if good else missed).append(f"{hand} {regime} {ratio:.2f} times the reference, NIS {nis:.2f}")
             strict.append(f"{hand} {regime} {row['estimate / limit']:.2f}")
-    text = f"Asked for: within {ASKED_LIMIT} times the reference and NIS within {ASKED_NIS[0]} and {ASKED_NIS[1]}. "
-    text += f"Kept: {'; '.join(met) or 'nowhere'}. " + (f"Not kept: {'; '.join(missed)}. " if missed else "")
+    text = f"Required: within {ASKED_LIMIT} times the reference, and NIS between {ASKED_NIS[0]} and {ASKED_NIS[1]}. "
+    text += f"Met: {'; '.join(met) or 'nowhere'}. " + (f"Not met: {'; '.join(missed)}. " if missed else "")
     text += (
-        "Measured against the reference without its delay, the estimate for the present (not the same instant, so "
-        f"that it need not come near) is at {', '.join(strict)}. "
+        "Relative to the reference without its delay, which is of another instant, the estimate for the present is "
+        f"at {', '.join(strict)}. "
     )
-    return " ".join((text.strip(), *(_against_raw(result, ratio) for ratio in WHEN), _otherwise_wrong(result), WHY))
+    raw = "\n".join(f"- {_against_raw(result, ratio)}" for ratio in WHEN)
+    parts = (text.strip(), "Comparison with the raw load cell:", raw, _otherwise_wrong(result), *WHY)
+    return "\n\n".join(part for part in parts if part)
 
 
 WHY = (
-    "Both the prediction and the raw cell come from the same sample, which is a period old, and both are judged at "
-    "present: the loop would use the raw sample as it is. While NIS says that the model does not fit, the filter "
-    "trusts its model less (`innovation.py`, `caution`). Where a digit turns, friction takes the tension "
-    "from one edge of its band to the other; the filter is told how, "
-    "from the cable's own speed. At an impact the first two samples decide, and a filter that averages is late: that "
-    "is where jamia11 gains least. While the rope is taut nothing can tell the cell's error from tension: a bias is in "
-    "the estimate as it is in the cell, and is found only when the rope hangs loose. The best average and the best "
-    "filter on the cell alone are chosen for each regime with hindsight, so that one of them wins here and there."
+    "Both the prediction and the raw cell come from the same sample, which is one period old, and both are judged at "
+    "present, because the control loop would use the raw sample as it is. While NIS shows that the model does not "
+    "fit, the filter trusts its model less (`innovation.py`, `caution`).",
+    "At a reversal friction takes the tension from one edge of its band to the other, and the filter gets this change "
+    "from the tendon's own speed. At an impact the first two samples decide, and an averaging filter is late. There "
+    "jamia11 gains least.",
+    "While a tendon is taut no measurement distinguishes the cell's error from tension. A bias is in the estimate as "
+    "it is in the cell, and is found only when the tendon is slack. The best average and the best filter on the cell "
+    "alone are chosen for each regime with hindsight, so one of them is better in some regimes.",
 )
 WHEN = {
     "filtered / raw": "At the instant of the sample",
     "estimate / raw now": "At present",
-    "estimate / raw": "With the cell forgiven its age and the estimate not,",
+    "estimate / raw": "With the cell at its own instant and the estimate at present",
 }
 
 
@@ -111,10 +117,10 @@ def _against_raw(result: dict, ratio: str) -> str:
     worst, name = max(rows)
     if not above:
         return (
-            f"{WHEN[ratio]} it is never worse than the raw cell, with the stiffness wrong by up to 50 % either way: "
-            f"the worst is {worst:.2f} times ({name})."
+            f"{WHEN[ratio]} the estimate is never worse than the raw cell, also with the stiffness off by up to 50 %. "
+            f"The worst ratio is {worst:.2f} ({name})."
         )
-    return f"{WHEN[ratio]} it is worse than the raw cell in: {'; '.join(above)}."
+    return f"{WHEN[ratio]} the estimate is worse than the raw cell in: {'; '.join(above)}."
 
 
 def _otherwise_wrong(result: dict) -> str:
@@ -131,10 +137,10 @@ def _otherwise_wrong(result: dict) -> str:
     above = [f"{name} ({value:.2f})" for value, _, name in rows if value > 1.0]
     nis, name = max((nis, name) for _, nis, name in rows)
     if not above:
-        return "With mass, friction or the cell itself wrong it is at present never worse than the raw cell."
+        return "With mass, friction or the cell itself off the estimate is at present never worse than the raw cell."
     return (
-        f"With something else wrong it is at present worse than the raw cell in: {'; '.join(above)}. "
-        f"The innovations tell of it (the largest NIS is {nis:.2f}, {name}), and `handctl identify` finds friction "
+        f"With other parameters off the estimate is at present worse than the raw cell in: {'; '.join(above)}. "
+        f"The innovations show it (the largest NIS is {nis:.2f}, {name}), and `handctl identify` finds friction "
         "within some per cent."
     )
 

@@ -17,11 +17,11 @@ def section(result: dict[str, Any]) -> str:
     """Markdown of a result of ``force.measure``."""
     parts = ["## A step of force", ""]
     parts.append(
-        "`python benchmarks/control.py --parts force --page`. The digits hold a cylinder with 15 N a tendon, are asked "
-        "for 40 N at once (5000 N/s), and for 15 N again; the true tension at the load cells of all tendons in contact "
-        "against what is asked, both steps together, mean over tendons and seeds. *set-point alone* has no feedback: "
-        "the motor makes the force that is asked. Both loops have the same weights, and none is tuned. "
-        "*overshoot* is the furthest beyond the goal, noise included."
+        "`python benchmarks/control.py --parts force --page`. The digits hold a cylinder with 15 N per "
+        "tendon, and the command steps to 40 N (5000 N/s) and back to 15 N. The error is that of the true "
+        "tension at the load cells of all tendons in contact, over both steps, mean over tendons and seeds. "
+        "*set-point alone* has no feedback: the motor makes the commanded force. Both loops have the same "
+        "weights without tuning, and *overshoot* is the largest distance beyond the goal, noise included."
     )
     for hand, plants in result["hands"].items():
         rows = [_row(law, row) for law, row in plants.get("as known", {}).items()]
@@ -55,7 +55,7 @@ def _conclusion(result: dict[str, Any]) -> str:
         told.append(
             f"{hand}: the loop on the estimate is {word} that on the raw sensor ({estimate['rmse_N']:.2f} and "
             f"{raw['rmse_N']:.2f} N, spread {spread:.2f} N) and {nothing['rmse_N'] / estimate['rmse_N']:.1f} times "
-            f"better than no loop; it overshoots by {estimate['overshoot_N']:.1f} N of 25 N and ends "
+            f"better than no loop. It overshoots by {estimate['overshoot_N']:.1f} N of 25 N and ends "
             f"{estimate['steady_N']:.2f} N off, "
             f"with {estimate['ripple_N']:.2f} N of ripple ({raw['ripple_N']:.2f} N on the raw sensor)."
         )
@@ -63,5 +63,5 @@ def _conclusion(result: dict[str, Any]) -> str:
         {w for plants in result["hands"].values() for laws in plants.values() for r in laws.values() for w in r["why"]}
     )
     told += [f"Ended early: {'; '.join(whys)}."] if whys else []
-    told.append("A bias of the load cell is in the force as it is in the sensor: no loop can take it out.")
-    return " ".join(told)
+    told.append("A bias of the load cell is in the force as it is in the sensor, and no loop can remove it.")
+    return "\n\n".join(told)

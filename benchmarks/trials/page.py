@@ -7,8 +7,8 @@ PAGE, FIGURES = ROOT / "docs" / "control.md", ROOT / "docs" / "figures"
 HEAD = """# What the controller is worth, measured
 
 Each section is written by the benchmark named in it, from runs of the real controller over the simulated bus, in
-lockstep, against the plant's truth. The plant's effects and the objects are fixed in the benchmarks; its physics is
-never changed to suit a result. What is weak is said.
+lockstep, against the plant's ground truth. Nothing on this page was measured on hardware. Objects and effects of the
+plant are fixed in the benchmarks, and its physics is never changed to suit a result. Weak results are stated.
 """
 ORDER = ("estimation", "tracking", "gravity", "force", "tip", "grasps")
 
