@@ -12,7 +12,7 @@ PYTEST_FLAGS ?=
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test lint unit realtime vcan nightly bench fuzz mutation soak golden lock clean
+.PHONY: help env demo test lint unit realtime wheel vcan nightly bench fuzz mutation soak golden lock clean
 
 help: ## list these commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -57,6 +57,10 @@ unit: env
 realtime: env
 	$(PYTEST) -m realtime $(PYTEST_FLAGS)
 
+wheel: export HANDCTL_NIGHTLY = 1
+wheel: env ## the wheel in a fresh environment with packages from the index; a few minutes
+	$(PYTEST) tests/contracts/test_wheel.py $(PYTEST_FLAGS)
+
 vcan: env ## the SocketCAN tests alone, on the kernel's vcan or in user-mode Linux
 	HANDCTL_REQUIRE_VCAN=1 $(PYTEST) tests/vcan $(PYTEST_FLAGS)
 
@@ -94,8 +98,10 @@ lock: env ## write the lock files anew; LOCK_FLAGS=--upgrade takes newer release
 	$(LOCK) pyproject.toml --extra sim --group build --constraint requirements.lock --output-file requirements-demo.lock
 	$(LOCK) pyproject.toml --extra all --group dev --constraint requirements-demo.lock --output-file requirements-dev.lock
 	$(LOCK) pyproject.toml --extra all --group dev --group extra --constraint requirements-dev.lock --output-file requirements-extra.lock
+	@set -e; for python in 3.11 3.12 3.13; do $(RESOLVE) --python-version $$python -r requirements-extra.lock; done
 
 # One version for all Pythons (fork-strategy fewest), so that numbers agree between them.
+RESOLVE = $(BIN)/uv pip install --quiet --no-config --dry-run --require-hashes --only-binary :all: --target build/resolved
 LOCK = $(BIN)/uv pip compile --quiet --no-config --universal --python-version 3.11 --fork-strategy fewest \
   --generate-hashes --custom-compile-command "make lock" $(LOCK_FLAGS)
 

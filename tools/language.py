@@ -46,8 +46,8 @@ ROUNDING = 10
 _WORD = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
 _PROSE = {name: re.compile(pattern, re.IGNORECASE) for name, pattern in TERMS["prose"].items()}
 _VERBS = set(TERMS["verbs"]["words"].split())
-_CODE = re.compile(r"^```.*?^```|`[^`\n]*`|^\|.*?$", re.MULTILINE | re.DOTALL)
-"""Parts of a document that are no prose: blocks of code, quoted code, rows of tables."""
+_CODE = re.compile(r"^```.*?^```|`[^`\n]*`|^\|.*?$|\*\*[^*\n]+:\*\*", re.MULTILINE | re.DOTALL)
+"""Parts of a document that are no prose: blocks of code, quoted code, rows of tables, labels in bold."""
 
 
 @dataclass

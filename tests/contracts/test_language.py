@@ -41,7 +41,7 @@ def tree(tmp_path: Path) -> Path:
     (tmp_path / "src").mkdir()
     (tmp_path / "src" / "one.py").write_text(MODULE)
     (tmp_path / "src" / "two.py").write_text("class Wishes:\n    pass\n")
-    (tmp_path / "README.md").write_text("What is so; `what` and ropes.\n")
+    (tmp_path / "README.md").write_text("**What happened:** What is so; `what` and ropes.\n")
     return tmp_path
 
 
