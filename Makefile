@@ -8,11 +8,11 @@ DEMO := $(VENV)/.handctl-demo
 EXTRA := $(VENV)/.handctl-extra
 PYTEST ?= $(BIN)/python -m pytest
 PYTEST_FLAGS ?=
-# Tests with real deadlines run alone, after the others have left the cores.
+# Tests of judged deadlines (marker `alone`) run last, one at a time, when the others have left the cores.
 WORKERS ?= 2
 
 .DEFAULT_GOAL := help
-.PHONY: help env demo test lint unit realtime wheel vcan nightly bench fuzz mutation soak golden lock clean
+.PHONY: help env demo test lint kernels unit realtime wheel vcan nightly bench fuzz mutation soak golden lock clean
 
 help: ## list these commands
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "  make %-9s %s\n", $$1, $$2 }' $(firstword $(MAKEFILE_LIST))
@@ -41,7 +41,10 @@ $(EXTRA): $(STAMP) requirements-extra.lock
 demo: $(DEMO) ## the arrival scenario in simulation: arm, grasp, hold, release, log, picture
 	$(BIN)/handctl demo
 
-test: lint unit realtime ## all checks and tests, real SocketCAN included where it can be had
+test: env ## all checks and tests, real SocketCAN included where it can be had
+	$(MAKE) -j 2 lint kernels
+	$(MAKE) unit
+	$(MAKE) realtime
 
 lint: env ## ruff, mypy --strict, the import contracts, and limits on dialect
 	$(BIN)/ruff check .
@@ -49,13 +52,18 @@ lint: env ## ruff, mypy --strict, the import contracts, and limits on dialect
 	$(BIN)/lint-imports --no-cache
 	$(BIN)/python tools/language.py
 
+# Otherwise each worker of the next stage compiles the same functions in its first test.
+kernels: env
+	$(BIN)/python -c 'import handctl.controller.tick, handctl.compiled; handctl.compiled.prepare()'
+
 # A process has one core: threads of BLAS would wait for each other by spinning.
 unit: export OPENBLAS_NUM_THREADS = 1
 unit: env
 	$(PYTEST) -n $(WORKERS) -m "not realtime" $(PYTEST_FLAGS)
 
 realtime: env
-	$(PYTEST) -m realtime $(PYTEST_FLAGS)
+	$(PYTEST) -n $(WORKERS) --dist loadfile -m "realtime and not alone" $(PYTEST_FLAGS)
+	$(PYTEST) -m alone $(PYTEST_FLAGS)
 
 wheel: export HANDCTL_NIGHTLY = 1
 wheel: env ## the wheel in a fresh environment with packages from the index; a few minutes
@@ -68,7 +76,7 @@ nightly: export HANDCTL_NIGHTLY = 1
 nightly: export OPENBLAS_NUM_THREADS = 1
 nightly: lint ## the tests with full counts: long property runs, fault campaigns, soak
 	$(PYTEST) -n $(WORKERS) -m "not realtime" $(PYTEST_FLAGS)
-	$(PYTEST) -m realtime $(PYTEST_FLAGS)
+	$(MAKE) realtime
 
 bench: $(EXTRA) ## side by side with what a user would pick instead; prints ratios
 	@set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python "$$script"; done

@@ -9,6 +9,7 @@ from handctl.cli.main import main
 from handctl.hand.file.toml_text import toml_text
 from handctl.hand.load import hand_path
 from tests.cli.refused import refused
+from tests.runtime.processes import handctl, scaled
 
 GRASP = """schema = 1
 name = "two fingers"
@@ -70,12 +71,13 @@ def test_a_hand_of_two_buses_needs_no_bus_named(place, capsys):
 
 
 @pytest.mark.realtime
-def test_a_hand_of_two_buses_works_in_real_time(place, capsys):
+def test_a_hand_of_two_buses_works_in_real_time(place, slower):
     (place / "buses.toml").write_text(toml_text(two_buses()))
     (place / "bend.toml").write_text('schema = 1\nname = "bend"\n[[phase]]\nkind = "move"\nangle_deg = 20.0\n')
-    words = ["--hand", "buses.toml", "--task", "bend.toml", "--scene", "none", "--time-scale", "0.3", "--log", "x.mcap"]
-    assert main(["demo", "--json", *words]) == 0
-    assert json.loads(capsys.readouterr().out)["failure"] == ""
+    words = ("--hand", "buses.toml", "--task", "bend.toml", "--scene", "none", "--log", "x.mcap")
+    done = handctl("demo", "--json", *words, *scaled(0.5 * slower))
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["failure"] == ""
 
 
 CELLS = {"none": [], "one": ["index_tendon"]}

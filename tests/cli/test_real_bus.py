@@ -30,6 +30,7 @@ MOVES = {
     "tune": ("tune", "verify", "new.toml"),
 }
 HAND = ("--hand", "jamia")
+GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 @pytest.fixture(autouse=True)
@@ -39,21 +40,11 @@ def files(place, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO())
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    """A run in virtual time that can be driven again."""
-    folder = tmp_path_factory.mktemp("recorded")
-    task = folder / "short.toml"
-    task.write_text('schema = 1\nname = "s"\n[[phase]]\nkind = "move"\nname = "m"\nangle_deg = 5.0\nduration_s = 0.3\n')
-    words = ["demo", "--lockstep", "--task", str(task), "--log", str(folder / "before.mcap"), "--json"]
-    subprocess.run([sys.executable, "-m", "handctl.cli", *words], check=True, capture_output=True, cwd=folder)
-    return folder / "before.mcap"
-
-
 @pytest.fixture(params=MOVES)
 def words(request, place):
+    """The words of a verb that moves a hand, and the log that ``replay`` reads."""
     if request.param == "replay":
-        (place / "before.mcap").write_bytes(request.getfixturevalue("recorded").read_bytes())
+        (place / "before.mcap").symlink_to(GOLDEN)
     return MOVES[request.param]
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests.stalls import StallMeter
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 AGAIN = """
 import os, signal, time
 import pytest

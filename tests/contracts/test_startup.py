@@ -26,6 +26,7 @@ def seconds(code: str) -> float:
 
 
 @pytest.mark.realtime
+@pytest.mark.alone
 def test_help_answers_at_once() -> None:
     pairs = [(seconds("pass"), seconds(HELP)) for _ in range(5)]
     bare, full = (min(column) for column in zip(*pairs, strict=True))

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks.writers.sustained import sustained
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 SECONDS = 30.0 if os.environ.get("HANDCTL_NIGHTLY") == "1" else 1.0
 FRAMES = 24
 """A tick: eleven commands and their answers, a SYNC, and the load cells."""

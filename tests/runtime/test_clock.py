@@ -79,6 +79,7 @@ def test_stamps_before_the_beginning_are_negative(monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.realtime
+@pytest.mark.alone
 def test_the_real_clock_keeps_time() -> None:
     clock = RealClock(PERIOD)
     clock.begin()

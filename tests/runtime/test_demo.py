@@ -8,7 +8,7 @@ from handctl.cli.runs.demo import SLOWEST
 from handctl.log.read.reader import RunLog
 from tests.runtime.processes import ended_well, said, start_handctl
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 
 
 def test_the_demo_slows_time_until_this_machine_keeps_up(place, processes):

@@ -22,6 +22,7 @@ def blocks(language: str, *containing: str) -> list[str]:
 
 
 @pytest.mark.realtime
+@pytest.mark.alone
 @pytest.mark.parametrize("busy", [2])
 def test_the_program_in_the_readme_runs_beside_busy_ones(place, processes, busy):
     (program,) = blocks("python", "handctl.connect")

@@ -33,6 +33,7 @@ _reports = pytest.StashKey[Reports]()
 
 def pytest_itemcollected(item: pytest.Item) -> None:
     item.add_marker("realtime")
+    item.add_marker("alone")
     if item.path.is_relative_to(INSIDE):
         item.add_marker("vcan")
         if not REPORTS_FILE:
