@@ -1,26 +1,26 @@
-"""Controllers killed and stopped at random instants, hundreds of them: ``python -m fuzz.kills --times 500``."""
+"""Hundreds of controllers, killed and stopped at random times: ``python -m fuzz.kills --times 500``."""
 
 import argparse
 import sys
 
-from tests.runtime.kills import Judged, batches, told
+from tests.runtime.kills import Judged, batches, summary
 
 
 def main() -> int:
-    """Kill; exit code 1 if a drive or a log was not as it must be."""
+    """Disturb controllers. Returns 1 if a drive kept torque or a log is incomplete."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.kills", description=__doc__)
     parser.add_argument("--times", type=int, default=500)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--time-scale", type=float, default=0.7, help="less than 1 on a busy machine")
     args = parser.parse_args()
-    found: list[Judged] = []
-    for some in batches(args.times, args.seed, args.time_scale):
-        for one in some:
-            if not (one.safe and one.whole):
-                print(one, flush=True)
-        found += some
-        print(told(found), flush=True)
-    return 0 if all(one.safe and one.whole for one in found) else 1
+    runs: list[Judged] = []
+    for batch in batches(args.times, args.seed, args.time_scale):
+        for run in batch:
+            if not (run.safe and run.complete):
+                print(run, flush=True)
+        runs += batch
+        print(summary(runs), flush=True)
+    return 0 if all(run.safe and run.complete for run in runs) else 1
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What holds for all tests: the size of property runs, which tests wait for the night, and which are tried again."""
+"""Settings of all tests: size of property runs, tests of the nightly run, repetition of tests on the real clock."""
 
 import os
 import signal
@@ -13,60 +13,68 @@ from tests.stalls import StallMeter
 pytest_plugins = ("pytester",)
 NIGHTLY = os.environ.get("HANDCTL_NIGHTLY") == "1"
 CALM = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
-"""No time limit for one example: the cores are shared, and time is not what these tests are about."""
+"""No time limit per example. The cores are shared, and property tests judge no time."""
 
 settings.register_profile("every run", CALM, derandomize=True, database=None, max_examples=100)
 settings.register_profile("nightly", CALM, max_examples=2000, print_blob=True)
 settings.load_profile("nightly" if NIGHTLY else "every run")
 
 SLOWER = 0.5
-CALM_S, PATIENCE_S = 1.0, 15.0
-LATEST_S = 900.0
-"""For all tries of a test together; one of its own is nearer."""
+"""Factor on the time scale of a test for each repetition."""
+CALM_S = 1.0
+"""Time without a stall before a repetition [s]."""
+MAX_WAIT_S = 15.0
+"""Longest wait for such a time [s]."""
+TIMEOUT_S = 900.0
+"""Time limit for all tries of a test together [s]. A test may set a shorter one."""
 
+# A background job of a shell starts with SIGINT ignored, one of nohup with SIGHUP ignored. Every program
+# that the tests start would inherit this.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
-"""A shell's background job begins with SIGINT ignored, one of nohup with SIGHUP, and so would every program that these
-tests start."""
 if "HANDCTL_RUN_DIR" not in os.environ:
     RUN_DIR = tempfile.TemporaryDirectory(prefix="handctl-", ignore_cleanup_errors=True)
-    """Buses and truths of these tests alone, whatever else runs on this machine; gone with this process."""
+    """Folder for buses and truths of these tests. It is removed when this process ends."""
     os.environ["HANDCTL_RUN_DIR"] = RUN_DIR.name
 
 
 class Repeats:
-    """A test of the real clock gets another try if the machine stood still while it failed; three tries in all.
+    """Plugin that repeats a failed test on the real clock if the machine stalled during it. Three tries at most.
 
-    Where a test slows time, each try slows it more (``slower``): a stall means less then, a defect just as much.
+    Where a test slows time, each try slows it more (``slower``). A stall then matters less, a defect as much.
 
     Attributes:
-        meter: from the first such test on.
-        told: which tests were tried again, and how long the machine had stood still [s].
+        stalls: repeated tests, and the longest stall during each [s].
+        meter: stall meter, which starts with the first test on the real clock.
     """
 
     def __init__(self) -> None:
-        self.told: list[tuple[str, float]] = []
+        """Start without a meter. Most runs have no test on the real clock."""
+        self.stalls: list[tuple[str, float]] = []
         self.meter: StallMeter | None = None
-        self._test, self._began = "", 0.0
+        self._test = ""
+        self._start = 0.0
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
+        """Note the start of a test on the real clock."""
         if item.get_closest_marker("realtime"):
             self.meter = self.meter or StallMeter()
-            self._test, self._began = item.nodeid, time.monotonic()
+            self._test = item.nodeid
+            self._start = time.monotonic()
 
-    def stood_still(self, error: BaseException | None) -> bool:
-        """Whether the machine did so since the present try began; also asked of one that passed, without an error."""
-        longest = self.meter.longest_since(self._began) if self.meter and error else 0.0
+    def stalled(self, error: BaseException | None) -> bool:
+        """Return True if the present try failed and the machine stalled during it. ``error`` is None if it passed."""
+        longest = self.meter.longest_since(self._start) if self.meter and error else 0.0
         if longest:
-            self.told.append((self._test, longest))
+            self.stalls.append((self._test, longest))
             self.await_calm()
         return longest > 0.0
 
     def await_calm(self) -> None:
-        """Wait until the machine has not stood still for a second, but not for long: stalls come in crowds."""
+        """Wait for ``CALM_S`` without a stall, at most for ``MAX_WAIT_S``. Stalls come in bursts."""
         assert self.meter
-        until = time.monotonic() + PATIENCE_S
+        until = time.monotonic() + MAX_WAIT_S
         while time.monotonic() < until:
             begin = time.monotonic()
             time.sleep(CALM_S)
@@ -74,32 +82,37 @@ class Repeats:
                 return
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """Let the tests on the real clock be repeated."""
         for item in items:
             if item.get_closest_marker("realtime"):
-                item.add_marker(pytest.mark.flaky(reruns=2, condition=self.stood_still))
-                item.add_marker(pytest.mark.timeout(LATEST_S))
+                item.add_marker(pytest.mark.flaky(reruns=2, condition=self.stalled))
+                item.add_marker(pytest.mark.timeout(TIMEOUT_S))
 
     def pytest_terminal_summary(self, terminalreporter: pytest.TerminalReporter) -> None:
-        for test, longest in self.told:
-            terminalreporter.write_line(f"failed while the machine stood still for {longest * 1e3:.0f} ms: {test}")
+        """Report the repeated tests and the stall in each."""
+        for test, longest in self.stalls:
+            terminalreporter.write_line(f"failed while the machine stalled for {longest * 1e3:.0f} ms: {test}")
 
     def pytest_unconfigure(self) -> None:
+        """Close the meter."""
         if self.meter:
             self.meter.close()
 
 
 @pytest.fixture
 def slower(request: pytest.FixtureRequest) -> float:
-    """What a test of the clock multiplies its time scale by: one in its first try, less in each that follows."""
+    """Return the factor on the time scale of a test: 1 in its first try, less in each repetition."""
     return float(SLOWER ** (getattr(request.node, "execution_count", 1) - 1))
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    if "HANDCTL_VCAN_REPORTS" not in os.environ:  # in a guest of one core every process waits for the others
+    """Register the repetition, except in a guest: with its one core every process waits for the others."""
+    if "HANDCTL_VCAN_REPORTS" not in os.environ:
         config.pluginmanager.register(Repeats(), "repeats")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Skip the nightly tests in other runs."""
     if NIGHTLY:
         return
     for item in items:

@@ -1,7 +1,7 @@
-"""Whether the machine stood still: a test of the clock that failed in such a moment has told nothing.
+"""Detection of stalls of the machine. A test on the real clock that failed during a stall proves nothing.
 
-A virtual machine is now and then not run for tens of milliseconds, and a controller that meets that ends its run, as it
-should. A sleeper on each core, in a process of its own, sees it from outside of what is tested.
+A host pauses a virtual machine now and then for tens of milliseconds. A controller ends its run then, as
+it should. A sleeper process on each core detects the pause from outside the tested processes.
 """
 
 import contextlib
@@ -11,18 +11,20 @@ import sys
 import time
 
 NAP_S = 0.002
+"""Duration of one sleep [s]."""
 STALL_S = 0.010
-"""A nap that ends so much too late is a stall: a core that is only busy wakes a sleeper within some milliseconds."""
+"""Smallest lateness that counts as a stall [s]. A busy core wakes a sleeper within some milliseconds."""
 
 
 class StallMeter:
-    """Sleepers that tell when they woke up late; they start with the object and end with :meth:`close`.
+    """Sleepers that report when they woke up late. They run until :meth:`close`.
 
     Attributes:
-        pids: of the sleepers, one a core.
+        pids: processes of the sleepers, one per core.
     """
 
     def __init__(self) -> None:
+        """Start the sleepers and wait until each has started."""
         command = [sys.executable, "-I", "-S", __file__]
         self._sleepers = [
             subprocess.Popen([*command, str(core)], stdout=subprocess.PIPE) for core in os.sched_getaffinity(0)
@@ -35,7 +37,7 @@ class StallMeter:
         self._unread: list[tuple[float, float]] = []
 
     def longest_since(self, begin: float) -> float:
-        """The longest stall that ended after a moment of ``time.monotonic`` [s]; zero if there was none."""
+        """Return the longest stall that ended after a time of ``time.monotonic`` [s]. Zero if there was none."""
         for sleeper in self._sleepers:
             assert sleeper.stdout
             for line in (sleeper.stdout.read() or b"").splitlines():
@@ -52,9 +54,10 @@ class StallMeter:
 
 
 def _sleep(core: int) -> None:
-    """Nap on one core until nobody listens any more, and tell of each stall when it ended and how long it was [s]."""
+    """Sleep on one core until the parent has ended. Report the end and the duration of each stall [s]."""
     os.sched_setaffinity(0, {core})
-    parent, last = os.getppid(), time.monotonic()
+    parent = os.getppid()
+    last = time.monotonic()
     print("ready", flush=True)
     while os.getppid() == parent:
         time.sleep(NAP_S)

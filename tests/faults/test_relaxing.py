@@ -64,9 +64,7 @@ def tension_bound(course: Simulation, decided: Instant, force: np.ndarray) -> np
 
 
 @pytest.mark.parametrize(("hand_name", "protocol", "seed"), SAMPLED)
-def test_no_motor_is_commanded_to_pull_harder_and_no_tendon_bears_more(
-    hand_name: str, protocol: str, seed: int
-) -> None:
+def test_relaxing_raises_no_command_and_no_tension(hand_name: str, protocol: str, seed: int) -> None:
     chance = random.Random(f"{hand_name} {protocol} {seed}")
     hand, rate = hand_in(hand_name, protocol), RATE_HZ[hand_name]
     perturb = {key: chance.uniform(0.7, 1.4) for key in ("stiffness", "friction", "motor_inertia")}

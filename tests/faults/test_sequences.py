@@ -64,7 +64,7 @@ def test_no_rule_is_broken():
     assert sum(one.effects for one in found) >= 5
 
 
-def test_a_sequence_that_breaks_a_rule_says_which(arming, monkeypatch):
+def test_a_sequence_that_breaks_a_rule_names_it(arming, monkeypatch):
     """A drive that runs away explains what its rope bears, and nothing else does."""
     found, sequence = [], Sequence(0, ARMING, (FaultStep(20, "runaway node=index_motor"),))
     for explains in (sequences.RUNAWAY, "nobody"):
@@ -101,7 +101,7 @@ def test_ends_that_break_a_rule(arming):
     assert violations_at_end(arming) == []
 
 
-def test_a_tick_that_comes_to_something_else_is_found(arming):
+def test_a_tick_with_another_result_is_found(arming):
     begin, first = arming.state, len(arming.kept)
     for _ in range(5):
         arming.tick()

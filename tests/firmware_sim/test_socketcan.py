@@ -100,7 +100,7 @@ def test_a_full_queue_loses_a_frame_and_an_interface_that_went_down_is_survived(
     assert port.lost == 2
 
 
-def test_an_interface_that_is_not_there(interface: Interface) -> None:
+def test_a_missing_interface_comes_with_the_command(interface: Interface) -> None:
     interface.refusal = error(errno.ENODEV)
     with pytest.raises(SimulatorError, match="ip link add dev can9 type vcan"):
         SocketCanPort("can9", 0)

@@ -77,7 +77,7 @@ def some_frames(count: int, seed: int) -> list[Frame]:
     return frames
 
 
-def test_frames_of_all_kinds_arrive_whole_and_in_order(medium: Medium) -> None:
+def test_frames_of_all_kinds_arrive_complete_and_in_order(medium: Medium) -> None:
     sender, receiver = medium.open(), medium.open(index=3)
     batch = some_frames(500, seed=1)
     assert sender.send(batch[:300]) + sender.send(batch[300:]) == len(batch)
@@ -87,7 +87,7 @@ def test_frames_of_all_kinds_arrive_whole_and_in_order(medium: Medium) -> None:
     assert sender.take_events() == receiver.take_events() == []
 
 
-def test_everyone_hears_everyone_but_himself(medium: Medium) -> None:
+def test_every_node_receives_all_frames_but_its_own(medium: Medium) -> None:
     buses = [medium.open() for _ in range(3)]
     for number, bus in enumerate(buses):
         assert bus.send([Frame(number, b"me")]) == 1
@@ -130,7 +130,7 @@ def test_a_payload_that_does_not_fit_is_refused_and_nothing_is_sent(medium: Medi
     assert contents(drained(receiver, 1)) == [(2, b"last", 0)]
 
 
-def test_the_file_descriptor_tells_of_a_frame(medium: Medium) -> None:
+def test_the_file_descriptor_becomes_readable_with_a_frame(medium: Medium) -> None:
     sender, receiver = medium.open(), medium.open()
     descriptor = receiver.fileno()
     if descriptor < 0:

@@ -1,4 +1,4 @@
-"""Where the processes of these tests work."""
+"""Working folder, simulated hand and calibration for the processes of these tests."""
 
 import tempfile
 
@@ -10,7 +10,7 @@ from tests.runtime.processes import BUS, LONG, SCALE, SHORT, end, scaled, start_
 
 @pytest.fixture
 def place(tmp_path, monkeypatch):
-    """An empty folder to work in, a short one for sockets."""
+    """Change to an empty folder, with sockets in a folder that has a short path."""
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         monkeypatch.setenv("HANDCTL_RUN_DIR", short)
         monkeypatch.chdir(tmp_path)
@@ -21,7 +21,7 @@ def place(tmp_path, monkeypatch):
 
 @pytest.fixture
 def processes():
-    """Processes to be ended, whatever happens."""
+    """Return a list of processes that are ended after the test."""
     running = []
     yield running
     for process in reversed(running):
@@ -30,19 +30,19 @@ def processes():
 
 @pytest.fixture
 def scale(request, slower):
-    """Words for time as it passes for the hand; a module may have a ``SCALE`` of its own."""
+    """Return the options for the time scale. A module may set its own ``SCALE``."""
     return scaled(getattr(request.module, "SCALE", SCALE) * slower)
 
 
 @pytest.fixture
 def hand(place, processes, scale):
-    """A slowed simulated hand on the bus, and its truth."""
+    """Start a slowed simulated hand on the bus and return its truth file."""
     processes.append(start_hand(place / "hand.truth", "--hand", "jamia", *scale))
     return place / "hand.truth"
 
 
 @pytest.fixture
 def calibrated(place):
-    """Words for a hand that starts homed: nothing to tare, nothing to zero."""
+    """Return the options for a hand that starts homed, with its calibration."""
     write_homed(place / "c.toml", load_hand("jamia"))
     return ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml")

@@ -1,7 +1,7 @@
-"""One controller after the other, each killed or stopped at a random instant beside a simulated hand that lives on.
+"""Controllers killed or stopped at random times, one after the other, beside a simulated hand that goes on.
 
-A controller is a process of its own, forked from this one so that nothing has to be imported again; its recorder and
-the simulator are processes as in any run. What became of the drives is read from the simulator's truth.
+Each controller is a process, forked from this one to save the imports. Its recorder and the simulator are
+processes as in any run. The truth of the simulator shows the reaction of the drives.
 """
 
 import json
@@ -32,43 +32,62 @@ from handctl.session.run import make_controller, run_live
 from handctl.session.tasks import load_task
 from tests.runtime.processes import BUS, LONG, end, scaled, start_hand, write_homed
 
-SYNC, RECORD = 0x080, 72
+SYNC = 0x080
+"""CAN identifier of the SYNC frame. Its first byte is the tick count."""
+RECORD = 72
+"""Size of a frame on the local bus [bytes]."""
 RATE_HZ = 500.0
 WATCHDOG_MS = 50.0
-"""What the hand file sets for the drives; after it and the decay of the current no torque may be left."""
-DECAY_MS, LEAST_N_M, PULLS_N = 4.0, 1e-3, 8.0
-LETTING_GO_S = 0.3
-LATEST_S = 1.8
-"""A run is disturbed at most so long after its first SYNC: while it arms, bends its fingers and holds them bent."""
-PATIENCE_S = 60.0
+"""Timeout of the drives' watchdog in the hand file. After it and ``DECAY_MS`` no torque may be left [ms]."""
+DECAY_MS = 4.0
+"""Decay of the motor current [ms]."""
+MIN_TORQUE_N_M = 1e-3
+"""Torque above which a motor counts as driven [N m]."""
+PULLS_N = 8.0
+"""Tension above which a tendon counts as pulled [N]."""
+RELEASE_S = 0.3
+"""Time in which the fingers open after the watchdog [s]."""
+MAX_DELAY_S = 1.8
+"""Longest delay of a disturbance after the first SYNC [s].
+
+In this time a run arms, bends the fingers and holds them.
+"""
+WAIT_S = 60.0
+"""Longest wait for a process [s]."""
 
 
 class Killed(NamedTuple):
-    """What one disturbed run left behind.
+    """Record of one disturbed run.
 
     Attributes:
-        how: signal. before_ns, after_ns: between which it struck, on the simulator's clock.
-        slipped_ns: time in which the simulator, drives and all, did not run from then on.
-        heard: counts of the SYNCs on the bus. told: of those in the log.
-        warning: what is wrong with the log as a file.
+        how: signal.
+        before_ns: time of the simulator before the signal [ns].
+        after_ns: time of the simulator after the signal [ns].
+        slipped_ns: time from then on in which the simulator with its drives did not run [ns].
+        on_bus: tick counts of the SYNC frames on the bus.
+        in_log: tick counts of the SYNC frames in the log.
+        warning: fault of the log as a file.
     """
 
     how: signal.Signals
     before_ns: int
     after_ns: int
     slipped_ns: int
-    heard: bytes
-    told: bytes
+    on_bus: bytes
+    in_log: bytes
     warning: str
 
 
 class Judged(NamedTuple):
-    """One disturbed run before the truth.
+    """One disturbed run compared with the truth.
 
     Attributes:
-        run: it. pulled: whether a rope was under tension when it struck.
-        driven: whether a motor made torque then. off_ms: until none did, from the instant before the signal.
-        late_ms: the same, from the instant after it. tension: largest when the fingers have had time to open [N].
+        run: record of the run.
+        pulled: a tendon was under tension at the signal.
+        driven: a motor made torque at the signal.
+        off_ms: time from before the signal until no motor made torque [ms].
+        late_ms: time from after the signal until no motor made torque [ms].
+        tension: largest tension after the fingers have had time to open [N].
     """
 
     run: Killed
@@ -80,23 +99,27 @@ class Judged(NamedTuple):
 
     @property
     def safe(self) -> bool:
-        """Whether the drives let go within their watchdog."""
+        """Return True if the torque was off within the watchdog of the drives."""
         return self.late_ms <= WATCHDOG_MS + DECAY_MS
 
     @property
-    def whole(self) -> bool:
-        """Whether the log has every tick that was on the bus, but for one whose SYNC had just been sent."""
-        heard, told = self.run.heard, self.run.told
-        return not self.run.warning and len(heard) - len(told) in (0, 1) and heard.startswith(told)
+    def complete(self) -> bool:
+        """Return True if the log has every tick on the bus. The last one may be missing if its SYNC was just sent."""
+        on_bus = self.run.on_bus
+        in_log = self.run.in_log
+        return not self.run.warning and len(on_bus) - len(in_log) in (0, 1) and on_bus.startswith(in_log)
 
 
 class Range:
-    """Where it is done: a simulator, and what every controller begins with."""
+    """A simulator, and the plan from which each controller starts."""
 
     def __init__(self, folder: Path, scale: float) -> None:
-        self.folder, self.scale = folder, scale
+        """Start the simulator with a time scale. Logs and truth go to a folder."""
+        self.folder = folder
+        self.scale = scale
         hand = load_hand("jamia")
-        task, calibration = folder / "long.toml", folder / "c.toml"
+        task = folder / "long.toml"
+        calibration = folder / "c.toml"
         task.write_text(LONG)
         write_homed(calibration, hand)
         load = tuple(one.at(RATE_HZ) for one in bus_loads(hand))
@@ -108,32 +131,32 @@ class Range:
         self.simulator = start_hand(self.truth, "--hand", "jamia", *scaled(scale))
 
     def now_ns(self) -> tuple[int, int]:
-        """The simulator's time, and how much of it nothing happened in."""
-        own = run_dir() / f"kills-{os.getpid()}"
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
-            asking.bind(str(own))
-            asking.settimeout(PATIENCE_S)
-            asking.sendto(b'{"list": true}', str(faults_path(BUS)))
-            answer = json.loads(asking.recv(1 << 16))
-        own.unlink()
+        """Return the time of the simulator, and the part of it in which the simulator did not run [ns]."""
+        reply_path = run_dir() / f"kills-{os.getpid()}"
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
+            link.bind(str(reply_path))
+            link.settimeout(WAIT_S)
+            link.sendto(b'{"list": true}', str(faults_path(BUS)))
+            answer = json.loads(link.recv(1 << 16))
+        reply_path.unlink()
         return int(answer["t_ns"]), int(answer["slip_ns"])
 
     def start(self, log: Path) -> int:
-        """Fork a controller; its process number."""
+        """Fork a controller and return its process number."""
         child = os.fork()
         if child:
             return child
         code = 70
         try:
-            nothing = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nothing, 1)
-            os.dup2(nothing, 2)
+            devnull = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(devnull, 1)
+            os.dup2(devnull, 2)
             code = int(run_live(self.plan, self.controller, log).exit)
         finally:
             os._exit(code)
 
     def disturb(self, number: int, how: signal.Signals, delay_s: float) -> Killed:
-        """Start a controller and strike some time [s] after its first SYNC."""
+        """Start a controller and send it a signal some time [s] after its first SYNC."""
         log = self.folder / f"{number}.mcap"
         with Listener() as listener:
             child = self.start(log)
@@ -143,7 +166,7 @@ class Range:
                 before_ns, slip_ns = self.now_ns()
                 os.kill(child, how)
                 after_ns, _ = self.now_ns()
-                listener.wait((WATCHDOG_MS * 1e-3 + LETTING_GO_S) / self.scale)
+                listener.wait((WATCHDOG_MS * 1e-3 + RELEASE_S) / self.scale)
                 slipped_ns = self.now_ns()[1] - slip_ns
                 if how == signal.SIGSTOP:
                     os.kill(child, signal.SIGCONT)
@@ -153,21 +176,27 @@ class Range:
                     os.kill(child, signal.SIGKILL)
                     os.waitpid(child, 0)
             listener.wait(0.0)
-        warning, logged = whole(log)
+        warning, logged = read_syncs(log)
         log.unlink()
-        return Killed(how, before_ns, after_ns, slipped_ns, bytes(listener.heard), logged, warning)
+        return Killed(how, before_ns, after_ns, slipped_ns, bytes(listener.syncs), logged, warning)
 
     def judged(self, runs: list[Killed]) -> list[Judged]:
-        """Hold the runs against the truth of the simulator, which has ended."""
+        """Compare the runs with the truth of the simulator, which has ended."""
         truth = read_truth(self.truth)
         return [judge(truth, run) for run in runs]
 
 
 class Listener:
-    """Another node on the bus: the counts of all SYNCs that the host sent."""
+    """Another node on the bus, which collects the tick counts of all SYNC frames of the host.
+
+    Attributes:
+        syncs: tick counts, one byte each.
+    """
 
     def __init__(self) -> None:
-        self.heard, self.held = bytearray(), b""
+        """Start without a SYNC."""
+        self.syncs = bytearray()
+        self._partial = b""
 
     def __enter__(self) -> "Listener":
         self.link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -179,7 +208,7 @@ class Listener:
         self.link.close()
 
     def wait(self, seconds: float) -> None:
-        """Wait, and take in what comes, so that nothing is lost on the way here."""
+        """Wait for a time [s] and read the bus meanwhile, because a full socket would lose frames."""
         until = time.monotonic() + seconds
         while True:
             self._take()
@@ -191,34 +220,34 @@ class Listener:
     def _take(self) -> None:
         with suppress(BlockingIOError):
             while data := self.link.recv(1 << 18):
-                self.held += data
-        whole_ones = len(self.held) // RECORD * RECORD
-        for at in range(0, whole_ones, RECORD):
-            if int.from_bytes(self.held[at : at + 4], "little") == SYNC:
-                self.heard.append(self.held[at + 8])
-        self.held = self.held[whole_ones:]
+                self._partial += data
+        end = len(self._partial) // RECORD * RECORD
+        for at in range(0, end, RECORD):
+            if int.from_bytes(self._partial[at : at + 4], "little") == SYNC:
+                self.syncs.append(self._partial[at + 8])
+        self._partial = self._partial[end:]
 
     def until_heard(self, child: int) -> None:
         """Wait for the first SYNC of a controller."""
-        until = time.monotonic() + PATIENCE_S
-        while not self.heard:
+        until = time.monotonic() + WAIT_S
+        while not self.syncs:
             assert os.waitpid(child, os.WNOHANG) == (0, 0), "the controller ended by itself"
             assert time.monotonic() < until, "no SYNC"
             self.wait(0.004)
 
 
 def ended(child: int, listener: Listener) -> None:
-    """Wait for a process that must end by itself; ask it to, if it does not."""
+    """Wait for the end of a process. Terminate it if it does not end by itself."""
     until = time.monotonic() + 3.0
     while os.waitpid(child, os.WNOHANG) == (0, 0):
         if time.monotonic() > until:
             os.kill(child, signal.SIGTERM)
-            until += PATIENCE_S
+            until += WAIT_S
         listener.wait(0.02)
 
 
-def whole(path: Path) -> tuple[str, bytes]:
-    """What is wrong with a log once its recorder has ended, and the counts of the SYNCs of its ticks."""
+def read_syncs(path: Path) -> tuple[str, bytes]:
+    """Read a log once its recorder has ended. Return its warning and the tick counts of its SYNC frames."""
     until = time.monotonic() + 20.0
     while True:
         with RunLog(path) as log:
@@ -229,17 +258,17 @@ def whole(path: Path) -> tuple[str, bytes]:
 
 
 def judge(truth: Truth, run: Killed) -> Judged:
-    """What the drives did."""
+    """Judge the reaction of the drives in one run."""
     torque = truth.values[:, [i for i, name in enumerate(truth.columns) if name.startswith("torque/")]]
     tension = truth.values[:, [i for i, name in enumerate(truth.columns) if name.startswith("tension/")]]
     begin = np.searchsorted(truth.t_ns, run.before_ns)
-    over = np.searchsorted(truth.t_ns, run.after_ns + run.slipped_ns + int(LETTING_GO_S * 1e9))
-    driven = np.flatnonzero(np.abs(torque[begin:over]).max(axis=1) > LEAST_N_M)
+    over = np.searchsorted(truth.t_ns, run.after_ns + run.slipped_ns + int(RELEASE_S * 1e9))
+    driven = np.flatnonzero(np.abs(torque[begin:over]).max(axis=1) > MIN_TORQUE_N_M)
     last_ns = int(truth.t_ns[begin + driven[-1]]) - run.slipped_ns if len(driven) else run.before_ns
     return Judged(
         run,
         pulled=bool(tension[begin].max() > PULLS_N),
-        driven=bool(np.abs(torque[begin]).max() > LEAST_N_M),
+        driven=bool(np.abs(torque[begin]).max() > MIN_TORQUE_N_M),
         off_ms=(last_ns - run.before_ns) * 1e-6,
         late_ms=(last_ns - run.after_ns) * 1e-6,
         tension=float(tension[min(over, len(tension) - 1)].max()),
@@ -247,37 +276,41 @@ def judge(truth: Truth, run: Killed) -> Judged:
 
 
 def kills(folder: Path, times: int, seed: int, scale: float) -> list[Judged]:
-    """Disturb so many controllers, killed and stopped in turn, beside one simulator."""
-    chance, place = random.Random(seed), Range(folder, scale)
+    """Disturb a number of controllers beside one simulator, by SIGKILL and SIGSTOP in turn."""
+    chance = random.Random(seed)
+    place = Range(folder, scale)
     runs: list[Killed] = []
     try:
         for number in range(times):
             how = signal.SIGKILL if number % 2 == 0 else signal.SIGSTOP
-            runs.append(place.disturb(number, how, chance.uniform(0.0, LATEST_S)))
+            runs.append(place.disturb(number, how, chance.uniform(0.0, MAX_DELAY_S)))
     finally:
         end(place.simulator)
     return place.judged(runs)
 
 
 BATCH = 25
-"""Controllers beside one simulator; then its truth is read and thrown away."""
+"""Controllers beside one simulator. The truth of the simulator is read after each batch, and deleted."""
 
 
 def batches(times: int, seed: int, scale: float) -> Iterator[list[Judged]]:
-    """Disturb so many controllers, some beside each simulator."""
+    """Disturb a number of controllers, ``BATCH`` beside each simulator."""
     for first in range(0, times, BATCH):
         with tempfile.TemporaryDirectory(prefix="h-") as folder:
             os.environ["HANDCTL_RUN_DIR"] = folder
             yield kills(Path(folder), min(BATCH, times - first), seed + first, scale)
 
 
-def told(found: list[Judged]) -> str:
-    """A line about all of them."""
-    safe, whole_ones = sum(one.safe for one in found), sum(one.whole for one in found)
-    pulled, driven = sum(one.pulled for one in found), sum(one.driven for one in found)
-    worst, tension = max(one.off_ms for one in found), max(one.tension for one in found)
+def summary(runs: list[Judged]) -> str:
+    """Summarise the runs in one line."""
+    safe = sum(run.safe for run in runs)
+    complete = sum(run.complete for run in runs)
+    pulled = sum(run.pulled for run in runs)
+    driven = sum(run.driven for run in runs)
+    latest = max(run.off_ms for run in runs)
+    tension = max(run.tension for run in runs)
     return (
-        f"{len(found)} controllers: {safe} times without torque in time, at most {worst:.1f} ms after the signal; "
-        f"{whole_ones} logs whole; {driven} struck under torque, {pulled} while a rope was taut; "
+        f"{len(runs)} controllers: {safe} times without torque in time, at most {latest:.1f} ms after the signal; "
+        f"{complete} logs complete; {driven} disturbed under torque, {pulled} with a taut tendon; "
         f"at most {tension:.1f} N left 0.3 s later"
     )

@@ -27,7 +27,7 @@ from handctl.runtime.buses.local import connect
 from handctl.runtime.confirm import request_action, send_confirmed
 from handctl.runtime.mailbox import Mailbox, Watcher
 from handctl.runtime.paths import mailbox_path, run_dir
-from tests.runtime.processes import BUS, end, ended_well, handctl, said, start_handctl, wait_for
+from tests.runtime.processes import BUS, end, handctl, modes_of_complete, result_of, start_handctl, wait_for
 
 NOBODY = 65534
 SECOND_USER = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
@@ -136,7 +136,7 @@ def test_a_folder_that_others_can_write_in_is_refused(shared, deep):
 
 
 @pytest.mark.parametrize("make", [run_dir, simulated.run_dir])
-def test_what_is_made_or_could_only_be_read_is_closed(shared, make):
+def test_a_new_or_readable_folder_is_made_private(shared, make):
     """Earlier versions made the upper one with mode 0755."""
     folder = make()
     assert folder == theirs(shared) / "handctl"
@@ -168,7 +168,7 @@ def test_a_link_of_another_user_above_is_refused(shared, monkeypatch):
 
 
 @SECOND_USER
-def test_the_order_to_stop_does_not_reach_who_took_the_mailbox_s_place(shared, impatient):
+def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(shared, impatient):
     """The attack: rename the mailbox, put another there, receive what is meant for the hand."""
     box, folder = Mailbox("local:x"), run_dir()
     aside, mailbox, heard = folder / "aside", Path(box.path), []
@@ -205,7 +205,7 @@ def test_the_order_to_stop_does_not_reach_who_took_the_mailbox_s_place(shared, i
 
 
 @SECOND_USER
-def test_nobody_else_s_request_is_taken_and_nobody_else_s_word_believed(shared):
+def test_requests_and_status_lines_of_another_user_are_ignored(shared):
     """Even in an open folder: the kernel says whose process has sent a datagram."""
     box, watcher = Mailbox("local:x"), Watcher("local:x")
     for path in (watcher.path, Path(box.path)):
@@ -230,7 +230,7 @@ def test_nobody_else_s_request_is_taken_and_nobody_else_s_word_believed(shared):
 
 
 @SECOND_USER
-def test_a_hub_hears_only_its_own_user(shared):
+def test_a_hub_accepts_only_its_own_user(shared):
     hub = Hub("x")
     folder = run_dir()
     for path in (folder / "x.bus", folder, folder.parent):
@@ -292,14 +292,14 @@ class Answering:
             time.sleep(0.002)
 
 
-def test_a_stop_is_done_once_the_controller_says_that_the_hand_has_let_go(place, capsys):
+def test_stop_ends_when_the_controller_reports_every_drive_off(place, capsys):
     with Answering() as controller:
         assert main(["stop", "--bus", BUS, "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"asked": "stop", "bus": BUS, "confirmed": True, "mode": "DONE"}
     assert controller.taken == ["stop"]
 
 
-def test_a_stop_after_which_a_drive_stays_on_says_so(place, capsys):
+def test_stop_names_a_drive_that_stays_on(place, capsys):
     with Answering("DISARM -> DONE: REMOVE POWER: not confirmed disabled: index_motor"):
         assert main(["stop", "--bus", BUS]) == 71
     assert "REMOVE POWER: not confirmed disabled: index_motor" in capsys.readouterr().err
@@ -311,20 +311,20 @@ def impatient(monkeypatch):
     monkeypatch.setattr("handctl.runtime.confirm.ANSWER_S", 0.4)
 
 
-def test_a_controller_that_falls_silent_after_it_took_the_order_has_confirmed_nothing(place, impatient, capsys):
+def test_stop_is_unconfirmed_if_the_controller_falls_silent(place, impatient, capsys):
     with Answering(deaf_after="RELAX"):
         assert main(["stop", "--bus", BUS]) == 71
     assert UNCONFIRMED in capsys.readouterr().err
 
 
-def test_clear_is_done_once_it_is_taken(place, capsys):
+def test_clear_ends_when_the_controller_has_taken_it(place, capsys):
     with Answering() as controller:
         assert main(["clear", "--bus", BUS]) == 0
     assert controller.taken == ["clear"]
     assert "has cleared its faults" in capsys.readouterr().out
 
 
-def test_who_asks_is_answered_although_others_have_taken_all_places_of_watchers(place):
+def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(place):
     others = [Watcher(BUS) for _ in range(6)]
     with Answering() as controller:
         until = time.monotonic() + 1.0
@@ -361,7 +361,7 @@ def filled(path: Path) -> int:
 
 @pytest.mark.parametrize("word", ["stop", "cut", "clear"])
 @pytest.mark.parametrize("full", [False, True])
-def test_a_mailbox_that_nobody_reads_confirms_nothing_and_nobody_waits_for_it(place, impatient, word, full):
+def test_an_unread_mailbox_confirms_nothing_and_blocks_no_client(place, impatient, word, full):
     box = Mailbox(BUS)
     if full:
         assert filled(box.path)
@@ -375,7 +375,7 @@ def test_a_mailbox_that_nobody_reads_confirms_nothing_and_nobody_waits_for_it(pl
 
 
 @pytest.mark.realtime
-def test_a_paused_controller_has_not_stopped_a_hand_and_a_flooded_one_has(place, hand, calibrated, scale):
+def test_a_paused_controller_confirms_no_stop_and_a_flooded_one_stops(place, hand, calibrated, scale):
     process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale)
     try:
         watcher = Watcher(BUS)
@@ -389,14 +389,14 @@ def test_a_paused_controller_has_not_stopped_a_hand_and_a_flooded_one_has(place,
         filled(mailbox_path(BUS))
         assert handctl("stop", "--cut", "--bus", BUS).returncode == 71
         process.send_signal(signal.SIGCONT)
-        assert said(process)[0] in (0, 1), "it stood still (H03), and finds the orders as soon as it goes on"
+        assert result_of(process)[0] in (0, 1), "it stood still (H03), and finds the orders as soon as it goes on"
     finally:
         process.send_signal(signal.SIGCONT)
         end(process)
 
 
 @pytest.mark.realtime
-def test_a_flooded_mailbox_does_not_keep_an_order_out(place, hand, calibrated, scale):
+def test_a_flooded_mailbox_still_takes_a_stop(place, hand, calibrated, scale):
     process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale)
     ended = threading.Event()
 
@@ -416,9 +416,9 @@ def test_a_flooded_mailbox_does_not_keep_an_order_out(place, hand, calibrated, s
         flooding.start()
         asked = handctl("stop", "--bus", BUS)
         assert asked.returncode == 0, asked.stderr
-        assert said(process)[0] == 0
+        assert result_of(process)[0] == 0
     finally:
         ended.set()
         end(process)
         flooding.join()
-    assert ended_well(place / "run.mcap")[-1] == "DISARM -> DONE"
+    assert modes_of_complete(place / "run.mcap")[-1] == "DISARM -> DONE"

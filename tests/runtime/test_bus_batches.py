@@ -126,7 +126,7 @@ def test_a_can_socket_carries_it_both_ways(udp: tuple[SocketCanBus, socket.socke
     assert zero_behind_payloads(got)
 
 
-def test_batches_of_all_kinds_in_turn_leave_nothing_of_one_another(
+def test_batches_of_all_kinds_in_turn_leave_no_bytes_of_one_another(
     local: tuple[Bus, socket.socket], udp: tuple[SocketCanBus, socket.socket]
 ) -> None:
     for batch in [*BATCHES.values(), *reversed(BATCHES.values())]:
@@ -149,7 +149,7 @@ def test_batches_of_all_kinds_in_turn_leave_nothing_of_one_another(
             assert zero_behind_payloads(got)
 
 
-def test_what_is_behind_a_payload_is_not_taken_in(
+def test_bytes_behind_a_payload_are_ignored(
     local: tuple[Bus, socket.socket], udp: tuple[SocketCanBus, socket.socket]
 ) -> None:
     garbage = b"\xff" * 64
@@ -194,7 +194,7 @@ def test_error_frames_between_others_become_events_and_keep_the_order(
     assert can.take_events()
 
 
-def test_a_record_torn_within_an_odd_batch_comes_out_whole(local: tuple[Bus, socket.socket]) -> None:
+def test_a_record_split_within_an_odd_batch_is_reassembled(local: tuple[Bus, socket.socket]) -> None:
     bus, link = local
     batch = mixed(30, 4)
     whole = b"".join(record(frame.can_id, frame.data, frame.flags) for frame in batch)
@@ -237,7 +237,7 @@ def test_the_kernels_stamps_become_the_runs_time(udp: tuple[SocketCanBus, socket
         assert len(set(stamps)) > 1
 
 
-def test_a_flood_of_batches_that_never_came_before_keeps_nothing_large() -> None:
+def test_a_flood_of_new_batches_fills_no_memory() -> None:
     structs = canfd.Structs(bytearray(4096 * canfd.SIZE))
     before = canfd._received.cache_info().currsize
     assert len(structs.read(4096, structs.converted_heads(4096, 0), 0)) == 4096

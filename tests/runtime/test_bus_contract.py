@@ -42,7 +42,7 @@ def medium(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> I
         ("slcan:/dev/no-such-port@115200", "an interface of python-can"),
     ],
 )
-def test_what_cannot_be_opened_says_in_one_line_what_to_type(
+def test_a_bus_that_cannot_be_opened_is_one_line_with_the_command_to_type(
     spec: str, told: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setenv(RUN_DIR, str(tmp_path))

@@ -48,7 +48,7 @@ def test_a_short_error_frame_is_one_too(data: bytes) -> None:
     assert kinds(events) == {"error_frame"}
 
 
-def test_passive_lasts_until_the_controller_says_otherwise() -> None:
+def test_passive_lasts_until_the_controller_reports_another_state() -> None:
     events = BusEvents("can0")
     events.error_frame(ERROR | 0x04, bytes((0, 0x20)))
     events.take()
@@ -85,7 +85,7 @@ def test_counts_of_a_kind_are_added_up() -> None:
     assert events.take() == []
 
 
-def test_an_interface_that_is_gone_for_good_is_told_as_long_as_it_is() -> None:
+def test_a_lost_interface_is_reported_at_every_call() -> None:
     events = BusEvents("can0")
     events.failed(errno.ENODEV, "enobufs")
     for _ in range(3):

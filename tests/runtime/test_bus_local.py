@@ -53,7 +53,7 @@ def test_a_record_is_laid_out_as_agreed(scripted: tuple[Bus, socket.socket]) -> 
 
 
 @given(cuts=st.lists(st.integers(1, 200), min_size=1, max_size=40), count=st.integers(1, 20))
-def test_records_torn_anywhere_come_out_whole(torn: tuple[Bus, socket.socket], cuts: list[int], count: int) -> None:
+def test_records_split_anywhere_are_reassembled(torn: tuple[Bus, socket.socket], cuts: list[int], count: int) -> None:
     bus, link = torn
     stream = b"".join(record(number, bytes([number] * (number % 9))) for number in range(count))
     frames: list[Frame] = []
@@ -94,7 +94,9 @@ def test_a_slow_hub_costs_frames_but_no_time_and_no_alignment(scripted: tuple[Bu
 @pytest.mark.parametrize(
     ("counters", "told"), [([0, 0, 0], 0), ([0, 3, 3], 3), ([65_530, 4], 65_540), ([7, 7, 65_535, 1], 65_537)]
 )
-def test_what_the_hub_dropped_is_told_once(scripted: tuple[Bus, socket.socket], counters: list[int], told: int) -> None:
+def test_frames_dropped_by_the_hub_are_reported_once(
+    scripted: tuple[Bus, socket.socket], counters: list[int], told: int
+) -> None:
     bus, link = scripted
     numbers = []
     for counter in counters:
@@ -105,7 +107,7 @@ def test_what_the_hub_dropped_is_told_once(scripted: tuple[Bus, socket.socket], 
     assert sum(event[2] for event in numbers) == told
 
 
-def test_a_hub_that_goes_away_is_told_as_long_as_it_lasts(scripted: tuple[Bus, socket.socket]) -> None:
+def test_a_lost_hub_is_reported_at_every_call(scripted: tuple[Bus, socket.socket]) -> None:
     bus, link = scripted
     link.send(record(5, b"last"))
     link.close()
@@ -117,7 +119,7 @@ def test_a_hub_that_goes_away_is_told_as_long_as_it_lasts(scripted: tuple[Bus, s
         assert bus.drain() == []
 
 
-def test_sending_to_a_hub_that_went_away_does_not_raise(scripted: tuple[Bus, socket.socket]) -> None:
+def test_sending_to_a_lost_hub_does_not_raise(scripted: tuple[Bus, socket.socket]) -> None:
     bus, link = scripted
     link.close()
     assert bus.send([Frame(1, b"")]) == 0
@@ -133,7 +135,7 @@ def test_error_frames_become_events(scripted: tuple[Bus, socket.socket]) -> None
 
 
 @given(stream=st.binary(min_size=SIZE, max_size=5 * SIZE))
-def test_no_bytes_of_a_hub_can_raise(torn: tuple[Bus, socket.socket], stream: bytes) -> None:
+def test_no_bytes_from_a_hub_can_raise(torn: tuple[Bus, socket.socket], stream: bytes) -> None:
     bus, link = torn
     whole = stream[: len(stream) - len(stream) % SIZE]
     link.send(whole)

@@ -47,7 +47,7 @@ def bus() -> Iterator[PythonCanBus]:
     opened.close()
 
 
-def test_what_an_adapter_has_sent_itself_is_not_received(bus: PythonCanBus) -> None:
+def test_frames_that_an_adapter_echoes_are_not_received(bus: PythonCanBus) -> None:
     """A gs_usb tells every frame that went out as one that came in: it would be a second controller's."""
     bus._bus.shutdown()
     bus._bus = can.Bus("broken", interface="virtual", receive_own_messages=True)
@@ -68,7 +68,7 @@ def test_what_an_adapter_has_sent_itself_is_not_received(bus: PythonCanBus) -> N
         (can.CanTimeoutError("late"), ("enobufs", 3), "enodev"),
     ],
 )
-def test_errors_are_events_that_safety_knows(
+def test_errors_are_events_of_the_fault_table(
     bus: PythonCanBus, error: Exception, sending: tuple[str, int], reading: str
 ) -> None:
     bus._bus.shutdown()
@@ -81,7 +81,7 @@ def test_errors_are_events_that_safety_knows(
         assert bus.take_events() == [(reading, "virtual:broken", 1)]
 
 
-def test_an_error_that_hides_its_number_is_known_by_its_cause(bus: PythonCanBus) -> None:
+def test_an_error_without_a_number_is_classified_by_its_cause(bus: PythonCanBus) -> None:
     bus._bus.shutdown()
     error = can.CanOperationError("full")
     error.__cause__ = OSError(errno.ENOBUFS, "full")
@@ -90,7 +90,7 @@ def test_an_error_that_hides_its_number_is_known_by_its_cause(bus: PythonCanBus)
     assert bus.take_events() == [("enobufs", "virtual:broken", 1)]
 
 
-def test_garbage_of_a_serial_adapter_is_counted_and_passed_over(bus: PythonCanBus) -> None:
+def test_garbage_of_a_serial_adapter_is_counted_and_skipped(bus: PythonCanBus) -> None:
     bus._bus.shutdown()
     bus._bus = Broken(ValueError("invalid literal for int() with base 16: 'xx'"), times=3)
     assert bus.drain() == []
@@ -120,7 +120,7 @@ def test_filters_are_applied(ours: Bus) -> None:
     assert found == list(range(0x10, 0x20))
 
 
-def test_a_receive_timeout_is_kept(ours: Bus) -> None:
+def test_a_receive_timeout_is_respected(ours: Bus) -> None:
     with can.Bus("tools", interface="local", ignore_config=True) as theirs:
         begin = time.monotonic()
         assert theirs.recv(0) is None
@@ -128,7 +128,7 @@ def test_a_receive_timeout_is_kept(ours: Bus) -> None:
         assert 0.1 <= time.monotonic() - begin < 5.0
 
 
-def test_own_messages_come_back_when_asked_for(ours: Bus) -> None:
+def test_own_messages_are_received_on_request(ours: Bus) -> None:
     with can.Bus("tools", interface="local", receive_own_messages=True, ignore_config=True) as theirs:
         sent = can.Message(arbitration_id=1, data=b"x", is_extended_id=False)
         theirs.send(sent)
@@ -137,7 +137,7 @@ def test_own_messages_come_back_when_asked_for(ours: Bus) -> None:
     assert back.equals(sent, timestamp_delta=None, check_channel=False, check_direction=False)
 
 
-def test_fd_can_be_left_out(ours: Bus) -> None:
+def test_fd_can_be_disabled(ours: Bus) -> None:
     with can.Bus("tools", interface="local", fd=False, ignore_config=True) as theirs:
         with pytest.raises(can.CanOperationError, match="without fd"):
             theirs.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(12)))
@@ -158,7 +158,7 @@ def test_stamps_are_wall_clock_time(ours: Bus) -> None:
     assert before - 0.02 <= received.timestamp <= time.time() + 0.02
 
 
-def test_a_notifier_hears_the_bus(ours: Bus) -> None:
+def test_a_notifier_receives_messages(ours: Bus) -> None:
     reader = can.BufferedReader()
     with can.Bus("tools", interface="local", ignore_config=True) as theirs:
         notifier = can.Notifier(theirs, [reader], timeout=0.05)
@@ -168,7 +168,7 @@ def test_a_notifier_hears_the_bus(ours: Bus) -> None:
     assert [message.arbitration_id for message in heard if message] == list(range(20))
 
 
-def test_a_notifier_in_an_event_loop_hears_all_of_a_batch(ours: Bus) -> None:
+def test_a_notifier_in_an_event_loop_receives_a_complete_batch(ours: Bus) -> None:
     """It reads one message whenever the descriptor is readable, so that must not fall silent while messages wait."""
     heard: list[int] = []
 
@@ -206,7 +206,7 @@ def test_python_cans_logger_writes_what_was_sent(ours: Bus, folder: Path, tmp_pa
     assert file.read_text().count("123#C0FFEE") >= 10
 
 
-def test_a_bus_without_a_hub_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bus_without_a_hub_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(RUN_DIR, str(tmp_path))
     with pytest.raises(can.CanInitializationError, match="firmware_sim"):
         can.Bus("nobody", interface="local", ignore_config=True)
@@ -228,7 +228,7 @@ def fill(bus: can.BusABC, message: can.Message) -> None:
         bus.send(message, timeout=0)
 
 
-def test_sending_waits_for_room_and_no_longer_than_told(scripted: tuple[can.BusABC, socket.socket]) -> None:
+def test_sending_waits_for_room_until_the_timeout(scripted: tuple[can.BusABC, socket.socket]) -> None:
     theirs, link = scripted
     message = can.Message(arbitration_id=1, data=bytes(8), is_extended_id=False)
     with pytest.raises(can.CanOperationError, match="no more frames"):
@@ -241,7 +241,7 @@ def test_sending_waits_for_room_and_no_longer_than_told(scripted: tuple[can.BusA
     theirs.send(message, timeout=5.0)
 
 
-def test_a_hub_that_goes_away_ends_reading_and_sending(scripted: tuple[can.BusABC, socket.socket]) -> None:
+def test_a_lost_hub_ends_reading_and_sending(scripted: tuple[can.BusABC, socket.socket]) -> None:
     theirs, link = scripted
     link.send(record(9, b"last"))
     link.close()

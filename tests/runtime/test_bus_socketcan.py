@@ -31,7 +31,7 @@ def waited(bus: SocketCanBus, count: int) -> list[Frame]:
     return frames
 
 
-def test_what_is_sent_has_the_kernels_layout(udp: tuple[SocketCanBus, socket.socket]) -> None:
+def test_sent_frames_have_the_kernels_layout(udp: tuple[SocketCanBus, socket.socket]) -> None:
     bus, far = udp
     frames = [Frame(0x7FF, b"\x01"), Frame(5 | EXTENDED, bytes(range(64)), FDF | BRS), Frame(2, bytes(8))]
     assert bus.send(frames) == 3
@@ -41,7 +41,7 @@ def test_what_is_sent_has_the_kernels_layout(udp: tuple[SocketCanBus, socket.soc
 
 
 @pytest.mark.parametrize("fd_mode", [False, True])
-def test_a_short_frame_after_a_long_one_has_nothing_of_it(
+def test_a_short_frame_after_a_long_one_has_none_of_its_bytes(
     udp: tuple[SocketCanBus, socket.socket], fd_mode: bool
 ) -> None:
     bus, far = udp
@@ -54,7 +54,7 @@ def test_a_short_frame_after_a_long_one_has_nothing_of_it(
         assert frame[:4] == (2, bytes(number), 0, 1)
 
 
-def test_the_size_of_a_datagram_tells_fd_from_classical(udp: tuple[SocketCanBus, socket.socket]) -> None:
+def test_the_size_of_a_datagram_distinguishes_fd_from_classical(udp: tuple[SocketCanBus, socket.socket]) -> None:
     bus, far = udp
     far.send(FD.pack(1, 8, 0, bytes(8)))  # kernels before 6.1 leave CANFD_FDF out
     far.send(CLASSICAL.pack(1, 8, bytes(8)))
@@ -78,7 +78,7 @@ KERNEL_STAMPS_S = 0.3
 """The kernel begins to stamp a little after the first socket has asked for it: it patches its own code for that."""
 
 
-def test_stamps_are_of_the_arrival_not_of_the_reading(udp: tuple[SocketCanBus, socket.socket]) -> None:
+def test_stamps_are_times_of_arrival_not_of_reading(udp: tuple[SocketCanBus, socket.socket]) -> None:
     bus, far = udp
     time.sleep(KERNEL_STAMPS_S)
     begin = time.monotonic_ns()
@@ -126,7 +126,7 @@ def test_stamps_are_right_although_the_wall_clock_was_set(
     assert before - slack <= waited(bus, 1)[0].t_ns <= after + slack
 
 
-def test_what_does_not_fit_is_counted(udp: tuple[SocketCanBus, socket.socket]) -> None:
+def test_frames_that_overflow_the_socket_are_counted(udp: tuple[SocketCanBus, socket.socket]) -> None:
     bus, far = udp
     with socket.socket(fileno=bus.fileno()) as link:
         link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)

@@ -14,7 +14,7 @@ import handctl as library
 from handctl import BusError, ConfigError, DriveError, PowerError
 from handctl.client import HandClient
 from handctl.runtime.mailbox import Watcher, is_running
-from tests.runtime.processes import BUS, ended_well, handctl, start_handctl, wait_for
+from tests.runtime.processes import BUS, handctl, modes_of_complete, start_handctl, wait_for
 
 REALTIME = pytest.mark.realtime
 PROGRAM = """
@@ -34,7 +34,7 @@ def alone(place):
 
 
 @pytest.mark.parametrize("number", [3, np.float32(3), np.float64(3), np.int64(3), Fraction(3)])
-def test_any_kind_of_number_is_a_number(alone, number, monkeypatch):
+def test_every_numeric_type_is_accepted(alone, number, monkeypatch):
     asked = []
     monkeypatch.setattr(alone, "_set_goal", asked.append)
     alone.move(index=number, duration_s=number, wait=False)
@@ -44,7 +44,7 @@ def test_any_kind_of_number_is_a_number(alone, number, monkeypatch):
 
 
 @pytest.mark.parametrize("number", [float("nan"), 10**400, "3", True, np.True_, None, np.array([3.0, 4.0]), 1e9])
-def test_what_is_no_angle_is_refused_before_it_is_sent(alone, number):
+def test_an_invalid_angle_is_refused_before_it_is_sent(alone, number):
     """Three that the controller itself refuses within a second would relax the hand."""
     with pytest.raises(ConfigError, match=r"move: angle_deg.index: .*; expected"):
         alone.move(index=number)
@@ -55,7 +55,7 @@ def said(*texts):
 
 
 @pytest.mark.parametrize("theirs", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"])
-def test_what_is_said_to_others_is_not_heard(alone, monkeypatch, theirs):
+def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
     """Two programs that command one hand: the one took the other's refusals for its own."""
     sent = []
     monkeypatch.setattr(alone._watcher, "send", lambda data, timeout: sent.append(json.loads(data)))
@@ -75,7 +75,7 @@ def test_what_is_said_to_others_is_not_heard(alone, monkeypatch, theirs):
     alone._asked = False
 
 
-def test_a_goal_of_no_digit_is_refused(alone):
+def test_a_goal_without_a_digit_is_refused(alone):
     with pytest.raises(ConfigError, match="move: no digit; expected"):
         alone.move()
     with pytest.raises(ConfigError, match="hold: no digit; expected"):
@@ -99,7 +99,7 @@ def test_digits_may_come_as_a_mapping(alone, monkeypatch):
             do({})
 
 
-def test_nobody_there_is_one_line(alone):
+def test_a_silent_controller_is_one_line(alone):
     with pytest.raises(BusError, match="the controller is silent"):
         alone.state(-1.0)
     alone.close()
@@ -109,18 +109,18 @@ def test_nobody_there_is_one_line(alone):
 
 
 @pytest.mark.parametrize("bus", ["bogus", [], ""])
-def test_what_is_no_bus_starts_nothing(place, bus):
+def test_an_invalid_bus_starts_no_controller(place, bus):
     with pytest.raises(ConfigError, match="bus"):
         library.connect("jamia", bus)
 
 
-def test_no_place_for_a_socket_is_one_line(tmp_path, monkeypatch):
+def test_a_path_too_long_for_a_socket_is_one_line(tmp_path, monkeypatch):
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path / ("x" * 120)))
     with pytest.raises(BusError, match="HANDCTL_RUN_DIR"):
         library.connect("jamia", BUS)
 
 
-def test_an_editor_finds_what_there_is():
+def test_dir_lists_the_public_names():
     assert set(library.__all__) <= set(dir(library))
     with pytest.raises(AttributeError, match="module 'handctl' has no attribute 'conect'"):
         library.conect  # noqa: B018
@@ -134,14 +134,14 @@ def wait_until(true, timeout_s=60.0):
 
 
 @REALTIME
-def test_connect_says_why_the_controller_ends(place, capfd):
+def test_connect_reports_why_the_controller_ends(place, capfd):
     with pytest.raises(DriveError, match="the controller ended: local:nobody: nobody serves this bus"):
         library.connect("jamia", "local:nobody").__enter__()
     assert "nobody serves this bus" in capfd.readouterr().err
 
 
 @REALTIME
-def test_a_program_moves_holds_and_looks(place, hand, calibrated, scale):
+def test_a_program_moves_holds_and_reads_the_state(place, hand, calibrated, scale):
     with library.connect("jamia", f"main={BUS}", "--calibration", "c.toml", "--log", "live.mcap", *scale) as client:
         client.move(duration_s=0.4, wait=False, index=30.0)
         client.wait("live", 5.0)
@@ -170,11 +170,11 @@ def test_a_program_moves_holds_and_looks(place, hand, calibrated, scale):
         assert state["mode"] == "ACTIVE"
     assert client.child.returncode == 0
     assert client.result["log"] == "live.mcap"
-    ended_well(place / "live.mcap")
+    modes_of_complete(place / "live.mcap")
 
 
 @REALTIME
-def test_a_fault_is_told_by_its_name(place, hand, calibrated, scale):
+def test_a_fault_is_reported_by_name(place, hand, calibrated, scale):
     client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale)
     with client:
         assert handctl("fault", "inject", "--bus", BUS, "snap tendon=index_tendon").returncode == 0
@@ -186,7 +186,7 @@ def test_a_fault_is_told_by_its_name(place, hand, calibrated, scale):
 
 
 @REALTIME
-def test_a_fault_that_nobody_asked_about_is_told_at_the_end(place, hand, calibrated, scale):
+def test_a_fault_between_two_calls_is_reported_at_the_end(place, hand, calibrated, scale):
     client = library.connect("jamia", BUS, "--calibration", "c.toml", "--log", "live.mcap", *scale)
     client.wait("live", 60.0)
     assert handctl("fault", "inject", "--bus", BUS, "off node=index_motor").returncode == 0
@@ -196,7 +196,7 @@ def test_a_fault_that_nobody_asked_about_is_told_at_the_end(place, hand, calibra
 
 
 @REALTIME
-def test_a_task_of_somebody_else_goes_on(place, hand, calibrated, processes, monkeypatch, scale):
+def test_a_task_of_another_program_goes_on(place, hand, calibrated, processes, monkeypatch, scale):
     monkeypatch.setattr("handctl.client.ATTACH_S", 1.0)
     process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *scale)
     processes.append(process)
@@ -237,4 +237,4 @@ def test_a_program_that_is_killed_leaves_no_armed_hand(place, hand, calibrated, 
     program.kill()
     program.wait()
     wait_until(lambda: not is_running(BUS), 20.0)
-    assert ended_well(place / "live.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]
+    assert modes_of_complete(place / "live.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]

@@ -46,7 +46,7 @@ def test_deadlines_are_absolute_and_scaled(monkeypatch: pytest.MonkeyPatch, scal
     assert start - 5_000_000_000 == pytest.approx(PERIOD / scale, rel=0.01), "tick 0 is one period after the beginning"
 
 
-def test_lateness_is_of_the_runs_time_and_does_not_shift_later_deadlines(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lateness_is_in_the_runs_time_and_shifts_no_later_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
     wall = Wall(monkeypatch)
     clock = RealClock(PERIOD, 0.1)
     clock.begin()
@@ -57,7 +57,7 @@ def test_lateness_is_of_the_runs_time_and_does_not_shift_later_deadlines(monkeyp
     assert clock.wait(3) < 1000
 
 
-def test_it_spins_only_the_last_stretch(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_spins_only_before_the_deadline(monkeypatch: pytest.MonkeyPatch) -> None:
     for spin, left in ((True, 60_000), (False, 0)):
         wall = Wall(monkeypatch)
         clock = RealClock(PERIOD, 1.0, spin)
@@ -89,7 +89,7 @@ def test_the_real_clock_keeps_time() -> None:
     assert time.monotonic_ns() - clock.start_ns >= 199 * PERIOD
 
 
-def test_what_was_granted_is_said() -> None:
+def test_the_granted_priority_is_described() -> None:
     assert str(Priority(True, True)) == "SCHED_FIFO, memory locked"
     assert "not permitted" in str(Priority(False, False))
 
@@ -124,7 +124,7 @@ def test_lockstep_steps_the_peer_once_a_tick_with_the_frames_of_that_tick() -> N
     assert bus.take_events() == []
 
 
-def test_a_second_run_goes_on_in_the_peers_time_with_its_own_zero() -> None:
+def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
     peer = Peer()
     clock = LockstepClock(peer, PERIOD)
     bus = LockstepBus(clock)
@@ -161,7 +161,7 @@ class RecordPeer(Peer):
         raise AssertionError("frames are objects, although the peer takes records")
 
 
-def test_a_peer_with_exchange_gets_and_gives_records_as_one_with_step_does_objects() -> None:
+def test_a_peer_with_exchange_and_one_with_step_get_the_same_frames() -> None:
     runs = []
     for peer in (Peer(), RecordPeer()):
         clock = LockstepClock(peer, PERIOD)

@@ -52,7 +52,7 @@ BROKEN_PROMISE = {
 
 
 @pytest.mark.parametrize("fault", sorted(FAULTS))
-def test_a_broken_drive_is_found_out(protocol, fault):
+def test_a_broken_drive_fails_its_check(protocol, fault):
     found, place, _ = judged(protocol, fault)
     assert BROKEN_PROMISE[fault] in failed(found)
     assert place.top <= LIMIT * 1.001
@@ -64,14 +64,14 @@ def test_a_drive_that_does_not_obey_is_left_to_its_watchdog(protocol):
     assert place.bench.motors[0].servo.torque == 0.0
 
 
-def test_a_shaft_that_is_held_is_no_failure(protocol):
+def test_a_blocked_shaft_is_no_failure(protocol):
     found, _, _ = judged(protocol, inertia=100.0)
     check = found["turns the positive way by positive torque"]
     assert check.verdict is Verdict.NOT_APPLICABLE
     assert "did not turn at +0.100 N m" in check.why
 
 
-def test_an_odrive_whose_watchdog_nobody_set_fails_by_that_alone():
+def test_an_odrive_without_watchdog_fails_that_check_only():
     found, _, _ = judged("odrive", options={"torque_feedback": True})
     assert failed(found) == [BROKEN_PROMISE["watchdog"]]
     assert "CANSimple cannot read it" in found[BROKEN_PROMISE["watchdog"]].why

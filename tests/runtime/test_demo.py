@@ -6,7 +6,7 @@ import pytest
 
 from handctl.cli.runs.demo import SLOWEST
 from handctl.log.read.reader import RunLog
-from tests.runtime.processes import ended_well, said, start_handctl
+from tests.runtime.processes import modes_of_complete, result_of, start_handctl
 
 pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 
@@ -15,12 +15,12 @@ def test_the_demo_slows_time_until_this_machine_keeps_up(place, processes):
     """At 16 times real time it fails on any machine; what was logged until then stays, under another name."""
     words = ("--task", "short.toml", "--scene", "none", "--log", "run.mcap", "--time-scale", "16", "--json")
     processes.append(start_handctl("demo", *words))
-    code, result, err = said(processes.pop())
+    code, result, err = result_of(processes.pop())
     assert code == 0, err
     assert result["failure"] == ""
     assert SLOWEST <= result["time_scale"] < 16.0
     assert max(result["tracking_rmse_deg"].values()) < 1.0
-    ended_well(place / "run.mcap")
+    modes_of_complete(place / "run.mcap")
     assert "does not keep up with a simulated hand" in err
     tries = re.findall(r"once more at ([\d.]+) of real time", err)
     assert tries

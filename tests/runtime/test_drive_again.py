@@ -17,14 +17,14 @@ from tests.runtime.processes import (
     BUS,
     end,
     handctl,
-    said,
+    result_of,
     start_hand,
     start_handctl,
     wait_for,
     write_homed,
 )
 
-pytestmark = pytest.mark.realtime
+pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 GOLDEN = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
@@ -57,7 +57,7 @@ def test_a_golden_grasp_repeats_on_the_local_bus(place, scale):
     np.testing.assert_allclose(new, old, rtol=0.05)
 
 
-def test_a_replay_that_is_interrupted_says_how_far_it_came(place, scale):
+def test_an_interrupted_replay_reports_its_progress(place, scale):
     simulated = start_hand(place / "x.truth", "--hand", "jamia", "--scene", "scene.toml", *scale)
     words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", *scale, "--log", "half.mcap", "--json")
     try:
@@ -65,7 +65,7 @@ def test_a_replay_that_is_interrupted_says_how_far_it_came(place, scale):
         wait_for("playback", watcher, driving)
         time.sleep(0.6)
         driving.send_signal(signal.SIGINT)
-        code, found, err = said(driving)
+        code, found, err = result_of(driving)
         watcher.close()
     finally:
         end(simulated)

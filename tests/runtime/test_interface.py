@@ -27,7 +27,7 @@ def shown(nominal: int | None, data: int | None) -> str:
         (1_000_000, 2_000_000, 5_000_000, "at 2000000 bit/s"),
     ],
 )
-def test_another_bit_rate_than_the_hand_files_is_said(
+def test_a_bit_rate_other_than_the_hand_files_is_reported(
     nominal: int | None, data: int | None, wanted: int | None, says: str
 ) -> None:
     link = parse_link(shown(nominal, data))
@@ -37,5 +37,5 @@ def test_another_bit_rate_than_the_hand_files_is_said(
     assert bool(line) == bool(says)
 
 
-def test_of_an_interface_that_is_not_there_nothing_is_said() -> None:
+def test_a_missing_interface_has_no_wrong_rate() -> None:
     assert wrong_rate("no-such-if", 1_000_000, None) == ""

@@ -32,7 +32,7 @@ def bad(text, data_bitrate=None):
     return [finding for finding in findings("can0", link, MEGABIT, data_bitrate) if not finding.good]
 
 
-def test_a_good_interface_has_nothing_to_mend():
+def test_a_good_interface_has_only_good_findings():
     assert bad(told()) == []
     fast = {"link": {"mtu": 72}, "data": {"data_bittiming": {"bitrate": 5 * MEGABIT}}}
     assert bad(told(**fast), 5 * MEGABIT) == []
@@ -52,13 +52,13 @@ def test_a_good_interface_has_nothing_to_mend():
         ({"link": {"stats64": {"tx": {"dropped": 9}}}}, "9 frames to be sent dropped", "after a run"),
     ],
 )
-def test_each_fault_is_told_with_what_mends_it(changes, what, fix):
+def test_each_finding_comes_with_the_command_that_mends_it(changes, what, fix):
     (finding,) = bad(told(**changes))
     assert what in finding.what
     assert fix in finding.fix
 
 
-def test_fd_is_missed_where_the_hand_wants_it():
+def test_missing_fd_is_found_where_the_hand_needs_it():
     found = bad(told(), 5 * MEGABIT)
     assert ["does not carry CAN FD" in finding.what for finding in found] == [True, False]
     assert "dbitrate 5000000 fd on" in found[0].fix
@@ -68,11 +68,11 @@ def test_lost_arbitration_alone_is_no_fault():
     assert bad(told(xstats={"arbitration_lost": 7})) == []
 
 
-def test_an_interface_that_is_not_there():
+def test_a_missing_interface_comes_with_the_command():
     assert "udev" in absent("can3", MEGABIT, None).fix
     assert "type vcan" in absent("vcan3", MEGABIT, None).fix
 
 
 @pytest.mark.parametrize("text", ["", "[]", "Device does not exist", "{"])
-def test_what_is_no_link_is_none(text):
+def test_invalid_output_of_ip_is_no_link(text):
     assert parse_link(text) is None

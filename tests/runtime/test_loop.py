@@ -111,7 +111,7 @@ def test_ticks_follow_one_another_at_their_times() -> None:
     assert (run.loop.stats.ticks, run.loop.stats.missed) == (5, 0)
 
 
-def test_the_warm_up_tick_is_for_nothing() -> None:
+def test_the_warm_up_tick_has_no_effect() -> None:
     """It runs before the clock begins, reaches no bus and no log, and its state is thrown away."""
     run = Run(frames=(Frame(7, b""),))
     run.go()
@@ -121,7 +121,7 @@ def test_the_warm_up_tick_is_for_nothing() -> None:
     assert len(run.buses[0].sent) == 5
 
 
-def test_only_ticks_are_urgent_not_what_comes_before() -> None:
+def test_only_ticks_run_with_realtime_priority() -> None:
     run, urgent = Run(), [False]
 
     @contextmanager
@@ -162,7 +162,7 @@ def test_missed_deadlines_are_skipped_and_counted_never_caught_up(
     assert all(b > a for a, b in pairwise(asked)), "each deadline is waited for at most once"
 
 
-def test_what_came_goes_in_in_order_and_only_once() -> None:
+def test_received_frames_enter_one_tick_in_order() -> None:
     old, first, second = Frame(1, b"old"), Frame(1, b"1"), Frame(2, b"2", bus=1)
     left = FakeBus(waiting=[[old], [first], []], happened=[("dropped", "a", 3)])
     right = FakeBus(1, waiting=[[], [second]])
@@ -185,7 +185,7 @@ def test_each_bus_gets_its_own_frames() -> None:
     assert right.sent == [(frames[1],)]
 
 
-def test_one_bus_object_may_stand_for_all() -> None:
+def test_one_bus_object_may_serve_all_buses() -> None:
     bus, frames = FakeBus(), (Frame(1, b"a"), Frame(2, b"b", bus=1))
     Run(1, buses=[bus], frames=frames).go()
     assert bus.sent == [frames]
@@ -241,7 +241,7 @@ def asked(run: Run, answers: list[tuple[str, ...]]) -> list[int]:
     return times
 
 
-def test_after_an_error_drives_are_asked_until_each_has_said_that_it_is_off() -> None:
+def test_after_an_error_drives_are_polled_until_each_reports_off() -> None:
     bus, answers = FakeBus(), [("index", "thumb"), ("thumb",), ()]
     with pytest.raises(TroubleError):
         asked(Run(5, buses=[bus]), answers)
@@ -249,7 +249,7 @@ def test_after_an_error_drives_are_asked_until_each_has_said_that_it_is_off() ->
     assert [sent for sent in bus.sent if sent] == [CUT, (Frame(3, b"off"),), (Frame(3, b"off"),)]
 
 
-def test_a_drive_that_does_not_say_so_is_told_and_the_error_with_it() -> None:
+def test_a_drive_that_does_not_report_off_is_named_with_the_error() -> None:
     run = Run(5)
     with pytest.raises(PowerError, match="REMOVE POWER: not confirmed disabled: index, thumb") as told:
         asked(run, [])
@@ -257,7 +257,7 @@ def test_a_drive_that_does_not_say_so_is_told_and_the_error_with_it() -> None:
     assert len(run.clock.asked) == 3 + 501, "half a second of it"
 
 
-def test_drives_that_cannot_be_asked_are_not_taken_for_disabled() -> None:
+def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
     run = Run(5)
     run.fail = lambda entry: raising() if entry.k == 2 else None
     run.loop.let_go = raising  # type: ignore[assignment]
@@ -285,7 +285,7 @@ def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
     assert right.sent.count((CUT[1],)) == 1
 
 
-def test_a_bus_that_takes_no_cut_at_all_keeps_nobody_waiting() -> None:
+def test_a_bus_that_refuses_every_cut_delays_no_other() -> None:
     run = Run(5, buses=[FakeBus(room=0)])
     run.fail = lambda entry: raising() if entry.k == 2 else None
     began = time.monotonic()
@@ -304,7 +304,7 @@ def test_a_failed_tick_sends_nothing_else() -> None:
 
 
 @pytest.mark.parametrize("failing", [False, True])
-def test_garbage_collection_stands_still_in_the_loop_and_only_there(failing: bool) -> None:
+def test_garbage_collection_is_off_in_the_loop_only(failing: bool) -> None:
     seen = []
     run = Run(3)
     run.fail = lambda entry: (
@@ -331,7 +331,7 @@ def test_garbage_collection_is_restored_when_the_clock_does_not_begin(monkeypatc
     assert gc.get_freeze_count() == 0
 
 
-def test_a_long_run_keeps_the_lateness_of_its_last_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_run_has_the_lateness_of_its_last_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
     """A day at 500 Hz would be 330 MiB of locked memory."""
     monkeypatch.setattr(loop, "KEPT", 16)
     run = Run(200, clock=ScriptedClock(list(range(200))))
@@ -340,7 +340,7 @@ def test_a_long_run_keeps_the_lateness_of_its_last_ticks(monkeypatch: pytest.Mon
     assert run.loop.stats.ticks == 200
 
 
-def test_lateness_is_kept_for_every_tick() -> None:
+def test_lateness_is_recorded_for_every_tick() -> None:
     run = Run(200, clock=ScriptedClock(list(range(200))))
     run.go()
     assert isinstance(run.loop.stats.late_ns, array)

@@ -84,7 +84,7 @@ def test_a_second_controller_is_refused_and_disturbs_nothing() -> None:
     other.close()
 
 
-def test_a_further_bus_of_a_hand_is_held_as_its_first_one_is() -> None:
+def test_a_further_bus_of_a_hand_is_locked_like_the_first() -> None:
     with bus_lock("local:x"):
         for other in (bus_lock("local:x"), bus_lock("local:x")):
             with pytest.raises(BusError, match="another controller runs here"), other:
@@ -128,7 +128,7 @@ def test_a_killed_controller_leaves_no_lock(folder: Path) -> None:
     assert not mailbox_path("local:x").exists()
 
 
-def test_of_many_that_start_at_once_one_runs(folder: Path) -> None:
+def test_of_many_controllers_started_at_once_one_runs(folder: Path) -> None:
     code = """
 import sys, time
 from handctl.errors import BusError
@@ -152,7 +152,7 @@ else:
     assert sorted(words) == ["refused"] * 3 + ["runs"]
 
 
-def test_nobody_to_ask_is_one_line() -> None:
+def test_a_request_without_a_controller_is_one_line() -> None:
     watcher = Watcher("local:x")
     with pytest.raises(BusError, match="no controller answers") as caught:
         send_confirmed(watcher, {"do": "arm"})
@@ -164,7 +164,7 @@ def test_nobody_to_ask_is_one_line() -> None:
     watcher.close()
 
 
-def test_a_place_where_no_socket_can_be_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_unfit_for_sockets_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     blocked = tmp_path / "file"
     blocked.write_text("")
     for folder in (blocked / "below", tmp_path / ("x" * 120)):
@@ -180,7 +180,7 @@ def test_the_folder_is_for_this_user_alone(folder: Path) -> None:
     box.close()
 
 
-def test_watchers_get_what_is_published_each_once() -> None:
+def test_watchers_get_each_published_line_once() -> None:
     box = Mailbox("local:x")
     ends = []
     for name in ("a", "b"):
@@ -219,7 +219,7 @@ def test_a_program_may_watch_two_controllers() -> None:
         one.close()
 
 
-def test_what_a_killed_controller_leaves_behind_does_not_answer(folder: Path) -> None:
+def test_the_socket_of_a_killed_controller_does_not_count_as_running(folder: Path) -> None:
     assert not is_running("local:x")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as left:
         left.bind(str(mailbox_path("local:x")))
@@ -258,7 +258,7 @@ def test_a_watcher_sees_the_present_not_the_past() -> None:
     box.close()
 
 
-def test_places_are_apart_for_each_bus_and_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_paths_differ_for_each_bus_and_user(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     specs = ["local:x", "local:y", "socketcan:can0", "slcan:/dev/ttyACM0"]
     paths = {path(spec) for spec in specs for path in (mailbox_path, truth_path)} | {local_bus_path("x")}
     assert len(paths) == 9

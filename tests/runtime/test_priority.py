@@ -16,7 +16,7 @@ def policy() -> int:
     return os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK
 
 
-def test_an_ordinary_process_again() -> None:
+def test_priority_is_given_back() -> None:
     granted = take_priority()
     assert (policy() == os.SCHED_FIFO) == granted.realtime
     give_back_priority()

@@ -18,9 +18,9 @@ from handctl.runtime.mailbox import Watcher
 from tests.runtime.processes import (
     BUS,
     end,
-    ended_well,
     handctl,
-    said,
+    modes_of_complete,
+    result_of,
     sockets,
     start_hand,
     start_handctl,
@@ -37,7 +37,7 @@ def run_short(place, processes, scale):
     processes.append(start_hand(truth, "--hand", "jamia", *scale))
     words = ("--task", "short.toml", "--json", "--log", str(log), *scale, "--truth", str(truth))
     processes.append(start_handctl("run", "--hand", "jamia", "--bus", BUS, *words))
-    told = said(processes.pop())
+    told = result_of(processes.pop())
     end(processes.pop())
     return told, log
 
@@ -52,7 +52,7 @@ def test_run_commissions_moves_and_judges_itself(place, processes, scale):
     assert result["frames_lost"] < 0.01 * result["frames_rx"]
     assert set(result["late_us"]) == {"p50", "p99_9", "max"}
     assert max(result["tracking_rmse_deg"].values()) < 1.0
-    modes = ended_well(log)
+    modes = modes_of_complete(log)
     order = ["SILENT", "INVENTORY", "READY", "ARMING", "ACTIVE", "RELAX", "DISARM", "DONE"]
     assert modes == [f"{a} -> {b}" for a, b in itertools.pairwise(order)]
     assert not [name for name in sockets() if name.endswith(".requests")]
@@ -78,17 +78,17 @@ def test_stop_from_another_process(place, hand, calibrated, processes, scale):
     assert second.stderr.count("\n") == 1
     asked = handctl("stop", "--bus", BUS)
     assert asked.returncode == 0
-    code, _, err = said(process)
+    code, _, err = result_of(process)
     assert code == 0, err
-    assert ended_well(place / "run.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]
+    assert modes_of_complete(place / "run.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]
 
 
 def test_the_first_ctrl_c_relaxes_disables_and_confirms(place, hand, calibrated, processes, scale):
     process = start_long(processes, calibrated, *scale)
     process.send_signal(signal.SIGINT)
-    code, result, err = said(process)
+    code, result, err = result_of(process)
     assert (code, result["failure"]) == (0, ""), err
-    assert ended_well(place / "run.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]
+    assert modes_of_complete(place / "run.mcap")[-3:] == ["ACTIVE -> RELAX", "RELAX -> DISARM", "DISARM -> DONE"]
     with RunLog(place / "run.mcap") as run:
         before, phases = run.field("tension")[-400:].max(), run.field("drive_phase")[-1]
         assert before > 8.0
@@ -100,12 +100,12 @@ def test_the_second_ctrl_c_cuts(place, hand, calibrated, processes, scale):
     process = start_long(processes, calibrated, *scale)
     process.send_signal(signal.SIGINT)
     process.send_signal(signal.SIGTERM)  # another one: the kernel would make one of two SIGINT in a row
-    code, _, err = said(process)
+    code, _, err = result_of(process)
     assert code == 0, err
-    assert ended_well(place / "run.mcap")[-3:] == ["RELAX -> CUT", "CUT -> DISARM", "DISARM -> DONE"]
+    assert modes_of_complete(place / "run.mcap")[-3:] == ["RELAX -> CUT", "CUT -> DISARM", "DISARM -> DONE"]
 
 
-def test_a_motor_that_is_not_there_is_named(place, hand, processes, scale):
+def test_a_missing_motor_is_named(place, hand, processes, scale):
     content = tomllib.loads((HANDS / "jamia.toml").read_text())
     content["motor"][2]["node_id"] = 9
     (place / "mine.toml").write_text(toml_text(content))

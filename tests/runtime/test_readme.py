@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.runtime.processes import READY_S, ended_well, start_handctl
+from tests.runtime.processes import READY_S, modes_of_complete, start_handctl
 
 README = (Path(__file__).parents[2] / "README.md").read_text()
 LOAD = "import os\nparent = os.getppid()\nwhile os.getppid() == parent: pass"
@@ -39,7 +39,7 @@ def test_the_program_in_the_readme_runs_beside_busy_ones(place, processes, busy)
     assert ran.returncode == 0, ran.stderr[-2000:]
     forces, log = ran.stdout.splitlines()
     assert len(forces.strip("[]").split(",")) == 4
-    ended_well(place / log)
+    modes_of_complete(place / log)
 
 
 def ready(simulator: "subprocess.Popen[str]") -> None:

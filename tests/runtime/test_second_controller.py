@@ -1,11 +1,11 @@
-"""A second controller on one machine: it is refused in one line, and the first one goes on."""
+"""A second controller on one bus is refused in one line, and the first goes on."""
 
 import time
 
 import pytest
 
 from handctl.hand.load import load_hand
-from tests.runtime.kills import Listener, whole
+from tests.runtime.kills import Listener, read_syncs
 from tests.runtime.processes import BUS, end, handctl, start_hand, start_handctl, write_homed
 
 pytestmark = pytest.mark.realtime
@@ -19,7 +19,7 @@ def test_a_second_controller_is_refused_and_the_first_goes_on(place, scale):
     try:
         with Listener() as listener:
             until = time.monotonic() + 60.0
-            while not listener.heard:
+            while not listener.syncs:
                 assert first.poll() is None, first.communicate()
                 assert time.monotonic() < until
                 listener.wait(0.01)
@@ -28,14 +28,14 @@ def test_a_second_controller_is_refused_and_the_first_goes_on(place, scale):
             assert "another controller runs here" in second.stderr
             assert second.stderr.count("\n") == 1
             listener.wait(0.0)
-            before = len(listener.heard)
+            before = len(listener.syncs)
             listener.wait(0.5)
             assert first.poll() is None
-            assert len(listener.heard) > before, "the first still has the bus"
+            assert len(listener.syncs) > before, "the first still has the bus"
         first.terminate()
         assert first.wait(30.0) == 0
     finally:
         end(first)
         end(simulated)
-    assert whole(place / "first.mcap")[0] == ""
+    assert read_syncs(place / "first.mcap")[0] == ""
     assert not (place / "second.mcap").exists()

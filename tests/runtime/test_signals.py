@@ -26,7 +26,7 @@ def test_the_first_signal_stops_and_every_further_one_cuts() -> None:
         assert signals.take() == ()
 
 
-def test_two_signals_within_a_tick_are_both_heard() -> None:
+def test_two_signals_within_a_tick_both_count() -> None:
     signals = Signals()
     with signals.installed():
         os.kill(os.getpid(), signal.SIGINT)
@@ -35,7 +35,7 @@ def test_two_signals_within_a_tick_are_both_heard() -> None:
         assert signals.take() == ('{"do": "cut"}',)
 
 
-def test_a_terminal_that_goes_stops_the_hand_unless_nohup_was_asked_for() -> None:
+def test_a_closed_terminal_stops_the_hand_unless_under_nohup() -> None:
     signals, before = Signals(), signal.getsignal(signal.SIGHUP)
     with signals.installed():
         os.kill(os.getpid(), signal.SIGHUP)
@@ -50,7 +50,7 @@ def test_a_terminal_that_goes_stops_the_hand_unless_nohup_was_asked_for() -> Non
         signal.signal(signal.SIGHUP, before)
 
 
-def test_signal_handlers_are_given_back() -> None:
+def test_signal_handlers_are_restored() -> None:
     before = signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
     signals = Signals()
 

@@ -36,7 +36,7 @@ def test_inject_and_list(simulator, capsys):
     assert simulator.poll() is None, "nonsense does not end it"
 
 
-def test_what_can_be_injected_is_told(simulator, capsys):
+def test_the_faults_that_can_be_injected_are_listed(simulator, capsys):
     assert main(["fault", "list"]) == 0
     assert "handctl fault kinds" in capsys.readouterr().out
     assert main(["fault", "kinds"]) == 0
@@ -53,7 +53,7 @@ def test_what_can_be_injected_is_told(simulator, capsys):
     assert simulator.poll() is None
 
 
-def test_without_a_simulator_it_is_said(tmp_path, monkeypatch, capsys):
+def test_without_a_simulator_it_is_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(tmp_path))
     assert main(["fault", "list"]) == 1
     assert "none" in capsys.readouterr().err

@@ -3,7 +3,7 @@
 from handctl.runtime.suspend import SuspendWatch
 
 
-def test_a_suspend_is_told_once_with_its_length():
+def test_a_suspend_is_reported_once_with_its_length():
     now = {"boot": 5_000_000_000, "monotonic": 3_000_000_000}
     watch = SuspendWatch(lambda: now["boot"], lambda: now["monotonic"])
     assert watch.events() == []
@@ -12,14 +12,14 @@ def test_a_suspend_is_told_once_with_its_length():
     assert watch.events() == []
 
 
-def test_clocks_that_are_read_one_after_the_other_are_no_suspend():
+def test_reading_the_clocks_one_after_the_other_is_no_suspend():
     now = {"boot": 0, "monotonic": 0}
     watch = SuspendWatch(lambda: now["boot"], lambda: now["monotonic"])
     now = {"boot": 19_000_000, "monotonic": 0}
     assert watch.events() == []
 
 
-def test_a_pause_between_the_looks_at_the_clocks_is_no_suspend_and_hides_none():
+def test_a_pause_between_the_readings_is_no_suspend_and_hides_none():
     now = {"boot": 0, "monotonic": 0}
     pause = {"before": 0, "after": 0}
 
