@@ -1,4 +1,4 @@
-"""The fault matrix in lockstep: felt, reacted to in time, and nothing more than physics explains."""
+"""The fault matrix in lockstep: each fault takes effect, the reaction is in time, tensions stay within the physics."""
 
 import contextlib
 import math
@@ -24,7 +24,7 @@ SAMPLE = ("N08", "H13")
 
 @pytest.fixture(scope="module")
 def report():
-    """Some rows on MIT drives, and the calm hand for a second."""
+    """Run some rows on MIT drives, and an undisturbed hand for a second."""
     return campaign.run(
         "jamia", ["mit"], lambda hand: RATE_HZ, jobs=2, quick=False, fault_free_s=1.0,
         on_progress=lambda protocol, done, total: None, on_failure=lambda simulation, result: None, row_ids=SAMPLE,
@@ -46,7 +46,7 @@ def test_the_report_has_its_sections(report):
 
 
 def test_the_undisturbed_hand_alone():
-    """Seeds count on, so that hours can be run in pieces."""
+    """Seeds continue from run to run, and long runs can be done in pieces."""
     seeds = []
 
     def seen(hand, rate, seconds, seed):
@@ -64,7 +64,7 @@ def test_the_undisturbed_hand_alone():
 
 
 def undisturbed(phase, *texts):
-    """Alarms of a hand that is in one phase for eight seconds, and tells some faults in each of them."""
+    """Return the alarms of a hand that is in one phase for eight seconds and reports faults in each second."""
     events = tuple(Event("warn", "fault", "", text) for text in texts)
     out = SimpleNamespace(mode=Mode.ACTIVE, phase=phase, events=events)
 
@@ -93,13 +93,13 @@ def test_an_undisturbed_hand_that_holds_or_does_not_grasp_is_a_false_alarm():
 
 @pytest.mark.timeout(120)
 def test_at_100_hz_noise_prevents_no_grasp():
-    """With three times the noise one of eleven tendons looks loose in each fifth tick, and none is."""
+    """With three times the noise one of eleven taut tendons looks slack in every fifth tick."""
     hand = hand_in("jamia11", "odrive")
     assert campaign.run_fault_free(hand, rate_of(hand), 8.0, seed=80111) == []
 
 
 def test_a_missing_reaction_counts_as_late(tmp_path):
-    """The judge is judged: a fault that nobody can notice in time, and one that does nothing, are told."""
+    """Positive control of the judge: a fault that cannot be detected in time, and one without effect, are reported."""
     hand = hand_in("jamia", "mit")
     never = MatrixRow("B01", "drop node=index_motor p=0", Action.WARN, 3, rows=("B01",))
     slow = MatrixRow("T04", "drift cell=index_tendon size=1", Action.RELAX, 3, rows=("T04",))
@@ -123,7 +123,7 @@ def test_a_missing_reaction_counts_as_late(tmp_path):
 
 
 def test_a_reaction_to_another_fault_does_not_count():
-    """A hand that ends since a drive dropped out says nothing of its load cells."""
+    """A run that ends because a drive dropped out proves nothing about its load cells."""
     row = MatrixRow("T05", "error node=index_motor", Action.RELAX, 3, rows=("T05",))
     with started(hand_in("jamia", "mit"), RATE_HZ, 0) as simulation:
         advance_to(simulation, ARMING)
@@ -155,7 +155,7 @@ def test_a_load_cell_is_set_off_by_more_than_its_tendon_s_limit():
 
 @pytest.mark.parametrize("joint", ["index_j1", "thumb_j2"])
 def test_silent_joint_encoders_are_detected(joint):
-    """Each of their frames by itself, after four of them; three in a row may be lost (N06 and T08 see nothing then)."""
+    """Each kind of frame counts apart, after four missing frames. Up to three in a row may be lost (no N06, no T08)."""
     every = hand_in("jamia11", "mit").sensor_node.joint_decimation
     for frames, found in ((3, ""), (4, f"N02b {joint}")):
         fault = f"mute joint={joint} for={5 * every * frames}ms"
@@ -169,7 +169,7 @@ def test_silent_joint_encoders_are_detected(joint):
 
 
 def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
-    """The filter's steady gains did: 171 N in a rope that was to bear 7."""
+    """Regression: with steady filter gains the tension rose to 171 N at a command of 7 N."""
     row = next(row for row in MATRIX if row.id == "N15" and "cia402" in row.protocols)
     with started(hand_in("jamia11", "cia402"), 200.0, 0) as simulation:
         advance_to(simulation, ARMING)
@@ -182,9 +182,9 @@ def test_a_node_that_answers_every_second_tick_does_not_make_the_hand_swing():
 def test_true_tension_stays_within_what_drive_and_momentum_explain():
     """A drive that runs away against a grasped object.
 
-    Bound: the rotor (mass m at the cable) is pushed by the drive's limit F against the rope's stiffness k, from the
-    tension T and the speed v at which it began. Without friction it overshoots to F + sqrt((F - T)^2 + k m v^2); the
-    host's reaction can only lower that.
+    Bound: the drive's limit F pushes the rotor (mass m at the tendon) against the tendon stiffness k, from the
+    initial tension T and speed v. Without friction the tension overshoots to F + sqrt((F - T)^2 + k m v^2). The
+    reaction of the host can only lower it.
     """
     hand = hand_in("jamia", "mit")
     with started(hand, RATE_HZ, 0) as simulation:
@@ -201,7 +201,7 @@ def test_true_tension_stays_within_what_drive_and_momentum_explain():
 
 
 def test_a_drive_that_does_not_relax_is_cut_though_its_load_cell_is_at_its_rail():
-    """An ODrive that tells no torque, behind cells that saturate below what cuts at once; its torque took a second."""
+    """An ODrive without torque feedback, and load cells that saturate below the limit of an immediate cut."""
     hand = hand_in("jamia_bench", "odrive")
     row = next(row for row in MATRIX if row.fault == "runaway node={node} size=1 seed=1")
     with started(hand, 400.0, 0) as simulation:

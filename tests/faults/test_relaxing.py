@@ -1,4 +1,4 @@
-"""Relaxing never pulls harder: random hands, plants, faults and instants, judged by the plant's own tension."""
+"""Relaxing never raises the tension: random hands, plants, faults and times, judged by the true tension."""
 
 import math
 import os
@@ -34,7 +34,7 @@ MARGIN_N = 3.0
 
 
 class Instant(NamedTuple):
-    """The true state of the tendons: force of the motors at the tendon [N], tension [N], speed at the spool [m/s]."""
+    """True state of the tendons: motor force at the tendon [N], tension [N], speed at the spool [m/s]."""
 
     force: np.ndarray
     tension: np.ndarray

@@ -1,4 +1,4 @@
-"""Random sequences of faults: the same for the same seed, without a broken rule, and every rule can be broken."""
+"""Random sequences of faults: reproducible by seed, without a broken rule, and every rule can be broken."""
 
 import os
 from dataclasses import replace
@@ -31,7 +31,7 @@ NOBODY = {"on_progress": lambda done: None, "on_failure": lambda simulation, res
 
 @pytest.fixture(scope="module")
 def simulation():
-    """A hand that arms, in slow ticks; each test takes a copy."""
+    """Simulate a hand that arms, in slow ticks. Each test takes a copy."""
     with started(hand_in("jamia", "mit"), 200.0, 0) as simulation:
         advance_to(simulation, ARMING)
         yield simulation
@@ -65,7 +65,7 @@ def test_no_rule_is_broken():
 
 
 def test_a_sequence_that_breaks_a_rule_names_it(arming, monkeypatch):
-    """A drive that runs away explains what its rope bears, and nothing else does."""
+    """Only a drive that runs away explains such a tension."""
     found, sequence = [], Sequence(0, ARMING, (FaultStep(20, "runaway node=index_motor"),))
     for explains in (sequences.RUNAWAY, "nobody"):
         monkeypatch.setattr(sequences, "RUNAWAY", explains)
@@ -119,7 +119,7 @@ def test_a_tick_with_another_result_is_found(arming):
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 @pytest.mark.parametrize("protocol", ALL)
 def test_two_thousand(hand, protocol):
-    """A third of a thousand of each kind."""
+    """Run a third of a thousand of each kind."""
     described = hand_in(hand, protocol)
     found = run(described, protocol, rate_of(described), range(334), jobs=2, **NOBODY)
     assert [(one.scenario, one.problem) for one in found if not one.ok] == []

@@ -1,4 +1,4 @@
-"""What every bus promises, as tests; whoever imports them says by the fixture ``medium`` on which bus they run."""
+"""Contract of every bus, as tests. A module that imports them defines the fixture ``medium``, the bus under test."""
 
 import random
 import select
@@ -30,26 +30,26 @@ class Medium:
     opened: list[Callable[[], None]] = field(default_factory=list)
 
     def open(self, index: int = 0, stamp: Callable[[int], int] = int) -> Bus:
-        """Another participant."""
+        """Open another node on the bus."""
         bus = open_bus(self.spec, index, 1_000_000, 5_000_000, stamp=stamp)
         self.opened.append(bus.close)
         return bus
 
     def python_can(self) -> can.BusABC:
-        """A participant that uses python-can alone."""
+        """Open another node that uses python-can only."""
         interface, _, channel = self.spec.partition(":")
         bus = can.Bus(channel, interface=interface, fd=True, ignore_config=True)
         self.opened.append(bus.shutdown)
         return bus
 
     def close(self) -> None:
-        """Close them all."""
+        """Close all nodes."""
         for close in self.opened:
             close()
 
 
 def drained(bus: Bus, count: int) -> list[Frame]:
-    """At least this many frames, or all that came in time."""
+    """Read at least this many frames, or all that arrive in time."""
     frames, end = list(bus.drain()), time.monotonic() + WAIT_S
     while len(frames) < count and time.monotonic() < end:
         time.sleep(0.002)
@@ -62,7 +62,7 @@ def contents(frames: Sequence[Frame]) -> list[tuple[int, bytes, int]]:
 
 
 def some_frames(count: int, seed: int) -> list[Frame]:
-    """Random frames of all kinds: classical, remote and FD, of either identifier."""
+    """Return random frames of all kinds: classical, remote and FD, with standard and extended identifiers."""
     rng = random.Random(seed)
     frames = []
     for _ in range(count):

@@ -1,4 +1,4 @@
-"""A hub for the tests of the local bus: the simulator's own, as a process, and a scripted one, record by record."""
+"""Hubs for the tests of the local bus: the hub of the simulator as a process, and a scripted hub."""
 
 import os
 import signal
@@ -14,7 +14,7 @@ RUN_DIR = "HANDCTL_RUN_DIR"
 
 @contextmanager
 def hub(name: str, folder: Path) -> Iterator[None]:
-    """The simulator's hub, serving ``local:NAME`` in this folder."""
+    """Start the hub of the simulator, which serves ``local:NAME`` in this folder."""
     words = [sys.executable, "-m", "firmware_sim", "bus", name]
     environment = {**os.environ, RUN_DIR: str(folder)}
     process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=environment)
@@ -28,7 +28,7 @@ def hub(name: str, folder: Path) -> Iterator[None]:
 
 
 class ScriptedHub:
-    """A hub with one client, which does only what the test does with its socket."""
+    """A hub with one client. The test itself reads and writes its socket."""
 
     def __init__(self, folder: Path, name: str) -> None:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -36,17 +36,17 @@ class ScriptedHub:
         self._listener.listen()
 
     def accept(self) -> socket.socket:
-        """The hub's end of the client's connection."""
+        """Accept the client and return the hub's end of the connection."""
         link, _ = self._listener.accept()
         link.settimeout(20.0)
         return link
 
     def close(self) -> None:
-        """Take no more clients."""
+        """Close the listening socket."""
         self._listener.close()
 
 
 def record(can_id: int, data: bytes = b"", flags: int = 0, dropped: int = 0) -> bytes:
-    """A record of the local bus, put together byte by byte."""
+    """Build a record of the local bus byte by byte."""
     head = can_id.to_bytes(4, "little") + bytes((len(data), flags)) + (dropped & 0xFFFF).to_bytes(2, "little")
     return head + data + bytes(64 - len(data))

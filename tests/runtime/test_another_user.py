@@ -1,6 +1,6 @@
-"""Another user on the machine: the folder of the sockets is not shared, and an order counts only once it is confirmed.
+"""Protection against another user: the folder for sockets is private, and a request counts only once confirmed.
 
-What needs a second user forks and becomes one; that takes root, and is skipped without.
+A test that needs a second user forks and changes its user. This needs root, and the test is skipped without.
 """
 
 import json
@@ -35,7 +35,7 @@ UNCONFIRMED = "nobody has confirmed: switch the power off"
 
 
 def as_nobody(do) -> str:
-    """Do something as another user; what came of it, or the name of the error."""
+    """Call a function as another user. Return its result as text, or the name of the error."""
     out, into = os.pipe()
     child = os.fork()
     if child == 0:
@@ -59,7 +59,7 @@ def as_nobody(do) -> str:
 
 @pytest.fixture
 def shared(monkeypatch):
-    """A folder for temporary files that every user of the machine writes in, as /tmp; no other place is named."""
+    """Make a folder for temporary files that every user can write in, as /tmp, as the base of the run directory."""
     folder = Path(tempfile.mkdtemp(prefix="h-"))
     folder.chmod(0o1777)
     monkeypatch.setattr("tempfile.tempdir", str(folder))
@@ -74,7 +74,7 @@ def theirs(shared: Path) -> Path:
 
 
 def refuses(word: str) -> None:
-    """Controller, simulator and every order refuse the folder, in one line that names it and what is wrong."""
+    """Check that controller, simulator and every request refuse the folder in one line with the reason."""
     for refused in (lambda: Mailbox("local:x"), lambda: Watcher("local:x"), lambda: connect("x"), run_dir):
         with pytest.raises(BusError, match=word) as caught:
             refused()
@@ -114,7 +114,7 @@ def test_a_folder_that_another_user_made_is_refused(shared, mode, deep, capsys):
 
 @SECOND_USER
 def test_a_folder_above_that_another_user_owns_or_can_write_in_is_refused(shared, monkeypatch):
-    """The folder itself is ours and closed; whoever owns the one above renames it and puts another there."""
+    """The owner of the parent could rename the private folder and put another in its place."""
     above = shared / "above"
     above.mkdir()
     monkeypatch.setenv("HANDCTL_RUN_DIR", str(above / "run"))
@@ -137,7 +137,7 @@ def test_a_folder_that_others_can_write_in_is_refused(shared, deep):
 
 @pytest.mark.parametrize("make", [run_dir, simulated.run_dir])
 def test_a_new_or_readable_folder_is_made_private(shared, make):
-    """Earlier versions made the upper one with mode 0755."""
+    """Earlier versions made the parent with mode 0755."""
     folder = make()
     assert folder == theirs(shared) / "handctl"
     for path in (folder, folder.parent):
@@ -149,7 +149,7 @@ def test_a_new_or_readable_folder_is_made_private(shared, make):
 
 @pytest.mark.parametrize("deep", [False, True])
 def test_a_link_is_refused(shared, deep):
-    """Wherever it leads, whoever made it."""
+    """The target and the owner of the link do not matter."""
     own = shared / "elsewhere"
     own.mkdir(mode=0o700)
     if deep:
@@ -169,7 +169,7 @@ def test_a_link_of_another_user_above_is_refused(shared, monkeypatch):
 
 @SECOND_USER
 def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(shared, impatient):
-    """The attack: rename the mailbox, put another there, receive what is meant for the hand."""
+    """Attack: rename the mailbox, bind another socket there, receive the requests for the hand."""
     box, folder = Mailbox("local:x"), run_dir()
     aside, mailbox, heard = folder / "aside", Path(box.path), []
 
@@ -206,7 +206,7 @@ def test_a_stop_does_not_reach_another_user_s_socket_in_place_of_the_mailbox(sha
 
 @SECOND_USER
 def test_requests_and_status_lines_of_another_user_are_ignored(shared):
-    """Even in an open folder: the kernel says whose process has sent a datagram."""
+    """Also in an open folder: the kernel names the user of each sender."""
     box, watcher = Mailbox("local:x"), Watcher("local:x")
     for path in (watcher.path, Path(box.path)):
         path.chmod(0o777)
@@ -254,7 +254,7 @@ def test_a_hub_accepts_only_its_own_user(shared):
 
 
 class Answering:
-    """A controller's end of the mailbox, with the tick's own words for what it takes, in a thread."""
+    """A thread that serves the mailbox like a controller, with the event texts of a tick."""
 
     def __init__(self, end_with: str = "DISARM -> DONE", deaf_after: str = "") -> None:
         self.box, self.taken, self._on = Mailbox(BUS), [], True
@@ -307,7 +307,7 @@ def test_stop_names_a_drive_that_stays_on(place, capsys):
 
 @pytest.fixture
 def impatient(monkeypatch):
-    """Who asks waits for a fifth of the time."""
+    """Shorten the wait for a confirmation to a fifth."""
     monkeypatch.setattr("handctl.runtime.confirm.ANSWER_S", 0.4)
 
 
@@ -347,7 +347,7 @@ def test_a_request_is_confirmed_although_all_watcher_slots_are_taken(place):
 
 
 def filled(path: Path) -> int:
-    """Fill a mailbox to the brim; how many datagrams it took."""
+    """Fill a mailbox completely and return the number of datagrams."""
     count = 0
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.setblocking(False)

@@ -1,4 +1,4 @@
-"""Odd batches on the buses: kinds mixed, lengths from 0 to 64, more frames than a buffer, error frames between."""
+"""Unusual batches on the buses: mixed kinds, lengths from 0 to 64, more frames than a buffer, error frames between."""
 
 import random
 import socket
@@ -27,7 +27,7 @@ INDEX = 3
 
 
 def mixed(count: int, seed: int) -> list[Frame]:
-    """Classical and FD frames of all lengths in any order."""
+    """Return classical and FD frames of all lengths in random order."""
     rng = random.Random(seed)
     frames = []
     for number in range(count):
@@ -56,7 +56,7 @@ def contents(frames: Frames) -> list[tuple[int, bytes, int, int]]:
 
 
 def zero_behind_payloads(frames: Frames) -> bool:
-    """Return whether records are as kernels and the log take them: contiguous, zeros behind each payload."""
+    """Return True if records fit kernels and log: contiguous, with zeros behind each payload."""
     assert frames.rows.shape == (len(frames), WORDS)
     behind = np.arange(64) >= frames.records["length"][:, np.newaxis]
     return not frames.records["data"][behind].any()
@@ -89,7 +89,7 @@ def drained(bus: Bus, count: int) -> Frames:
 
 
 def datagram(frame: Frame, garbage: bytes = b"") -> bytes:
-    """A frame as the kernel gives it; a classical one of a driver may have anything behind its payload."""
+    """Return a frame as the kernel delivers it. A driver may leave any bytes behind a classical payload."""
     can_id, data, flags, *_ = frame
     if flags & FDF:
         return FD.pack(can_id, len(data), flags, data + garbage[: 64 - len(data)])

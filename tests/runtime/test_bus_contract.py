@@ -1,4 +1,4 @@
-"""The contract of buses, on those that run anywhere; see tests/vcan for SocketCAN."""
+"""The contract of buses, on the buses that need no hardware. SocketCAN is tested in tests/vcan."""
 
 import uuid
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""Error frames against the kernel's header, and states that are told as long as they last."""
+"""Error frames against the header of the kernel, and states that are reported while they last."""
 
 import errno
 

@@ -1,4 +1,4 @@
-"""The local bus at its edges: torn records, a slow hub, a hub that goes away, drops, error frames."""
+"""Edge cases of the local bus: split records, a slow hub, a lost hub, dropped frames, error frames."""
 
 import socket
 import time

@@ -21,7 +21,7 @@ from tests.runtime.bus_hub import RUN_DIR, ScriptedHub, hub, record
 
 
 class Broken(can.BusABC):
-    """An interface on which every call fails as it is told to."""
+    """An interface on which every call fails with a given error."""
 
     def __init__(self, error: Exception, times: int = 1_000_000) -> None:
         super().__init__("broken")
@@ -48,7 +48,7 @@ def bus() -> Iterator[PythonCanBus]:
 
 
 def test_frames_that_an_adapter_echoes_are_not_received(bus: PythonCanBus) -> None:
-    """A gs_usb tells every frame that went out as one that came in: it would be a second controller's."""
+    """A gs_usb returns every sent frame as received. It would look like a second controller."""
     bus._bus.shutdown()
     bus._bus = can.Bus("broken", interface="virtual", receive_own_messages=True)
     with can.Bus("broken", interface="virtual") as other:
@@ -169,7 +169,7 @@ def test_a_notifier_receives_messages(ours: Bus) -> None:
 
 
 def test_a_notifier_in_an_event_loop_receives_a_complete_batch(ours: Bus) -> None:
-    """It reads one message whenever the descriptor is readable, so that must not fall silent while messages wait."""
+    """The notifier reads one message per event. The descriptor must stay readable while messages wait."""
     heard: list[int] = []
 
     async def listen(theirs: can.BusABC) -> None:

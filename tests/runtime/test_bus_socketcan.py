@@ -1,4 +1,4 @@
-"""The SocketCAN bus over datagram sockets that carry the kernel's structs: batches, stamps, drops, refusals."""
+"""The SocketCAN bus over datagram sockets with the structs of the kernel: batches, stamps, drops, refusals."""
 
 import socket
 import struct
@@ -18,7 +18,7 @@ FD = struct.Struct("=IBB2x64s")
 
 @pytest.fixture
 def udp() -> Iterator[tuple[SocketCanBus, socket.socket]]:
-    """UDP stamps datagrams and counts drops as CAN does."""
+    """Connect over UDP, which stamps datagrams and counts drops as CAN does."""
     with datagram_bus(1) as pair:
         yield pair
 
@@ -112,7 +112,7 @@ def test_stamps_never_run_backwards_or_ahead(
 def test_stamps_are_right_although_the_wall_clock_was_set(
     udp: tuple[SocketCanBus, socket.socket], step_ns: int
 ) -> None:
-    """The difference of the clocks is measured now and then: here before the step, while the kernel stamps after it."""
+    """The clock offset is measured before the step of the wall clock, and the kernel stamps after it."""
     bus, far = udp
     time.sleep(KERNEL_STAMPS_S)
     far.send(CLASSICAL.pack(1, 0, b""))

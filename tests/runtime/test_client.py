@@ -1,4 +1,4 @@
-"""A running hand from Python: what a program can ask, what it is told, and how it ends."""
+"""The Python client of a running hand: requests, replies, errors, and the end of a run."""
 
 import json
 import signal
@@ -27,7 +27,7 @@ with handctl.connect("jamia", "local:t", *{words}):
 
 @pytest.fixture
 def alone(place):
-    """A client of a bus on which nobody is."""
+    """Return a client of a bus without a controller."""
     client = HandClient("local:nobody")
     yield client
     client.close()
@@ -45,7 +45,7 @@ def test_every_numeric_type_is_accepted(alone, number, monkeypatch):
 
 @pytest.mark.parametrize("number", [float("nan"), 10**400, "3", True, np.True_, None, np.array([3.0, 4.0]), 1e9])
 def test_an_invalid_angle_is_refused_before_it_is_sent(alone, number):
-    """Three that the controller itself refuses within a second would relax the hand."""
+    """The controller relaxes the hand if it has to refuse three requests within a second."""
     with pytest.raises(ConfigError, match=r"move: angle_deg.index: .*; expected"):
         alone.move(index=number)
 
@@ -56,7 +56,7 @@ def said(*texts):
 
 @pytest.mark.parametrize("theirs", ["refused: no digit 'x'", "request: Invalid JSON", "move index 3"])
 def test_replies_to_other_programs_are_ignored(alone, monkeypatch, theirs):
-    """Two programs that command one hand: the one took the other's refusals for its own."""
+    """Regression: one of two programs on one hand took the refusals of the other as its own."""
     sent = []
     monkeypatch.setattr(alone._watcher, "send", lambda data, timeout: sent.append(json.loads(data)))
     monkeypatch.setattr(alone, "_acting", lambda timeout: said())
@@ -83,7 +83,7 @@ def test_a_goal_without_a_digit_is_refused(alone):
 
 
 def test_digits_may_come_as_a_mapping(alone, monkeypatch):
-    """The first argument was taken for the duration, and the line said "no digit"."""
+    """Regression: the first argument was taken as the duration, and the error was "no digit"."""
     asked = []
     monkeypatch.setattr(alone, "_set_goal", asked.append)
     alone.move({"index": 10}, thumb=5, wait=False)
@@ -211,7 +211,7 @@ def test_a_task_of_another_program_goes_on(place, hand, calibrated, processes, m
 
 
 def start_program(processes, *words):
-    """A program of somebody that wants the hand for a minute."""
+    """Start a program that holds the hand for a minute."""
     code = PROGRAM.format(words=words)
     program = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     processes.append(program)

@@ -1,4 +1,4 @@
-"""Real time, slowed time and virtual time keep the same promises."""
+"""The contract of clocks, for real time, scaled time and virtual time."""
 
 import statistics
 import time
@@ -15,7 +15,7 @@ PERIOD = 2_000_000
 
 
 class Wall:
-    """CLOCK_MONOTONIC as the test wants it; sleeping moves it on, a little too far."""
+    """A simulated CLOCK_MONOTONIC. Sleeping advances it, with an overshoot."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, overshoot: int = 0) -> None:
         self.now, self.overshoot, self.slept = 5_000_000_000, overshoot, list[float]()
@@ -95,7 +95,7 @@ def test_the_granted_priority_is_described() -> None:
 
 
 class Peer:
-    """Answers each frame with its identifier plus 0x10, and remembers when it was stepped."""
+    """A peer that answers each frame with its identifier plus 0x10 and records its steps."""
 
     def __init__(self, fail: str = "") -> None:
         if fail:
@@ -147,7 +147,7 @@ def test_a_second_run_continues_the_peers_time_from_its_own_zero() -> None:
 
 
 class RecordPeer(Peer):
-    """The same with records."""
+    """A peer that exchanges records instead of objects."""
 
     def exchange(self, t_ns: int, records: Records) -> Records:
         self.steps.append((t_ns, list(Frames(records))))

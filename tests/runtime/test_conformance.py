@@ -1,4 +1,4 @@
-"""The contract's checks on simulated drives in virtual time: good ones pass, each kind of broken one is found out."""
+"""The conformance checks on simulated drives in virtual time: good drives pass, each broken drive fails its check."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""The demo on real clocks, in time that this machine can keep up with."""
+"""The demo on the real clock, at a time scale that this machine can hold."""
 
 import re
 
@@ -12,7 +12,7 @@ pytestmark = [pytest.mark.realtime, pytest.mark.alone]
 
 
 def test_the_demo_slows_time_until_this_machine_keeps_up(place, processes):
-    """At 16 times real time it fails on any machine; what was logged until then stays, under another name."""
+    """At 16 times real time it fails on any machine. The log of the failed run stays under another name."""
     words = ("--task", "short.toml", "--scene", "none", "--log", "run.mcap", "--time-scale", "16", "--json")
     processes.append(start_handctl("demo", *words))
     code, result, err = result_of(processes.pop())

@@ -1,4 +1,4 @@
-"""A drive that is driven without a controller, for the conformance check."""
+"""The test rig of the conformance checks."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from handctl.runtime.diagnostics import drive_rig
 
 
 def test_everything_is_compiled_before_the_clock_begins(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The first command once compiled for a second, and the drive's watchdog fired."""
+    """Regression: the first command compiled for a second, and the watchdog of the drive fired."""
     order = []
 
     class Clock:

@@ -1,4 +1,4 @@
-"""A real run whose disk becomes full: announced at once, the hand holds on, and what was written is whole."""
+"""A run whose disk becomes full: it is reported at once, the hand goes on, and the written log is readable."""
 
 import contextlib
 import os
@@ -28,7 +28,7 @@ def place(place):
 
 @pytest.fixture
 def disk(place):
-    """A disk of its own."""
+    """Mount a small disk."""
     made = place / "disk"
     made.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", f"size={ROOM}", "tmpfs", str(made)]
@@ -39,7 +39,7 @@ def disk(place):
 
 
 def fill(path):
-    """Take all that is left."""
+    """Fill the disk."""
     with path.open("wb", buffering=0) as file, contextlib.suppress(OSError):
         while True:
             file.write(bytes(1 << 20))
@@ -49,7 +49,7 @@ def fill(path):
 
 
 def seconds_until(process, word, timeout_s=20.0):
-    """How long it took until a run said a word on standard error."""
+    """Measure the time until a run prints a word to standard error [s]."""
     begin, heard = time.monotonic(), b""
     while time.monotonic() - begin < timeout_s:
         if select.select([process.stderr], [], [], 0.1)[0]:

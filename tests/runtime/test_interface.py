@@ -1,4 +1,4 @@
-"""What is said of an interface that runs at other bit rates than the hand file's."""
+"""Messages about an interface that runs at other bit rates than the hand file says."""
 
 import json
 
@@ -9,7 +9,7 @@ from handctl.runtime.buses.link import parse_link
 
 
 def shown(nominal: int | None, data: int | None) -> str:
-    """As iproute2 6.1 prints a CAN interface, shortened."""
+    """Return the output of iproute2 6.1 for a CAN interface, shortened."""
     info = {} if nominal is None else {"state": "ERROR-ACTIVE", "bittiming": {"bitrate": nominal}}
     info |= {} if data is None else {"data_bittiming": {"bitrate": data}}
     return json.dumps([{"ifname": "can0", "mtu": 72, "linkinfo": {"info_kind": "can", "info_data": info}}])

@@ -1,4 +1,4 @@
-"""What ``ip`` tells of an interface, and what follows: in the form of iproute2's output, written for these tests."""
+"""Findings about an interface from the output of ``ip``, written for these tests in the form of iproute2."""
 
 import json
 
@@ -11,7 +11,7 @@ MEGABIT = 1_000_000
 
 
 def told(**changes) -> str:
-    """Output of ``ip -details -statistics -json`` for a good real interface, with changes in its parts."""
+    """Return the output of ``ip -details -statistics -json`` for a good real interface, with changes in its parts."""
     data = {
         "state": "ERROR-ACTIVE",
         "berr_counter": {"tx": 0, "rx": 0},

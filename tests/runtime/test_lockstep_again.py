@@ -1,4 +1,4 @@
-"""Two runs on one lockstep clock, with drives of each protocol: the second finds them as the first has left them."""
+"""Two runs on one lockstep clock, with drives of each protocol: the second starts from the state after the first."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The loop on a scripted clock: no catching up, nothing lost, and the drives are told to let go whatever happens."""
+"""The loop on a scripted clock: no catching up, no lost frame, and the drives are disabled after every error."""
 
 import gc
 import time
@@ -24,7 +24,7 @@ CUT = (Frame(1, b"\xfd"), Frame(2, b"\xfd", bus=1))
 
 @dataclass
 class ScriptedClock:
-    """Lateness of each wait in turn [ns], then zero; remembers for which ticks it was asked."""
+    """A clock with a given lateness for each wait [ns], then zero. It records the ticks it was asked for."""
 
     late: list[int] = field(default_factory=list)
     asked: list[int] = field(default_factory=list)
@@ -43,7 +43,7 @@ class ScriptedClock:
 
 @dataclass
 class FakeBus:
-    """Hands out one frame a tick, takes as many as it has room for."""
+    """A bus that delivers one frame per tick and accepts a limited number."""
 
     index: int = 0
     room: int = 1000
@@ -67,7 +67,7 @@ class FakeBus:
 
 @dataclass
 class Run:
-    """A loop of a few ticks, with everything that it met."""
+    """A loop of a few ticks, with records of all its calls."""
 
     ticks: int = 5
     clock: ScriptedClock = field(default_factory=ScriptedClock)
@@ -112,7 +112,7 @@ def test_ticks_follow_one_another_at_their_times() -> None:
 
 
 def test_the_warm_up_tick_has_no_effect() -> None:
-    """It runs before the clock begins, reaches no bus and no log, and its state is thrown away."""
+    """It runs before the clock starts, reaches no bus and no log, and its state is discarded."""
     run = Run(frames=(Frame(7, b""),))
     run.go()
     assert len(run.entries) == 6
@@ -200,7 +200,7 @@ def test_frames_that_a_bus_refuses_are_counted_as_refused_not_as_sent() -> None:
 
 
 class TroubleError(Exception):
-    """What a stage raises."""
+    """Error that a stage raises."""
 
 
 def raising(*_: object) -> None:
@@ -228,7 +228,7 @@ def test_whatever_fails_the_drives_are_cut_and_the_error_travels_on(stage: str) 
 
 
 def asked(run: Run, answers: list[tuple[str, ...]]) -> list[int]:
-    """Let a run fail at its third tick, and its drives answer so; at which times they were asked [ns]."""
+    """Let a run fail at its third tick with given answers of the drives. Return the times of the polls [ns]."""
     times: list[int] = []
 
     def let_go(state: int, t_ns: int, heard: list[Frame]) -> tuple[int, tuple[Frame, ...], tuple[str, ...]]:
@@ -266,7 +266,7 @@ def test_drives_that_cannot_be_polled_do_not_count_as_disabled() -> None:
 
 
 def test_a_cut_that_finds_a_full_queue_is_sent_until_there_is_room() -> None:
-    """Nobody sends it again in a next tick, and a drive without a watchdog goes on for ever."""
+    """No later tick repeats the cut, and a drive without a watchdog would go on."""
     left, right = FakeBus(), FakeBus(1)
     run = Run(5, buses=[left, right])
     run.fail = lambda entry: raising() if entry.k == 2 else None
@@ -332,7 +332,7 @@ def test_garbage_collection_is_restored_when_the_clock_does_not_begin(monkeypatc
 
 
 def test_a_long_run_has_the_lateness_of_its_last_ticks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A day at 500 Hz would be 330 MiB of locked memory."""
+    """The lateness of a day at 500 Hz would take 330 MiB of locked memory."""
     monkeypatch.setattr(loop, "KEPT", 16)
     run = Run(200, clock=ScriptedClock(list(range(200))))
     run.go()

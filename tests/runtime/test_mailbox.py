@@ -1,4 +1,4 @@
-"""The request socket: in order, never blocking, one controller a bus, and whoever watches is served."""
+"""The request socket: requests in order, never blocking, one controller per bus, status lines for watchers."""
 
 import json
 import os
@@ -26,7 +26,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def send_request(name: str, text: str) -> None:
-    """Send as any program of this user can, without waiting for an answer."""
+    """Send a request as any program of this user can, without waiting for an answer."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as out:
         out.sendto(text.encode(), str(mailbox_path(name)))
 
@@ -109,7 +109,7 @@ def test_a_hand_whose_second_bus_has_a_controller_is_refused(
 
 
 def test_a_killed_controller_leaves_no_lock(folder: Path) -> None:
-    """Its socket file is still there; the next controller takes the name."""
+    """Its socket file is left over, and the next controller takes the name."""
     code = "import time; from handctl.runtime.mailbox import Mailbox as M; m = M('local:x'); print(1, flush=1)"
     code += "; time.sleep(60)"
     child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)

@@ -1,4 +1,4 @@
-"""What is taken for the loop is given back after it."""
+"""Real-time priority and locked memory are given back after the loop."""
 
 import os
 import sys
@@ -29,7 +29,7 @@ def test_the_doctor_tries_and_gives_back() -> None:
 
 
 def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Filling hundreds of MB under SCHED_FIFO kept whatever else wanted the core waiting for a tenth of a second."""
+    """Regression: locking hundreds of MB under SCHED_FIFO blocked all else on the core for a tenth of a second."""
     asked: list[str] = []
     monkeypatch.setattr(clock, "_lock_memory", lambda: asked.append("memory") is None)
     monkeypatch.setattr(clock, "_enter_fifo", lambda level: asked.append("priority") is None)
@@ -38,7 +38,7 @@ def test_memory_is_locked_while_others_may_still_run(monkeypatch: pytest.MonkeyP
 
 
 def test_only_ticks_have_realtime_priority() -> None:
-    """Starting a loop, garbage and all, and closing its log kept others from the core as well."""
+    """Regression: starting a loop and closing its log blocked all else on the core as well."""
     granted = clock.prepare_priority()
     seen = []
     assert policy() == os.SCHED_OTHER

@@ -1,7 +1,7 @@
-"""handctl as a process of its own against the simulated hand as another one, on the real clock.
+"""handctl as a process against the simulated hand as another process, on the real clock.
 
-Time is slowed where a stall of the machine would end a run, which is what a stall should do; these tests are about
-how runs begin and end.
+These tests are about the beginning and the end of runs. Time is slowed, because a stall of the machine
+ends a run, as it should.
 """
 
 import itertools
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.realtime
 
 
 def run_short(place, processes, scale):
-    """Commission and carry out a short task with a hand of its own; what ``handctl run`` said, and its log."""
+    """Commission a new hand and run a short task. Return the result of ``handctl run`` and its log."""
     truth, log = place / "hand.truth", place / "run.mcap"
     processes.append(start_hand(truth, "--hand", "jamia", *scale))
     words = ("--task", "short.toml", "--json", "--log", str(log), *scale, "--truth", str(truth))
@@ -59,7 +59,7 @@ def test_run_commissions_moves_and_judges_itself(place, processes, scale):
 
 
 def start_long(processes, calibrated, *more):
-    """A run that stays in a phase until somebody ends it; there already."""
+    """Start a run that stays in a phase until it is stopped, and wait until it is there."""
     process = start_handctl("run", *calibrated, "--task", "long.toml", "--json", "--log", "run.mcap", *more)
     processes.append(process)
     watcher = Watcher(BUS)

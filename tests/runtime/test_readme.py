@@ -1,4 +1,4 @@
-"""The README's own Python program, as it stands there, with the simulated hand that stands above it."""
+"""The Python program of the README, unchanged, with the simulated hand of the README."""
 
 import re
 import select

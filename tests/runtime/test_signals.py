@@ -1,4 +1,4 @@
-"""Signals of a person or a terminal become requests, none is lost, and the handlers are given back."""
+"""Signals of an operator or a terminal become requests, none is lost, and the handlers are restored."""
 
 import os
 import signal
@@ -9,7 +9,7 @@ from handctl.runtime.loop import Signals
 
 
 class TroubleError(Exception):
-    """What a test fails with."""
+    """Error that a test raises."""
 
 
 def test_the_first_signal_stops_and_every_further_one_cuts() -> None:

@@ -1,4 +1,4 @@
-"""A person's fault reaches a running simulator, and what was felt comes back."""
+"""An injected fault reaches a running simulator, and the simulator reports its effect."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""A suspend of the machine, with clocks that are made up."""
+"""Detection of a suspend of the machine, with simulated clocks."""
 
 from handctl.runtime.suspend import SuspendWatch
 
