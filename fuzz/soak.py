@@ -1,7 +1,7 @@
-"""A simulated hand and its controller in real time for hours, a random fault a minute; memory and descriptors watched.
+"""A simulated hand and its controller in real time for hours, with a random fault per minute.
 
-The controller ends at a fault that it must not go on from, and is started anew; the simulator lives on until a fault
-is left in it that no controller arms with. Each log is read as a whole before it is thrown away.
+The soak watches memory and descriptors. A controller that ends at a fault is started again. The simulator
+goes on until a remaining fault keeps a new controller from arming. Each log is read completely and deleted.
 """
 
 import argparse
@@ -25,21 +25,23 @@ from firmware_sim.faults.text import KINDS, instances
 from handctl.hand.load import load_hand
 from handctl.log.read.reader import RunLog
 from handctl.runtime.mailbox import Watcher
-from tests.runtime.processes import BUS, LONG, end, handctl, start_handctl, write_calibration
+from tests.runtime.processes import BUS, LONG, end, handctl, start_handctl, write_homed
 
 SIZE_MIB_PER_H = 1.0
+"""Largest growth of the memory [MiB/h]."""
 WARM_S = 300.0
-"""Time in which a process still takes what it will keep."""
+"""Warm-up in which a process still allocates its working memory [s]."""
 WINDOW_S = 300.0
+"""Length of a window for the peak of the memory [s]."""
 LONG_ENOUGH_S = 1800.0
-"""A slope over less than this says nothing about an hour."""
+"""Shortest time for a slope per hour [s]."""
 ENDS = (0, 1, 71)
-"""Exit codes of a run: done, ended by a fault that it names, or by one that hides the drives' answers."""
+"""Accepted exit codes of a run: done, ended by a named fault, ended by a fault that hides the drives' replies."""
 TASK = LONG.replace("duration_s = 60.0", "duration_s = 3600.0")
 
 
 class Sample(NamedTuple):
-    """What a process with its children holds at a time [s, MiB, number]."""
+    """Memory and descriptors of a process with its children at a time [s, MiB, number]."""
 
     t: float
     rss: float
@@ -47,7 +49,7 @@ class Sample(NamedTuple):
 
 
 def sample(pid: int, t: float) -> Sample:
-    """Look at a process and its children."""
+    """Sample a process and its children."""
     pids = [pid, *map(int, Path(f"/proc/{pid}/task/{pid}/children").read_text().split())]
     rss = descriptors = 0
     for one in pids:
@@ -58,9 +60,10 @@ def sample(pid: int, t: float) -> Sample:
 
 
 def slope(samples: list[Sample], warm_s: float = WARM_S) -> float | None:
-    """Growth of the memory after the warm-up [MiB/h]; None if it was not watched for long enough.
+    """Return the growth of the memory after the warm-up [MiB/h]. None if the samples cover too short a time.
 
-    Of the largest value in each whole ``WINDOW_S``: what is given back and taken again does not grow.
+    The slope is fitted to the largest value in each ``WINDOW_S``. Memory that is freed and allocated again is
+    no growth.
     """
     warm = [one for one in samples if one.t - samples[0].t >= warm_s]
     if not warm or warm[-1].t - warm[0].t < LONG_ENOUGH_S:
@@ -72,17 +75,21 @@ def slope(samples: list[Sample], warm_s: float = WARM_S) -> float | None:
 
 
 class Soak:
-    """The two processes, and what was seen of them."""
+    """Simulator and controller processes, and the records about them."""
 
     def __init__(self, seed: int, scale: float) -> None:
-        self.chance, self.scale = random.Random(seed), str(scale)
+        """Start without processes, with a seed for the faults and a time scale."""
+        self.chance = random.Random(seed)
+        self.scale = str(scale)
         self.lives: dict[str, list[list[Sample]]] = {"simulator": [], "controller": []}
-        self.counts, self.wrong, self.number = Counter[str](), list[str](), 0
+        self.counts = Counter[str]()
+        self.wrong: list[str] = []
+        self.number = 0
         self.simulator: subprocess.Popen[str] | None = None
         self.controller: subprocess.Popen[str] | None = None
 
     def start_simulator(self) -> None:
-        """A simulated hand without faults."""
+        """Start a simulated hand without faults."""
         if self.simulator:
             end(self.simulator)
         words = ("--bus", BUS, "--homed", "--hand", "jamia", "--time-scale", self.scale)
@@ -94,9 +101,9 @@ class Soak:
         self.counts["simulators"] += 1
 
     def start_controller(self) -> bool:
-        """Whether a controller armed and holds the hand bent."""
+        """Start a controller. Returns True if it armed and holds the hand bent."""
         self.number += 1
-        write_calibration(Path("c.toml"), load_hand("jamia"))
+        write_homed(Path("c.toml"), load_hand("jamia"))
         words = ("--hand", "jamia", "--bus", BUS, "--calibration", "c.toml", "--task", "long.toml", "--clear", "--json")
         log = ("--log", f"{self.number}.mcap", "--time-scale", self.scale)
         self.controller = start_handctl("run", *words, *log)
@@ -112,7 +119,7 @@ class Soak:
         return False
 
     def end_controller(self) -> None:
-        """Stop it if it still runs, and judge how it ended."""
+        """Stop the controller if it runs, and judge exit code and log."""
         if self.controller is None:
             return
         if self.controller.poll() is None:
@@ -134,7 +141,7 @@ class Soak:
             left.unlink()
 
     def ready(self) -> None:
-        """A controller that holds the hand, with a new simulator if the old one is beyond use."""
+        """Ensure that a controller holds the hand, with a new simulator if the old one cannot be used any more."""
         if self.controller is not None and self.controller.poll() is None:
             return
         self.end_controller()
@@ -145,7 +152,7 @@ class Soak:
                 self.wrong.append("a new simulator and a new controller did not arm")
 
     def fault(self) -> str:
-        """Inject a random fault; its text."""
+        """Inject a random fault and return its text."""
         hand = load_simulated("jamia")
         kind = self.chance.choice([one for one in KINDS if any(instances(c, hand, one) for c in KINDS[one].components)])
         found = [(component, name) for component in KINDS[kind].components for name in instances(component, hand, kind)]
@@ -163,7 +170,7 @@ class Soak:
                 self.lives[name][-1].append(sample(process.pid, t))
 
     def judged(self) -> dict[str, object]:
-        """What came of it."""
+        """Return the result: counts, memory, descriptors, and everything that was wrong."""
         slopes = {name: [slope(one) for one in lives if one] for name, lives in self.lives.items()}
         told = {name: [one for one in found if one is not None] for name, found in slopes.items()}
         for name, found in told.items():
@@ -185,7 +192,7 @@ class Soak:
 
 
 def main() -> int:
-    """Soak; exit code 1 if anything was wrong."""
+    """Run the soak. Returns 1 if anything was wrong."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.soak", description=__doc__)
     parser.add_argument("--hours", type=float, default=24.0)
     parser.add_argument("--every", type=float, default=60.0, help="seconds from fault to fault (default: %(default)s)")

@@ -1,10 +1,16 @@
-"""What the soak says of memory: a leak is told, what is given back and taken again is none."""
+"""The soak: a leak is reported, memory that is freed and allocated again is none, and a controller can start."""
 
 import random
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
+from fuzz import soak
 from fuzz.soak import LONG_ENOUGH_S, WARM_S, Sample, slope
+from handctl.hand.load import load_hand
+from handctl.programs.calibration import load_calibration
 
 
 def watched(seconds: float, mib_per_h: float = 0.0, swings_mib: float = 0.0) -> list[Sample]:
@@ -13,19 +19,30 @@ def watched(seconds: float, mib_per_h: float = 0.0, swings_mib: float = 0.0) -> 
     return [Sample(t, 350.0 + mib_per_h * t / 3600 + swings_mib * chance.random(), 7) for t in times]
 
 
-def test_growth_is_told_in_mebibytes_an_hour() -> None:
+def test_a_controller_gets_a_calibration_of_its_hand(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Regression: the soak wrote the hand instead of a calibration, and ended before its first controller."""
+    monkeypatch.chdir(tmp_path)
+    done = subprocess.Popen([sys.executable, "-c", ""])
+    done.wait()
+    monkeypatch.setattr(soak, "start_handctl", lambda *words: done)
+    assert not soak.Soak(1, 1.0).start_controller(), "no controller runs"
+    hand = load_hand("jamia")
+    assert set(load_calibration(tmp_path / "c.toml", hand).drive) == {motor.name for motor in hand.motor}
+
+
+def test_growth_is_reported_in_mebibytes_per_hour() -> None:
     assert slope(watched(3600.0, mib_per_h=2.0)) == pytest.approx(2.0, abs=0.01)
     assert slope([one._replace(rss=one.rss + 9 * (one.t < WARM_S)) for one in watched(3600.0)]) == pytest.approx(0.0)
 
 
-def test_what_is_given_back_and_taken_again_is_no_growth() -> None:
-    """A recorder that held 1.5 MiB more in some looks than in others "grew" by three an hour."""
+def test_memory_that_is_freed_and_allocated_again_is_no_growth() -> None:
+    """Regression: a recorder that held 1.5 MiB more in some samples "grew" by 3 MiB per hour."""
     falling_back = watched(2400.0)
     low = [one._replace(rss=one.rss - 1.5 * (600 <= one.t < 1170 and one.t % 300 > 30)) for one in falling_back]
     assert slope(low) == pytest.approx(0.0, abs=1e-6)
     assert slope(watched(7200.0, mib_per_h=2.0, swings_mib=1.5)) == pytest.approx(2.0, abs=0.3)
 
 
-def test_too_short_a_time_tells_nothing() -> None:
+def test_too_short_a_time_has_no_slope() -> None:
     assert slope(watched(WARM_S + LONG_ENOUGH_S - 60.0)) is None
     assert slope(watched(WARM_S + LONG_ENOUGH_S + 60.0)) is not None
