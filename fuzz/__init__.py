@@ -1,5 +1,5 @@
-"""Coverage-guided fuzzing of everything that reads what others wrote; ``make fuzz``, ``python -m fuzz --help``.
+"""Coverage-guided fuzzing of all parsers of foreign input: ``make fuzz``, ``python -m fuzz --help``.
 
-A target takes bytes and lets nothing out but the errors that are declared; what it returns is whether they were
-accepted. Nothing here is imported by the project.
+A target takes bytes, raises no exception but the declared errors, and returns True if it accepted the
+bytes. The project imports nothing from here.
 """

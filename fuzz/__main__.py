@@ -1,4 +1,4 @@
-"""Fuzz each parser for a while and tell what came of it; exit code 1 if an exception got out that is not declared."""
+"""Fuzz each parser for a time and print the results. Exit code 1 if a parser raised an undeclared exception."""
 
 import argparse
 import re
@@ -16,11 +16,11 @@ NAMES = (*DRIVES, "sensor-node", "hand", "hand-text", "task", "trajectory", "gai
 LONGEST = {**dict.fromkeys(DRIVES, 64), "sensor-node": 64, "request": 256, "fault": 256, "hand": 128,
            "task": 128, "trajectory": 128, "gains": 128, "calibration": 128, "hand-text": 1 << 14, "log": 4096,
            "log-bytes": 1 << 16}  # fmt: skip
-"""Bytes of an input, at least what a corpus begins with; more would only be more of the same."""
+"""Longest input [bytes]. It has room for every initial input of the corpus."""
 
 
 def arguments() -> argparse.Namespace:
-    """The command line's."""
+    """Parse the command line."""
     parser = argparse.ArgumentParser(prog="python -m fuzz", description=__doc__)
     parser.add_argument("targets", nargs="*", metavar="TARGET", help=f"of {', '.join(NAMES)} (default: all)")
     parser.add_argument("--seconds", type=int, default=10, help="for each target (default: %(default)s; 0: no limit)")
@@ -33,7 +33,7 @@ def arguments() -> argparse.Namespace:
 
 
 def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str, bool]:
-    """A line about a target, and whether it held."""
+    """Fuzz a target. Return a line about it, and False if it failed."""
     corpus, found = PLACE / "corpus" / name, PLACE / "found" / name
     corpus.mkdir(parents=True, exist_ok=True)
     found.mkdir(parents=True, exist_ok=True)
@@ -57,7 +57,7 @@ def fuzzed(name: str, seconds: int, runs: int, blind: bool = False) -> tuple[str
 
 
 def main() -> int:
-    """Fuzz all."""
+    """Fuzz all selected targets."""
     args = arguments()
     held = True
     for name in args.targets or NAMES:

@@ -1,6 +1,6 @@
-"""One target without a look at its branches: ``python -m fuzz.blind TARGET CORPUS FOUND SECONDS RUNS LONGEST``.
+"""Fuzzing of one target without coverage: ``python -m fuzz.blind TARGET CORPUS FOUND SECONDS RUNS LONGEST``.
 
-What coverage-guided fuzzing kept is changed at random, a few times faster than with the guide: for the large count.
+The corpus of coverage-guided fuzzing is changed at random. This is a few times faster, for large counts.
 """
 
 import random
@@ -14,11 +14,11 @@ from fuzz.targets import TARGETS, seeds
 
 NEWS_S = 30.0
 AT_ONCE = 256
-"""Inputs between two looks at the clock."""
+"""Inputs between two readings of the clock."""
 
 
 def changed(chance: random.Random, kept: list[bytes], longest: int) -> Iterator[bytes]:
-    """Inputs without end: a kept one with some bytes changed, taken out, put in, or with the end of another one."""
+    """Yield inputs: one of the corpus with bytes changed, removed, inserted, or with the end of another one."""
     pick, bits = chance.choice, chance.getrandbits
     while True:
         kind = bits(4)
@@ -45,10 +45,10 @@ def changed(chance: random.Random, kept: list[bytes], longest: int) -> Iterator[
 def fuzz(
     target: Callable[[bytes], bool], inputs: Iterator[bytes], found: Path, seconds: float, runs: int
 ) -> tuple[int, int]:
-    """Feed a target; what gets out of it ends this process, with its input kept.
+    """Feed a target. An exception ends this process after its input was saved.
 
     Returns:
-        how many inputs there were, and how many of them were taken.
+        the number of inputs, and the number of accepted inputs.
     """
     begin = told = time.monotonic()
     number, taken, data = 0, 0, b""
@@ -70,7 +70,7 @@ def fuzz(
 
 
 def main() -> None:
-    """Fuzz as long or as often as it was asked for."""
+    """Fuzz for the requested time or number of runs."""
     name, corpus, found, seconds, runs, longest = sys.argv[1:]
     shared = Path("/dev/shm")
     folder = Path(tempfile.mkdtemp(prefix="fuzz-", dir=shared if shared.is_dir() else None))

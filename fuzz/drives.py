@@ -1,4 +1,4 @@
-"""The drives whose answers are fuzzed: one of each protocol, and of each set of options that reads other answers."""
+"""The drives whose replies are fuzzed: one per protocol, and one per set of options that changes the decoding."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ from handctl.drives.registry import PROTOCOLS
 
 
 class Fuzzed(NamedTuple):
-    """A drive.
+    """A drive to be fuzzed.
 
     Attributes:
         protocol: its name.

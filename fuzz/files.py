@@ -1,4 +1,4 @@
-"""Files that a person writes: hand, task, trajectory, gains and calibration, as noise and as nearly right ones."""
+"""Targets for files that users write (hand, task, trajectory, gains, calibration): as noise and nearly valid."""
 
 import math
 import tomllib
@@ -27,7 +27,7 @@ TASKS = HANDS.parents[1] / "tasks"
 
 
 def used(hand: Hand) -> None:
-    """Everything that a program makes of a hand before it opens a bus."""
+    """Construct everything that a run constructs from a hand before it opens a bus."""
     for name in hand.digit_names:
         DigitModel.of(hand, name)
     for motor in hand.motor:
@@ -36,7 +36,7 @@ def used(hand: Hand) -> None:
 
 
 def hand(folder: Path) -> Target:
-    """A hand, changed in up to four places."""
+    """Return the target for a hand with up to four changes."""
     contents = [tomllib.loads((HANDS / f"{name}.toml").read_text()) for name in packaged_hands()]
     known = [list(places(content)) for content in contents]
 
@@ -50,12 +50,12 @@ def hand(folder: Path) -> Target:
 
 
 def hand_text(folder: Path) -> Target:
-    """A hand file of any bytes."""
+    """Return the target for a hand file of any bytes."""
     return _text(folder / "hand.toml", lambda path: used(load_hand(str(path))))
 
 
 def one_line(error: Exception) -> None:
-    """An error is one line."""
+    """Check that an error has a text of one line."""
     assert str(error), "an error without words"
     assert "\n" not in str(error), str(error)
 
@@ -69,7 +69,7 @@ def _text(path: Path, load: Callable[[Path], object]) -> Target:
 
 
 def _taken(load: Callable[[], object]) -> bool:
-    """Whether something is accepted; if not, it is told in one line."""
+    """Return True if the input is accepted. Check that a refusal is one line."""
     try:
         load()
     except HandctlError as error:
@@ -79,11 +79,11 @@ def _taken(load: Callable[[], object]) -> bool:
 
 
 AS_TEXT = 32
-"""One document of so many goes through its text; the others are changed after TOML, whose reader is Python's own."""
+"""One document in this many goes through its text. The others are changed after parsing, since Python parses TOML."""
 
 
 def _document(path: Path, contents: list[Content], use: Callable[[Content], object]) -> Target:
-    """A document: of any bytes, or a good one changed in up to four places, in memory or as text."""
+    """Return the target for a document: any bytes, or a valid one with up to four changes, in memory or as text."""
     known = [list(places(content)) for content in contents]
     noise = _text(path, lambda file: use(read_toml(file)))
 
@@ -102,7 +102,7 @@ def _document(path: Path, contents: list[Content], use: Callable[[Content], obje
 
 
 def task(folder: Path) -> Target:
-    """A task, checked against the hand."""
+    """Return the target for a task, checked against a hand."""
     jamia, contents = load_hand("jamia"), [tomllib.loads(path.read_text()) for path in sorted(TASKS.glob("*.toml"))]
     return _document(
         folder / "task.toml",
@@ -112,7 +112,7 @@ def task(folder: Path) -> Target:
 
 
 def trajectory(folder: Path) -> Target:
-    """A trajectory, checked against the hand."""
+    """Return the target for a trajectory, checked against a hand."""
     jamia = load_hand("jamia")
     angles = [30.0 * math.sin(0.5 * i) ** 2 for i in range(8)]
     content = {"schema": 1, "name": "t", "time_s": [0.3 * i for i in range(8)], "angle_deg": {"index": angles}}
@@ -124,7 +124,7 @@ def trajectory(folder: Path) -> Target:
 
 
 def gains(folder: Path) -> Target:
-    """Gains of a run with their provenance."""
+    """Return the target for gains with their provenance."""
     packaged = Gains().model_dump(by_alias=True)
     content = packaged | {"provenance": Provenance(hand="jamia", number=3, log=("a.mcap",)).model_dump()}
     del content["provenance"]["restores"]
@@ -133,7 +133,7 @@ def gains(folder: Path) -> Target:
 
 
 def calibration(folder: Path) -> Target:
-    """A calibration with something identified, and the hand that comes of it."""
+    """Return the target for a calibration with identified values, and the hand that results from it."""
     jamia = load_hand("jamia")
     tendon = {"tare_N": 0.1, "zero_rad": 1.0, "answer_N": 3.0, "crosstalk_N": 0.1}
     found = {"names": ["motor_coulomb"], "values": [0.01], "half_widths": [1e-3], "covariance": [[1e-6]]}

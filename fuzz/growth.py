@@ -1,7 +1,7 @@
-"""A controller and its recorder for hours of simulated time, in lockstep: does their memory grow?
+"""Memory growth of controller and recorder over hours of simulated time, in lockstep.
 
-``python -m fuzz.growth --hours 1``. What ``fuzz.soak --calm`` asks in real time is asked here on a machine of any load:
-loop, controller and the processes of the recorder are the same, clock and bus are not.
+``python -m fuzz.growth --hours 1``. ``fuzz.soak --calm`` does the same in real time. Here the load of the
+machine does not matter: loop, controller and recorder are the same, clock and bus are not.
 """
 
 import argparse
@@ -25,22 +25,23 @@ from handctl.session.simulate import Simulator
 
 EVERY_S = 30.0
 WARM_S = 600.0
-"""Later than the ring of lateness is full, which takes two megabytes."""
+"""Time until the ring of lateness is full, which takes 2 MiB [s]."""
 
 
 class Looks:
-    """Looks at this process and its children now and then."""
+    """Attendant of a run that samples the memory of this process and its children."""
 
     def __init__(self, until_s: float) -> None:
+        """Start without samples. ``until_s`` ends the run."""
         self.samples: list[Sample] = []
         self.until_s = until_s
 
     def take(self) -> tuple[str, ...]:
-        """A request to stop, when there has been enough."""
+        """Return a stop request after the end of the time."""
         return (STOP,) if self.samples and self.samples[-1].t >= self.until_s else ()
 
     def see(self, entry: TickIn, out: TickOut) -> None:
-        """A tick is over."""
+        """Take a sample every ``EVERY_S``."""
         t = entry.t_ns / 1e9
         if not self.samples or t - self.samples[-1].t >= EVERY_S:
             self.samples.append(sample(os.getpid(), t))
@@ -48,7 +49,7 @@ class Looks:
 
 
 def main() -> int:
-    """Run; exit code 1 if the memory grows."""
+    """Run. Returns 1 if the memory grows."""
     parser = argparse.ArgumentParser(prog="python -m fuzz.growth", description=__doc__)
     parser.add_argument("--hours", type=float, default=1.0, help="of simulated time (default: %(default)s)")
     args = parser.parse_args()

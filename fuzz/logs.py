@@ -1,4 +1,4 @@
-"""Logs: any bytes, and records that are whole outside and wrong inside, with no checksum in the way."""
+"""Targets for logs: any bytes, and records with a valid frame and invalid content, without checksums."""
 
 import contextlib
 import struct
@@ -24,17 +24,17 @@ from tests.log import synthetic
 Target = Callable[[bytes], bool]
 EDITS = 4
 TOPICS = (TICK_TOPIC, VALUES_TOPIC, CHAIN_TOPIC, CLOCK_TOPIC, "/rosout")
-"""That a reader looks into, and one that it passes by; the others would be more of the same."""
+"""Topics that a reader decodes, and one that it skips."""
 NAMED = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE_INDEX)
-"""Records behind the chunks that are there for each topic."""
+"""Records behind the chunks that exist per topic."""
 MAGIC = b"\x89MCAP0\r\n"
 NEAR = 48
-"""Bytes at the front of a record, where its numbers are; half of the changes are there."""
+"""Length of the numeric front of a record [bytes]. Half of the changes are there."""
 ODD = (b"\0", b"\xff", b"\xff\xff\xff\xff", b"\xff\xff\xff\x7f", b"\0" * 8, b"\x7f", b"\x80", b"[", b"\0\0\0\x01")
 
 
 def read_all(path: Path) -> None:
-    """Everything that a verb may ask of a log."""
+    """Call everything that a verb may call on a log."""
     with RunLog(path) as log:
         log.field(TELEMETRY_FIELDS[0]), log.field(TELEMETRY_FIELDS[-1])
         len(log), list(log.ticks()), log.events, log.phases, log.gaps, log.clock_pairs
@@ -42,7 +42,7 @@ def read_all(path: Path) -> None:
 
 
 def small(folder: Path, seconds: float = 0.3) -> Path:
-    """A whole log of a few ticks."""
+    """Write a complete log of a few ticks."""
     path = folder / "small.mcap"
     synthetic.write(path, synthetic.header(rate_hz=10, attachments={}), seconds)
     return path
@@ -58,7 +58,7 @@ def _read(path: Path) -> bool:
 
 
 def log(folder: Path) -> Target:
-    """Records of a log, within its chunks and outside of them, changed inside: their lengths agree, mostly."""
+    """Return the target for records of a log: mostly valid length, changed content, inside and outside of chunks."""
     parts = _parts(small(folder))
     joined, path = [_joined(i, part) for i, part in enumerate(parts)], folder / "log.mcap"
 
@@ -78,7 +78,7 @@ def log(folder: Path) -> Target:
 
 
 def _parts(path: Path) -> list[list[bytes]]:
-    """Records of a whole log, of those topics and without checksums: before the chunks, in each, and behind them."""
+    """Split a complete log into its records without checksums: before the chunks, in each chunk, and behind them."""
     file, found = LogFile(path), Scan()
     scan(file, found)
     raw, contents = path.read_bytes(), [bytes(file.content(place)) for place in found.chunks]
@@ -100,13 +100,13 @@ def _records(data: bytes) -> Iterator[bytes]:
 
 
 def _matters(record: bytes, kept: dict[int, int]) -> bool:
-    """Whether a record belongs to one of these channels, each with its schema."""
+    """Return True if a record belongs to one of these channels, given with their schemas."""
     (number,) = struct.unpack_from("<H", record, 9)
     return number in (kept.values() if record[0] == Opcode.SCHEMA else kept)
 
 
 CHECKED = (Opcode.ATTACHMENT, Opcode.DATA_END, Opcode.FOOTER)
-"""Records that end with a checksum; zero there stands for none."""
+"""Records that end with a checksum. Zero means no checksum."""
 
 
 def _unchecked(record: bytes) -> bytes:
@@ -114,7 +114,7 @@ def _unchecked(record: bytes) -> bytes:
 
 
 def _joined(i: int, records: list[bytes]) -> bytes:
-    """A part as it stands in the file: the head after the magic, chunks without compression, the end before it."""
+    """Join the records of a part as in the file: head with magic, uncompressed chunk, or end with magic."""
     content = b"".join(records)
     if i == 0:
         return MAGIC + content
@@ -122,7 +122,7 @@ def _joined(i: int, records: list[bytes]) -> bytes:
 
 
 def _edited(record: bytes, source: Source) -> bytes:
-    """A record with something else in it; one of eight has a length that is not its own."""
+    """Return a record with changed content. One in eight has a wrong length."""
     body, kind = bytearray(record[9:]), source.number(8)
     if kind == 0:
         body = bytearray(record)
@@ -139,7 +139,7 @@ def _chunk(content: bytes) -> bytes:
 
 
 def log_bytes(folder: Path) -> Target:
-    """Any bytes as a log, to the reader and to the recovery."""
+    """Return the target for any bytes as a log, given to reader and recovery."""
     path, out = folder / "bytes.mcap", folder / "out.mcap"
 
     def target(data: bytes) -> bool:

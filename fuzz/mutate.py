@@ -1,4 +1,4 @@
-"""From a fuzzer's bytes to a file that is nearly right: one that is only noise never comes past the first check."""
+"""Conversion of a fuzzer's bytes to a nearly valid document. Pure noise never gets past the first check."""
 
 import struct
 from collections.abc import Iterator, Mapping
@@ -13,7 +13,7 @@ Path = tuple[Any, ...]
 
 
 def places(node: Any, path: Path = ()) -> Iterator[Path]:
-    """Paths of everything below a node, tables and lists included."""
+    """Yield the paths of all values below a node, including tables and lists."""
     entries = node.items() if isinstance(node, Mapping) else enumerate(node) if isinstance(node, list) else ()
     for key, value in entries:
         yield (*path, key)
@@ -21,28 +21,30 @@ def places(node: Any, path: Path = ()) -> Iterator[Path]:
 
 
 class Source:
-    """A fuzzer's bytes, taken from the front; zeros once they are used up."""
+    """The bytes of a fuzzer, consumed from the front. Zeros follow after the end."""
 
     def __init__(self, data: bytes) -> None:
-        self.data, self.at = data, 0
+        """Start at the first byte."""
+        self.data = data
+        self.at = 0
 
     def take(self, size: int) -> bytes:
-        """The next bytes."""
+        """Consume bytes."""
         self.at += size
         return self.data[self.at - size : self.at].ljust(size, b"\0")
 
     def number(self, below: int) -> int:
-        """A number from 0."""
+        """Consume a number from 0 to ``below`` - 1."""
         return int.from_bytes(self.take(2), "little") % below
 
     @property
     def empty(self) -> bool:
-        """Whether all is used up."""
+        """Return True if all bytes are consumed."""
         return self.at >= len(self.data)
 
 
 def value(source: Source, old: Any) -> Any:
-    """Something else in the place of a value: odd, of any bits, or scaled."""
+    """Return a replacement for a value: unusual, random bits, or scaled."""
     kind = source.number(5)
     if kind == 0:
         return struct.unpack("<d", source.take(8))[0]
@@ -56,13 +58,13 @@ def value(source: Source, old: Any) -> Any:
 
 
 def mutated(content: Mapping[str, Any], known: list[Path], source: Source, most: int = 4) -> dict[str, Any]:
-    """A copy with some places changed, removed, renamed or repeated.
+    """Return a copy with some values changed, removed, renamed or repeated.
 
     Args:
-        content: as parsed from TOML; it stays as it is.
-        known: its ``places``.
-        source: what to do.
-        most: changes.
+        content: as parsed from TOML. It stays unchanged.
+        known: ``places`` of the content.
+        source: bytes that select the changes.
+        most: largest number of changes.
     """
     made: dict[str, Any] = dict(content)
     for _ in range(most):
@@ -76,7 +78,7 @@ def mutated(content: Mapping[str, Any], known: list[Path], source: Source, most:
 
 
 def _own(root: dict[str, Any], path: Path) -> Any:
-    """The node of a path, with everything on the way to it copied; None if it is no longer there."""
+    """Return the node of a path after copying all nodes above it. None if it no longer exists."""
     node: Any = root
     for key in path:
         try:

@@ -1,4 +1,4 @@
-"""One target until its time or its number is over: ``python -m fuzz.one TARGET CORPUS [libFuzzer's options]``."""
+"""Coverage-guided fuzzing of one target: ``python -m fuzz.one TARGET CORPUS [libFuzzer's options]``."""
 
 import sys
 import tempfile
@@ -11,13 +11,13 @@ ROOT = Path(__file__).parents[1]
 
 
 def laws() -> list[str]:
-    """Modules that numba compiles, which it cannot once something was put into them."""
+    """List the modules that numba compiles. It cannot compile instrumented code."""
     found = [path for path in (ROOT / "firmware_sim").rglob("*.py") if "\n@compiled(" in path.read_text()]
     return [".".join(path.relative_to(ROOT).with_suffix("").parts) for path in found]
 
 
 def main() -> None:
-    """Fuzz; a crash ends the process with an exit code that is not 0 and keeps its input."""
+    """Fuzz. A crash saves its input and ends the process with an exit code other than 0."""
     name, corpus, *options = sys.argv[1:]
     with atheris.instrument_imports(include=["handctl", "firmware_sim"], exclude=laws()):
         from fuzz.targets import TARGETS, seeds

@@ -1,4 +1,4 @@
-"""What mutmut left alive: each module's score, and those not killed without a reason in docs/evidence/mutation.md."""
+"""Report of surviving mutants: score of each module, survivors without a reason in docs/evidence/mutation.md."""
 
 import json
 import sys
@@ -7,11 +7,11 @@ from pathlib import Path
 
 REASONS = Path("docs/evidence/mutation.md")
 SURVIVED, UNTESTED, NOT_RUN = (0,), (5, 33), (None, 2, 34)
-"""Exit codes in mutmut's records: no test failed; none that was chosen calls the function; not, or not to the end."""
+"""Exit codes in the records of mutmut: no test failed, no selected test calls the function, not run to the end."""
 
 
 def main() -> int:
-    """Print the table; exit code 1 if what was not killed has no reason, or if nothing was judged."""
+    """Print the table. Returns 1 if a survivor has no reason, or if no mutant was judged."""
     reasons = REASONS.read_text() if REASONS.exists() else ""
     open_ones, all_judged = list[str](), 0
     for path in sorted(Path("mutants/src").rglob("*.meta")):

@@ -1,4 +1,4 @@
-"""All targets by name, with what their corpus begins with."""
+"""All targets by name, with the initial inputs of their corpus."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -25,7 +25,7 @@ TARGETS: dict[str, Callable[[Path], Target]] = {
 
 
 def seeds(name: str, folder: Path) -> list[bytes]:
-    """Good inputs to begin with."""
+    """Return valid inputs for the start of the corpus."""
     if name in DRIVES:
         return wire.answers(name, folder)
     if name == "hand-text":

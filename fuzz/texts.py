@@ -1,4 +1,4 @@
-"""Single lines: requests to a running controller, fault texts, names of scenes, buses and wires."""
+"""Targets for single lines: requests to a running controller, and fault texts."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +14,7 @@ Target = Callable[[bytes], bool]
 
 
 def request(folder: Path) -> Target:
-    """What comes by the mailbox."""
+    """Return the target for requests of the mailbox."""
 
     def target(data: bytes) -> bool:
         answer = parse_request(data.decode("utf-8", "replace"))
@@ -31,7 +31,7 @@ WORDS = ("node", "bus", "encoder", "joint", "cell", "tendon", "digit", "size", "
 
 
 def fault(folder: Path) -> Target:
-    """Fault texts, of any bytes and of the words that they are made of."""
+    """Return the target for fault texts, of any bytes and of the words of their grammar."""
     hand = load_simulated("jamia")
 
     def target(data: bytes) -> bool:

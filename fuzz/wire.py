@@ -1,7 +1,9 @@
-"""Frames from the wire, to each protocol's decoder and to the sensor node's; whatever the state it is in.
+"""Targets for frames from the wire: the decoder of each protocol and of the sensor node, in every state.
 
-An input is a state to begin with and up to five frames: three bytes that say which, then its payload. The corpus begins
-with what a drive was really told in each state on its way to torque: an answer that is only noise is nobody's.
+    state 8 | up to five frames: identifier 8 | shape 8 | third byte 8 | payload
+
+The first byte selects the initial state. The corpus starts with the frames that a drive really received in
+each state on its way to torque, because random identifiers belong to no node.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -17,19 +19,19 @@ from tests.drives.wired import Wired
 
 Target = Callable[[bytes], bool]
 STEP_NS, LONG_NS = 2_000_000, 1_000_000_000
-"""From frame to frame, and a silence that is too long for every drive [ns]."""
+"""Time between frames, and a silence too long for every drive [ns]."""
 SILENCE = 240
-"""Bytes from here on put one before their frame."""
+"""Third byte from which a silence precedes the frame."""
 MARKS = (0, 0, 0, 0, 0, EXTENDED, REMOTE, ERROR)
 MOST_FRAMES = 5
 WANTS = tuple(Want)
 CLEAR = 0x40
-"""The bit that has an error cleared."""
+"""Bit of the third byte that clears an error."""
 LONGEST = 64
 
 
 def frames(data: bytes, ours: Sequence[int], t_ns: int) -> Iterator[tuple[Frame, int]]:
-    """Frames, mostly on an identifier that matters, each with a byte that says what is wanted of the node after it."""
+    """Yield frames, mostly on an identifier of the node, each with its third byte."""
     at, end = 1, len(data)
     for _ in range(MOST_FRAMES):
         if at + 3 > end:
@@ -44,7 +46,7 @@ def frames(data: bytes, ours: Sequence[int], t_ns: int) -> Iterator[tuple[Frame,
 
 
 class Seen(NamedTuple):
-    """A drive before a tick [ns], and what it hears in it."""
+    """State of a drive before a tick, time of the tick [ns], and the frames received in it."""
 
     state: DriveState
     t_ns: int
@@ -52,7 +54,7 @@ class Seen(NamedTuple):
 
 
 def way(name: str, folder: Path) -> tuple[Drive, list[Seen]]:
-    """A drive of ``DRIVES``, and its way from silence to torque."""
+    """Return a drive of ``DRIVES``, and its states from silence to torque."""
     fuzzed = DRIVES[name]
     path = hand_file(folder, [fuzzed.protocol], fuzzed.options)
     lines = path.read_text().splitlines(keepends=True)
@@ -71,7 +73,7 @@ def way(name: str, folder: Path) -> tuple[Drive, list[Seen]]:
 
 
 def answers(name: str, folder: Path) -> list[bytes]:
-    """What a drive really heard on its way, as inputs."""
+    """Return the frames that a drive really received on its way to torque, as inputs."""
     motor, seen = way(name, folder)
     ours, found = sorted(motor.node_ids), []
     for i, (_, _, heard) in enumerate(seen):
@@ -81,12 +83,12 @@ def answers(name: str, folder: Path) -> list[bytes]:
 
 
 def _shape(payload: bytes) -> tuple[int, int]:
-    """Second and third byte before a payload."""
+    """Return the second and third byte before a payload."""
     return (1, int(Want.POLL)) if len(payload) == 8 else (0, len(payload))
 
 
 def drive(name: str) -> Callable[[Path], Target]:
-    """A drive of ``DRIVES``."""
+    """Return the maker of the target for a drive of ``DRIVES``."""
 
     def make(folder: Path) -> Target:
         motor, seen = way(name, folder)
@@ -97,7 +99,7 @@ def drive(name: str) -> Callable[[Path], Target]:
 
 
 def _walked(motor: Drive, begin: Seen, ours: Sequence[int], data: bytes) -> bool:
-    """Whether any frame was taken in; the drive is asked for something after each."""
+    """Feed frames to a drive and request a phase after each. Returns True if a frame changed the state."""
     state, taken = begin.state, False
     for frame, more in frames(data, ours, begin.t_ns):
         after = motor.receive(state, frame)
@@ -119,7 +121,7 @@ def _asked(motor: Drive, state: DriveState, t_ns: int, more: int) -> tuple[Drive
 
 
 def sensors(folder: Path) -> Target:
-    """The sensor node, with the tick's number going on."""
+    """Return the target for the sensor node, with increasing tick numbers."""
     bench = Bench(hand_file(folder, ["mit"]))
     bench.rig.close()
     wired, ours = Wired((), bench.node), sorted(bench.node.node_ids)
@@ -127,7 +129,7 @@ def sensors(folder: Path) -> Target:
 
 
 def _sensed(wired: Wired, begin: Block, ours: Sequence[int], data: bytes) -> bool:
-    """Whether any frame was taken in, from the state ``begin`` on."""
+    """Feed frames to the sensor node from the state ``begin``. Returns True if a frame changed the state."""
     wired.block[:] = begin
     taken = 0
     for frame, more in frames(data, ours, STEP_NS):
