@@ -1,4 +1,4 @@
-"""Results of experiments as they might be, so that pages and figures can be tested without the simulator."""
+"""Results of experiments made up for tests of pages and figures without the simulator."""
 
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from handctl.paper.figures.all import draw_all
 
 @pytest.fixture(scope="session")
 def measured() -> dict[str, Any]:
-    """Two ropes with noise, and a load case for each diameter and axis."""
+    """Return two tendons with noise, and a load case for each diameter and axis."""
     chance = np.random.default_rng(11)
     ropes = []
     for knee in map(float, src.KNEES_N):
@@ -27,7 +27,7 @@ def measured() -> dict[str, Any]:
 
 
 def case(diameter: float, axis: str, k: int) -> dict[str, Any]:
-    """A load that grows to 20 N and slips at 8 to 14 N."""
+    """Return a load that grows to 20 N and slips at 8 to 14 N."""
     load = 8.0 + 3.0 * k
     moved = np.interp(np.linspace(0.0, 20.0, 200), [0.0, load, 20.0], [0.0, 0.3, 6.0])
     names = src.hand().digit_names
@@ -47,5 +47,5 @@ def case(diameter: float, axis: str, k: int) -> dict[str, Any]:
 
 @pytest.fixture(scope="session")
 def drawn(measured: dict[str, Any], tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """All figures, drawn once: the SVG file of each."""
+    """Return the SVG file of each figure, drawn once."""
     return draw_all(tmp_path_factory.mktemp("figures"), measured)

@@ -1,4 +1,4 @@
-"""The errata, proven: Lagrange's equations by sympy, numbers by their own arithmetic, and none of them missing."""
+"""Errata: Lagrange's equations by sympy, numbers by their own arithmetic, and no known misprint missing."""
 
 from functools import cache
 
@@ -26,7 +26,7 @@ def symbolic(text: str) -> sp.Expr:
 
 @cache
 def energies() -> tuple[list[sp.Expr], sp.Expr]:
-    """Kinetic energy of each link and potential energy, from the links' positions alone."""
+    """Return kinetic energy of each link and potential energy, derived from the links' positions."""
     i, m, length, d = (PARAMETERS[k : k + 3] for k in (0, 3, 6, 9))
     kinetic, potential, x, y = [], sp.Integer(0), sp.Integer(0), sp.Integer(0)
     for k, angle in enumerate(ANGLES):
@@ -39,7 +39,7 @@ def energies() -> tuple[list[sp.Expr], sp.Expr]:
 
 
 def in_symbols(expression: sp.Expr) -> sp.Expr:
-    """Functions of time replaced by the names of the formulas."""
+    """Replace functions of time by the names in the formulas."""
     for order in (2, 1, 0):
         expression = expression.subs(
             {sp.diff(angle, TIME, order): NAMED[f"{'d' * order}th{k + 1}"] for k, angle in enumerate(ANGLES)}
@@ -68,7 +68,7 @@ def test_corrected_torques_are_lagrange_s(i: int) -> None:
 
 
 def test_the_thumb_s_are_the_same_without_a_third_link() -> None:
-    """m3 = I3 = 0 gives two links, and those are the thumb's of this project."""
+    """With m3 = I3 = 0 two links remain, those of this project's thumb."""
     thumb = DigitModel.of(src.hand(), "thumb").under((0.0, -9.81, 0.0))
     chance = np.random.default_rng(3)
     states = {"g": 9.81, "I3": 0.0, "m3": 0.0, "L3": 1.0, "d3": 1.0, "th3": 0.3, "dth3": 5.0, "ddth3": 7.0}
@@ -188,7 +188,7 @@ def test_a_printed_number_of_the_abstract_is_judged_once(printed: str) -> None:
 
 
 def test_the_joint_that_holds_the_straight_finger_feels_its_whole_weight() -> None:
-    """tau_1 = g sum(m x) with x the distance of each centre of mass from joint 1: no dynamics code in it."""
+    """Compute tau_1 = g sum(m x) with x the distance of each centre of mass from joint 1, without dynamics code."""
     digit = motion.upright("index")
     base = np.concatenate(([0.0], np.cumsum(digit.lengths)[:-1]))
     held = 9.81 * float(np.array(digit.masses) @ (base + np.array(digit.coms)))
@@ -197,7 +197,7 @@ def test_the_joint_that_holds_the_straight_finger_feels_its_whole_weight() -> No
 
 
 def test_springs_judge_nothing_that_the_paper_says() -> None:
-    """The paper's hand has no springs: the judged value is that of the links alone."""
+    """The paper's hand has no springs, so the judged value is that of the links alone."""
     fast = motion.closing("index", motion.DURATIONS_S[-1])
     links = sum(fast.parts[part] for part in ("inertia", "Coriolis", "gravity"))
     found = {item.id: item for item in sections.items(None)}
@@ -212,7 +212,7 @@ def test_no_row_says_that_the_paper_is_silent_of_what_it_says() -> None:
 
 
 def test_relative_and_absolute_angles() -> None:
-    """tau = S^T T, M_q = S^T M_theta S: the page's sentence about the two kinds of angle."""
+    """Check tau = S^T T and M_q = S^T M_theta S, as the page states."""
     digit = lagrange.paper_finger()
     states = lagrange.finger_states(digit)
     tau, torque = lagrange.joint_torques(digit, states), np.array(lagrange.model_torques(digit, states)).T

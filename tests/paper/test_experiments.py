@@ -1,4 +1,4 @@
-"""The experiments: on the simulator's bench, and the judgement of what they recorded."""
+"""Experiments on the simulated bench, and the evaluation of their recordings."""
 
 import json
 import math
@@ -45,7 +45,7 @@ def test_a_blocked_finger_shows_the_knee_of_its_rope(tmp_path: Path) -> None:
 
 
 def fall(speed: float, after: float) -> Truth:
-    """An object that stands still and then moves with a speed [m/s]; rows of a millisecond."""
+    """Return the ground truth of an object that rests, then moves with a speed [m/s], in rows of a millisecond."""
     t = np.arange(4000)
     z = -speed * np.maximum(0.0, t / 1000.0 - after)
     return Truth({}, t * 1_000_000, np.column_stack([0 * z, 0 * z, z]), ("object/x", "object/y", "object/z"))

@@ -1,4 +1,4 @@
-"""Formulas as text: their values, dimensions and looks."""
+"""Formulas as text: their values, dimensions and typesetting."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Figures: drawn, not empty, with their axes named and the printed values marked."""
+"""Figures: drawn, not empty, with named axes and the printed values marked."""
 
 import re
 from pathlib import Path
@@ -48,7 +48,7 @@ def test_svg_is_the_same_each_time_and_names_no_place(folder: Path, name: str) -
 
 
 def test_units_and_printed_values_are_in_the_figures(folder: Path) -> None:
-    """Comments in matplotlib's SVG hold the texts that are drawn as paths."""
+    """Comments in matplotlib's SVG contain the texts, which are drawn as paths."""
     wanted = {
         "fig2-model": ["X [mm]", "L₁ = 30 mm", "L₃ = 10 mm", "palm"],
         "fig3-path": ["X [mm]", "Y [mm]", "55 mm"],

@@ -1,4 +1,4 @@
-"""The paper's Eq. 10, taken literally, must fail the tests of the model: they can fail, and they do."""
+"""The paper's Eq. 10, taken literally, fails the tests of the model."""
 
 import os
 import re
@@ -19,7 +19,7 @@ NEED_EQ10 = {
 
 
 def outcome(which: str) -> tuple[set[str], str]:
-    """Names of the model's tests that fail with Eq. 10 as printed or corrected, and the last line."""
+    """Return the names of failed tests with Eq. 10 as printed or corrected, and the last line."""
     command = [sys.executable, "-m", "pytest", "-p", "literal_eq10", "-p", "no:xdist", "-q", "-rf", "--tb=no"]
     run = subprocess.run(
         [*command, "-k", f"jamia and not jamia_bench and not jamia11 and ({TESTS})", "tests/hand/test_dynamics.py"],

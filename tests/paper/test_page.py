@@ -1,4 +1,4 @@
-"""The page: Markdown that is kept true, JSON with a schema, HTML that needs nothing else."""
+"""Page about the paper: up-to-date Markdown, JSON with a schema, self-contained HTML."""
 
 import json
 import re
@@ -20,7 +20,7 @@ RESULTS = ROOT / "docs" / "evidence" / "paper-results.json"
 
 
 def test_the_page_in_the_repository_is_the_generator_s(capsys: pytest.CaptureFixture[str]) -> None:
-    """Compare every line, measured ones included. If this fails: run the command that the page names."""
+    """Compare every line, measured ones included. If this test fails, run the command that the page names."""
     assert main(["paper", "--markdown", "--results", str(RESULTS)]) == 0
     assert PAGE.read_text(encoding="utf-8").splitlines() == capsys.readouterr().out.splitlines()
 

@@ -1,4 +1,4 @@
-"""Verdicts follow from digits, never from somebody's opinion."""
+"""Verdicts follow from printed digits and exact values."""
 
 from decimal import ROUND_DOWN, ROUND_HALF_EVEN, Decimal
 from fractions import Fraction

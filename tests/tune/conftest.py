@@ -1,4 +1,4 @@
-"""Hands with their gains designed, once."""
+"""Models of hands with their designed gains, made once."""
 
 import pytest
 
@@ -9,11 +9,11 @@ from handctl.hand.load import load_hand
 
 @pytest.fixture(scope="session")
 def jamia() -> HandModel:
-    """One tendon a digit, 500 Hz."""
+    """Return the hand with one tendon per digit, at 500 Hz."""
     return HandModel.of(load_hand("jamia"), Gains(), 500.0)
 
 
 @pytest.fixture(scope="session")
 def jamia11() -> HandModel:
-    """One tendon a joint, 200 Hz."""
+    """Return the hand with one tendon per joint, at 200 Hz."""
     return HandModel.of(load_hand("jamia11"), Gains(), 200.0)

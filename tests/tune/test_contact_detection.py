@@ -1,4 +1,4 @@
-"""A digit that touches something in its sweeps: found by its fit, and what that spoils is not kept."""
+"""Contact in the sweeps of a digit: detected by its fit, and the spoilt parameters are not kept."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ DIGITS = ("index", "middle", "ring", "thumb")
 THUMB = "mount_position_m = [0.0, -0.025, 0.0]"
 
 
-def nearer(hand: str, thumb_mm: int, folder: Path) -> str:
+def with_near_thumb(hand: str, thumb_mm: int, folder: Path) -> str:
     """Write a packaged hand whose thumb is mounted nearer to the middle finger; return its path."""
     text = load_hand(hand).to_toml()
     assert THUMB in text
@@ -28,25 +28,25 @@ def nearer(hand: str, thumb_mm: int, folder: Path) -> str:
 
 
 def touching(hand: str, thumb_mm: int, seed: int, folder: Path) -> dict[str, TendonResult]:
-    """What identification finds of a middle finger that meets the thumb."""
-    path = nearer(hand, thumb_mm, folder)
+    """Identify a middle finger that meets the thumb."""
+    path = with_near_thumb(hand, thumb_mm, folder)
     found, row = excited(path, "middle", seed, {"spring": SPRING}, Gains(), folder)
     assert "failure" not in row
     return found
 
 
-NEAR = [("jamia", mm, seed) for seed in range(5) for mm in (25, 29, 33, 37, 40)]
-NEAR += [("jamia11", mm, seed) for seed in range(5) for mm in (29, 37)]
+NEAR_THUMBS = [("jamia", mm, seed) for seed in range(5) for mm in (25, 29, 33, 37, 40)]
+NEAR_THUMBS += [("jamia11", mm, seed) for seed in range(5) for mm in (29, 37)]
 SAMPLE = {("jamia", 37, 1), ("jamia11", 29, 3)}
-CALM = [(hand, seed) for seed in range(20) for hand in ("jamia", "jamia11")]
-CALM_SAMPLE = {("jamia", 5)}
+UNDISTURBED = [(hand, seed) for seed in range(20) for hand in ("jamia", "jamia11")]
+UNDISTURBED_SAMPLE = {("jamia", 5)}
 
 
-@pytest.mark.parametrize(("hand", "thumb_mm", "seed"), [one for one in NEAR if NIGHTLY or one in SAMPLE])
+@pytest.mark.parametrize(("hand", "thumb_mm", "seed"), [one for one in NEAR_THUMBS if NIGHTLY or one in SAMPLE])
 def test_springs_of_fingers_that_touch_each_other_are_not_kept(
     tmp_path: Path, hand: str, thumb_mm: int, seed: int
 ) -> None:
-    """Springs of 1.41 and 1.73 were kept for 1.2, without a word."""
+    """Springs of 1.41 and 1.73 instead of 1.2 were once kept without a message."""
     found = touching(hand, thumb_mm, seed, tmp_path)
     for one in found.values():
         assert one.met or one.blocked
@@ -57,16 +57,16 @@ def test_springs_of_fingers_that_touch_each_other_are_not_kept(
             assert abs(one.fit.values[name] - real[name]) < 2.0 * one.fit.half_widths[name], name
 
 
-@pytest.mark.parametrize(("hand", "seed"), [one for one in CALM if NIGHTLY or one in CALM_SAMPLE])
+@pytest.mark.parametrize(("hand", "seed"), [one for one in UNDISTURBED if NIGHTLY or one in UNDISTURBED_SAMPLE])
 def test_a_digit_that_touches_nothing_is_kept(tmp_path: Path, hand: str, seed: int) -> None:
-    """Plants are off by up to 30 %."""
+    """Accept plants with parameters off by up to 30 %."""
     found, row = excited(hand, DIGITS[seed % 4], seed, plant(seed), Gains(), tmp_path)
     assert "failure" not in row
     assert [(one.met, one.blocked) for one in found.values() if one.met or one.blocked] == []
 
 
 def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
-    """The controller's own judgement, by the hand file's springs and with gains off by a factor of three, is one."""
+    """The controller alone reports an obstacle, by the hand file's springs and with detuned gains."""
     found, row = excited("jamia", "index", 8, plant(8), detuned(8), tmp_path)
     assert "failure" not in row
     one = found["index_tendon"]
@@ -75,7 +75,7 @@ def test_stiffer_springs_are_no_obstacle(tmp_path: Path) -> None:
 
 
 def line(seed: int, kink: float, begin: float = 0.3) -> Ramp | None:
-    """The ramp that a straight line, fitted to noise and a kink in two sweeps, leaves unexplained."""
+    """Return the ramp that a straight line leaves unexplained, fitted to noise and a kink in two sweeps."""
     random = np.random.default_rng(seed)
     angle = np.abs(np.linspace(-1.0, 1.0, ROWS)) * 0.6
     seen = random.normal(size=ROWS) + kink * np.maximum(0.0, angle - begin)

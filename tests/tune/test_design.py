@@ -1,4 +1,4 @@
-"""A design keeps what it promises on plants that it was not told of."""
+"""Designs: they keep their margins on plants of the ensemble."""
 
 import math
 
@@ -16,7 +16,7 @@ from handctl.tune.search.ensemble import MIN_SPREAD, ensemble, widths
 
 @pytest.mark.parametrize("hand", ["jamia", "jamia11"])
 def test_the_packaged_gains_keep_their_margins(hand: str, request: pytest.FixtureRequest) -> None:
-    """On the ensemble that ``tune design`` takes by default."""
+    """Use the default ensemble of `tune design`."""
     model: HandModel = request.getfixturevalue(hand)
     worst = worst_of(model, tuple(linear_factors(one) for one in ensemble(8, 0)))
     assert worst.enough, worst
@@ -47,7 +47,7 @@ def test_a_filter_that_leaves_no_margin_is_refused(jamia: HandModel) -> None:
 
 @pytest.mark.parametrize("hz", [3.0, 6.0])
 def test_poles_are_where_they_were_asked_for(jamia: HandModel, hz: float) -> None:
-    """Of the rotor and digit as one mass under the sampled state feedback, at a rate far above them."""
+    """Rotor and digit as one mass under sampled state feedback, at a rate far above the poles."""
     gains = with_poles(jamia, LoopKind.MOTION, hz, 1.0)
     fast = HandModel.of(jamia.hand, gains, 4000.0)
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1.0]])
@@ -68,7 +68,7 @@ def test_poles_are_where_they_were_asked_for(jamia: HandModel, hz: float) -> Non
 def test_placed_poles_that_no_weights_have_are_refused(
     jamia: HandModel, hz: tuple[float, float], damping: float, right: str
 ) -> None:
-    """In one line that says which would have some."""
+    """The message states poles that have weights."""
     with pytest.raises(ValueError, match=right):
         placed(jamia, (PlantFactors(),), *hz, damping)
 
@@ -84,7 +84,7 @@ def test_an_ensemble_is_never_narrower_than_service_makes_it() -> None:
 
 
 def identified(stiffness: float, half: float) -> Identified:
-    """Of one tendon."""
+    """Return an identification of one tendon."""
     return Identified(
         names=("rope_stiffness", "delay"),
         values=(stiffness, 1e-3),

@@ -1,4 +1,4 @@
-"""Gains on disk: what was applied can be brought back, and a reader never meets a part of a file."""
+"""Gains on disk: every change can be undone, and a reader never meets a part of a file."""
 
 import os
 from pathlib import Path
@@ -26,10 +26,10 @@ def present(store: GainsStore) -> float:
 
 
 def test_a_file_reads_back_with_its_provenance(tmp_path: Path) -> None:
-    told = Provenance(log=("a.mcap", "b.mcap"), fit="c.toml", study="s", note="käse", number=3, restores=0)
+    provenance = Provenance(log=("a.mcap", "b.mcap"), fit="c.toml", study="s", note="käse", number=3, restores=0)
     path = tmp_path / "g.toml"
-    path.write_text(gains_text(force(31.0), told))
-    assert load_gains_file(path).provenance == told
+    path.write_text(gains_text(force(31.0), provenance))
+    assert load_gains_file(path).provenance == provenance
     assert load_gains(path) == force(31.0)
 
 
@@ -85,16 +85,16 @@ def test_what_was_copied_there_came_after_the_newest(store: GainsStore, tmp_path
 def test_a_damaged_file_is_set_aside_and_not_lost(store: GainsStore) -> None:
     store.apply(force(21.0), Provenance())
     assert store.set_aside() is None
-    kept = []
+    renamed = []
     for text in ("schema = [", "nonsense = 1"):
         store.path.write_text(text)
         with pytest.raises(ConfigError):
             store.rollback()
         aside = store.set_aside()
         assert aside is not None
-        kept.append((aside.name, aside.read_text()))
+        renamed.append((aside.name, aside.read_text()))
         assert store.rollback(to=1).gains == force(21.0)
-    assert kept == [("jamia.gains.damaged.toml", "schema = ["), ("jamia.gains.damaged1.toml", "nonsense = 1")]
+    assert renamed == [("jamia.gains.damaged.toml", "schema = ["), ("jamia.gains.damaged1.toml", "nonsense = 1")]
 
 
 def test_a_history_with_a_gap_is_no_way_back(store: GainsStore) -> None:
@@ -108,10 +108,16 @@ def test_a_history_with_a_gap_is_no_way_back(store: GainsStore) -> None:
 
 
 def test_provenance_says_who_when_and_for_which_hand(store: GainsStore) -> None:
-    told = store.apply(force(21.0), Provenance(study="s.db", log=("a.mcap",))).provenance
-    assert (told.study, told.log, told.hand, told.identity, told.number) == ("s.db", ("a.mcap",), "jamia", "abc", 1)
-    assert told.made
-    assert told.version
+    provenance = store.apply(force(21.0), Provenance(study="s.db", log=("a.mcap",))).provenance
+    assert (provenance.study, provenance.log, provenance.hand, provenance.identity, provenance.number) == (
+        "s.db",
+        ("a.mcap",),
+        "jamia",
+        "abc",
+        1,
+    )
+    assert provenance.made
+    assert provenance.version
 
 
 def test_nothing_to_go_back_to(store: GainsStore) -> None:

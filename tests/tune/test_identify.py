@@ -1,4 +1,4 @@
-"""Identification: parameters come back from hands that are not what their file says."""
+"""Identification: parameters of hands that differ from their file."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -37,31 +37,35 @@ WEAK_MOTOR, STIFF_MOTOR = (23, "thumb"), (39, "thumb")
     ],
 )
 def test_a_hand_off_by_thirty_percent_with_detuned_gains(tmp_path: Path, seed: int, digit: str) -> None:
-    """A motor that lacks 29 % of its torque is no wrong load cell; one that rubs moves its rope nevertheless."""
+    """A motor without 29 % of its torque is no wrong load cell. A motor with high friction still moves its tendon."""
     row = one(seed, digit, tmp_path)
     assert "failure" not in row
-    assert {found["name"] for found in row["parameters"]} == WITHIN.keys()
-    assert [found for found in row["parameters"] if not found["within"]] == []
-    assert [found for found in row["parameters"] if abs(found["error"]) > 1.6 * found["half_width"]] == []
+    assert {parameter["name"] for parameter in row["parameters"]} == WITHIN.keys()
+    assert [parameter for parameter in row["parameters"] if not parameter["within"]] == []
+    assert [
+        parameter for parameter in row["parameters"] if abs(parameter["error"]) > 1.6 * parameter["half_width"]
+    ] == []
 
 
 def test_springs_behind_several_tendons_are_found_by_the_joint_encoders(tmp_path: Path) -> None:
-    """At 200 Hz a motor's inertia and friction are known less well, and their intervals say so."""
+    """At 200 Hz inertia and friction of a motor are less accurate, and their intervals show it."""
     row = one(3, "thumb", tmp_path, "jamia11")
-    assert {found["name"] for found in row["parameters"]} == WITHIN.keys()
-    assert [found for found in row["parameters"] if abs(found["error"]) > 1.6 * found["half_width"]] == []
-    assert [found["within"] for found in row["parameters"] if found["name"] == "spring_stiffness"] == [True]
+    assert {parameter["name"] for parameter in row["parameters"]} == WITHIN.keys()
+    assert [
+        parameter for parameter in row["parameters"] if abs(parameter["error"]) > 1.6 * parameter["half_width"]
+    ] == []
+    assert [parameter["within"] for parameter in row["parameters"] if parameter["name"] == "spring_stiffness"] == [True]
 
 
 @pytest.mark.nightly
 @pytest.mark.timeout(7200)
 def test_a_hundred_hands(tmp_path: Path) -> None:
     digits = load_hand("jamia").digit_names
-    told = summary([one(seed, digits[seed % 4], tmp_path) for seed in range(1, SEEDS + 1)])
-    assert told["failed"] == []
-    assert {name: found["covered"] for name, found in told["parameters"].items() if found["covered"] < COVERED} == {}
-    assert {name: found["within"] for name, found in told["parameters"].items() if found["within"] < COVERED} == {}
-    assert told["all_covered_all_at_once"] >= COVERED
+    figures = summary([one(seed, digits[seed % 4], tmp_path) for seed in range(1, SEEDS + 1)])
+    assert figures["failed"] == []
+    assert {name: found["covered"] for name, found in figures["parameters"].items() if found["covered"] < COVERED} == {}
+    assert {name: found["within"] for name, found in figures["parameters"].items() if found["within"] < COVERED} == {}
+    assert figures["all_covered_all_at_once"] >= COVERED
 
 
 def test_the_window_is_smooth_and_its_derivatives_are_its_derivatives() -> None:
@@ -75,7 +79,7 @@ def test_the_window_is_smooth_and_its_derivatives_are_its_derivatives() -> None:
 
 
 def test_the_load_model_balances_every_joint() -> None:
-    """Put the tension it returns back into the joints' balance, solved another way."""
+    """Put the returned tension into the joints' balance, solved in another way."""
     digit = DigitModel.of(load_hand("jamia"), "index")
     load = DigitLoad.of(digit)
     p = LoadParameters(1e5, 1.1, 0.9, 0.1, 1.0, 1.0, 2e-4)
@@ -95,16 +99,16 @@ def test_the_excitation_keeps_within_the_hand_s_limits() -> None:
     hand = load_hand("jamia")
     steps = excitation(hand, hand.digit_names)
     for digit in hand.digit_names:
-        own = [step for step in steps if step.digit == digit]
-        assert sum(step.duration_s for step in own) < 21.0
-        assert max(step.target for step in own if step.kind in ("tension", "taut")) <= 0.5 * 110.0
-        stretch = [step.target for step in own if step.name == "stretch"]
+        digit_steps = [step for step in steps if step.digit == digit]
+        assert sum(step.duration_s for step in digit_steps) < 21.0
+        assert max(step.target for step in digit_steps if step.kind in ("tension", "taut")) <= 0.5 * 110.0
+        stretch = [step.target for step in digit_steps if step.name == "stretch"]
         assert max(stretch) < 0.7 * lift_off(hand, digit)
     with pytest.raises(ConfigError, match="pinky"):
         excitation(hand, ("pinky",))
 
 
-def found(**values: float) -> Identified:
+def identified_with(**values: float) -> Identified:
     n = len(values)
     rows = tuple(tuple(1e-6 if i == j else 0.0 for j in range(n)) for i in range(n))
     return Identified(
@@ -114,7 +118,9 @@ def found(**values: float) -> Identified:
 
 def test_the_controller_s_hand_is_the_identified_one() -> None:
     hand = load_hand("jamia")
-    known = {"thumb_tendon": found(rope_stiffness=8e4, motor_inertia=1e-4, spring_stiffness=1.2, torque_gain=0.9)}
+    known = {
+        "thumb_tendon": identified_with(rope_stiffness=8e4, motor_inertia=1e-4, spring_stiffness=1.2, torque_gain=0.9)
+    }
     real = identified_hand(hand, known)
     assert real.tendon[3].stiffness_N_per_m == 8e4
     assert real.motor_of("thumb_tendon").inertia_kg_m2 == 1e-4
@@ -128,7 +134,7 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
     hand = load_hand("jamia")
     nothing = TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0)
     rows = dict.fromkeys(hand.tendon_names, nothing)
-    known = {"ring_tendon": found(capstan=0.09, delay=1e-4)}
+    known = {"ring_tendon": identified_with(capstan=0.09, delay=1e-4)}
     made = Calibration(
         hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows, identified=known
     )
@@ -141,11 +147,11 @@ def test_a_calibration_keeps_what_was_identified(tmp_path: Path) -> None:
 
 
 def test_what_is_tuned_is_the_hand_as_identified(tmp_path: Path) -> None:
-    """The model, and the middle of the ensemble; the gains are for the hand, whatever is known of it."""
+    """The model and the middle of the ensemble are identified. The gains belong to the hand of the file."""
     hand, path = load_hand("jamia"), tmp_path / "c.toml"
     rows = dict.fromkeys(hand.tendon_names, TendonCalibration(tare_N=0.0, zero_rad=0.0, answer_N=3.0, crosstalk_N=0.0))
     made = Calibration(hand="jamia", identity=hand.identity, made="2026-01-01T00:00:00+00:00", tendon=rows)
-    write_calibration(path, made.model_copy(update={"identified": {"ring_tendon": found(capstan=0.04)}}))
+    write_calibration(path, made.model_copy(update={"identified": {"ring_tendon": identified_with(capstan=0.04)}}))
     known = subject("jamia", path)
     assert known.hand.identity == hand.identity != known.twin.identity
     assert [rope.friction_coefficient for rope in known.twin.tendon] == [0.08, 0.08, 0.04, 0.08]
@@ -157,7 +163,7 @@ def test_what_is_tuned_is_the_hand_as_identified(tmp_path: Path) -> None:
 
 
 def test_a_delay_is_missed_by_its_own_measure() -> None:
-    """A delay of nothing is known as well as any: parts of its value say nothing."""
+    """A delay of zero is identified by an absolute limit, not by a fraction of its value."""
     rows = np.ones((3, len(NAMES)))
     assert _reason(rows, "delay") == "the 95 % interval is wider than 0.5 ms to either side"
     assert "50 % of the value" in _reason(rows, "capstan")
@@ -177,10 +183,10 @@ def test_a_picture_shows_what_is_far_from_the_hand_file() -> None:
 
 
 def test_a_run_that_tells_little_takes_nothing_away() -> None:
-    old = found(rope_stiffness=8e4, motor_inertia=1e-4, capstan=0.2).model_copy(
+    old = identified_with(rope_stiffness=8e4, motor_inertia=1e-4, capstan=0.2).model_copy(
         update={"covariance": ((4.0, 0.5, 0.25), (0.5, 1.0, 0.0), (0.25, 0.0, 9.0))}
     )
-    new = found(motor_inertia=2e-4, torque_gain=0.9).model_copy(update={"log": ("b.mcap",)})
+    new = identified_with(motor_inertia=2e-4, torque_gain=0.9).model_copy(update={"log": ("b.mcap",)})
     both = Identified.model_validate(new.beside(old).model_dump())
     assert dict(zip(both.names, both.values, strict=True)) == {
         "motor_inertia": 2e-4, "torque_gain": 0.9, "rope_stiffness": 8e4, "capstan": 0.2,

@@ -1,4 +1,4 @@
-"""What of an ordinary log is taken for free motion."""
+"""Free motion in an ordinary log."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ GRASP = Path(__file__).parents[2] / "logs" / "golden" / "jamia-grasp.mcap"
 
 
 def test_a_digit_that_is_held_or_rests_on_a_stop_is_not_free() -> None:
-    """Springs and friction were found a third too large where tensions had pressed a digit against its stop."""
+    """Tensions that press a digit on its stop once made springs and friction a third too large."""
     hand = load_hand("jamia")
     with RunLog(GRASP) as log:
         held = np.isnan(log.field("q_goal"))

@@ -1,4 +1,4 @@
-"""The linear loops are the running code's: they predict what it does, and their margins are those of ``control``."""
+"""Linear loops: they predict the running code, and their margins are those of `control`."""
 
 import math
 
@@ -19,30 +19,30 @@ KINDS = list(LoopKind)
 def test_the_linear_controller_predicts_the_running_one(
     hand: str, kind: LoopKind, request: pytest.FixtureRequest
 ) -> None:
-    """A tick from a state and a reading that are a little different."""
+    """Compare one tick from slightly different states and readings."""
     model: HandModel = request.getfixturevalue(hand)
     K = controller(model, 0, kind)
     tick, state, reading, steps = linear._operating_point(model, 0, kind)
-    still, random = tick(state, reading), np.random.default_rng(0)
+    centre, random = tick(state, reading), np.random.default_rng(0)
     for _ in range(10):
         moved = steps * random.normal(size=len(state))
-        told = np.array([1e-7, 1e-2, 1e-7]) * random.normal(size=3)
-        after = tick(state + moved, reading + told) - still
-        predicted = np.concatenate([K.A @ moved + K.B @ told, K.C @ moved + K.D @ told])
+        reading_step = np.array([1e-7, 1e-2, 1e-7]) * random.normal(size=3)
+        after = tick(state + moved, reading + reading_step) - centre
+        predicted = np.concatenate([K.A @ moved + K.B @ reading_step, K.C @ moved + K.D @ reading_step])
         scale = np.append(steps, 1e-6)
         assert np.abs((predicted - after) / scale).max() < 1e-3 * np.abs(after / scale).max()
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_tick_acts_on_the_samples_of_the_tick_before(jamia: HandModel, kind: LoopKind) -> None:
-    """The loop's impulse response, beside plant and controller stepped as the bus steps them."""
+    """Compare the loop's impulse response with plant and controller stepped as the bus steps them."""
     P, K, L = plant(jamia, 0, kind), controller(jamia, 0, kind), loop(jamia, 0, kind)
-    p, own, sample, state = P.B[:, 0], np.zeros(len(K.A)), np.zeros(3), L.B[:, 0]
+    p, state_of_controller, sample, state = P.B[:, 0], np.zeros(len(K.A)), np.zeros(3), L.B[:, 0]
     for k in range(1, 30):
-        back = float((K.C @ own + K.D @ sample)[0])
+        back = float((K.C @ state_of_controller + K.D @ sample)[0])
         assert float((L.C @ state)[0]) == pytest.approx(-back, rel=1e-9, abs=1e-12)
         assert k > 1 or back == 0.0
-        own, sample, p = K.A @ own + K.B @ sample, P.C @ p, P.A @ p
+        state_of_controller, sample, p = K.A @ state_of_controller + K.B @ sample, P.C @ p, P.A @ p
         state = L.A @ state
 
 
@@ -60,13 +60,13 @@ def test_margins_are_those_of_control(hand: str, kind: LoopKind, request: pytest
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_gain_margin_is_where_the_loop_becomes_unstable(jamia: HandModel, kind: LoopKind) -> None:
-    """Positive control: a plant whose torque is stronger by the margin and a little more is lost, by less is not."""
+    """Positive control: slightly more torque than the margin makes the loop unstable, slightly less does not."""
     margin = 10.0 ** (margins(loop(jamia, 0, kind)).gain_db / 20.0)
     assert margins(loop(jamia, 0, kind, PlantFactors(torque_constant=0.97 * margin))).stable
     assert not margins(loop(jamia, 0, kind, PlantFactors(torque_constant=1.03 * margin))).stable
 
 
 def test_a_push_is_answered(jamia: HandModel) -> None:
-    """A held tension comes back from a push of 1 N; a blocked rotor without a controller would keep all of it."""
+    """A held tension returns after a force step of 1 N. A blocked rotor without a controller keeps all of it."""
     _, tension = step_response(jamia, 0, LoopKind.TENSION, 1.0)
     assert abs(tension[-1]) < 0.3 < np.abs(tension).max() < 2.0

@@ -1,4 +1,4 @@
-"""Gains on trial, on a plant that is not the hand file's: whatever they are worth, the exercise comes to its end."""
+"""Scoring of gains on a plant unlike the hand file: the exercise completes, however bad the gains are."""
 
 import pytest
 
@@ -10,7 +10,7 @@ from handctl.tune.scoring import exercise
 
 @pytest.mark.parametrize("seed", [1000, 1002])
 def test_gains_that_leave_a_motor_short_of_its_goal_are_no_stuck_encoder(seed: int) -> None:
-    """What N04 took the goal for lagged, and went on after the motor had stopped 0.4 mm short: an alarm at 2.5 s."""
+    """N04 once raised an alarm at 2.5 s: its lagging goal moved on after the motor had stopped 0.4 mm short."""
     hand = load_hand("jamia")
     score = exercise(hand, HandModel.of(hand, detuned_gains(), 500.0), PLANT, seed)
     assert score.failure == ""

@@ -1,4 +1,4 @@
-"""A search is the same for whoever computes it, loses nothing, and goes on where it stopped."""
+"""Search: the same result with all workers, no lost trials, and a resumed study."""
 
 import os
 import signal
@@ -24,7 +24,7 @@ TRIALS = 3
 
 @pytest.fixture(scope="session")
 def plan() -> SearchPlan:
-    """Few trials on the nominal plant."""
+    """Return a plan with few trials on the nominal plant."""
     return SearchPlan(load_hand("jamia").to_toml(), 500.0, Gains(), ensemble(1, 0), seed=5, trials=TRIALS)
 
 
@@ -34,16 +34,16 @@ def _nothing(found: SearchResult) -> None:
 
 @pytest.fixture(scope="session")
 def found(plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory) -> SearchResult:
-    """Searched in this process."""
+    """Return the result of a search in this process."""
     return search(plan, tmp_path_factory.mktemp("study") / "one", InProcessWorkers(), _nothing)
 
 
 def test_two_processes_find_what_one_finds(plan: SearchPlan, found: SearchResult, tmp_path: Path) -> None:
-    crew = ProcessPool(2)
+    workers = ProcessPool(2)
     try:
-        assert search(plan, tmp_path / "two", crew, _nothing) == found
+        assert search(plan, tmp_path / "two", workers, _nothing) == found
     finally:
-        crew.close()
+        workers.close()
     assert len(found.trials) == TRIALS
     assert not found.trials[0].score.failure
 
@@ -51,17 +51,17 @@ def test_two_processes_find_what_one_finds(plan: SearchPlan, found: SearchResult
 def test_the_sampler_knows_which_trials_keep_their_margins(
     plan: SearchPlan, found: SearchResult, tmp_path: Path
 ) -> None:
-    """Those that were drawn at random, too; and Optuna has nothing to warn of."""
-    search(plan, tmp_path / "study", Remembered(found), _nothing)
-    told = [one for one in _study(plan, tmp_path / "study").trials if one.state.is_finished()]
-    assert [one.constraints for one in told] == [{"margins": one.score.shortfall} for one in found.trials]
+    """Random trials have constraints as well, and Optuna raises no warning."""
+    search(plan, tmp_path / "study", RecordedWorkers(found), _nothing)
+    finished = [one for one in _study(plan, tmp_path / "study").trials if one.state.is_finished()]
+    assert [one.constraints for one in finished] == [{"margins": one.score.shortfall} for one in found.trials]
     with warnings.catch_warnings():
         warnings.simplefilter("error", FutureWarning)
         _sampler(plan.seed, RANDOM_BATCHES)
 
 
-class Remembered:
-    """Knows the scores already."""
+class RecordedWorkers:
+    """Workers that return known scores."""
 
     def __init__(self, found: SearchResult) -> None:
         self.found = found
@@ -74,8 +74,8 @@ class Remembered:
         return
 
 
-class Tired:
-    """Works on some jobs, then is interrupted as by Ctrl-C."""
+class InterruptedWorkers:
+    """Workers that are interrupted after some jobs, as by Ctrl-C."""
 
     def __init__(self, jobs: int) -> None:
         self.left = jobs
@@ -93,17 +93,17 @@ class Tired:
 
 @pytest.mark.nightly
 def test_an_interrupted_search_goes_on_to_the_same_end(plan: SearchPlan, found: SearchResult, tmp_path: Path) -> None:
-    crew: Workers = Tired(2)
+    workers: Workers = InterruptedWorkers(2)
     seen: list[int] = []
     with pytest.raises(KeyboardInterrupt):
-        search(plan, tmp_path / "study", crew, lambda now: seen.append(len(now.trials)))
+        search(plan, tmp_path / "study", workers, lambda now: seen.append(len(now.trials)))
     assert seen == [1, 2]
     assert search(plan, tmp_path / "study", InProcessWorkers(), lambda now: seen.append(len(now.trials))) == found
     assert seen == [1, 2, 3]
 
 
-class Quick:
-    """Scores that follow from the gains without a simulation."""
+class FormulaWorkers:
+    """Workers whose scores follow from the gains without a simulation."""
 
     def scores(self, jobs: Sequence[dict[str, Any]]) -> Iterator[tuple[int, dict[str, Any]]]:
         for i, job in enumerate(jobs):
@@ -117,31 +117,31 @@ class Quick:
 
 @pytest.fixture(scope="module")
 def long(plan: SearchPlan, tmp_path_factory: pytest.TempPathFactory) -> tuple[SearchPlan, SearchResult, bytes]:
-    """A search beyond the random batches, with what it found and its journal."""
+    """Return a search beyond the random batches, its result and its journal."""
     longer = replace(plan, trials=8 * RANDOM_BATCHES + 2, others=(Gains(motion=MotionGains(force_N=20.0)),))
     path = tmp_path_factory.mktemp("study") / "whole"
-    return longer, search(longer, path, Quick(), _nothing), path.read_bytes()
+    return longer, search(longer, path, FormulaWorkers(), _nothing), path.read_bytes()
 
 
-@pytest.mark.parametrize("share", [0.01, 0.03, 0.1, 0.25, 0.45, 0.6, 0.9, 0.99])
+@pytest.mark.parametrize("fraction", [0.01, 0.03, 0.1, 0.25, 0.45, 0.6, 0.9, 0.99])
 def test_a_journal_that_ends_anywhere_goes_on_to_the_same_end(
-    long: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, share: float
+    long: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path, fraction: float
 ) -> None:
-    """Also while a batch is being asked, and in the middle of a line."""
+    """Cut the journal also while a batch is being asked, and in the middle of a line."""
     longer, found, journal = long
     path, lines = tmp_path / "study", journal.splitlines(keepends=True)
-    kept = int(share * len(lines))
-    path.write_bytes(b"".join(lines[:kept]) + lines[kept][:40])
-    assert search(longer, path, Quick(), _nothing) == found
-    assert search(longer, path, Quick(), _nothing) == found
+    line_count = int(fraction * len(lines))
+    path.write_bytes(b"".join(lines[:line_count]) + lines[line_count][:40])
+    assert search(longer, path, FormulaWorkers(), _nothing) == found
+    assert search(longer, path, FormulaWorkers(), _nothing) == found
 
 
 def test_a_search_that_is_made_longer_is_that_of_one_run(
     long: tuple[SearchPlan, SearchResult, bytes], tmp_path: Path
 ) -> None:
     longer, found, _ = long
-    assert len(search(replace(longer, trials=10), tmp_path / "study", Quick(), _nothing).trials) == 10
-    assert search(longer, tmp_path / "study", Quick(), _nothing) == found
+    assert len(search(replace(longer, trials=10), tmp_path / "study", FormulaWorkers(), _nothing).trials) == 10
+    assert search(longer, tmp_path / "study", FormulaWorkers(), _nothing) == found
 
 
 @pytest.mark.parametrize(
@@ -162,23 +162,23 @@ def test_a_damaged_journal_is_refused_and_keeps_what_it_holds(
     assert damaged != journal
     (tmp_path / "study").write_bytes(damaged)
     with pytest.raises(ConfigError, match="cannot be used"):
-        search(longer, tmp_path / "study", Quick(), _nothing)
+        search(longer, tmp_path / "study", FormulaWorkers(), _nothing)
     assert (tmp_path / "study").read_bytes().startswith(damaged)
 
 
 @pytest.mark.nightly
 def test_the_death_of_a_worker_loses_nothing(plan: SearchPlan, found: SearchResult) -> None:
-    crew = ProcessPool(1)
+    workers = ProcessPool(1)
     try:
-        os.kill(crew.pids[0], signal.SIGKILL)
+        os.kill(workers.pids[0], signal.SIGKILL)
         jobs = [plan.job(i, one.values) for i, one in enumerate(found.trials)]
         scores = {}
-        for i, result in crew.scores(jobs):
+        for i, result in workers.scores(jobs):
             scores[i] = Score(**result)
             if i == 1:
-                os.kill(crew.pids[0], signal.SIGKILL)
+                os.kill(workers.pids[0], signal.SIGKILL)
     finally:
-        crew.close()
+        workers.close()
     assert [scores[i] for i in range(TRIALS)] == [one.score for one in found.trials]
 
 
@@ -187,11 +187,11 @@ def test_a_dask_cluster_finds_what_one_process_finds(plan: SearchPlan, found: Se
     from distributed import LocalCluster
 
     with LocalCluster(n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None) as cluster:
-        crew = Cluster(cluster.scheduler_address)
+        workers = Cluster(cluster.scheduler_address)
         try:
-            assert search(plan, tmp_path / "dask", crew, _nothing) == found
+            assert search(plan, tmp_path / "dask", workers, _nothing) == found
         finally:
-            crew.close()
+            workers.close()
 
 
 def test_two_searches_do_not_share_a_journal(plan: SearchPlan, tmp_path: Path) -> None:
@@ -209,7 +209,7 @@ def test_two_searches_do_not_share_a_journal(plan: SearchPlan, tmp_path: Path) -
 def test_a_study_of_something_else_is_refused(plan: SearchPlan, tmp_path: Path) -> None:
     other = SearchPlan(plan.hand, plan.rate_hz, plan.gains, plan.plants, seed=6, trials=1)
     with pytest.raises(KeyboardInterrupt):
-        search(plan, tmp_path / "study", Tired(0), _nothing)
+        search(plan, tmp_path / "study", InterruptedWorkers(0), _nothing)
     with pytest.raises(ConfigError, match="another search"):
         search(other, tmp_path / "study", InProcessWorkers(), _nothing)
     (tmp_path / "text").write_text("no journal\n")

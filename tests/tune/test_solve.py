@@ -1,4 +1,4 @@
-"""The jackknife over blocks of time, also where a damaged log has all its rows in one block."""
+"""Jackknife over blocks of time, also for a damaged log with all its rows in one block."""
 
 import time
 
@@ -20,7 +20,7 @@ def test_rows_are_in_one_block_each(seed: int) -> None:
 
 @pytest.mark.parametrize("span", [0.0, 0.1, 20.0])
 def test_times_that_stand_still_cost_no_more_than_seconds(span: float) -> None:
-    """4000 rows in one block took minutes."""
+    """4000 rows in one block once took minutes."""
     random = np.random.default_rng(0)
     jacobian, residual = random.normal(size=(4010, 10)), random.normal(size=4010)
     begin = time.process_time()
@@ -32,7 +32,7 @@ def test_times_that_stand_still_cost_no_more_than_seconds(span: float) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_an_unlucky_block_does_not_take_the_freedom_away(seed: int) -> None:
-    """Freedom is the design's: one block with a large residual left three degrees, and intervals half as wide again."""
+    """One block with a large residual once left three degrees, and intervals half as wide again."""
     random = np.random.default_rng(seed)
     jacobian, times = random.normal(size=(2000, 3)), np.linspace(0.0, 20.0 * BLOCK_S, 2000, endpoint=False)
     residual = random.normal(size=2000)
@@ -45,7 +45,7 @@ def test_an_unlucky_block_does_not_take_the_freedom_away(seed: int) -> None:
 
 
 def test_a_parameter_without_data_has_a_spread_of_its_prior() -> None:
-    """A run in which a digit hardly moves ended with a warning of an overflow."""
+    """A run in which a digit hardly moved once ended with an overflow warning."""
     jacobian = np.vstack([np.column_stack([np.ones(100), np.full(100, 1e-160)]), np.eye(2)])
     with np.errstate(all="raise", under="ignore"):
         covariance, freedom = _covariance(jacobian, np.ones(102), np.linspace(0.0, 5.0, 100))

@@ -1,4 +1,4 @@
-"""What a design writes is stable: by eigenvalues, by a brute-force oracle of the margins, and in lockstep."""
+"""Stability of designs: by eigenvalues, by a brute-force reference of the margins, and in lockstep."""
 
 import math
 from functools import cache
@@ -20,11 +20,11 @@ HANDS = packaged_hands()
 SEEDS = range(20) if NIGHTLY else range(2)
 RATES = {"jamia": 500.0}
 SATURATED = {"tension": {"tension_error_N": 0.5, "speed_error_m_s": 0.1}}
-"""With 390 N of authority the law asks for more torque than the motor has at the operating point."""
+"""Weights with 390 N of authority command more torque than the motor has at the operating point."""
 
 
 def random_gains(seed: int, wide: float = 10.0) -> Gains:
-    """Weights, integral and filter off by up to a factor either way."""
+    """Return weights, integral and filter off by up to a factor, up or down."""
     random = np.random.default_rng(seed)
 
     def off(value: float) -> float:
@@ -45,19 +45,19 @@ def random_gains(seed: int, wide: float = 10.0) -> Gains:
 
 @cache
 def model_of(hand: str, seed: int, wide: float = 10.0) -> HandModel:
-    """A packaged hand with random gains."""
+    """Return the model of a packaged hand with random gains."""
     return HandModel.of(load_hand(hand), random_gains(seed, wide), RATES.get(hand, 200.0))
 
 
 def with_force(force: float) -> HandModel:
-    """Jamia with the weights that saturate and a force."""
+    """Return jamia's model with the saturating weights and an authority [N]."""
     table = SATURATED | {"tension": SATURATED["tension"] | {"force_N": force}}
     return HandModel.of(load_hand("jamia"), Gains.model_validate(table), 500.0)
 
 
 @pytest.mark.parametrize("force", [5.0, 50.0, 150.0, 393.0])
 def test_a_law_at_its_limit_is_judged_as_the_linear_law(force: float) -> None:
-    """The slope of a saturated law is none; the matrices are those of the gains, however large they are."""
+    """A saturated control law has no slope. The matrices are those of the gains, however large they are."""
     model = with_force(force)
     K = controller(model, 0, LoopKind.TENSION)
     per_newton = model.motion.tension[0] + model.gains.tension.integral_per_s * model.period
@@ -83,7 +83,7 @@ def test_an_unstable_loop_has_no_margin(jamia: HandModel) -> None:
 
 
 def brute_force(system: System) -> tuple[float, float]:
-    """Gain [dB] and phase [deg] at which an eigenvalue first leaves the unit circle, by trying them one by one."""
+    """Return gain [dB] and phase [deg] at which an eigenvalue first leaves the unit circle, by trial."""
 
     def radius(factor: complex) -> float:
         return float(np.abs(np.linalg.eigvals(system.A - factor * (system.B @ system.C))).max())
@@ -97,7 +97,7 @@ def brute_force(system: System) -> tuple[float, float]:
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("hand", HANDS)
 def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
-    """Never more than there is; and no less, but where frequencies and eigenvalues disagree and it is cut in parts."""
+    """A margin is never too large, and smaller only where frequencies and eigenvalues disagree."""
     model = model_of(hand, seed)
     for kind in LoopKind:
         system = loop(model, 0, kind)
@@ -112,7 +112,7 @@ def test_margins_are_those_of_brute_force(hand: str, seed: int) -> None:
 
 
 def judged_stable(model: HandModel, found: Design, seed: int) -> HandModel:
-    """The designed model, all of whose loops have their eigenvalues inside the unit circle on both plants."""
+    """Return the designed model after a check that all its loops are stable on both plants."""
     after = HandModel.of(model.hand, found.gains, 1.0 / model.period)
     for factors in ensemble(2, seed):
         for i in unlike_tendons(after):
@@ -122,7 +122,7 @@ def judged_stable(model: HandModel, found: Design, seed: int) -> HandModel:
 
 @pytest.mark.parametrize("seed", SEEDS if NIGHTLY else SEEDS[:1])
 def test_what_a_design_comes_to_is_stable_by_its_eigenvalues(seed: int) -> None:
-    """The design alone, without its proof in simulation."""
+    """Check the design alone, without its proof in simulation."""
     model = model_of("jamia", seed, 3.0)
     found = design(model, tuple(linear_factors(one) for one in ensemble(2, seed)))
     judged_stable(model, found, seed)
@@ -132,7 +132,7 @@ def test_what_a_design_comes_to_is_stable_by_its_eigenvalues(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("hand", HANDS)
 def test_what_a_design_writes_is_stable(hand: str, seed: int) -> None:
-    """On its own plant and on another: by the eigenvalues of every loop, and by a step of each in lockstep."""
+    """Check every loop's eigenvalues and a step of each in lockstep, on its own plant and on another."""
     model, factors = model_of(hand, seed, 3.0), ensemble(2, seed)
     plants = tuple(linear_factors(one) for one in factors)
     try:
@@ -149,21 +149,21 @@ def test_a_proof_that_fails_leaves_no_design(jamia: HandModel) -> None:
 
 
 def test_gains_that_are_not_stable_do_not_come_to_rest() -> None:
-    """The positive control of the proof: the gains that were once written with margins of infinity."""
+    """Positive control of the proof: gains that were once written with infinite margins."""
     model = with_force(393.0)
     assert not margins(loop(model, 0, LoopKind.TENSION)).stable
     assert not swing(model.hand, model, {}, 0).at_rest
 
 
 def proof_of(model: HandModel) -> Proof:
-    """A proof on the hand's own plant and what belongs to it."""
+    """Return a proof on the hand's own plant and its ensemble."""
     factors = ensemble(2, 0)
     return Proof(model.hand, factors, tuple(linear_factors(one) for one in factors), 0)
 
 
 @pytest.mark.parametrize("hand", HANDS)
 def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: str) -> None:
-    """Chatter that the plant makes without feedback is not the loop's."""
+    """Chatter of the plant without feedback does not count as the loop's."""
     model = HandModel.of(load_hand(hand), Gains(), RATES.get(hand, 200.0))
     proof = proof_of(model)
     assert proof(model), proof.reason
@@ -171,34 +171,34 @@ def test_packaged_gains_come_to_rest_on_the_plant_with_the_least_friction(hand: 
 
 @pytest.mark.parametrize("hand", HANDS)
 @pytest.mark.parametrize(
-    ("loop_N", "own_N", "good"), [(0.2, 0.0, True), (2.5, 0.0, False), (5.0, 4.0, True), (9.3, 4.0, False)]
+    ("swing_N", "chatter_N", "accepted"), [(0.2, 0.0, True), (2.5, 0.0, False), (5.0, 4.0, True), (9.3, 4.0, False)]
 )
 def test_a_swing_on_the_plant_with_the_least_friction_is_refused(
-    monkeypatch: pytest.MonkeyPatch, hand: str, loop_N: float, own_N: float, good: bool
+    monkeypatch: pytest.MonkeyPatch, hand: str, swing_N: float, chatter_N: float, accepted: bool
 ) -> None:
     """All other plants come to rest."""
     model = HandModel.of(load_hand(hand), Gains(), RATES.get(hand, 200.0))
 
     def fake(hand: object, tried: HandModel, factors: dict[str, float], seed: int) -> Swing:
-        least = factors == {"friction": 0.5}
-        held = own_N if tried.gains.tension.integral_per_s == 0.0 else loop_N
-        return Swing(0.0, 0.0, (held if least else 0.0,) * tried.tendon_count)
+        is_least_friction = factors == {"friction": 0.5}
+        hold = chatter_N if tried.gains.tension.integral_per_s == 0.0 else swing_N
+        return Swing(0.0, 0.0, (hold if is_least_friction else 0.0,) * tried.tendon_count)
 
     monkeypatch.setattr("handctl.tune.loops.steps.swing", fake)
     proof = proof_of(model)
-    assert proof(model) == good
-    assert ("0.5 of the friction swings" in proof.reason) != good
+    assert proof(model) == accepted
+    assert ("0.5 of the friction swings" in proof.reason) != accepted
 
 
 def proof_with(
-    monkeypatch: pytest.MonkeyPatch, model: HandModel, own: tuple[float, ...], found: tuple[float, ...]
+    monkeypatch: pytest.MonkeyPatch, model: HandModel, chatter: tuple[float, ...], found: tuple[float, ...]
 ) -> Proof:
-    """A proof on plants that chatter by themselves, and on which the gains swing so much [N]."""
+    """Return a proof on plants with given chatter and given swings of the gains [N]."""
 
     def fake(hand: object, tried: HandModel, factors: dict[str, float], seed: int) -> Swing:
-        least = factors == {"friction": 0.5}
-        held = own if tried.gains.tension.integral_per_s == 0.0 else found
-        return Swing(0.0, 0.0, held if least else (0.0,) * 4)
+        is_least_friction = factors == {"friction": 0.5}
+        hold = chatter if tried.gains.tension.integral_per_s == 0.0 else found
+        return Swing(0.0, 0.0, hold if is_least_friction else (0.0,) * 4)
 
     monkeypatch.setattr("handctl.tune.loops.steps.swing", fake)
     return proof_of(model)
@@ -206,31 +206,31 @@ def proof_with(
 
 def test_what_one_tendon_chatters_hides_no_swing_of_another(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
     """Jamia's index and ring chatter by 2 to 5 N with little friction, middle and thumb by less than 0.1 N."""
-    own = (4.1, 0.0, 3.9, 0.0)
-    assert proof_with(monkeypatch, jamia, own, (5.0, 0.1, 4.4, 0.1))(jamia)
-    proof = proof_with(monkeypatch, jamia, own, (4.1, 3.9, 3.9, 3.9))
+    chatter = (4.1, 0.0, 3.9, 0.0)
+    assert proof_with(monkeypatch, jamia, chatter, (5.0, 0.1, 4.4, 0.1))(jamia)
+    proof = proof_with(monkeypatch, jamia, chatter, (4.1, 3.9, 3.9, 3.9))
     assert not proof(jamia)
     assert "0.5 of the friction swings" in proof.reason
 
 
 def test_a_loop_that_rings_is_not_hidden_by_chatter(monkeypatch: pytest.MonkeyPatch, jamia: HandModel) -> None:
-    """Its swing is no larger than the plant's own, and its eigenvalues say that it rings at that tension."""
-    own = (4.0, 4.0, 4.0, 4.0)
+    """The swing is no larger than the plant's own, but the eigenvalues oscillate at that tension."""
+    chatter = (4.0, 4.0, 4.0, 4.0)
     slow = {"tension": {"integral_per_s": 30.0, "force_N": 1.0}}
     ringing = HandModel.of(jamia.hand, Gains.model_validate(slow), 500.0)
     assert is_stable(loop(ringing, 0, LoopKind.TENSION))
     assert all(rings(model, linear_factors({"friction": 0.5})) for model in (ringing, with_force(393.0)))
     assert not rings(jamia, linear_factors({"friction": 0.5}))
-    proof = proof_with(monkeypatch, ringing, own, own)
+    proof = proof_with(monkeypatch, ringing, chatter, chatter)
     assert not proof(ringing)
     assert "of a loop that rings" in proof.reason
-    assert proof_with(monkeypatch, jamia, own, own)(jamia)
+    assert proof_with(monkeypatch, jamia, chatter, chatter)(jamia)
 
 
 def test_what_fails_on_the_plant_with_the_least_friction_is_refused(
     monkeypatch: pytest.MonkeyPatch, jamia: HandModel
 ) -> None:
-    """Also where the same run without feedback fails: then nothing is known of the plant's own swing."""
+    """If the run without feedback fails as well, the plant's own swing is unknown."""
     lost = Swing(math.inf, math.inf, (math.inf,) * 4, "N14b")
     still = Swing(0.0, 0.0, (0.0,) * 4)
     monkeypatch.setattr(
@@ -246,7 +246,7 @@ COUPLED = [((1.0,), (0.5,), (0.25,)), ((0.2,), (1.0,), (1.0,)), ((1.0,), (-0.4,)
 
 @pytest.mark.parametrize("column", COUPLED)
 def test_a_digit_of_any_coupling_is_linearised_at_a_point_that_is_one(column: tuple[tuple[float], ...]) -> None:
-    """Its joints are where the coupling puts them, inside their ranges."""
+    """The joints agree with the coupling, inside their ranges."""
     hand = load_hand("jamia")
     content = {**hand.content, "digit": [dict(one) for one in hand.content["digit"]]}
     content["digit"][0]["coupling"] = [list(row) for row in column]
@@ -254,8 +254,8 @@ def test_a_digit_of_any_coupling_is_linearised_at_a_point_that_is_one(column: tu
         content["digit"][0]["joint_min_deg"] = [0.0, -90.0, 0.0]
     model = HandModel.of(hand_from(content, "a hand with another coupling"), Gains(), 500.0)
     digit = model.digits[0]
-    own = _half_closed(digit)
-    joints = digit.coupling @ own
+    coordinates = _half_closed(digit)
+    joints = digit.coupling @ coordinates
     assert np.all(joints > digit.joint_min)
     assert np.all(joints < digit.joint_max)
     judged: list[Margins] = [confirmed(loop(model, 0, kind)) for kind in LoopKind]

@@ -1,4 +1,4 @@
-"""Gains that ring are sent back by the watch, in the run, and the log says so."""
+"""Verification: gains that oscillate are reverted during the run, and the log contains it."""
 
 from pathlib import Path
 
@@ -25,24 +25,24 @@ def _verified(new: Gains, log: Path) -> VerifyObserver:
     rate = fastest(bus_loads(hand))
     plan = Plan(hand, CALM, rate, (0.5,))
     amplitudes = (0.2, 0.2)
-    watch = VerifyObserver(hand, CALM, new, amplitudes=amplitudes, old_rounds=1)
+    observer = VerifyObserver(hand, CALM, new, amplitudes=amplitudes, old_rounds=1)
     with Simulator(hand, homed=True).clock(plan.period_ns) as clock:
-        run_lockstep(plan, make_controller(plan, Exercise(amplitudes), None, True), log, clock, watch)
-    return watch
+        run_lockstep(plan, make_controller(plan, Exercise(amplitudes), None, True), log, clock, observer)
+    return observer
 
 
 @pytest.mark.parametrize(("new", "goes_back"), [pytest.param(CALM, False, marks=pytest.mark.nightly), (WILD, True)])
 def test_gains_that_ring_are_sent_back(new: Gains, goes_back: bool, tmp_path: Path) -> None:
-    watch = _verified(new, tmp_path / "run.mcap")
-    assert (watch.returned is not None) == goes_back
+    observer = _verified(new, tmp_path / "run.mcap")
+    assert (observer.returned is not None) == goes_back
     with RunLog(tmp_path / "run.mcap") as log:
-        asked = [event for event in log.events if event.event.text == "asked: gains"]
-        assert len(asked) == 1 + goes_back
-        assert len(scores(log, watch.hand, None, 0)) == 2
+        requests = [event for event in log.events if event.event.text == "asked: gains"]
+        assert len(requests) == 1 + goes_back
+        assert len(scores(log, observer.hand, None, 0)) == 2
         assert execute(log).differing == 0
-    if watch.returned:
-        assert "ring" in watch.returned.why
-        assert watch.returned.k < asked[1].k <= watch.returned.k + 2
+    if observer.returned:
+        assert "oscillate" in observer.returned.why
+        assert observer.returned.k < requests[1].k <= observer.returned.k + 2
 
 
 def test_a_report_says_whose_gains_each_round_was_done_with() -> None:

@@ -84,7 +84,7 @@ def _frame(row: Any, kind: LoopKind) -> None:
         ylim=(-2.0, 2.0),
         aspect="equal",
     )
-    step.set(title="push of 1 N on the rotor", xlabel="time [s]", ylabel=STEP_UNIT[kind][1])
+    step.set(title="force step of 1 N on the rotor", xlabel="time [s]", ylabel=STEP_UNIT[kind][1])
     for axes in row:
         axes.grid(alpha=0.3)
 
@@ -128,7 +128,7 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
             first.score.tension_N,
             "x",
             color="black",
-            label="where it began",
+            label="initial gains",
         )
     if result.best:
         left.plot(
@@ -137,16 +137,16 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
             "*",
             color=AFTER,
             ms=14,
-            label="chosen",
+            label="best",
         )
-    left.set(xlabel="tracking error [deg rms]", ylabel="tension error [N rms]", title="good trials")
+    left.set(xlabel="tracking error [deg rms]", ylabel="tension error [N rms]", title="feasible trials")
     left.legend()
     costs = [result.cost(trial) if trial.feasible else np.nan for trial in result.trials]
     right.plot(costs, ".", color=GREY)
     if feasible:
         right.step(range(len(costs)), np.fmin.accumulate(costs), where="post", color=AFTER)
     right.axhline(1.0, color="black", linewidth=0.8, linestyle=":")
-    right.set(xlabel="trial", ylabel="cost, the first trial's is 1", title="the best so far")
+    right.set(xlabel="trial", ylabel="cost relative to the first trial", title="best trial so far")
     for axes in (left, right):
         axes.grid(alpha=0.3)
     save_figure(figure, path)

@@ -23,13 +23,13 @@ def _digit(axes: Any, digit: Digit, title: str, tension: str) -> None:
     levers = [float(lever) for lever in src.levers(digit)]
     positions = [levers[0] - lever for lever in levers]
     constant = levers[0]
-    axes.plot([0, levers[0]], [levers[0], 0], color=BLUE, label="asked for by F at the tip", zorder=3)
+    axes.plot([0, levers[0]], [levers[0], 0], color=BLUE, label="required by F at the tip", zorder=3)
     axes.plot(positions, levers, "o", color=BLUE, zorder=4)
     axes.plot(
         [0, positions[-1] + 2.0],
         [constant, constant],
         color=ORANGE,
-        label="given by one tendon on 3 mm pulleys",
+        label="available from one tendon on 3 mm pulleys",
         zorder=3,
     )
     for i, (position, lever) in enumerate(zip(positions, levers, strict=True)):

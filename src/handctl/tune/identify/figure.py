@@ -45,7 +45,7 @@ def _time(axis: Any, result: TendonResult) -> None:
     data = result.data
     axis.plot(data.t, data.command, color=MODEL, lw=0.6, label="motor force")
     axis.plot(data.t, data.tension, color=MEASURED, lw=0.6, label="load cell")
-    axis.set(title="what was done", xlabel="t [s]", ylabel="force at the cable [N]")
+    axis.set(title="signals", xlabel="t [s]", ylabel="force at the tendon [N]")
     axis.legend(loc="upper left")
 
 
@@ -56,9 +56,9 @@ def _drift(result: TendonResult, t: Any) -> Any:
 def _stop(axis: Any, result: TendonResult) -> None:
     bins = result.fit.problem.stop
     values = result.fit.values
-    axis.set(title="rope, on the open stop", xlabel="cable travel [um]", ylabel="tension [N]")
+    axis.set(title="tendon, on the open stop", xlabel="tendon travel [um]", ylabel="tension [N]")
     if not len(bins.t):
-        axis.text(0.5, 0.5, "not in these data", ha="center", transform=axis.transAxes)
+        axis.text(0.5, 0.5, "no such data", ha="center", transform=axis.transAxes)
         return
     order = np.argsort(bins.travel)
     # Tendon and stop are springs in series.
@@ -81,11 +81,11 @@ def _free(axis: Any, result: TendonResult) -> None:
     bins = problem.free
     axis.set(
         title="springs and friction, in free sweeps",
-        xlabel="cable travel [mm]",
+        xlabel="tendon travel [mm]",
         ylabel="tension [N]",
     )
     if not len(bins.t) or problem.load is None:
-        axis.text(0.5, 0.5, "not in these data", ha="center", transform=axis.transAxes)
+        axis.text(0.5, 0.5, "no such data", ha="center", transform=axis.transAxes)
         return
     p = result.fit.z[: len(NAMES)] * problem.nominal
     model = problem.load.tension(LoadParameters(*p[5:-1].tolist()), bins)
@@ -113,12 +113,12 @@ def _motor(axis: Any, result: TendonResult) -> None:
         ".",
         ms=3,
         color=MEASURED,
-        label="force that is left over",
+        label="remaining force",
     )
     ends = np.array([windows.acceleration.min(), windows.acceleration.max()])
     label = f"J = {values['motor_inertia']:.3g} kg m2"
     axis.plot(ends, values["motor_inertia"] / r**2 * ends, color=MODEL, label=label)
-    axis.set(title="rotor: force less friction", xlabel="cable acceleration [m/s2]", ylabel="[N]")
+    axis.set(title="rotor: force less friction", xlabel="tendon acceleration [m/s2]", ylabel="[N]")
     axis.legend()
 
 

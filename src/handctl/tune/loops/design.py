@@ -159,7 +159,9 @@ def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float,
     k = float(space.stiffness.mean())
     a0 = k / m
     a1 = float((space.motor_damping + space.damping).mean()) / m
-    expected = f"the tension loop's above {math.sqrt(a0) / (2.0 * math.pi):.1f} Hz, the rotor's own on its rope"
+    expected = (
+        f"the tension loop's above {math.sqrt(a0) / (2.0 * math.pi):.1f} Hz, that of the free rotor on its tendon"
+    )
     speed = 2.0 * a0 - a1**2 - 2.0 * w**2 * (1.0 - 2.0 * damping**2)
     return _root(w**4 - a0**2, expected) * m / k, m * _root(speed, MIN_DAMPING_TEXT)
 
