@@ -9,7 +9,7 @@ import pytest
 from handctl.hand.tendons import TendonLaw
 from handctl.paper import sources as src
 from handctl.paper.bench import payload
-from handctl.paper.figures.all import draw_all
+from handctl.paper.figures.gallery import draw_all
 
 
 @pytest.fixture(scope="session")

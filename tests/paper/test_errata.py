@@ -10,7 +10,7 @@ from handctl.hand.digit import DigitModel
 from handctl.hand.dynamics import gravity_torque, inverse_dynamics
 from handctl.paper import sections
 from handctl.paper import sources as src
-from handctl.paper.item import Item, Verdict
+from handctl.paper.item import ErrataVerdict, Item
 from handctl.paper.model import equations, kinematics, lagrange, motion
 
 PARAMETERS = sp.symbols("I1:4 m1:4 L1:4 d1:4 g", positive=True)
@@ -90,9 +90,9 @@ def test_each_verdict_on_a_term_is_sympy_s(item: Item) -> None:
     terms = [*equations.KINETIC, *equations.POTENTIAL, *sum(equations.TORQUES, ())]
     term = next(term for term in terms if term.id == item.id)
     same = [sp.simplify(symbolic(reading.text) - symbolic(term.right.text)) == 0 for reading in term.readings]
-    expected = Verdict.EQUAL if all(same) else Verdict.WRONG if not any(same) else Verdict.UNDECIDABLE
+    expected = ErrataVerdict.EQUAL if all(same) else ErrataVerdict.WRONG if not any(same) else ErrataVerdict.UNDECIDABLE
     assert item.verdict == expected
-    if item.verdict == Verdict.WRONG:
+    if item.verdict == ErrataVerdict.WRONG:
         assert item.deviation is not None
         assert item.deviation > 0.1
 
@@ -113,7 +113,7 @@ def test_the_corrected_mass_matrix_is_symmetric_and_the_printed_one_is_not() -> 
 
 
 ERRATA = {
-    Verdict.WRONG: """
+    ErrataVerdict.WRONG: """
         eq4.own eq5.middle eq5.own eq5.cross23 eq5.cross13 eq6.link3 eq10.inertia eq10.coupling12 eq10.coupling13
         eq10.velocity12 eq10.velocity13 eq10.gravity eq11.coupling23 eq11.velocity12 eq11.velocity23 eq12.velocity13
         eq12.velocity23 sec7.axis sec7.lengths sec4-7.angles eq7-9.joint_torque sec5.wire sec5.area
@@ -121,10 +121,10 @@ ERRATA = {
         sec6.pulley sec1.fingers sec8.fingers sec8.control tendon.joint2 tendon.joint3
         coupling.tension coupling.freedom grip.balance payload.both_sides wire.bending grip.middle_link eq10.static
         eq10.sum eq11.sum eq12.sum eq10.symbols""",
-    Verdict.UNDECIDABLE: "eq12.gravity fig5.knee abstract.joints_each sec3.palm sec7.complete",
-    Verdict.ROUNDED: "sec5.tension sec5.torque sec6.tension sec6.torque abstract.wire abstract.payload",
-    Verdict.TRUNCATED: "sec5.payload sec5.payload3 sec6.torque10",
-    Verdict.EQUAL: """
+    ErrataVerdict.UNDECIDABLE: "eq12.gravity fig5.knee abstract.joints_each sec3.palm sec7.complete",
+    ErrataVerdict.ROUNDED: "sec5.tension sec5.torque sec6.tension sec6.torque abstract.wire abstract.payload",
+    ErrataVerdict.TRUNCATED: "sec5.payload sec5.payload3 sec6.torque10",
+    ErrataVerdict.EQUAL: """
         eq1.x eq2.y sec4.position eq3.all sec5.M1 sec5.M2 sec5.M3 sec6.MT1 sec6.MT2 abstract.joints tendon.joint1
         eq7-9.lagrange sec4.position_y fig2.chain sec7.absolute sec5.M3_label sec6.MT2_label sec5.moment_formula
         sec5.torque_formula sec5.payload_formula sec5.stress_formula sec5.wire_formula""",

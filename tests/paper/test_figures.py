@@ -8,7 +8,7 @@ import pytest
 from matplotlib.image import imread
 
 from handctl.paper import page
-from handctl.paper.figures.all import contents
+from handctl.paper.figures.gallery import contents
 from handctl.paper.model import kinematics
 
 

@@ -10,7 +10,7 @@ import pytest
 from handctl.cli.main import main
 from handctl.paper import page, sections
 from handctl.paper.bench import experiments, payload
-from handctl.paper.item import Verdict
+from handctl.paper.item import ErrataVerdict
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "paper.md"
@@ -82,11 +82,11 @@ def test_json_is_a_list_of_items(capsys: pytest.CaptureFixture[str]) -> None:
             "id", "where", "printed", "computed", "unit", "verdict", "why", "evidence", "deviation",
         }  # fmt: skip
         assert re.fullmatch(r"[a-z0-9-]+\.\w+(\.\w+)?", item["id"]), item["id"]
-        assert item["verdict"] in set(Verdict)
+        assert item["verdict"] in set(ErrataVerdict)
         assert isinstance(item["computed"], int | float | str | None)
         assert all(isinstance(item[key], str) for key in ("where", "printed", "unit", "why"))
         assert all(isinstance(part, str) for part in item["evidence"])
-    without_experiments = set(Verdict) - {Verdict.BOUND}
+    without_experiments = set(ErrataVerdict) - {ErrataVerdict.BOUND}
     assert {item["verdict"] for item in items} == {verdict.value for verdict in without_experiments}
     wire = next(item for item in items if item["id"] == "sec5.wire")
     assert wire["computed"] == 0.8585678096656324
@@ -94,8 +94,8 @@ def test_json_is_a_list_of_items(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_measured_items_are_judged_by_what_was_measured(measured: dict[str, Any]) -> None:
     found = {item.id: item for item in sections.items(measured)}
-    assert found["payload.z.d30"].verdict == Verdict.WRONG
-    assert found["payload.z.d35"].verdict == Verdict.BOUND
+    assert found["payload.z.d30"].verdict == ErrataVerdict.WRONG
+    assert found["payload.z.d35"].verdict == ErrataVerdict.BOUND
     assert found["payload.z.d40"].unit == "kg or more"
     assert "still held" in found["payload.z.d40"].why
     assert found["fig5.measured200"].computed == pytest.approx(200.0, abs=3.0)

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 
-class Verdict(StrEnum):
+class ErrataVerdict(StrEnum):
     """Comparison of a printed statement with the computed one."""
 
     EQUAL = "equal"
@@ -44,7 +44,7 @@ class Item:
     printed: str
     computed: float | str | None
     unit: str
-    verdict: Verdict
+    verdict: ErrataVerdict
     why: str
     evidence: tuple[str, ...] = ()
     deviation: float | None = None

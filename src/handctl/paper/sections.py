@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from handctl.paper.bench import force_displacement, payload
-from handctl.paper.item import Item, Verdict
+from handctl.paper.item import ErrataVerdict, Item
 from handctl.paper.model import assumptions, kinematics, lagrange, motion, statics, text
 
 TITLE = "The source paper, all of it"
@@ -60,7 +60,7 @@ def items(measured: Mapping[str, Any] | None) -> list[Item]:
 
 def tally(rows: list[Item]) -> dict[str, int]:
     """Return the number of items by verdict."""
-    return {verdict.value: sum(item.verdict == verdict for item in rows) for verdict in Verdict}
+    return {verdict.value: sum(item.verdict == verdict for item in rows) for verdict in ErrataVerdict}
 
 
 def _hand() -> PageSection:

@@ -16,19 +16,19 @@ from handctl.hand.load import load_hand
 from handctl.output import check_output, write_whole
 from handctl.paper.bench.experiments import Job, count, load_results, measure, name, shortened
 from handctl.paper.bench.pool import pool
-from handctl.paper.figures.all import draw_all
-from handctl.paper.item import Verdict
+from handctl.paper.figures.gallery import draw_all
+from handctl.paper.item import ErrataVerdict
 from handctl.paper.page import markdown, plain, report, value
 from handctl.paper.sections import PageSection, sections, tally
 from handctl.session.exit_codes import Exit
 
 COLOURS = {
-    Verdict.EQUAL: "green",
-    Verdict.ROUNDED: "blue",
-    Verdict.TRUNCATED: "magenta",
-    Verdict.BOUND: "cyan",
-    Verdict.WRONG: "bold red",
-    Verdict.UNDECIDABLE: "yellow",
+    ErrataVerdict.EQUAL: "green",
+    ErrataVerdict.ROUNDED: "blue",
+    ErrataVerdict.TRUNCATED: "magenta",
+    ErrataVerdict.BOUND: "cyan",
+    ErrataVerdict.WRONG: "bold red",
+    ErrataVerdict.UNDECIDABLE: "yellow",
 }
 
 

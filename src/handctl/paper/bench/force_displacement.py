@@ -14,9 +14,9 @@ from handctl.hand.digit import Array
 from handctl.hand.load import hand_from, load_hand
 from handctl.hand.tendons import TendonLaw
 from handctl.paper import sources as src
-from handctl.paper.bench.run import run
+from handctl.paper.bench.bench_run import run
 from handctl.paper.item import Item
-from handctl.paper.verdict import of_contradiction
+from handctl.paper.verdicts import of_contradiction
 from handctl.programs.task import Task
 
 HAND = "jamia_bench"

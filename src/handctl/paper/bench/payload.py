@@ -8,9 +8,9 @@ import numpy as np
 
 from handctl.hand.digit import Array
 from handctl.paper import sources as src
-from handctl.paper.bench.run import BenchRecording, run
+from handctl.paper.bench.bench_run import BenchRecording, run
 from handctl.paper.item import Item
-from handctl.paper.verdict import of_lower_bound
+from handctl.paper.verdicts import of_lower_bound
 from handctl.programs.task import Task
 from handctl.report.truth import Truth, read_truth
 

@@ -8,7 +8,7 @@ from handctl.hand.digit import Array
 from handctl.paper import sources as src
 from handctl.paper.item import Item
 from handctl.paper.model.kinematics import digit
-from handctl.paper.verdict import of_number, of_statement
+from handctl.paper.verdicts import of_number, of_statement
 
 STATICS = ("statics",)
 BEND_RATIO = 18.0

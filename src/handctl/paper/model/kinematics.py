@@ -11,7 +11,7 @@ from handctl.paper import sources as src
 from handctl.paper.item import Item
 from handctl.paper.model.expression import Expression
 from handctl.paper.model.lagrange import TOLERANCE, deviation
-from handctl.paper.verdict import of_statement
+from handctl.paper.verdicts import of_statement
 
 EQ1 = Expression("30*cos(theta) + 15*cos(2*theta) + 10*cos(3*theta)")
 EQ2 = Expression("30*sin(theta) + 15*sin(2*theta) + 10*sin(3*theta)")

@@ -13,11 +13,11 @@ import numpy as np
 from handctl.hand.digit import Array, DigitModel
 from handctl.hand.dynamics import inverse_dynamics
 from handctl.hand.load import load_hand
-from handctl.paper.item import Item, Verdict
+from handctl.paper.item import ErrataVerdict, Item
 from handctl.paper.model import equations
 from handctl.paper.model.equations import Term
 from handctl.paper.model.expression import Dimension, DimensionError
-from handctl.paper.verdict import of_readings, of_statement
+from handctl.paper.verdicts import of_readings, of_statement
 
 STATES = 200
 """Number of random states."""
@@ -108,7 +108,7 @@ def _item(term: Term) -> Item:
     deviations = [deviation(reading.value(states), correct) for reading in term.readings]
     verdict = of_readings([value < TOLERANCE for value in deviations])
     # Dimensions and symmetry are evidence that a reader can check by hand.
-    faults = [] if verdict == Verdict.EQUAL else [_dimensions(term), _symmetry(term)]
+    faults = [] if verdict == ErrataVerdict.EQUAL else [_dimensions(term), _symmetry(term)]
     return Item(
         term.id, term.where, term.printed, term.right.pretty(), "", verdict, term.why,
         (*filter(None, faults), "Lagrange"), min(deviations),
@@ -154,7 +154,7 @@ def equation_items() -> list[Item]:
     for i, terms in enumerate(equations.TORQUES):
         off = deviation(printed_sum(terms, states), model[i])
         rest = deviation(sum(term.right.value(states) for term in terms), model[i])
-        wrong = [item.id for item in map(_item, terms) if item.verdict != Verdict.EQUAL]
+        wrong = [item.id for item in map(_item, terms) if item.verdict != ErrataVerdict.EQUAL]
         items.append(
             Item(
                 f"eq{10 + i}.sum", f"Eq. {10 + i}", f"T{'₁₂₃'[i]} = sum of {len(terms)} terms",

@@ -12,7 +12,7 @@ from handctl.paper import sources as src
 from handctl.paper.item import Item
 from handctl.paper.model import equations
 from handctl.paper.model.lagrange import finger_states, printed_sum
-from handctl.paper.verdict import of_readings, of_statement
+from handctl.paper.verdicts import of_readings, of_statement
 
 CLOSED_DEG = 60.0
 """Angle of each joint at the end of the motion [deg]."""

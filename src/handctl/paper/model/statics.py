@@ -6,7 +6,7 @@ from fractions import Fraction
 from handctl.paper import sources as src
 from handctl.paper.item import Item
 from handctl.paper.model.expression import NONE, Dimension, DimensionError, Expression
-from handctl.paper.verdict import interval, of_carried, of_contradiction, of_number, of_statement
+from handctl.paper.verdicts import interval, of_carried, of_contradiction, of_number, of_statement
 
 ARITHMETIC = ("arithmetic",)
 STATICS = ("statics",)

@@ -10,7 +10,7 @@ from handctl.paper.item import Item
 from handctl.paper.model import equations
 from handctl.paper.model.equations import Term
 from handctl.paper.model.lagrange import DIMENSIONS, TOLERANCE, random_states
-from handctl.paper.verdict import of_number, of_readings, of_statement
+from handctl.paper.verdicts import of_number, of_readings, of_statement
 
 COUNT = ("count",)
 SYMBOL = re.compile(r"(?<![A-Za-z])[A-Za-z](?:_[A-Za-z]|[₀-₉])?(?![A-Za-z])")

@@ -3,13 +3,13 @@
 from collections.abc import Sequence
 from fractions import Fraction
 
-from handctl.paper.item import Verdict
+from handctl.paper.item import ErrataVerdict
 
 EXACT = Fraction(1, 10**12)
 """Relative difference that counts as rounding of the floats that some values come from."""
 
 
-def of_number(printed: str, exact: Fraction | float) -> Verdict:
+def of_number(printed: str, exact: Fraction | float) -> ErrataVerdict:
     """Compare printed digits with an exact value: equal, else rounded, else truncated, else wrong.
 
     Args:
@@ -20,16 +20,16 @@ def of_number(printed: str, exact: Fraction | float) -> Verdict:
     value = Fraction(exact)
     unit = last_digit(printed)
     if abs(shown - value) <= EXACT * abs(value):
-        return Verdict.EQUAL
+        return ErrataVerdict.EQUAL
     # Half a unit of the last printed digit.
     if 2 * abs(shown - value) <= unit:
-        return Verdict.ROUNDED
+        return ErrataVerdict.ROUNDED
     if shown * value >= 0 and 0 < abs(value) - abs(shown) < unit:
-        return Verdict.TRUNCATED
-    return Verdict.WRONG
+        return ErrataVerdict.TRUNCATED
+    return ErrataVerdict.WRONG
 
 
-def of_carried(printed: str, exact: Fraction | float, carried: Fraction, source: Verdict) -> Verdict:
+def of_carried(printed: str, exact: Fraction | float, carried: Fraction, source: ErrataVerdict) -> ErrataVerdict:
     """Compare digits that were computed from digits printed before.
 
     Args:
@@ -39,27 +39,27 @@ def of_carried(printed: str, exact: Fraction | float, carried: Fraction, source:
         source: verdict on those digits. It is passed on if it explains the printed number.
     """
     verdict = of_number(printed, exact)
-    explained = of_number(printed, carried) == Verdict.EQUAL
-    return source if verdict == Verdict.WRONG and explained else verdict
+    explained = of_number(printed, carried) == ErrataVerdict.EQUAL
+    return source if verdict == ErrataVerdict.WRONG and explained else verdict
 
 
-def of_statement(holds: bool) -> Verdict:
+def of_statement(holds: bool) -> ErrataVerdict:
     """Return the verdict of a statement that is true or false."""
-    return Verdict.EQUAL if holds else Verdict.WRONG
+    return ErrataVerdict.EQUAL if holds else ErrataVerdict.WRONG
 
 
-def of_lower_bound(printed: str, value: float) -> Verdict:
+def of_lower_bound(printed: str, value: float) -> ErrataVerdict:
     """Compare a claimed number with the reached one: equal as a number, else a bound or wrong."""
     verdict = of_number(printed, value)
-    return Verdict.BOUND if verdict == Verdict.WRONG and value > float(printed) else verdict
+    return ErrataVerdict.BOUND if verdict == ErrataVerdict.WRONG and value > float(printed) else verdict
 
 
-def of_readings(right: Sequence[bool]) -> Verdict:
+def of_readings(right: Sequence[bool]) -> ErrataVerdict:
     """Return the verdict of several readings: right or wrong in all of them, or undecidable."""
-    return of_statement(all(right)) if len(set(right)) == 1 else Verdict.UNDECIDABLE
+    return of_statement(all(right)) if len(set(right)) == 1 else ErrataVerdict.UNDECIDABLE
 
 
-def of_contradiction(printed: Sequence[str], exact: Fraction | float | None) -> Verdict:
+def of_contradiction(printed: Sequence[str], exact: Fraction | float | None) -> ErrataVerdict:
     """Return the verdict of several values for one quantity.
 
     Without an exact value different ones cannot be decided.
@@ -68,7 +68,7 @@ def of_contradiction(printed: Sequence[str], exact: Fraction | float | None) -> 
         return of_readings([value == printed[0] for value in printed])
     verdicts = [of_number(value, exact) for value in printed]
     # The order of the enumeration is the order of severity.
-    return max(verdicts, key=list(Verdict).index)
+    return max(verdicts, key=list(ErrataVerdict).index)
 
 
 def last_digit(printed: str) -> Fraction:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from handctl.paper.bench.force_displacement import curves
-from handctl.paper.figures import hand, measured, model, path, statics, torques
+from handctl.paper.figures import fig1_hand, fig2_model, fig3_path, fig4_statics, fig7_torques, measured
 from handctl.paper.figures.style import draw
 
 Content = Callable[[Any], None]
@@ -15,12 +15,12 @@ Content = Callable[[Any], None]
 def contents(results: Mapping[str, Any] | None) -> dict[str, tuple[tuple[float, float], Content]]:
     """Return size [inch] and content of each figure. Without results the measured figures are left out."""
     drawn: dict[str, tuple[tuple[float, float], Content]] = {
-        "fig1-hand": (hand.SIZE, hand.hand),
-        "fig2-model": (model.SIZE, model.model),
-        "fig3-path": (path.SIZE, path.path),
-        "fig4-statics": (statics.SIZE, statics.statics),
-        "fig7-torques": (torques.SIZE, torques.torques),
-        "fig7-eq10": (torques.SIZE_EQ10, torques.eq10),
+        "fig1-hand": (fig1_hand.SIZE, fig1_hand.hand),
+        "fig2-model": (fig2_model.SIZE, fig2_model.model),
+        "fig3-path": (fig3_path.SIZE, fig3_path.path),
+        "fig4-statics": (fig4_statics.SIZE, fig4_statics.statics),
+        "fig7-torques": (fig7_torques.SIZE, fig7_torques.torques),
+        "fig7-eq10": (fig7_torques.SIZE_EQ10, fig7_torques.eq10),
     }
     if results is not None:
         bench = curves(results["force_displacement"])

@@ -1,0 +1,105 @@
+"""Verdicts follow from printed digits and exact values."""
+
+from decimal import ROUND_DOWN, ROUND_HALF_EVEN, Decimal
+from fractions import Fraction
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from handctl.paper.item import ErrataVerdict
+from handctl.paper.verdicts import (
+    interval,
+    last_digit,
+    of_carried,
+    of_contradiction,
+    of_lower_bound,
+    of_number,
+    of_readings,
+    of_statement,
+)
+
+VALUES = st.fractions(min_value=-1000, max_value=1000, max_denominator=10**6).filter(lambda value: abs(value) > 1)
+
+
+def digits(value: Fraction, places: int, rounding: str) -> str:
+    exact = Decimal(value.numerator) / Decimal(value.denominator)
+    return str(exact.quantize(Decimal(1).scaleb(-places), rounding=rounding))
+
+
+@pytest.mark.parametrize(
+    ("printed", "exact", "verdict"),
+    [
+        ("55", Fraction(55), ErrataVerdict.EQUAL),
+        ("18.33", Fraction(55, 3), ErrataVerdict.ROUNDED),
+        ("0.305", Fraction(6, 2) / Fraction(981, 100), ErrataVerdict.TRUNCATED),
+        ("0.4166", Fraction(5, 12), ErrataVerdict.TRUNCATED),
+        ("0.866", 0.8585678, ErrataVerdict.WRONG),
+        ("0.86", 0.8585678, ErrataVerdict.ROUNDED),
+        ("-2", Fraction(2), ErrataVerdict.WRONG),
+        ("0", Fraction(0), ErrataVerdict.EQUAL),
+        ("1", 0.9174311926605505, ErrataVerdict.ROUNDED),
+        ("0.1", 0.1, ErrataVerdict.EQUAL),
+        ("2.5", Fraction(255, 100), ErrataVerdict.ROUNDED),
+        ("2.4", Fraction(255, 100), ErrataVerdict.WRONG),
+    ],
+)
+def test_numbers(printed: str, exact: Fraction | float, verdict: ErrataVerdict) -> None:
+    assert of_number(printed, exact) == verdict
+
+
+@given(VALUES, st.integers(0, 5))
+def test_what_is_rounded_is_never_called_truncated_or_wrong(value: Fraction, places: int) -> None:
+    assert of_number(digits(value, places, ROUND_HALF_EVEN), value) in (ErrataVerdict.EQUAL, ErrataVerdict.ROUNDED)
+
+
+@given(VALUES, st.integers(0, 5))
+def test_what_is_cut_off_is_never_called_wrong(value: Fraction, places: int) -> None:
+    shown = digits(value, places, ROUND_DOWN)
+    verdict = of_number(shown, value)
+    assert verdict != ErrataVerdict.WRONG
+    if 2 * abs(Fraction(shown) - value) > last_digit(shown):
+        assert verdict == ErrataVerdict.TRUNCATED
+
+
+@given(VALUES, st.integers(0, 5), st.integers(1, 50))
+def test_a_unit_of_the_last_digit_beyond_is_wrong(value: Fraction, places: int, units: int) -> None:
+    shown = digits(value, places, ROUND_HALF_EVEN)
+    off = Fraction(shown) + (units + 1) * last_digit(shown) * (1 if value > 0 else -1)
+    text = digits(off, places, ROUND_HALF_EVEN)
+    assert of_number(text, value) == ErrataVerdict.WRONG
+
+
+def test_an_error_that_is_carried_on_has_the_verdict_of_its_source() -> None:
+    torque = Fraction(55, 3) * 5 / 1000
+    assert of_carried("0.09165", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.ROUNDED) == ErrataVerdict.ROUNDED
+    assert of_carried("0.09170", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.ROUNDED) == ErrataVerdict.WRONG
+    assert of_carried("0.09167", torque, Fraction("18.33") * 5 / 1000, ErrataVerdict.TRUNCATED) == ErrataVerdict.ROUNDED
+
+
+def test_readings_and_contradictions() -> None:
+    assert of_readings([True]) == of_statement(True) == ErrataVerdict.EQUAL
+    assert of_readings([False, False]) == of_statement(False) == ErrataVerdict.WRONG
+    assert of_readings([True, False]) == ErrataVerdict.UNDECIDABLE
+    assert of_contradiction(["200", "250"], None) == ErrataVerdict.UNDECIDABLE
+    assert of_contradiction(["200", "200"], None) == ErrataVerdict.EQUAL
+    assert of_contradiction(["200", "250"], 200.0) == ErrataVerdict.WRONG
+
+
+@pytest.mark.parametrize(
+    ("reached", "verdict"),
+    [
+        (0.915, ErrataVerdict.EQUAL),
+        (0.9152, ErrataVerdict.ROUNDED),
+        (1.3, ErrataVerdict.BOUND),
+        (0.8, ErrataVerdict.WRONG),
+    ],
+)
+def test_a_claim_that_is_exceeded_is_a_bound(reached: float, verdict: ErrataVerdict) -> None:
+    assert of_lower_bound("0.915", reached) == verdict
+
+
+def test_what_a_printed_number_may_stand_for() -> None:
+    low, high = interval("8.33")
+    assert (low, high) == (Fraction("8.325"), Fraction("8.335"))
+    assert low < Fraction(25, 3) < high
