@@ -16,7 +16,7 @@ from handctl.safety.action import Action
 from handctl.session.simulate import Simulation
 
 OBSERVE_S = 1.3
-"""Time for which a scenario is observed beyond its bound, until no torque remains [s]."""
+"""Observation time beyond the bound, until no torque remains [s]."""
 RUNAWAY = "runaway"
 """Fault of a drive that pulls with its own limit against any command."""
 SHUT_DOWN_MODES = (Mode.DISARM, Mode.DONE)
@@ -76,7 +76,7 @@ def run_scenario(simulation: Simulation, scenario: Scenario, protocol: str) -> S
     """Run a scenario to the end.
 
     Args:
-        simulation: simulation at the stage of the scenario. It is used up.
+        simulation: simulation at the stage of the scenario. The run uses the simulation up.
         scenario: scenario to run.
         protocol: protocol of the drives.
     """
@@ -155,7 +155,7 @@ def tension_bound(
 def overshoot(model: HandModel, start_tension: Sequence[float], speed: Sequence[float], seconds: float) -> float:
     """Return the largest tension that a runaway drive explains [N].
 
-    The drive pushes its rotor, of mass m at the tendon, with its limit F against the tendon's
+    The drive pushes the rotor, of mass m at the tendon, with the limit F against the tendon's
     stiffness k. From the tension T the rotor overshoots to F + sqrt((F - T)^2 + k m v^2). v is the
     speed of the rotor, plus the speed that F adds while the finger is free.
 
@@ -190,7 +190,7 @@ def _observe(
     first_effect_ns: int,
     t_ns: int,
 ) -> None:
-    """Update a result from one tick."""
+    """Update a result from a tick."""
     row = scenario.row
     truth = simulation.peer.truth()
     result.tension = max(result.tension, *truth["tension"])

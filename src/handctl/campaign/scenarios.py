@@ -2,7 +2,7 @@
 
 The time limit of a row runs from the physical event to the frames that carry the reaction. The
 limit is a number of ticks, plus milliseconds where a row or a drive needs time. An ODrive reports
-its state every 100 ms and its temperature every 200 ms.
+state every 100 ms and temperature every 200 ms.
 """
 
 import math

@@ -128,7 +128,7 @@ def run(
     on_progress: Callable[[int], None],
     on_failure: Callable[[Simulation, ScenarioResult], None],
 ) -> list[ScenarioResult]:
-    """Run sequences, which branch off from one run at its stages.
+    """Run sequences, which branch off from a run at its stages.
 
     Args:
         hand: hand with its drives in `protocol`.
@@ -154,7 +154,7 @@ def run_sequence(simulation: Simulation, sequence: Sequence) -> ScenarioResult:
     """Run a sequence, stop the hand, and list the violated rules.
 
     Args:
-        simulation: simulation at the stage of the sequence. It is used up.
+        simulation: simulation at the stage of the sequence. The run uses the simulation up.
         sequence: faults to inject.
     """
     start = (simulation.state, len(simulation.kept))
@@ -206,7 +206,7 @@ def _ticks(simulation: Simulation, sequence: Sequence) -> Iterator[dict[str, Any
 
 
 def violations_in_tick(before: State, after: State, cleared: bool) -> list[str]:
-    """Return the rules that one tick violates."""
+    """Return the rules that a tick violates."""
     violations = []
     if FORWARD.index(after.mode) < FORWARD.index(before.mode):
         violations.append(f"the mode goes back: {before.mode.name} to {after.mode.name}")
@@ -246,7 +246,7 @@ def violations_at_end(simulation: Simulation) -> list[str]:
 
 
 def violations_on_replay(simulation: Simulation, state: State, first: int) -> list[str]:
-    """Return the first tick that does not repeat its state, frames and events from the same inputs."""
+    """Return the first tick whose state, frames and events differ with the same inputs."""
     for entry, out in simulation.kept[first:]:
         state, replayed = simulation.controller.tick(state, entry)
         if (replayed.state_hash, replayed.frames, replayed.events) != (

@@ -51,7 +51,7 @@ STAGE_TIMEOUT_S = 12.0
 
 
 def hand_in(name: str, protocol: str) -> Hand:
-    """Return a hand with all its drives in one protocol."""
+    """Return a hand with all drives in one protocol."""
     hand = load_hand(name)
     if protocol == MIT and all(motor.protocol == MIT for motor in hand.motor):
         return hand
@@ -147,7 +147,7 @@ def try_all(
     on_failure: Callable[[Simulation, ScenarioResult], None],
     seed: int = 0,
 ) -> None:
-    """Advance one run to each stage, and branch the experiments of the stage off. See `branch`."""
+    """Advance a run to each stage, and branch the experiments of the stage off. See `branch`."""
     with started(hand, rate_hz, seed) as simulation:
         for stage in STAGES:
             at_stage = [experiment for experiment in todo if experiment.stage == stage]
@@ -170,10 +170,10 @@ def branch(
     once for all experiments.
 
     Args:
-        simulation: simulation at their stage. It stays as it is.
+        simulation: simulation at their stage. The simulation stays unchanged.
         todo: experiments to run.
         jobs: number of processes at a time.
-        attempt: runs one experiment in the copy.
+        attempt: runs an experiment in the copy.
         on_result: called with each result.
         on_failure: called in the copy of a failed experiment with its simulation and result.
     """
@@ -197,7 +197,7 @@ def branch(
 
 
 def _run_one(attempt: Callable[[], ScenarioResult], on_failure: Callable[[ScenarioResult], None]) -> str:
-    """Run one experiment, call `on_failure` if it failed, and return the result as JSON."""
+    """Run an experiment, call `on_failure` after a failure, and return the result as JSON."""
     result = attempt()
     if not result.ok:
         on_failure(result)

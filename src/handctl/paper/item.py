@@ -1,4 +1,4 @@
-"""Item of the errata: one statement of the paper, and the correct one."""
+"""Item of the errata: a statement of the paper, and the correct one."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -14,7 +14,7 @@ class ErrataVerdict(StrEnum):
     TRUNCATED = "truncated"
     """The exact value with further digits cut off, or computed from such a value."""
     BOUND = "bound"
-    """A bound that holds: the exact or measured value is beyond it."""
+    """A true bound: the exact or measured value is beyond the bound."""
     WRONG = "wrong"
     """None of the above. A statement is false."""
     UNDECIDABLE = "undecidable"

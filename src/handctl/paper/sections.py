@@ -30,7 +30,7 @@ class PageSection:
         title: heading.
         text: paragraphs.
         figures: names of figures.
-        items: rows of its table.
+        items: rows of the table.
         measured: the section rests on experiments.
         table: table of numbers before the items, titles first.
     """

@@ -78,5 +78,5 @@ def wire_stress_mpa(tension_n: Fraction | float, diameter_mm: float) -> float:
 
 
 def payload_kg(normal_n: Fraction) -> Fraction:
-    """Return the mass that the friction of one contact carries [kg]."""
+    """Return the mass that the friction of a contact carries [kg]."""
     return FRICTION * normal_n / GRAVITY

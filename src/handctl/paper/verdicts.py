@@ -36,7 +36,8 @@ def of_carried(printed: str, exact: Fraction | float, carried: Fraction, source:
         printed: decimal number.
         exact: exact value.
         carried: value that follows from the digits printed before.
-        source: verdict on those digits. It is passed on if it explains the printed number.
+        source: verdict on those digits. This verdict is passed on if the carried value explains
+            the print.
     """
     verdict = of_number(printed, exact)
     explained = of_number(printed, carried) == ErrataVerdict.EQUAL

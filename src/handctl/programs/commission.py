@@ -1,4 +1,4 @@
-"""Program that commissions a hand: tare, motor zeros, and the proof that each motor pulls its own tendon.
+"""Program that commissions a hand: tare, motor zeros, and the proof of each motor's own tendon.
 
 One tendon after the other is pulled gently while all others are slack. Only its own load cell may
 respond. The pull is too weak to move a digit against the springs, so the joint encoders are not
@@ -48,13 +48,13 @@ COLUMNS = 8
 RESTING = -1
 """Value of `Progress.touching[0]` before a pull.
 
-It is 0 until the tendon is taut, then 1 more than the number of readings.
+The value is 0 until the tendon is taut, then 1 more than the number of readings.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class CommissionProgram:
-    """Program with one step for the tares and one step for each tendon.
+    """Program with a step for the tares and a step for each tendon.
 
     Step 0 tares all load cells, step i + 1 pulls tendon i. `Progress.record` is a table with a row
     for each tendon: sum of tare samples, their number, motor zero [rad], response [N], crosstalk
@@ -107,8 +107,8 @@ class CommissionProgram:
     ) -> tuple[Progress, tuple[Event, ...]]:
         """Read all load cells without torque, renew the tare of the present tendon, then pull it.
 
-        Only the present tendon's tare is renewed. It was never taut, whereas friction may hold
-        tension in a tendon that was pulled before.
+        Only the present tendon's tare is renewed. That tendon was never taut, whereas friction may
+        hold tension in a tendon pulled before.
         """
         if t - progress.since < REST_SETTLE_S or np.isnan(measured.tension).any():
             return progress, ()
@@ -133,7 +133,7 @@ class CommissionProgram:
     def _pull(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
     ) -> tuple[Progress, tuple[Event, ...]]:
-        """Pull the present tendon: wait until it is taut, let it settle, measure."""
+        """Pull the present tendon: wait until taut, settle, measure."""
         i = progress.step - 1
         waiting = progress.touching[0]
         if waiting == 0 and not estimate.slack[i]:

@@ -1,7 +1,7 @@
 """Program that excites a hand for identification: one digit after the other, all other digits without torque.
 
-The steps come from the identification. Each phase is named `DIGIT STEP`, so that the log assigns
-every tick to a step.
+The steps come from the identification. Each phase is named `DIGIT STEP`, to assign every tick of
+the log to a step.
 """
 
 from dataclasses import dataclass, replace
@@ -39,7 +39,7 @@ class ExciteStep(Document):
     duration_s: float = Field(gt=0, le=60)
     target: float = 0.0
     held: bool = False
-    """An obstacle stops the digit, so the filter treats it as blocked."""
+    """An obstacle stops the digit, so the filter treats the digit as blocked."""
     rate: float = Field(100.0, gt=0, le=5000)
     amplitude: float = Field(0.0, ge=0, le=1)
     low_Hz: float = Field(0.5, gt=0, le=100)

@@ -1,9 +1,9 @@
-"""Grip of a holding grasp: its stiffness, and slip that is detected and answered with more tension.
+"""Grip of a holding grasp: stiffness, and slip detection with an answer of more tension.
 
-Slip is detected by a digit that is pushed open: its tension is kept, but its tendon pays out. The
-tendon's excursion, travel less stretch, is known to a few micrometres, so a fraction of a
-millimetre at the object is visible. A force along the hinges moves no joint (J^T F = 0). Therefore
-neither tendons nor joint encoders show an even bar that slides along the hinges.
+Slip pushes a digit open: the tension is kept, but the tendon pays out. The tendon's excursion,
+travel less stretch, is known to a few micrometres, so a fraction of a millimetre at the object is
+visible. A force along the hinges moves no joint (J^T F = 0). Therefore neither tendons nor joint
+encoders show an even bar that slides along the hinges.
 """
 
 import math
@@ -26,7 +26,7 @@ Six standard deviations of the excursion in a quiet hold (3.5 um). It is about 0
 QUIET_S = 0.4
 """Time without slip detection after the grip's own tension changed [s]. Fingers conform then."""
 PAUSE_S = 0.1
-"""Time from one answer to the next [s]."""
+"""Time from an answer to the next [s]."""
 STEP = 1.2
 """Factor of each answer on every tension of the grip."""
 RATE_N_PER_S = 300.0

@@ -25,7 +25,7 @@ from handctl.programs.task_checks import ROUNDING_DEG
 
 @dataclass(frozen=True, slots=True)
 class LiveProgram:
-    """Program that tightens the tendons, then waits for requests until it is stopped."""
+    """Program that tightens the tendons, then waits for requests until a stop."""
 
     def initial(self, model: HandModel) -> Progress:
         """Return the progress until the hand is armed: no torque."""

@@ -16,11 +16,11 @@ from handctl.programs.grip import Grip
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """State of a program, with the same fields for all programs, so that the state's hash covers it.
+    """State of a program, with the same fields for all programs and covered by the state's hash.
 
     Attributes:
         step: index of the present step.
-        since: time of its beginning [s].
+        since: time of the beginning [s].
         goals: goals of the digits.
         contact: for each digit, whether it is in contact.
         touching: for each digit, consecutive ticks with evidence of contact. Programs use it as
@@ -83,7 +83,7 @@ TARE_PHASE = "tare"
 TIGHTEN_MARGIN_N = 1.5
 """Tension above the floor to which slack is taken up [N].
 
-It is too small to move a finger against the springs.
+The margin is too small to move a finger against the springs.
 """
 TIGHTEN_S = 0.3
 """Time for which all tendons must be taut before the hand is ready [s]."""

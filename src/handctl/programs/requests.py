@@ -1,6 +1,6 @@
 """Requests to a running controller: one JSON object per datagram, validated here.
 
-Requests enter the tick as text, so that a log is re-executed with exactly the same requests.
+Requests enter the tick as text, so a log is re-executed with exactly the same requests.
 """
 
 from collections.abc import Iterable, Mapping
@@ -16,7 +16,7 @@ class RequestBase(Document):
     """Fields of every request."""
 
     by: str = Field("", max_length=40, pattern=r"^[\w.-]*$")
-    """Sender of the request, e.g. a program and its number, so that the sender recognises the answer."""
+    """Sender of the request, e.g. a program and a number, for the sender to recognise the answer."""
 
 
 class Arm(RequestBase):
@@ -44,7 +44,7 @@ class Clear(RequestBase):
 
 
 class MoveDigits(RequestBase):
-    """Move digits to joint angles, a one-tendon digit by its mean joint angle."""
+    """Move digits to joint angles, a one-tendon digit by the mean joint angle."""
 
     do: Literal["move"]
     angle_deg: dict[str, Angle] = Field(min_length=1)
@@ -81,7 +81,7 @@ REFUSED = "refused: "
 def describe_request(request: Request) -> str:
     """Return the event text of an accepted request.
 
-    Request events up to the next such text belong to this request.
+    Request events up to the next text of this form belong to the same request.
     """
     return f"{_PREFIX}{request.do}" + (f" by {request.by}" if request.by else "")
 
@@ -105,7 +105,7 @@ def events_for_request(by: str, events: Iterable[Mapping[str, Any]]) -> list[str
 
 
 def parse_request(text: str) -> Request | str:
-    """Parse a request, and return one line with the reason if it is invalid.
+    """Parse a request, and return a line with the reason if it is invalid.
 
     The line is printable whatever the datagram contained.
     """

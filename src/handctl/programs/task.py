@@ -44,8 +44,8 @@ class Move(Document):
     angle_deg: Angle | dict[str, Angles]
     """One angle for all joints, or one per digit.
 
-    The angle of a one-tendon digit is its mean joint angle. A digit with a tendon for each joint
-    also takes a list, from the palm outwards.
+    A one-tendon digit takes the mean joint angle. A digit with a tendon for each joint also takes a
+    list, from the palm outwards.
     """
     duration_s: float = Field(1.0, ge=SHORTEST_MOVE_S, le=3600)
 

@@ -1,4 +1,4 @@
-"""Checks of a task against a hand: speed of its moves, joint ranges, tip forces."""
+"""Checks of a task against a hand: speed of the moves, joint ranges, tip forces."""
 
 import math
 from collections.abc import Iterable
@@ -68,7 +68,7 @@ ROUNDING_DEG = 1e-6
 
 
 def check_joint_range(task: Task, hand: Hand, where: str) -> None:
-    """Check the angles of a task, digit by digit. Beyond its range a joint only presses on its stop.
+    """Check the angles of a task, digit by digit. Beyond the range a joint only presses on the stop.
 
     Args:
         task: task that suits the hand otherwise.

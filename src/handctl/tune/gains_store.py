@@ -1,8 +1,8 @@
-"""Gains of a hand on disk: the present ones and a numbered history, so that every change can be undone.
+"""Gains of a hand on disk: the present ones and a numbered history, so every change can be undone.
 
 Runs use `HAND.gains.toml`. Every set of gains that was ever applied is in `HAND.gains/0001.toml`
-and so on. Both are written to a temporary file and renamed, so a reader finds either the old file
-or the new one.
+and so on. Both are written to a temporary file and renamed, so a reader finds either the old or the
+new file.
 """
 
 import datetime
@@ -59,7 +59,7 @@ class GainsStore:
         self.history = folder / f"{hand}.gains"
 
     def present(self) -> GainsFile | None:
-        """Return the gains that runs use, None if they are the packaged ones.
+        """Return the present gains, None for the packaged gains.
 
         Raises:
             ConfigError: The file cannot be used.
@@ -106,7 +106,7 @@ class GainsStore:
         return self._put(gains, provenance)
 
     def rollback(self, to: int | None = None) -> GainsFile:
-        """Restore the gains before the present ones, or those of a number. 0 is the packaged gains.
+        """Restore the gains before the present ones, or gains by number. 0 is the packaged gains.
 
         Raises:
             ConfigError: There are no earlier gains, or the number does not exist.

@@ -168,7 +168,7 @@ def draw_verify(
         hand: hand of the run.
         truth: ground truth of the simulator, None on hardware.
         offset_ns: time of the run's t = 0 on the simulator's clock [ns].
-        rollback: return to the old gains, if there was one.
+        rollback: return to the old gains, if any.
     """
     figure = _figure(12, 7.5)
     figure.suptitle(f"{hand.name}: {hand.digit_names[0]}, old gains first, new ones shaded")

@@ -101,7 +101,7 @@ def _table(score: Score) -> dict[str, Any]:
 
 
 def exercise(hand: Hand, model: HandModel, factors: Mapping[str, float], seed: int) -> Score:
-    """Score one run of the exercise on a plant, without the margins.
+    """Score a run of the exercise on a plant, without the margins.
 
     Args:
         hand: description of the hand.
@@ -143,7 +143,7 @@ def simulated(
 
 
 def judge(hand: Hand, ticks: Sequence[tuple[TickIn, TickOut]], truth: Truth, failure: str) -> Score:
-    """Score one run by the simulator's ground truth.
+    """Score a run by the simulator's ground truth.
 
     Args:
         hand: hand of the run.

@@ -1,7 +1,7 @@
 """Verification of new gains on the hand: the old gains first, then the new ones at rising amplitude.
 
-At a violated limit the observer requests the old gains again. It uses the controller's request
-socket like any client, so the log contains its requests and can be re-executed.
+At a violated limit the observer requests the old gains again. The observer uses the controller's
+request socket like any client, so the log contains all requests and can be re-executed.
 """
 
 import json
@@ -27,7 +27,7 @@ OLD_ROUNDS = 2
 AMPLITUDES = (0.3, 1.0, 0.3, 0.6, 1.0)
 """Amplitudes of the rounds: those of the old gains, then rising ones of the new gains.
 
-Both sets have a round before the one that is compared.
+Both sets have a round before the compared round.
 """
 WINDOW_S = 0.1
 """Window of the ringing measure [s], two periods of a drive on a blocked tendon."""
@@ -103,7 +103,7 @@ class VerifyObserver:
         return requests
 
     def see(self, entry: TickIn, out: TickOut) -> None:
-        """Observe one tick, see `Attendant`."""
+        """Observe a tick, see `Attendant`."""
         if out.phase == "settle" and self._phase != "settle":
             self._round += 1
             # The gains change in `settle`, while the hand rests.
@@ -165,7 +165,7 @@ COLUMNS = {
 }
 """Name and unit of each measure by its field of `Score`."""
 ONE_RUN_SPREAD = 0.1
-"""Assumed spread of a measure of which there is one run, as a fraction of the value."""
+"""Assumed spread of a measure with a single run, as a fraction of the value."""
 MIN_DIFFERENCE = 0.02
 """Least difference that counts, as a fraction of the old value."""
 
@@ -179,7 +179,7 @@ class Column:
         unit: unit of the measure.
         old: mean over the runs with the old gains.
         new: mean over the runs with the new gains.
-        spread: half of the 95 % interval of the difference, assumed where there is one run.
+        spread: half of the 95 % interval of the difference, assumed for a single run.
         verdict: "better", "worse" or "same".
     """
 
@@ -219,8 +219,8 @@ def scores(log: RunLog, hand: Hand, truth: Truth | None, offset_ns: int) -> list
     Args:
         log: log of the verification.
         hand: hand of the run.
-        truth: ground truth of the simulator. On hardware it is None, and the estimates replace
-            it.
+        truth: ground truth of the simulator. None on hardware, where the estimates replace the
+            truth.
         offset_ns: time of the run's t = 0 on the simulator's clock [ns].
     """
     starts = [change.k for change in log.phases if change.name == "settle"]

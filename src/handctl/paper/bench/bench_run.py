@@ -36,7 +36,7 @@ class BenchRecording:
     travel: list[Vector] = field(default_factory=list)
 
     def take(self, entry: TickIn, out: TickOut) -> None:
-        """Record one tick."""
+        """Record a tick."""
         self.t_ns.append(entry.t_ns)
         self.phase.append(out.phase)
         self.tension.append(out.telemetry.tension_raw)
@@ -71,5 +71,5 @@ def run(hand_file: str, scene: str | None, task: Task, truth: Path | None = None
 
 @cache
 def _model(hand_file: str) -> HandModel:
-    """Return the model of a hand. Its gains are designed once, which takes a second."""
+    """Return the model of a hand. The gains are designed once in about a second."""
     return HandModel.of(load_hand(hand_file), Gains(), RATE_HZ)

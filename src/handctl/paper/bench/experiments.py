@@ -1,4 +1,4 @@
-"""Experiments of the paper as jobs: plain input, plain output, so that another process can run them."""
+"""Experiments of the paper as jobs: plain input, plain output, so another process can run them."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
@@ -15,7 +15,7 @@ Workers = Callable[[Sequence[Job]], list[Result]]
 
 
 def do(job: Job, folder: Path) -> Result:
-    """Run one job.
+    """Run a job.
 
     Args:
         job: `do` and arguments, see `measure`.

@@ -65,8 +65,8 @@ def search_tension(folder: Path, diameter_mm: float) -> dict[str, Any]:
     """Return the tension of each digit at which the fingers press with 6 N, and the time of the grip.
 
     The tension is interpolated between stairs, then corrected once with a direct grip, because
-    friction makes a grip depend on its history. The thumb balances the fingers, so it pulls with
-    their mean tension. The grip begins at the same time in every run on this diameter.
+    friction makes a grip depend on its history. The thumb balances the fingers, so the thumb gets
+    the mean tension. The grip begins at the same time in every run on this diameter.
     """
     names = src.hand().digit_names
     phases = [_hold(f"stair {tension:g}", dict.fromkeys(names, tension), STAIR_S) for tension in STAIRS_N]

@@ -14,7 +14,7 @@ from handctl.paper.bench.experiments import Job, Result, Workers
 WORKER = "handctl.paper.bench.worker"
 Child = subprocess.Popen[str]
 Report = Callable[[Job, bool], None]
-"""Called with each job when it begins (False) and when it is finished (True)."""
+"""Called with each job at the beginning (False) and at the end (True)."""
 
 
 @contextmanager
@@ -66,7 +66,7 @@ def _distribute(children: Sequence[Child], jobs: Sequence[Job], report: Report) 
 
 
 def _next(child: Child, waiting: Iterator[tuple[int, Job]], busy: dict[Child, int], report: Report) -> None:
-    """Send a worker the next job, if there is one."""
+    """Send a worker the next job, if any."""
     for index, job in waiting:
         busy[child] = index
         report(job, False)
@@ -77,7 +77,7 @@ def _next(child: Child, waiting: Iterator[tuple[int, Job]], busy: dict[Child, in
 
 
 def _answer(child: Child) -> Result:
-    """Read one answer of a worker.
+    """Read an answer of a worker.
 
     Raises:
         HandctlError: The experiment failed, or the worker ended.

@@ -1,4 +1,4 @@
-"""Worker process for experiments: one job per line of its standard input, one result per line of its output."""
+"""Worker process for experiments: a job per line of its standard input, one result per line of its output."""
 
 import json
 import signal
@@ -13,8 +13,8 @@ from handctl.paper.bench.experiments import do
 def main() -> None:
     """Run jobs until the input ends. A failed experiment answers with its error.
 
-    Ctrl-C is handled by the process that sends the jobs. It ends the worker by SIGTERM, which also
-    removes the folder.
+    Ctrl-C is handled by the process that sends the jobs. SIGTERM from that process ends the worker
+    and removes the folder.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))

@@ -27,7 +27,7 @@ VIEW = (24.0, -58.0)
 
 
 def hand(figure: Any) -> None:
-    """Draw the palm, then all digits in one collection, so that near faces hide far ones."""
+    """Draw the palm, then all digits in one collection, so near faces hide far ones."""
     from matplotlib.patheffects import withStroke
     from mpl_toolkits.mplot3d.art3d import Poly3DCollection  # type: ignore[import-untyped,unused-ignore]
 

@@ -32,7 +32,7 @@ DPI = 160
 
 
 def draw(folder: Path, name: str, size: tuple[float, float], content: Callable[[Any], None]) -> Path:
-    """Draw one figure and write it as PNG and SVG.
+    """Draw a figure and write PNG and SVG files.
 
     Args:
         folder: folder to write to.

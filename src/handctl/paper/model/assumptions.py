@@ -1,4 +1,4 @@
-"""Assumptions of the model that the paper does not state, each with the number that shows it."""
+"""Unstated assumptions of the paper's model, each with a number."""
 
 from fractions import Fraction
 
@@ -17,7 +17,7 @@ BEND_RATIO = 18.0
 Source: ISO 4308-1, factor h2 of mechanism class M4.
 """
 WRAP_DEG = (15.0, 30.0, 45.0)
-"""Joint angles of a finger around an object that touches each link at its middle [deg].
+"""Joint angles of a finger around an object, with contact at the middle of each link [deg].
 
 Source: Birglen, Laliberte & Gosselin (2008).
 """

@@ -17,8 +17,7 @@ class Term:
         id: id of the item.
         where: equation.
         printed: term as in the paper.
-        readings: possible meanings. An undefined symbol is read as the one that it must stand
-            for.
+        readings: possible meanings. An undefined symbol is read as the only possible one.
         right: correct term.
         why: explanation of the error.
         mirror: id of the term with the same coefficient, because the mass matrix is symmetric.
@@ -41,7 +40,7 @@ def _term(
     why: str = "",
     mirror: str = "",
 ) -> Term:
-    """Return a term, with its equation from its id."""
+    """Return a term, with the equation taken from the id."""
     texts = (readings,) if isinstance(readings, str) else readings
     number = id.removeprefix("eq").partition(".")[0]
     reason = why or "As derived."

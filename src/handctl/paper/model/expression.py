@@ -1,6 +1,6 @@
 """Formulas as text: evaluated on numbers or arrays, checked for dimensions, and typeset.
 
-The tests give the same text to sympy, so that the proven formula is the printed one.
+The tests give the same text to sympy, so the proven formula is the printed one.
 """
 
 import ast
@@ -173,7 +173,7 @@ def _pretty(node: ast.expr) -> tuple[str, int]:
 
 
 def _without_minus(node: ast.expr) -> ast.expr:
-    """Return a product without the minus of its first factor, or the node itself if there is none."""
+    """Return a product without the minus of its first factor, or the node itself otherwise."""
     match node:
         case ast.UnaryOp(op=ast.USub(), operand=inner):
             return inner

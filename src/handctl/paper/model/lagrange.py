@@ -1,6 +1,6 @@
 """Equations 3 to 12 at random states: each printed term against the correct one, which Lagrange's equations give.
 
-Every derivative is taken by complex steps, exact to rounding, so that no manual algebra is trusted.
+Every derivative is taken by complex steps, exact to rounding, so no manual algebra is trusted.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,10 @@ STATES = 200
 TOLERANCE = 1e-9
 """Largest relative difference that counts as rounding. The smallest misprint makes about 0.1."""
 STEP = 1e-30
-"""Complex step. Nothing is subtracted, so it may be arbitrarily small. Source: Squire & Trapp (1998)."""
+"""Complex step.
+
+No subtraction occurs, so the step may be arbitrarily small. Source: Squire & Trapp (1998).
+"""
 JOULE: Dimension = (1, 2, -2)
 """Dimension of energy, and of torque."""
 DIMENSIONS: dict[str, Dimension] = {

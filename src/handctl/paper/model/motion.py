@@ -43,7 +43,7 @@ class Closing:
     lever: float
 
     def tension(self, part: str) -> float:
-        """Return the largest tension that one cause requires [N]."""
+        """Return the largest tension that a cause requires [N]."""
         return float(np.abs(self.parts[part]).max()) / self.lever
 
 

@@ -1,9 +1,9 @@
-"""Detection of contact in the sweeps of a digit, by what its fit leaves unexplained.
+"""Detection of contact in the sweeps of a digit, by the unexplained part of the fit.
 
 A contact adds tension from some angle on, and more the further the digit closes. A fit hides most
 of it in the springs, but no parameter has a kink. Therefore a ramp that begins at some angle is
-added to the linearised fit. Its score is its size in standard deviations, after all parameters have
-taken their part.
+added to the linearised fit. The score is the ramp's size in standard deviations, after all
+parameters have taken a share.
 Source: score test (Rao 1948).
 
 A contact that lasts from the open stop on has no kink. A digit of n joints, one of which cannot
@@ -49,11 +49,11 @@ class Ramp(NamedTuple):
 
     Attributes:
         score: size in standard deviations, positive if it adds to the tension.
-        begin: angle at which it begins, mean of the joints [rad].
+        begin: angle at the beginning, mean of the joints [rad].
         end: largest angle of the sweep [rad].
         rise: tension [N] or joint torque [N m] at that angle.
         rows: rows of the sweep.
-        outliers: fraction of them that the fit has left out.
+        outliers: fraction of rows that the fit has left out.
         square: mean square of the other residuals.
         kink: score from which the digit.
     """

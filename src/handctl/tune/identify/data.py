@@ -40,14 +40,14 @@ class TendonData:
 
     Attributes:
         tendon: name of the tendon.
-        digit: name of its digit.
+        digit: name of the digit.
         period: control period [s].
         t: (n,) time on the log's clock [s].
         travel: (n,) travel at the spool [m], NaN where missing.
         tension: (n,) load cell without its tare [N], NaN where missing.
         command: (n,) motor force at the tendon, commanded from this instant on [N].
         joints: (n, joints) joint encoders of the digit [rad], NaN where missing.
-        slack: tendon slack, so that the load cell shows its offset.
+        slack: tendon slack, so the load cell shows its offset.
         stop: tendon taut, digit on the open stop.
         free: tendon taut, digit moving freely.
         acting: the motor equation holds.
@@ -70,8 +70,8 @@ class TendonData:
 def tendon_data(log: RunLog, hand: Hand) -> list[TendonData]:
     """Return the data of every excited tendon, or of all tendons if the log has no excitation.
 
-    A tick's measurements were taken at the instant of the tick before, so they are shifted by one
-    tick.
+    A tick's measurements were taken at the instant of the tick before, so measurements are shifted
+    by one tick.
 
     Args:
         log: log of any run.

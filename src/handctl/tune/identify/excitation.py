@@ -1,4 +1,4 @@
-"""Excitation of a digit, so that its parameters show: within its limits, in about twenty seconds."""
+"""Excitation of a digit for identification, within the limits and in about twenty seconds."""
 
 import math
 

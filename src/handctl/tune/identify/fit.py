@@ -1,7 +1,7 @@
 """Fit of a tendon: all equations at once, with the load cell's slow drift among the unknowns.
 
-Parameters are scaled by the hand file, so that they are of the order of one. Residuals are in
-standard deviations of the load cell.
+Parameters are scaled by the hand file to the order of 1. Residuals are in standard deviations of
+the load cell.
 """
 
 from dataclasses import dataclass
@@ -36,14 +36,14 @@ Masses are weighed. The stretch offset is as good as unknown.
 SOFTNESS = 0.04
 """Compliance of the open stop, as a fraction of the hand file's tendon, within half of it.
 
-It is an assumption: at the load cell tendon and stop are springs in series, and no measurement
+This is an assumption: at the load cell tendon and stop are springs in series, and no measurement
 tells them apart. The stops of the packaged simulator yield by 3.8e-7 m/N at the tendon, which is
 0.038.
 """
 VAGUE = 3.0
 """Prior relative spread of all other parameters.
 
-It keeps a fit finite that has no data for a parameter.
+This prior keeps a fit finite without data for a parameter.
 """
 OFFSET_N = 1.0
 """Prior spread of a tared load cell without tension [N]."""
@@ -67,7 +67,7 @@ INFORMED = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """Input of one fit.
+    """Input of a fit.
 
     Attributes:
         spool: radius of the spool [m].
@@ -98,7 +98,7 @@ class Problem:
         """Make the problem of a tendon.
 
         Raises:
-            LogError: Nothing of it moves in the log.
+            LogError: The tendon does not move in the log.
         """
         index = hand.tendon_names.index(data.tendon)
         tendon = hand.tendon[index]

@@ -35,7 +35,7 @@ MIN_ROWS = 20
 
 @dataclass(frozen=True, slots=True)
 class Balance:
-    """Moments at which a digit moves freely and its joints were read.
+    """Moments of free motion with joint readings.
 
     Attributes:
         digit: model of the digit.
@@ -124,7 +124,7 @@ class Balance:
     def whiten(self) -> Array:
         """Return the whitening matrix (joints, joints) of the torques.
 
-        It makes the torques of one moment independent, in standard deviations.
+        Whitened torques of a moment are independent, in standard deviations.
         """
         arms = self.digit.moment_arms
         return np.asarray(np.linalg.inv(np.linalg.cholesky(arms.T @ np.diag(self.noise**2) @ arms)).T)
@@ -214,7 +214,7 @@ def _friction(digit: DigitModel) -> Array:
 
 
 def _apart(indices: NDArray[np.intp], spacing: int) -> NDArray[np.intp]:
-    """Return the indices that are at least `spacing` apart, so that no sample counts twice."""
+    """Return the indices that are at least `spacing` apart, so no sample counts twice."""
     selected: list[int] = []
     for index in indices.tolist():
         if not selected or index - selected[-1] >= spacing:

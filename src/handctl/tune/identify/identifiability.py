@@ -1,8 +1,8 @@
 """Identifiability of a fit: parameters without information, directions in which parameters trade off.
 
 It rests on the Jacobian of the data alone, in units of the hand file's values and of the load
-cell's noise. A column or a combination of columns that hardly changes the residuals is not in the
-data, whatever a solver returns for it.
+cell's noise. A column or a combination of columns without effect on the residuals is not in the
+data, whatever a solver returns.
 """
 
 from dataclasses import dataclass
@@ -26,11 +26,11 @@ class Identifiability:
     """Identifiability of a tendon's parameters.
 
     Attributes:
-        names: parameters that the data identify.
-        missing: parameters that they do not identify, each with the reason.
+        names: identified parameters.
+        missing: other parameters, each with the reason.
         rank: rank of the data's Jacobian without the drift.
         columns: number of the columns.
-        condition: ratio of its largest to its smallest singular value.
+        condition: ratio of the largest to the smallest singular value.
         weakest: combination with the least information, as text.
         correlated: pairs of identified parameters that trade off, with their correlation.
     """
@@ -97,7 +97,7 @@ def _reason(jacobian: Array, name: str) -> str:
 
 
 def _never_identifiable(fit: Fit, tendon: Tendon) -> list[str]:
-    """Return the parameters that this excitation cannot identify, however long it lasts."""
+    """Return the parameters beyond this excitation, of any duration."""
     problem = fit.problem
     tension = np.concatenate([problem.motor.tension, problem.stop.tension, problem.free.tension])
     reasons = [

@@ -35,7 +35,7 @@ Motor and tendon do not depend on the digit's balance.
 
 @dataclass(frozen=True, slots=True)
 class TendonResult:
-    """Identification of a tendon from one log.
+    """Identification of a tendon from a log.
 
     Attributes:
         data: data from the log.

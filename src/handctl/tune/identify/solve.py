@@ -1,7 +1,7 @@
 """Solution of a fit and its uncertainty.
 
-Intervals come from the spread of the residuals' scores in blocks of time, so that errors of the
-model widen them. They do not assume that every row is a new measurement.
+Intervals come from the spread of the residuals' scores in blocks of time, so errors of the model
+widen them. Rows need not be independent measurements.
 """
 
 from collections.abc import Callable, Iterator
@@ -51,7 +51,7 @@ class Solution:
 
 
 def solve(residuals: Callable[[Array], Array], start: Array, bounds: tuple[Array, Array], times: Array) -> Solution:
-    """Solve least squares in two rounds: a robust one finds the outliers, the second leaves them out.
+    """Solve least squares in two rounds: a robust round finds the outliers, the second round leaves the outliers out.
 
     Args:
         residuals: function from parameters (n,) to residuals in standard deviations, rows of

@@ -1,14 +1,14 @@
 """Design of gains: as much authority as the margins allow on every plant, or poles at given frequencies.
 
 Authority is the one parameter of LQR: the force that counts like the errors of Bryson's rule. More
-authority makes a loop faster and its margins smaller, so it rises from below as long as the margins
-are kept. Reported margins are confirmed by the closed loop's eigenvalues. Designed gains are
-confirmed by a proof of the caller, e.g. a simulation.
+authority makes a loop faster and its margins smaller, so authority rises from below as long as the
+margins are kept. Reported margins are confirmed by the closed loop's eigenvalues. Designed gains
+are confirmed by a proof of the caller, e.g. a simulation.
 
 Poles: for a plant with one input and weights on position and speed, the closed loop's
 characteristic polynomial d satisfies d(s) d(-s) = p(s) p(-s) + (q1 |g1(s)|^2 + q2 |g2(s)|^2) / r.
 There are two poles and two ratios of weights, so each pole pair with a damping above 1/sqrt(2) has
-its weights in closed form.
+weights in closed form.
 Source: Kalman's symmetric root locus.
 """
 
@@ -152,7 +152,7 @@ def _motion_weights(model: HandModel, w: float, damping: float) -> tuple[float, 
 def _tension_weights(model: HandModel, w: float, damping: float) -> tuple[float, float]:
     """Return the weights of a rotor on its tendon.
 
-    The frequency of the free rotor on its tendon is the lowest possible one.
+    The frequency of the free rotor on the tendon is the lowest possible frequency.
     """
     space = model.space
     m = float(space.motor_mass.mean())
@@ -216,7 +216,7 @@ def _each(
 
 
 def unlike_tendons(model: HandModel) -> tuple[int, ...]:
-    """Return one tendon of each kind, so that equal tendons are not judged twice."""
+    """Return a tendon of each kind, so equal tendons are judged once."""
     space = model.space
     seen = dict[tuple[str, ...], int]()
     for i in range(model.tendon_count):
@@ -296,8 +296,8 @@ def _most_authority(model: HandModel, kind: LoopKind, plants: tuple[PlantFactors
     """Return the model with the most authority of a loop that keeps the margins, None otherwise.
 
     The search begins at the bottom. The least force may violate the margins, because an integral
-    alone makes a tendon oscillate. From the first force that keeps them the search continues as
-    long as they are kept, then it bisects the last step. It does not look for forces above a gap.
+    alone makes a tendon oscillate. From the first force with the margins the search continues up to
+    the last one, then bisects the last step. Forces above a gap are not searched.
     """
     best = None
     low = math.log(MIN_FORCE_N)

@@ -125,7 +125,8 @@ def plant(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors =
         factors: factors on the hand file.
 
     Returns:
-        The system with the states travel, its rate, excursion, its rate, motor force. The blocked
+        The system with the states travel, travel rate, excursion, excursion rate, motor force. The
+        blocked
         digit has no excursion.
 
     Source: two masses on a spring, torque with a first-order lag, zero-order hold.
@@ -199,7 +200,7 @@ def loop(model: HandModel, tendon: int, kind: LoopKind, factors: PlantFactors = 
 def joined(P: System, K: System) -> System:
     """Return the loop of a plant and a controller, broken at the motor force.
 
-    Its output is the returned force with its sign reversed. So negative feedback is taken out, and
+    The output is the returned force with the sign reversed. So negative feedback is taken out, and
     margins follow from 1 + L.
     """
     K = _without_constants(K)
@@ -219,7 +220,7 @@ def joined(P: System, K: System) -> System:
 def _without_constants(K: System) -> System:
     """Return a system without its constant states, such as a setpoint.
 
-    Their deviation is always zero, and their poles at one say nothing about stability.
+    The deviation of these states is always zero, and poles at 1 are no evidence on stability.
     """
     A = K.A - np.eye(len(K.A))
     B = K.B
@@ -282,7 +283,7 @@ class _Bench:
         self._constant_args = self._constants.block, self._constants.layout.places
 
     def estimate(self, block: Block) -> None:
-        """Correct and predict the filter. No torque acts yet, so that no contact is detected."""
+        """Correct and predict the filter. No torque acts yet, so no contact is detected."""
         self.layout.view(block, "mode")[...] = Mode.ARMING
         stages.correct(block, self.layout.places, *self._constant_args)
         predict(self.model, self.layout, block)

@@ -1,6 +1,6 @@
 """Margins of a loop: gain, phase and disk margin, delay, bandwidth, and the step response.
 
-A search needs thousands of margins, so each is read from one frequency response. The margins of the
+A search needs thousands of margins, so each is read from a frequency response. The margins of the
 package `control` are the reference in the tests. Reported margins are confirmed by the closed
 loop's eigenvalues: within them no change of gain, phase or delay moves a pole to the unit circle.
 Source: balanced disk margin 1 / max |S - 1/2| (Seiler, Packard, Gahinet, 2020).
@@ -150,8 +150,8 @@ def is_stable(system: System, factor: complex = 1.0, delay: int = 0) -> bool:
 def confirmed(system: System) -> Margins:
     """Compute margins that the closed loop's eigenvalues confirm.
 
-    A margin within which an eigenvalue leaves the unit circle is reduced to where that happens. The
-    frequency response alone misses a resonance between two of its points.
+    A margin is reduced to the point where an eigenvalue leaves the unit circle. The frequency
+    response alone misses a resonance between two of its points.
     """
     result = margins(system, FINE_POINTS)
     if not result.stable or result.phase_deg == 0.0:

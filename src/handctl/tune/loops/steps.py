@@ -28,7 +28,7 @@ HOLD_TENSION_N = 30.0
 STEP_N = 10.0
 """Step of the tension [N]."""
 OSCILLATING = 1e-3
-"""Angle of an eigenvalue from which it counts as oscillating [rad per tick], 0.08 Hz at 500 Hz."""
+"""Least angle of an oscillating eigenvalue [rad per tick], 0.08 Hz at 500 Hz."""
 REST_S = 0.5
 """Duration of a step's rest [s]."""
 EVALUATED_S = 0.25
@@ -146,7 +146,7 @@ def rings(model: HandModel, factors: PlantFactors) -> bool:
     """Return True if the linear loop of a held tension still oscillates when a step is evaluated.
 
     Its oscillating eigenvalues are the same at every tension below the knee of the tendon. A step
-    is evaluated after `REST_S - EVALUATED_S`. What remains of it then must be below the largest
+    is evaluated after `REST_S - EVALUATED_S`. The remaining oscillation must be below the largest
     swing of a loop at rest.
 
     Args:
@@ -189,9 +189,9 @@ class Proof:
 
     Links of a digit that presses on something may chatter, also under a constant motor torque. Such
     a swing belongs to the plant. It is measured on the same plant with gains without feedback, and
-    subtracted for each tendon. It is not subtracted if the linear loop oscillates at that tension.
-    All tendons have the same gains, so an oscillating loop also shows on tendons without chatter,
-    and in its eigenvalues.
+    subtracted for each tendon. If the linear loop oscillates at the tension, no swing is
+    subtracted. All tendons have the same gains, so an oscillating loop also shows on tendons
+    without chatter, and in its eigenvalues.
 
     Attributes:
         hand: hand of the plants.

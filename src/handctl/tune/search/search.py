@@ -1,4 +1,4 @@
-"""Search for gains in simulation with Optuna. Its result depends on nothing but the seed.
+"""Search for gains in simulation with Optuna. The result depends only on the seed.
 
 Trials are asked in fixed batches and reported in order. Each batch has its own sampler, seeded by
 the study's seed and the batch's number. So one process, several and a cluster find the same result,
@@ -156,7 +156,7 @@ def search(plan: SearchPlan, storage: Path, workers: Workers, show: Callable[[Se
 
 @contextmanager
 def _exclusive_lock(path: Path) -> Iterator[None]:
-    """Lock a journal against other searches. The lock ends with this process, however that ends.
+    """Lock a journal against other searches. The lock ends with this process, also after a crash.
 
     Raises:
         ConfigError: Another search has the lock, or the file cannot be opened.
@@ -225,7 +225,7 @@ def _truncate_partial_line(path: Path) -> None:
 
 
 def _batch(study: Any, plan: SearchPlan, workers: Workers, show: Callable[[SearchResult], None]) -> None:
-    """Compute the missing trials of the present batch, and report them in the order they were asked in."""
+    """Compute the missing trials of the present batch, and report them in the order of asking."""
     finished_count = len(_finished(study))
     trials = _open_trials(study, plan, finished_count)[: plan.trials - finished_count]
     jobs = [plan.job(finished_count + i, trial.params) for i, trial in enumerate(trials)]

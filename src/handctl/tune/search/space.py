@@ -7,7 +7,7 @@ from handctl.core.gains.gains import Gains
 
 
 class Range(NamedTuple):
-    """Range of one gain. With `log` the search is uniform in the logarithm."""
+    """Range of a gain. With `log` the search is uniform in the logarithm."""
 
     low: float
     high: float

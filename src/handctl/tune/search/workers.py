@@ -45,7 +45,7 @@ class InProcessWorkers:
 
 
 class ProcessPool:
-    """Processes of this machine. A process that dies is replaced, and its job is repeated."""
+    """Processes of this machine. A dead process is replaced, and the job is repeated."""
 
     def __init__(self, count: int) -> None:
         """Start the processes."""
