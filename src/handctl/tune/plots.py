@@ -94,7 +94,7 @@ def draw_search(path: Path, result: SearchResult, title: str) -> None:
 
     Args:
         path: PNG file to write.
-        found: finished trials.
+        result: finished trials.
         title: title of the figure.
     """
     figure = _figure(11, 4.8)
