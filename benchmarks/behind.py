@@ -1,8 +1,9 @@
-"""What is behind the wire in lockstep beside the bare ``mj_step``: drives, sensors, codec, bus stamps, tendons, rotors.
+"""Cost of the simulated far side in lockstep beside a bare ``mj_step``: drives, sensors, codec, tendons, rotors.
 
-``python benchmarks/behind.py [--quick] [--json]``. The whole stack runs, so that the controller drives code and data of
-the simulator out of the caches. In each tick the CPU time of ``Rig.exchange`` is taken, and the bare rollout of the
-same motion is subtracted. Every run is the same to the bit, so the least that each tick took counts.
+``python benchmarks/behind.py [--quick] [--json]``. The whole stack runs, because the controller evicts code
+and data of the simulator from the caches. The benchmark measures the CPU time of ``Rig.exchange`` in each
+tick and subtracts the bare rollout of the same motion. Every run is the same to the bit. The shortest time
+of each tick counts.
 """
 
 import argparse
@@ -39,7 +40,7 @@ def main() -> None:
 
 
 def measure(hand: str, protocol: str, scene: str, seconds: float) -> dict:
-    """One hand with drives of one protocol in one scene."""
+    """Measure one hand with drives of one protocol in one scene."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "hand.toml"
         path.write_text(hand_in(hand, protocol).to_toml())
@@ -64,13 +65,13 @@ def measure(hand: str, protocol: str, scene: str, seconds: float) -> dict:
 
 
 def clock_s() -> float:
-    """Return what it takes to read the clock twice [s]."""
+    """Measure the time of two readings of the clock [s]."""
     now = time.process_time
     return min(-(now() - now()) for _ in range(CLOCK_READS))
 
 
 def show(row: dict) -> None:
-    """The same for people."""
+    """Print one result as text."""
     print(
         f"{row['hand']:8} {row['protocol']:7} {row['scene']:8} mj_step {row['bare_us_per_tick']:6.1f} us, exchange "
         f"{row['exchange_us_per_tick']:6.1f} us, behind the wire {row['behind_the_wire_us_per_tick']:5.1f} us per tick",

@@ -1,13 +1,13 @@
-"""One tick's exchange, a command to each motor and its answer: CPU and wall time of handctl and of what one may use.
+"""Exchange of one tick, a command to each motor and its reply: CPU and wall time of handctl and of alternatives.
 
-``python benchmarks/bus.py [--quick] [--json]``. Four and eleven MIT motors, on the local bus and on vcan (in user-mode
-Linux where the kernel has none); the motors are in the same process and are not timed, so what counts is what the
-host pays. An exchange is: torques to payloads, sending, receiving, payloads to values, in all of them; handctl keeps
-each drive's state besides, as a tick does. What counts are the ratios within a run.
+``python benchmarks/bus.py [--quick] [--json]``. Four and eleven MIT motors, on the local bus and on vcan (in
+user-mode Linux where the kernel has no vcan). The motors are in the same process and are not timed. An
+exchange is: torques to payloads, sending, receiving, payloads to values. handctl also updates the state of
+each drive, as in a tick. Compare ratios within one run only.
 
-The floor is a C program with the same system calls and codec. On the local bus handctl sends a tick's frames in one
-piece, so that floor hardly grows with the motors; what C takes for a packet a frame (sendmmsg, recvmmsg), as a CAN
-socket has it, is shown beside it.
+The lower bound is a C program with the same system calls and codec. On the local bus handctl sends the frames
+of a tick in one piece, and this bound hardly grows with the motors. A second C program sends one packet per
+frame (sendmmsg, recvmmsg), as a CAN socket does.
 """
 
 import argparse
@@ -47,9 +47,9 @@ def main() -> None:
 
 
 def undisturbed() -> str:
-    """Take one core, and real-time priority if it is granted, for all that is compared alike; in words what was had.
+    """Take one core, and real-time priority if granted, for all alternatives. Return a description of both.
 
-    A guest's kernel and its processes are processes of the host: on two cores they wait for each other.
+    The kernel and the programs of a guest are processes of the host. On two cores they would wait for each other.
     """
     if sys.platform != "linux":
         return "as any other process"
@@ -63,7 +63,7 @@ def undisturbed() -> str:
 
 
 def everything(ticks: int) -> dict:
-    """Both buses; a reason instead of numbers where one cannot be had."""
+    """Measure both buses. A bus that is not available has a reason instead of numbers."""
     with tempfile.TemporaryDirectory(prefix="h-") as short:
         os.environ["HANDCTL_RUN_DIR"] = short
         floor = build(Path(short))
@@ -72,7 +72,7 @@ def everything(ticks: int) -> dict:
 
 
 def build(folder: Path) -> str:
-    """The C program; empty without a compiler."""
+    """Compile the C program and return its path. Empty without a compiler."""
     compiler = shutil.which("cc")
     if compiler is None:
         return ""
@@ -82,7 +82,7 @@ def build(folder: Path) -> str:
 
 
 def in_guest(floor: str, ticks: int) -> dict:
-    """The same beside vcan0."""
+    """Measure the exchange on vcan0."""
     sys.path.insert(0, str(HERE.parent))
     from tests.vcan import uml
 
@@ -96,10 +96,11 @@ def in_guest(floor: str, ticks: int) -> dict:
 
 
 def measure(medium: str, floor: str, ticks: int) -> dict:
-    """Wall and CPU time of each way [us], by number of motors; a reason in words where one cannot be had.
+    """Measure wall and CPU time of each alternative [us], by number of motors. A missing one has a reason.
 
-    In rounds, all ways in each: other work on the machine hits one round more than another. The quietest round's wall
-    time counts; CPU time is the mean of all, as user-mode Linux counts it in steps of 10 ms.
+    Each round measures all alternatives, because other work on the machine hits one round more than another. The
+    wall time of the fastest round counts. CPU time is the mean of all rounds, because user-mode Linux counts it
+    in steps of 10 ms.
     """
     result: dict = {}
     for motors in MOTORS:
@@ -112,7 +113,7 @@ def measure(medium: str, floor: str, ticks: int) -> dict:
 
 
 def together(rows: list[dict]) -> dict:
-    """One row of a way's rounds."""
+    """Combine the rounds of one alternative into a row."""
     if "skipped" in rows[0]:
         return rows[0]
     wall, used = ([row[key] for row in rows] for key in ("wall_us", "cpu_us"))
@@ -120,7 +121,7 @@ def together(rows: list[dict]) -> dict:
 
 
 def a_round(medium: str, floor: str, motors: int, ticks: int):
-    """Name and times of each way, one after the other."""
+    """Yield name and times of each alternative, one after the other."""
     sys.path.insert(0, str(HERE))
     from exchange.clients import CLIENTS
     from exchange.media import MEDIA, motors_on
@@ -142,19 +143,21 @@ def a_round(medium: str, floor: str, motors: int, ticks: int):
 
 
 def in_c(floor: str, medium: str, channel: str, motors: int, ticks: int) -> dict:
-    """What the C program takes."""
+    """Measure the C program."""
     words = [floor, medium, channel, str(motors), str(ticks)]
     out = subprocess.run(words, capture_output=True, text=True, check=True).stdout.split()
     return {"wall_us": int(out[0]) / 1e3, "cpu_us": int(out[1]) / 1e3}
 
 
 def timed(way, peer, motors: int, ticks: int) -> dict:
-    """Median wall time and mean CPU time of a tick's sending and receiving [us]; no garbage collection, as in a run."""
+    """Measure sending and receiving of a tick [us]: median wall time and mean CPU time, without garbage collection."""
     torques = [0.01 * i for i in range(motors)]
 
     def spans(clock, count: int) -> list[int]:
-        """Of so many ticks, by one clock alone, without what looking at it takes (in user-mode Linux as much as a frame
-        does)."""
+        """Measure a number of ticks with one clock, without the time of reading the clock.
+
+        In user-mode Linux a reading takes as long as a frame.
+        """
         found = []
         looking = statistics.median(-clock() + clock() for _ in range(100))
         for _ in range(count):
@@ -178,7 +181,7 @@ def timed(way, peer, motors: int, ticks: int) -> dict:
 
 
 def with_ratios(rows: dict) -> dict:
-    """Each row with its ratio to the floors, and how many times faster than python-can it is."""
+    """Add to each row its ratio to the C programs and its speed-up over python-can."""
     reference = rows[REFERENCE]
     for row in rows.values():
         if "skipped" not in row:
@@ -189,7 +192,7 @@ def with_ratios(rows: dict) -> dict:
 
 
 def show(result: dict) -> None:
-    """The same for people."""
+    """Print the result as text."""
     print(f"on {result.pop('on')}; the quietest of {ROUNDS} rounds")
     for medium, sizes in result.items():
         if "skipped" in sizes:

@@ -1,6 +1,6 @@
-"""What each part of the controller is worth: tracking at three speeds and a step of force, one thing more at a time.
+"""Ablation of the controller: tracking at three speeds and a force step, with one part more at a time.
 
-``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--page]``; all of it is in ``trials.tracking``.
+``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--page]``, see ``trials.tracking``.
 """
 
 import sys
@@ -12,7 +12,7 @@ if __name__ == "__main__":
 
     main()
 else:
-    # A benchmark's folder comes first on its path, so whoever imports python-control from there meets this file.
+    # The folder of a benchmark comes first on its path. ``import control`` finds this file instead of python-control.
     sys.path = [place for place in sys.path if Path(place).resolve() != Path(__file__).parent] + [
         str(Path(__file__).parent)
     ]

@@ -1,12 +1,12 @@
-"""How true the tension estimate is: against the raw load cell, simpler filters, and a reference filter.
+"""Error of the tension estimate beside the raw load cell, simpler filters, and a reference filter.
 
-``python benchmarks/estimation.py [--quick] [--json] [--seeds N] [--keep FOLDER] [--page]``. Both hands move freely,
-grasp a cylinder and go slack in the simulator, in lockstep over the simulated bus; a bench hand pulls beyond the knee
-of its ropes. The plant's effects are those of the hand files and of firmware_sim (capstan and motor friction, rope
-damping, current loop, encoder and load-cell resolution, noise, drift, one period of bus delay), and its parameters are
-made wrong by the factors below, which the controller does not know. A sample is a control period old when it is
-worked on. Filter and raw load cell are judged side by side twice, against the plant's truth at the instant of the
-sample and at present; what the control loop uses is the estimate for the present.
+``python benchmarks/estimation.py [--quick] [--json] [--seeds N] [--keep FOLDER] [--page]``. Both hands move
+freely, grasp a cylinder and go slack in lockstep over the simulated bus. A bench hand pulls beyond the knee of
+its tendons. The plant has the effects of the hand files and of firmware_sim: capstan and motor friction, tendon
+damping, current loop, encoder and load-cell resolution, noise, drift, one period of bus delay. The factors below
+make its parameters wrong, and the controller does not know them. A sample is one control period old when the
+filter gets it. Filter and raw load cell are judged twice against the plant's truth: at the time of the sample
+and at present. The control loop uses the estimate for the present.
 """
 
 import argparse
@@ -78,7 +78,7 @@ RATIOS = (
 
 
 def trials(hand: str, plant: str, seed: int) -> list[Trial]:
-    """What is run for one seed."""
+    """Return the trials of one seed."""
     if hand == "jamia_bench":
         return [Trial(hand, _task(STRONG), seed, SCENE, TRIED[plant])]
     free = Trial(hand + CLEAR, MOVES, seed, None, TRIED[plant])
@@ -90,7 +90,7 @@ def _task(content: dict) -> TaskProgram:
 
 
 def judge(job: tuple[str, str, int]) -> dict[str, dict[str, list[float]]]:
-    """Sums of one seed: for each regime, samples and squared errors of each way, and of the reference."""
+    """Sum one seed: for each regime, samples and squared errors of each estimator, and the reference."""
     sums: dict[str, dict[str, list[float]]] = {}
     for trial in trials(*job):
         course = run(trial)
@@ -105,14 +105,14 @@ def judge(job: tuple[str, str, int]) -> dict[str, dict[str, list[float]]]:
 
 
 def _summed(values: np.ndarray, mask: np.ndarray) -> list[float]:
-    """[sum, count] over the ticks of a regime."""
+    """Return [sum, count] over the ticks of a regime."""
     kept = values[mask]
     kept = kept[~np.isnan(kept)]
     return [float(kept.sum()), float(len(kept))]
 
 
 def _squares(course: Course, regime: str) -> dict[str, np.ndarray]:
-    """(ticks, N) squared errors [N^2] of each way, the reference's variance, NIS a degree of freedom, innovations."""
+    """Return squared errors of each estimator and variance of the reference (ticks, N) [N^2], NIS, innovations."""
     numbers, period_ns = course.numbers, int(course.t_ns[1] - course.t_ns[0])
     real, before, raw = course.tension(), course.tension(period_ns), numbers["tension_raw"]
     period, model = period_ns * 1e-9, course.controller.model
@@ -135,14 +135,14 @@ def _squares(course: Course, regime: str) -> dict[str, np.ndarray]:
 
 @cache
 def _limits(hand: str, held: bool) -> np.ndarray:
-    """(N, 2) at the instant of the last sample, and at present [N]."""
+    """Return the standard deviation of the reference (N, 2), at the last sample and at present [N]."""
     name = hand.removesuffix(CLEAR)
     model = HandModel.of(known(name), Gains(), RATES_HZ[name])
     return np.array([limit(model, i, held) for i in range(model.tendon_count)])
 
 
 def tabulate(found: list[dict]) -> dict[str, dict[str, float]]:
-    """For each regime RMSE [N] of each way with its spread over the seeds, ratios, NIS and whiteness."""
+    """Tabulate by regime the RMSE of each estimator [N] with its spread over the seeds, ratios, NIS, whiteness."""
     table = {}
     for regime in REGIMES:
         seeds = [_means(sums[regime]) for sums in found if regime in sums]
@@ -166,12 +166,12 @@ def tabulate(found: list[dict]) -> dict[str, dict[str, float]]:
 
 
 def _means(sums: dict[str, list[float]]) -> dict[str, float]:
-    """Mean of each quantity, from [sum, count, sum, count, ..]."""
+    """Return the mean of each quantity, from [sum, count, sum, count, ..]."""
     return {name: sum(parts[::2]) / max(sum(parts[1::2]), 1.0) for name, parts in sums.items()}
 
 
 def measure(seeds: int, wrong_seeds: int, plants: list[str], plan: Plan) -> dict:
-    """All tables; ``seeds`` of each case are those that the plan's time sufficed for."""
+    """Measure all tables. ``seeds`` is the number of seeds that the plan had time for."""
     cases = [(hand, plant) for plant in plants for hand in HANDS]
     cases.insert(len(HANDS), ("jamia_bench", "as known"))
     counts = [seeds if case[1] == "as known" else wrong_seeds for case in cases]
@@ -189,7 +189,7 @@ def measure(seeds: int, wrong_seeds: int, plants: list[str], plan: Plan) -> dict
 
 
 def show(result: dict) -> None:
-    """For people."""
+    """Print the result as text."""
     columns = (*WAYS, "limit", "limit now", *(f"{way} / {other}" for way, other in RATIOS), "nis", "whiteness")
     print(f"RMSE of tension [N], {result['seeds']} seeds; ended early: {result['ended'] or 'none'}")
     for hand, plants in result["hands"].items():

@@ -1,8 +1,8 @@
-"""Do grasps hold? Objects turned three ways and pushed, mass borne at 6 N a finger, contact found, slip answered.
+"""Success of grasps: objects turned and pushed, payload at 6 N per finger, contact detection, reaction to slip.
 
-``python benchmarks/grasp.py [--quick | --full] [--json] [--seeds N] [--keep FOLDER] [--page]``. Everything runs through
-frames and the simulator in lockstep, against the plant's truth. The objects and what is done to them:
-``grasps/objects.py``, fixed before anything was tuned. ``--full`` tries every object; ``--page`` writes
+``python benchmarks/grasp.py [--quick | --full] [--json] [--seeds N] [--keep FOLDER] [--page]``. All parts run
+over frames and the simulator in lockstep, and are judged by the plant's truth. Objects and disturbances are in
+``grasps/objects.py``, fixed before any tuning. ``--full`` tries every object. ``--page`` writes
 docs/control-grasps.md with its picture.
 """
 
@@ -45,7 +45,7 @@ def main() -> None:
 
 
 def measure(args: argparse.Namespace, plan: Plan) -> dict[str, Any]:
-    """Everything that was asked for."""
+    """Measure all requested parts."""
     parts, seeds = args.parts.split(","), range(args.seeds)
     hands = HANDS[:1] if args.quick else HANDS
     which = QUICK if args.quick else range(len(CASES)) if args.full else USUAL
@@ -70,7 +70,7 @@ def measure(args: argparse.Namespace, plan: Plan) -> dict[str, Any]:
 
 
 def _contacts(hands: tuple[str, ...], walls: int, minutes: float, plan: Plan) -> list[dict[str, Any]]:
-    """Walls that are met and free motion, by hand; the minutes of motion are made up of runs that also stand still."""
+    """Measure contacts with walls and false contacts in free motion, by hand. The runs in free motion also rest."""
     found = collect(contact.find_contacts, [(hand, seed) for seed in range(walls) for hand in hands], plan)
     stretch = min(STRETCH_S, 60.0 * minutes)
     count = max(1, round(60.0 * minutes / stretch / contact.MOVING_SHARE))
@@ -82,7 +82,7 @@ def _contacts(hands: tuple[str, ...], walls: int, minutes: float, plan: Plan) ->
 
 
 def _contact(hand: str, walls: list[list[float]], rows: list[dict[str, float]]) -> dict[str, Any]:
-    """Latencies and false alarms of one hand."""
+    """Summarise latencies and false alarms of one hand."""
     latency = np.array([value for values in walls for value in values])
     if not len(latency) or not rows:
         return {"hand": hand, "contacts": 0}

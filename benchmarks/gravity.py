@@ -1,8 +1,9 @@
-"""What feeding gravity forward is worth on a hand that lies on its side, so that gravity acts on its joints.
+"""Benefit of gravity compensation on a hand that lies on its side, where gravity acts on the joints.
 
-``python benchmarks/gravity.py [--json] [--seeds N] [--page]``. The packaged hands stand upright: gravity points along
-the hinges and has no torque about them. Here the same hands are turned, with fingertips ten times as heavy, and two
-pairs of laws that differ in gravity alone move every digit as the benchmark of tracking does, with the same weights.
+``python benchmarks/gravity.py [--json] [--seeds N] [--page]``. The packaged hands stand upright: gravity points
+along the hinges and has no torque about them. Here the hands lie on their side, with fingertips ten times as
+heavy. Two pairs of laws that differ in gravity only move every digit as in the tracking benchmark, with the same
+weights.
 """
 
 import argparse
@@ -23,7 +24,7 @@ FIGURES = {"rmse_deg": "RMSE", "steady_deg": "steady"}
 
 
 def work(job: tuple) -> dict[str, dict[str, float]]:
-    """Figures of one trial by speed; NaN where the hand did not get to a motion's end."""
+    """Run one trial and return its figures by speed. NaN for a motion that did not end."""
     hand, law, seed = job
     gains = GRAVITY_LAWS[law].gains(*tracking.tuned(hand, WEIGHTS_OF[law], careful=True), RATES_HZ[hand])
     trial = Trial(hand + SIDE, tracking.moves(SPEEDS), seed, None, None, gains, change=GRAVITY_LAWS[law].change)
@@ -34,7 +35,7 @@ def work(job: tuple) -> dict[str, dict[str, float]]:
 
 
 def measure(seeds: int, plan: Plan) -> dict:
-    """Mean and spread over the seeds, by hand, law, speed and figure."""
+    """Measure mean and spread over the seeds, by hand, law, speed and figure."""
     jobs = [(hand, law, k) for hand in tracking.HANDS for law in GRAVITY_LAWS for k in range(seeds)]
     found = collect(work, jobs, plan)
     result: dict = {}
@@ -54,7 +55,7 @@ def _over_seeds(values: list[float]) -> dict[str, float]:
 
 
 def section(result: dict) -> str:
-    """Markdown of a result."""
+    """Return the Markdown section of a result."""
     head = ["hand, law", *(f"{speed}, {name} [deg]" for speed in SPEEDS for name in FIGURES.values()), "seeds"]
     rows = []
     for hand, laws in result.items():
@@ -82,7 +83,7 @@ column, mean and spread over the seeds.
 
 
 def _said(result: dict) -> str:
-    """What gravity is worth, by hand, pair of laws and speed."""
+    """Describe the benefit of gravity compensation by hand, pair of laws and speed."""
     parts = []
     for hand, laws in result.items():
         names = list(laws)

@@ -1,7 +1,8 @@
-"""Faults that safety may not find: who finds them, how soon, and how high the true tension goes.
+"""Faults that are hard to detect: the rows that detect them, the delay, and the largest true tension.
 
-Each fault strikes the first finger of a hand in lockstep, in free motion, in a hold at 24 N, while tension rises, or in
-a hold at 90 N. After 2 s without a reaction the run is stopped as an operator would. Truth is the plant's.
+Each fault hits the first finger of a hand in lockstep: in free motion, in a hold at 24 N, during a rise of the
+tension, or in a hold at 90 N. After 2 s without a reaction the run is stopped, as an operator would. The truth is
+that of the plant.
 
     python benchmarks/hidden.py --hand jamia --protocol mit --seeds 20
 """
@@ -52,7 +53,7 @@ FAULTS: tuple[tuple[str, str, tuple[str, ...]], ...] = (
 
 
 def task() -> dict[str, Any]:
-    """The campaign's task, with a slow rise to a hold at 90 N at its end."""
+    """Return the task of the campaign with a slow rise to a hold at 90 N at its end."""
     other = copy.deepcopy(TASK)
     hold = other["phase"][-1]
     hold["duration_s"] = 1.5
@@ -62,7 +63,7 @@ def task() -> dict[str, Any]:
 
 
 def reached(stage: str, out: Any, first: int) -> bool:
-    """Return whether a run has come to a stage; ``first``: tick in which it moved or held first."""
+    """Return True if a run has reached a stage. ``first``: number of ticks in the free phase."""
     tension = float(out.telemetry.tension.max())
     if stage == FREE:
         return bool(out.phase == "free" and first > 100)
@@ -72,7 +73,7 @@ def reached(stage: str, out: Any, first: int) -> bool:
 
 
 def strike(course: Simulation, text: str) -> dict[str, Any]:
-    """Inject a fault and go on to the end of the run; what was found, when [ms], and the largest true tension [N]."""
+    """Inject a fault and run to the end. Return the detected rows, the delay [ms] and the largest true tension [N]."""
     course.peer.inject(text)
     begun, found, reacted, tension, stopped = course.k, [], -1.0, 0.0, 0.0
     watched, end = (round(s * 1e9 / course.period_ns) for s in (WATCHED_S, WATCHED_S + STOPPED_S))
@@ -93,7 +94,7 @@ def strike(course: Simulation, text: str) -> dict[str, Any]:
 
 
 def rows(hand_name: str, protocol: str, seed: int, only: str) -> Iterator[dict[str, Any]]:
-    """Every fault in every stage of one run, each in a copy of this process."""
+    """Yield a row for every fault in every stage of one run, each in a copy of this process."""
     hand = hand_in(hand_name, protocol)
     rate = fastest(bus_loads(hand))
     motor, tendon = hand.motor[0], hand.tendon[0]
@@ -121,7 +122,7 @@ def rows(hand_name: str, protocol: str, seed: int, only: str) -> Iterator[dict[s
 
 
 def table(found: list[dict[str, Any]]) -> str:
-    """A row per fault and stage: how often safety relaxed, by which rows, how late, and the largest true tension."""
+    """Tabulate fault and stage: number of relaxed runs, rows, latest reaction, and the largest true tension."""
     lines = ["| fault | stage | relaxed or cut | by (runs) | at the latest, ms | true tension, N | after a stop, N |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip
     for name, stage in dict.fromkeys((one["fault"], one["stage"]) for one in found):

@@ -1,7 +1,7 @@
-"""What ``handctl identify`` makes of simulated hands unlike their file: how near, how often covered.
+"""Accuracy of ``handctl identify`` on simulated hands that differ from their file: error and coverage.
 
-Each seed draws plant parameters off by up to 30 % and gains detuned by up to a factor of 3 either way, excites one
-digit in lockstep and fits its log. The simulator's truth is used for judging only.
+Each seed draws plant parameters that are wrong by up to 30 % and gains that are wrong by up to a factor of 3. It
+excites one digit in lockstep and fits its log. The truth of the simulator is used for judging only.
 
     python benchmarks/identify.py                                  # four seeds
     python benchmarks/identify.py --seeds 100 --into rows.jsonl    # goes on where it was interrupted
@@ -45,13 +45,13 @@ DETUNABLE = ("motion.position_error_m", "motion.speed_error_m_s", "motion.force_
 
 
 def plant(seed: int) -> dict[str, float]:
-    """Factors on a plant's parameters."""
+    """Draw factors on the parameters of a plant."""
     chance = random.Random(f"plant {seed}")
     return {key: chance.uniform(1.0 - OFF, 1.0 + OFF) for key in DRAWN}
 
 
 def detuned(seed: int) -> Gains:
-    """Gains off by up to a factor of 3 either way."""
+    """Draw gains that are wrong by up to a factor of 3."""
     chance, packaged = random.Random(f"gains {seed}"), Gains()
     values = {}
     for key in DETUNABLE:
@@ -61,7 +61,7 @@ def detuned(seed: int) -> Gains:
 
 
 def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float]:
-    """What identification should find."""
+    """Return the true values of the identified parameters."""
     rope = hand.tendon[hand.tendon_names.index(tendon)]
     motor = hand.motor_of(tendon)
     return {
@@ -78,7 +78,7 @@ def truth(hand: Hand, tendon: str, factors: dict[str, float]) -> dict[str, float
 def excited(
     hand_name: str, digit: str, seed: int, factors: dict[str, float], gains: Gains, folder: Path
 ) -> tuple[dict[str, TendonResult], Row]:
-    """Excite and fit one digit of one simulated hand: what was found, and what it cost or why it failed.
+    """Excite and fit one digit of one simulated hand. Return the fit, and its cost or the reason of a failure.
 
     Args:
         hand_name: packaged hand or path of a hand file, of controller and plant.
@@ -107,7 +107,7 @@ def excited(
 
 
 def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
-    """Excite and fit one digit of one hand; error and coverage of every parameter, or why it failed."""
+    """Excite and fit one digit of one hand. Return error and coverage of every parameter, or why it failed."""
     hand, factors = load_hand(hand_name), plant(seed)
     found, row = excited(hand_name, digit, seed, factors, detuned(seed), folder)
     if not found:
@@ -124,7 +124,7 @@ def one(seed: int, digit: str, folder: Path, hand_name: str = "jamia") -> Row:
 
 
 def judged(name: str, tendon: str, real: float, found: TendonResult) -> Row:
-    """One parameter beside the truth; widths and error as shares of it."""
+    """Compare one parameter with the truth. Widths and error are fractions of the true value."""
     known, error = name in found.judged.names, found.fit.values[name] / real - 1.0
     width = found.fit.half_widths[name] / real
     together = found.fit.half_widths_of(max(1, len(found.judged.names)))[name] / real
@@ -141,7 +141,7 @@ def judged(name: str, tendon: str, real: float, found: TendonResult) -> Row:
 
 
 def summary(rows: list[Row]) -> Row:
-    """Of every parameter: how often within its limit, how often covered, its errors; and how often all are at once."""
+    """Summarise every parameter: runs within its limit, covered runs, errors, and runs with all covered at once."""
     good = [row["parameters"] for row in rows if "failure" not in row]
     told: Row = {"seeds": len(rows), "failed": [row for row in rows if "failure" in row], "parameters": {}}
     told["refused"] = [row["seed"] for row in rows if row.get("refused")]
@@ -164,7 +164,7 @@ def summary(rows: list[Row]) -> Row:
 
 
 def gathered(args: argparse.Namespace) -> list[Row]:
-    """Rows of all seeds asked for; those that a file already has are not computed again."""
+    """Return the rows of all requested seeds. Rows in the file are not computed again."""
     rows = [json.loads(line) for line in args.into.read_text().splitlines()] if args.into and args.into.exists() else []
     done, digits = {row["seed"] for row in rows}, load_hand(args.hand).digit_names
     with tempfile.TemporaryDirectory() as folder:

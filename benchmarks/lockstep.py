@@ -1,9 +1,9 @@
-"""The whole stack in lockstep beside the bare ``mj_step`` of the same motion: simulated seconds a second, and who asks.
+"""The whole stack in lockstep beside a bare ``mj_step`` of the same motion: simulated seconds per second, profile.
 
-``python benchmarks/lockstep.py [--quick] [--json]``. A run is made once to write down what pulls at the joints in each
-step, which the bare rollout then repeats (and must end in the same place, to the bit); some times for the clock; once
-under the profiler, for who spends it. Every run is the same to the bit, so the least that each tick (and each step of
-the bare rollout) took counts: what it takes when nothing else wants the core and its caches.
+``python benchmarks/lockstep.py [--quick] [--json]``. A first run records the forces on the joints in each step.
+The bare rollout repeats them and must end at the same positions, to the bit. Several runs are timed, and one runs
+under the profiler. Every run is the same to the bit. The shortest time of each tick, and of each step of the bare
+rollout, counts: the time without other load on the core and its caches.
 """
 
 import argparse
@@ -20,7 +20,7 @@ SECONDS, QUICK_SECONDS, PASSES = 4.0, 1.2, 4
 
 
 class Rollout(NamedTuple):
-    """What acts on the bodies in each step, and where they end.
+    """Forces on the bodies in each step, and their end positions.
 
     Attributes:
         torque: (steps, joints) [N m]. damping: (steps, tendons) [N s/m]. table: (steps, bodies, 3) [m].
@@ -52,7 +52,7 @@ SCENES = {"free": Free, "contact": Grasp}
 
 
 def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
-    """One hand in one scene."""
+    """Measure one hand in one scene."""
     made = SCENES[scene]
     rollout = written_down(Stack(hand, rate_hz, made), seconds)
     bare = least(repeated(Stack(hand, rate_hz, made), rollout) for _ in range(PASSES))
@@ -74,12 +74,12 @@ def measure(hand: str, rate_hz: float, scene: str, seconds: float) -> dict:
 
 
 def least(runs: Iterable[list[float]]) -> float:
-    """Sum of the least that each piece of the runs took [s]."""
+    """Return the sum over all pieces of the shortest time among the runs [s]."""
     return sum(map(min, zip(*runs, strict=True)))
 
 
 def written_down(stack: Stack, seconds: float) -> Rollout:
-    """Run the stack and note what it does to the bodies."""
+    """Run the stack and record the forces on the bodies."""
     engine, plant = stack.engine, stack.peer.world.plant
     advance, rows, contacts = plant.advance, [], []
 
@@ -97,7 +97,7 @@ def written_down(stack: Stack, seconds: float) -> Rollout:
 
 
 def repeated(stack: Stack, rollout: Rollout) -> list[float]:
-    """The same motion by the engine alone: CPU time of each step [s].
+    """Repeat the motion with the engine alone. Return the CPU time of each step [s].
 
     Raises:
         RuntimeError: it is not the same motion.
@@ -118,7 +118,7 @@ def repeated(stack: Stack, rollout: Rollout) -> list[float]:
 
 
 def show(result: dict) -> None:
-    """The same for people."""
+    """Print one result as text."""
     for hand, scenes in result.items():
         for scene, found in scenes.items():
             print(

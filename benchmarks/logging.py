@@ -1,8 +1,8 @@
-"""Our log writer beside mcap-ros2-support, rosbags, JSON and the Foxglove SDK: the same messages, written and read.
+"""The log writer of handctl beside mcap-ros2-support, rosbags, JSON and the Foxglove SDK: the same messages.
 
-``python benchmarks/logging.py [--quick] [--json]``. The messages of a run of hand jamia11 at 1 kHz, raw frames
-included, are written once by each; what counts are the ratios within one run. What a tick costs the loop: ours hands a
-record to a process of its own, the others write where they are called.
+``python benchmarks/logging.py [--quick] [--json]``. Each writes the messages of a run of hand jamia11 at 1 kHz,
+raw frames included. Compare ratios within one run only. The cost for the loop differs in kind: handctl hands a
+record to another process, the others write in the loop.
 """
 
 import sys

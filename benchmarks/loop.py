@@ -1,7 +1,7 @@
-"""The loop beside what one would write instead: lateness against a bare sleep, highest rate held with 4 and 11 motors.
+"""The loop beside a hand-written one: lateness against a bare sleep, highest rate with 4 and 11 motors.
 
-``python benchmarks/loop.py [--quick] [--json]``. Everything is measured in one run, on the same bus, against the same
-peer process without a plant; what counts are the ratios.
+``python benchmarks/loop.py [--quick] [--json]``. Both loops run on the same bus against the same peer process
+without a plant. Compare ratios within one run only.
 """
 
 import argparse
@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def measure(seconds: float, quick: bool) -> dict:
-    """All numbers."""
+    """Measure all numbers."""
     result: dict = {"motors": {}}
     for hand, motors in (("jamia", 4), ("jamia11", 11)):
         with peer(hand) as bus:
@@ -62,7 +62,7 @@ def measure(seconds: float, quick: bool) -> dict:
 
 
 def free_and_held(which: str, hand: str, bus: str, seconds: float, quick: bool) -> dict:
-    """Ticks a second without deadlines, and the highest rate with less than 1 % of the deadlines missed."""
+    """Measure ticks per second without deadlines, and the highest rate with less than 1 % of the deadlines missed."""
     free = child(which, hand, bus, seconds, 0.0)["hz"]
     rate = (0.6 if quick else 0.9) * free
     for _ in range(1 if quick else 12):
@@ -73,13 +73,13 @@ def free_and_held(which: str, hand: str, bus: str, seconds: float, quick: bool) 
 
 
 def ratio(rates: dict, name: str) -> float | None:
-    """Ours by the usual one; None where a loop held no rate that was tried."""
+    """Return the ratio of handctl to the usual loop. None if a loop held none of the rates."""
     ours, usual = rates["ours"][name], rates["usual"][name]
     return ours / usual if ours and usual else None
 
 
 def child(which: str, hand: str, bus: str, seconds: float, rate_hz: float) -> dict:
-    """One measurement in a process of its own."""
+    """Run one measurement in its own process."""
     words = ["--one", which, hand, bus, str(seconds), str(rate_hz)]
     out = subprocess.run([sys.executable, __file__, *words], capture_output=True, text=True, timeout=120)
     if out.returncode:
@@ -88,7 +88,7 @@ def child(which: str, hand: str, bus: str, seconds: float, rate_hz: float) -> di
 
 
 def one(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
-    """What ``child`` asks for."""
+    """Run one measurement in this process, for ``child``."""
     sys.path.insert(0, str(Path(__file__).parent))
     log = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{os.getpid()}.log"
     if which == "bare":
@@ -110,13 +110,13 @@ def one(which: str, hand: str, bus: str, seconds: str, rate: str) -> dict:
 
 
 def marks(times_ns: list[int]) -> dict:
-    """Percentiles in us."""
+    """Return percentiles [us]."""
     found = np.percentile(times_ns, [50, 99, 99.9, 100]) / 1e3 if times_ns else [0.0] * 4
     return dict(zip(("p50", "p99", "p99_9", "max"), (float(mark) for mark in found), strict=True))
 
 
 def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
-    """The clock of the loop, which sleeps and then spins where it has priority, and nothing to do."""
+    """Measure the clock of the loop without work. It sleeps, and spins if it has real-time priority."""
     from handctl.runtime.clock import RealClock, take_priority
 
     clock = RealClock(round(1e9 / rate_hz))
@@ -131,7 +131,7 @@ def bare_spin(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
 
 @contextmanager
 def both_cores_loaded():
-    """Two processes that compute."""
+    """Run two processes that compute."""
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2)]
     try:
         yield
@@ -142,7 +142,7 @@ def both_cores_loaded():
 
 
 def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]:
-    """Absolute deadlines and nothing to do, with the priority that the loop has too."""
+    """Measure absolute deadlines without work, with the priority of the loop."""
     from handctl.runtime.clock import take_priority
 
     take_priority()
@@ -156,7 +156,7 @@ def bare_sleep(seconds: float, rate_hz: float) -> tuple[float, float, list[int]]
 
 @contextmanager
 def peer(hand: str):
-    """The name of a bus with simulated drives on it."""
+    """Start simulated drives on a bus and return its name."""
     command = [sys.executable, str(Path(__file__).parent / "loops" / "peer.py"), hand, "b"]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
@@ -169,7 +169,7 @@ def peer(hand: str):
 
 
 def show(result: dict) -> None:
-    """The same for people."""
+    """Print the result as text."""
     late = result["lateness_us"]
     print(f"lateness at {late['rate_hz']:g} Hz [us]       p50     p99   p99.9     max")
     for name in ("handctl", "bare_sleep"):

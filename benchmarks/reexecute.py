@@ -1,7 +1,7 @@
-"""Re-execution of logs, tick by tick: what reading, ticking and comparing take, and who spends it.
+"""Re-execution of logs, tick by tick: time of reading, ticking and comparing, and a profile.
 
-``python benchmarks/reexecute.py [LOG ...] [--quick] [--json]``, by default those of ``logs/golden``. Each log is
-executed several times and the least that each tick took counts: what it takes when nothing else wants the core.
+``python benchmarks/reexecute.py [LOG ...] [--quick] [--json]``, by default the logs in ``logs/golden``. Each log
+is executed several times. The shortest time of each tick counts: the time without other load on the core.
 """
 
 import argparse
@@ -33,7 +33,7 @@ def main() -> None:
 
 
 def measure(path: Path, passes: int) -> dict:
-    """One log."""
+    """Measure one log."""
     with RunLog(path) as log:
         controller = rebuild(log)
         gc.disable()  # as while a log is executed, and in the loop
@@ -52,7 +52,7 @@ def measure(path: Path, passes: int) -> dict:
 
 
 def once(log: RunLog, controller: Controller) -> dict:
-    """CPU time [s] of reading, of each tick and of comparing, and how many ticks were equal to the last byte."""
+    """Re-execute once. Return the CPU time of reading, each tick and comparing [s], and the number of equal ticks."""
     cpu = time.process_time
     began = cpu()
     for _ in zip(log.ticks(), log.packed(), strict=True):
@@ -71,7 +71,7 @@ def once(log: RunLog, controller: Controller) -> dict:
 
 
 def show(result: dict) -> None:
-    """The same for people."""
+    """Print one result as text."""
     for name, found in result.items():
         parts = ", ".join(f"{stage} {us:.1f}" for stage, us in found["us_a_tick"].items())
         print(

@@ -1,4 +1,4 @@
-"""Run the demo in lockstep with every packaged hand, in every protocol, over many seeds; tell the worst figures.
+"""Run the demo in lockstep with every packaged hand and protocol over many seeds, and report the worst figures.
 
     nice -n 5 python benchmarks/seeds.py --results seeds.jsonl --table docs/evidence/seeds.md
 
@@ -44,7 +44,7 @@ def demo(hand: str, protocol: str, seed: int) -> dict[str, Any]:
 
 
 def why_not(figures: dict[str, Any], told: dict[str, Any]) -> str:
-    """Say why a run has not passed; empty if it has."""
+    """Describe why a run has not passed. Empty if it has passed."""
     if told["failure"] or told["missed"] or told["frames_lost"]:
         return told["failure"] or f"{told['missed']} ticks missed, {told['frames_lost']} frames lost"
     if min(told["contact_force_n"].values()) <= 0.5:

@@ -1,4 +1,4 @@
-"""The whole stack without a recorder: controller, codec both ways, simulated drives, plant; for ``lockstep.py``."""
+"""The whole stack without a recorder, for ``lockstep.py``: controller, codec, simulated drives, plant."""
 
 import time
 from contextlib import ExitStack
@@ -23,7 +23,7 @@ HEAD = 'schema = 1\nname = "benchmark"\ndescription = "for lockstep.py"\n'
 
 @dataclass(frozen=True)
 class Free:
-    """Fingers that move in the air."""
+    """A program that moves the fingers in the air."""
 
     scene: ClassVar[str | None] = None
     task: ClassVar[str] = (
@@ -35,7 +35,7 @@ class Free:
 
 @dataclass(frozen=True)
 class Grasp:
-    """A cylinder on a table, gripped and held."""
+    """A program that grasps a cylinder on a table and holds it."""
 
     scene: ClassVar[str | None] = "cylinder"
     task: ClassVar[str] = (
@@ -68,7 +68,7 @@ class Stack:
         self.engine = self.peer.world.plant.engine
 
     def run(self, seconds: float) -> list[float]:
-        """So much simulated time [s], from the first tick on; CPU time of each tick [s]."""
+        """Run for a simulated time [s]. Return the CPU time of each tick [s]."""
         tick, took, now = self.simulation.tick, [], time.process_time
         for _ in range(round(seconds * 1e9) // self.simulation.period_ns):
             before = now()
@@ -77,7 +77,7 @@ class Stack:
         return took
 
     def behind_the_wire(self, seconds: float) -> list[float]:
-        """The same run; CPU time of the other side in each tick, steps of the plant included [s]."""
+        """Run for a simulated time [s]. Return the CPU time of the simulator in each tick, including the plant [s]."""
         clock, took, now = self.simulation._clock, [], time.process_time
         exchange = clock._exchange
 

@@ -1,9 +1,9 @@
-"""What tuning is worth: detuned gains on a plant that is not the hand file's, and a search that knew that plant.
+"""Benefit of tuning: detuned gains on a plant that differs from the hand file, and a search on the true plant.
 
-The real plant differs from the hand file by up to 30 per cent, the gains begin a factor of three off either way. One
-search sees only an ensemble around the hand file, the other the plant itself, and with ``--fit`` a third one what was
-identified of it; the gains of all are then judged on the plant itself, by the simulator's truth. The ratio is what it
-costs not to know.
+The real plant differs from the hand file by up to 30 %, and the initial gains are wrong by a factor of 3. One
+search uses an ensemble around the hand file, the other the real plant, and with ``--fit`` a third one the
+identified plant. All gains are then judged on the real plant by the simulator's truth. The ratio is the cost of an
+unknown plant.
 
     python benchmarks/tuning.py [--quick] [--json] [--trials N] [--plants N] [--workers N]
     python benchmarks/tuning.py --trials 96 --into studies    # goes on where it was interrupted, or with more trials
@@ -70,7 +70,7 @@ def main() -> int:
 
 
 def detuned_gains() -> Gains:
-    """Gains to begin from."""
+    """Return the initial gains."""
     own = flat(Gains())
     return with_values(Gains(), {key: factor * own[key] for key, factor in DETUNED.items()}, "benchmark")
 
@@ -78,7 +78,7 @@ def detuned_gains() -> Gains:
 def compare(
     hand_name: str, trials: int, plants: int, count: int, into: Path | None, fit: Path | None
 ) -> dict[str, Any]:
-    """The searches, and their gains on the real plant; studies are kept in a folder if one is given."""
+    """Run the searches and judge their gains on the real plant. Studies are stored in a folder if one is given."""
     hand, twin, spread = subject(hand_name, fit)
     packaged, detuned = Gains(), detuned_gains()
     rate = fastest(bus_loads(hand))
@@ -136,13 +136,13 @@ def _best(base: Gains, found: SearchResult) -> Gains:
 
 
 def _judged(plan: SearchPlan, gains: Gains) -> dict[str, Any]:
-    """A job on the real plant, with noise that no search has seen, whatever the margins."""
+    """Judge a job on the real plant, with noise that no search has used, without regard to margins."""
     table = {"gains": gains.model_dump(by_alias=True), "seed": JUDGE_SEED, "must_keep_margins": False}
     return plan.job(0, {}) | table
 
 
 def _with_model(hand: Hand, model: HandModel) -> Score:
-    """The real plant under a controller that has what was identified; margins are those of the hand as identified."""
+    """Judge a job on the real plant with a controller of the identified hand, whose margins are judged as well."""
     margins = worst_of(model, (linear_factors(dict.fromkeys(PLANT, 1.0)),))
     return replace(exercise(hand, model, PLANT, JUDGE_SEED), shortfall=margins.shortfall)
 

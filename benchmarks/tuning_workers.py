@@ -1,7 +1,7 @@
-"""How much faster two workers of a search are than one, by the clock and by CPU time, on the same trials.
+"""Speed-up of a search by two workers, in wall time and CPU time, on the same trials.
 
-On a machine that does something else as well the clock measures that; then the CPU time of the busiest worker says how
-long the trials would have taken on cores of their own. Starting a worker is part of both.
+Wall time includes other load on the machine. The CPU time of the busiest worker is the time that the trials would
+take on free cores. Both include the start of a worker.
 
     python benchmarks/tuning_workers.py [--quick] [--json] [--trials N] [--workers N]
 """
@@ -26,20 +26,20 @@ RATE_HZ = 500.0
 
 
 def jobs(count: int) -> list[Row]:
-    """Trials of gains that differ a little, so that none is another's."""
+    """Return trials with slightly different gains. Equal trials would be computed once."""
     changed = [with_values(Gains(), {"tension.integral_per_s": 2.0 + 0.1 * i}, "benchmark") for i in range(count)]
     plain = {"hand": load_hand("jamia").to_toml(), "rate_hz": RATE_HZ, "plants": list(ensemble(1, 0)), "seed": 1}
     return [plain | {"gains": gains.model_dump(by_alias=True)} for gains in changed]
 
 
 def cpu_s(pid: int) -> float:
-    """CPU time of a process so far [s]. Source: proc(5), fields 14 and 15 of stat."""
+    """Return the CPU time of a process so far [s]. Source: proc(5), fields 14 and 15 of stat."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def timed(count: int, work: list[Row]) -> tuple[Row, list[Row]]:
-    """How long workers take, and the scores in order."""
+    """Measure the time of some workers. Return it with the scores in order."""
     began = time.monotonic()
     crew = ProcessPool(count)
     try:

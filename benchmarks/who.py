@@ -1,4 +1,4 @@
-"""Who spends the time of a run: a profile's own times, those of libraries given to the part that called them."""
+"""Profile of a run by parts of the program. Time in libraries counts for the part that called them."""
 
 import cProfile
 import pstats
@@ -31,7 +31,7 @@ Function = tuple[str, int, str]
 
 
 def spent(work: Callable[[], None]) -> dict[str, float]:
-    """Share of each part, by Python's profiler: it makes calls dearer, so compiled code has less than is due to it."""
+    """Return the fraction of each part. Python's profiler makes calls slower, which understates compiled code."""
     profile = cProfile.Profile()
     profile.runcall(work)
     stats = pstats.Stats(profile).stats
@@ -44,7 +44,7 @@ def spent(work: Callable[[], None]) -> dict[str, float]:
 
 
 def _owners(stats: dict, function: Function, depth: int) -> Iterator[tuple[str, float]]:
-    """Parts to which a function belongs, with their shares: its own, or those of its callers by time."""
+    """Return the parts that a function belongs to, with fractions: its own part, or those of its callers by time."""
     name = f"{function[0]}/{function[2]}"
     part = next((part for part, marks in PARTS.items() if any(mark in name for mark in marks)), None)
     callers = stats[function][4]

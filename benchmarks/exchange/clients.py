@@ -1,7 +1,7 @@
-"""Clients from the package index that a user would pick instead, each with the motors and the payloads it is made for.
+"""Clients from the package index as alternatives, each with its own motors and payloads.
 
-Their threads are stopped and what these do is done by hand, so that all are timed alike; a client whose own code does
-not get on without (moteus: asyncio) keeps it.
+The threads of the clients are stopped and their work is done here, because all must be timed alike. A client that
+needs its own event loop (moteus: asyncio) runs in it.
 """
 
 import asyncio
@@ -16,7 +16,7 @@ from exchange.ways import feedback
 
 
 class Damiao:
-    """damiao-motor, its polling thread stopped and its polling done by hand."""
+    """damiao-motor. Its polling thread is stopped and polled here."""
 
     answer = staticmethod(feedback)
 
@@ -41,7 +41,7 @@ class Damiao:
 
 
 class Odrive:
-    """odrive-can: the message it makes of a torque by its DBC, and what its reader makes of a position."""
+    """odrive-can: encoding of a torque by its DBC, and decoding of a position by its reader."""
 
     AXES = 8
     """Of its DBC."""
@@ -72,9 +72,9 @@ class Odrive:
 
 
 class TMotor:
-    """TMotorCANControl, CubeMars AK80-9, its notifier's thread done by hand.
+    """TMotorCANControl for a CubeMars AK80-9. The thread of its notifier is replaced by calls here.
 
-    Without the ``sudo ip link set can0`` of its manager, which knows no other bus.
+    The ``sudo ip link set can0`` of its manager is left out, since the manager supports no other bus.
     """
 
     def __init__(self, interface, channel, motors):
@@ -115,7 +115,7 @@ class TMotor:
 
 
 class Moteus:
-    """moteus, its position command with a torque, and its usual query, over python-can in CAN FD."""
+    """moteus over python-can in CAN FD: position command with a torque, and the default query."""
 
     def __init__(self, interface, channel, motors):
         import moteus

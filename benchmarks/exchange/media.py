@@ -1,4 +1,4 @@
-"""The two buses that a tick's exchange is measured on, and the motors at their other end, which are not timed."""
+"""The two buses of the exchange benchmark, and the motors at the other end, which are not timed."""
 
 import os
 import socket
@@ -16,7 +16,7 @@ Answer = Callable[[int], tuple[int, bytes, int]]
 
 
 class LocalMotors:
-    """Answer on a Unix stream socket as the hub of a local bus does."""
+    """Motors that answer on a Unix stream socket, as the hub of a local bus does."""
 
     def __init__(self, name: str) -> None:
         self.path = Path(os.environ["HANDCTL_RUN_DIR"]) / f"{name}.bus"
@@ -42,7 +42,7 @@ class LocalMotors:
 
 
 class VcanMotors:
-    """Answer on a raw CAN socket."""
+    """Motors that answer on a raw CAN socket."""
 
     def __init__(self, name: str) -> None:
         self.link = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
@@ -68,7 +68,7 @@ MEDIA = {"local": (LocalMotors, "local", "b"), "vcan": (VcanMotors, "socketcan",
 
 @contextmanager
 def motors_on(medium: str):
-    """Motors, and the bus to reach them on."""
+    """Start motors and yield them with interface and channel of their bus."""
     made, interface, channel = MEDIA[medium]
     motors = made(channel)
     try:

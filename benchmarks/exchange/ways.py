@@ -1,6 +1,6 @@
-"""Ways to send a torque to each of some MIT motors and to read what they answer: ``send(torques)``, ``receive()``.
+"""Alternatives to send a torque to each MIT motor and to read the replies: ``send(torques)``, ``receive()``.
 
-What users would pick from the package index instead is in ``clients``.
+Clients from the package index are in ``clients``.
 """
 
 from functools import cache
@@ -30,7 +30,7 @@ BO_ 17 Feedback: 8 H
 
 
 def feedback(motor: int) -> tuple[int, bytes, int]:
-    """Feedback of an enabled Damiao motor, on MST_ID."""
+    """Return the feedback frame of an enabled Damiao motor, on MST_ID."""
     return 0x10 + motor, bytes((0x10 | motor,)) + REPLY, 0
 
 
@@ -39,7 +39,7 @@ RATE_HZ = 200.0
 
 @cache
 def enabled(motors):
-    """A controller of a packaged hand with so many MIT motors, and its state once all of them are enabled."""
+    """Return a controller of a packaged hand with this many MIT motors, and its state with all of them enabled."""
     from handctl.core.gains.gains import Gains
     from handctl.core.model import HandModel
     from handctl.core.types import Mode
@@ -58,7 +58,7 @@ def enabled(motors):
 
 
 class Ours:
-    """handctl's bus and compiled codec, with each drive's state, as the tick runs it."""
+    """Bus and compiled codec of handctl with the state of each drive, as in a tick."""
 
     answer = staticmethod(feedback)
 
@@ -93,7 +93,7 @@ class Ours:
 
 
 class Scalar:
-    """python-can, a message at a time, and the codec most people write."""
+    """python-can with one message at a time, and a usual scalar codec."""
 
     answer = staticmethod(feedback)
 
@@ -125,7 +125,7 @@ class Scalar:
 
 
 class Cantools(Scalar):
-    """python-can, and cantools by a DBC."""
+    """python-can with cantools and a DBC."""
 
     def __init__(self, interface, channel, motors):
         super().__init__(interface, channel, motors)

@@ -1,4 +1,4 @@
-"""What the grasp benchmark is made of; a process uses one core."""
+"""Parts of the grasp benchmark. Each process uses one core."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""How fast contact of a fingertip is found, and how often where there is none, against the plant's truth."""
+"""Contact detection at a fingertip against the plant's truth: latency and false alarms."""
 
 import json
 import random
@@ -30,14 +30,14 @@ drop_when = "never"
 
 
 def task_of(phases: list[dict[str, Any]]) -> TaskProgram:
-    """The program of some phases."""
+    """Return the program of some phases."""
     return TaskProgram(Task.model_validate_json(json.dumps({"schema": 1, "name": "contact", "phase": phases})))
 
 
 def find_contacts(job: tuple[str, int]) -> list[float]:
-    """Of a hand and a seed: seconds from 1 N on a digit to its contact event, one per digit.
+    """Measure for a hand and a seed the time from 1 N on a digit to its contact event, one per digit [s].
 
-    Negative if found before, inf if never.
+    A time is negative for an event before 1 N, and inf without an event.
     """
     hand, seed = job
     chance = random.Random(f"wall {seed}")
@@ -67,7 +67,7 @@ def _latencies(run: Run, digits: tuple[str, ...]) -> list[float]:
 
 
 def free_motion(job: tuple[str, float, int]) -> dict[str, float]:
-    """Of a hand, a time [s] and a seed: simulated minutes of closing on nothing at all, and contacts found in them."""
+    """Measure for a hand, a time [s] and a seed the simulated minutes of free closing, and false contacts in them."""
     hand, seconds, seed = job
     chance = random.Random(f"free {seed}")
     phases: list[dict[str, Any]] = []

@@ -1,7 +1,7 @@
-"""The object set, where each object stands and what is done to it: fixed before any grasp was tuned.
+"""The object set with positions and disturbances, fixed before any grasp was tuned.
 
-Sizes follow from the hand: 42 mm fit between straight fingers and thumb, and a fingertip meets the thumb's at about
-25 mm from the palm. A seed moves each object by up to 1 mm along x and 2 mm along y, and is the noise's.
+Sizes follow from the hand: 42 mm fit between straight fingers and thumb, and a fingertip meets the thumb at about
+25 mm from the palm. The seed of the noise also moves each object, by up to 1 mm along x and 2 mm along y.
 """
 
 import random
@@ -33,11 +33,11 @@ class Case:
 
     @property
     def name(self) -> str:
-        """E.g. ``cylinder 35 mm, friction 0.5``."""
+        """Return a name such as ``cylinder 35 mm, friction 0.5``."""
         return f"{self.shape} {1e3 * self.width:g} mm, friction {self.friction:g}"
 
     def scene(self, seed: int, stages: bool = True) -> str:
-        """Text of the scene file; seed 0 is the nominal place."""
+        """Return the text of the scene file. Seed 0 is the nominal place."""
         chance = random.Random(f"{self} {seed}")
         x, y = (v + (chance.uniform(-s, s) if seed else 0.0) for v, s in zip(self.place, SHAKE_M, strict=True))
         digits, opposed = (2, "false") if self.grasp == "hook" else (2 if self.grasp == "pinch" else 3, "true")
@@ -57,7 +57,7 @@ class Case:
 
 
 def _power(shape: str, millimetres: float, friction: float, mass: float) -> Case:
-    """2 mm in front of the palm, midway between fingers and thumb."""
+    """Place an object 2 mm in front of the palm, midway between fingers and thumb."""
     return Case("power", shape, millimetres * 1e-3, friction, mass, (millimetres * 0.5e-3 + 2e-3, 0.0))
 
 

@@ -1,4 +1,4 @@
-"""The benchmark's numbers for a person: text, and the page with its picture."""
+"""Text, page and picture of the grasp benchmark."""
 
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ MARKS = "<!-- {}: written by benchmarks/grasp.py -->", "<!-- end of {} -->"
 
 
 def text(result: dict[str, Any]) -> str:
-    """All tables."""
+    """Return all tables as text."""
     return "\n\n".join(write(result[key]) for key, write in PARTS.items() if result.get(key))
 
 
@@ -130,7 +130,7 @@ def _slip(rows: list[dict[str, Any]]) -> str:
 
 
 def _range(values: list[float], digits: int) -> str:
-    """From the least to the largest; one number if they look alike."""
+    """Format the range of values. One number if smallest and largest look alike."""
     ends = [f"{end:.{digits}f}" for end in (min(values), max(values))] if values else []
     return " to ".join(dict.fromkeys(ends))
 
@@ -140,7 +140,7 @@ PARTS = {"success": _success, "payload": _payload, "contact": _contact, "tip": _
 
 
 def write(result: dict[str, Any]) -> None:
-    """Write each table that there is into the page, between its marks; draw the picture if there are grasps."""
+    """Write the existing tables into the page, between their marks. Draw the picture if there are grasps."""
     page = PAGE.read_text("utf-8")
     for key, table in PARTS.items():
         if result.get(key):
@@ -154,7 +154,7 @@ def write(result: dict[str, Any]) -> None:
 
 
 def draw(result: dict[str, Any]) -> None:
-    """Largest motion of each object, and what an answer to slip does."""
+    """Draw the largest motion of each object, and the effect of the reaction to slip."""
     import matplotlib as mpl
 
     mpl.use("Agg")

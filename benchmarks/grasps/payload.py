@@ -1,4 +1,4 @@
-"""The largest mass at the paper's 6 N a finger: a load at the held cylinder grows until it slides."""
+"""Payload at the paper's 6 N per finger: a load on the held cylinder grows until the cylinder slides."""
 
 from typing import Any
 
@@ -23,7 +23,7 @@ LAST_S = 20.0
 
 
 def try_load(job: tuple[str, str, int]) -> dict[str, Any]:
-    """Of a hand, a direction and a seed: mass whose weight the grasp bears [kg], the object's own where it counts."""
+    """Measure for a hand, a direction and a seed the payload of the grasp [kg], with the object where it counts."""
     hand, direction, seed = job
     case = CASES[1]
     load = f"[load]\ndirection = {list(ALONG[direction])}\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"
@@ -44,7 +44,7 @@ def try_load(job: tuple[str, str, int]) -> dict[str, Any]:
 
 
 def _at(hand: str, tension: float) -> TaskProgram:
-    """The packaged power grasp at another tension, without an answer to slip."""
+    """Return the packaged power grasp at another tension, without reaction to slip."""
     program = task_program("grasp", hand, hold_s=60.0)
     phases = [
         phase.model_copy(update={"tension_N": tension, "slip_limit_N": None, "stiffness_N_per_mm": 0.0})

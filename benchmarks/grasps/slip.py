@@ -1,4 +1,4 @@
-"""A load on a held cylinder grows: where does it go with an answer to slip, and where without."""
+"""Motion of a held cylinder under a growing load, with and without reaction to slip."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ LOST_M = 10e-3
 
 
 def pull(job: tuple[str, bool, int]) -> dict[str, Any]:
-    """Of a hand, whether it answers, and a seed: a pull [N] over motion [mm], and what the object is lost at."""
+    """Measure for a hand, with or without reaction, and a seed: load [N] over motion [mm], and the load at the loss."""
     hand, answered, seed = job
     scene = CASES[1].scene(seed, stages=False).replace("friction = 0.5", f"friction = {SLIPPERY[hand]}")
     scene += f"[load]\ndirection = [1.0, 0.0, 0.0]\nstart_s = {START_S}\nrate_N_per_s = {RATE_N_PER_S}\n"
@@ -42,6 +42,6 @@ def pull(job: tuple[str, bool, int]) -> dict[str, Any]:
 
 
 def _first(run: Any, motion: np.ndarray, after: np.ndarray) -> float | None:
-    """How far the object had moved when slip was first told [mm]."""
+    """Return the motion of the object at the first slip event [mm]."""
     ticks = [k for k, event in run.events if event.name == "slip" and k >= after[0]]
     return round(1e3 * float(motion[ticks[0] - after[0]]), 2) if ticks else None

@@ -1,4 +1,4 @@
-"""Does the object stay: every object of the set, both hands, turned three ways and pushed."""
+"""Success of grasps: every object of the set, both hands, turned three ways and pushed."""
 
 from typing import Any
 
@@ -22,7 +22,7 @@ GIVE_UP_S = 10.0
 
 
 def try_case(job: tuple[str, int, int]) -> dict[str, Any]:
-    """Of a hand, an object by number and a seed: largest motion in each stage [mm], and if no success, why."""
+    """Measure for a hand, an object number and a seed the largest motion in each stage [mm], or why it failed."""
     hand, number, seed = job
     case = CASES[number]
     program = task_program(TASKS[hand, case.grasp], hand, hold_s=60.0)
@@ -36,7 +36,7 @@ def try_case(job: tuple[str, int, int]) -> dict[str, Any]:
 
 
 def failure(run: Run, case: Case, motion: list[float]) -> str:
-    """Why a grasp is no success; empty if it is one."""
+    """Describe why a grasp failed. Empty for a success."""
     if run.failure:
         return run.failure
     if run.dropped_at is None:

@@ -1,8 +1,8 @@
-"""Is the force at the fingertip what the controller says it is, and what it was asked for?
+"""Fingertip force: command, controller's estimate, and the plant's truth.
 
-A wall that only the last links can meet, and a hold by ``tip_force_N``, which the controller makes through the Jacobian
-(`jamia11`, whose joint angles are known) or through its one-tendon likeness (`jamia`). Task files must not ask the
-latter for a tip force: this shows why.
+The fingers press on a wall that only the last links can reach, in a hold by ``tip_force_N``. The controller maps the
+force through the Jacobian (`jamia11`, which measures joint angles) or through the one-tendon approximation (`jamia`).
+Task files must not command a tip force for `jamia`, and this benchmark shows the reason.
 """
 
 import random
@@ -18,7 +18,7 @@ HOLD_S, JUDGED_S = 0.8, 0.4
 
 
 def press(job: tuple[str, int]) -> list[dict[str, Any]]:
-    """Hand and seed to a row per digit and force: asked, told by the controller and felt by the plant, means [N]."""
+    """Measure for a hand and a seed, per digit and force: command, estimate and true force, means [N]."""
     hand, seed = job
     chance = random.Random(f"tip {seed}")
     wall = WALL.format(x=0.045 + chance.uniform(-3e-3, 3e-3), y=chance.uniform(-4e-3, 2e-3))

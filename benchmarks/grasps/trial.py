@@ -1,4 +1,4 @@
-"""One run of a task against the simulated hand, in lockstep, beside the plant's truth."""
+"""One run of a task on the simulated hand in lockstep, with the plant's truth."""
 
 from dataclasses import dataclass, field
 from functools import cache
@@ -28,7 +28,7 @@ DEFAULT = Gains()
 
 @cache
 def hand_model(hand: str, gains: Gains = DEFAULT) -> tuple[HandModel, float]:
-    """A hand's model at its default rate; designed once a process."""
+    """Return the model of a hand at its default rate. It is designed once per process."""
     described = load_hand(hand)
     rate = fastest(bus_loads(described))
     return HandModel.of(described, gains, rate), rate
@@ -36,14 +36,23 @@ def hand_model(hand: str, gains: Gains = DEFAULT) -> tuple[HandModel, float]:
 
 @dataclass
 class Run:
-    """What happened, a row a tick.
+    """Record of a run, one row per tick.
 
     Attributes:
-        t: (ticks,) [s]. phase: names. stage: of the scene.
-        place: (ticks, 3) object [m]. force: (ticks, D) contact force on each digit [N].
-        normal: (ticks, D) sum of normal forces, in scenes with a load.
-        contact: (ticks, D). tension, external, travel: (ticks, N). q: (ticks, J) true joint angles.
-        events: tick and event. failure: of the controller. dropped_at: when the table began to sink [s].
+        t: (ticks,) [s].
+        phase: (ticks,) names.
+        stage: (ticks,) stage of the scene.
+        place: (ticks, 3) position of the object [m].
+        force: (ticks, D) contact force on each digit [N].
+        normal: (ticks, D) sum of normal forces, in scenes with a load [N].
+        contact: (ticks, D) contact reported by the controller.
+        tension: (ticks, N) [N].
+        external: (ticks, N) external tension [N].
+        travel: (ticks, N) tendon travel [m].
+        q: (ticks, J) true joint angles [rad].
+        events: tick and event.
+        failure: of the controller.
+        dropped_at: start of the sinking of the table [s].
     """
 
     t: np.ndarray
@@ -66,7 +75,7 @@ class Run:
 
 
 def task_program(task: str, hand: str, hold_s: float | None = None) -> TaskProgram:
-    """A packaged task or a task file for a hand, its holds as long as asked [s]."""
+    """Return the program of a packaged task or a task file for a hand, with the duration of its holds [s]."""
     found, _ = find_task(Path(task), load_hand(hand))
     phases = [
         phase.model_copy(update={"duration_s": hold_s}) if hold_s is not None and isinstance(phase, Hold) else phase
@@ -87,13 +96,17 @@ def simulate(
     timeout: float = TIMEOUT_S,
     give_up: float = TIMEOUT_S,
 ) -> Run:
-    """Carry out a program on a homed hand.
+    """Run a program on a homed hand.
 
     Args:
-        hand: packaged name. program: what to do. scene: text of a scene file, or a packaged name, or None.
-        seed: of the simulator. perturb: factors on the plant.
-        until: the run ends where this phase begins. timeout: or here [s].
-        give_up: or here, if the table still stands [s].
+        hand: packaged name.
+        program: of the controller.
+        scene: text of a scene file, or a packaged name, or None.
+        seed: of the simulator.
+        perturb: factors on the plant.
+        until: phase whose start ends the run.
+        timeout: time that ends the run [s].
+        give_up: time that ends the run if the table still stands [s].
     """
     model, rate = hand_model(hand, gains)
     controller = homed_controller(model, program)
@@ -124,18 +137,18 @@ def simulate(
 
 
 def _over(plant: Plant) -> bool:
-    """Whether all stages of the scene have passed."""
+    """Return True if all stages of the scene have passed."""
     dropped = plant.table.dropped_at if plant.table else None
     return bool(plant.stages) and dropped is not None and plant.steps * STEP_S - dropped > plant.stages.duration
 
 
 def _gone(plant: Plant) -> bool:
-    """Whether the object has left the hand."""
+    """Return True if the object has left the hand."""
     return plant.scene.thing is not None and np.linalg.norm(plant.engine.object_pose()[:3]) > GONE_M
 
 
 def stage_motion(run: Run) -> list[float]:
-    """Largest way of the object from where each stage found it [m]; the turn counts."""
+    """Return the largest motion of the object in each stage, from its position at the start of the stage [m]."""
     motions = []
     for stage in range(int(run.stage.max(initial=-1)) + 1):
         path = run.place[run.stage == stage]

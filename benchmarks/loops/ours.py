@@ -1,4 +1,4 @@
-"""handctl's own loop, whole: bus, filter, law, safety, encoding, log; only the deadlines are chosen here."""
+"""The complete loop of handctl: bus, filter, law, safety, encoding, log. Only the deadlines are chosen here."""
 
 import select
 import time
@@ -38,7 +38,7 @@ class Stay:
 
 @dataclass
 class FreeClock:
-    """No deadline: the next tick begins when the answers to the last have come."""
+    """A clock without deadlines. The next tick begins when the replies to the last one have arrived."""
 
     fd: int
 
@@ -54,7 +54,7 @@ class FreeClock:
 
 
 def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
-    """Run for a while once the hand is active.
+    """Run for a time after the hand has become active.
 
     Args:
         hand_name: packaged hand.
@@ -64,8 +64,8 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
         log: file, new.
 
     Returns:
-        ticks a second while active, share of deadlines missed, lateness of every active tick [ns], wall time of each
-        in the controller [ns], and CPU time of the control process for each second.
+        ticks per second while active, fraction of missed deadlines, lateness of every active tick [ns], wall time
+        of each tick in the controller [ns], and CPU time of the control process per second.
     """
     hand = load_hand(hand_name)
     rate = rate_hz or DESIGN_HZ
@@ -108,7 +108,7 @@ def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, lo
 
 
 class Counter:
-    """Counts the ticks in which the hand is active, and ends the run."""
+    """Attendant that counts the ticks with an active hand and ends the run."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds, self.ticks, self.late = seconds, 0, []

@@ -1,6 +1,6 @@
-"""The other side of the wire without a plant: simulated drives and load cells that stand still, answers kept ready.
+"""The far side of the wire without a plant: simulated drives and load cells at rest, with cached replies.
 
-``python benchmarks/loops/peer.py HAND NAME`` serves ``local:NAME`` and prints a line when it does.
+``python benchmarks/loops/peer.py HAND NAME`` serves ``local:NAME`` and prints a line when it is ready.
 """
 
 import select
@@ -16,7 +16,7 @@ ENABLED = 1
 
 
 class Echo:
-    """Answers from the simulator's nodes, the second time from memory."""
+    """Replies of the simulated nodes, cached after the first time."""
 
     def __init__(self, hand: str) -> None:
         self.rig = Rig(hand, homed=True)
@@ -24,7 +24,7 @@ class Echo:
         self.sync = self.rig.world.hand.sensors.sync_id
 
     def answer(self, frame: Frame) -> bytes:
-        """Records that answer a frame."""
+        """Return the records that answer a frame."""
         if frame.can_id != self.sync and (frame.can_id > 0xFF or frame.data.startswith(SPECIAL)):
             self.known.clear()
             return b"".join(map(pack_record, self.rig.world.receive(frame)))

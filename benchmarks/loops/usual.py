@@ -1,4 +1,4 @@
-"""The loop most people would write: python-can a frame at a time, a filter a tendon, pinocchio, JSON as it goes."""
+"""The usual hand-written loop: python-can with one frame at a time, a filter per tendon, pinocchio, JSON."""
 
 import json
 import struct
@@ -18,7 +18,7 @@ ENABLE, DISABLE = b"\xff" * 7 + b"\xfc", b"\xff" * 7 + b"\xfd"
 
 
 def tendon_filter(dt: float) -> KalmanFilter:
-    """Tension and its rate."""
+    """Return a Kalman filter of tension and its rate."""
     one = KalmanFilter(dim_x=2, dim_z=1)
     one.F, one.H = np.array([[1.0, dt], [0.0, 1.0]]), np.array([[1.0, 0.0]])
     one.Q, one.R = np.diag([1e-3, 1e-1]), np.array([[0.25]])
@@ -26,13 +26,13 @@ def tendon_filter(dt: float) -> KalmanFilter:
 
 
 def command(torque: float) -> bytes:
-    """Torque in the MIT frame of a Damiao motor, range 0.8 N m; position, speed and gains zero."""
+    """Encode a torque in the MIT frame of a Damiao motor, range 0.8 N m, with zero position, speed and gains."""
     raw = round((torque + 0.8) / 1.6 * 4095)
     return bytes((0x80, 0x00, 0x80, 0x00, 0x00, 0x00, raw >> 8, raw & 0xFF))
 
 
 class UsualLoop:
-    """One tick after the other on a python-can bus."""
+    """A loop on a python-can bus, tick by tick."""
 
     def __init__(self, hand_name: str, bus_name: str, log: Path) -> None:
         self.hand = load_hand(hand_name)
@@ -47,14 +47,14 @@ class UsualLoop:
         self.k, self.file, self.path = 0, log.open("w"), log
 
     def send_all(self, data: bytes) -> None:
-        """The same to every motor, answers thrown away."""
+        """Send the same data to every motor and discard the replies."""
         for node in self.nodes:
             self.bus.send(can.Message(arbitration_id=node, data=data, is_extended_id=False))
         while self.bus.recv(0.05):
             pass
 
     def tick(self) -> None:
-        """Ask, read, filter, compute, log."""
+        """Run one tick: send, read, filter, compute, log."""
         self.bus.send(can.Message(arbitration_id=self.sync, data=[self.k & 0xFF], is_extended_id=False))
         torque = pinocchio.rnea(self.model, self.data, np.zeros(self.model.nq), np.zeros(self.model.nv),
                                 np.zeros(self.model.nv))  # fmt: skip
@@ -75,7 +75,7 @@ class UsualLoop:
         return -(-len(self.hand.sensor_node.joints) // 5)
 
     def take(self, message: can.Message, row: dict) -> None:
-        """One answer."""
+        """Decode one reply."""
         if self.base <= message.arbitration_id < self.base + 0x10:
             bits, first = int.from_bytes(message.data, "little"), 5 * (message.arbitration_id - self.base)
             for i in range(first, min(first + 5, len(self.filters))):
@@ -95,7 +95,7 @@ class UsualLoop:
 
 
 def run(hand_name: str, bus_name: str, seconds: float, rate_hz: float | None, log: Path):
-    """As ``ours.run``."""
+    """Run for a time, with the results of ``ours.run``."""
     loop = UsualLoop(hand_name, bus_name, log)
     take_priority()
     loop.send_all(ENABLE)

@@ -1,1 +1,1 @@
-"""What the benchmarks of the controller share: a trial against the simulator's plant, and the page they write."""
+"""Common parts of the controller benchmarks: a trial on the simulated plant, and the page."""

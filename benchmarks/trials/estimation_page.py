@@ -26,7 +26,7 @@ ASKED_LIMIT, ASKED_NIS = 1.3, (0.8, 1.3)
 
 
 def section(result: dict) -> str:
-    """Markdown of a result of ``estimation.measure``."""
+    """Return the Markdown section of a result of ``estimation.measure``."""
     parts = ["## The tension estimate", ""]
     few, many = min(result["seeds"].values()), max(result["seeds"].values())
     parts += [
@@ -66,7 +66,7 @@ def _wrong(plant: str, found: dict, regimes: list[str]) -> list[str]:
 
 
 def _conclusion(result: dict) -> str:
-    """What a reader should conclude, from the numbers."""
+    """Write the conclusion from the numbers."""
     met, missed, strict = [], [], []
     for hand, plants in result["hands"].items():
         for regime in [regime for regime in ("free", "hold") if regime in plants["as known"]]:
@@ -105,7 +105,7 @@ WHEN = {
 
 
 def _against_raw(result: dict, ratio: str) -> str:
-    """Where the raw cell is better, of all regimes of the plant as known and of those whose stiffness is wrong."""
+    """List the regimes in which the raw cell is better, for the plant as known and for wrong stiffness."""
     rows = [
         (row[ratio], f"{hand} {regime}, {plant}")
         for hand, plants in result["hands"].items()
@@ -124,7 +124,7 @@ def _against_raw(result: dict, ratio: str) -> str:
 
 
 def _otherwise_wrong(result: dict) -> str:
-    """Where the raw cell is better on plants that are wrong in something else than stiffness."""
+    """List the regimes in which the raw cell is better on plants with other wrong parameters."""
     rows = [
         (row["estimate / raw now"], row["nis"], f"{hand} {regime}, {plant}")
         for hand, plants in result["hands"].items()
@@ -146,7 +146,7 @@ def _otherwise_wrong(result: dict) -> str:
 
 
 def picture(result: dict) -> None:
-    """Bars by regime."""
+    """Draw bars by regime."""
     import matplotlib
 
     matplotlib.use("Agg")

@@ -1,4 +1,4 @@
-"""What one would use instead of the controller's tension filter: an exponential average, a filter on the load cell."""
+"""Alternatives to the controller's tension filter: an exponential average, and a filter on the load cell alone."""
 
 import numpy as np
 from scipy.linalg import solve_discrete_are
@@ -12,7 +12,7 @@ RATES = np.array([30.0, 100.0, 300.0, 1000.0, 3000.0])
 
 
 def averaged(raw: Array, weight: float) -> Array:
-    """Exponential average (ticks, N); a missing sample is left out."""
+    """Return the exponential average (ticks, N). A missing sample is skipped."""
     smooth, last = np.empty_like(raw), np.nan_to_num(raw[0])
     for k, sample in enumerate(raw):
         last = last + weight * np.where(np.isnan(sample), 0.0, sample - last)
@@ -21,7 +21,7 @@ def averaged(raw: Array, weight: float) -> Array:
 
 
 def cell_alone(raw: Array, period: float, noise: float, rate: float) -> Array:
-    """Kalman filter of tension and its rate on the load cell alone, predicted to the present, (ticks, N).
+    """Run a Kalman filter of tension and its rate on the load cell alone, predicted to the present, (ticks, N).
 
     Args:
         raw: (ticks, N) samples, one period old [N].

@@ -1,7 +1,7 @@
-"""A step of force on a held object, with what the force loop has to work with: nothing, the raw sensor, the estimate.
+"""A force step on a held object with three inputs of the force loop: none, the raw sensor, the estimate.
 
-The digits close on a cylinder, hold 15 N a tendon, are asked for 40 N at once (5000 N/s), and for 15 N again. Judged by
-the plant's true tension at the load cell of every tendon whose digit is in contact.
+The digits close on a cylinder, hold 15 N per tendon, step to 40 N (5000 N/s), and step back to 15 N. The true tension
+at the load cell of every tendon with a digit in contact is judged.
 """
 
 from dataclasses import dataclass, field
@@ -40,7 +40,7 @@ WEIGHT_N, FORCE_N, INTEGRAL_PER_S = 4.0, 15.0, 3.0
 
 @dataclass(frozen=True)
 class Loop:
-    """What the loop works with: motion and tension gains that differ from the defaults, the raw sensor or not."""
+    """Configuration of the loop: motion and tension gains that differ from the defaults, raw sensor or estimate."""
 
     motion: dict[str, float] = field(default_factory=dict)
     tension: dict[str, float] = field(default_factory=dict)
@@ -58,7 +58,7 @@ LOOPS = {
 
 
 def trial(hand: str, law: str, seed: int, plant: str) -> Trial:
-    """One run."""
+    """Return the trial of one run."""
     loop = LOOPS[law]
     fixed = {
         "force_N": FORCE_N * force_scale(RATES_HZ[hand]),
@@ -74,7 +74,7 @@ def trial(hand: str, law: str, seed: int, plant: str) -> Trial:
 
 
 def judge(course: Course) -> dict[str, float]:
-    """Overshoot [N], time to settle [s], steady error [N], ripple [N] and RMSE [N] of both steps, worst or mean."""
+    """Judge both steps: overshoot [N], settling time [s], steady error [N], ripple [N] and RMSE [N], worst or mean."""
     tension, held = course.tension(), course.of_tendons(course.numbers["contact"] > 0)
     rows: dict[str, list[float]] = {name: [] for name in ("overshoot_N", "settling_s", "steady_N", "ripple_N", "mse")}
     for phase, goal, way in (("up", HIGH_N, 1.0), ("down", LOW_N, -1.0)):
@@ -93,13 +93,13 @@ def judge(course: Course) -> dict[str, float]:
 
 
 def work(job: tuple) -> dict[str, Any]:
-    """One trial's figures, and why it ended early if it did."""
+    """Run one trial and return its figures, with the reason if it ended early."""
     course = run(trial(*job))
     return judge(course) | {"why": course.failure}
 
 
 def measure(hands: tuple[str, ...], seeds: int, wrong_seeds: int, plan: Plan) -> dict[str, Any]:
-    """Figures by hand, plant and law: mean over the seeds (fewer of wrong plants), and the spread of the RMSE."""
+    """Measure by hand, plant and law: mean over the seeds (fewer for wrong plants), and the spread of the RMSE."""
     cases = [(hand, law, plant) for plant in PLANTS for hand in hands for law in LOOPS]
     counts = [seeds if plant == "as known" else wrong_seeds for _, _, plant in cases]
     jobs = [

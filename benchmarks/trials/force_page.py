@@ -1,4 +1,4 @@
-"""The section of ``docs/control.md`` on the step of force."""
+"""The section of ``docs/control.md`` on the force step."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ COLUMNS = {
 
 
 def section(result: dict[str, Any]) -> str:
-    """Markdown of a result of ``force.measure``."""
+    """Return the Markdown section of a result of ``force.measure``."""
     parts = ["## A step of force", ""]
     parts.append(
         "`python benchmarks/control.py --parts force --page`. The digits hold a cylinder with 15 N per "
@@ -45,7 +45,7 @@ def _cell(row: dict[str, Any] | None) -> str:
 
 
 def _conclusion(result: dict[str, Any]) -> str:
-    """What a reader should conclude, from the numbers."""
+    """Write the conclusion from the numbers."""
     told = []
     for hand, plants in result["hands"].items():
         nothing, raw, estimate = plants["as known"].values()

@@ -1,7 +1,7 @@
 """Hands of the benchmarks: the packaged ones, and the same with digits that touch neither the palm nor each other.
 
-With all joints of a packaged hand at 60 degrees the fingertips are in the palm and the middle finger is on the thumb.
-A motion that is to be judged as free has to be free, so these hands have the digits moved apart: nothing else differs.
+With all joints of a packaged hand at 60 degrees the fingertips touch the palm and the middle finger touches the thumb.
+A motion that is judged as free must be free. These hands have the digits moved apart and are otherwise the same.
 """
 
 import tomllib
@@ -25,7 +25,7 @@ FORWARD_M, APART_M = 0.04, 0.1
 
 @cache
 def known(name: str) -> Hand:
-    """A hand by its name in the benchmarks."""
+    """Return a hand by its name in the benchmarks."""
     if not name.endswith((CLEAR, SIDE)):
         return load_hand(name)
     content = tomllib.loads(hand_path(packaged(name)).read_text())
@@ -46,7 +46,7 @@ def packaged(name: str) -> str:
 
 
 def file_of(name: str, folder: Path) -> Path:
-    """Its file, for the simulator."""
+    """Return the file of a hand, for the simulator."""
     if not name.endswith((CLEAR, SIDE)):
         return hand_path(name)
     path = folder / f"{name}.toml"

@@ -1,4 +1,4 @@
-"""Many runs one after another or side by side, kept in a folder so that a long benchmark can be gone on with."""
+"""Runs of many jobs, in sequence or in parallel, with results in a folder from which a stopped benchmark continues."""
 
 import hashlib
 import json
@@ -16,7 +16,7 @@ Work = Callable[[Any], Any]
 
 @dataclass(frozen=True)
 class Plan:
-    """How jobs are run.
+    """Options for running jobs.
 
     Attributes:
         keep: folder where the result of each job is kept (JSON) and looked for; None: nowhere.
@@ -30,7 +30,7 @@ class Plan:
 
 
 def collect(work: Work, jobs: list[Any], plan: Plan) -> dict[Any, Any]:
-    """Results by job, as far as they were found or could be had in the time; a result must survive JSON.
+    """Return the results by job, as many as are stored or fit in the time. A result must survive JSON.
 
     Args:
         work: top-level function of one job. jobs: tuples. plan: see there.
@@ -49,7 +49,7 @@ def collect(work: Work, jobs: list[Any], plan: Plan) -> dict[Any, Any]:
 
 
 def _run(work: Work, jobs: list[Any], workers: int, until: float) -> Any:
-    """Yield (job, result) as they come; none is begun after a time."""
+    """Yield (job, result) in order of completion. No job starts after the time limit."""
     if workers == 1 or len(jobs) < 2:
         for job in jobs:
             if time.monotonic() < until:
@@ -71,7 +71,7 @@ def _run(work: Work, jobs: list[Any], workers: int, until: float) -> Any:
 
 
 def _place(work: Work, job: Any, keep: Path) -> Path:
-    """File of a job's result."""
+    """Return the file of a job's result."""
     digest = hashlib.sha256(repr(job).encode()).hexdigest()[:16]
     return keep / f"{work.__module__.rpartition('.')[2]}-{work.__name__}-{digest}.json"
 
@@ -92,17 +92,17 @@ def _keep(work: Work, job: Any, found: Any, plan: Plan) -> None:
 
 
 def _through_json(found: Any) -> Any:
-    """The same as if it had been kept: lists for tuples and arrays' numbers as they are read back."""
+    """Return a result as read back from JSON: lists instead of tuples, rounded numbers."""
     return json.loads(json.dumps(found))
 
 
 def add_options(parser: Any) -> None:
-    """Options of a benchmark that runs many jobs."""
+    """Add the options of a benchmark that runs many jobs."""
     parser.add_argument("--keep", type=Path, help="folder of single results; a run goes on where another stopped")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="begin no further run after so long")
     parser.add_argument("--jobs", type=int, default=0, help="processes (default: one a core)")
 
 
 def plan_of(args: Any) -> Plan:
-    """The plan that the options ask for."""
+    """Return the plan of the options."""
     return Plan(args.keep, args.minutes, args.jobs)

@@ -1,4 +1,4 @@
-"""The steps of the ablation: what the controller knows of the hand, one thing more at each step."""
+"""The steps of the ablation: the controller's knowledge of the hand, one part more at each step."""
 
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -21,31 +21,31 @@ NO_FORCE_LOOP = {"disturbance_rejection": 0.0, "tension_feedback": 0.0}
 
 
 def nothing(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
-    """No torque: feedback alone."""
+    """Return zero torque: feedback alone."""
     return (0.0,) * digit.joint_count
 
 
 def statics(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
-    """Gravity and springs."""
+    """Return the torque of gravity and springs."""
     return static_torque(digit, q)
 
 
 def springs(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
-    """Springs, without gravity."""
+    """Return the torque of springs, without gravity."""
     return spring_torque(digit, q)
 
 
 def weightless(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
-    """The whole inverse dynamics, without gravity."""
+    """Return the torque of the inverse dynamics without gravity."""
     parts = zip(required_torque(digit, q, dq, ddq), static_torque(digit, q), spring_torque(digit, q), strict=True)
     return tuple(whole - static + spring for whole, static, spring in parts)
 
 
 def misprinted(digit: DigitModel, q: Values, dq: Values, ddq: Values) -> tuple[float, ...]:
-    """Eq. 10 to 12 as the paper prints them, in their first reading, instead of the links' dynamics.
+    """Return the torque of Eq. 10 to 12 as printed in the paper, instead of the dynamics of the links.
 
-    Torques of the absolute angles, mapped to the joints as they should be (the paper does not say), with springs and
-    damping, which the paper does not have. A digit that lacks a link lacks its terms.
+    The torques belong to absolute angles and are mapped to the joints, which the paper does not describe. Springs and
+    damping are added, which the paper lacks. A digit without a link has no terms of this link.
     """
     names = {}
     for order, values in (("", q), ("d", dq), ("dd", ddq)):
@@ -71,12 +71,12 @@ FORCE_N = 20.0
 
 
 def force_scale(rate_hz: float) -> float:
-    """What a force weight is to be multiplied by so that it counts in full at a control rate."""
+    """Return the factor on a force weight by which it counts in full at a control rate."""
     return 1.0 / bearable(1.0, 1.0 / rate_hz)
 
 
 class RawTension(Controller):
-    """The controller with the newest load-cell sample, a period old, for the tension wherever the law asks for it."""
+    """A controller whose law gets the newest load-cell sample, one period old, as the tension."""
 
     __slots__ = ()
 
@@ -88,7 +88,7 @@ class RawTension(Controller):
 
 
 def on_raw_tension(controller: Controller) -> Controller:
-    """The same controller, on the raw sensor."""
+    """Return the controller on the raw sensor."""
     return RawTension(**{each.name: getattr(controller, each.name) for each in fields(controller) if each.init})
 
 
@@ -107,14 +107,14 @@ class Law:
     raw: bool = False
 
     def gains(self, position_error_m: float, speed_error_m_s: float, rate_hz: float) -> Gains:
-        """Gains with the two weights that were tuned; the others are fixed here, whatever the packaged ones are."""
+        """Return gains with the two tuned weights. The others are fixed here, independent of the packaged gains."""
         weights = {"position_error_m": position_error_m, "speed_error_m_s": speed_error_m_s}
         fixed = {"force_N": FORCE_N * force_scale(rate_hz), "disturbance_rejection": 1.0, "tension_feedback": 0.3}
         return Gains(motion=MotionGains(**{**fixed, **weights, **self.motion}))
 
     @property
     def change(self) -> partial[Controller]:
-        """What is done to the controller."""
+        """Return the change of the controller."""
         return partial(_changed, inverse=self.inverse, raw=self.raw)
 
 

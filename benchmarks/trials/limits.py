@@ -1,10 +1,10 @@
-"""The error of a reference filter: optimal for a noise model that no gain can change.
+"""Error of a reference filter that is optimal for a fixed noise model.
 
-It is no bound on the error. A filter for a calmer plant, or one that is told more, can be below it.
+The result is no bound on the error. A filter for a plant with less noise, or with more inputs, can be better.
 
-Per tendon the state is cable travel and speed, excursion and its rate, Gauss-Markov forces on motor and joint, and
-the stretch offset; load cell and encoder are measured. The disturbances are fixed here. The digit is free on its
-springs, or presses on a stiff object. Solved by ``scipy``, beside the controller's own design.
+The state per tendon is tendon travel and speed, excursion and its rate, Gauss-Markov forces on motor and joint, and
+the stretch offset. Load cell and encoder are measured. The disturbances are fixed here. The digit is free on its
+springs, or presses on a stiff object. ``scipy`` solves the filter, independent of the controller's own design.
 """
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""A trial: the real controller over the simulated bus in lockstep, tick by tick, beside the plant's truth."""
+"""A trial: the real controller over the simulated bus in lockstep, tick by tick, with the plant's truth."""
 
 import tempfile
 from collections.abc import Callable, Iterable, Mapping
@@ -32,13 +32,13 @@ Row = tuple[TickIn, TickOut, Array, State]
 
 
 def unchanged(controller: Controller) -> Controller:
-    """The controller as a user gets it."""
+    """Return the controller unchanged."""
     return controller
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What to run.
+    """Configuration of a trial.
 
     Attributes:
         hand: name of ``hands.known``.
@@ -65,7 +65,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Course:
-    """What a trial came to, one row a tick while the hand was active.
+    """Record of a trial, one row per tick with an active hand.
 
     Attributes:
         hand: description.
@@ -93,35 +93,35 @@ class Course:
 
     @property
     def times(self) -> Array:
-        """(ticks,) [s]."""
+        """Return the time of each tick (ticks,) [s]."""
         return self.t_ns / 1e9
 
     def truth(self, names: Iterable[str], delay_ns: int = 0) -> Array:
-        """(ticks, names) columns of the truth at each tick, or so much before it."""
+        """Return columns of the truth at each tick, or some time before it (ticks, names)."""
         return self.real.table(list(names), self.t_ns - delay_ns)
 
     def tension(self, delay_ns: int = 0) -> Array:
-        """(ticks, N) true tension [N]."""
+        """Return the true tension (ticks, N) [N]."""
         return self.truth((f"tension/{name}" for name in self.hand.tendon_names), delay_ns)
 
     def q(self) -> Array:
-        """(ticks, J) true joint angles [rad]."""
+        """Return the true joint angles (ticks, J) [rad]."""
         return self.truth(f"q/{name}" for name in self.hand.joints)
 
     def contact_force(self) -> Array:
-        """(ticks, D) what the plant feels on each digit [N]."""
+        """Return the true contact force on each digit (ticks, D) [N]."""
         axes = [self.truth(f"contact_force/{name}/{axis}" for name in self.hand.digit_names) for axis in "xyz"]
         return np.sqrt(sum(axis**2 for axis in axes))
 
     def of_tendons(self, per_digit: NDArray[Any]) -> NDArray[Any]:
-        """(ticks, N) of a value (ticks, D) per digit."""
+        """Expand a value per digit (ticks, D) to tendons (ticks, N)."""
         slices = [self.hand.digit_tendons[name] for name in self.hand.digit_names]
         index = np.repeat(np.arange(len(slices)), [s.stop - s.start for s in slices])
         return per_digit[:, index]
 
 
 def run(trial: Trial) -> Course:
-    """Run a trial; the same trial gives the same course, bit for bit."""
+    """Run a trial. The same trial gives the same record, bit for bit."""
     hand, rate = known(trial.hand), trial.rate_hz or RATES_HZ[packaged(trial.hand)]
     controller = trial.change(make_controller(hand, trial.gains, rate, trial.program, None, arm_at_once=True))
     with tempfile.TemporaryDirectory() as folder:
@@ -138,7 +138,7 @@ def run(trial: Trial) -> Course:
 
 
 def _filtered(design: FilterDesign, inputs: Array, after: State) -> list[float]:
-    """(N,) tensions before the prediction to the present, which is taken back [N].
+    """Return the tensions before the prediction to the present (N,) [N], by undoing the prediction.
 
     Args:
         design: of the filter. inputs: (N, 2) of the tick. after: the state after it.

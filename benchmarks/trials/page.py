@@ -1,4 +1,4 @@
-"""``docs/control.md``: put together from parts, each written by the benchmark that measures it."""
+"""The page ``docs/control.md``, composed of parts that the benchmarks write."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ ORDER = ("estimation", "tracking", "gravity", "force", "tip", "grasps")
 
 
 def write(part: str, text: str) -> None:
-    """Put a part (Markdown) in place of its old one; the others stay as they are."""
+    """Replace a part (Markdown) of the page. The other parts stay unchanged."""
     parts = _parts(PAGE.read_text("utf-8")) if PAGE.exists() else {}
     parts[part] = text.strip()
     ordered = sorted(parts, key=lambda name: ORDER.index(name) if name in ORDER else len(ORDER))
@@ -23,7 +23,7 @@ def write(part: str, text: str) -> None:
 
 
 def _parts(text: str) -> dict[str, str]:
-    """Parts of a page by their names."""
+    """Split a page into its parts by name."""
     found = {}
     for block in text.split("<!-- end of ")[:-1]:
         name, _, body = block.rpartition("<!-- ")[2].partition(" -->")
@@ -32,6 +32,6 @@ def _parts(text: str) -> dict[str, str]:
 
 
 def table(head: list[str], rows: list[list[str]]) -> str:
-    """A Markdown table."""
+    """Format a Markdown table."""
     lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)

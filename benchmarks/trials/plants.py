@@ -1,4 +1,4 @@
-"""Plants that are not as the controller believes, by a known amount, and the way to an object that is held."""
+"""Plants that differ from the controller's model by known factors, and the phases up to a held object."""
 
 PLANTS: dict[str, dict[str, float]] = {
     "as known": {},

@@ -1,4 +1,4 @@
-"""A program that does one thing after another at fixed times, whatever it meets."""
+"""A program of steps at fixed times, independent of contacts."""
 
 import math
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from handctl.programs.program import Progress, motion_to
 
 @dataclass(frozen=True)
 class Step:
-    """One thing that all digits do.
+    """One step of all digits.
 
     Attributes:
         name: of the phase in the log.
@@ -36,7 +36,7 @@ class Step:
 
 @dataclass(frozen=True)
 class Script:
-    """Takes up the slack, then step after step."""
+    """A program that takes up the slack and then runs its steps."""
 
     steps: tuple[Step, ...]
 

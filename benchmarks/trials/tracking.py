@@ -1,13 +1,13 @@
-"""What each part of the controller is worth: tracking at three speeds, and a step of force, one thing more at a time.
+"""Ablation of the controller: tracking at three speeds and a force step, with one part more at a time.
 
 ``python benchmarks/control.py [--quick] [--json] [--seeds N] [--tune] [--keep FOLDER] [--page]``. The digits move from
-0 to 60 degrees and are judged by the plant's truth, on the mean joint angle of each (what one tendon can set). The
-plant's effects are those of the hand files and of firmware_sim (capstan and motor friction, rope elasticity and
-damping, current loop, encoder and load-cell resolution, noise, drift, one period of bus delay) and none of them was
-changed for any law. The two weights of a law, PD included, are the best of the same ``WEIGHTS``, by the fast motion of
-the plant as known, in the same run of three, on a seed that is not among those judged; ``--tune`` looks for them again.
-The best weights of all leave a loop hardly any margin. So the laws are compared a second time with the best of those
-weights that keep what packaged gains must keep, 6 dB and 45 degrees on the plants drawn around the hand file's.
+0 to 60 degrees. The true mean joint angle of each digit is judged, since one tendon can set no more. The plant has the
+effects of the hand files and of firmware_sim: capstan and motor friction, tendon elasticity and damping, current loop,
+encoder and load-cell resolution, noise, drift, one period of bus delay. They are the same for all laws. The two weights
+of a law, PD included, are the best of the same ``WEIGHTS``, by the fast motion of the plant as known, on a seed that is
+not among the judged ones. ``--tune`` searches them again. The best weights leave a loop hardly any margin. The laws are
+therefore compared a second time with the best weights that have the margins of packaged gains: 6 dB and 45 degrees on
+plants drawn around the hand file.
 """
 
 import argparse
@@ -58,7 +58,7 @@ PLANTS_DRAWN = 8
 
 
 def moves(speeds: tuple[str, ...]) -> Script:
-    """There and back at each speed."""
+    """Return the motions: out and back at each speed."""
     steps = []
     for speed in speeds:
         steps.append(Step(f"home {speed}", BACK_S + REST_S, angle_deg=0.0, move_s=BACK_S))
@@ -67,7 +67,7 @@ def moves(speeds: tuple[str, ...]) -> Script:
 
 
 def trial(hand: str, law: str, weights: tuple[float, float], seed: int, plant: str, speeds: tuple[str, ...]) -> Trial:
-    """One run of a law."""
+    """Return the trial of a law."""
     chosen = LAWS[law]
     return Trial(
         hand + CLEAR,
@@ -81,7 +81,7 @@ def trial(hand: str, law: str, weights: tuple[float, float], seed: int, plant: s
 
 
 def judge(course: Course, speeds: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """For each speed: RMSE and peak of the tracking error, steady error [deg], settling [s], worst of the digits."""
+    """Judge each speed: RMSE, peak and steady tracking error [deg], settling time [s], for the worst digit."""
     goal = mean_angles(course.hand, course.numbers["q_goal"])
     error = np.degrees(goal - mean_angles(course.hand, course.q()))
     found = {}
@@ -104,7 +104,7 @@ def judge(course: Course, speeds: tuple[str, ...]) -> dict[str, dict[str, float]
 
 
 def work(job: tuple) -> dict[str, dict[str, float | str]]:
-    """One trial's figures; a motion that the hand did not get to the end of has infinite error, and why."""
+    """Run one trial and return its figures. A motion that did not end has infinite error and a reason."""
     course = run(trial(*job))
     found: dict = judge(course, job[-1])
     for speed in job[-1] if course.failure else ():
@@ -115,7 +115,7 @@ def work(job: tuple) -> dict[str, dict[str, float | str]]:
 
 
 def tune(plan: Plan) -> None:
-    """Try all weights for each law on each hand; keep the errors of the fast motion, and which keep their margins."""
+    """Try all weights for each law on each hand. Return the errors of the fast motion, and the weights with margins."""
     jobs = [(h, law, w, TUNING_SEED, "as known", tuple(SPEEDS)) for h in HANDS for law in LAWS for w in WEIGHTS]
     found = collect(work, jobs, plan)
     table: dict = {"rmse_deg": {}, "keeps_margins": {}}
@@ -132,14 +132,14 @@ def tune(plan: Plan) -> None:
 
 
 def keeps_margins(hand: str, law: str, weights: tuple[float, float]) -> bool:
-    """Whether the motion loop of every tendon keeps 6 dB and 45 degrees on plants around the hand file's."""
+    """Return True if the motion loop of every tendon has 6 dB and 45 degrees on plants around the hand file."""
     model = HandModel.of(known(hand), LAWS[law].gains(*weights, RATES_HZ[hand]), RATES_HZ[hand])
     plants = tuple(linear_factors(one) for one in ensemble(PLANTS_DRAWN, 0))
     return keeps(model, plants, (LoopKind.MOTION,))
 
 
 def tuned(hand: str, law: str, careful: bool = False) -> tuple[float, float]:
-    """The best weights of a law; if ``careful``, of those that keep their margins (the softest if none does both)."""
+    """Return the best weights of a law. ``careful``: of those with margins (the softest if none has both)."""
     table = json.loads(TUNED.read_text("utf-8"))
     errors, kept = table["rmse_deg"][hand][law], table["keeps_margins"][hand][law]
     usable = [i for i, error in enumerate(errors) if error is not None and (kept[i] or not careful)]
@@ -147,7 +147,7 @@ def tuned(hand: str, law: str, careful: bool = False) -> tuple[float, float]:
 
 
 def measure(seeds: int, wrong_seeds: int, speeds: tuple[str, ...], plan: Plan, hands: tuple[str, ...] = HANDS) -> dict:
-    """All figures: mean and spread over the seeds that there was time for."""
+    """Measure all figures: mean and spread over the seeds within the time."""
     cases = [(hand, law, "as known", False) for hand in hands for law in LAWS]
     cases += [(hand, law, "as known", True) for hand in hands for law in CAREFUL]
     for plant in list(PLANTS)[1:] if wrong_seeds else []:
@@ -176,7 +176,7 @@ def measure(seeds: int, wrong_seeds: int, speeds: tuple[str, ...], plan: Plan, h
 
 
 def _over_seeds(rows: list[dict]) -> dict:
-    """Mean of each figure and spread of the RMSE over the runs that got to the end, how many did not, and why."""
+    """Return the mean of each figure and the spread of the RMSE over complete runs, and the others with reasons."""
     whys = sorted({row["why"] for row in rows if "why" in row})
     good = [row for row in rows if np.isfinite(row["rmse_deg"])]
     names = [name for name in rows[0] if name != "why"]
@@ -186,7 +186,7 @@ def _over_seeds(rows: list[dict]) -> dict:
 
 
 def show(result: dict) -> None:
-    """For people."""
+    """Print the result as text."""
     if "force" in result:
         print(force_page.section(result["force"]))
     if "tracking" not in result:

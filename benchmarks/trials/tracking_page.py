@@ -18,7 +18,12 @@ LEAST_DEG = 0.03
 
 
 def section(result: dict, named: tuple[str, str, str, str]) -> str:
-    """Markdown of a result of ``tracking.measure``; ``named``: PD alone, springs and gravity, best, misprinted."""
+    """Return the Markdown section of a result of ``tracking.measure``.
+
+    Args:
+        result: of ``tracking.measure``.
+        named: laws PD alone, springs and gravity, best, misprinted.
+    """
     parts = ["## Tracking: what each part of the control law is worth", ""]
     parts += [
         "`python benchmarks/control.py --parts tracking --page` moves every digit from 0 to 60 degrees and "
@@ -53,7 +58,7 @@ def section(result: dict, named: tuple[str, str, str, str]) -> str:
 
 
 def _table(title: str, laws: dict) -> str:
-    """A row for each law."""
+    """Return a table with a row for each law."""
     speeds = list(next(iter(laws.values())))
     head = [title, *[f"{speed} [deg]" for speed in speeds], "peak [deg]", "steady [deg]", "settled [s]", "seeds"]
     rows = []
@@ -77,7 +82,7 @@ def _cell(row: dict[str, float]) -> str:
 
 
 def _conclusion(laws: dict, named: tuple[str, str, str, str]) -> str:
-    """What a reader should conclude, from the numbers."""
+    """Write the conclusion from the numbers."""
     best, printed = (laws[name]["fast"] for name in named[2:])
     return (
         f"{_compared(laws, named)}. {_printed(printed, best)}\n\nGain of each row over the row before at the fast "
@@ -86,7 +91,7 @@ def _conclusion(laws: dict, named: tuple[str, str, str, str]) -> str:
 
 
 def _compared(laws: dict, named: tuple[str, str, str, str]) -> str:
-    """The whole law against PD, and against springs and gravity alone."""
+    """Compare the whole law with PD, and with springs and gravity alone."""
     plain, springs, best = (laws[name]["fast"] for name in named[:3])
     ratio, gain = plain["rmse_deg"] / best["rmse_deg"], springs["rmse_deg"] - best["rmse_deg"]
     spread = max(best["rmse_spread_deg"], springs["rmse_spread_deg"])
@@ -99,19 +104,19 @@ def _compared(laws: dict, named: tuple[str, str, str, str]) -> str:
 
 
 def _against(ratio: float) -> str:
-    """The whole law against PD."""
+    """Compare the whole law with PD."""
     if not np.isfinite(ratio):
         return "PD with its weights does not complete a fast motion after a slow and a medium one"
     return f"At the fast motion the error of the whole control law is {ratio:.1f} times smaller than that of PD"
 
 
 def _times(gain: float, spread: float, seeds: int) -> str:
-    """How many spreads a gain is, if there are seeds to tell."""
+    """Return the gain in units of its spread, if there are enough seeds."""
     return f", {gain / max(spread, 1e-9):.0f} times the spread" if seeds > 1 else " (one seed: no spread)"
 
 
 def _steps(laws: dict) -> str:
-    """Gain of each law over the one before [deg], and whether that is more than twice the spread."""
+    """Describe the gain of each law over the one before [deg], and whether it exceeds twice the spread."""
     told, old = [], laws[next(iter(laws))]["fast"]
     for law in list(laws)[1:-1]:
         new = laws[law]["fast"]
@@ -128,7 +133,7 @@ def _steps(laws: dict) -> str:
 
 
 def _printed(printed: dict, best: dict) -> str:
-    """What the misprinted equations cost."""
+    """Describe the cost of the misprinted equations."""
     if not printed["ended"]:
         return (
             f"Eq. 10-12 as printed: {printed['rmse_deg'] / best['rmse_deg']:.1f} times the error of the correct ones."
@@ -138,7 +143,7 @@ def _printed(printed: dict, best: dict) -> str:
 
 
 def _wrong(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
-    """Tracking where the plant is not as known."""
+    """Describe tracking on plants that differ from the model."""
     speeds = list(plants["as known"][named[2]])
     other = [f"{named[2]}, {speed}" for speed in speeds]
     head = [f"{hand}, RMSE [deg]", f"{named[0]}, fast", f"{named[1]}, fast", *other, "PD / whole control law", "seeds"]
@@ -154,7 +159,7 @@ def _wrong(hand: str, plants: dict, named: tuple[str, str, str, str]) -> str:
 
 
 def _costs(plants: dict, law: str) -> str:
-    """What the wrong plants cost a law at the fast motion, the dearest first."""
+    """List the cost of the wrong plants for a law at the fast motion, largest first."""
     known = plants["as known"][law]["fast"]["rmse_deg"]
     more = {plant: laws[law]["fast"]["rmse_deg"] - known for plant, laws in plants.items() if law in laws}
     dear = sorted((plant for plant in more if plant != "as known"), key=lambda plant: -more[plant])
@@ -163,7 +168,7 @@ def _costs(plants: dict, law: str) -> str:
 
 
 def _why_ended(plants: dict) -> str:
-    """Why runs ended, by law."""
+    """List the reasons of ended runs by law."""
     told: dict[str, set[str]] = {}
     for laws in plants.values():
         for law, speeds in laws.items():
@@ -175,7 +180,7 @@ def _why_ended(plants: dict) -> str:
 
 
 def picture(result: dict) -> None:
-    """Bars of the fast motion."""
+    """Draw bars of the fast motion."""
     import matplotlib
 
     matplotlib.use("Agg")

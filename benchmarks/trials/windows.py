@@ -1,4 +1,4 @@
-"""What happens to each tendon at each tick, by the plant's truth: free, reversal, impact, hold, slack, beyond."""
+"""Regime of each tendon at each tick by the plant's truth: free, reversal, impact, hold, slack, beyond."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ Mask = NDArray[np.bool_]
 
 
 def windows(course: Course) -> dict[str, Mask]:
-    """(ticks, N) for each regime; a tick belongs to one at most."""
+    """Return a mask (ticks, N) for each regime. A tick belongs to one regime at most."""
     tension, t = course.tension(), course.times
     touched = course.of_tendons(course.contact_force() > TOUCH_N)
     ready = ~np.isin(course.phase, ("start", "tighten", "live"))[:, None]
@@ -38,7 +38,7 @@ def windows(course: Course) -> dict[str, Mask]:
 
 
 def _since_rise(on: Mask, t: Array) -> Array:
-    """(ticks, N) time since each signal has last become true, where it has been false for a while before [s]."""
+    """Return the time since each signal has last become true after a while of being false (ticks, N) [s]."""
     since = np.full(on.shape, np.inf)
     for i in range(on.shape[1]):
         rise, fall = -np.inf, -np.inf
@@ -52,7 +52,7 @@ def _since_rise(on: Mask, t: Array) -> Array:
 
 
 def _reversals(course: Course) -> Mask:
-    """(ticks, N) where the spool has begun to turn the other way."""
+    """Return a mask (ticks, N) of the ticks in which the spool reverses."""
     period = course.t_ns[1] - course.t_ns[0]
     angle = [course.truth((f"motor/{tendon.motor}" for tendon in course.hand.tendon), delay) for delay in (0, period)]
     speed = (angle[0] - angle[1]) / (period * 1e-9)
@@ -65,7 +65,7 @@ def _reversals(course: Course) -> Mask:
 
 
 def _near(on: Mask, t: Array, distance: float) -> Mask:
-    """(ticks, N) within a distance [s] of a tick where the signal is true."""
+    """Return a mask (ticks, N) of the ticks within a time [s] of a true signal."""
     reach = round(distance / (t[1] - t[0]))
     kernel = np.ones(2 * reach + 1)
     return np.column_stack([np.convolve(column, kernel, "same") > 0.5 for column in on.T.astype(float)])

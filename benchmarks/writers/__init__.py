@@ -1,1 +1,1 @@
-"""The log writers that benchmarks/logging.py compares."""
+"""Log writers that benchmarks/logging.py compares."""

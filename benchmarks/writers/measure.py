@@ -1,4 +1,4 @@
-"""Writes the same run with every writer, reads it back, and prints what it cost."""
+"""Measurement of all log writers: write the same run, read it back, print the cost."""
 
 import argparse
 import json
@@ -34,7 +34,7 @@ def main(about: str) -> None:
 
 
 def measure(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
-    """All numbers."""
+    """Measure all numbers."""
     run = synthetic.header("jamia11", RATE_HZ)
     ticks = [as_in_the_loop(*tick) for tick in synthetic.Synthetic(run, seconds)]
     writers = {"handctl": ours(folder / "ours.mcap", run, ticks)}
@@ -56,14 +56,14 @@ def measure(folder: Path, seconds: float, sustained_s: float) -> dict[str, Any]:
 
 
 def _spent(work: Callable[[], object]) -> float:
-    """Processor time [s]."""
+    """Return the processor time [s]."""
     begin = time.process_time()
     work()
     return time.process_time() - begin
 
 
 def ours(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
-    """The loop's share is packing and handing over; the recorder's is measured beside it, without its process."""
+    """Measure handctl: packing and handing over in the loop, and the recorder beside it, without its process."""
     records: list[bytes] = []
     packing = _spent(lambda: records.extend(pack(*tick) for tick in ticks))
     recorder = Recorder.start(path.with_suffix(".pipe.mcap"), run)
@@ -86,7 +86,7 @@ def ours(path: Path, run: Any, ticks: list[Any]) -> dict[str, float]:
 
 
 def other(path: Path, make: Any, messages: list[Message], ticks: int) -> dict[str, float]:
-    """All of its cost is in the loop: it writes where it is called. It reads all; ours, ticks and telemetry."""
+    """Measure another writer. It writes in the loop and reads all messages, handctl reads ticks and telemetry."""
     writer = make(path)
 
     def write() -> None:
@@ -116,7 +116,7 @@ def _row(loop: float, total: float, size: int, reading: float, ticks: int) -> di
 
 
 def decoded(path: Path) -> list[Message]:
-    """Every message of a log as plain values."""
+    """Return every message of a log as plain values."""
     found = []
     factory = DecoderFactory()
     with path.open("rb") as file:
@@ -136,7 +136,7 @@ def _plain(value: Any) -> Any:
 
 
 def show(result: dict[str, Any]) -> None:
-    """For a person."""
+    """Print the result as text."""
     print(f"{result['ticks']} ticks of {result['hand']} at {result['rate_hz']} Hz: {result['messages']} messages")
     print(f"{'':<18} {'in the loop':>14} {'in all':>14} {'size':>14} {'read':>16}")
     base = result["writers"]["handctl"]

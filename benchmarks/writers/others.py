@@ -1,4 +1,4 @@
-"""What one would use instead: each writes the same decoded messages into a file, and reads the file back."""
+"""Alternative log writers. Each writes the same decoded messages into a file and reads the file back."""
 
 import json
 from collections.abc import Callable, Iterator
@@ -17,7 +17,7 @@ class Message(NamedTuple):
 
 
 class Writer(NamedTuple):
-    """How a log is written: a function that takes one message, one that ends the file, one that reads all of it."""
+    """A log writer: functions that write one message, end the file, and read all messages."""
 
     write: Callable[[Message], None]
     close: Callable[[], None]
@@ -72,7 +72,7 @@ def rosbags(path: Path) -> Writer:
 
 
 def _object(store: Any, kind: str, content: dict[str, Any]) -> Any:
-    """Plain values as an object of the type store."""
+    """Convert plain values to an object of the type store."""
     import numpy as np
 
     fields = {}

@@ -1,8 +1,7 @@
-"""Eleven motors at 1 kHz in real time, frames included, into the recorder: what was dropped, and what the loop felt.
+"""The recorder with eleven motors at 1 kHz in real time, frames included: dropped ticks, and effect on the loop.
 
-The controller's own loop with a tick that is ready made, so that what is felt is the recorder's. The loop is held on
-one core and the recorder on another; the same loop runs without a recorder before and after, so that what else the
-machine does is in both.
+The loop of the controller runs with a prepared tick, so that only the recorder affects it. Loop and recorder have a
+core each. The same loop runs without a recorder before and after, because other load on the machine must be in both.
 """
 
 import os
@@ -33,14 +32,14 @@ Tick = tuple[TickIn, TickOut]
 
 
 def sustained(path: Path, seconds: float) -> dict[str, Any]:
-    """Run for a while with the recorder, and half as long before and after without.
+    """Run for a time with the recorder, and half as long before and after without it.
 
     Args:
-        path: of the log; a new file.
+        path: of the new log file.
         seconds: with the recorder [s].
 
     Returns:
-        what is in the log, what was dropped, the recorder's share of one core, lateness of the loop [us].
+        content of the log, dropped ticks, fraction of one core for the recorder, lateness of the loop [us].
     """
     ticks = [as_in_the_loop(*tick) for tick in synthetic.Synthetic(synthetic.header(HAND, RATE_HZ), CYCLE_S)]
     recorder = Recorder.start(path, synthetic.header(HAND, RATE_HZ, deterministic=False))
@@ -60,7 +59,7 @@ def sustained(path: Path, seconds: float) -> dict[str, Any]:
 
 
 def as_in_the_loop(tick_in: TickIn, out: TickOut) -> Tick:
-    """Frames as records and telemetry as one array, as buses and controller give them."""
+    """Convert frames to records and telemetry to one array, as in the loop."""
     places, at = {}, 0
     for name, values in zip(TELEMETRY_FIELDS, out.telemetry, strict=True):
         places[name], at = slice(at, at + len(values)), at + len(values)
@@ -72,7 +71,7 @@ def as_in_the_loop(tick_in: TickIn, out: TickOut) -> Tick:
 
 @contextmanager
 def _apart(recorder: int) -> Iterator[bool]:
-    """Loop and recorder on a core each, as far as there are two; whether the loop has real-time priority."""
+    """Put loop and recorder on different cores if there are two. Return True if the loop has real-time priority."""
     cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
     if cores:
         os.sched_setaffinity(recorder, {max(cores)})
@@ -86,22 +85,22 @@ def _apart(recorder: int) -> Iterator[bool]:
 
 
 class _Ready:
-    """A bus whose answers are those of a synthetic run."""
+    """A bus that delivers the frames of a synthetic run."""
 
     def __init__(self, ticks: list[Tick]) -> None:
         self._ticks, self._at = ticks, 0
 
     def drain(self) -> Frames:
-        """The frames of the next tick."""
+        """Return the frames of the next tick."""
         self._at += 1
         return frames_of(self._ticks[self._at % len(self._ticks)][0].frames)
 
     def send(self, frames: Sequence[Frame]) -> int:
-        """Take all."""
+        """Accept all frames."""
         return len(frames)
 
     def take_events(self) -> list[tuple[str, str, int]]:
-        """Nothing happens."""
+        """Return no events."""
         return []
 
 
@@ -112,7 +111,7 @@ def _loop(
     record: Callable[[TickIn, TickOut], None],
     events: Callable[[], list[IoEvent]],
 ) -> LoopStats:
-    """The controller's loop for a while."""
+    """Run the controller's loop for a time."""
     last = int(seconds * RATE_HZ)
 
     def tick(state: int, entry: TickIn) -> tuple[int, TickOut]:
@@ -126,7 +125,7 @@ def _loop(
 
 
 def _into(recorder: Recorder) -> Callable[[TickIn, TickOut], None]:
-    """What logging adds to a tick."""
+    """Return the function that logs a tick."""
 
     def record(entry: TickIn, out: TickOut) -> None:
         recorder.record(pack(entry, out))
@@ -135,13 +134,13 @@ def _into(recorder: Recorder) -> Callable[[TickIn, TickOut], None]:
 
 
 def _processor_s(pid: int) -> float:
-    """Processor time of the recorder and of the process that syncs for it [s]."""
+    """Return the processor time of the recorder and of its sync process [s]."""
     family = [psutil.Process(pid), *psutil.Process(pid).children(recursive=True)]
     return float(sum(one.cpu_times().user + one.cpu_times().system for one in family))
 
 
 def _marks(*parts: LoopStats) -> dict[str, float]:
-    """Lateness [us], and the share of deadlines that were missed."""
+    """Return the lateness [us] and the fraction of missed deadlines."""
     us = np.concatenate([np.array(part.late_ns) for part in parts]) / 1e3
     missed = sum(part.missed for part in parts) / sum(part.ticks + part.missed for part in parts)
     return {name: float(np.percentile(us, mark)) for name, mark in MARKS.items()} | {"missed_share": missed}
