@@ -150,10 +150,10 @@ def try_all(
     """Advance a run to each stage, and branch the experiments of the stage off. See `branch`."""
     with started(hand, rate_hz, seed) as simulation:
         for stage in STAGES:
-            at_stage = [experiment for experiment in todo if experiment.stage == stage]
-            if at_stage:
+            experiments_at_stage = [experiment for experiment in todo if experiment.stage == stage]
+            if experiments_at_stage:
                 advance_to(simulation, stage)
-                branch(simulation, at_stage, jobs, attempt, on_result, on_failure)
+                branch(simulation, experiments_at_stage, jobs, attempt, on_result, on_failure)
 
 
 def branch(

@@ -35,7 +35,7 @@ class BenchRecording:
     tension: list[Vector] = field(default_factory=list)
     travel: list[Vector] = field(default_factory=list)
 
-    def take(self, entry: TickIn, out: TickOut) -> None:
+    def record(self, entry: TickIn, out: TickOut) -> None:
         """Record a tick."""
         self.t_ns.append(entry.t_ns)
         self.phase.append(out.phase)
@@ -63,7 +63,7 @@ def run(hand_file: str, scene: str | None, task: Task, truth: Path | None = None
     model = _model(hand_file)
     recording = BenchRecording()
     bench = Simulator(hand_file, scene, seed, homed=True, truth=truth)
-    state = simulate(homed_controller(model, TaskProgram(task)), bench, recording.take)
+    state = simulate(homed_controller(model, TaskProgram(task)), bench, recording.record)
     if state.failure:
         raise DriveError(state.failure, f"{task.name} with {model.hand.name} in the simulator")
     return recording

@@ -38,7 +38,7 @@ class TendonCurve:
     """Measured curve of a tendon.
 
     Attributes:
-        knee_given: knee of the simulator's tendon [N].
+        knee_nominal: knee of the simulator's tendon [N].
         displacement: (samples,) displacement at the spool, zero where the linear part meets the
             axis [mm].
         force: (samples,) load cell [N].
@@ -47,7 +47,7 @@ class TendonCurve:
         knee_sigma: standard deviation of that knee [N].
     """
 
-    knee_given: float
+    knee_nominal: float
     displacement: Array
     force: Array
     stiffness: float
@@ -156,19 +156,19 @@ def curves(measured: Mapping[str, Any]) -> list[TendonCurve]:
 
 def items(measured: Mapping[str, Any]) -> list[Item]:
     """Return the measured knees beside those of the paper."""
-    made = []
+    rows = []
     verdict = of_contradiction([str(knee) for knee in src.KNEES_N], None)
     for place, tendon in zip(("Sec. 5", "Abstract"), curves(measured), strict=True):
-        knee_given = tendon.knee_given
+        knee_nominal = tendon.knee_nominal
         top = float(tendon.force.max())
         measured_text = f"{tendon.knee:.1f} ± {tendon.knee_sigma:.1f} N" if tendon.knee else f"none up to {top:.0f} N"
-        made.append(
+        rows.append(
             Item(
-                f"fig5.measured{knee_given:g}", f"Fig. 5, {place}", f"linear up to {knee_given:g} N",
+                f"fig5.measured{knee_nominal:g}", f"Fig. 5, {place}", f"linear up to {knee_nominal:g} N",
                 tendon.knee, "N", verdict,
-                f"Measured on the simulator's bench with a tendon whose knee is at {knee_given:g} N: "
+                f"Measured on the simulator's bench with a tendon whose knee is at {knee_nominal:g} N: "
                 f"{measured_text}, {tendon.stiffness / 1000:.1f} N/mm below. Each claim has its own curve. "
                 "Only the paper's data could decide, and it prints none.", ("simulator",),
             )
         )  # fmt: skip
-    return made
+    return rows

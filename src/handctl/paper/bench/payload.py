@@ -194,7 +194,7 @@ def bound_kg(result: Mapping[str, Any]) -> float:
 
 def items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
     """Return an item per load case."""
-    made = []
+    rows = []
     for result in results:
         axis = result["axis"]
         payload = float(result["payload_kg"])
@@ -204,14 +204,14 @@ def items(results: Sequence[Mapping[str, Any]]) -> list[Item]:
             f"{', '.join(f'{force:.1f}' for force in fingers)} N, the thumb with {result['normal_N']['thumb']:.1f} N; "
             f"{ENDS[result['ended']]}. Coulomb's bound by all normal forces is {bound_kg(result):.2f} kg."
         )
-        made.append(
+        rows.append(
             Item(
                 f"payload.{axis}.d{result['diameter_mm']:g}", "Sec. 5", f"we can lift {src.PAYLOAD_KG} kg",
                 payload, "kg or more" if result["ended"] == "held" else "kg", of_lower_bound(src.PAYLOAD_KG, payload),
                 reason, ("simulator",),
             )
         )  # fmt: skip
-    return made
+    return rows
 
 
 def table(results: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, ...], ...]:

@@ -38,7 +38,7 @@ def force_displacement(figure: Any, curves: Sequence[TendonCurve]) -> None:
     stiffness = curves[0].stiffness
     axes.plot([0, 1e3 * top / stiffness], [0, top], color="black", linewidth=0.9, linestyle=":", zorder=3)
     for curve, colour in zip(curves, (BLUE, ORANGE), strict=True):
-        label = f"measured, tendon with its knee at {curve.knee_given:g} N"
+        label = f"measured, tendon with its knee at {curve.knee_nominal:g} N"
         axes.plot(
             curve.displacement[::4],
             curve.force[::4],

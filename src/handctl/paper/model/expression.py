@@ -117,15 +117,15 @@ def _dimension(node: ast.expr, dimensions: Mapping[str, Dimension]) -> Dimension
     raise ValueError(f"not a formula: {ast.unparse(node)}")
 
 
-def _combined(node: ast.expr, op: ast.operator, one: Dimension, other: Dimension) -> Dimension:
+def _combined(node: ast.expr, op: ast.operator, first: Dimension, second: Dimension) -> Dimension:
     """Return the dimension of a sum, product or quotient."""
     if isinstance(op, ast.Add | ast.Sub):
-        if one != other:
-            raise DimensionError(f"{ast.unparse(node)}: {shown(one)} and {shown(other)}")
-        return one
+        if first != second:
+            raise DimensionError(f"{ast.unparse(node)}: {shown(first)} and {shown(second)}")
+        return first
     # A product adds the exponents of the units, a quotient subtracts them.
     sign = -1 if isinstance(op, ast.Div) else 1
-    return (one[0] + sign * other[0], one[1] + sign * other[1], one[2] + sign * other[2])
+    return (first[0] + sign * second[0], first[1] + sign * second[1], first[2] + sign * second[2])
 
 
 def shown(dimension: Dimension) -> str:

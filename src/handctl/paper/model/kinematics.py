@@ -53,11 +53,11 @@ def _paths() -> list[Item]:
         f"With equal joint angles q₁ = q₂ = q₃ = θ. The thumb's, not printed, are X = {thumb} and the same with sines."
     )
     rows = (("eq1.x", "Eq. 1", "X", EQ1, tips[:, 0]), ("eq2.y", "Eq. 2", "Y", EQ2, tips[:, 1]))
-    made = []
+    items_of_path = []
     for id, where, axis, printed, right in rows:
         off = deviation(printed.value({"theta": ANGLES}), right)
         shown = f"{axis} = {printed.pretty()}"
-        made.append(
+        items_of_path.append(
             Item(
                 id,
                 where,
@@ -70,7 +70,7 @@ def _paths() -> list[Item]:
                 off,
             )
         )
-    return made
+    return items_of_path
 
 
 def _lengths(name: str) -> list[str]:
@@ -86,19 +86,19 @@ def _general() -> list[Item]:
     lengths = {f"L{i + 1}": length for i, length in enumerate(model.lengths)}
     angles = {f"q{i + 1}": rows[:, i] for i in range(3)}
     tips = np.array([forward(model, q)[:2] for q in rows])
-    made = []
+    items_of_components = []
     components = (("sec4.position", "X", "cos"), ("sec4.position_y", "Y", "sin"))
     for (id, axis, wave), right in zip(components, tips.T, strict=True):
         printed = Expression(f"L1*{wave}(q1) + L2*{wave}(q1 + q2) + L3*{wave}(q1 + q2 + q3)")
         off = deviation(printed.value({**lengths, **angles}), right)
-        made.append(
+        items_of_components.append(
             Item(
                 id, "Sec. 4", f"L₁ {wave} θ₁, L₂ {wave}(θ₁ + θ₂), L₃ {wave}(θ₁ + θ₂ + θ₃)",
                 f"{axis} = {printed.pretty()}", "mm", of_statement(off < TOLERANCE),
                 "Angles relative to the link before, as q in this project.", ("forward kinematics",), off,
             )
         )  # fmt: skip
-    return made
+    return items_of_components
 
 
 def _hinges() -> Item:

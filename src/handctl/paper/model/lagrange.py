@@ -64,9 +64,9 @@ def finger_states(digit: DigitModel) -> States:
     return {**states, "g": 9.81}
 
 
-def deviation(one: Any, other: Any) -> float:
+def deviation(value: Any, correct: Any) -> float:
     """Return the largest difference relative to the largest value of the second argument, the correct one."""
-    return float(np.max(np.abs(one - other)) / np.max(np.abs(other)))
+    return float(np.max(np.abs(value - correct)) / np.max(np.abs(correct)))
 
 
 def lagrange_torques(states: States) -> list[Array]:

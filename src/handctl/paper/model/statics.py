@@ -73,11 +73,11 @@ LABELS = (
 
 def _labels() -> list[Item]:
     """Check the labels of the moments. A label that names several joints states that their moments are equal."""
-    made = []
+    rows = []
     for id, where, printed, digit, joint, named in LABELS:
         levers = src.levers(digit())
         there = ", ".join(f"{levers[i]}F" for i in named)
-        made.append(
+        rows.append(
             Item(
                 id, where, printed, f"moment at joint {joint + 1}", "",
                 of_statement(all(levers[i] == levers[joint] for i in named)),
@@ -85,7 +85,7 @@ def _labels() -> list[Item]:
                 f"At the joints that the label names it is {there}.", STATICS,
             )
         )  # fmt: skip
-    return made
+    return rows
 
 
 FORCE = (1, 1, -2)
@@ -125,7 +125,7 @@ def _formulas() -> list[Item]:
         ("wire", "D_min = √(4T/(π σ_a))", "4*T/(pi*sigma)", (0, 2, 0), diameter**2,
          "Solves σ_a = T/A with A = π d²/4. Judged by its square."),
     )  # fmt: skip
-    made = []
+    formula_items = []
     for name, printed, text, dimension, right, reason in rows:
         expression = Expression(text)
         holds = expression.dimension(DIMENSIONS) == dimension and math.isclose(
@@ -133,7 +133,7 @@ def _formulas() -> list[Item]:
         )
         where = "Sec. 5, Sec. 6" if name in ("moment", "torque") else "Sec. 5"
         evidence = ("dimensions", "statics")
-        made.append(
+        formula_items.append(
             Item(
                 f"sec5.{name}_formula",
                 where,
@@ -145,7 +145,7 @@ def _formulas() -> list[Item]:
                 evidence,
             )
         )
-    return made
+    return formula_items
 
 
 def _finger() -> list[Item]:

@@ -114,7 +114,7 @@ def steepest(jacobian: Array, residual: Array, first: int, angle: Array, units: 
             size = float(orthogonal @ orthogonal)
             if size > MIN_OWN_FRACTION * float(column @ column):
                 score = float(orthogonal @ residual) / size**0.5
-                best = max(best, (score, start, score / size**0.5), key=lambda one: abs(one[0]))
+                best = max(best, (score, start, score / size**0.5), key=lambda ramp: abs(ramp[0]))
     square = float(np.mean(residual[rows][used] ** 2))
     kink = KINK if len(units) == 1 else KINK_OF_SEVERAL
     return Ramp(best[0], best[1], high, best[2], len(angle), 1.0 - float(used.mean()), square, kink)

@@ -79,23 +79,23 @@ class Balance:
         to_joints = digit.excursion_to_joints.T
         fast = (np.abs(speed) > MIN_SPEED_M_S).all(axis=1)
         complete = np.isfinite(np.hstack([first_tendon.joints, tension, speed])).all(axis=1)
-        keep = _apart(np.flatnonzero(free & fast & complete), 2 * reach)
-        if len(keep) < MIN_ROWS:
+        selected = _apart(np.flatnonzero(free & fast & complete), 2 * reach)
+        if len(selected) < MIN_ROWS:
             return None
-        q = first_tendon.joints[keep]
-        dq = speed[keep] @ to_joints
-        ddq = acceleration[keep] @ to_joints
+        q = first_tendon.joints[selected]
+        dq = speed[selected] @ to_joints
+        ddq = acceleration[selected] @ to_joints
         rigid = [inverse_dynamics(digit, *row) for row in zip(q.tolist(), dq.tolist(), ddq.tolist(), strict=True)]
         return Balance(
             digit=digit,
-            t=first_tendon.t[keep],
+            t=first_tendon.t[selected],
             q=q,
             dq=dq,
             rigid=np.array(rigid),
-            tension=tension[keep],
-            side=np.sign(speed[keep]),
+            tension=tension[selected],
+            side=np.sign(speed[selected]),
             noise=np.array([f.problem.sigma for f in fits]) / (2 * reach + 1) ** 0.5,
-            doubt=np.array([_drift_deviation(f, first_tendon.t[keep]) for f in fits]),
+            doubt=np.array([_drift_deviation(f, first_tendon.t[selected]) for f in fits]),
         )
 
     def pull(self, friction: Array, offset: Array) -> Array:

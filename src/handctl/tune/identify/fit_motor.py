@@ -85,15 +85,15 @@ def motor_windows(data: TendonData, spool: float) -> MotorWindows:
     complete = data.acting[rows].all(axis=1) & np.isfinite(travel + data.tension[rows]).all(axis=1)
     moving = np.abs(quick[rows]).min(axis=1) > MIN_SPEED_RAD_S * spool
     # All signs of a window are equal only if their sum is the number of samples.
-    keep = complete & moving & (np.abs(np.sign(quick[rows]).sum(axis=1)) == len(samples))
+    selected = complete & moving & (np.abs(np.sign(quick[rows]).sum(axis=1)) == len(samples))
     taps = np.arange(-half - 2, half + 3)
     return MotorWindows(
-        t=data.t[centres][keep],
-        tension=(data.tension[rows] @ weight)[keep],
-        acceleration=(travel @ second)[keep],
-        speed=speed[keep],
-        sign=np.sign(speed[keep]),
-        commands=data.command[centres[keep][:, None] + taps],
+        t=data.t[centres][selected],
+        tension=(data.tension[rows] @ weight)[selected],
+        acceleration=(travel @ second)[selected],
+        speed=speed[selected],
+        sign=np.sign(speed[selected]),
+        commands=data.command[centres[selected][:, None] + taps],
         offsets=np.append(taps, taps[-1] + 1) * period,
         half_s=half_s,
         spread=float(np.sqrt((weight**2).sum())),

@@ -62,7 +62,7 @@ class Design:
 
     def with_unproven_before(self) -> "Design":
         """Return the design without margins before: the old gains did not come to rest in simulation."""
-        before = {loop: unproven(one) for loop, one in self.before.items()}
+        before = {loop: unproven(margin) for loop, margin in self.before.items()}
         return replace(self, before=before, worst_before=unproven(self.worst_before))
 
     def as_weights(self) -> Gains:
@@ -193,13 +193,13 @@ def worst_of(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable
 
 def weakest(model: HandModel, plants: tuple[PlantFactors, ...]) -> int:
     """Return the index of the plant with the smallest disk margin of any loop."""
-    disks = [min(one.disk for one in _each(model, (factors,), LoopKind)) for factors in plants]
+    disks = [min(margin.disk for margin in _each(model, (factors,), LoopKind)) for factors in plants]
     return disks.index(min(disks))
 
 
 def keeps(model: HandModel, plants: tuple[PlantFactors, ...], kinds: Iterable[LoopKind] = LoopKind) -> bool:
     """Return True if every loop keeps its margins on every plant. The check ends at the first failure."""
-    return all(one.enough for one in _each(model, plants, kinds))
+    return all(margin.enough for margin in _each(model, plants, kinds))
 
 
 def _each(

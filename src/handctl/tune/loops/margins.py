@@ -74,21 +74,21 @@ class Margins:
         return max(1.0 - self.gain_db / GAIN_MARGIN_DB, 1.0 - self.phase_deg / PHASE_MARGIN_DEG)
 
 
-def unproven(one: Margins) -> Margins:
+def unproven(linear_margins: Margins) -> Margins:
     """Return zero margins, for linear margins that a simulation contradicts."""
-    return _none(one.crossover_hz, one.peak, stable=False)
+    return _none(linear_margins.crossover_hz, linear_margins.peak, stable=False)
 
 
-def worse(one: Margins, other: Margins) -> Margins:
+def worse(first: Margins, second: Margins) -> Margins:
     """Return the smaller of each margin, and the larger crossover and peak."""
     return Margins(
-        gain_db=min(one.gain_db, other.gain_db),
-        phase_deg=min(one.phase_deg, other.phase_deg),
-        disk=min(one.disk, other.disk),
-        delay_s=min(one.delay_s, other.delay_s),
-        crossover_hz=float(np.fmax(one.crossover_hz, other.crossover_hz)),
-        peak=max(one.peak, other.peak),
-        stable=one.stable and other.stable,
+        gain_db=min(first.gain_db, second.gain_db),
+        phase_deg=min(first.phase_deg, second.phase_deg),
+        disk=min(first.disk, second.disk),
+        delay_s=min(first.delay_s, second.delay_s),
+        crossover_hz=float(np.fmax(first.crossover_hz, second.crossover_hz)),
+        peak=max(first.peak, second.peak),
+        stable=first.stable and second.stable,
     )
 
 

@@ -112,9 +112,11 @@ class SearchResult:
     @staticmethod
     def of(trials: tuple[Trial, ...]) -> "SearchResult":
         """Evaluate trials."""
-        feasible = [one for one in trials if one.feasible]
-        best = min(feasible, key=lambda one: (one.score.cost(_scale(trials)), one.number)) if feasible else None
-        front = [one.number for one in feasible if not any(_dominates(other.score, one.score) for other in feasible)]
+        feasible = [trial for trial in trials if trial.feasible]
+        best = min(feasible, key=lambda trial: (trial.score.cost(_scale(trials)), trial.number)) if feasible else None
+        front = [
+            trial.number for trial in feasible if not any(_dominates(other.score, trial.score) for other in feasible)
+        ]
         return SearchResult(trials, best, tuple(front))
 
     def cost(self, trial: Trial) -> float:
@@ -125,13 +127,13 @@ class SearchResult:
 def _scale(trials: tuple[Trial, ...]) -> Score:
     """Return the score that costs are relative to."""
     first = trials[0].score
-    feasible = (one.score for one in trials if one.feasible)
+    feasible = (trial.score for trial in trials if trial.feasible)
     return next(feasible, first) if first.failure else first
 
 
-def _dominates(one: Score, other: Score) -> bool:
+def _dominates(score: Score, other_score: Score) -> bool:
     """Return True if a score is nowhere worse and somewhere better than another one."""
-    pairs = list(zip(one.objectives, other.objectives, strict=True))
+    pairs = list(zip(score.objectives, other_score.objectives, strict=True))
     return all(a <= b for a, b in pairs) and any(a < b for a, b in pairs)
 
 
@@ -251,8 +253,8 @@ def _open_trials(study: Any, plan: SearchPlan, finished_count: int) -> list[Any]
     count = BATCH - finished_count % BATCH
     still_open = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
     # A batch that was asked completely has all its open trials with all parameters.
-    if len(still_open) == count and all(len(one.params) == len(SPACE) for one in still_open):
-        return [OptunaTrial(study, one._trial_id) for one in still_open]
+    if len(still_open) == count and all(len(trial.params) == len(SPACE) for trial in still_open):
+        return [OptunaTrial(study, trial._trial_id) for trial in still_open]
     _close_open_trials(study)
     if finished_count == 0:
         for gains in (plan.gains, *plan.others):
@@ -295,7 +297,9 @@ def _distributions() -> dict[str, Any]:
     """Return Optuna's distributions of the search space."""
     from optuna.distributions import FloatDistribution
 
-    return {key: FloatDistribution(one.low, one.high, log=one.log) for key, one in SPACE.items()}
+    return {
+        key: FloatDistribution(gain_range.low, gain_range.high, log=gain_range.log) for key, gain_range in SPACE.items()
+    }
 
 
 def _finished(study: Any) -> tuple[Trial, ...]:
@@ -303,4 +307,4 @@ def _finished(study: Any) -> tuple[Trial, ...]:
     from optuna.trial import TrialState
 
     done = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
-    return tuple(Trial(i, dict(one.params), Score(**one.user_attrs["score"])) for i, one in enumerate(done))
+    return tuple(Trial(i, dict(trial.params), Score(**trial.user_attrs["score"])) for i, trial in enumerate(done))

@@ -34,4 +34,4 @@ The force of Bryson's rule is fixed, because only ratios of weights count.
 def clamped(gains: Gains) -> dict[str, float]:
     """Return gains as a point of the search space, clamped to its ranges."""
     values = flat(gains)
-    return {key: min(max(values[key], one.low), one.high) for key, one in SPACE.items()}
+    return {key: min(max(values[key], gain_range.low), gain_range.high) for key, gain_range in SPACE.items()}

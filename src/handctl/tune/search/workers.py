@@ -153,9 +153,9 @@ class Cluster:
         from distributed import as_completed
 
         futures = self._client.map(evaluate, jobs, pure=False)
-        places = {future.key: i for i, future in enumerate(futures)}
+        indices = {future.key: i for i, future in enumerate(futures)}
         for future, result in as_completed(futures, with_results=True):
-            yield places[future.key], result
+            yield indices[future.key], result
 
     def close(self) -> None:
         """Disconnect. The cluster stays as it is."""
