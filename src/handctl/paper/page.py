@@ -175,6 +175,7 @@ def _figure(name: str, path: Path) -> str:
 
 def _numbers(table: Sequence[Sequence[str]]) -> str:
     """Return a table of numbers as HTML, titles first."""
+    # The first row has the titles, whose cells become headers below.
     titles, *rows = ("".join(f"<td>{html.escape(cell)}</td>" for cell in row) for row in table)
     head = titles.replace("td>", "th>")
     body = "".join(f"<tr>{row}</tr>" for row in rows)

@@ -19,7 +19,7 @@ from handctl.core.model import HandModel
 from handctl.core.types import Event, Vector
 from handctl.drives.sensors.node import TARE_LEAST_N, TARE_MOST_N
 from handctl.programs.calibration import Calibration, TendonCalibration
-from handctl.programs.program import TARE_PHASE, Progress
+from handctl.programs.program import TARE_PHASE, Progress, ProgressAndEvents
 
 PULL_N = 3.0
 """Tension of a pull [N]."""
@@ -68,7 +68,7 @@ class CommissionProgram:
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    ) -> ProgressAndEvents:
         """Advance by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
@@ -80,9 +80,7 @@ class CommissionProgram:
             return self._rest(model, progress, measured, t)
         return self._pull(model, progress, estimate, measured, t)
 
-    def _tare(
-        self, model: HandModel, progress: Progress, measured: Measured, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    def _tare(self, model: HandModel, progress: Progress, measured: Measured, t: float) -> ProgressAndEvents:
         table = _table(progress)
         if not np.isnan(measured.tension).any():
             table[:, TARE_SUM] += measured.tension
@@ -92,7 +90,7 @@ class CommissionProgram:
             return progress, ()
         return self._check_tare(model, progress) or self._next(model, _with_new_tare(progress), t)
 
-    def _check_tare(self, model: HandModel, progress: Progress) -> tuple[Progress, tuple[Event, ...]] | None:
+    def _check_tare(self, model: HandModel, progress: Progress) -> ProgressAndEvents | None:
         """Refuse a tare near an end of the load cell's range, and return None if all tares are usable."""
         tare = _tare(_table(progress))
         worst = int(np.maximum(tare - TARE_MOST_N, TARE_LEAST_N - tare).argmax())
@@ -102,9 +100,7 @@ class CommissionProgram:
         bounds = f"from {TARE_LEAST_N:g} to {TARE_MOST_N:g} N"
         return self._refuse(model, progress, worst, f"load cell reads {reading}, which can be tared {bounds}")
 
-    def _rest(
-        self, model: HandModel, progress: Progress, measured: Measured, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    def _rest(self, model: HandModel, progress: Progress, measured: Measured, t: float) -> ProgressAndEvents:
         """Read all load cells without torque, renew the tare of the present tendon, then pull it.
 
         Only the present tendon's tare is renewed. That tendon was never taut, whereas friction may
@@ -132,7 +128,7 @@ class CommissionProgram:
 
     def _pull(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    ) -> ProgressAndEvents:
         """Pull the present tendon: wait until taut, settle, measure."""
         i = progress.step - 1
         waiting = progress.touching[0]
@@ -152,7 +148,7 @@ class CommissionProgram:
             return self._judge(model, _with_table(progress, _with_results(model, table, i, samples)), i, t)
         return replace(_with_table(progress, table), touching=(samples + 1, *progress.touching[1:])), ()
 
-    def _judge(self, model: HandModel, progress: Progress, i: int, t: float) -> tuple[Progress, tuple[Event, ...]]:
+    def _judge(self, model: HandModel, progress: Progress, i: int, t: float) -> ProgressAndEvents:
         """Accept the measured response of tendon i, or refuse the hand."""
         answer, crosstalk = _table(progress)[i, [ANSWER, CROSSTALK]]
         if answer < MIN_ANSWER_FRACTION * PULL_N:
@@ -169,7 +165,7 @@ class CommissionProgram:
         progress, entered = self._next(model, progress, t)
         return progress, (event, *entered)
 
-    def _next(self, model: HandModel, progress: Progress, t: float) -> tuple[Progress, tuple[Event, ...]]:
+    def _next(self, model: HandModel, progress: Progress, t: float) -> ProgressAndEvents:
         """Release the tendon, then rest before the next one, or finish."""
         step = progress.step + 1
         passive = (DigitGoal(),) * len(model.digits)
@@ -185,7 +181,7 @@ class CommissionProgram:
             touching=(RESTING,) * len(passive),
         ), ()
 
-    def _refuse(self, model: HandModel, progress: Progress, i: int, text: str) -> tuple[Progress, tuple[Event, ...]]:
+    def _refuse(self, model: HandModel, progress: Progress, i: int, text: str) -> ProgressAndEvents:
         """End the program with a failure of tendon i."""
         name = model.hand.tendon_names[i]
         failed = replace(

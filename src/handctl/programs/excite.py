@@ -16,7 +16,7 @@ from handctl.core.law.trajectory import Chirp, MinimumJerk
 from handctl.core.model import HandModel
 from handctl.core.types import Event
 from handctl.document import Document
-from handctl.programs.program import Progress, coordinates
+from handctl.programs.program import Progress, ProgressAndEvents, coordinates
 
 TAUT_TIMEOUT_S = 4.0
 """Longest time until a healthy tendon is taut [s]."""
@@ -62,7 +62,7 @@ class ExciteProgram:
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    ) -> ProgressAndEvents:
         """Advance by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
@@ -84,7 +84,7 @@ class ExciteProgram:
 
     def _enter(
         self, model: HandModel, progress: Progress, estimate: Estimate, t: float, index: int
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    ) -> ProgressAndEvents:
         """Enter a step, or the end."""
         goals = [DigitGoal()] * len(model.digits)
         if index == len(self.steps):

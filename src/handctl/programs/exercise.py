@@ -10,7 +10,7 @@ from handctl.core.law.goal import DigitGoal, Kind
 from handctl.core.model import HandModel
 from handctl.core.types import Event
 from handctl.programs.live import LiveProgram
-from handctl.programs.program import Progress, motion_to
+from handctl.programs.program import Progress, ProgressAndEvents, motion_to
 
 REST_S = 0.15
 """Time at the end of every move, in which the digit may still oscillate [s]."""
@@ -82,7 +82,7 @@ class Exercise:
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    ) -> ProgressAndEvents:
         """Advance by one tick. See `Program`."""
         if progress.phase in ("start", "tighten"):
             progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
@@ -96,7 +96,7 @@ class Exercise:
 
     def _enter(
         self, model: HandModel, progress: Progress, estimate: Estimate, step: int, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    ) -> ProgressAndEvents:
         """Enter a stage."""
         stage = self.stages[step]
         goals = tuple(_goal(model, d, stage, estimate, t) for d in range(len(model.digits)))

@@ -18,6 +18,7 @@ from handctl.programs.program import (
     TIGHTEN_S,
     TIGHTEN_TIMEOUT_S,
     Progress,
+    ProgressAndEvents,
     coordinates,
     motion_to,
     slack_tendons,
@@ -69,7 +70,7 @@ class TaskProgram:
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    ) -> ProgressAndEvents:
         """Advance the task by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
@@ -87,9 +88,7 @@ class TaskProgram:
             events += entered
         return progress, events
 
-    def _tighten(
-        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    def _tighten(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> ProgressAndEvents:
         """Wait until all tendons have been taut for a while.
 
         A tick with a slack tendon counts one down, so noise delays the start but does not restart
@@ -105,9 +104,7 @@ class TaskProgram:
             return replace(progress, finished=True, failure=text), (Event("error", "tighten", "", text),)
         return progress, ()
 
-    def _enter(
-        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    def _enter(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> ProgressAndEvents:
         """Enter the next phase of the task, or finish."""
         step = progress.step + 1
         if step > len(self.task.phase):
@@ -177,9 +174,7 @@ class TaskProgram:
         torque = digit.coupling.T @ np.asarray(static_torque(digit, q)) + force * tip_lever(digit, q)
         return allocate(digit.reduced_moment_arms, torque, model.floor[tendons], model.ceiling[tendons])[0]
 
-    def _hold_on(
-        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    def _hold_on(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> ProgressAndEvents:
         """Keep the grip while holding, and answer slip."""
         phase = self.task.phase[progress.step - 1]
         if progress.grip is None or not isinstance(phase, Hold):
@@ -189,9 +184,7 @@ class TaskProgram:
             return progress, events
         return replace(progress, grip=grip, goals=goals), events
 
-    def _detect_contact(
-        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    def _detect_contact(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> ProgressAndEvents:
         """Detect contact of closing digits and let them hold."""
         phase = self.task.phase[progress.step - 1]
         if not isinstance(phase, Close):

@@ -13,6 +13,7 @@ from handctl.core.types import Event
 from handctl.programs.program import (
     TIGHTEN_TIMEOUT_S,
     Progress,
+    ProgressAndEvents,
     coordinates,
     motion_to,
     slack_tendons,
@@ -33,7 +34,7 @@ class LiveProgram:
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    ) -> ProgressAndEvents:
         """Advance by one tick. See `Program`."""
         if progress.phase == "start":
             progress = replace(progress, since=t, phase="tighten", goals=tighten(model))
@@ -64,7 +65,7 @@ class JogProgram:
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    ) -> ProgressAndEvents:
         """Advance by one tick. See `Program`."""
         progress, events = LiveProgram().advance(model, progress, estimate, measured, t)
         if progress.phase == "live":
@@ -85,7 +86,7 @@ def apply_goal(
     request: MoveDigits | HoldTension,
     estimate: Estimate,
     t: float,
-) -> tuple[Progress, tuple[Event, ...]]:
+) -> ProgressAndEvents:
     """Apply the goals of a request.
 
     A request with an unknown digit, an angle out of range, too high a speed or too much tension

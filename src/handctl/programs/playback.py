@@ -11,7 +11,7 @@ from handctl.core.law.trajectory import MinimumJerk, Sample
 from handctl.core.model import HandModel
 from handctl.core.types import Event, Vector
 from handctl.programs.live import LiveProgram
-from handctl.programs.program import Progress, coordinates
+from handctl.programs.program import Progress, ProgressAndEvents, coordinates
 
 APPROACH_S = 2.0
 """Duration of the slow move to the first pose of the recording [s]."""
@@ -75,7 +75,7 @@ class PlaybackProgram:
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    ) -> ProgressAndEvents:
         """Advance by one tick. See `Program`."""
         if progress.finished:
             return progress, ()
@@ -91,9 +91,7 @@ class PlaybackProgram:
             return replace(progress, finished=True, phase="end"), (Event("info", "phase", "", "recording complete"),)
         return self._follow(model, replace(progress, step=progress.step + 1)), ()
 
-    def _approach(
-        self, model: HandModel, progress: Progress, estimate: Estimate, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    def _approach(self, model: HandModel, progress: Progress, estimate: Estimate, t: float) -> ProgressAndEvents:
         """Start the slow move to the first pose of the recording."""
         goals = []
         for d, digit in enumerate(model.digits):

@@ -53,6 +53,10 @@ class Progress:
         return Progress(0, 0.0, (DigitGoal(),) * digits, (False,) * digits, (0,) * digits, phase)
 
 
+ProgressAndEvents = tuple[Progress, tuple[Event, ...]]
+"""Progress of a program after a tick, and the events of the tick."""
+
+
 class Program(Protocol):
     """Interface of a program. It is immutable, all change is in `Progress`."""
 
@@ -62,7 +66,7 @@ class Program(Protocol):
 
     def advance(
         self, model: HandModel, progress: Progress, estimate: Estimate, measured: Measured, t: float
-    ) -> tuple[Progress, tuple[Event, ...]]:
+    ) -> ProgressAndEvents:
         """Advance by one tick while the hand is active.
 
         Args:

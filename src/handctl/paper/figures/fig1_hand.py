@@ -112,6 +112,7 @@ def _capsule(start: Array, end: Array, radius: float) -> list[Array]:
     side /= np.linalg.norm(side)
     up = np.cross(along, side)
     quarter = np.linspace(0.0, np.pi / 2, ALONG)
+    # Rings along the straight part, then around the round end.
     rings = [(start + (end - start) * fraction, radius) for fraction in np.linspace(0.0, 0.9, 5)]
     rings += [(end + along * radius * np.sin(a), radius * np.cos(a)) for a in quarter]
     turn = np.linspace(0.0, 2.0 * np.pi, AROUND + 1)

@@ -52,6 +52,7 @@ def torques(figure: Any) -> None:
 
 def _tension(axes: Any, lever: float, labelled: bool) -> None:
     """Add an axis with the tension of the tendon."""
+    # From mN m to N m, then by the lever to N.
     factor = 1e-3 / lever
     side = axes.secondary_yaxis("right", functions=(lambda torque: torque * factor, lambda force: force / factor))
     if labelled:

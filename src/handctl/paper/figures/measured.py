@@ -137,6 +137,7 @@ def _traces(axes: Any, axis: str, results: Sequence[Mapping[str, Any]]) -> None:
     gravity = float(src.GRAVITY)
     for result, colour in zip(results, SHADES, strict=True):
         axes.plot(result["trace_mm"], np.array(result["trace_N"]) / gravity, color=colour, linewidth=1.3)
+        # First sample of the trace at the load of the slip.
         row = int(np.searchsorted(result["trace_N"], result["load_N"]))
         position = result["trace_mm"][min(row, len(result["trace_mm"]) - 1)]
         axes.plot(

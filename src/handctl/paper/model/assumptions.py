@@ -57,6 +57,7 @@ def _coupling() -> list[Item]:
     force = src.GRIP_FINGER_N * tension
     torque = src.GRIP_FINGER_N * tension * src.SPOOL_MM / 1000
     arms = src.hand().moment_arms[src.hand().digit_tendons["index"], src.hand().digit_joints["index"]]
+    # Joint motions that no tendon controls.
     free = len(levers) - int(np.linalg.matrix_rank(arms))
     return [
         Item(

@@ -87,6 +87,7 @@ def _momentum_rate(states: States, i: int) -> Array:
         # accelerations.
         moved[f"th{j}"] = states[f"th{j}"] + 1j * STEP * states[f"dth{j}"]
         moved[f"dth{j}"] = states[f"dth{j}"] + 1j * STEP * states[f"ddth{j}"]
+    # K is quadratic in the rates: (K(r + 1) - K(r - 1)) / 2 is exactly its derivative.
     rate = f"dth{i}"
     above, below = (_energy(equations.KINETIC, {**moved, rate: moved[rate] + unit}) for unit in (1.0, -1.0))
     return np.asarray(np.imag((above - below) / 2.0) / STEP)
@@ -192,6 +193,7 @@ def _agreement(off: float) -> str:
 
 def paper_finger() -> DigitModel:
     """Return a finger of the packaged hand as in Eq. 3 to 12: no armature, weight along -y of its plane."""
+    # Eq. 3 to 12 have no armature, and their weight acts along -y of the finger's plane.
     digit = DigitModel.of(load_hand("jamia"), "index")
     return replace(digit, gravity=(0.0, -9.81), links=digit.links._replace(r1=0.0, r2=0.0, r3=0.0))
 

@@ -89,6 +89,7 @@ def first_torque(duration: float) -> tuple[Array, Array, Array]:
     moves = np.array([[value[0] for value in path.at(float(t))] for t in times])
     states = dict(finger_states(digit))
     for order in range(3):
+        # Equal joint angles make the absolute angles multiples of the first one.
         states |= {"d" * order + f"th{i}": i * moves[:, order] for i in (1, 2, 3)}
     right = sum(term.right.value(states) for term in equations.TORQUE_1)
     return times, np.asarray(printed_sum(equations.TORQUE_1, states)), np.asarray(right)

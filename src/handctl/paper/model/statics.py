@@ -113,6 +113,7 @@ def _formulas() -> list[Item]:
     }  # fmt: skip
     diameter = src.wire_diameter_mm(tension) / 1000
     values["A"] = math.pi * diameter**2 / 4
+    # The text of each formula is evaluated with the hand's own numbers.
     rows = (
         ("moment", "M = T r_p", "T*r_p", (1, 2, -2), arms[0] * tension,
          "By virtual work: the tendon's moment arm at each joint is its pulley's radius."),
@@ -155,6 +156,7 @@ def _finger() -> list[Item]:
     tension_item = number(
         "sec5.tension", "Sec. 5", "18.33", tension, "N per N",
         f"55/3. At 6 N: {float(6 * tension):g} N.", " F")  # fmt: skip
+    # The paper computes the torque from the rounded tension, so the rounding is carried on.
     carried = Fraction("18.33") * src.SPOOL_MM / 1000
     verdict = of_carried("0.09165", torque, carried, tension_item.verdict)
     torque_item = Item(

@@ -43,6 +43,7 @@ def _freedom() -> list[Item]:
     joints = [len(digit.joints) for digit in hand.digit]
     each = max(joints)
     total = sum(joints)
+    # Rank of the moment arms: the motions that the tendons of a digit control independently.
     ranks = [int(np.linalg.matrix_rank(hand.moment_arms[tendons])) for tendons in hand.digit_tendons.values()]
     spread = " + ".join(map(str, joints))
     return [
@@ -135,6 +136,7 @@ def _axis() -> Item:
     x, y, z = np.meshgrid(*grid, indexing="ij")
     energy = float(np.mean(x**2 + y**2)) / 2.0
     about = {"y": float(np.mean(x**2 + z**2)), "z": float(np.mean(x**2 + y**2))}
+    # Energy of rotation is half the moment of inertia times the squared rate, here 1.
     right = [axis for axis, inertia in about.items() if abs(inertia / 2.0 - energy) < TOLERANCE * energy]
     return Item(
         "sec7.axis", "Sec. 7", "I about the y-axis", f"about the {right[0]}-axis through the centre of mass", "",
